@@ -1,0 +1,89 @@
+//! Messages as bytes: the 4-byte encapsulation header and plain CDR (XCDR version 1), as ROS 2 puts them on the
+//! wire and into bags.
+
+use serde::{Serialize, de::DeserializeOwned};
+
+/// Representation identifier of big-endian plain CDR.
+const CDR_BE: [u8; 2] = [0x00, 0x00];
+/// Representation identifier of little-endian plain CDR.
+const CDR_LE: [u8; 2] = [0x00, 0x01];
+/// Representation identifier and two bytes of options.
+const HEADER_LEN: usize = 4;
+/// Writers may pad a sample to a multiple of four bytes, and CDR aligns to at most eight; more left over means
+/// that the bytes are of another type.
+const MAX_PADDING: usize = 7;
+
+/// Why bytes are not a message, or a message cannot be bytes.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CdrError {
+    /// Fewer bytes than the encapsulation header has.
+    #[error("expected a {HEADER_LEN}-byte CDR header, got {0} bytes")]
+    NoHeader(usize),
+    /// A representation other than plain CDR.
+    #[error("expected plain CDR (representation 0x0000 or 0x0001), got 0x{0:02x}{1:02x}")]
+    Representation(u8, u8),
+    /// The body does not fit the type.
+    #[error("cannot decode {type_name} from {len} bytes: {source}")]
+    Decode {
+        /// The Rust type that was asked for.
+        type_name: &'static str,
+        /// Bytes given, header included.
+        len: usize,
+        /// What the decoder met.
+        source: cdr_encoding::Error,
+    },
+    /// Bytes are left that padding does not explain.
+    #[error("expected {type_name} to end after {used} bytes, but {len} came")]
+    Trailing {
+        /// The Rust type that was asked for.
+        type_name: &'static str,
+        /// Bytes that the type took, header included.
+        used: usize,
+        /// Bytes given, header included.
+        len: usize,
+    },
+    /// A value that CDR has no form for: a sequence that does not know its length. No type of this crate has one.
+    #[error("cannot encode {type_name}: {source}")]
+    Encode {
+        /// The Rust type that was to be encoded.
+        type_name: &'static str,
+        /// What the encoder met.
+        source: cdr_encoding::Error,
+    },
+}
+
+/// Encodes a value: header (little endian) and body. Generic over serde, so that the request or response of a
+/// service goes through it too.
+///
+/// # Errors
+/// A sequence whose length serde is not told; no type of this crate has one.
+pub fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, CdrError> {
+    let mut bytes = vec![CDR_LE[0], CDR_LE[1], 0, 0];
+    cdr_encoding::to_writer::<T, byteorder::LittleEndian, _>(&mut bytes, value)
+        .map_err(|source| CdrError::Encode { type_name: std::any::type_name::<T>(), source })?;
+    Ok(bytes)
+}
+
+/// Decodes a value from header and body, of either byte order. Any bytes give a value or an error; memory is
+/// bounded by a small multiple of their length.
+///
+/// # Errors
+/// Bytes that are not plain CDR of this type; see [`CdrError`].
+pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CdrError> {
+    let type_name = std::any::type_name::<T>();
+    let len = bytes.len();
+    let (Some(&representation), Some(body)) = (bytes.first_chunk::<2>(), bytes.get(HEADER_LEN..)) else {
+        return Err(CdrError::NoHeader(len));
+    };
+    let (value, used) = match representation {
+        CDR_LE => cdr_encoding::from_bytes::<T, byteorder::LittleEndian>(body),
+        CDR_BE => cdr_encoding::from_bytes::<T, byteorder::BigEndian>(body),
+        [high, low] => return Err(CdrError::Representation(high, low)),
+    }
+    .map_err(|source| CdrError::Decode { type_name, len, source })?;
+    if body.len().saturating_sub(used) > MAX_PADDING {
+        return Err(CdrError::Trailing { type_name, used: used + HEADER_LEN, len });
+    }
+    Ok(value)
+}

@@ -1,0 +1,27 @@
+//! Rust types of the ROS 2 interface package `wm_msgs` (the `.msg` and `.srv` files beside this crate), and of
+//! the few standard ROS messages that the suite uses.
+//!
+//! Each package is a module named as in ROS; each type carries its ROS name and its definition through
+//! [`Message`], so that a bag's schema, a DDS type name and the Rust struct cannot drift apart: a test holds
+//! every struct against its `.msg` file, field by field.
+//!
+//! ```
+//! use wm_msgs::{Message, builtin_interfaces::Time, cdr, std_msgs::Header};
+//!
+//! let header = Header { stamp: Time::from_nanos(1_500_000_000), frame_id: "base_link".into() };
+//! let bytes = cdr::to_bytes(&header)?;
+//! assert_eq!(cdr::from_bytes::<Header>(&bytes)?, header);
+//! assert_eq!(Header::ros_name(), "std_msgs/msg/Header");
+//! # Ok::<(), cdr::CdrError>(())
+//! ```
+//!
+//! Not here: transport, QoS (`wm_ros`), bags (`wm_bag`).
+
+pub mod cdr;
+mod message;
+mod packages;
+
+pub use message::{Message, Service};
+pub use packages::{
+    builtin_interfaces, diagnostic_msgs, geometry_msgs, rosgraph_msgs, sensor_msgs, std_msgs, wm_msgs,
+};

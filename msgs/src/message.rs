@@ -1,0 +1,30 @@
+use serde::{Serialize, de::DeserializeOwned};
+
+/// A ROS message type. Its fields, in order, are those of the `.msg` file, so that serde's view of it is its CDR form.
+pub trait Message: Serialize + DeserializeOwned + Clone + Send + Sync + 'static {
+    /// The package, for example `sensor_msgs`.
+    const PACKAGE: &'static str;
+    /// The type's name within the package, for example `Image`.
+    const NAME: &'static str;
+    /// The text of the `.msg` file.
+    const DEFINITION: &'static str;
+    /// ROS names (`package/msg/Type`) and texts of every type that [`Self::DEFINITION`] names, transitively, each once.
+    fn dependencies() -> Vec<(&'static str, &'static str)>;
+
+    /// The ROS name of the type, `package/msg/Type`.
+    fn ros_name() -> String {
+        format!("{}/msg/{}", Self::PACKAGE, Self::NAME)
+    }
+}
+
+/// A ROS service type.
+pub trait Service: 'static {
+    /// The package, for example `wm_msgs`.
+    const PACKAGE: &'static str;
+    /// The type's name within the package, for example `Reset`.
+    const NAME: &'static str;
+    /// What a client sends.
+    type Request: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
+    /// What the server answers.
+    type Response: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
+}

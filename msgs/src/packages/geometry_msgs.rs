@@ -1,0 +1,58 @@
+//! Package `geometry_msgs`: where the arm's end effector is.
+
+use super::std_msgs::Header;
+use serde::{Deserialize, Serialize};
+
+/// A position.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// Forward [m].
+    pub x: f64,
+    /// Left [m].
+    pub y: f64,
+    /// Up [m].
+    pub z: f64,
+}
+
+/// An orientation as a unit quaternion.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quaternion {
+    /// x of the vector part.
+    pub x: f64,
+    /// y of the vector part.
+    pub y: f64,
+    /// z of the vector part.
+    pub z: f64,
+    /// The scalar part.
+    pub w: f64,
+}
+
+/// No rotation, as in ROS: the zero quaternion is not an orientation.
+impl Default for Quaternion {
+    fn default() -> Self {
+        Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
+    }
+}
+
+/// A position and an orientation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Where [m].
+    pub position: Point,
+    /// Which way.
+    pub orientation: Quaternion,
+}
+
+/// A pose with its time and frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseStamped {
+    /// `stamp`: when the pose was measured; `frame_id`: the frame it is expressed in.
+    pub header: Header,
+    /// The pose.
+    pub pose: Pose,
+}
+
+message!(Point, "geometry_msgs", "float64 x\nfloat64 y\nfloat64 z\n", []);
+message!(Quaternion, "geometry_msgs", "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n", []);
+message!(Pose, "geometry_msgs", "Point position\nQuaternion orientation\n", [Point, Quaternion]);
+message!(PoseStamped, "geometry_msgs", "std_msgs/Header header\nPose pose\n", [Header, Pose]);

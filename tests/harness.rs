@@ -1,0 +1,156 @@
+//! Starts and stops real processes of the suite, each test in a ROS domain of its own on loopback.
+
+use std::{
+    io::{BufRead as _, BufReader, Read as _},
+    os::unix::process::CommandExt as _,
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::atomic::{AtomicU16, Ordering},
+    time::{Duration, Instant},
+};
+
+/// The binary under test.
+pub const WM: &str = env!("CARGO_BIN_EXE_wm");
+
+/// The root of the repository.
+pub fn root() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+}
+
+/// The bundled bag.
+pub fn bundled_bag() -> PathBuf {
+    root().join("bags/tabletop")
+}
+
+/// A ROS domain that no other test of this run uses, so that tests may run side by side.
+pub fn fresh_domain() -> u16 {
+    // Domains up to 101 keep RTPS ports below the ephemeral range of Linux.
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    20 + (std::process::id() as u16 % 10) * 8 + NEXT.fetch_add(1, Ordering::Relaxed) % 8
+}
+
+/// `wm` with `args`, in ROS domain `domain`, on loopback.
+pub fn wm(domain: u16, args: &[&str]) -> Command {
+    let mut command = Command::new(WM);
+    command.args(args).current_dir(root());
+    in_domain(&mut command, domain);
+    command
+}
+
+fn in_domain(command: &mut Command, domain: u16) {
+    command
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env_remove("ROS_LOCALHOST_ONLY")
+        .env_remove("ROS_STATIC_PEERS");
+}
+
+/// The virtual environments that `tests/setup_ros2` made; `None` (with a plain message) where it was not run.
+pub fn peers() -> Option<PathBuf> {
+    let dir = root().join(".venv");
+    if dir.join("stamp").is_file() {
+        return Some(dir);
+    }
+    eprintln!("skipped: no ROS 2 peer under .venv; run tests/setup_ros2 (tests/run does)");
+    assert!(
+        std::env::var_os("CI").is_none(),
+        "the interoperability tests may not be skipped in CI"
+    );
+    None
+}
+
+/// A Python program under `tests/interop`, run by the real ROS 2 of [`peers`].
+pub fn rclpy(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
+    let mut command = Command::new("bash");
+    command
+        .args(["-c", ". \"$0\" && exec python \"$@\""])
+        .arg(peers.join("ros2/ros2_env.sh"))
+        .arg(root().join("tests/interop").join(script))
+        .args(args);
+    in_domain(&mut command, domain);
+    command
+}
+
+/// A started process, ended by its pid when the test lets go of it.
+pub struct Process {
+    child: Child,
+    name: String,
+}
+
+impl Process {
+    /// Starts `command`; its stderr goes to the test's own, its stdout is kept for [`Self::line`] and [`Self::output`].
+    pub fn start(mut command: Command) -> Self {
+        let name = format!("{command:?}");
+        command.stdin(Stdio::null()).stdout(Stdio::piped());
+        // A group of its own: what the process started ends with it.
+        command.process_group(0);
+        let child = command
+            .spawn()
+            .unwrap_or_else(|error| panic!("could not start {name}: {error}"));
+        Self { child, name }
+    }
+
+    /// The process id.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Sends `signal` (for example `INT`) to the process.
+    pub fn signal(&self, signal: &str) {
+        let status = Command::new("kill")
+            .args([&format!("-{signal}"), &self.pid().to_string()])
+            .status()
+            .expect("kill is part of every system");
+        assert!(status.success(), "could not send {signal} to {}", self.name);
+    }
+
+    /// Waits until a line of stdout contains `text`; panics when the output ends before.
+    pub fn wait_for_line(&mut self, text: &str) {
+        let stdout = self.child.stdout.as_mut().expect("stdout is piped");
+        // One byte at a time: nothing after the line may be swallowed.
+        let mut reader = BufReader::with_capacity(1, stdout);
+        let mut line = String::new();
+        loop {
+            line.clear();
+            let read = reader.read_line(&mut line).expect("stdout is text");
+            assert!(read > 0, "{} ended without saying {text:?}", self.name);
+            if line.contains(text) {
+                return;
+            }
+        }
+    }
+
+    /// Waits for the end of the process, at most `limit`; gives its exit status and the rest of its stdout.
+    pub fn finish(mut self, limit: Duration) -> (ExitStatus, String) {
+        let mut stdout = self.child.stdout.take().expect("stdout is piped");
+        let reader = std::thread::spawn(move || {
+            let mut text = String::new();
+            let _ = stdout.read_to_string(&mut text);
+            text
+        });
+        let start = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().expect("the child is ours") {
+                break status;
+            }
+            assert!(
+                start.elapsed() < limit,
+                "{} did not end within {limit:?}",
+                self.name
+            );
+            std::thread::sleep(Duration::from_millis(20));
+        };
+        (status, reader.join().expect("the reader does not panic"))
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if matches!(self.child.try_wait(), Ok(None)) {
+            let _ = Command::new("kill")
+                .args(["-KILL", &format!("-{}", self.child.id())])
+                .status();
+            let _ = self.child.wait();
+        }
+    }
+}

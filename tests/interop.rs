@@ -1,0 +1,219 @@
+//! A real rclpy (Fast DDS) beside the suite: what arrives, decodes, and says what it should.
+
+use std::{collections::BTreeSet, time::Duration};
+
+use serde_json::Value;
+
+use crate::harness::{Process, fresh_domain, peers, rclpy, wm};
+
+/// One model step of the embedded default: two frames of a 5 Hz camera.
+const MODEL_STEP_NS: i64 = 400_000_000;
+const HORIZON: u64 = 8;
+
+/// The four nodes on a looping replay of the bundled bag, without recorder and report.
+fn looping_replay(domain: u16, out: &std::path::Path) -> Process {
+    Process::start(wm(
+        domain,
+        &[
+            "launch",
+            "launch-configs/replay.launch.yaml",
+            "loop:=true",
+            &format!("output:={}", out.display()),
+        ],
+    ))
+}
+
+fn collect(peers: &std::path::Path, domain: u16, topics: &[&str]) -> Value {
+    let mut args = vec!["--seconds", "60"];
+    args.extend(topics);
+    let peer = Process::start(rclpy(peers, domain, "collect.py", &args));
+    let (status, stdout) = peer.finish(Duration::from_secs(90));
+    assert!(status.success(), "collect.py: {status}");
+    serde_json::from_str(&stdout).expect("collect.py prints JSON")
+}
+
+fn messages<'a>(report: &'a Value, topic: &str) -> &'a Vec<Value> {
+    let messages = report["received"][topic].as_array().expect("every asked topic is in the answer");
+    assert!(!messages.is_empty(), "nothing arrived on {topic}");
+    messages
+}
+
+fn integer(value: &Value) -> i64 {
+    value.as_i64().unwrap_or_else(|| panic!("{value} is not an integer"))
+}
+
+fn stamps(report: &Value, topic: &str) -> BTreeSet<i64> {
+    messages(report, topic)
+        .iter()
+        .map(|message| integer(&message["header"]["stamp"]))
+        .collect()
+}
+
+fn assert_finite(values: &Value) {
+    for value in values.as_array().expect("an array") {
+        assert!(value.as_f64().is_some_and(f64::is_finite), "{values}");
+    }
+}
+
+#[test]
+fn every_public_topic_reaches_a_real_ros_2() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let out = tempfile::tempdir().expect("a temporary directory");
+    let _suite = looping_replay(domain, out.path());
+    let report = collect(
+        &peers,
+        domain,
+        &[
+            "/camera/image_raw/compressed:sensor_msgs/msg/CompressedImage:20",
+            "/wm/action:wm_msgs/msg/Action:20",
+            "/wm/action_chunk:wm_msgs/msg/ActionChunk:5",
+            "/wm/latent:wm_msgs/msg/Latent:20",
+            "/wm/predicted:wm_msgs/msg/Prediction:80",
+            "/wm/predicted/image:sensor_msgs/msg/Image:40",
+            "/wm/predicted/image/compressed:sensor_msgs/msg/CompressedImage:40",
+            "/wm/prediction_error:wm_msgs/msg/PredictionError:8",
+            "/wm/plan:wm_msgs/msg/Plan:2",
+            "/diagnostics:diagnostic_msgs/msg/DiagnosticArray:12",
+            "/wm/goal/image/compressed:sensor_msgs/msg/CompressedImage:1:latched",
+            "/task/instruction:std_msgs/msg/String:1:latched",
+        ],
+    );
+
+    let nodes = report["nodes"].to_string();
+    for node in ["/wm/encoder", "/wm/predictor", "/wm/decoder", "/wm/planner"] {
+        assert!(nodes.contains(node), "{node} is not among {nodes}");
+    }
+
+    let camera = stamps(&report, "/camera/image_raw/compressed");
+    let latent_stamps = stamps(&report, "/wm/latent");
+    assert!(
+        latent_stamps.intersection(&camera).count() >= 10,
+        "latents carry the capture times of the frames: {latent_stamps:?} of {camera:?}"
+    );
+    let mut spaces = BTreeSet::new();
+    for latent in messages(&report, "/wm/latent") {
+        let numbers = integer(&latent["height"]) * integer(&latent["width"]) * integer(&latent["channels"]);
+        assert_eq!(latent["dtype"], 1, "f16 is the default");
+        assert_eq!(integer(&latent["data"]["len"]), numbers * 2);
+        spaces.insert(latent["space"].to_string());
+    }
+
+    let mut steps_seen = BTreeSet::new();
+    for prediction in messages(&report, "/wm/predicted") {
+        let step = prediction["step"].as_u64().expect("a step");
+        steps_seen.insert(step);
+        let observed = integer(&prediction["observed_stamp"]);
+        assert_eq!(
+            integer(&prediction["header"]["stamp"]) - observed,
+            step as i64 * MODEL_STEP_NS
+        );
+        assert_eq!(integer(&prediction["step_period"]), MODEL_STEP_NS);
+        assert_eq!(prediction["horizon"], HORIZON);
+        assert_eq!(prediction["latent"]["header"], prediction["header"]);
+        spaces.insert(prediction["latent"]["space"].to_string());
+        assert!(!prediction["actions"].as_array().expect("actions").is_empty());
+        for action in prediction["actions"].as_array().expect("actions") {
+            assert_finite(&action["values"]);
+        }
+        assert!(integer(&prediction["received_stamp"]) >= observed);
+        assert!(integer(&prediction["ready_stamp"]) >= integer(&prediction["received_stamp"]));
+        assert_eq!(prediction["model_hash"].as_str().map(str::len), Some(64));
+        assert!(prediction["integration_steps"].as_u64() >= Some(1));
+    }
+    assert_eq!(steps_seen, (1..=HORIZON).collect());
+    assert_eq!(spaces.len(), 1, "one latent space in the whole suite: {spaces:?}");
+
+    let predicted = stamps(&report, "/wm/predicted");
+    for topic in ["/wm/predicted/image", "/wm/predicted/image/compressed"] {
+        let images = stamps(&report, topic);
+        assert!(
+            images.intersection(&predicted).count() * 2 > images.len(),
+            "{topic} carries the stamps of the predictions"
+        );
+    }
+    let image = &messages(&report, "/wm/predicted/image")[0];
+    assert_eq!(image["encoding"], "rgb8");
+    assert_eq!(integer(&image["step"]), integer(&image["width"]) * 3);
+    let bytes = integer(&image["data"]["len"]);
+    assert_eq!(bytes, integer(&image["step"]) * integer(&image["height"]));
+    assert!(bytes < 98_000, "a stock subscriber takes up to 98 KB, not {bytes}");
+
+    for error in messages(&report, "/wm/prediction_error") {
+        for field in ["mse", "persistence_mse"] {
+            assert!(error[field].as_f64().is_some_and(|e| e.is_finite() && e >= 0.0), "{error}");
+        }
+        let gap = integer(&error["header"]["stamp"]) - integer(&error["observed_stamp"]);
+        assert_eq!(gap, integer(&error["step"]) * MODEL_STEP_NS);
+    }
+    for plan in messages(&report, "/wm/plan") {
+        assert_finite(&plan["iteration_costs"]);
+        assert!(plan["cost"].as_f64().is_some_and(f64::is_finite));
+        assert!(!plan["actions"].as_array().expect("actions").is_empty());
+        for action in plan["actions"].as_array().expect("actions") {
+            assert_eq!(action["values"].as_array().map(Vec::len), Some(7));
+            assert_finite(&action["values"]);
+        }
+        serde_json::from_str::<Value>(plan["settings"].as_str().expect("text")).expect("settings are JSON");
+    }
+    for action in messages(&report, "/wm/action") {
+        assert_eq!(action["values"].as_array().map(Vec::len), Some(7));
+        assert_finite(&action["values"]);
+    }
+    let reported = report["received"]["/diagnostics"].to_string();
+    for node in ["encoder", "predictor", "decoder", "planner"] {
+        assert!(reported.contains(node), "{node} does not report on /diagnostics");
+    }
+    assert!(!messages(&report, "/task/instruction")[0]["data"].as_str().expect("text").is_empty());
+}
+
+#[test]
+fn a_late_and_a_restarted_subscriber_are_served() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let out = tempfile::tempdir().expect("a temporary directory");
+    let _suite = looping_replay(domain, out.path());
+    let topics = [
+        "/wm/predicted:wm_msgs/msg/Prediction:8",
+        "/wm/goal/image/compressed:sensor_msgs/msg/CompressedImage:1:latched",
+    ];
+    // Each peer joins when the suite has long been running, and the second after the first has gone.
+    for attempt in ["late", "restarted"] {
+        let report = collect(&peers, domain, &topics);
+        assert!(messages(&report, "/wm/predicted").len() >= 8, "{attempt} subscriber");
+        assert_eq!(messages(&report, "/wm/goal/image/compressed").len(), 1, "{attempt} subscriber");
+    }
+}
+
+#[test]
+fn parameters_are_visible_and_guarded() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let predictor = Process::start(wm(
+        domain,
+        &["predictor", "--ros-args", "-p", "horizon:=3", "-r", "__ns:=/arm1"],
+    ));
+    let peer = Process::start(rclpy(
+        &peers,
+        domain,
+        "parameters.py",
+        &[
+            "--seconds", "20", "/arm1/predictor",
+            "--set", "horizon=\"eight\"",
+            "--set", "no_such_parameter=1",
+        ],
+    ));
+    let (status, stdout) = peer.finish(Duration::from_secs(60));
+    assert!(status.success(), "parameters.py: {status}");
+    let answer: Value = serde_json::from_str(&stdout).expect("parameters.py prints JSON");
+    let horizon = &answer["parameters"]["horizon"];
+    assert_eq!(horizon["value"], 3);
+    assert!(!horizon["description"].as_str().expect("text").is_empty());
+    for (set, name) in answer["sets"].as_array().expect("two answers").iter().zip(["horizon", "no_such_parameter"]) {
+        assert_eq!(set["successful"], false);
+        assert!(set["reason"].as_str().expect("text").contains(name), "{set}");
+    }
+    predictor.signal("INT");
+    let (status, _) = predictor.finish(Duration::from_secs(5));
+    assert!(status.success(), "a node that is asked to stop exits with 0, not {status}");
+}

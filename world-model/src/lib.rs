@@ -1,0 +1,22 @@
+//! The world model: encoders, decoders, the latent transition model, its sampler and a planner.
+//!
+//! A frozen [`Encoder`] turns camera frames into latents, a transition model predicts the next
+//! latent from the last ones and an action, and a [`Decoder`] turns latents into pictures.
+//!
+//! This crate is a library of numbers in, numbers out. It knows no ROS, no DDS and no clock, and it
+//! does not train: training lives in `wm_training`.
+
+mod decoder;
+mod encoder;
+mod error;
+mod latent_space;
+
+pub mod image;
+pub mod ops;
+pub mod weights;
+
+pub use decoder::Decoder;
+pub use encoder::Encoder;
+pub use error::{Error, Result};
+pub use latent_space::LatentSpace;
+pub use weights::Weights;
