@@ -1,1 +1,58 @@
-//! placeholder
+//! rosbag2 bags in MCAP: a reader, a writer and their `metadata.yaml`.
+//!
+//! A bag is a directory with `metadata.yaml` and one or more `.mcap` files (profile `ros2`, messages in CDR,
+//! schemas in `ros2msg` with their dependencies). The reader also takes a lone `.mcap`, a bag whose recorder was
+//! killed (no `metadata.yaml`, no footer), and files without chunks or without a summary.
+//!
+//! ```
+//! use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};
+//! use wm_msgs::std_msgs::String as Text;
+//!
+//! # fn main() -> Result<(), wm_bag::BagError> {
+//! # let scratch = std::env::temp_dir().join(format!("wm_bag_example_{}", std::process::id()));
+//! let mut writer = BagWriter::create(&scratch, WriterOptions::default())?;
+//! writer.add_topic::<Text>("/task/instruction", QosProfile::latched())?;
+//! writer.write("/task/instruction", &Text { data: "put the cup on the plate".into() }, 1_700_000_000_000_000_000)?;
+//! writer.finish()?;
+//!
+//! let reader = BagReader::open(&scratch)?;
+//! for message in reader.messages() {
+//!     println!("{}", message?.decode::<Text>()?.data);
+//! }
+//! # std::fs::remove_dir_all(&scratch).ok();
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # What holds
+//! - Messages come in log-time order, across files; those of the same time in the order of the file.
+//! - Memory is bounded by the chunks that overlap in time (one, in most bags), never by the file.
+//! - CDR bytes are handed over as they were written; nothing is decoded unless asked for.
+//! - The writer hands each finished chunk to the operating system: a killed process loses at most the open chunk.
+//! - Any bytes in a file give messages or an error, never a panic; every length is held against a named limit.
+//!
+//! # What it does not do
+//! sqlite3 bags, the file and message compression of rosbag2 (chunk compression of MCAP is read), splitting of
+//! bags, attachments. No ROS and no clock: playing and recording live in the nodes.
+
+mod error;
+mod metadata;
+mod qos;
+mod reader;
+mod schema;
+mod summary;
+mod topic;
+mod warning;
+mod writer;
+
+pub use error::BagError;
+pub use qos::{Durability, QosProfile, Reliability};
+pub use reader::{BagMessage, BagReader, Messages};
+pub use schema::{Schema, SchemaEncoding, type_schema};
+pub use summary::{BagSummary, TopicSummary};
+pub use topic::TopicInfo;
+pub use warning::BagWarning;
+pub use writer::{BagWriter, Compression, WriterOptions};
+
+/// The only encoding of messages in a ROS 2 bag that this crate reads and writes, as MCAP and rosbag2 name it.
+pub(crate) const CDR: &str = "cdr";

@@ -60,8 +60,12 @@ pub enum CdrError {
 /// A sequence whose length serde is not told; no type of this crate has one.
 pub fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, CdrError> {
     let mut bytes = vec![CDR_LE[0], CDR_LE[1], 0, 0];
-    cdr_encoding::to_writer::<T, byteorder::LittleEndian, _>(&mut bytes, value)
-        .map_err(|source| CdrError::Encode { type_name: std::any::type_name::<T>(), source })?;
+    cdr_encoding::to_writer::<T, byteorder::LittleEndian, _>(&mut bytes, value).map_err(
+        |source| CdrError::Encode {
+            type_name: std::any::type_name::<T>(),
+            source,
+        },
+    )?;
     Ok(bytes)
 }
 
@@ -73,7 +77,8 @@ pub fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, CdrError> {
 pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CdrError> {
     let type_name = std::any::type_name::<T>();
     let len = bytes.len();
-    let (Some(&representation), Some(body)) = (bytes.first_chunk::<2>(), bytes.get(HEADER_LEN..)) else {
+    let (Some(&representation), Some(body)) = (bytes.first_chunk::<2>(), bytes.get(HEADER_LEN..))
+    else {
         return Err(CdrError::NoHeader(len));
     };
     let (value, used) = match representation {
@@ -81,9 +86,17 @@ pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CdrError> {
         CDR_BE => cdr_encoding::from_bytes::<T, byteorder::BigEndian>(body),
         [high, low] => return Err(CdrError::Representation(high, low)),
     }
-    .map_err(|source| CdrError::Decode { type_name, len, source })?;
+    .map_err(|source| CdrError::Decode {
+        type_name,
+        len,
+        source,
+    })?;
     if body.len().saturating_sub(used) > MAX_PADDING {
-        return Err(CdrError::Trailing { type_name, used: used + HEADER_LEN, len });
+        return Err(CdrError::Trailing {
+            type_name,
+            used: used + HEADER_LEN,
+            len,
+        });
     }
     Ok(value)
 }

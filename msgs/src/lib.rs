@@ -23,5 +23,6 @@ mod packages;
 
 pub use message::{Message, Service};
 pub use packages::{
-    builtin_interfaces, diagnostic_msgs, geometry_msgs, rosgraph_msgs, sensor_msgs, std_msgs, wm_msgs,
+    builtin_interfaces, diagnostic_msgs, geometry_msgs, rosgraph_msgs, sensor_msgs, std_msgs,
+    wm_msgs,
 };

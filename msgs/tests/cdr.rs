@@ -11,17 +11,25 @@ use wm_msgs::{
 };
 
 fn header() -> impl Strategy<Value = Header> {
-    (any::<i32>(), 0u32..1_000_000_000, ".{0,12}")
-        .prop_map(|(sec, nanosec, frame_id)| Header { stamp: Time { sec, nanosec }, frame_id })
+    (any::<i32>(), 0u32..1_000_000_000, ".{0,12}").prop_map(|(sec, nanosec, frame_id)| Header {
+        stamp: Time { sec, nanosec },
+        frame_id,
+    })
 }
 
 fn action() -> impl Strategy<Value = Action> {
-    (header(), prop::collection::vec(-10f32..10.0, 0..9)).prop_map(|(header, values)| Action { header, values })
+    (header(), prop::collection::vec(-10f32..10.0, 0..9))
+        .prop_map(|(header, values)| Action { header, values })
 }
 
 fn latent() -> impl Strategy<Value = Latent> {
-    (header(), "[a-z+]{0,9}", "[0-9a-f]{0,64}", prop::collection::vec(any::<u8>(), 0..300)).prop_map(
-        |(header, name, hash, data)| Latent {
+    (
+        header(),
+        "[a-z+]{0,9}",
+        "[0-9a-f]{0,64}",
+        prop::collection::vec(any::<u8>(), 0..300),
+    )
+        .prop_map(|(header, name, hash, data)| Latent {
             header,
             space: LatentSpace { name, hash },
             height: 1,
@@ -29,15 +37,24 @@ fn latent() -> impl Strategy<Value = Latent> {
             channels: 3,
             dtype: Latent::BF16,
             data,
-        },
-    )
+        })
 }
 
 fn prediction() -> impl Strategy<Value = Prediction> {
-    (header(), latent(), prop::collection::vec(action(), 0..4), any::<u64>(), any::<u32>(), ".{0,9}").prop_map(
-        |(header, latent, actions, seed, step, model)| Prediction {
+    (
+        header(),
+        latent(),
+        prop::collection::vec(action(), 0..4),
+        any::<u64>(),
+        any::<u32>(),
+        ".{0,9}",
+    )
+        .prop_map(|(header, latent, actions, seed, step, model)| Prediction {
             observed_stamp: header.stamp,
-            received_stamp: Time { sec: -1, nanosec: 1 },
+            received_stamp: Time {
+                sec: -1,
+                nanosec: 1,
+            },
             ready_stamp: Time { sec: 1, nanosec: 2 },
             header,
             step,
@@ -49,29 +66,53 @@ fn prediction() -> impl Strategy<Value = Prediction> {
             model,
             seed,
             integration_steps: 4,
-        },
-    )
+        })
 }
 
 #[test]
 fn bytes_are_those_that_the_standard_gives() {
     let text = Text { data: "ab".into() };
-    assert_eq!(cdr::to_bytes(&text).unwrap(), [0, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0]);
+    assert_eq!(
+        cdr::to_bytes(&text).unwrap(),
+        [0, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0]
+    );
     // seven bytes of padding in front of an eight-byte number are counted from the end of the header
-    let request = ResetRequest { seed: 1, keep_seed: true };
-    assert_eq!(cdr::to_bytes(&request).unwrap(), [0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1]);
-    assert_eq!(cdr::from_bytes::<Text>(&[0, 0, 0, 0, 0, 0, 0, 3, b'a', b'b', 0]).unwrap(), text);
+    let request = ResetRequest {
+        seed: 1,
+        keep_seed: true,
+    };
+    assert_eq!(
+        cdr::to_bytes(&request).unwrap(),
+        [0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1]
+    );
+    assert_eq!(
+        cdr::from_bytes::<Text>(&[0, 0, 0, 0, 0, 0, 0, 3, b'a', b'b', 0]).unwrap(),
+        text
+    );
 }
 
 #[test]
 fn errors_say_what_came() {
     let error = |bytes: &[u8]| cdr::from_bytes::<Text>(bytes).unwrap_err();
     assert!(matches!(error(&[0, 1, 0]), CdrError::NoHeader(3)));
-    assert!(matches!(error(&[0, 3, 0, 0]), CdrError::Representation(0, 3)));
-    assert!(matches!(error(&[0, 1, 0, 0, 255, 255, 255, 255]), CdrError::Decode { len: 8, .. }));
+    assert!(matches!(
+        error(&[0, 3, 0, 0]),
+        CdrError::Representation(0, 3)
+    ));
+    assert!(matches!(
+        error(&[0, 1, 0, 0, 255, 255, 255, 255]),
+        CdrError::Decode { len: 8, .. }
+    ));
     let mut long = cdr::to_bytes(&Text { data: "ab".into() }).unwrap();
     long.extend([0; 8]);
-    assert!(matches!(error(&long), CdrError::Trailing { used: 11, len: 19, .. }));
+    assert!(matches!(
+        error(&long),
+        CdrError::Trailing {
+            used: 11,
+            len: 19,
+            ..
+        }
+    ));
 }
 
 proptest! {

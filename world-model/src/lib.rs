@@ -11,10 +11,17 @@ mod encoder;
 mod error;
 mod latent_space;
 
+pub mod actions;
+pub mod autoencoder;
 pub mod image;
+pub mod metrics;
 pub mod ops;
+pub mod planner;
+pub mod sampler;
+pub mod transition;
 pub mod weights;
 
+pub use autoencoder::{Autoencoder, AutoencoderConfig};
 pub use decoder::Decoder;
 pub use encoder::Encoder;
 pub use error::{Error, Result};

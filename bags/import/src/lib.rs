@@ -1,1 +1,97 @@
-//! placeholder
+//! Recorded robot episodes as bags: Bridge V2 in the two layouts in which it is passed around.
+//!
+//! | layout | found by | cameras | actions | more |
+//! |---|---|---|---|---|
+//! | video | `NAME.mp4` (h264) beside `NAME.npz` | one | scaled for a model, undone here | |
+//! | RLDS | a TFRecord (`*.tfrecord*`) of `tf.train.Example` | several | m, rad, gripper 0..1 | state, instruction |
+//!
+//! Each episode becomes one bag, `episode_000000` and on, at the 5 Hz at which Bridge V2 was recorded:
+//!
+//! | topic | type |
+//! |---|---|
+//! | `/camera/image_raw/compressed`, `/camera_1/image_raw/compressed`, ... | `sensor_msgs/msg/CompressedImage` (JPEG) |
+//! | `/wm/action` | `wm_msgs/msg/Action`: dx dy dz \[m\], droll dpitch dyaw \[rad\], gripper \[0 closed .. 1 open\] |
+//! | `/arm/end_effector_pose`, `/arm/gripper` | `geometry_msgs/msg/PoseStamped`, `std_msgs/msg/Float32`, where there is state |
+//! | `/task/instruction` | `std_msgs/msg/String`, latched, where there is one |
+//!
+//! ```no_run
+//! use wm_import::{ImportOptions, import_bridge};
+//!
+//! let bags = import_bridge("bridge_v2".as_ref(), "bags".as_ref(), &ImportOptions::default())?;
+//! println!("{} episodes", bags.len());
+//! # Ok::<(), wm_import::ImportError>(())
+//! ```
+//!
+//! An episode is read whole before its bag is begun: bad input leaves no half a bag, and its error names the file.
+//!
+//! Not here: other data sets, and other video codecs than h264.
+
+mod episode;
+mod error;
+mod mp4_npz;
+mod rlds;
+mod source;
+
+use std::path::{Path, PathBuf};
+
+pub use error::ImportError;
+use source::Source;
+
+/// How episodes are imported.
+#[derive(Clone, Debug)]
+pub struct ImportOptions {
+    /// Import at most so many episodes; none imports all.
+    pub episodes: Option<usize>,
+    /// JPEG quality of frames that are not JPEG already, 1 to 100.
+    pub jpeg_quality: u8,
+    /// Stamp of the first frame of each episode, in ns since the epoch; the data carry no time of their own.
+    pub start_ns: u64,
+}
+
+impl Default for ImportOptions {
+    fn default() -> Self {
+        Self {
+            episodes: None,
+            jpeg_quality: 95,
+            // Any fixed time serves, so that an import is reproducible; not 0, which ROS reads as "no time".
+            start_ns: 1_700_000_000_000_000_000,
+        }
+    }
+}
+
+/// Imports Bridge V2 episodes: each becomes a bag `OUT/episode_NNNNNN`. The layout is found by what `src` holds.
+///
+/// `src` may be a directory, one `.mp4` or `.npz`, or one TFRecord. Gives the bags, in order.
+///
+/// # Errors
+/// `src` holds neither layout; a file is missing, corrupt or incomplete (the error names it); or a bag is there
+/// already.
+pub fn import_bridge(
+    src: &Path,
+    out: &Path,
+    options: &ImportOptions,
+) -> Result<Vec<PathBuf>, ImportError> {
+    let source = Source::find(src)?;
+    let episodes: Box<dyn Iterator<Item = Result<episode::Episode, ImportError>>> = match source {
+        Source::Mp4Npz(pairs) => Box::new(mp4_npz::episodes(pairs, options.jpeg_quality)),
+        Source::Rlds(shards) => Box::new(rlds::episodes(shards, options.jpeg_quality)),
+    };
+    let mut bags = Vec::new();
+    for (number, episode) in episodes
+        .take(options.episodes.unwrap_or(usize::MAX))
+        .enumerate()
+    {
+        let episode = episode?;
+        let bag = out.join(format!("episode_{number:06}"));
+        episode.write(&bag, options.start_ns)?;
+        tracing::info!(
+            source = %episode.source.display(), bag = %bag.display(),
+            frames = episode.actions.len(), cameras = episode.cameras.len(), "imported"
+        );
+        bags.push(bag);
+    }
+    if bags.is_empty() {
+        return Err(ImportError::NoEpisodes(src.to_owned()));
+    }
+    Ok(bags)
+}

@@ -1,1 +1,52 @@
-//! placeholder
+//! A small simulated tabletop with a WidowX-250-like arm, in place of the real arm: it makes
+//! Bridge-style bags to train and test world models with.
+//!
+//! An [`Episode`] is made from one seed: a table with two to four objects, a scripted teleoperator who
+//! pushes, grasps, lifts and places them or moves freely, and a 256 by 256 picture every 0.2 s, with the
+//! 7-d end-effector action taken then. The same seed gives the same bytes.
+//!
+//! ```
+//! use wm_sim::{Episode, EpisodeOptions};
+//!
+//! # fn main() -> Result<(), wm_sim::Error> {
+//! let episode = Episode::generate(12, &EpisodeOptions { frames: 5, masks: true })?;
+//! println!("{}: {:?}", episode.instruction, episode.frames[0].action);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # What holds
+//! - The motion from one frame to the next is exactly the recorded action: the operator's lag, tremor
+//!   and pauses are in the action, and what the limits or a contact took away from the command is taken
+//!   away from the record.
+//! - The arm's link lengths and kinematics are those of the WidowX-250 with six joints ([`arm`]).
+//!
+//! # What it is not
+//! A physics engine: contact is quasi-static (no inertia, no bouncing, objects right themselves as they
+//! drop), and joints have no limits but reach. The camera is fixed and free of noise, and surfaces are
+//! plain, so that a small model can learn them.
+
+mod arguments;
+pub mod arm;
+mod bag;
+mod dataset;
+mod episode;
+mod error;
+mod gripper;
+pub mod object;
+pub mod render;
+mod scene;
+mod teleop;
+mod world;
+
+pub use arguments::SimArgs;
+pub use bag::{
+    ACTION_TOPIC, CAMERA_TOPIC, FRAME_PERIOD_NS, GRIPPER_TOPIC, INSTRUCTION_TOPIC, MASK_TOPIC,
+    POSE_TOPIC, START_NS, SUCCESS_TOPIC, write_bag,
+};
+pub use dataset::generate_bags;
+pub use episode::{Episode, EpisodeOptions, FRAMES, Frame};
+pub use error::Error;
+pub use scene::{FIRST_OBJECT_MASK, GRIPPER_MASK, Scene};
+pub use teleop::{LARGEST_STEP_M, LARGEST_TURN_RAD, Relation, Task};
+pub use world::{EndEffectorAction, LARGEST_RPY, STEP_S, WORKSPACE_M, World};

@@ -6,7 +6,9 @@ use serde::{Deserialize, Serialize};
 const NANOS: i64 = 1_000_000_000;
 
 /// A point in time: seconds since the clock's epoch and nanoseconds onwards from there.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
 pub struct Time {
     /// Whole seconds [s], rounded towards the past.
     pub sec: i32,
@@ -15,7 +17,9 @@ pub struct Time {
 }
 
 /// A span of time, negative ones included.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
 pub struct Duration {
     /// Whole seconds [s], rounded towards minus infinity.
     pub sec: i32,
@@ -64,8 +68,18 @@ impl Duration {
     }
 }
 
-message!(Time, "builtin_interfaces", "int32 sec\nuint32 nanosec\n", []);
-message!(Duration, "builtin_interfaces", "int32 sec\nuint32 nanosec\n", []);
+message!(
+    Time,
+    "builtin_interfaces",
+    "int32 sec\nuint32 nanosec\n",
+    []
+);
+message!(
+    Duration,
+    "builtin_interfaces",
+    "int32 sec\nuint32 nanosec\n",
+    []
+);
 
 #[cfg(test)]
 mod tests {
@@ -74,13 +88,31 @@ mod tests {
 
     #[test]
     fn a_negative_span_has_nanoseconds_that_count_forwards() {
-        assert_eq!(Duration::from_nanos(-1), Duration { sec: -1, nanosec: 999_999_999 });
+        assert_eq!(
+            Duration::from_nanos(-1),
+            Duration {
+                sec: -1,
+                nanosec: 999_999_999
+            }
+        );
     }
 
     #[test]
     fn what_seconds_cannot_hold_saturates() {
-        assert_eq!(Time::from_nanos(i64::MAX), Time { sec: i32::MAX, nanosec: 999_999_999 });
-        assert_eq!(Time::from_nanos(i64::MIN), Time { sec: i32::MIN, nanosec: 0 });
+        assert_eq!(
+            Time::from_nanos(i64::MAX),
+            Time {
+                sec: i32::MAX,
+                nanosec: 999_999_999
+            }
+        );
+        assert_eq!(
+            Time::from_nanos(i64::MIN),
+            Time {
+                sec: i32::MIN,
+                nanosec: 0
+            }
+        );
     }
 
     proptest! {

@@ -47,7 +47,12 @@ pub struct DiagnosticArray {
     pub status: Vec<DiagnosticStatus>,
 }
 
-message!(KeyValue, "diagnostic_msgs", "string key\nstring value\n", []);
+message!(
+    KeyValue,
+    "diagnostic_msgs",
+    "string key\nstring value\n",
+    []
+);
 message!(
     DiagnosticStatus,
     "diagnostic_msgs",

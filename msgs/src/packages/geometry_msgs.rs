@@ -30,7 +30,12 @@ pub struct Quaternion {
 /// No rotation, as in ROS: the zero quaternion is not an orientation.
 impl Default for Quaternion {
     fn default() -> Self {
-        Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
+        Self {
+            x: 0.0,
+            y: 0.0,
+            z: 0.0,
+            w: 1.0,
+        }
     }
 }
 
@@ -52,7 +57,27 @@ pub struct PoseStamped {
     pub pose: Pose,
 }
 
-message!(Point, "geometry_msgs", "float64 x\nfloat64 y\nfloat64 z\n", []);
-message!(Quaternion, "geometry_msgs", "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n", []);
-message!(Pose, "geometry_msgs", "Point position\nQuaternion orientation\n", [Point, Quaternion]);
-message!(PoseStamped, "geometry_msgs", "std_msgs/Header header\nPose pose\n", [Header, Pose]);
+message!(
+    Point,
+    "geometry_msgs",
+    "float64 x\nfloat64 y\nfloat64 z\n",
+    []
+);
+message!(
+    Quaternion,
+    "geometry_msgs",
+    "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n",
+    []
+);
+message!(
+    Pose,
+    "geometry_msgs",
+    "Point position\nQuaternion orientation\n",
+    [Point, Quaternion]
+);
+message!(
+    PoseStamped,
+    "geometry_msgs",
+    "std_msgs/Header header\nPose pose\n",
+    [Header, Pose]
+);

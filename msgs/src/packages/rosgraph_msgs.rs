@@ -10,4 +10,9 @@ pub struct Clock {
     pub clock: Time,
 }
 
-message!(Clock, "rosgraph_msgs", "builtin_interfaces/Time clock\n", [Time]);
+message!(
+    Clock,
+    "rosgraph_msgs",
+    "builtin_interfaces/Time clock\n",
+    [Time]
+);

@@ -33,7 +33,12 @@ pub struct Float32 {
     pub data: f32,
 }
 
-message!(Header, "std_msgs", "builtin_interfaces/Time stamp\nstring frame_id\n", [Time]);
+message!(
+    Header,
+    "std_msgs",
+    "builtin_interfaces/Time stamp\nstring frame_id\n",
+    [Time]
+);
 message!(String, "std_msgs", "string data\n", []);
 message!(Bool, "std_msgs", "bool data\n", []);
 message!(Float32, "std_msgs", "float32 data\n", []);

@@ -168,10 +168,45 @@ impl crate::Service for Reset {
     type Response = ResetResponse;
 }
 
-message!(LatentSpace, "wm_msgs", include_str!("../../msg/LatentSpace.msg"), []);
-message!(Latent, "wm_msgs", include_str!("../../msg/Latent.msg"), [Header, LatentSpace]);
-message!(Action, "wm_msgs", include_str!("../../msg/Action.msg"), [Header]);
-message!(ActionChunk, "wm_msgs", include_str!("../../msg/ActionChunk.msg"), [Header, Duration, Action]);
-message!(Prediction, "wm_msgs", include_str!("../../msg/Prediction.msg"), [Header, Time, Duration, Latent, Action]);
-message!(PredictionError, "wm_msgs", include_str!("../../msg/PredictionError.msg"), [Header, Time]);
-message!(Plan, "wm_msgs", include_str!("../../msg/Plan.msg"), [Header, Action, Duration, Time]);
+message!(
+    LatentSpace,
+    "wm_msgs",
+    include_str!("../../msg/LatentSpace.msg"),
+    []
+);
+message!(
+    Latent,
+    "wm_msgs",
+    include_str!("../../msg/Latent.msg"),
+    [Header, LatentSpace]
+);
+message!(
+    Action,
+    "wm_msgs",
+    include_str!("../../msg/Action.msg"),
+    [Header]
+);
+message!(
+    ActionChunk,
+    "wm_msgs",
+    include_str!("../../msg/ActionChunk.msg"),
+    [Header, Duration, Action]
+);
+message!(
+    Prediction,
+    "wm_msgs",
+    include_str!("../../msg/Prediction.msg"),
+    [Header, Time, Duration, Latent, Action]
+);
+message!(
+    PredictionError,
+    "wm_msgs",
+    include_str!("../../msg/PredictionError.msg"),
+    [Header, Time]
+);
+message!(
+    Plan,
+    "wm_msgs",
+    include_str!("../../msg/Plan.msg"),
+    [Header, Action, Duration, Time]
+);

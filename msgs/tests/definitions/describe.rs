@@ -2,7 +2,8 @@
 //! and notes the question. Sequences get one element, so that their type is asked for too.
 
 use serde::de::{
-    self, DeserializeOwned, DeserializeSeed, Deserializer, SeqAccess, Visitor, value::Error as ValueError,
+    self, DeserializeOwned, DeserializeSeed, Deserializer, SeqAccess, Visitor,
+    value::Error as ValueError,
 };
 
 /// What a type is made of, in the names of `.msg` files.
@@ -11,7 +12,10 @@ pub enum Shape {
     Primitive(String),
     Bytes,
     Sequence(Box<Shape>),
-    Struct { name: String, fields: Vec<(String, Shape)> },
+    Struct {
+        name: String,
+        fields: Vec<(String, Shape)>,
+    },
 }
 
 pub fn describe<T: DeserializeOwned>() -> Shape {
@@ -62,9 +66,15 @@ impl<'de> Deserializer<'de> for Recorder<'_> {
     bytes! { deserialize_bytes deserialize_byte_buf }
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, ValueError> {
-        let mut element = Parts { names: &[""], shapes: Vec::new() };
+        let mut element = Parts {
+            names: &[""],
+            shapes: Vec::new(),
+        };
         let value = visitor.visit_seq(&mut element)?;
-        let (_, shape) = element.shapes.pop().ok_or_else(|| de::Error::custom("a sequence took no element"))?;
+        let (_, shape) = element
+            .shapes
+            .pop()
+            .ok_or_else(|| de::Error::custom("a sequence took no element"))?;
         *self.0 = Some(Shape::Sequence(Box::new(shape)));
         Ok(value)
     }
@@ -75,9 +85,15 @@ impl<'de> Deserializer<'de> for Recorder<'_> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, ValueError> {
-        let mut parts = Parts { names: fields, shapes: Vec::new() };
+        let mut parts = Parts {
+            names: fields,
+            shapes: Vec::new(),
+        };
         let value = visitor.visit_seq(&mut parts)?;
-        *self.0 = Some(Shape::Struct { name: name.to_owned(), fields: parts.shapes });
+        *self.0 = Some(Shape::Struct {
+            name: name.to_owned(),
+            fields: parts.shapes,
+        });
         Ok(value)
     }
 
@@ -99,8 +115,13 @@ struct Parts {
 impl<'de> SeqAccess<'de> for &mut Parts {
     type Error = ValueError;
 
-    fn next_element_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>, ValueError> {
-        let Some(name) = self.names.get(self.shapes.len()) else { return Ok(None) };
+    fn next_element_seed<S: DeserializeSeed<'de>>(
+        &mut self,
+        seed: S,
+    ) -> Result<Option<S::Value>, ValueError> {
+        let Some(name) = self.names.get(self.shapes.len()) else {
+            return Ok(None);
+        };
         let mut shape = None;
         let value = seed.deserialize(Recorder(&mut shape))?;
         let shape = shape.ok_or_else(|| de::Error::custom("a field asked for nothing"))?;

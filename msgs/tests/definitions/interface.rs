@@ -16,12 +16,16 @@ pub struct Interface {
 }
 
 const PRIMITIVES: [&str; 12] = [
-    "bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "string",
+    "bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32",
+    "float64", "string",
 ];
 
 /// Parses the text of one definition of `package`; types without a package are of the same one.
 pub fn parse(package: &str, text: &str) -> Interface {
-    let mut interface = Interface { fields: Vec::new(), constants: Vec::new() };
+    let mut interface = Interface {
+        fields: Vec::new(),
+        constants: Vec::new(),
+    };
     for line in text.lines() {
         let line = line.split('#').next().unwrap_or_default().trim();
         let Some((type_name, rest)) = line.split_once(char::is_whitespace) else {
@@ -29,7 +33,9 @@ pub fn parse(package: &str, text: &str) -> Interface {
             continue;
         };
         if let Some((name, value)) = rest.split_once('=') {
-            interface.constants.push((name.trim().to_owned(), value.trim().to_owned()));
+            interface
+                .constants
+                .push((name.trim().to_owned(), value.trim().to_owned()));
             continue;
         }
         let sequence = type_name.ends_with("[]");
@@ -45,7 +51,11 @@ pub fn parse(package: &str, text: &str) -> Interface {
         };
         // What follows the name is a default value, which serde's view of a type does not have.
         let name = rest.split_whitespace().next().unwrap().to_owned();
-        interface.fields.push(Field { type_name, sequence, name });
+        interface.fields.push(Field {
+            type_name,
+            sequence,
+            name,
+        });
     }
     interface
 }

@@ -8,38 +8,52 @@ use interface::{Interface, parse};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use wm_msgs::{
-    Message, Service, builtin_interfaces, diagnostic_msgs, geometry_msgs, rosgraph_msgs, sensor_msgs, std_msgs,
-    wm_msgs as wm,
+    Message, Service, builtin_interfaces, diagnostic_msgs, geometry_msgs, rosgraph_msgs,
+    sensor_msgs, std_msgs, wm_msgs as wm,
 };
 
 /// Compares a Rust type with the fields of a definition, following nested messages through `definitions`.
 fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String, String>) {
-    let Shape::Struct { name, fields } = shape else { panic!("expected a struct, got {shape:?}") };
-    let Interface { fields: expected, .. } = parse(package, text);
+    let Shape::Struct { name, fields } = shape else {
+        panic!("expected a struct, got {shape:?}")
+    };
+    let Interface {
+        fields: expected, ..
+    } = parse(package, text);
     let names: Vec<_> = fields.iter().map(|(name, _)| name.as_str()).collect();
     let expected_names: Vec<_> = expected.iter().map(|field| field.name.as_str()).collect();
     assert_eq!(names, expected_names, "fields of {name}");
     for ((field, shape), expected) in fields.iter().zip(&expected) {
         let element = match (shape, expected.sequence) {
             (Shape::Bytes, true) => {
-                assert_eq!(expected.type_name, "uint8", "{name}.{field} is a byte sequence");
+                assert_eq!(
+                    expected.type_name, "uint8",
+                    "{name}.{field} is a byte sequence"
+                );
                 continue;
             }
             (Shape::Sequence(element), true) => {
-                assert_ne!(expected.type_name, "uint8", "{name}.{field} wants serde_bytes: 40 times faster");
+                assert_ne!(
+                    expected.type_name, "uint8",
+                    "{name}.{field} wants serde_bytes: 40 times faster"
+                );
                 element
             }
             (shape, false) => shape,
             (shape, true) => panic!("{name}.{field}: expected a sequence, got {shape:?}"),
         };
         match element {
-            Shape::Primitive(primitive) => assert_eq!(primitive, &expected.type_name, "{name}.{field}"),
-            Shape::Struct { name: rust_name, .. } => {
+            Shape::Primitive(primitive) => {
+                assert_eq!(primitive, &expected.type_name, "{name}.{field}")
+            }
+            Shape::Struct {
+                name: rust_name, ..
+            } => {
                 let (package, ros_name) = expected.type_name.split_once("/msg/").unwrap();
                 assert_eq!(rust_name, ros_name, "{name}.{field}");
-                let text = definitions
-                    .get(&expected.type_name)
-                    .unwrap_or_else(|| panic!("{name} does not list its dependency {}", expected.type_name));
+                let text = definitions.get(&expected.type_name).unwrap_or_else(|| {
+                    panic!("{name} does not list its dependency {}", expected.type_name)
+                });
                 hold(element, package, text, definitions);
             }
             other => panic!("{name}.{field}: unexpected {other:?}"),
@@ -48,11 +62,22 @@ fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String,
 }
 
 fn hold_message<M: Message>() {
-    let definitions: BTreeMap<_, _> =
-        M::dependencies().into_iter().map(|(name, text)| (name.to_owned(), text.to_owned())).collect();
-    assert_eq!(definitions.len(), M::dependencies().len(), "{} lists a dependency twice", M::NAME);
+    let definitions: BTreeMap<_, _> = M::dependencies()
+        .into_iter()
+        .map(|(name, text)| (name.to_owned(), text.to_owned()))
+        .collect();
+    assert_eq!(
+        definitions.len(),
+        M::dependencies().len(),
+        "{} lists a dependency twice",
+        M::NAME
+    );
     let shape = describe::<M>();
-    assert!(matches!(&shape, Shape::Struct { name, .. } if name == M::NAME), "{shape:?} is named {}", M::NAME);
+    assert!(
+        matches!(&shape, Shape::Struct { name, .. } if name == M::NAME),
+        "{shape:?} is named {}",
+        M::NAME
+    );
     hold(&shape, M::PACKAGE, M::DEFINITION, &definitions);
 }
 
@@ -95,7 +120,16 @@ fn every_message_has_the_fields_of_its_definition() {
 fn every_msg_file_has_a_rust_type() {
     let mut files: Vec<_> = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/msg"))
         .unwrap()
-        .map(|entry| entry.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned())
+        .map(|entry| {
+            entry
+                .unwrap()
+                .path()
+                .file_stem()
+                .unwrap()
+                .to_str()
+                .unwrap()
+                .to_owned()
+        })
         .collect();
     files.sort();
     let mut types = Vec::new();
@@ -107,7 +141,15 @@ fn every_msg_file_has_a_rust_type() {
     macro_rules! noting {
         ($($message:ty),*) => { $(note::<$message>(&mut types);)* };
     }
-    noting!(wm::LatentSpace, wm::Latent, wm::Action, wm::ActionChunk, wm::Prediction, wm::PredictionError, wm::Plan);
+    noting!(
+        wm::LatentSpace,
+        wm::Latent,
+        wm::Action,
+        wm::ActionChunk,
+        wm::Prediction,
+        wm::PredictionError,
+        wm::Plan
+    );
     types.sort();
     assert_eq!(types, files);
 }
@@ -129,14 +171,23 @@ fn constants_are_those_of_the_definitions() {
     let latent = constants("wm_msgs", wm::Latent::DEFINITION);
     assert_eq!(
         latent,
-        [("F32", wm::Latent::F32), ("F16", wm::Latent::F16), ("BF16", wm::Latent::BF16)]
-            .map(|(name, value)| (name.to_owned(), value.to_string()))
+        [
+            ("F32", wm::Latent::F32),
+            ("F16", wm::Latent::F16),
+            ("BF16", wm::Latent::BF16)
+        ]
+        .map(|(name, value)| (name.to_owned(), value.to_string()))
     );
     use diagnostic_msgs::DiagnosticStatus as Status;
     assert_eq!(
         constants("diagnostic_msgs", Status::DEFINITION),
-        [("OK", Status::OK), ("WARN", Status::WARN), ("ERROR", Status::ERROR), ("STALE", Status::STALE)]
-            .map(|(name, value)| (name.to_owned(), value.to_string()))
+        [
+            ("OK", Status::OK),
+            ("WARN", Status::WARN),
+            ("ERROR", Status::ERROR),
+            ("STALE", Status::STALE)
+        ]
+        .map(|(name, value)| (name.to_owned(), value.to_string()))
     );
 }
 
@@ -144,27 +195,55 @@ fn constants_are_those_of_the_definitions() {
 #[test]
 fn definitions_are_those_of_the_ros_installation() {
     let Ok(prefixes) = std::env::var("AMENT_PREFIX_PATH") else {
-        eprintln!("skipped: AMENT_PREFIX_PATH is not set; source a ROS 2 installation to run this test");
+        eprintln!(
+            "skipped: AMENT_PREFIX_PATH is not set; source a ROS 2 installation to run this test"
+        );
         return;
     };
     fn check<M: Message>(prefixes: &str) {
         let file = format!("share/{}/msg/{}.msg", M::PACKAGE, M::NAME);
-        let path = prefixes.split(':').map(|prefix| std::path::Path::new(prefix).join(&file)).find(|path| path.exists());
+        let path = prefixes
+            .split(':')
+            .map(|prefix| std::path::Path::new(prefix).join(&file))
+            .find(|path| path.exists());
         let Some(path) = path else {
             eprintln!("skipped {}: no prefix has {file}", M::ros_name());
             return;
         };
         let theirs = parse(M::PACKAGE, &std::fs::read_to_string(path).unwrap());
-        assert_eq!(parse(M::PACKAGE, M::DEFINITION), theirs, "{}", M::ros_name());
+        assert_eq!(
+            parse(M::PACKAGE, M::DEFINITION),
+            theirs,
+            "{}",
+            M::ros_name()
+        );
     }
     macro_rules! checking {
         ($($message:ty),*) => { $(check::<$message>(&prefixes);)* };
     }
     checking!(
-        builtin_interfaces::Time, builtin_interfaces::Duration, std_msgs::Header, std_msgs::String, std_msgs::Bool,
-        std_msgs::Float32, sensor_msgs::Image, sensor_msgs::CompressedImage, geometry_msgs::Point,
-        geometry_msgs::Quaternion, geometry_msgs::Pose, geometry_msgs::PoseStamped, diagnostic_msgs::KeyValue,
-        diagnostic_msgs::DiagnosticStatus, diagnostic_msgs::DiagnosticArray, rosgraph_msgs::Clock, wm::LatentSpace,
-        wm::Latent, wm::Action, wm::ActionChunk, wm::Prediction, wm::PredictionError, wm::Plan
+        builtin_interfaces::Time,
+        builtin_interfaces::Duration,
+        std_msgs::Header,
+        std_msgs::String,
+        std_msgs::Bool,
+        std_msgs::Float32,
+        sensor_msgs::Image,
+        sensor_msgs::CompressedImage,
+        geometry_msgs::Point,
+        geometry_msgs::Quaternion,
+        geometry_msgs::Pose,
+        geometry_msgs::PoseStamped,
+        diagnostic_msgs::KeyValue,
+        diagnostic_msgs::DiagnosticStatus,
+        diagnostic_msgs::DiagnosticArray,
+        rosgraph_msgs::Clock,
+        wm::LatentSpace,
+        wm::Latent,
+        wm::Action,
+        wm::ActionChunk,
+        wm::Prediction,
+        wm::PredictionError,
+        wm::Plan
     );
 }

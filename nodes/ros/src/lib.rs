@@ -1,1 +1,76 @@
-//! placeholder
+//! The ROS 2 runtime that the nodes share: command line, parameters, topics, services, clock, logs, diagnostics.
+//!
+//! A node written with it is an ordinary ROS 2 node to every other: it takes `--ros-args`, shows up in
+//! `ros2 node list`, answers `ros2 param`, follows `/clock`, and speaks on `/rosout` and `/diagnostics`.
+//!
+//! ```no_run
+//! use wm_msgs::std_msgs;
+//! use wm_ros::{Descriptor, Error, Node, NodeArgs, Qos};
+//!
+//! fn main() -> Result<(), Error> {
+//!     let args = NodeArgs::parse(std::env::args().skip(1))?;
+//!     wm_ros::run("shout", "/wm", &args, async |node: Node| -> Result<(), Error> {
+//!         let suffix = node.declare("suffix", "!".to_owned(), Descriptor::new("what is put behind a text"))?;
+//!         node.seal_parameters()?;
+//!         let mut texts = node.subscription::<std_msgs::String>("text", Qos::reliable(10))?;
+//!         let shouts = node.publisher::<std_msgs::String>("shout", Qos::reliable(10))?;
+//!         while let Some(received) = texts.recv().await {
+//!             shouts.publish(&std_msgs::String { data: received.message.data.to_uppercase() + &suffix.get() })?;
+//!         }
+//!         Ok(())
+//!     })
+//! }
+//! ```
+//!
+//! # Concepts
+//! - [`Context`]: the process's place in the graph, with one thread that receives for all its nodes.
+//! - [`Node`]: a name in the graph, which makes publishers, subscriptions, services and parameters.
+//! - [`Shutdown`]: ends every `recv` on SIGINT and SIGTERM.
+//!
+//! # Promises
+//! - Nothing is lost in silence: queues have a named policy and count what they drop, samples that cannot be
+//!   decoded or never arrived are counted, and all of it is on `/diagnostics`.
+//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples.
+//! - Loopback unless asked otherwise; see [`Environment`].
+//!
+//! # Not here
+//! What the nodes compute; bags. The middleware's own types (ros2-client, rustdds) stay inside: another one slots
+//! in behind the private module `backend`. Lifecycle and actions are not written yet.
+
+mod args;
+mod backend;
+mod clock;
+mod context;
+mod dds;
+mod diagnostics;
+mod environment;
+mod error;
+pub mod logging;
+mod mailbox;
+mod names;
+mod node;
+mod parameters;
+mod publisher;
+mod qos;
+mod rcl_interfaces;
+mod run;
+mod service;
+mod shutdown;
+mod subscription;
+mod value;
+
+pub use args::{ArgsError, LogLevels, NodeArgs};
+pub use clock::Clock;
+pub use context::Context;
+pub use diagnostics::{Diagnostics, Latency, Level};
+pub use environment::{Environment, Reach};
+pub use error::Error;
+pub use node::{Node, TopicInfo};
+pub use parameters::{Descriptor, Parameter, ParameterError, Range};
+pub use publisher::{Publisher, RawPublisher};
+pub use qos::{Durability, Qos, Reliability};
+pub use run::run;
+pub use service::{Call, Client, Service};
+pub use shutdown::Shutdown;
+pub use subscription::{RawSubscription, Received, Subscription};
+pub use value::{Kind, ParameterType, Value};

@@ -1,1 +1,9 @@
-//! placeholder
+//! Training of the world model from bags: the autoencoder, then the transition model on its frozen latents.
+//!
+//! Not here: the models themselves and inference (`wm_model`), making data (`wm_sim`, `wm_import`).
+
+pub mod dataset;
+pub mod latents;
+pub mod loss_curve;
+pub mod optimiser;
+pub mod transition;

@@ -1,0 +1,58 @@
+use std::path::PathBuf;
+
+use wm_bag::BagError;
+
+/// Why episodes cannot be imported. Each text names the file.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImportError {
+    /// The path holds neither layout.
+    #[error("{0} holds no Bridge episodes: expected NAME.mp4 with NAME.npz, or *.tfrecord* files")]
+    UnknownLayout(PathBuf),
+    /// The layout is there, but no episode.
+    #[error("{0} holds no episode")]
+    NoEpisodes(PathBuf),
+    /// A file that belongs to another is not there.
+    #[error("{present} is incomplete: {missing} is not there")]
+    Incomplete {
+        /// The file that is there.
+        present: PathBuf,
+        /// The file that belongs to it.
+        missing: PathBuf,
+    },
+    /// A file cannot be read as what it should be.
+    #[error("{file}: {reason}")]
+    Corrupt {
+        /// The file.
+        file: PathBuf,
+        /// What was expected and what came.
+        reason: String,
+    },
+    /// The operating system refused.
+    #[error("{file}: {source}")]
+    Io {
+        /// The file or directory.
+        file: PathBuf,
+        /// What it said.
+        source: std::io::Error,
+    },
+    /// The bag cannot be written.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+}
+
+impl ImportError {
+    pub(crate) fn corrupt(file: impl Into<PathBuf>, reason: impl Into<String>) -> Self {
+        Self::Corrupt {
+            file: file.into(),
+            reason: reason.into(),
+        }
+    }
+
+    pub(crate) fn io(file: impl Into<PathBuf>, source: std::io::Error) -> Self {
+        Self::Io {
+            file: file.into(),
+            source,
+        }
+    }
+}

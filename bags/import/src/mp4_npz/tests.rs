@@ -1,0 +1,217 @@
+use std::{
+    fs,
+    io::{Cursor, Write as _},
+    path::Path,
+};
+
+use image::{ImageFormat, Rgb, RgbImage};
+use mp4::{AvcConfig, Bytes, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType};
+use npyz::WriterBuilder as _;
+use openh264::{
+    encoder::Encoder,
+    formats::{RgbSliceU8, YUVBuffer},
+};
+use zip::{ZipWriter, write::SimpleFileOptions};
+
+use super::*;
+use crate::episode::VALUES;
+
+/// Frame `number`: a bright square that moves over a gradient.
+fn frame(number: u32) -> RgbImage {
+    RgbImage::from_fn(64, 48, |x, y| {
+        if (x / 16, y / 16) == (number % 4, 1) {
+            Rgb([250, 220, 40])
+        } else {
+            Rgb([40, (x * 3) as u8, 120])
+        }
+    })
+}
+
+/// The NAL units of an elementary stream, without their start codes.
+fn nal_units(stream: &[u8]) -> Vec<Vec<u8>> {
+    openh264::nal_units(stream)
+        .map(|unit| unit[unit.iter().position(|byte| *byte == 1).unwrap() + 1..].to_vec())
+        .collect()
+}
+
+fn video(frames: u32) -> Vec<u8> {
+    let mut encoder = Encoder::new().unwrap();
+    let mut writer = None;
+    for number in 0..frames {
+        let rgb = frame(number);
+        let picture = YUVBuffer::from_rgb8_source(RgbSliceU8::new(rgb.as_raw(), (64, 48)));
+        let stream = encoder.encode(&picture).unwrap().to_vec();
+        let (parameters, picture): (Vec<_>, Vec<_>) = nal_units(&stream)
+            .into_iter()
+            .partition(|unit| matches!(unit[0] & 31, 7 | 8));
+        let writer = writer.get_or_insert_with(|| {
+            let brand = str::parse("isom").unwrap();
+            let config = Mp4Config {
+                major_brand: brand,
+                minor_version: 0,
+                compatible_brands: vec![brand],
+                timescale: 1000,
+            };
+            let mut writer = Mp4Writer::write_start(Cursor::new(Vec::new()), &config).unwrap();
+            let find = |kind: u8| {
+                parameters
+                    .iter()
+                    .find(|unit| unit[0] & 31 == kind)
+                    .unwrap()
+                    .clone()
+            };
+            let avc = AvcConfig {
+                width: 64,
+                height: 48,
+                seq_param_set: find(7),
+                pic_param_set: find(8),
+            };
+            writer
+                .add_track(&TrackConfig {
+                    track_type: TrackType::Video,
+                    timescale: 1000,
+                    language: "und".into(),
+                    media_conf: MediaConfig::AvcConfig(avc),
+                })
+                .unwrap();
+            writer
+        });
+        let bytes: Vec<u8> = picture
+            .iter()
+            .flat_map(|unit| {
+                (unit.len() as u32)
+                    .to_be_bytes()
+                    .into_iter()
+                    .chain(unit.iter().copied())
+            })
+            .collect();
+        let sample = Mp4Sample {
+            start_time: u64::from(number) * 200,
+            duration: 200,
+            rendering_offset: 0,
+            is_sync: number == 0,
+            bytes: Bytes::from(bytes),
+        };
+        writer.write_sample(1, &sample).unwrap();
+    }
+    let mut writer = writer.unwrap();
+    writer.write_end().unwrap();
+    writer.into_writer().into_inner()
+}
+
+/// An `.npz` of rows of `columns` scaled values.
+fn npz(name: &str, columns: u64, rows: &[Vec<f32>]) -> Vec<u8> {
+    let mut array = Vec::new();
+    let mut writer = npyz::WriteOptions::new()
+        .default_dtype()
+        .shape(&[rows.len() as u64, columns])
+        .writer(&mut array)
+        .begin_nd()
+        .unwrap();
+    writer.extend(rows.concat()).unwrap();
+    writer.finish().unwrap();
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    archive
+        .start_file(format!("{name}.npy"), SimpleFileOptions::default())
+        .unwrap();
+    archive.write_all(&array).unwrap();
+    archive.finish().unwrap().into_inner()
+}
+
+fn scaled(gripper: f32) -> Vec<f32> {
+    vec![0.35, -0.7, 1.05, 0.56, -1.12, 0.0, gripper, 0.0, 0.0, 0.0]
+}
+
+fn read(dir: &Path, video: &[u8], npz: &[u8]) -> Result<Episode, ImportError> {
+    let (video_file, actions_file) = (dir.join("made.mp4"), dir.join("made.npz"));
+    fs::write(&video_file, video).unwrap();
+    fs::write(&actions_file, npz).unwrap();
+    episodes(vec![(video_file, actions_file)], 95)
+        .next()
+        .unwrap()
+}
+
+fn rows(count: usize) -> Vec<Vec<f32>> {
+    (0..count)
+        .map(|row| scaled(if row % 2 == 0 { -1.0 } else { 1.0 }))
+        .collect()
+}
+
+#[test]
+fn a_video_with_actions_becomes_an_episode() {
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["arr_0", "actions"] {
+        let episode = read(dir.path(), &video(6), &npz(name, 10, &rows(6))).unwrap();
+        assert_eq!(episode.actions.len(), 6);
+        let expected = [0.01, -0.02, 0.03, 0.1, -0.2, 0.0, 1.0];
+        for (value, expected) in episode.actions[0].iter().zip(expected) {
+            assert!((value - expected).abs() < 1e-6, "{:?}", episode.actions[0]);
+        }
+        assert_eq!(episode.actions[1][VALUES - 1], 0.0, "+1 is closed");
+        for (number, jpeg) in episode.cameras[0].iter().enumerate() {
+            let decoded = image::load_from_memory_with_format(jpeg, ImageFormat::Jpeg)
+                .unwrap()
+                .into_rgb8();
+            let shown = frame(number as u32);
+            let error: f64 = decoded
+                .as_raw()
+                .iter()
+                .zip(shown.as_raw())
+                .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+                .sum::<f64>()
+                / decoded.as_raw().len() as f64;
+            // The square alone moves 5/6 of the pixels' worth of this; in order and in colour, what is left is the
+            // loss of h264 and of chroma at half size.
+            assert!(error < 400.0, "frame {number}: mean squared error {error}");
+        }
+    }
+}
+
+#[test]
+fn wrong_files_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let (good_video, good_npz) = (video(3), npz("arr_0", 10, &rows(3)));
+    let error = |video: &[u8], npz: &[u8]| read(dir.path(), video, npz).unwrap_err().to_string();
+    for (text, part) in [
+        (
+            error(&good_video, &npz("arr_0", 10, &rows(2))),
+            "camera 0 has 3 frames for 2 actions",
+        ),
+        (
+            error(&good_video, &npz("other", 10, &rows(3))),
+            "made.npz: expected an array named actions or arr_0",
+        ),
+        (
+            error(&good_video, &npz("arr_0", 7, &vec![vec![0.0; 7]; 3])),
+            "made.npz: expected arr_0.npy of shape (T, 10)",
+        ),
+        (
+            error(&good_video, &npz("arr_0", 10, &vec![scaled(3.0); 3])),
+            "row 0: expected the gripper",
+        ),
+        (
+            error(&good_video, &npz("arr_0", 10, &vec![vec![0.5; 10]; 3])),
+            "row 0: expected zeros",
+        ),
+        (
+            error(&good_video, &good_npz[..good_npz.len() / 2]),
+            "made.npz: not an npz",
+        ),
+        (error(b"not a video", &good_npz), "made.mp4: not an mp4"),
+        (error(b"", &good_npz), "made.mp4: not an mp4"),
+    ] {
+        assert!(text.contains(part), "{part:?} in {text:?}");
+    }
+}
+
+#[test]
+fn a_cut_video_is_an_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let (video, npz) = (video(3), npz("arr_0", 10, &rows(3)));
+    for end in (0..video.len()).step_by(7) {
+        let error = read(dir.path(), &video[..end], &npz)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("made.mp4"), "cut at {end}: {error}");
+    }
+}

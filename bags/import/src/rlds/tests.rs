@@ -1,0 +1,220 @@
+use std::fs;
+
+use image::Rgb;
+use proptest::prelude::*;
+use prost::Message as _;
+
+use super::{
+    example::{BytesList, Feature, Features, FloatList, Int64List, Kind},
+    *,
+};
+use crate::{ImportOptions, import_bridge};
+
+fn feature(kind: Kind) -> Feature {
+    Feature { kind: Some(kind) }
+}
+
+fn image_of(format: ImageFormat, texture: bool) -> Vec<u8> {
+    let frame = RgbImage::from_fn(8, 8, |x, y| {
+        if texture {
+            Rgb([(x * 30) as u8, (y * 30) as u8, 90])
+        } else {
+            Rgb([0; 3])
+        }
+    });
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    frame.write_to(&mut bytes, format).unwrap();
+    bytes.into_inner()
+}
+
+/// An episode of `steps` steps with a JPEG camera, a PNG camera and one that was not there.
+fn example(steps: usize) -> Example {
+    let images = |format, texture| {
+        feature(Kind::Bytes(BytesList {
+            value: vec![image_of(format, texture); steps],
+        }))
+    };
+    let floats = |offset: f32| {
+        let value = (0..steps * VALUES)
+            .map(|number| offset + number as f32)
+            .collect();
+        feature(Kind::Floats(FloatList { value }))
+    };
+    let features = [
+        (ACTION.to_owned(), floats(0.0)),
+        (STATE.to_owned(), floats(0.5)),
+        (
+            INSTRUCTION.to_owned(),
+            feature(Kind::Bytes(BytesList {
+                value: vec![b"open the drawer".to_vec(); steps],
+            })),
+        ),
+        (format!("{IMAGE_PREFIX}0"), images(ImageFormat::Jpeg, true)),
+        (format!("{IMAGE_PREFIX}1"), images(ImageFormat::Png, true)),
+        (format!("{IMAGE_PREFIX}2"), images(ImageFormat::Jpeg, false)),
+        (
+            "steps/is_first".to_owned(),
+            feature(Kind::Integers(Int64List {
+                value: vec![0; steps],
+            })),
+        ),
+    ];
+    Example {
+        features: Some(Features {
+            feature: features.into(),
+        }),
+    }
+}
+
+fn tfrecord(examples: &[Example]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for example in examples {
+        let data = example.encode_to_vec();
+        let length = (data.len() as u64).to_le_bytes();
+        bytes.extend(length);
+        bytes.extend(tfrecord::masked_crc(&length).to_le_bytes());
+        bytes.extend(&data);
+        bytes.extend(tfrecord::masked_crc(&data).to_le_bytes());
+    }
+    bytes
+}
+
+fn read(bytes: &[u8]) -> Result<Vec<Episode>, ImportError> {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("made.tfrecord");
+    fs::write(&file, bytes).unwrap();
+    episodes(vec![file], 95).collect()
+}
+
+#[test]
+fn an_example_becomes_an_episode() {
+    let read = read(&tfrecord(&[example(3), example(2)])).unwrap();
+    assert_eq!(
+        read.iter()
+            .map(|episode| episode.actions.len())
+            .collect::<Vec<_>>(),
+        [3, 2]
+    );
+    let episode = &read[0];
+    assert_eq!(episode.actions[1], [7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0]);
+    assert_eq!(episode.states[2][6], 20.5);
+    assert_eq!(episode.instruction.as_deref(), Some("open the drawer"));
+    assert_eq!(episode.cameras.len(), 2, "the flat camera is left out");
+    assert_eq!(
+        episode.cameras[0][0],
+        image_of(ImageFormat::Jpeg, true),
+        "JPEG bytes are kept"
+    );
+    assert_eq!(
+        image::guess_format(&episode.cameras[1][0]).unwrap(),
+        ImageFormat::Jpeg,
+        "PNG becomes JPEG"
+    );
+}
+
+#[test]
+fn the_masked_crc_is_that_of_tensorflow() {
+    // CRC-32C of "123456789" is 0xe3069283 (RFC 3720, appendix B.4 gives the polynomial; the value is the standard check).
+    assert_eq!(masked(0xe306_9283), tfrecord::masked_crc(b"123456789"));
+}
+
+/// The mask as tensorflow/core/lib/hash/crc32c.h writes it.
+fn masked(crc: u32) -> u32 {
+    ((crc >> 15) | (crc << 17)).wrapping_add(0xa282_ead8)
+}
+
+#[test]
+fn wrong_features_are_named() {
+    let error = |change: &dyn Fn(&mut Features)| {
+        let mut changed = example(2);
+        change(changed.features.as_mut().unwrap());
+        let error = read(&tfrecord(&[example(1), changed]))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("made.tfrecord") && error.contains("episode 1"),
+            "{error}"
+        );
+        error
+    };
+    assert!(error(&|features| drop(features.feature.remove(ACTION))).contains("steps/action"));
+    assert!(
+        error(&|features| {
+            features.feature.insert(
+                ACTION.into(),
+                feature(Kind::Floats(FloatList {
+                    value: vec![0.0; 13],
+                })),
+            );
+        })
+        .contains("rows of 7, got 13")
+    );
+    assert!(
+        error(&|features| {
+            features.feature.insert(
+                format!("{IMAGE_PREFIX}0"),
+                feature(Kind::Bytes(BytesList {
+                    value: vec![vec![1, 2]; 2],
+                })),
+            );
+        })
+        .contains("image_0, step 0")
+    );
+    assert!(
+        error(&|features| {
+            let value = vec![image_of(ImageFormat::Jpeg, true)];
+            features.feature.insert(
+                format!("{IMAGE_PREFIX}0"),
+                feature(Kind::Bytes(BytesList { value })),
+            );
+        })
+        .contains("camera 0 has 1 frames for 2 actions")
+    );
+}
+
+#[test]
+fn a_file_with_too_few_episodes_is_incomplete() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(
+        dir.path().join("made-train.tfrecord-00000-of-00001"),
+        tfrecord(&[example(1), example(1)]),
+    )
+    .unwrap();
+    let import = |count: u64, out: &str| {
+        let info = format!(
+            r#"{{"splits": [{{"name": "train", "shardLengths": ["{count}"], "numBytes": "1"}}]}}"#
+        );
+        fs::write(dir.path().join("dataset_info.json"), info).unwrap();
+        import_bridge(dir.path(), &dir.path().join(out), &ImportOptions::default())
+    };
+    assert_eq!(import(2, "a").unwrap().len(), 2);
+    let error = import(3, "b").unwrap_err().to_string();
+    assert!(
+        error.contains("made-train.tfrecord") && error.contains("expected 3 episodes"),
+        "{error}"
+    );
+    // The bags that are there already are not written over.
+    assert!(matches!(
+        import(2, "a"),
+        Err(ImportError::Bag(wm_bag::BagError::Exists(_)))
+    ));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn a_cut_or_damaged_file_is_an_error(cut in 0.0f64..1.0, flip in 0.0f64..1.0, bits in 1u8..=255) {
+        let bytes = tfrecord(&[example(2), example(1)]);
+        let first = tfrecord(&[example(2)]).len();
+        let place = |share: f64| (share * bytes.len() as f64) as usize;
+        let end = place(cut);
+        match read(&bytes[..end]) {
+            Ok(read) => prop_assert!((end, read.len()) == (0, 0) || (end, read.len()) == (first, 1)),
+            Err(error) => prop_assert!(error.to_string().contains("made.tfrecord")),
+        }
+        let mut damaged = bytes.clone();
+        damaged[place(flip)] ^= bits;
+        prop_assert!(read(&damaged).is_err());
+    }
+}

@@ -1,0 +1,137 @@
+//! Real Bridge V2 episodes, from the directory that the environment variable WM_SHARED_DATA names (with `bridge_v2/`
+//! and `bridge_rlds/` in it). They are not part of the repository.
+
+use std::path::PathBuf;
+
+use image::{ImageFormat, RgbImage};
+use tempfile::TempDir;
+use wm_bag::{BagMessage, BagReader};
+use wm_import::{ImportOptions, import_bridge};
+use wm_msgs::{
+    builtin_interfaces::Time,
+    geometry_msgs::PoseStamped,
+    sensor_msgs::CompressedImage,
+    std_msgs::{Float32, String as Text},
+    wm_msgs::Action,
+};
+
+fn shared(name: &str) -> Option<PathBuf> {
+    let found = std::env::var_os("WM_SHARED_DATA")
+        .map(|dir| PathBuf::from(dir).join(name))
+        .filter(|dir| dir.is_dir());
+    if found.is_none() {
+        eprintln!("skipped: set WM_SHARED_DATA to a directory with {name}/ in it");
+    }
+    found
+}
+
+fn of_topic(reader: &BagReader, topic: &str) -> Vec<BagMessage> {
+    reader
+        .messages()
+        .only_topics([topic])
+        .map(Result::unwrap)
+        .collect()
+}
+
+fn decoded(image: &CompressedImage) -> RgbImage {
+    image::load_from_memory_with_format(&image.data, ImageFormat::Jpeg)
+        .unwrap()
+        .into_rgb8()
+}
+
+#[test]
+fn bridge_videos_become_bags() {
+    let Some(src) = shared("bridge_v2") else {
+        return;
+    };
+    let out = TempDir::new().unwrap();
+    let bags = import_bridge(&src, out.path(), &ImportOptions::default()).unwrap();
+    let mut lengths = Vec::new();
+    for bag in &bags {
+        let reader = BagReader::open(bag).unwrap();
+        let actions: Vec<Action> = of_topic(&reader, "/wm/action")
+            .iter()
+            .map(|message| message.decode().unwrap())
+            .collect();
+        let frames = of_topic(&reader, "/camera/image_raw/compressed");
+        assert_eq!(frames.len(), actions.len());
+        lengths.push(frames.len());
+        for (step, (frame, action)) in frames.iter().zip(&actions).enumerate() {
+            let frame: CompressedImage = frame.decode().unwrap();
+            let stamp = Time::from_nanos(1_700_000_000_000_000_000 + step as i64 * 200_000_000);
+            assert_eq!((frame.header.stamp, action.header.stamp), (stamp, stamp));
+            assert_eq!(decoded(&frame).dimensions(), (256, 256));
+            let [dx, dy, dz, droll, dpitch, dyaw, gripper] = action.values[..] else {
+                panic!("seven values")
+            };
+            // A WidowX moves less than 5 cm and 0.35 rad in 0.2 s.
+            assert!(
+                [dx, dy, dz].iter().all(|value| value.abs() < 0.05),
+                "{action:?}"
+            );
+            assert!(
+                [droll, dpitch, dyaw].iter().all(|value| value.abs() < 0.35),
+                "{action:?}"
+            );
+            assert!(gripper == 0.0 || gripper == 1.0, "{action:?}");
+        }
+        assert!(
+            actions[0].values[6] == 1.0,
+            "every episode begins with an open gripper"
+        );
+    }
+    assert_eq!(lengths, [40, 41, 32, 23, 31, 41, 27]);
+}
+
+#[test]
+fn bridge_rlds_becomes_bags() {
+    let Some(src) = shared("bridge_rlds") else {
+        return;
+    };
+    let out = TempDir::new().unwrap();
+    let bags = import_bridge(&src, out.path(), &ImportOptions::default()).unwrap();
+    assert_eq!(bags.len(), 25);
+    let mut covariance = 0.0;
+    for bag in &bags {
+        let reader = BagReader::open(bag).unwrap();
+        let topics: Vec<(&str, u64)> = reader
+            .topics()
+            .iter()
+            .map(|topic| (&*topic.name, topic.message_count))
+            .collect();
+        let cameras = ["/camera/", "/camera_1/", "/camera_2/"]
+            .map(|camera| format!("{camera}image_raw/compressed"));
+        for camera in &cameras {
+            assert!(topics.contains(&(camera, 10)), "{topics:?}");
+            let first: CompressedImage = of_topic(&reader, camera)[0].decode().unwrap();
+            assert_eq!(decoded(&first).dimensions(), (64, 64));
+        }
+        assert_eq!(
+            topics.len(),
+            3 + 4,
+            "the fourth camera was not there: {topics:?}"
+        );
+        let instruction: Text = of_topic(&reader, "/task/instruction")[0].decode().unwrap();
+        assert!(instruction.data.contains(' '), "{instruction:?}");
+        let poses: Vec<PoseStamped> = of_topic(&reader, "/arm/end_effector_pose")
+            .iter()
+            .map(|message| message.decode().unwrap())
+            .collect();
+        let actions: Vec<Action> = of_topic(&reader, "/wm/action")
+            .iter()
+            .map(|message| message.decode().unwrap())
+            .collect();
+        for (pair, action) in poses.windows(2).zip(&actions) {
+            let (before, after) = (pair[0].pose.position, pair[1].pose.position);
+            covariance += (after.x - before.x) * f64::from(action.values[0])
+                + (after.y - before.y) * f64::from(action.values[1])
+                + (after.z - before.z) * f64::from(action.values[2]);
+        }
+        let gripper: Float32 = of_topic(&reader, "/arm/gripper")[0].decode().unwrap();
+        assert!((-0.1..1.1).contains(&gripper.data), "{gripper:?}");
+    }
+    assert!(
+        covariance > 0.0,
+        "the pose follows the actions: that is what the state means"
+    );
+}

@@ -1,0 +1,64 @@
+//! `wm sim`: the command line.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::dataset::generate_bags;
+use crate::episode::EpisodeOptions;
+
+/// Make Bridge-style bags with a simulated arm on a tabletop, one bag an episode.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SimArgs {
+    /// How many episodes
+    #[arg(long, default_value_t = 1)]
+    pub episodes: u64,
+    /// Seed of the first episode; the others follow. The same seed gives the same bag
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Frames an episode, at 5 Hz
+    #[arg(long, default_value_t = 50)]
+    pub frames: usize,
+    /// Also write masks of the gripper and the objects, on /camera/mask/compressed
+    #[arg(long)]
+    pub masks: bool,
+    /// Directory for the bags, made if need be
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+impl SimArgs {
+    /// Makes the bags, with a progress bar on the terminal.
+    ///
+    /// # Errors
+    /// If an option is out of its range or a bag cannot be written.
+    pub fn run(&self) -> anyhow::Result<()> {
+        std::fs::create_dir_all(&self.out)
+            .with_context(|| format!("cannot make the directory {}", self.out.display()))?;
+        let bar = ProgressBar::new(self.episodes);
+        bar.set_style(ProgressStyle::with_template(
+            "{wide_bar} {pos}/{len} episodes, {eta} left",
+        )?);
+        let options = EpisodeOptions {
+            frames: self.frames,
+            masks: self.masks,
+        };
+        let succeeded = AtomicU64::new(0);
+        let bags = generate_bags(&self.out, self.episodes, self.seed, &options, |episode| {
+            succeeded.fetch_add(u64::from(episode.success), Ordering::Relaxed);
+            bar.inc(1);
+        })
+        .with_context(|| format!("cannot make the episodes in {}", self.out.display()))?;
+        bar.finish_and_clear();
+        println!(
+            "{} episodes of {} frames in {} ({} did what was asked)",
+            bags.len(),
+            self.frames,
+            self.out.display(),
+            succeeded.into_inner()
+        );
+        Ok(())
+    }
+}

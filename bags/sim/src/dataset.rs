@@ -1,0 +1,82 @@
+//! Many episodes at once.
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use crate::bag::write_bag;
+use crate::episode::{Episode, EpisodeOptions};
+use crate::error::Error;
+
+/// Makes `episodes` episodes with the seeds from `first_seed` on, each a bag `episode_000012` (its number
+/// is its seed) in the directory `out`, on all of rayon's threads. Calls `finished` after each. Returns
+/// the bags' directories in the order of their seeds.
+///
+/// # Errors
+/// The first error of any episode; see [`Episode::generate`] and [`write_bag`].
+/// [`Error::Seeds`] if the seeds run past the largest number.
+pub fn generate_bags(
+    out: &Path,
+    episodes: u64,
+    first_seed: u64,
+    options: &EpisodeOptions,
+    finished: impl Fn(&Episode) + Sync,
+) -> Result<Vec<PathBuf>, Error> {
+    let end = first_seed.checked_add(episodes).ok_or(Error::Seeds {
+        first_seed,
+        episodes,
+    })?;
+    (first_seed..end)
+        .into_par_iter()
+        .map(|seed| {
+            let episode = Episode::generate(seed, options)?;
+            let dir = out.join(format!("episode_{seed:06}"));
+            write_bag(&episode, &dir)?;
+            finished(&episode);
+            Ok(dir)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_seeds_give_the_same_files() {
+        let scratch = tempfile::tempdir().expect("a temporary directory");
+        let options = EpisodeOptions {
+            frames: 2,
+            masks: false,
+        };
+        let read = |name: &str| {
+            let dirs =
+                generate_bags(&scratch.path().join(name), 2, 7, &options, |_| {}).expect("bags");
+            let mut all = Vec::new();
+            for dir in &dirs {
+                assert!(dir.join("metadata.yaml").is_file());
+                for entry in std::fs::read_dir(dir).expect("a directory") {
+                    let path = entry.expect("an entry").path();
+                    if path
+                        .extension()
+                        .is_some_and(|extension| extension == "mcap")
+                    {
+                        all.push(std::fs::read(path).expect("a file"));
+                    }
+                }
+            }
+            all
+        };
+        let first = read("first");
+        assert_eq!(first.len(), 2);
+        assert!(first == read("second"));
+        assert!(first[0] != first[1]);
+    }
+
+    #[test]
+    fn seeds_past_the_end_are_an_error() {
+        let options = EpisodeOptions::default();
+        let result = generate_bags(Path::new("unused"), 2, u64::MAX, &options, |_| {});
+        assert!(matches!(result, Err(Error::Seeds { .. })));
+    }
+}

@@ -1,0 +1,32 @@
+//! What can go wrong.
+
+use crate::episode::FRAMES;
+
+/// Errors of the simulator.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A number of frames that no episode has.
+    #[error("an episode has {} to {} frames, not {frames}", FRAMES.start(), FRAMES.end())]
+    Frames {
+        /// What was asked for.
+        frames: usize,
+    },
+    /// Seeds beyond the largest 64-bit number.
+    #[error(
+        "{episodes} episodes from seed {first_seed} on run past the largest seed, {}",
+        u64::MAX
+    )]
+    Seeds {
+        /// Seed of the first episode.
+        first_seed: u64,
+        /// How many.
+        episodes: u64,
+    },
+    /// A bag that cannot be written.
+    #[error(transparent)]
+    Bag(#[from] wm_bag::BagError),
+    /// A picture that cannot be encoded.
+    #[error("cannot encode a picture: {0}")]
+    Picture(#[from] image::ImageError),
+}

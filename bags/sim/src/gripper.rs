@@ -1,0 +1,50 @@
+//! The gripper's geometry: two parallel fingers on a bar, in the tool's frame.
+//!
+//! Somewhat larger than the real one, so that its turn and its opening show in a small picture.
+
+use nalgebra::{Isometry3, Point3};
+
+/// Distance of each finger's inner face from the middle when fully open, metres.
+pub const HALF_OPENING_M: f64 = 0.037;
+/// Length of the fingers, metres.
+pub const FINGER_LENGTH_M: f64 = 0.062;
+/// Thickness of a finger along the opening, metres.
+pub const FINGER_THICKNESS_M: f64 = 0.013;
+/// Width of a finger across the opening, metres.
+pub const FINGER_WIDTH_M: f64 = 0.026;
+/// Radius of the spheres that stand for a finger in contacts, metres: half of its thickness.
+pub const CONTACT_RADIUS_M: f64 = FINGER_THICKNESS_M / 2.0;
+
+/// Sides of the two fingers along the tool's y axis.
+pub const SIDES: [f64; 2] = [-1.0, 1.0];
+
+/// The centres of the spheres that stand for the two fingers, in the base frame (metres), with the
+/// hand opened to `opening` (0 closed to 1 open) at the pose `tool`.
+pub fn contact_spheres(tool: &Isometry3<f64>, opening: f64) -> Vec<Point3<f64>> {
+    let mut spheres = Vec::with_capacity(18);
+    for side in SIDES {
+        let y = side * (opening * HALF_OPENING_M + CONTACT_RADIUS_M);
+        for up in [CONTACT_RADIUS_M, 0.024, 0.044] {
+            for z in [-0.007, 0.0, 0.007] {
+                spheres.push(tool * Point3::new(-up, y, z));
+            }
+        }
+    }
+    spheres
+}
+
+/// Height of the lowest point of the fingers over the table, metres.
+pub fn lowest(tool: &Isometry3<f64>, opening: f64) -> f64 {
+    let mut lowest = f64::INFINITY;
+    for side in SIDES {
+        for y in [
+            opening * HALF_OPENING_M,
+            opening * HALF_OPENING_M + FINGER_THICKNESS_M,
+        ] {
+            for z in [-FINGER_WIDTH_M / 2.0, FINGER_WIDTH_M / 2.0] {
+                lowest = lowest.min((tool * Point3::new(0.0, side * y, z)).z);
+            }
+        }
+    }
+    lowest
+}

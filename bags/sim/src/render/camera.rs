@@ -1,0 +1,158 @@
+//! The fixed camera, and the light's parallel projection.
+
+use nalgebra::{Point3, Vector3};
+
+/// Width and height of the pictures, pixels.
+pub const IMAGE_SIZE: u32 = 256;
+
+/// A projection to the screen whose third value grows towards the viewer and is linear over a triangle
+/// on the screen, so that it serves as depth.
+pub trait Projection {
+    /// Screen x and y in pixels and nearness, or `None` behind the viewer.
+    fn project(&self, point: &Vector3<f32>) -> Option<[f32; 3]>;
+}
+
+/// A pinhole camera with its x to the right and its y down the picture.
+#[derive(Clone, Debug)]
+pub struct Camera {
+    eye: Vector3<f32>,
+    right: Vector3<f32>,
+    down: Vector3<f32>,
+    ahead: Vector3<f32>,
+    /// Focal length in pixels of a picture of [`IMAGE_SIZE`].
+    focal_px: f32,
+}
+
+impl Camera {
+    /// The camera of all episodes: beside the arm at its right, looking across and down at the
+    /// workspace, which fills most of the picture.
+    pub fn beside_the_arm() -> Self {
+        let eye = Vector3::new(0.19, -0.60, 0.52);
+        let target = Vector3::new(0.245, 0.0, 0.085);
+        let ahead = (target - eye).normalize();
+        let right = ahead.cross(&Vector3::z()).normalize();
+        Self {
+            eye,
+            right,
+            down: ahead.cross(&right),
+            ahead,
+            focal_px: 395.0,
+        }
+    }
+
+    /// Where the camera is, metres.
+    pub fn eye(&self) -> Vector3<f32> {
+        self.eye
+    }
+
+    /// To the right and away from the viewer over the table: horizontal unit vectors by which
+    /// instructions speak of left and right, front and behind.
+    pub fn viewer_axes(&self) -> [Vector3<f32>; 2] {
+        let flat = Vector3::new(self.ahead.x, self.ahead.y, 0.0).normalize();
+        [self.right, flat]
+    }
+
+    /// Direction of the ray through a point of the picture, scaled to one metre along the view axis.
+    pub fn ray(&self, x_px: f32, y_px: f32) -> Vector3<f32> {
+        let middle = IMAGE_SIZE as f32 / 2.0;
+        self.ahead
+            + self.right * ((x_px - middle) / self.focal_px)
+            + self.down * ((y_px - middle) / self.focal_px)
+    }
+
+    /// Where a point of the base frame is seen, in pixels, or `None` behind the camera.
+    pub fn pixel(&self, point: &Point3<f64>) -> Option<[f32; 2]> {
+        let [x, y, _] = self.project(&point.coords.cast())?;
+        Some([x, y])
+    }
+}
+
+impl Projection for Camera {
+    fn project(&self, point: &Vector3<f32>) -> Option<[f32; 3]> {
+        let offset = point - self.eye;
+        let depth = offset.dot(&self.ahead);
+        // Parts nearer than this would fill the picture; none comes so close.
+        if depth < 0.05 {
+            return None;
+        }
+        let middle = IMAGE_SIZE as f32 / 2.0;
+        Some([
+            middle + self.focal_px * offset.dot(&self.right) / depth,
+            middle + self.focal_px * offset.dot(&self.down) / depth,
+            1.0 / depth,
+        ])
+    }
+}
+
+/// The key light: parallel rays, and the map of what they meet first.
+#[derive(Clone, Debug)]
+pub struct Light {
+    /// Unit vector towards the light.
+    pub towards: Vector3<f32>,
+    across: Vector3<f32>,
+    along: Vector3<f32>,
+}
+
+/// Width and height of the shadow map, in cells.
+pub const SHADOW_SIZE: usize = 320;
+/// Cells a metre of the shadow map: 2.5 mm each.
+const SHADOW_CELLS_M: f32 = 400.0;
+/// What the shadow map is centred on, metres.
+const SHADOW_MIDDLE: [f32; 3] = [0.20, 0.02, 0.0];
+
+impl Light {
+    /// A light from the given direction (need not be of unit length).
+    pub fn from(direction: Vector3<f32>) -> Self {
+        let towards = direction.normalize();
+        let across = towards.cross(&Vector3::y()).normalize();
+        Self {
+            towards,
+            across,
+            along: towards.cross(&across),
+        }
+    }
+
+    /// Place in the shadow map (cells) and height along the light (metres).
+    pub fn place(&self, point: &Vector3<f32>) -> [f32; 3] {
+        let offset = point - Vector3::from(SHADOW_MIDDLE);
+        let middle = SHADOW_SIZE as f32 / 2.0;
+        [
+            middle + SHADOW_CELLS_M * offset.dot(&self.across),
+            middle + SHADOW_CELLS_M * offset.dot(&self.along),
+            offset.dot(&self.towards),
+        ]
+    }
+}
+
+impl Projection for Light {
+    fn project(&self, point: &Vector3<f32>) -> Option<[f32; 3]> {
+        Some(self.place(point))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::WORKSPACE_M;
+
+    #[test]
+    fn the_whole_workspace_is_in_view() {
+        let camera = Camera::beside_the_arm();
+        let [low, high] = WORKSPACE_M;
+        for corner in 0..8 {
+            let at = |axis: usize| {
+                if corner >> axis & 1 == 0 {
+                    low[axis]
+                } else {
+                    high[axis]
+                }
+            };
+            let [x, y] = camera
+                .pixel(&Point3::new(at(0), at(1), at(2)))
+                .expect("in front");
+            println!("{:?} -> {x} {y}", [at(0), at(1), at(2)]);
+            let inside = 0.0..f32::from(256_u16);
+            assert!(inside.contains(&x) && inside.contains(&y), "{x} {y}");
+        }
+    }
+}

@@ -1,0 +1,427 @@
+//! From parts to a picture.
+
+use image::{GrayImage, Luma, Rgb, RgbImage};
+use nalgebra::Vector3;
+
+use super::camera::{Camera, IMAGE_SIZE, Light, Projection, SHADOW_SIZE};
+use super::{Part, linear, raster};
+
+/// Samples along each side of a pixel.
+const SAMPLES: usize = 2;
+const SIZE: usize = IMAGE_SIZE as usize;
+const SAMPLED: usize = SIZE * SAMPLES;
+/// Entries of the table from linear light to sRGB bytes: steps below half of a byte in the dark.
+const TONES: usize = 8192;
+/// Shares of the light: from the key light, and from all around.
+const KEY: f32 = 0.78;
+const AMBIENT: f32 = 0.36;
+/// Surfaces within this height of the light's first hit are lit, metres: above one shadow cell.
+const SHADOW_BIAS_M: f32 = 0.005;
+
+/// What differs from one episode's room to the next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surroundings {
+    /// Colour of the table, sRGB 0 to 1.
+    pub table_srgb: [f32; 3],
+    /// Colour of the floor behind the table, sRGB 0 to 1.
+    pub floor_srgb: [f32; 3],
+    /// Colour of the light, linear, about 1.
+    pub light: [f32; 3],
+    /// Direction towards the light.
+    pub light_direction: [f32; 3],
+}
+
+/// A rendered frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// The picture.
+    pub rgb: RgbImage,
+    /// For each pixel the mask value that most of its samples have, if asked for.
+    pub mask: Option<GrayImage>,
+}
+
+#[derive(Clone, Copy)]
+struct Sample {
+    nearness: f32,
+    normal: [f32; 3],
+    /// Index of the part plus one; 0 is the table or what is behind it.
+    part: u16,
+}
+
+const EMPTY: Sample = Sample {
+    nearness: 0.0,
+    normal: [0.0; 3],
+    part: 0,
+};
+
+/// What a pixel shows where no part covers it.
+#[derive(Clone, Copy)]
+struct Backdrop {
+    /// Where its ray meets the table's plane.
+    on_table: Vector3<f32>,
+    /// Share of the pixel that the table covers; the rest is floor.
+    table: f32,
+    /// Slow fall of brightness away from the middle of the table.
+    falloff: f32,
+}
+
+/// Renders frames of one episode; keeps its buffers between frames.
+pub struct Renderer {
+    camera: Camera,
+    light: Light,
+    light_colour: [f32; 3],
+    table: [f32; 3],
+    floor: [f32; 3],
+    samples: Vec<Sample>,
+    shadow: Vec<f32>,
+    backdrop: Vec<Backdrop>,
+    tones: Vec<u8>,
+}
+
+/// Edges of the table in the base frame, metres: x from and to, y from and to.
+const TABLE: [f32; 4] = [-0.30, 0.72, -0.60, 0.40];
+
+impl Renderer {
+    /// A renderer for the given surroundings.
+    pub fn new(surroundings: &Surroundings) -> Self {
+        let camera = Camera::beside_the_arm();
+        let backdrop = (0..SIZE * SIZE)
+            .map(|index| backdrop_at(&camera, index % SIZE, index / SIZE))
+            .collect();
+        let tones = (0..=TONES)
+            .map(|i| {
+                let value = (i as f32 / TONES as f32).powf(1.0 / 2.2);
+                (value * 255.0 + 0.5) as u8
+            })
+            .collect();
+        Self {
+            camera,
+            light: Light::from(Vector3::from(surroundings.light_direction)),
+            light_colour: surroundings.light,
+            table: linear(surroundings.table_srgb),
+            floor: linear(surroundings.floor_srgb),
+            samples: vec![EMPTY; SAMPLED * SAMPLED],
+            shadow: vec![f32::MIN; SHADOW_SIZE * SHADOW_SIZE],
+            backdrop,
+            tones,
+        }
+    }
+
+    /// Draws the parts.
+    pub fn render(&mut self, parts: &[Part], with_mask: bool) -> Picture {
+        self.samples.fill(EMPTY);
+        self.shadow.fill(f32::MIN);
+        for (index, part) in parts.iter().enumerate() {
+            // Scenes have some tens of parts.
+            self.draw(part, index as u16 + 1);
+        }
+        self.shade(parts, with_mask)
+    }
+
+    fn draw(&mut self, part: &Part, number: u16) {
+        let to_world: Vec<_> = part
+            .mesh
+            .vertices
+            .iter()
+            .map(|vertex| {
+                let position = part.pose.rotation * vertex.position + part.pose.translation.vector;
+                let seen = self
+                    .camera
+                    .project(&position)
+                    .map(|[x, y, nearness]| [x * SAMPLES as f32, y * SAMPLES as f32, nearness]);
+                let lit = self.light.project(&position);
+                (part.pose.rotation * vertex.normal, seen, lit)
+            })
+            .collect();
+        for corners in &part.mesh.triangles {
+            let [a, b, c] = corners.map(|corner| to_world.get(corner as usize));
+            let (Some(a), Some(b), Some(c)) = (a, b, c) else {
+                continue;
+            };
+            if let (Some(seen_a), Some(seen_b), Some(seen_c)) = (a.1, b.1, c.1) {
+                let samples = &mut self.samples;
+                raster::fill(
+                    (SAMPLED, SAMPLED),
+                    [seen_a, seen_b, seen_c],
+                    true,
+                    |index, weights, nearness| {
+                        if let Some(sample) = samples.get_mut(index)
+                            && nearness > sample.nearness
+                        {
+                            let normal = a.0 * weights[0] + b.0 * weights[1] + c.0 * weights[2];
+                            *sample = Sample {
+                                nearness,
+                                normal: normal.into(),
+                                part: number,
+                            };
+                        }
+                    },
+                );
+            }
+            if let (Some(lit_a), Some(lit_b), Some(lit_c)) = (a.2, b.2, c.2) {
+                let shadow = &mut self.shadow;
+                raster::fill(
+                    (SHADOW_SIZE, SHADOW_SIZE),
+                    [lit_a, lit_b, lit_c],
+                    false,
+                    |index, _, height| {
+                        if let Some(cell) = shadow.get_mut(index) {
+                            *cell = cell.max(height);
+                        }
+                    },
+                );
+            }
+        }
+    }
+
+    /// Share of the key light that reaches a point, averaged over `radius` cells to each side.
+    fn lit(&self, point: &Vector3<f32>, radius: isize) -> f32 {
+        let [x, y, height] = self.light.place(point);
+        // Bilinear weights keep the shadow's edge from stepping as things move.
+        let (x, y) = (x - 0.5, y - 0.5);
+        let (x0, y0) = (x.floor(), y.floor());
+        let (fx, fy) = (x - x0, y - y0);
+        let (x0, y0) = (x0 as isize, y0 as isize);
+        let size = SHADOW_SIZE as isize;
+        if x0 - radius < 0 || y0 - radius < 0 || x0 + radius + 1 >= size || y0 + radius + 1 >= size
+        {
+            return 1.0;
+        }
+        let limit = height + SHADOW_BIAS_M;
+        let mut lit = 0.0;
+        for dy in -radius..=radius + 1 {
+            let weight_y = if dy == -radius {
+                1.0 - fy
+            } else if dy == radius + 1 {
+                fy
+            } else {
+                1.0
+            };
+            let start = ((y0 + dy) * size + x0 - radius) as usize;
+            let length = (2 * radius + 2) as usize;
+            let Some(row) = self.shadow.get(start..start + length) else {
+                continue;
+            };
+            let mut sum = 0.0;
+            for (i, cell) in row.iter().enumerate() {
+                let weight = if i == 0 {
+                    1.0 - fx
+                } else if i + 1 == length {
+                    fx
+                } else {
+                    1.0
+                };
+                sum += if *cell <= limit { weight } else { 0.0 };
+            }
+            lit += weight_y * sum;
+        }
+        let width = (2 * radius + 1) as f32;
+        lit / (width * width)
+    }
+
+    fn shade(&self, parts: &[Part], with_mask: bool) -> Picture {
+        let mut rgb = RgbImage::new(IMAGE_SIZE, IMAGE_SIZE);
+        let mut mask = with_mask.then(|| GrayImage::new(IMAGE_SIZE, IMAGE_SIZE));
+        for (index, (pixel, backdrop)) in rgb.pixels_mut().zip(&self.backdrop).enumerate() {
+            let (px, py) = (index % SIZE, index / SIZE);
+            let mut sum = [0.0_f32; 3];
+            let mut empty = 0.0;
+            let mut masks = [0_u8; SAMPLES * SAMPLES];
+            for (sub, mask) in masks.iter_mut().enumerate() {
+                let (x, y) = (px * SAMPLES + sub % SAMPLES, py * SAMPLES + sub / SAMPLES);
+                let sample = self.samples.get(y * SAMPLED + x).copied().unwrap_or(EMPTY);
+                let Some(part) = usize::from(sample.part)
+                    .checked_sub(1)
+                    .and_then(|i| parts.get(i))
+                else {
+                    empty += 1.0;
+                    continue;
+                };
+                *mask = part.mask;
+                let at = |v: usize| (v as f32 + 0.5) / SAMPLES as f32;
+                let ray = self.camera.ray(at(x), at(y));
+                let colour = self.surface(part, &sample, &ray);
+                for (total, value) in sum.iter_mut().zip(colour) {
+                    *total += value;
+                }
+            }
+            if empty > 0.0 {
+                for (total, value) in sum.iter_mut().zip(self.background(backdrop)) {
+                    *total += empty * value;
+                }
+            }
+            let tone = |value: f32| {
+                let share = (value / (SAMPLES * SAMPLES) as f32).clamp(0.0, 1.0);
+                self.tones
+                    .get((share * TONES as f32) as usize)
+                    .copied()
+                    .unwrap_or(u8::MAX)
+            };
+            *pixel = Rgb(sum.map(tone));
+            if let Some(mask) = &mut mask {
+                mask.put_pixel(px as u32, py as u32, Luma([most_frequent(&masks)]));
+            }
+        }
+        Picture { rgb, mask }
+    }
+
+    fn surface(&self, part: &Part, sample: &Sample, ray: &Vector3<f32>) -> [f32; 3] {
+        let normal = Vector3::from(sample.normal).normalize();
+        let point = self.camera.eye() + ray / sample.nearness;
+        let facing = normal.dot(&self.light.towards);
+        let mut key = 0.0;
+        let mut highlight = 0.0;
+        if facing > 0.0 {
+            // Lifted along the normal, so that a surface does not shade itself.
+            let lit = self.lit(&(point + normal * 0.004), 1);
+            key = KEY * facing * lit;
+            if part.gloss > 0.0 {
+                let half = (self.light.towards - ray.normalize()).normalize();
+                highlight = part.gloss * lit * normal.dot(&half).max(0.0).powi(24);
+            }
+        }
+        // Ambient: brighter from above, and a little from the viewer's side, so that faces in the shade
+        // still differ.
+        let ambient = AMBIENT * (0.72 + 0.28 * normal.z - 0.22 * normal.y + 0.1 * normal.x);
+        let mut colour = [0.0; 3];
+        for ((out, albedo), light) in colour.iter_mut().zip(part.albedo).zip(self.light_colour) {
+            *out = albedo * (ambient + key * light) + highlight * light;
+        }
+        colour
+    }
+
+    fn background(&self, backdrop: &Backdrop) -> [f32; 3] {
+        let up = self.light.towards.z;
+        let lit = if backdrop.table > 0.0 {
+            self.lit(&backdrop.on_table, 3)
+        } else {
+            1.0
+        };
+        let mut colour = [0.0; 3];
+        for (channel, out) in colour.iter_mut().enumerate() {
+            let light = self.light_colour.get(channel).copied().unwrap_or(1.0);
+            let of = |albedo: &[f32; 3], lit: f32| {
+                albedo.get(channel).copied().unwrap_or(0.0) * (AMBIENT + KEY * up * lit * light)
+            };
+            let table = of(&self.table, lit) * backdrop.falloff;
+            let floor = of(&self.floor, 1.0) * backdrop.falloff;
+            *out = backdrop.table * table + (1.0 - backdrop.table) * floor;
+        }
+        colour
+    }
+}
+
+fn backdrop_at(camera: &Camera, px: usize, py: usize) -> Backdrop {
+    let meets = |x: f32, y: f32| {
+        let ray = camera.ray(x, y);
+        // A ray at or above the horizon is taken to meet the plane far away.
+        let distance = if ray.z < -1e-3 {
+            -camera.eye().z / ray.z
+        } else {
+            1e3
+        };
+        camera.eye() + ray * distance
+    };
+    const ACROSS: usize = 4;
+    let mut inside = 0.0;
+    for sub in 0..ACROSS * ACROSS {
+        let at = |pixel: usize, i: usize| pixel as f32 + (i as f32 + 0.5) / ACROSS as f32;
+        let point = meets(at(px, sub % ACROSS), at(py, sub / ACROSS));
+        let [x0, x1, y0, y1] = TABLE;
+        if (x0..x1).contains(&point.x) && (y0..y1).contains(&point.y) {
+            inside += 1.0;
+        }
+    }
+    let on_table = meets(px as f32 + 0.5, py as f32 + 0.5);
+    let from_middle = (on_table - Vector3::new(0.25, 0.0, 0.0)).norm_squared();
+    Backdrop {
+        on_table,
+        table: inside / (ACROSS * ACROSS) as f32,
+        falloff: 0.72 + 0.28 / (1.0 + 3.0 * from_middle),
+    }
+}
+
+/// The value that occurs most often; of equals the larger, so that thin things are not lost.
+fn most_frequent(values: &[u8]) -> u8 {
+    let count = |value: u8| values.iter().filter(|other| **other == value).count();
+    values
+        .iter()
+        .copied()
+        .max_by_key(|value| (count(*value), *value))
+        .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Mesh;
+    use super::*;
+    use nalgebra::{Isometry3, Point3};
+    use std::sync::Arc;
+
+    fn room() -> Surroundings {
+        Surroundings {
+            table_srgb: [0.7, 0.7, 0.65],
+            floor_srgb: [0.3, 0.3, 0.4],
+            light: [1.0; 3],
+            light_direction: [0.2, -0.2, 1.0],
+        }
+    }
+
+    #[test]
+    fn the_mask_is_where_the_part_is_seen() {
+        let part = Part {
+            mesh: Arc::new(Mesh::ball(0.04)),
+            pose: Isometry3::translation(0.25, 0.0, 0.0),
+            albedo: [0.8, 0.0, 0.0],
+            gloss: 0.0,
+            mask: 7,
+        };
+        let mut renderer = Renderer::new(&room());
+        let with = renderer.render(std::slice::from_ref(&part), true);
+        let without = renderer.render(&[], true);
+        let mask = with.mask.expect("asked for");
+        let mut covered = 0;
+        for (x, y, value) in mask.enumerate_pixels() {
+            let [r, g, _] = with.rgb.get_pixel(x, y).0;
+            if value.0 == [7] {
+                covered += 1;
+                let inside = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)]
+                    .iter()
+                    .all(|(x, y)| mask.get_pixel(*x, *y).0 == [7]);
+                assert!(!inside || r > 2 * g, "red at {x},{y}");
+            } else {
+                // Outside it is the table: lit as before, or in the part's shadow, or a mixed edge.
+                assert!(r <= without.rgb.get_pixel(x, y).0[0].saturating_add(40));
+            }
+        }
+        let seen = Camera::beside_the_arm()
+            .pixel(&Point3::new(0.25, 0.0, 0.04))
+            .expect("in view");
+        assert_eq!(mask.get_pixel(seen[0] as u32, seen[1] as u32).0, [7]);
+        // A circle of 0.04 m at 0.7 m through a lens of 400 px: about 1600 pixels.
+        assert!((1000..2600).contains(&covered), "{covered}");
+    }
+
+    #[test]
+    fn a_part_darkens_the_table_beside_it() {
+        let part = Part {
+            mesh: Arc::new(Mesh::cuboid([-0.03, -0.03, 0.1], [0.03, 0.03, 0.15])),
+            pose: Isometry3::translation(0.25, 0.0, 0.0),
+            albedo: [0.8, 0.0, 0.0],
+            gloss: 0.0,
+            mask: 2,
+        };
+        let mut renderer = Renderer::new(&room());
+        let empty = renderer.render(&[], false);
+        let shaded = renderer.render(&[part], true);
+        let mask = shaded.mask.expect("asked for");
+        let darker = mask
+            .enumerate_pixels()
+            .filter(|(x, y, value)| {
+                value.0 == [0]
+                    && shaded.rgb.get_pixel(*x, *y).0[0] + 20 < empty.rgb.get_pixel(*x, *y).0[0]
+            })
+            .count();
+        assert!(darker > 200, "{darker}");
+    }
+}

@@ -1,0 +1,276 @@
+//! A scripted teleoperator: picks tasks, moves towards sub-goals with a human's lag, pauses and tremor.
+//!
+//! The noise is part of the command, and the command is carried out, so that actions explain motion.
+
+mod plan;
+mod task;
+
+pub use task::{Relation, Task};
+
+use nalgebra::Vector3;
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal, UnitSphere};
+use std::collections::VecDeque;
+
+use crate::world::{EndEffectorAction, LARGEST_RPY, WORKSPACE_M, World};
+use plan::{Aim, Move};
+
+/// Largest change along one axis in one action, metres: what Bridge's usual scaling (35 a metre, clipped
+/// at 1.74) can express.
+pub const LARGEST_STEP_M: f64 = 1.74 / 35.0;
+/// Largest change of roll, pitch or yaw in one action, radians: 1.39 / 5.6, from the same scaling.
+pub const LARGEST_TURN_RAD: f64 = 1.39 / 5.6;
+/// A sub-goal is given up after this many actions.
+const PATIENCE: usize = 14;
+/// Tasks end when fewer frames than this are left, and the operator only drifts.
+const LEAST_FRAMES_FOR_A_TASK: usize = 16;
+
+/// One operator over one episode.
+pub struct Operator {
+    rng: ChaCha8Rng,
+    /// To the viewer's right, and away from the viewer, over the table.
+    viewer: [Vector3<f64>; 2],
+    moves: VecDeque<Move>,
+    tasks: Vec<Task>,
+    /// Whether each finished task succeeded.
+    outcomes: Vec<bool>,
+    /// Top speed, metres an action.
+    speed: f64,
+    /// Standard deviations of the tremor: metres and radians an action.
+    tremor: [f64; 2],
+    velocity: Vector3<f64>,
+    turning: Vector3<f64>,
+    shake: [Vector3<f64>; 2],
+    pause: usize,
+    spent: usize,
+    gripper: f64,
+    drift: Drift,
+    /// The whole episode is free motion.
+    explores: bool,
+    /// Free motion stays below this height, metres: low enough in many episodes to touch things.
+    ceiling_m: f64,
+}
+
+#[derive(Default)]
+struct Drift {
+    velocity: Vector3<f64>,
+    turning: Vector3<f64>,
+    frames: usize,
+}
+
+impl Operator {
+    /// An operator who sees the table along `viewer` (unit vectors to the right and ahead).
+    pub fn new(mut rng: ChaCha8Rng, viewer: [Vector3<f64>; 2], world: &World) -> Self {
+        let explores = rng.random_bool(0.25);
+        let ceiling_m = if rng.random_bool(0.5) {
+            0.07
+        } else {
+            WORKSPACE_M[1][2]
+        };
+        let speed = rng.random_range(0.026..0.047);
+        let tremor = [
+            rng.random_range(0.0015..0.004),
+            rng.random_range(0.015..0.05),
+        ];
+        let mut operator = Self {
+            rng,
+            viewer,
+            moves: VecDeque::new(),
+            tasks: Vec::new(),
+            outcomes: Vec::new(),
+            speed,
+            tremor,
+            velocity: Vector3::zeros(),
+            turning: Vector3::zeros(),
+            shake: [Vector3::zeros(); 2],
+            pause: 0,
+            spent: 0,
+            gripper: if world.opening() > 0.5 { 1.0 } else { 0.0 },
+            drift: Drift::default(),
+            explores,
+            ceiling_m,
+        };
+        if explores {
+            operator.tasks.push(Task::Explore);
+        }
+        operator
+    }
+
+    /// The next command, with `left` frames to come in the episode.
+    pub fn command(&mut self, world: &World, left: usize) -> EndEffectorAction {
+        if self.moves.is_empty() {
+            self.next_task(world, left);
+        }
+        if self.pause == 0 && self.rng.random_bool(0.05) {
+            self.pause = self.rng.random_range(1..=3);
+        }
+        let (wanted, wanted_turn) = match self.moves.front().cloned() {
+            None => self.drifting(world),
+            Some(Move::Drift { .. }) => self.drifting(world),
+            Some(Move::Grip { to, .. }) => {
+                self.gripper = to;
+                (Vector3::zeros(), Vector3::zeros())
+            }
+            Some(Move::Go {
+                aim, rpy, gripper, ..
+            }) => {
+                self.gripper = gripper;
+                let offset = aim.point(world) - world.tool().position;
+                let speed = self.speed.min(offset.norm());
+                let turn = (rpy - world.tool().rpy).map(|v| v.clamp(-0.2, 0.2));
+                (offset.try_normalize(1e-9).unwrap_or_default() * speed, turn)
+            }
+        };
+        let free = self.explores || matches!(self.moves.front(), Some(Move::Drift { .. }));
+        if self.pause > 0 && !free {
+            self.pause -= 1;
+            self.velocity *= 0.2;
+            self.turning *= 0.2;
+        } else {
+            // A hand follows its intention with a lag of about one action.
+            self.velocity = self.velocity * 0.35 + wanted * 0.65;
+            self.turning = self.turning * 0.35 + wanted_turn * 0.65;
+        }
+        self.advance(world);
+        self.with_tremor()
+    }
+
+    /// What was asked for and whether all of it came about. A task that the episode's end cut short
+    /// counts by the state then.
+    pub fn conclude(mut self, world: &World) -> (String, bool) {
+        if self.outcomes.len() < self.tasks.len()
+            && let Some(task) = self.tasks.last()
+        {
+            self.outcomes.push(task.succeeded(world));
+        }
+        let sentences: Vec<_> = self
+            .tasks
+            .iter()
+            .map(|task| task.instruction(world))
+            .collect();
+        (
+            sentences.join(", then "),
+            self.outcomes.iter().all(|success| *success),
+        )
+    }
+
+    fn next_task(&mut self, world: &World, left: usize) {
+        if self.explores {
+            return;
+        }
+        if self.outcomes.len() < self.tasks.len()
+            && let Some(task) = self.tasks.last()
+        {
+            self.outcomes.push(task.succeeded(world));
+        }
+        self.spent = 0;
+        if left < LEAST_FRAMES_FOR_A_TASK && !self.tasks.is_empty() {
+            // What is held stays held while the hand drifts, so that a lift ends as one.
+            self.moves.push_back(Move::Drift { frames: left });
+            return;
+        }
+        if !self.tasks.is_empty()
+            && let Some(moves) = plan::put_down(world)
+        {
+            self.moves.extend(moves);
+            return;
+        }
+        let (task, moves) = plan::next(&mut self.rng, world, self.viewer, self.tasks.is_empty());
+        self.tasks.push(task);
+        self.moves.extend(moves);
+    }
+
+    /// Drops the present move once it is done or has taken too long.
+    fn advance(&mut self, world: &World) {
+        self.spent += 1;
+        let done = match self.moves.front() {
+            None => false,
+            Some(Move::Drift { frames } | Move::Grip { frames, .. }) => self.spent >= *frames,
+            Some(Move::Go {
+                aim,
+                rpy,
+                tolerance_m,
+                ..
+            }) => {
+                let near = (aim.point(world) - world.tool().position).norm() < *tolerance_m;
+                let turned = (rpy - world.tool().rpy).amax() < 0.2;
+                near && turned || self.spent >= PATIENCE
+            }
+        };
+        if done {
+            self.moves.pop_front();
+            self.spent = 0;
+        }
+    }
+
+    /// Free motion: a velocity and a turn kept for a few frames, away from the limits.
+    fn drifting(&mut self, world: &World) -> (Vector3<f64>, Vector3<f64>) {
+        if self.drift.frames == 0 {
+            self.drift.frames = self.rng.random_range(2..=6);
+            let direction: [f64; 3] = UnitSphere.sample(&mut self.rng);
+            let speed = self.rng.random_range(0.008..0.05);
+            self.drift.velocity = Vector3::from(direction) * speed;
+            self.drift.turning = Vector3::from_fn(|_, _| {
+                if self.rng.random_bool(0.45) {
+                    self.rng.random_range(-0.22..0.22)
+                } else {
+                    0.0
+                }
+            });
+            if self.rng.random_bool(0.3) {
+                self.gripper = if world.held().is_some() && self.rng.random_bool(0.6) {
+                    0.0
+                } else {
+                    f64::from(u8::from(self.rng.random_bool(0.5)))
+                };
+            }
+        }
+        self.drift.frames -= 1;
+        let [low, mut high] = WORKSPACE_M;
+        high[2] = self.ceiling_m;
+        for axis in 0..3 {
+            let next = world.tool().position[axis] + 2.0 * self.drift.velocity[axis];
+            if next < low[axis] {
+                self.drift.velocity[axis] = self.drift.velocity[axis].abs();
+            } else if next > high[axis] {
+                self.drift.velocity[axis] = -self.drift.velocity[axis].abs();
+            }
+            let angle = world.tool().rpy[axis] + 2.0 * self.drift.turning[axis];
+            if angle.abs() > LARGEST_RPY[axis] {
+                self.drift.turning[axis] = -angle.signum() * self.drift.turning[axis].abs();
+            }
+        }
+        (self.drift.velocity, self.drift.turning)
+    }
+
+    fn with_tremor(&mut self) -> EndEffectorAction {
+        for (shake, deviation) in self.shake.iter_mut().zip(self.tremor) {
+            // The deviations are positive and finite, so the distribution exists.
+            if let Ok(normal) = Normal::new(0.0, deviation) {
+                *shake = *shake * 0.5 + Vector3::from_fn(|_, _| normal.sample(&mut self.rng));
+            }
+        }
+        let [shift, turn] = self.shake;
+        let bound = |v: Vector3<f64>, limit: f64| v.map(|x| x.clamp(-limit, limit));
+        EndEffectorAction {
+            translation: bound(self.velocity + shift, LARGEST_STEP_M),
+            rotation: bound(self.turning + turn, LARGEST_TURN_RAD),
+            gripper: self.gripper,
+        }
+    }
+}
+
+impl Aim {
+    fn point(&self, world: &World) -> Vector3<f64> {
+        let point = match *self {
+            Self::Point(point) => point,
+            Self::Object { index, offset } => world
+                .objects()
+                .get(index)
+                .map_or(offset, |object| object.position() + offset),
+        };
+        let [low, high] = WORKSPACE_M;
+        Vector3::from_fn(|axis, _| point[axis].clamp(low[axis] + 0.003, high[axis] - 0.003))
+    }
+}

@@ -1,0 +1,371 @@
+//! From a task to the sub-goals that carry it out.
+
+use nalgebra::Vector3;
+use rand::Rng;
+use rand::seq::IndexedRandom;
+use rand_chacha::ChaCha8Rng;
+
+use super::task::{Relation, Task};
+use crate::object::{BOWL_FLOOR_M, Object, Shape};
+use crate::world::{WORKSPACE_M, World};
+
+/// A point to go to.
+#[derive(Clone, Debug)]
+pub enum Aim {
+    /// In the base frame, metres.
+    Point(Vector3<f64>),
+    /// At an offset from the foot of an object, wherever that is by then.
+    Object {
+        /// The object.
+        index: usize,
+        /// From its foot, metres.
+        offset: Vector3<f64>,
+    },
+}
+
+/// A sub-goal.
+#[derive(Clone, Debug)]
+pub enum Move {
+    /// Bring the tool to a pose.
+    Go {
+        /// Where.
+        aim: Aim,
+        /// Roll, pitch and yaw there, radians.
+        rpy: Vector3<f64>,
+        /// Gripper on the way, 0 closed to 1 open.
+        gripper: f64,
+        /// How near is near enough, metres.
+        tolerance_m: f64,
+    },
+    /// Work the gripper in place.
+    Grip {
+        /// 0 closed to 1 open.
+        to: f64,
+        /// For how many actions.
+        frames: usize,
+    },
+    /// Move freely.
+    Drift {
+        /// For how many actions.
+        frames: usize,
+    },
+}
+
+/// Near enough for a passing point, and for a point where contact matters, metres.
+const ROUGH_M: f64 = 0.02;
+const FINE_M: f64 = 0.008;
+
+/// Chooses a task that suits the scene, and the moves for it.
+pub fn next(
+    rng: &mut ChaCha8Rng,
+    world: &World,
+    viewer: [Vector3<f64>; 2],
+    first: bool,
+) -> (Task, Vec<Move>) {
+    // Some scenes allow no placing or pushing in the chosen way: then it is another task.
+    for _ in 0..8 {
+        let choice = rng.random_range(0.0..1.0);
+        let found = if first && choice < 0.5 {
+            place(rng, world, viewer)
+        } else if choice < 0.6 {
+            pick_up(rng, world)
+        } else if choice < 0.87 {
+            push(rng, world, viewer)
+        } else {
+            reach(rng, world)
+        };
+        if let Some(found) = found {
+            return found;
+        }
+    }
+    (Task::Explore, vec![Move::Drift { frames: 12 }])
+}
+
+/// The moves that put down what the hand holds, if it holds something.
+pub fn put_down(world: &World) -> Option<Vec<Move>> {
+    let object = world.objects().get(world.held()?)?;
+    let tool = world.tool();
+    let straight = Vector3::new(0.0, 0.0, tool.rpy.z);
+    let low = tool.position - Vector3::z() * object.lowest();
+    let point = |above: f64| Aim::Point(low + Vector3::z() * above);
+    Some(vec![
+        go(point(0.004), straight, 0.0, FINE_M),
+        Move::Grip { to: 1.0, frames: 2 },
+        go(point(0.08), straight, 1.0, ROUGH_M),
+    ])
+}
+
+fn some_object(rng: &mut ChaCha8Rng, world: &World) -> Option<usize> {
+    (!world.objects().is_empty()).then(|| rng.random_range(0..world.objects().len()))
+}
+
+/// How the hand is held on the way, where nothing depends on it.
+fn loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
+    let tilt = |rng: &mut ChaCha8Rng| {
+        if rng.random_bool(0.5) {
+            rng.random_range(-0.4..0.4)
+        } else {
+            0.0
+        }
+    };
+    Vector3::new(tilt(rng), tilt(rng), yaw + rng.random_range(-0.4..0.4))
+}
+
+fn go(aim: Aim, rpy: Vector3<f64>, gripper: f64, tolerance_m: f64) -> Move {
+    Move::Go {
+        aim,
+        rpy,
+        gripper,
+        tolerance_m,
+    }
+}
+
+fn graspable(object: &Object) -> bool {
+    !matches!(object.shape, Shape::Bowl { .. })
+}
+
+/// Whether something stands on `object` or it holds something.
+fn burdened(world: &World, index: usize) -> bool {
+    let Some(base) = world.objects().get(index) else {
+        return false;
+    };
+    world.objects().iter().enumerate().any(|(other, object)| {
+        other != index
+            && object.position().z > base.position().z + 0.004
+            && (object.position() - base.position()).xy().norm() < base.shape.bounding_radius()
+    })
+}
+
+/// Height over its foot at which to grasp an object, metres.
+fn grasp_level(object: &Object) -> f64 {
+    match object.shape {
+        Shape::Ball { radius } => 0.85 * radius,
+        // Low on a cone, where it is wide.
+        Shape::Cone { .. } => 0.012,
+        _ => (0.4 * object.shape.height()).clamp(0.012, 0.026),
+    }
+}
+
+/// The moves that grasp an object, and the yaw of the grasp.
+fn grasp(rng: &mut ChaCha8Rng, index: usize, object: &Object) -> (Vec<Move>, f64) {
+    let yaw = match object.shape {
+        Shape::Box { .. } => {
+            // Fingers on the long sides; half a turn is the same grasp.
+            let turns = (object.yaw() / std::f64::consts::PI).round();
+            (object.yaw() - turns * std::f64::consts::PI).clamp(-1.25, 1.25)
+        }
+        _ => rng.random_range(-0.9..0.9),
+    };
+    // People aim well but not always.
+    let miss = if rng.random_bool(0.1) { 0.02 } else { 0.003 };
+    let mut offset = Vector3::new(
+        rng.random_range(-miss..miss),
+        rng.random_range(-miss..miss),
+        0.0,
+    );
+    offset.z = object.shape.height() + rng.random_range(0.03..0.06);
+    let straight = Vector3::new(
+        rng.random_range(-0.08..0.08),
+        rng.random_range(-0.08..0.08),
+        yaw,
+    );
+    let above = Aim::Object { index, offset };
+    offset.z = grasp_level(object);
+    let at = Aim::Object { index, offset };
+    let moves = vec![
+        go(above, straight, 1.0, 0.012),
+        go(at, straight, 1.0, FINE_M),
+        Move::Grip { to: 0.0, frames: 3 },
+    ];
+    (moves, yaw)
+}
+
+fn pick_up(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
+    let index = some_object(rng, world)?;
+    let object = world.objects().get(index)?;
+    if !graspable(object) || burdened(world, index) {
+        return None;
+    }
+    let (mut moves, yaw) = grasp(rng, index, object);
+    let lift = object.position() + Vector3::z() * rng.random_range(0.08..0.15);
+    moves.push(go(Aim::Point(lift), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+    // Carry it about a little, so that held objects are seen moving in every direction.
+    for _ in 0..rng.random_range(0..=3) {
+        let [low, high] = WORKSPACE_M;
+        let mut point = Vector3::from_fn(|axis, _| rng.random_range(low[axis]..high[axis]));
+        point.z = point.z.max(0.06);
+        moves.push(go(Aim::Point(point), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+    }
+    Some((Task::PickUp { object: index }, moves))
+}
+
+fn place(
+    rng: &mut ChaCha8Rng,
+    world: &World,
+    viewer: [Vector3<f64>; 2],
+) -> Option<(Task, Vec<Move>)> {
+    let index = some_object(rng, world)?;
+    let other_index = some_object(rng, world)?;
+    let (object, other) = (
+        world.objects().get(index)?,
+        world.objects().get(other_index)?,
+    );
+    if index == other_index || !graspable(object) || burdened(world, index) {
+        return None;
+    }
+    let relation = if matches!(other.shape, Shape::Bowl { .. }) {
+        Relation::In
+    } else {
+        *[
+            Relation::Left,
+            Relation::Right,
+            Relation::Front,
+            Relation::Behind,
+            Relation::On,
+        ]
+        .choose(rng)?
+    };
+    let [right, ahead] = viewer;
+    let apart = object.shape.bounding_radius()
+        + other.shape.bounding_radius()
+        + rng.random_range(0.02..0.04);
+    let base = Vector3::new(other.position().x, other.position().y, 0.0);
+    let spot = match relation {
+        Relation::Left => base - right * apart,
+        Relation::Right => base + right * apart,
+        Relation::Front => base - ahead * apart,
+        Relation::Behind => base + ahead * apart,
+        Relation::On => base + Vector3::z() * other.shape.height(),
+        Relation::In => base + Vector3::z() * BOWL_FLOOR_M,
+    };
+    let fits = match relation {
+        Relation::On => {
+            other.shape.carries()
+                && !burdened(world, other_index)
+                && !matches!(object.shape, Shape::Ball { .. })
+        }
+        Relation::In => match other.shape {
+            Shape::Bowl { radius, .. } => {
+                object.shape.bounding_radius() < 0.65 * radius && !burdened(world, other_index)
+            }
+            _ => false,
+        },
+        _ => world.objects().iter().enumerate().all(|(i, third)| {
+            i == index
+                || (third.position() - spot).xy().norm()
+                    > object.shape.bounding_radius() + third.shape.bounding_radius() + 0.01
+        }),
+    };
+    if !fits || !inside(spot, 0.015) {
+        return None;
+    }
+    let (mut moves, yaw) = grasp(rng, index, object);
+    let level = grasp_level(object);
+    let height = rng.random_range(0.06..0.12) + spot.z;
+    let placing = Vector3::new(0.0, 0.0, yaw);
+    let lift = object.position() + Vector3::z() * height;
+    moves.push(go(Aim::Point(lift), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+    moves.push(go(
+        Aim::Point(spot + Vector3::z() * height),
+        placing,
+        0.0,
+        0.012,
+    ));
+    moves.push(go(
+        Aim::Point(spot + Vector3::z() * (level + 0.004)),
+        placing,
+        0.0,
+        FINE_M,
+    ));
+    moves.push(Move::Grip { to: 1.0, frames: 2 });
+    let retreat = spot + Vector3::z() * (height + 0.04);
+    moves.push(go(Aim::Point(retreat), loose_rpy(rng, yaw), 1.0, ROUGH_M));
+    let task = Task::Place {
+        object: index,
+        other: other_index,
+        relation,
+        spot,
+    };
+    Some((task, moves))
+}
+
+fn push(
+    rng: &mut ChaCha8Rng,
+    world: &World,
+    viewer: [Vector3<f64>; 2],
+) -> Option<(Task, Vec<Move>)> {
+    let index = some_object(rng, world)?;
+    let object = world.objects().get(index)?;
+    let [right, ahead] = viewer;
+    let (words, towards) = *[
+        ("to the left", -right),
+        ("to the right", right),
+        ("forward", -ahead),
+        ("away", ahead),
+    ]
+    .choose(rng)?;
+    // A hand pushes about where it means to.
+    let (sin, cos) = rng.random_range(-0.35..0.35_f64).sin_cos();
+    let direction = Vector3::new(
+        cos * towards.x - sin * towards.y,
+        sin * towards.x + cos * towards.y,
+        0.0,
+    );
+    let from = object.position();
+    let reach = object.shape.bounding_radius() + 0.03;
+    let level = Vector3::z() * rng.random_range(0.010..0.018);
+    let start = from - direction * reach;
+    let end = from + direction * (rng.random_range(0.04..0.12) - object.shape.bounding_radius());
+    if from.z > 0.003 || !inside(start, 0.0) || !inside(end, -0.01) {
+        return None;
+    }
+    let rpy = Vector3::new(
+        rng.random_range(-0.15..0.15),
+        rng.random_range(-0.15..0.15),
+        rng.random_range(-1.1..1.1),
+    );
+    // Mostly a closed hand; an open one pushes with both fingers or lets a small thing in between.
+    let gripper = if rng.random_bool(0.8) { 0.0 } else { 1.0 };
+    let hover = Vector3::z() * rng.random_range(0.05..0.08);
+    let moves = vec![
+        go(Aim::Point(start + hover), rpy, gripper, 0.015),
+        go(Aim::Point(start + level), rpy, gripper, 0.01),
+        go(Aim::Point(end + level), rpy, gripper, 0.01),
+        go(
+            Aim::Point(end + hover),
+            loose_rpy(rng, rpy.z),
+            gripper,
+            ROUGH_M,
+        ),
+    ];
+    let task = Task::Push {
+        object: index,
+        direction_words: words,
+        direction: towards,
+        from,
+    };
+    Some((task, moves))
+}
+
+fn reach(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
+    let index = some_object(rng, world)?;
+    let object = world.objects().get(index)?;
+    let offset = Vector3::z() * (object.shape.height() + rng.random_range(0.02..0.08));
+    let yaw = rng.random_range(-1.1..1.1);
+    let gripper = f64::from(u8::from(rng.random_bool(0.5)));
+    let rpy = loose_rpy(rng, yaw);
+    let moves = vec![
+        go(Aim::Object { index, offset }, rpy, gripper, 0.015),
+        Move::Grip {
+            to: 1.0 - gripper,
+            frames: rng.random_range(2..=4),
+        },
+    ];
+    Some((Task::Reach { object: index }, moves))
+}
+
+/// Whether a spot on the table is inside the workspace by `margin` metres.
+fn inside(spot: Vector3<f64>, margin: f64) -> bool {
+    let [low, high] = WORKSPACE_M;
+    (0..2).all(|axis| spot[axis] > low[axis] + margin && spot[axis] < high[axis] - margin)
+}

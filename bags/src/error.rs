@@ -1,0 +1,178 @@
+use std::{io, path::PathBuf};
+
+use wm_msgs::cdr::CdrError;
+
+/// Why a bag cannot be read or written. Each text names the file or topic, what was expected and what came.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BagError {
+    /// Nothing is at this path.
+    #[error("no bag at {0}: no such file or directory")]
+    NotFound(PathBuf),
+    /// The path is neither a bag directory nor an MCAP file.
+    #[error("{path} is not a bag: {reason}")]
+    NotABag {
+        /// What was opened.
+        path: PathBuf,
+        /// What was found instead.
+        reason: String,
+    },
+    /// An empty file, or a directory with no `.mcap` in it.
+    #[error("{path} is empty: {reason}")]
+    Empty {
+        /// What was opened.
+        path: PathBuf,
+        /// What is missing.
+        reason: &'static str,
+    },
+    /// A storage other than MCAP.
+    #[error(
+        "{path} is stored as {storage}, but only mcap is read; `ros2 bag convert` makes an mcap bag of it"
+    )]
+    Storage {
+        /// What was opened.
+        path: PathBuf,
+        /// The storage identifier.
+        storage: String,
+    },
+    /// rosbag2's own compression of whole files or of each message, which hides the MCAP or the CDR from a reader.
+    #[error(
+        "{path} uses rosbag2's {mode} compression ({format}), which is not read; \
+         `ros2 bag convert` with chunk compression makes a readable bag of it"
+    )]
+    RosbagCompression {
+        /// What was opened.
+        path: PathBuf,
+        /// `file` or `message`.
+        mode: String,
+        /// For example `zstd`.
+        format: String,
+    },
+    /// `metadata.yaml` cannot be understood.
+    #[error("{path}: {reason}")]
+    Metadata {
+        /// The `metadata.yaml`.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A file that `metadata.yaml` lists is not there.
+    #[error("{dir}: metadata.yaml lists {file}, which is not there")]
+    MissingFile {
+        /// The bag.
+        dir: PathBuf,
+        /// The file, relative to the bag.
+        file: PathBuf,
+    },
+    /// Messages of a topic are not CDR.
+    #[error("{path}: topic {topic} has messages in {encoding:?}, but only \"cdr\" is read")]
+    MessageEncoding {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The encoding that the file names.
+        encoding: String,
+    },
+    /// A topic whose type the file does not name.
+    #[error("{path}: topic {topic} has no schema, so that its type is unknown")]
+    NoType {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+    },
+    /// A topic with two types.
+    #[error("topic {topic} has two types: {first} and {second}")]
+    TypeConflict {
+        /// The topic.
+        topic: String,
+        /// The type it had first.
+        first: String,
+        /// The type it has now.
+        second: String,
+    },
+    /// A stretch of a file (a chunk, most often) is damaged. The messages after it can still be read.
+    #[error("{path}: the chunk at byte {offset} is damaged: {reason}")]
+    Chunk {
+        /// The file.
+        path: PathBuf,
+        /// Where the record begins.
+        offset: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The directory to write to holds something already.
+    #[error("{0} is there already and is not an empty directory; a bag never overwrites")]
+    Exists(PathBuf),
+    /// A type's name that is not `package/msg/Type`.
+    #[error("expected a message type as package/msg/Type, got {0:?}")]
+    TypeName(String),
+    /// A topic's name that ROS does not allow in a bag.
+    #[error("expected an absolute topic name such as /camera/image_raw, got {0:?}")]
+    TopicName(String),
+    /// A time that rosbag2 cannot hold.
+    #[error("topic {topic}: log time {log_time_ns} ns is past what rosbag2 can hold (2^63 - 1)")]
+    LogTime {
+        /// The topic.
+        topic: String,
+        /// The time that was given.
+        log_time_ns: u64,
+    },
+    /// A message that is not CDR with its header.
+    #[error("topic {topic}: expected CDR with its 4-byte header, got {len} bytes")]
+    NotCdr {
+        /// The topic.
+        topic: String,
+        /// Bytes that were given.
+        len: usize,
+    },
+    /// A QoS profile that cannot be understood.
+    #[error("offered_qos_profiles: {0}")]
+    Qos(String),
+    /// A message was asked for as another type than it has.
+    #[error("topic {topic} has messages of type {actual}, but {expected} was asked for")]
+    WrongType {
+        /// The topic.
+        topic: String,
+        /// The type that was asked for.
+        expected: String,
+        /// The type that the bag names.
+        actual: String,
+    },
+    /// A message that is not of its type, or cannot be encoded.
+    #[error("topic {topic}: {source}")]
+    Cdr {
+        /// The topic.
+        topic: String,
+        /// What the codec met.
+        source: CdrError,
+    },
+    /// The MCAP library could not write.
+    #[error("cannot write {path}: {source}")]
+    Mcap {
+        /// The file.
+        path: PathBuf,
+        /// What it met.
+        source: mcap::McapError,
+    },
+    /// The operating system refused.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file or directory.
+        path: PathBuf,
+        /// What it said.
+        source: io::Error,
+    },
+}
+
+impl BagError {
+    /// An I/O error at `path`, with a missing file told apart.
+    pub(crate) fn io(path: impl Into<PathBuf>, source: io::Error) -> Self {
+        let path = path.into();
+        match source.kind() {
+            io::ErrorKind::NotFound => Self::NotFound(path),
+            _ => Self::Io { path, source },
+        }
+    }
+}

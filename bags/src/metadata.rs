@@ -1,0 +1,190 @@
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+use serde_yaml_ng::Value;
+
+use crate::BagError;
+
+/// The file's name within a bag.
+pub(crate) const FILE_NAME: &str = "metadata.yaml";
+/// The version that is written (rosbag2 `bag_metadata.hpp`); older ones are read too.
+const VERSION: u32 = 9;
+/// A metadata file of a bag with thousands of topics and files is well under this; a larger one is not metadata.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// `metadata.yaml`, whole: what rosbag2 puts under one key.
+#[derive(Serialize, Deserialize)]
+struct Document {
+    rosbag2_bagfile_information: Metadata,
+}
+
+/// `metadata.yaml` of rosbag2 (`rosbag2_storage/yaml.hpp`). What a reader can do without has a default, since older
+/// versions lack it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Metadata {
+    pub version: u32,
+    pub storage_identifier: String,
+    #[serde(default)]
+    pub duration: Nanoseconds,
+    #[serde(default)]
+    pub starting_time: SinceEpoch,
+    #[serde(default)]
+    pub message_count: u64,
+    #[serde(default)]
+    pub topics_with_message_count: Vec<TopicWithMessageCount>,
+    #[serde(default)]
+    pub compression_format: String,
+    #[serde(default)]
+    pub compression_mode: String,
+    pub relative_file_paths: Vec<PathBuf>,
+    #[serde(default)]
+    pub files: Vec<FileInformation>,
+    #[serde(default)]
+    pub custom_data: Option<BTreeMap<String, String>>,
+    #[serde(default)]
+    pub ros_distro: String,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Nanoseconds {
+    pub nanoseconds: i64,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct SinceEpoch {
+    pub nanoseconds_since_epoch: i64,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct TopicWithMessageCount {
+    pub topic_metadata: TopicMetadata,
+    pub message_count: u64,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct TopicMetadata {
+    pub name: String,
+    #[serde(rename = "type")]
+    pub type_name: String,
+    pub serialization_format: String,
+    /// A list of profiles since version 9, YAML within a string before that.
+    #[serde(default)]
+    pub offered_qos_profiles: Value,
+    #[serde(default)]
+    pub type_description_hash: String,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct FileInformation {
+    pub path: PathBuf,
+    pub starting_time: SinceEpoch,
+    pub duration: Nanoseconds,
+    pub message_count: u64,
+}
+
+impl Metadata {
+    /// A bag of one MCAP file.
+    pub fn of_file(
+        file: &Path,
+        starting_time: SinceEpoch,
+        duration: Nanoseconds,
+        message_count: u64,
+    ) -> Self {
+        Self {
+            version: VERSION,
+            storage_identifier: "mcap".to_owned(),
+            duration,
+            starting_time,
+            message_count,
+            topics_with_message_count: Vec::new(),
+            compression_format: String::new(),
+            compression_mode: String::new(),
+            relative_file_paths: vec![file.to_owned()],
+            files: vec![FileInformation {
+                path: file.to_owned(),
+                starting_time,
+                duration,
+                message_count,
+            }],
+            custom_data: None,
+            ros_distro: String::new(),
+        }
+    }
+
+    /// Reads the bag's metadata; none when the bag has no such file.
+    pub fn read(dir: &Path) -> Result<Option<Self>, BagError> {
+        let path = dir.join(FILE_NAME);
+        let wrong = |reason: String| BagError::Metadata {
+            path: path.clone(),
+            reason,
+        };
+        let size = match fs::metadata(&path) {
+            Ok(found) => found.len(),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(BagError::io(&path, error)),
+        };
+        if size > MAX_BYTES {
+            return Err(wrong(format!(
+                "expected at most {MAX_BYTES} bytes, got {size}"
+            )));
+        }
+        let text = fs::read_to_string(&path).map_err(|error| BagError::io(&path, error))?;
+        let document: Document = serde_yaml_ng::from_str(&text)
+            .map_err(|error| wrong(format!("not the metadata of a rosbag2 bag: {error}")))?;
+        Ok(Some(document.rosbag2_bagfile_information))
+    }
+
+    /// Writes the bag's metadata in one step, so that a reader sees all of it or none.
+    pub fn write(self, dir: &Path) -> Result<(), BagError> {
+        let path = dir.join(FILE_NAME);
+        let text = serde_yaml_ng::to_string(&Document {
+            rosbag2_bagfile_information: self,
+        })
+        .map_err(|error| BagError::Metadata {
+            path: path.clone(),
+            reason: error.to_string(),
+        })?;
+        let unfinished = dir.join("metadata.yaml.tmp");
+        fs::write(&unfinished, text).map_err(|error| BagError::io(&unfinished, error))?;
+        fs::rename(&unfinished, &path).map_err(|error| BagError::io(&path, error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metadata_survives_the_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut written = Metadata::of_file(
+            Path::new("bag_0.mcap"),
+            SinceEpoch {
+                nanoseconds_since_epoch: 1_700_000_000_000_000_000,
+            },
+            Nanoseconds { nanoseconds: 5 },
+            7,
+        );
+        written.custom_data = Some(BTreeMap::from([("a".into(), "1".into())]));
+        written.clone().write(dir.path()).unwrap();
+        let read = Metadata::read(dir.path()).unwrap().unwrap();
+        assert_eq!(format!("{written:?}"), format!("{read:?}"));
+        assert_eq!(read.version, 9);
+    }
+
+    #[test]
+    fn absent_and_foreign_files_are_told_apart() {
+        let dir = tempfile::tempdir().unwrap();
+        assert!(Metadata::read(dir.path()).unwrap().is_none());
+        fs::write(dir.path().join(FILE_NAME), "just: yaml\n").unwrap();
+        let error = Metadata::read(dir.path()).unwrap_err().to_string();
+        assert!(
+            error.contains("metadata.yaml") && error.contains("rosbag2_bagfile_information"),
+            "{error}"
+        );
+    }
+}

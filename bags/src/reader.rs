@@ -1,0 +1,342 @@
+mod chunk;
+mod file_index;
+mod messages;
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use crate::{
+    BagError, BagSummary, BagWarning, CDR, Schema, TopicInfo, TopicSummary, metadata::Metadata,
+    schema::canonical_type_name, writer::LOST_PREFIX,
+};
+use file_index::FileIndex;
+pub use messages::{BagMessage, Messages};
+
+/// A bag that has been opened: its files are indexed, its messages not yet read.
+#[derive(Debug)]
+pub struct BagReader {
+    path: PathBuf,
+    index: Arc<Vec<FileIndex>>,
+    topics: Vec<TopicInfo>,
+    /// The first and the last log time, in ns.
+    span: Option<(u64, u64)>,
+    lost: BTreeMap<String, u64>,
+    ros_distro: String,
+    warnings: Vec<BagWarning>,
+}
+
+impl BagReader {
+    /// Opens a bag directory or one `.mcap` file.
+    ///
+    /// A file with a summary is not read beyond it; one without (truncated, or not indexed) is scanned once.
+    ///
+    /// # Errors
+    /// No such path, not a bag, empty, another storage than MCAP, rosbag2's file or message compression, messages
+    /// in another encoding than CDR, or a topic with two types. A truncated or partly damaged file is no error:
+    /// see [`warnings`](Self::warnings).
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
+        let path = path.as_ref();
+        let found = fs::metadata(path).map_err(|source| BagError::io(path, source))?;
+        let mut warnings = Vec::new();
+        let (files, metadata) = if found.is_dir() {
+            let metadata = Metadata::read(path)?;
+            match &metadata {
+                Some(metadata) => (listed_files(path, metadata)?, Some(metadata.clone())),
+                None => {
+                    warnings.push(BagWarning::NoMetadata {
+                        dir: path.to_owned(),
+                    });
+                    (mcap_files(path)?, None)
+                }
+            }
+        } else {
+            (vec![path.to_owned()], None)
+        };
+        let mut index = Vec::with_capacity(files.len());
+        for file in files {
+            let (file_index, file_warnings) = FileIndex::read(&file)?;
+            index.push(file_index);
+            warnings.extend(file_warnings);
+        }
+
+        let mut topics = merged_topics(&index)?;
+        let counted: u64 = topics.values().map(|topic| topic.message_count).sum();
+        let mut lost = BTreeMap::new();
+        let mut ros_distro = String::new();
+        if let Some(metadata) = metadata {
+            if metadata.message_count != counted {
+                warnings.push(BagWarning::CountDiffers {
+                    dir: path.to_owned(),
+                    metadata: metadata.message_count,
+                    files: counted,
+                });
+            }
+            add_from_metadata(&mut topics, &metadata, path)?;
+            for (key, count) in metadata.custom_data.unwrap_or_default() {
+                if let (Some(topic), Ok(count)) = (key.strip_prefix(LOST_PREFIX), count.parse()) {
+                    lost.insert(topic.to_owned(), count);
+                }
+            }
+            ros_distro = metadata.ros_distro;
+        }
+        let span = index.iter().filter_map(|file| file.span).reduce(
+            |(start, end), (next_start, next_end)| (start.min(next_start), end.max(next_end)),
+        );
+        Ok(Self {
+            path: path.to_owned(),
+            index: Arc::new(index),
+            topics: topics.into_values().collect(),
+            span,
+            lost,
+            ros_distro,
+            warnings,
+        })
+    }
+
+    /// The path that was opened.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The topics, by name; those without messages too.
+    #[must_use]
+    pub fn topics(&self) -> &[TopicInfo] {
+        &self.topics
+    }
+
+    /// The topic of this name.
+    #[must_use]
+    pub fn topic(&self, name: &str) -> Option<&TopicInfo> {
+        self.topics.iter().find(|topic| &*topic.name == name)
+    }
+
+    /// Log time of the first message in ns since the epoch; 0 for a bag without messages.
+    #[must_use]
+    pub fn start_ns(&self) -> u64 {
+        self.span.map_or(0, |(start, _)| start)
+    }
+
+    /// Log time of the last message in ns since the epoch; 0 for a bag without messages.
+    #[must_use]
+    pub fn end_ns(&self) -> u64 {
+        self.span.map_or(0, |(_, end)| end)
+    }
+
+    /// Messages of all topics. Where a file is damaged, those that can be read.
+    #[must_use]
+    pub fn message_count(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.message_count).sum()
+    }
+
+    /// Whether a file ends early (its recorder was killed, or a copy was cut short). Everything up to the last whole
+    /// chunk is read.
+    #[must_use]
+    pub fn truncated(&self) -> bool {
+        self.warnings
+            .iter()
+            .any(|warning| matches!(warning, BagWarning::Truncated { .. }))
+    }
+
+    /// What the user should know about the bag.
+    #[must_use]
+    pub fn warnings(&self) -> &[BagWarning] {
+        &self.warnings
+    }
+
+    /// All messages, in log-time order. The iterator stands on its own: it opens the files again as it needs them.
+    #[must_use]
+    pub fn messages(&self) -> Messages {
+        Messages::new(Arc::clone(&self.index))
+    }
+
+    /// What the bag holds, for `bag info`.
+    #[must_use]
+    pub fn summary(&self) -> BagSummary {
+        let compressions: BTreeSet<&str> = self
+            .index
+            .iter()
+            .flat_map(|file| &file.compressions)
+            .map(|name| if name.is_empty() { "none" } else { name })
+            .collect();
+        BagSummary {
+            path: self.path.clone(),
+            files: self.index.iter().map(|file| file.path.clone()).collect(),
+            size_bytes: self.index.iter().map(|file| file.size_bytes).sum(),
+            start_ns: self.start_ns(),
+            end_ns: self.end_ns(),
+            message_count: self.message_count(),
+            topics: self
+                .topics
+                .iter()
+                .map(|topic| TopicSummary {
+                    name: topic.name.to_string(),
+                    type_name: topic.type_name.to_string(),
+                    serialization_format: CDR.to_owned(),
+                    message_count: topic.message_count,
+                })
+                .collect(),
+            lost: self.lost.clone(),
+            compression: if compressions.is_empty() {
+                "none".to_owned()
+            } else {
+                compressions.into_iter().collect::<Vec<_>>().join(", ")
+            },
+            ros_distro: self.ros_distro.clone(),
+            warnings: self.warnings.clone(),
+        }
+    }
+}
+
+/// The files that `metadata.yaml` lists, in its order.
+fn listed_files(dir: &Path, metadata: &Metadata) -> Result<Vec<PathBuf>, BagError> {
+    if metadata.storage_identifier != "mcap" {
+        return Err(BagError::Storage {
+            path: dir.to_owned(),
+            storage: metadata.storage_identifier.clone(),
+        });
+    }
+    let mode = metadata.compression_mode.to_lowercase();
+    if !mode.is_empty() && mode != "none" {
+        return Err(BagError::RosbagCompression {
+            path: dir.to_owned(),
+            mode,
+            format: metadata.compression_format.clone(),
+        });
+    }
+    if metadata.relative_file_paths.is_empty() {
+        return Err(BagError::Empty {
+            path: dir.to_owned(),
+            reason: "its metadata.yaml lists no file",
+        });
+    }
+    metadata
+        .relative_file_paths
+        .iter()
+        .map(|file| {
+            // A bag is its own directory: a path that leads elsewhere is taken by its name, as rosbag2 does for
+            // bags that were moved.
+            let inside = file
+                .file_name()
+                .map(|name| dir.join(name))
+                .filter(|path| path.exists());
+            inside.ok_or_else(|| BagError::MissingFile {
+                dir: dir.to_owned(),
+                file: file.clone(),
+            })
+        })
+        .collect()
+}
+
+/// The `.mcap` files of a directory, in the order in which a recorder numbers them (`bag_2` before `bag_10`).
+fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(dir).map_err(|source| BagError::io(dir, source))? {
+        let path = entry.map_err(|source| BagError::io(dir, source))?.path();
+        match path.extension().and_then(|extension| extension.to_str()) {
+            Some("mcap") => files.push(path),
+            Some("db3") => {
+                return Err(BagError::Storage {
+                    path: dir.to_owned(),
+                    storage: "sqlite3".to_owned(),
+                });
+            }
+            _ => {}
+        }
+    }
+    if files.is_empty() {
+        return Err(BagError::Empty {
+            path: dir.to_owned(),
+            reason: "it has no metadata.yaml and no .mcap file",
+        });
+    }
+    files.sort_by_key(|path| {
+        let stem = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        let number = stem
+            .rsplit('_')
+            .next()
+            .and_then(|digits| digits.parse::<u64>().ok());
+        (number, stem)
+    });
+    Ok(files)
+}
+
+/// The topics of all files, by name.
+fn merged_topics(index: &[FileIndex]) -> Result<BTreeMap<Arc<str>, TopicInfo>, BagError> {
+    let mut topics: BTreeMap<Arc<str>, TopicInfo> = BTreeMap::new();
+    for channel in index.iter().flat_map(|file| file.channels.values()) {
+        match topics.get_mut(&channel.name) {
+            Some(known) if known.type_name != channel.type_name => {
+                return Err(BagError::TypeConflict {
+                    topic: channel.name.to_string(),
+                    first: known.type_name.to_string(),
+                    second: channel.type_name.to_string(),
+                });
+            }
+            Some(known) => known.message_count += channel.message_count,
+            None => {
+                topics.insert(Arc::clone(&channel.name), channel.clone());
+            }
+        }
+    }
+    Ok(topics)
+}
+
+/// Adds what only `metadata.yaml` knows: topics without a message, and QoS that the files do not name.
+fn add_from_metadata(
+    topics: &mut BTreeMap<Arc<str>, TopicInfo>,
+    metadata: &Metadata,
+    path: &Path,
+) -> Result<(), BagError> {
+    for listed in &metadata.topics_with_message_count {
+        let listed = &listed.topic_metadata;
+        if listed.serialization_format != CDR {
+            return Err(BagError::MessageEncoding {
+                path: path.to_owned(),
+                topic: listed.name.clone(),
+                encoding: listed.serialization_format.clone(),
+            });
+        }
+        let qos_yaml: Arc<str> = match &listed.offered_qos_profiles {
+            serde_yaml_ng::Value::Null => "".into(),
+            serde_yaml_ng::Value::String(text) => text.as_str().into(),
+            profiles => serde_yaml_ng::to_string(profiles)
+                .unwrap_or_default()
+                .into(),
+        };
+        let name: Arc<str> = listed.name.as_str().into();
+        if let Some(known) = topics.get_mut(&name) {
+            if known.qos_yaml.is_empty() {
+                known.qos_yaml = qos_yaml;
+            }
+        } else {
+            let type_name = canonical_type_name(&listed.type_name)?.into();
+            let schema = Arc::new(Schema {
+                encoding: "".into(),
+                text: String::new(),
+            });
+            topics.insert(
+                Arc::clone(&name),
+                TopicInfo {
+                    name,
+                    type_name,
+                    schema,
+                    qos_yaml,
+                    message_count: 0,
+                },
+            );
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

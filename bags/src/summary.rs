@@ -1,0 +1,210 @@
+use std::{
+    collections::BTreeMap,
+    fmt,
+    path::PathBuf,
+    time::{Duration, UNIX_EPOCH},
+};
+
+use crate::BagWarning;
+
+/// What a bag holds. Its [`Display`](fmt::Display) is the text of `bag info`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct BagSummary {
+    /// The bag: a directory, or one `.mcap`.
+    pub path: PathBuf,
+    /// Its files, in the order of reading.
+    pub files: Vec<PathBuf>,
+    /// Size of the files together, in bytes.
+    pub size_bytes: u64,
+    /// Log time of the first message in ns since the epoch; 0 for a bag without messages.
+    pub start_ns: u64,
+    /// Log time of the last message in ns since the epoch; 0 for a bag without messages.
+    pub end_ns: u64,
+    /// Messages of all topics.
+    pub message_count: u64,
+    /// The topics, by name.
+    pub topics: Vec<TopicSummary>,
+    /// Messages that the recorder lost, by topic.
+    pub lost: BTreeMap<String, u64>,
+    /// Compression of the chunks: `none`, `zstd`, `lz4`, or several of them.
+    pub compression: String,
+    /// The ROS distribution that the recorder named; empty when it named none.
+    pub ros_distro: String,
+    /// What the user should know.
+    pub warnings: Vec<BagWarning>,
+}
+
+/// One topic of a [`BagSummary`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TopicSummary {
+    /// The full name.
+    pub name: String,
+    /// The type, as `package/msg/Type`.
+    pub type_name: String,
+    /// Encoding of the messages: `cdr`.
+    pub serialization_format: String,
+    /// Messages of this topic.
+    pub message_count: u64,
+}
+
+impl BagSummary {
+    /// Time from the first to the last message, in ns.
+    #[must_use]
+    pub fn duration_ns(&self) -> u64 {
+        self.end_ns.saturating_sub(self.start_ns)
+    }
+}
+
+impl fmt::Display for BagSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "Path:         {}", self.path.display())?;
+        let names: Vec<String> = self
+            .files
+            .iter()
+            .map(|file| {
+                file.file_name()
+                    .unwrap_or(file.as_os_str())
+                    .to_string_lossy()
+                    .into_owned()
+            })
+            .collect();
+        writeln!(f, "Files:        {}", names.join(", "))?;
+        writeln!(f, "Size:         {}", Size(self.size_bytes))?;
+        writeln!(
+            f,
+            "Storage:      mcap, chunk compression {}",
+            self.compression
+        )?;
+        if !self.ros_distro.is_empty() {
+            writeln!(f, "ROS distro:   {}", self.ros_distro)?;
+        }
+        writeln!(
+            f,
+            "Duration:     {:.3} s",
+            Duration::from_nanos(self.duration_ns()).as_secs_f64()
+        )?;
+        if self.message_count > 0 {
+            writeln!(f, "Start:        {}", Instant(self.start_ns))?;
+            writeln!(f, "End:          {}", Instant(self.end_ns))?;
+        }
+        writeln!(f, "Messages:     {}", self.message_count)?;
+        let lost: u64 = self.lost.values().sum();
+        if lost > 0 {
+            let by_topic: Vec<String> = self
+                .lost
+                .iter()
+                .map(|(topic, count)| format!("{topic} {count}"))
+                .collect();
+            writeln!(f, "Lost:         {lost} ({})", by_topic.join(", "))?;
+        }
+        let name_width = self
+            .topics
+            .iter()
+            .map(|topic| topic.name.len())
+            .max()
+            .unwrap_or(0)
+            .max("Topic".len());
+        let type_width = self
+            .topics
+            .iter()
+            .map(|topic| topic.type_name.len())
+            .max()
+            .unwrap_or(0)
+            .max("Type".len());
+        write!(
+            f,
+            "\n{:name_width$}  {:type_width$}  {:>9}  Encoding",
+            "Topic", "Type", "Count"
+        )?;
+        for topic in &self.topics {
+            write!(
+                f,
+                "\n{:name_width$}  {:type_width$}  {:>9}  {}",
+                topic.name, topic.type_name, topic.message_count, topic.serialization_format
+            )?;
+        }
+        for warning in &self.warnings {
+            write!(f, "\nWarning: {warning}")?;
+        }
+        Ok(())
+    }
+}
+
+/// A size in bytes, as people read it.
+struct Size(u64);
+
+impl fmt::Display for Size {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const UNITS: [&str; 4] = ["KiB", "MiB", "GiB", "TiB"];
+        // f64 is exact below 2^53 bytes, and one decimal is shown.
+        let mut value = self.0 as f64;
+        let mut unit = "B";
+        for larger in UNITS {
+            if value < 1024.0 {
+                break;
+            }
+            value /= 1024.0;
+            unit = larger;
+        }
+        if unit == "B" {
+            write!(f, "{value} B")
+        } else {
+            write!(f, "{value:.1} {unit}")
+        }
+    }
+}
+
+/// A time in ns since the epoch, as a date in UTC and as a number.
+struct Instant(u64);
+
+impl fmt::Display for Instant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let since_epoch = Duration::from_nanos(self.0);
+        let date = humantime::format_rfc3339_nanos(UNIX_EPOCH + since_epoch);
+        write!(
+            f,
+            "{date} ({}.{:09})",
+            since_epoch.as_secs(),
+            since_epoch.subsec_nanos()
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn summary_is_readable() {
+        let summary = BagSummary {
+            path: "demo".into(),
+            files: vec!["demo/demo_0.mcap".into()],
+            size_bytes: 1_572_864,
+            start_ns: 1_700_000_000_000_000_000,
+            end_ns: 1_700_000_009_800_000_000,
+            message_count: 12,
+            topics: vec![TopicSummary {
+                name: "/task/success".into(),
+                type_name: "std_msgs/msg/Bool".into(),
+                serialization_format: "cdr".into(),
+                message_count: 12,
+            }],
+            lost: BTreeMap::from([("/task/success".into(), 2)]),
+            compression: "zstd".into(),
+            ros_distro: String::new(),
+            warnings: vec![BagWarning::NoMetadata { dir: "demo".into() }],
+        };
+        let text = summary.to_string();
+        for part in [
+            "Size:         1.5 MiB",
+            "Duration:     9.800 s",
+            "2023-11-14T22:13:20.000000000Z (1700000000.000000000)",
+            "Lost:         2 (/task/success 2)",
+            "/task/success  std_msgs/msg/Bool         12  cdr",
+            "Warning: demo has no metadata.yaml",
+        ] {
+            assert!(text.contains(part), "{part:?} in\n{text}");
+        }
+    }
+}

@@ -1,0 +1,90 @@
+use std::{fmt, path::PathBuf};
+
+/// Something about a bag that its user should know, although it can be read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum BagWarning {
+    /// The file ends early: its recorder was killed, or a copy was cut short.
+    Truncated {
+        /// The file.
+        file: PathBuf,
+        /// Bytes after the last whole record, of which nothing is read.
+        lost_bytes: u64,
+    },
+    /// The file's summary is absent or wrong although the file has an end; its records were scanned instead.
+    NoSummary {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Part of the file is damaged; its messages are missing from the counts.
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// Where the damaged record begins.
+        offset: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A directory without `metadata.yaml`; its `.mcap` files were taken by name.
+    NoMetadata {
+        /// The bag.
+        dir: PathBuf,
+    },
+    /// `metadata.yaml` counts other messages than the files hold.
+    CountDiffers {
+        /// The bag.
+        dir: PathBuf,
+        /// What `metadata.yaml` says.
+        metadata: u64,
+        /// What the files hold.
+        files: u64,
+    },
+}
+
+impl fmt::Display for BagWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Truncated { file, lost_bytes } => write!(
+                f,
+                "{} is truncated: read up to its last whole chunk, {lost_bytes} bytes after it are lost",
+                file.display()
+            ),
+            Self::NoSummary { file, reason } => {
+                write!(
+                    f,
+                    "{} has no usable summary ({reason}); all of it was scanned",
+                    file.display()
+                )
+            }
+            Self::Damaged {
+                file,
+                offset,
+                reason,
+            } => {
+                write!(
+                    f,
+                    "{} is damaged at byte {offset}: {reason}",
+                    file.display()
+                )
+            }
+            Self::NoMetadata { dir } => {
+                write!(
+                    f,
+                    "{} has no metadata.yaml: its .mcap files are read in the order of their names",
+                    dir.display()
+                )
+            }
+            Self::CountDiffers {
+                dir,
+                metadata,
+                files,
+            } => write!(
+                f,
+                "{}: metadata.yaml counts {metadata} messages, the files hold {files}",
+                dir.display()
+            ),
+        }
+    }
+}

@@ -1,0 +1,136 @@
+#!/usr/bin/env python3
+"""The end-to-end benchmark: the four nodes idle, then the main job at the bag's real rate.
+
+usage: benches/replay.py [--runs N] [--idle-seconds S] [--domain D] [--wm PATH]
+
+Prints a Markdown table: machine, date, n; camera stamp to prediction per step (p50/p95/p99), drops by reason; CPU and
+resident memory of each node, idle and at work. Needs `cargo build --release` and Linux's /proc, nothing else.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import pathlib
+import platform
+import signal
+import subprocess
+import tempfile
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+NODES = ["encoder", "predictor", "decoder", "planner"]
+TICKS = os.sysconf("SC_CLK_TCK")
+
+
+def processor():
+    for line in pathlib.Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor()
+
+
+def cpu_seconds(pid):
+    fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+def resident_mib(pid):
+    for line in pathlib.Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmRSS"):
+            return int(line.split()[1]) / 1024
+    return float("nan")
+
+
+def children(pid):
+    """The processes that `pid` started, by the subcommand of `wm` that they run."""
+    found = {}
+    for entry in pathlib.Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            command = (entry / "cmdline").read_bytes().split(b"\0")
+        except (OSError, IndexError):
+            continue
+        if parent == pid and len(command) > 1:
+            found[command[1].decode()] = int(entry.name)
+    return found
+
+
+def usage(pids, seconds):
+    before = {name: cpu_seconds(pid) for name, pid in pids.items()}
+    start = time.monotonic()
+    time.sleep(seconds)
+    elapsed = time.monotonic() - start
+    return {
+        name: (100 * (cpu_seconds(pid) - before[name]) / elapsed, resident_mib(pid))
+        for name, pid in pids.items()
+    }
+
+
+def idle(wm, env, seconds):
+    started = {
+        name: subprocess.Popen([wm, name], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for name in NODES
+    }
+    time.sleep(5)  # loading the weights and discovery are not idling
+    try:
+        return usage({name: process.pid for name, process in started.items()}, seconds)
+    finally:
+        for process in started.values():
+            process.send_signal(signal.SIGINT)
+        for process in started.values():
+            process.wait(timeout=10)
+
+
+def replay(wm, env, out):
+    launch = subprocess.Popen(
+        [wm, "launch", str(ROOT / "launch-configs/replay.launch.yaml"), f"output:={out}"],
+        cwd=ROOT,
+        env=env,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    time.sleep(4)
+    pids = {name: pid for name, pid in children(launch.pid).items() if name in NODES}
+    work = usage(pids, 4)
+    if launch.wait(timeout=120) != 0:
+        raise SystemExit(f"the replay ended with {launch.returncode}")
+    return json.loads((out / "report.json").read_text()), work
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--idle-seconds", type=float, default=20)
+    parser.add_argument("--domain", type=int, default=99)
+    parser.add_argument("--wm", default=str(ROOT / "target/release/wm"))
+    arguments = parser.parse_args()
+    env = dict(os.environ, ROS_DOMAIN_ID=str(arguments.domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+
+    print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {arguments.runs} runs of the bundled bag\n")
+    resting = idle(arguments.wm, env, arguments.idle_seconds)
+    reports, work = [], {}
+    with tempfile.TemporaryDirectory() as directory:
+        for run in range(arguments.runs):
+            report, work = replay(arguments.wm, env, pathlib.Path(directory) / str(run))
+            reports.append(report)
+
+    print("| step k | n | latency p50 ms | p95 ms | p99 ms |")
+    print("|---|---|---|---|---|")
+    for index, _ in enumerate(reports[0]["steps"]):
+        rows = [report["steps"][index] for report in reports]
+        # The worst of the runs for each quantile: what a user may meet.
+        worst = {q: max(row["latency_ms"][q] for row in rows) for q in ("p50", "p95", "p99")}
+        n = sum(row["latency_ms"]["n"] for row in rows)
+        print(f"| {rows[0]['step']} | {n} | {worst['p50']:.1f} | {worst['p95']:.1f} | {worst['p99']:.1f} |")
+    print("\ndrops in each run:", [report["drops"] for report in reports], "\n")
+    print("| node | idle CPU % | idle MiB | at work CPU % | at work MiB |")
+    print("|---|---|---|---|---|")
+    for name in NODES:
+        at_work = work.get(name, (float("nan"), float("nan")))
+        print(f"| {name} | {resting[name][0]:.1f} | {resting[name][1]:.0f} | {at_work[0]:.0f} | {at_work[1]:.0f} |")
+
+
+main()

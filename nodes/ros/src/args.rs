@@ -1,0 +1,252 @@
+//! The command line of a node, after its subcommand: `--ros-args` as in every ROS 2 node, `--interface`, and the
+//! rest, which is the node's own.
+
+mod log_level;
+mod params_file;
+mod remap;
+
+pub use log_level::LogLevels;
+pub(crate) use remap::{Remap, Target};
+
+use crate::value::Value;
+use params_file::Section;
+use std::path::{Path, PathBuf};
+
+/// What is wrong with a command line or a parameter file.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ArgsError {
+    /// A flag inside `--ros-args` that no ROS node has.
+    #[error("unknown ROS argument `{0}`; expected -r/--remap, -p/--param, --params-file, --log-level, or -- to end them")]
+    Unknown(String),
+    /// A flag that ROS has and this runtime has not.
+    #[error("`{flag}` is not supported: {reason}")]
+    Unsupported {
+        /// The flag.
+        flag: String,
+        /// Why.
+        reason: &'static str,
+    },
+    /// A flag at the end, without its value.
+    #[error("`{flag}` needs {expected} after it")]
+    Missing {
+        /// The flag.
+        flag: String,
+        /// What should follow.
+        expected: &'static str,
+    },
+    /// A value of the wrong form.
+    #[error("`{flag} {value}`: expected {expected}")]
+    Malformed {
+        /// The flag.
+        flag: String,
+        /// What followed it.
+        value: String,
+        /// What was expected, and where it helps, what came.
+        expected: String,
+    },
+    /// A parameter file that cannot be read.
+    #[error("cannot read the parameter file {}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A parameter file that is not one.
+    #[error("parameter file {}: {problem}", path.display())]
+    FileContent {
+        /// The file.
+        path: PathBuf,
+        /// What was expected where, and what came.
+        problem: String,
+    },
+    /// Words that the node has no use for.
+    #[error("unexpected arguments: {}; ROS arguments go after --ros-args", .0.join(" "))]
+    Rest(Vec<String>),
+}
+
+/// One `-p` or one parameter of a file: for which nodes, and from where.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Override {
+    /// The nodes it is for.
+    pub(crate) section: Section,
+    /// The parameter's name, nested keys joined by dots.
+    pub(crate) name: String,
+    /// Its value.
+    pub(crate) value: Value,
+    /// For error messages: `-p` or the file and its section.
+    pub(crate) origin: String,
+    /// Whether several nodes may share it, so that one that does not know the parameter may ignore it.
+    pub(crate) is_shared: bool,
+}
+
+/// The parsed command line of a node.
+#[derive(Clone, Debug, Default)]
+pub struct NodeArgs {
+    /// `--interface`: the address or the name of the one network interface to use. `None`: the environment decides.
+    pub interface: Option<String>,
+    pub(crate) remaps: Vec<Remap>,
+    pub(crate) overrides: Vec<Override>,
+    pub(crate) log_levels: LogLevels,
+    pub(crate) rosout: bool,
+    rest: Vec<String>,
+}
+
+impl NodeArgs {
+    /// Parses the words after the subcommand, and reads the parameter files that they name.
+    ///
+    /// # Errors
+    /// An unknown ROS argument, a missing or malformed value, an unreadable parameter file.
+    pub fn parse<S: Into<String>>(words: impl IntoIterator<Item = S>) -> Result<Self, ArgsError> {
+        let mut args = Self { rosout: true, ..Self::default() };
+        let mut words = words.into_iter().map(Into::into);
+        let mut in_ros_args = false;
+        while let Some(word) = words.next() {
+            match word.as_str() {
+                "--ros-args" => in_ros_args = true,
+                "--" if in_ros_args => in_ros_args = false,
+                "--interface" => args.interface = Some(value(&word, "an address or interface name", &mut words)?),
+                _ if in_ros_args => args.ros_argument(word, &mut words)?,
+                _ => match word.strip_prefix("--interface=") {
+                    Some(interface) => args.interface = Some(interface.to_owned()),
+                    None => args.rest.push(word),
+                },
+            }
+        }
+        Ok(args)
+    }
+
+    /// The words outside `--ros-args`, for the node's own command line.
+    pub fn rest(&self) -> &[String] {
+        &self.rest
+    }
+
+    /// For nodes that have no command line of their own.
+    ///
+    /// # Errors
+    /// Words outside `--ros-args`.
+    pub fn expect_no_rest(&self) -> Result<(), ArgsError> {
+        if self.rest.is_empty() { Ok(()) } else { Err(ArgsError::Rest(self.rest.clone())) }
+    }
+
+    fn ros_argument(&mut self, flag: String, words: &mut impl Iterator<Item = String>) -> Result<(), ArgsError> {
+        match flag.as_str() {
+            "-r" | "--remap" => {
+                let rule = value(&flag, "from:=to", words)?;
+                self.remaps.push(Remap::parse(&rule).map_err(|expected| malformed(&flag, &rule, expected))?);
+            }
+            "-p" | "--param" => {
+                let assignment = value(&flag, "name:=value", words)?;
+                let parsed = parameter(&assignment).map_err(|expected| malformed(&flag, &assignment, expected))?;
+                self.overrides.push(parsed);
+            }
+            "--params-file" => {
+                let path = value(&flag, "a file", words)?;
+                self.overrides.extend(params_file::read(Path::new(&path))?);
+            }
+            "--log-level" => {
+                let level = value(&flag, "a level or logger:=level", words)?;
+                self.log_levels.add(&level).map_err(|expected| malformed(&flag, &level, expected))?;
+            }
+            "--enable-rosout-logs" => self.rosout = true,
+            "--disable-rosout-logs" => self.rosout = false,
+            // launch files may pass them; they say what this runtime does anyway
+            "--enable-stdout-logs" | "--enable-external-lib-logs" | "--disable-external-lib-logs" => {}
+            "-e" | "--enclave" => {
+                return Err(ArgsError::Unsupported { flag, reason: "DDS security (SROS 2) is not built in" });
+            }
+            "--log-config-file" | "--log-file-name" | "--disable-stdout-logs" => {
+                return Err(ArgsError::Unsupported { flag, reason: "logs go to stderr and /rosout" });
+            }
+            _ => return Err(ArgsError::Unknown(flag)),
+        }
+        Ok(())
+    }
+}
+
+fn value(
+    flag: &str,
+    expected: &'static str,
+    words: &mut impl Iterator<Item = String>,
+) -> Result<String, ArgsError> {
+    words.next().ok_or_else(|| ArgsError::Missing { flag: flag.to_owned(), expected })
+}
+
+fn malformed(flag: &str, value: &str, expected: String) -> ArgsError {
+    ArgsError::Malformed { flag: flag.to_owned(), value: value.to_owned(), expected }
+}
+
+/// `name:=value` or `node:name:=value`, the value in YAML.
+fn parameter(assignment: &str) -> Result<Override, String> {
+    let Some((target, text)) = assignment.split_once(":=") else {
+        return Err("name:=value".to_owned());
+    };
+    let (section, name) = match target.split_once(':') {
+        Some((node, name)) => (Section::parse(node)?, name),
+        None => (Section::own(), target),
+    };
+    if name.is_empty() {
+        return Err("a parameter name before :=".to_owned());
+    }
+    let value = if text.is_empty() {
+        Value::String(String::new())
+    } else {
+        let yaml = serde_yaml_ng::from_str(text).map_err(|error| format!("a YAML value; {error}"))?;
+        Value::from_yaml(&yaml)?
+    };
+    Ok(Override { section, name: name.to_owned(), value, origin: format!("-p {assignment}"), is_shared: false })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn parse(line: &str) -> Result<NodeArgs, ArgsError> {
+        NodeArgs::parse(line.split_whitespace())
+    }
+
+    #[test]
+    fn ros_arguments_end_at_the_dashes_and_may_come_twice() {
+        let args = parse("bag --ros-args -p a:=1 -- --rate 2 --ros-args -r x:=y --interface lo").unwrap();
+        assert_eq!(args.rest(), ["bag", "--rate", "2"]);
+        assert_eq!(args.overrides.len(), 1);
+        assert_eq!(args.remaps.len(), 1);
+        assert_eq!(args.interface.as_deref(), Some("lo"));
+        assert!(matches!(args.expect_no_rest(), Err(ArgsError::Rest(words)) if words.len() == 3));
+    }
+
+    #[test]
+    fn parameters_are_typed_as_yaml() {
+        let value = |text: &str| parse(&format!("--ros-args -p {text}")).map(|mut args| args.overrides.remove(0).value);
+        assert_eq!(value("a:=1").unwrap(), Value::Integer(1));
+        assert_eq!(value("a:=1.5").unwrap(), Value::Double(1.5));
+        assert_eq!(value("a:=[1,2]").unwrap(), Value::IntegerArray(vec![1, 2]));
+        assert_eq!(value("a:=").unwrap(), Value::String(String::new()));
+        assert_eq!(value("a:=/dev/video0").unwrap(), Value::String("/dev/video0".into()));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let message = |line: &str| parse(line).unwrap_err().to_string();
+        assert!(message("--ros-args --frobnicate").contains("unknown ROS argument `--frobnicate`"));
+        assert!(message("--ros-args -p").contains("`-p` needs name:=value"));
+        assert!(message("--ros-args -p rate=2").contains("`-p rate=2`: expected name:=value"));
+        assert!(message("--ros-args -p a:={b:1}").contains("expected"));
+        assert!(message("--ros-args --params-file /no/such.yaml").contains("/no/such.yaml"));
+        assert!(message("--ros-args --log-level loud").contains("loud"));
+        assert!(message("--ros-args --enclave /a").contains("not supported"));
+        assert!(message("--ros-args -r :=b").contains("`-r :=b`"));
+    }
+
+    proptest! {
+        /// Any words give arguments or an error, and none is lost: outside `--ros-args` each is kept.
+        #[test]
+        fn any_words_are_answered(words in prop::collection::vec("(-r|-p|--|--ros-args|[a-z_:=/~\\[{]{0,8})", 0..8)) {
+            if let Ok(args) = NodeArgs::parse(words.clone()) && !words.iter().any(|word| word == "--ros-args") {
+                prop_assert_eq!(args.rest(), words);
+            }
+        }
+    }
+}

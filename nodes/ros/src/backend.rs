@@ -1,0 +1,100 @@
+//! The seam between this runtime and a middleware: bytes with a type name and a QoS out and in, and the graph.
+//! Everything above it (parameters, services, logs, clocks) is written once, in these terms; a second middleware
+//! implements these traits and nothing else.
+
+use crate::{Error, Qos, names::TypeName};
+use bytes::Bytes;
+use futures::future::BoxFuture;
+use tokio::sync::watch;
+
+/// Identity of a reader or writer in the whole graph.
+pub(crate) type EndpointId = [u8; 16];
+
+/// What an endpoint carries, which decides how the middleware spells its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Channel {
+    Topic,
+    Request,
+    Response,
+}
+
+/// An endpoint to be made.
+#[derive(Clone, Debug)]
+pub(crate) struct Endpoint {
+    pub(crate) channel: Channel,
+    /// Absolute: `/wm/latent`.
+    pub(crate) name: String,
+    pub(crate) type_name: TypeName,
+    pub(crate) qos: Qos,
+}
+
+/// Which request a sample is, or answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct RequestId {
+    pub(crate) client: EndpointId,
+    pub(crate) sequence: i64,
+}
+
+/// A sample that came in.
+#[derive(Clone, Debug)]
+pub(crate) struct Sample {
+    /// CDR with its 4-byte header.
+    pub(crate) bytes: Bytes,
+    pub(crate) writer: EndpointId,
+    pub(crate) sequence: i64,
+    /// The request that it belongs to.
+    pub(crate) request: Option<RequestId>,
+}
+
+/// Takes what comes in; the error says why a sample could not be read. Must not block: one thread serves all.
+pub(crate) type Sink = Box<dyn FnMut(Result<Sample, String>) + Send>;
+
+/// What became of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Written {
+    /// It is on its way, with this number.
+    Sent(i64),
+    /// The readers have not acknowledged enough: it was not taken.
+    WindowFull,
+}
+
+/// Sends samples. Dropping it takes the endpoint out of the graph.
+pub(crate) trait Writer: Send + Sync {
+    fn id(&self) -> EndpointId;
+    /// Never blocks.
+    fn write(&self, sample: &Bytes, answers: Option<RequestId>) -> Result<Written, Error>;
+    /// Waits until every matched reliable reader has everything.
+    fn acknowledged(&self) -> BoxFuture<'_, Result<(), Error>>;
+}
+
+/// Keeps a subscription alive. Dropping it takes the endpoint out of the graph.
+pub(crate) trait Reader: Send + Sync {
+    fn id(&self) -> EndpointId;
+}
+
+/// A topic endpoint that discovery has seen, in this process or elsewhere.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Seen {
+    pub(crate) name: String,
+    /// `package/msg/Type`
+    pub(crate) type_name: String,
+    pub(crate) qos: Qos,
+    pub(crate) is_writer: bool,
+}
+
+/// A middleware.
+pub(crate) trait Backend: Send + Sync {
+    fn add_node(&self, namespace: &str, base: &str) -> Result<(), Error>;
+    fn remove_node(&self, namespace: &str, base: &str);
+    /// `node` is the full name of the node that the endpoint belongs to.
+    fn writer(&self, node: &str, endpoint: &Endpoint) -> Result<Box<dyn Writer>, Error>;
+    fn reader(&self, node: &str, endpoint: &Endpoint, sink: Sink) -> Result<Box<dyn Reader>, Error>;
+    /// The endpoints of topics.
+    fn seen(&self) -> Vec<Seen>;
+    /// How many endpoints of others this one is connected to.
+    fn matched(&self, endpoint: &EndpointId) -> usize;
+    /// Counts changes of what is seen and matched.
+    fn changes(&self) -> watch::Receiver<u64>;
+    /// Leaves the graph. Readers and writers that are still held do nothing from then on.
+    fn close(&self);
+}

@@ -1,0 +1,96 @@
+//! What the nodes of a process share: the place in the graph, and the thread that receives for them.
+
+use crate::{Environment, Error, Shutdown, backend::Backend, dds::Dds};
+use std::{
+    sync::{Arc, Mutex, PoisonError},
+    thread::JoinHandle,
+};
+use tokio::{runtime::Handle, sync::oneshot};
+
+/// A participant in the graph and a thread that receives for it: subscriptions, services, parameters, clocks and
+/// diagnostics of its nodes run there, so that a node that computes does not stall them. Several nodes share one.
+#[derive(Clone)]
+pub struct Context {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    backend: Arc<dyn Backend>,
+    runtime: Handle,
+    thread: Mutex<Option<Thread>>,
+    shutdown: Shutdown,
+}
+
+struct Thread {
+    stop: oneshot::Sender<()>,
+    handle: JoinHandle<()>,
+}
+
+impl Context {
+    /// Joins the graph.
+    ///
+    /// # Errors
+    /// The thread cannot be started, or the middleware cannot open its sockets.
+    pub fn new(environment: &Environment) -> Result<Self, Error> {
+        let failed = |source| Error::io("start the receiving thread", source);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+        let handle = runtime.handle().clone();
+        let (stop, stopped) = oneshot::channel();
+        // Dropping the runtime at the thread's end drops every task, and the readers in them.
+        let thread = std::thread::Builder::new()
+            .name("wm_ros".to_owned())
+            .spawn(move || drop(runtime.block_on(stopped)))
+            .map_err(failed)?;
+        let thread = Mutex::new(Some(Thread { stop, handle: thread }));
+        let backend = Dds::join(environment, handle.clone())?;
+        Ok(Self { inner: Arc::new(Inner { backend, runtime: handle, thread, shutdown: Shutdown::new() }) })
+    }
+
+    /// The end of this context: asked for here or by a signal, seen by all its nodes.
+    pub fn shutdown(&self) -> Shutdown {
+        self.inner.shutdown.clone()
+    }
+
+    /// From now on SIGINT and SIGTERM end the context's subscriptions.
+    ///
+    /// # Errors
+    /// The operating system refuses the handlers.
+    pub fn listen_for_signals(&self) -> Result<(), Error> {
+        let _inside = self.inner.runtime.enter();
+        self.inner.shutdown.listen_for_signals()
+    }
+
+    /// Leaves the graph in order: what receives first, then the nodes' names, then the participant. Drop publishers
+    /// and nodes before, so that the others hear of each. Endpoints that are still held do nothing afterwards.
+    pub fn close(&self) {
+        self.inner.close();
+    }
+
+    pub(crate) fn backend(&self) -> &Arc<dyn Backend> {
+        &self.inner.backend
+    }
+
+    pub(crate) fn runtime(&self) -> &Handle {
+        &self.inner.runtime
+    }
+}
+
+impl Inner {
+    fn close(&self) {
+        self.shutdown.trigger();
+        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(Thread { stop, handle }) = thread else { return };
+        stop.send(()).ok();
+        // A handler on that very thread may hold the last clone; it cannot wait for itself.
+        if handle.thread().id() != std::thread::current().id() && handle.join().is_err() {
+            tracing::error!("the receiving thread ended with a panic");
+        }
+        self.backend.close();
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.close();
+    }
+}

@@ -1,0 +1,143 @@
+//! Readers and writers of bytes.
+
+use super::{
+    codec::{HEADER_LEN, Raw},
+    nodes::Nodes,
+};
+use crate::{
+    Error,
+    backend::{Channel, Endpoint, EndpointId, Reader, RequestId, Sample, Sink, Writer, Written},
+};
+use bytes::Bytes;
+use futures::{StreamExt as _, future::BoxFuture};
+use rustdds::{
+    GUID, SequenceNumber, Timestamp, WriteOptionsBuilder,
+    dds::result::WriteError,
+    no_key::{DataWriter, DeserializedCacheChange, SimpleDataReader},
+    rpc::SampleIdentity,
+};
+use std::sync::Arc;
+use tokio::{runtime::Handle, task::AbortHandle};
+
+pub(super) struct DdsWriter {
+    writer: DataWriter<Bytes, Raw>,
+    topic: String,
+    nodes: Arc<Nodes>,
+}
+
+impl DdsWriter {
+    pub(super) fn new(
+        writer: DataWriter<Bytes, Raw>,
+        endpoint: &Endpoint,
+        node: &str,
+        nodes: &Arc<Nodes>,
+    ) -> Self {
+        let this = Self { writer, topic: endpoint.name.clone(), nodes: Arc::clone(nodes) };
+        nodes.add_endpoint(this.id(), node, endpoint, true);
+        this
+    }
+}
+
+impl Writer for DdsWriter {
+    fn id(&self) -> EndpointId {
+        use rustdds::RTPSEntity as _;
+        self.writer.guid().to_bytes()
+    }
+
+    fn write(&self, sample: &Bytes, answers: Option<RequestId>) -> Result<Written, Error> {
+        match sample.get(..HEADER_LEN) {
+            Some([0x00, 0x01, ..]) => {}
+            header => {
+                let byte = |index| header.and_then(|header| header.get(index)).copied().unwrap_or(0xff);
+                let representation = u16::from_be_bytes([byte(0), byte(1)]);
+                return Err(Error::Representation { topic: self.topic.clone(), representation });
+            }
+        }
+        let answers = answers.map(|request| SampleIdentity {
+            writer_guid: GUID::from_bytes(request.client),
+            sequence_number: SequenceNumber::from(request.sequence),
+        });
+        let options = WriteOptionsBuilder::new()
+            .source_timestamp(Timestamp::now())
+            .related_sample_identity_opt(answers)
+            .build();
+        match self.writer.write_with_options(sample.clone(), options) {
+            Ok(identity) => Ok(Written::Sent(identity.sequence_number.into())),
+            Err(WriteError::WouldBlock { .. }) => Ok(Written::WindowFull),
+            Err(error) => Err(Error::middleware(format!("publish {}", self.topic), error)),
+        }
+    }
+
+    fn acknowledged(&self) -> BoxFuture<'_, Result<(), Error>> {
+        Box::pin(async move {
+            let wait = self.writer.async_wait_for_acknowledgments();
+            wait.await
+                .map(drop)
+                .map_err(|error| Error::middleware(format!("wait for the readers of {}", self.topic), error))
+        })
+    }
+}
+
+impl Drop for DdsWriter {
+    fn drop(&mut self) {
+        self.nodes.remove_endpoint(&self.id());
+    }
+}
+
+pub(super) struct DdsReader {
+    id: EndpointId,
+    nodes: Arc<Nodes>,
+    pump: AbortHandle,
+}
+
+impl DdsReader {
+    pub(super) fn new(
+        reader: SimpleDataReader<Bytes, Raw>,
+        endpoint: &Endpoint,
+        node: &str,
+        nodes: &Arc<Nodes>,
+        mut sink: Sink,
+        runtime: &Handle,
+    ) -> Self {
+        let id = reader.guid().to_bytes();
+        nodes.add_endpoint(id, node, endpoint, false);
+        let is_server = endpoint.channel == Channel::Request;
+        let pump = runtime.spawn(async move {
+            let mut samples = std::pin::pin!(reader.as_async_stream());
+            while let Some(sample) = samples.next().await {
+                sink(sample.map(|change| into_sample(change, is_server)).map_err(|error| error.to_string()));
+            }
+        });
+        Self { id, nodes: Arc::clone(nodes), pump: pump.abort_handle() }
+    }
+}
+
+fn into_sample(change: DeserializedCacheChange<Bytes>, is_server: bool) -> Sample {
+    let (writer, sequence) = (change.writer_guid().to_bytes(), i64::from(change.sequence_number));
+    let mut request = change.related_sample_identity().map(|identity| RequestId {
+        client: identity.writer_guid.to_bytes(),
+        sequence: identity.sequence_number.into(),
+    });
+    if is_server {
+        // A client may leave out who it is, or (Fast DDS) the number: the sample's own are meant then.
+        let request = request.get_or_insert(RequestId { client: writer, sequence });
+        if request.sequence == i64::from(SequenceNumber::UNKNOWN) {
+            request.sequence = sequence;
+        }
+    }
+    Sample { writer, sequence, request, bytes: change.into_value() }
+}
+
+impl Reader for DdsReader {
+    fn id(&self) -> EndpointId {
+        self.id
+    }
+}
+
+impl Drop for DdsReader {
+    fn drop(&mut self) {
+        // the reader lives in the task, and goes with it
+        self.pump.abort();
+        self.nodes.remove_endpoint(&self.id);
+    }
+}

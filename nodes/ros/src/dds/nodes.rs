@@ -1,0 +1,126 @@
+//! Which endpoint belongs to which node, announced on `ros_discovery_info` as every ROS 2 participant does, so that
+//! `ros2 node list` and `ros2 node info` show it.
+
+use super::{codec::Raw, dds_name, dds_type, lock, ros_names};
+use crate::{
+    Error,
+    backend::{Endpoint, EndpointId, Seen},
+};
+use bytes::Bytes;
+use ros2_client::{
+    Gid, NodeName,
+    builtin_topics::ros_discovery,
+    entities_info::{NodeEntitiesInfo, ParticipantEntitiesInfo},
+};
+use rustdds::{DomainParticipant, RTPSEntity as _, Timestamp, TopicKind};
+use std::{collections::BTreeMap, sync::Mutex};
+
+struct Own {
+    /// The full name of its node.
+    node: String,
+    seen: Option<Seen>,
+    is_writer: bool,
+}
+
+#[derive(Default)]
+struct Table {
+    nodes: BTreeMap<String, NodeName>,
+    endpoints: BTreeMap<EndpointId, Own>,
+}
+
+/// The nodes of this participant and their endpoints.
+pub(super) struct Nodes {
+    participant: Gid,
+    table: Mutex<Table>,
+    /// `None` once the participant has left.
+    writer: Mutex<Option<rustdds::no_key::DataWriter<Bytes, Raw>>>,
+}
+
+impl Nodes {
+    pub(super) fn announce(participant: &DomainParticipant, publisher: &rustdds::Publisher) -> Result<Self, Error> {
+        let failed = |error| Error::middleware("announce nodes", error);
+        let (name, type_name) = (ros_discovery::TOPIC_NAME.to_owned(), ros_discovery::TYPE_NAME.to_owned());
+        let qos = &ros_discovery::QOS_PUB;
+        let topic = participant.create_topic(name, type_name, qos, TopicKind::NoKey).map_err(failed)?;
+        let writer = publisher.create_datawriter_no_key(&topic, None).map_err(failed)?;
+        Ok(Self {
+            participant: Gid::from(participant.guid()),
+            table: Mutex::default(),
+            writer: Mutex::new(Some(writer)),
+        })
+    }
+
+    pub(super) fn add(&self, namespace: &str, base: &str) -> Result<(), Error> {
+        let name = NodeName::new(namespace, base).map_err(|reason| Error::Name {
+            name: format!("{namespace}/{base}"),
+            kind: "node",
+            reason: reason.to_string(),
+        })?;
+        lock(&self.table).nodes.insert(name.fully_qualified_name(), name);
+        self.tell();
+        Ok(())
+    }
+
+    pub(super) fn remove(&self, namespace: &str, base: &str) {
+        if let Ok(name) = NodeName::new(namespace, base) {
+            lock(&self.table).nodes.remove(&name.fully_qualified_name());
+            self.tell();
+        }
+    }
+
+    pub(super) fn add_endpoint(&self, id: EndpointId, node: &str, endpoint: &Endpoint, is_writer: bool) {
+        let seen = ros_names(&dds_name(endpoint), &dds_type(endpoint)).map(|(name, type_name)| Seen {
+            name,
+            type_name,
+            qos: endpoint.qos,
+            is_writer,
+        });
+        lock(&self.table).endpoints.insert(id, Own { node: node.to_owned(), seen, is_writer });
+        self.tell();
+    }
+
+    pub(super) fn remove_endpoint(&self, id: &EndpointId) {
+        lock(&self.table).endpoints.remove(id);
+        self.tell();
+    }
+
+    /// The topic endpoints of this participant.
+    pub(super) fn own_topics(&self) -> Vec<Seen> {
+        lock(&self.table).endpoints.values().filter_map(|own| own.seen.clone()).collect()
+    }
+
+    /// Announces that there are no nodes any more, and falls silent.
+    pub(super) fn leave(&self) {
+        lock(&self.table).nodes.clear();
+        self.tell();
+        lock(&self.writer).take();
+    }
+
+    /// Announces the nodes as they are now.
+    fn tell(&self) {
+        // Held throughout, so that announcements go out in the order of the changes.
+        let writer = lock(&self.writer);
+        let Some(writer) = writer.as_ref() else { return };
+        let table = lock(&self.table);
+        let describe = |(full_name, name): (&String, &NodeName)| {
+            let mut info = NodeEntitiesInfo::new(name.clone());
+            for (id, own) in table.endpoints.iter().filter(|(_, own)| own.node == *full_name) {
+                match own.is_writer {
+                    true => info.add_writer(Gid::from(*id)),
+                    false => info.add_reader(Gid::from(*id)),
+                }
+            }
+            info
+        };
+        let info = ParticipantEntitiesInfo::new(self.participant, table.nodes.iter().map(describe).collect());
+        drop(table);
+        let sent = match wm_msgs::cdr::to_bytes(&info) {
+            Ok(bytes) => writer.write(Bytes::from(bytes), Some(Timestamp::now())).map_err(|error| error.to_string()),
+            Err(error) => Err(error.to_string()),
+        };
+        if let Err(error) = sent {
+            // The next change announces the whole table again.
+            tracing::debug!("cannot announce the nodes: {error}");
+        }
+    }
+}

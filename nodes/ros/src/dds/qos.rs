@@ -1,0 +1,77 @@
+//! QoS profiles in the terms of DDS, with the bounds on memory that profiles do not have.
+
+use crate::{Durability, Qos, Reliability};
+use rustdds::{QosPolicies, QosPolicyBuilder, policy};
+
+/// Samples that a reliable writer keeps for readers that have not acknowledged them: what bounds its memory when a
+/// reader stops. A dead reader is dropped when its lease ends, 20 to 50 s, which at 10 Hz are 500 samples.
+pub(crate) const RELIABLE_WINDOW: usize = 512;
+/// Samples that a best-effort writer may have waiting for the socket: more than any burst of this suite.
+const BEST_EFFORT_BACKLOG: usize = 64;
+/// Samples that the middleware keeps of a topic until they are taken, which happens at once on a thread of its own.
+const READER_CACHE: usize = 64;
+
+pub(super) fn for_writer(qos: Qos) -> QosPolicies {
+    let bound = match qos.reliability {
+        Reliability::BestEffort => BEST_EFFORT_BACKLOG,
+        Reliability::Reliable => RELIABLE_WINDOW,
+    };
+    profile(qos, bound.max(qos.depth))
+}
+
+pub(super) fn for_reader(qos: Qos) -> QosPolicies {
+    profile(qos, READER_CACHE.max(qos.depth))
+}
+
+fn profile(qos: Qos, max_samples: usize) -> QosPolicies {
+    // depths beyond 2^31 mean "all" to anybody who writes them
+    let int = |number: usize| i32::try_from(number).unwrap_or(i32::MAX);
+    let max_samples = int(max_samples);
+    QosPolicyBuilder::new()
+        .reliability(qos.into())
+        .durability(match qos.durability {
+            Durability::Volatile => policy::Durability::Volatile,
+            Durability::TransientLocal => policy::Durability::TransientLocal,
+        })
+        .history(policy::History::KeepLast { depth: int(qos.depth.max(1)) })
+        .resource_limits(policy::ResourceLimits {
+            max_samples,
+            max_instances: max_samples,
+            max_samples_per_instance: max_samples,
+        })
+        .build()
+}
+
+/// What discovery says of an endpoint. History is not announced; the depth reads as 10 then, ROS' default.
+pub(super) fn from_dds(qos: &QosPolicies) -> Qos {
+    let depth = match qos.history() {
+        Some(policy::History::KeepLast { depth }) => usize::try_from(depth).unwrap_or(10),
+        _ => 10,
+    };
+    Qos {
+        reliability: match qos.reliability() {
+            Some(policy::Reliability::Reliable { .. }) => Reliability::Reliable,
+            _ => Reliability::BestEffort,
+        },
+        durability: match qos.durability() {
+            None | Some(policy::Durability::Volatile) => Durability::Volatile,
+            Some(_) => Durability::TransientLocal,
+        },
+        depth,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn profiles_survive_and_writers_are_bounded() {
+        for qos in [Qos::sensor_data(), Qos::reliable(10), Qos::latched(1)] {
+            assert_eq!(from_dds(&for_writer(qos)), qos);
+            let limits = for_writer(qos).resource_limits().unwrap();
+            assert!(limits.max_samples > 0 && limits.max_samples <= 512);
+        }
+        assert_eq!(for_writer(Qos::reliable(1000)).resource_limits().unwrap().max_samples, 1000);
+    }
+}

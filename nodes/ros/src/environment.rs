@@ -1,0 +1,137 @@
+//! Where on the network a process takes part: the ROS 2 environment variables, and `--interface`.
+//!
+//! **Loopback is the default.** A participant that announces itself on several interfaces gets each fragment from a
+//! peer on the same host once for each, which stalls rustdds' reliable readers; and the middleware believes the
+//! lengths that a datagram claims, so that a stranger's six datagrams can make it allocate gigabytes. A robot's
+//! network is therefore an explicit choice: `--interface eth0`, or `ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`. The
+//! middleware's unicast sockets are open on every address all the same (only announcements and multicast follow the
+//! interface): on a network with strangers, put a firewall on UDP ports 7400 + 250 x domain and up, and cap the
+//! process's memory (`systemd-run -p MemoryMax=...`).
+
+use crate::{Error, NodeArgs};
+use std::net::{IpAddr, Ipv4Addr};
+
+/// The highest domain for which RTPS' port formula stays below 65536 with room for participants.
+const MAX_DOMAIN: u16 = 232;
+
+/// How far discovery reaches.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Reach {
+    /// This host only: 127.0.0.1.
+    Localhost,
+    /// These addresses of this host.
+    Interfaces(Vec<IpAddr>),
+    /// Every interface.
+    Subnet,
+}
+
+/// The domain and how far discovery reaches.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Environment {
+    /// `ROS_DOMAIN_ID`, 0 to 232.
+    pub domain_id: u16,
+    /// From `--interface`, `ROS_AUTOMATIC_DISCOVERY_RANGE` and `ROS_LOCALHOST_ONLY`, in this order.
+    pub reach: Reach,
+}
+
+impl Environment {
+    /// From the process's environment variables and the command line.
+    ///
+    /// # Errors
+    /// A variable or interface with a value that does not make sense.
+    pub fn from_env(args: &NodeArgs) -> Result<Self, Error> {
+        Self::from_variables(args, |name| std::env::var(name).ok().filter(|value| !value.is_empty()))
+    }
+
+    fn from_variables(args: &NodeArgs, variable: impl Fn(&str) -> Option<String>) -> Result<Self, Error> {
+        let domain_id = match variable("ROS_DOMAIN_ID") {
+            None => 0,
+            Some(text) => match text.parse() {
+                Ok(id) if id <= MAX_DOMAIN => id,
+                _ => return Err(invalid("ROS_DOMAIN_ID", &text, format!("a number from 0 to {MAX_DOMAIN}"))),
+            },
+        };
+        let reach = match &args.interface {
+            Some(interface) => Reach::Interfaces(vec![address_of(interface)?]),
+            None => reach_of(&variable)?,
+        };
+        Ok(Self { domain_id, reach })
+    }
+
+    /// The addresses to bind discovery to; `None` for every interface.
+    pub(crate) fn addresses(&self) -> Option<Vec<IpAddr>> {
+        match &self.reach {
+            Reach::Localhost => Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]),
+            Reach::Interfaces(addresses) => Some(addresses.clone()),
+            Reach::Subnet => None,
+        }
+    }
+}
+
+fn reach_of(variable: &impl Fn(&str) -> Option<String>) -> Result<Reach, Error> {
+    // As in ROS 2: ROS_LOCALHOST_ONLY, where it is 1, overrules the newer variable.
+    match variable("ROS_LOCALHOST_ONLY").as_deref() {
+        None | Some("0") => {}
+        Some("1") => return Ok(Reach::Localhost),
+        Some(text) => return Err(invalid("ROS_LOCALHOST_ONLY", text, "0 or 1".to_owned())),
+    }
+    match variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
+        None | Some("LOCALHOST" | "SYSTEM_DEFAULT") => Ok(Reach::Localhost),
+        Some("SUBNET") => Ok(Reach::Subnet),
+        Some(text) => {
+            // OFF would need a participant without discovery, which the middleware does not offer
+            Err(invalid("ROS_AUTOMATIC_DISCOVERY_RANGE", text, "LOCALHOST, SUBNET or SYSTEM_DEFAULT".to_owned()))
+        }
+    }
+}
+
+fn address_of(interface: &str) -> Result<IpAddr, Error> {
+    let interfaces =
+        if_addrs::get_if_addrs().map_err(|source| Error::io("list the network interfaces", source))?;
+    // the middleware speaks IPv4 only
+    let mut usable = interfaces.iter().filter(|candidate| candidate.ip().is_ipv4());
+    let wanted = interface.parse::<IpAddr>().ok();
+    match usable.clone().find(|candidate| candidate.name == interface || wanted == Some(candidate.ip())) {
+        Some(found) => Ok(found.ip()),
+        None => {
+            let known: Vec<_> =
+                usable.by_ref().map(|candidate| format!("{} ({})", candidate.name, candidate.ip())).collect();
+            Err(invalid("--interface", interface, format!("one of {}", known.join(", "))))
+        }
+    }
+}
+
+fn invalid(variable: &'static str, value: &str, expected: String) -> Error {
+    Error::Environment { variable, value: value.to_owned(), expected }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn environment(line: &str, variables: &[(&str, &str)]) -> Result<Environment, Error> {
+        let args = NodeArgs::parse(line.split_whitespace())?;
+        Environment::from_variables(&args, |name| {
+            variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
+        })
+    }
+
+    #[test]
+    fn loopback_unless_asked_otherwise() {
+        let reach = |variables: &[(&str, &str)]| environment("", variables).unwrap().reach;
+        assert_eq!(reach(&[]), Reach::Localhost);
+        assert_eq!(reach(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")]), Reach::Subnet);
+        assert_eq!(reach(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"), ("ROS_LOCALHOST_ONLY", "1")]), Reach::Localhost);
+        let environment = environment("--interface 127.0.0.1", &[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")]).unwrap();
+        assert_eq!(environment.addresses(), Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]));
+    }
+
+    #[test]
+    fn nonsense_is_refused_by_name() {
+        let message = |line, variables: &[(&str, &str)]| environment(line, variables).unwrap_err().to_string();
+        assert_eq!(message("", &[("ROS_DOMAIN_ID", "233")]), "ROS_DOMAIN_ID is `233`: expected a number from 0 to 232");
+        assert!(message("", &[("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]).contains("SUBNET"));
+        assert!(message("", &[("ROS_LOCALHOST_ONLY", "yes")]).contains("0 or 1"));
+        assert!(message("--interface nope0", &[]).contains("one of"));
+    }
+}

@@ -1,0 +1,76 @@
+//! What can go wrong, each error saying what was expected and what came.
+
+use crate::{args::ArgsError, parameters::ParameterError};
+use wm_msgs::cdr::CdrError;
+
+/// An error of the runtime.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The command line.
+    #[error(transparent)]
+    Args(#[from] ArgsError),
+    /// A parameter.
+    #[error(transparent)]
+    Parameter(#[from] ParameterError),
+    /// A message that has no CDR form, or bytes that are not the message.
+    #[error(transparent)]
+    Cdr(#[from] CdrError),
+    /// A name that ROS does not allow.
+    #[error("`{name}` is not a valid {kind} name: {reason}")]
+    Name {
+        /// The name as given, after expansion.
+        name: String,
+        /// What it was to name: topic, service, node, namespace or type.
+        kind: &'static str,
+        /// Which rule it breaks.
+        reason: String,
+    },
+    /// An environment variable or `--interface` with a value that does not make sense.
+    #[error("{variable} is `{value}`: expected {expected}")]
+    Environment {
+        /// The variable or flag.
+        variable: &'static str,
+        /// Its value.
+        value: String,
+        /// What would be valid.
+        expected: String,
+    },
+    /// The middleware refused or failed.
+    #[error("cannot {action}: {reason}")]
+    Middleware {
+        /// What was attempted.
+        action: String,
+        /// What the middleware said.
+        reason: String,
+    },
+    /// Bytes to publish that this middleware cannot send as they are.
+    #[error("cannot publish on {topic}: expected little-endian CDR (0x0001), got 0x{representation:04x}")]
+    Representation {
+        /// The topic.
+        topic: String,
+        /// The first two bytes of the sample.
+        representation: u16,
+    },
+    /// The context was closed, or the process is being shut down.
+    #[error("{0} is over: the context is shut down")]
+    ShutDown(String),
+    /// The operating system.
+    #[error("cannot {action}: {source}")]
+    Io {
+        /// What was attempted.
+        action: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+impl Error {
+    pub(crate) fn middleware(action: impl Into<String>, reason: impl std::fmt::Display) -> Self {
+        Self::Middleware { action: action.into(), reason: reason.to_string() }
+    }
+
+    pub(crate) fn io(action: impl Into<String>, source: std::io::Error) -> Self {
+        Self::Io { action: action.into(), source }
+    }
+}

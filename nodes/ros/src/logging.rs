@@ -1,0 +1,192 @@
+//! Logs as ROS 2 writes them: `[INFO] [sec.nsec] [node]: text` on stderr, and the same record on `/rosout`.
+
+mod record;
+
+use crate::{
+    NodeArgs,
+    args::LogLevels,
+    backend::{Writer, Written},
+    clock::system_nanos,
+    rcl_interfaces::Log,
+};
+use record::Record;
+use std::{
+    cell::Cell,
+    io::Write as _,
+    sync::{Arc, Mutex, PoisonError},
+};
+use tracing::{Event, Level, Subscriber, level_filters::LevelFilter, span};
+use tracing_subscriber::{
+    Layer,
+    filter::Targets,
+    layer::{Context, SubscriberExt as _},
+    registry::LookupSpan,
+};
+use wm_msgs::{builtin_interfaces::Time, cdr};
+
+/// The nodes of this process and where each writes its records.
+static NODES: Mutex<Vec<Arc<Rosout>>> = Mutex::new(Vec::new());
+
+thread_local! {
+    /// Whether this thread is writing to `/rosout`: what the middleware logs meanwhile must not go there too.
+    static IS_WRITING: Cell<bool> = const { Cell::new(false) };
+}
+
+/// A node's end of `/rosout`.
+pub(crate) struct Rosout {
+    /// `wm.encoder`
+    logger: String,
+    /// `None` where `--disable-rosout-logs` was given.
+    writer: Option<Box<dyn Writer>>,
+}
+
+/// Takes a node's records off `/rosout` when it goes.
+pub(crate) struct Registration(Arc<Rosout>);
+
+impl Drop for Registration {
+    fn drop(&mut self) {
+        let mut nodes = NODES.lock().unwrap_or_else(PoisonError::into_inner);
+        nodes.retain(|node| !Arc::ptr_eq(node, &self.0));
+    }
+}
+
+/// From now on records of this node go to its `/rosout`.
+pub(crate) fn register(logger: String, writer: Option<Box<dyn Writer>>) -> Registration {
+    let rosout = Arc::new(Rosout { logger, writer });
+    NODES.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&rosout));
+    Registration(rosout)
+}
+
+/// Sends the records of this process to stderr and `/rosout`, at the levels of the command line. The first call
+/// holds; where another subscriber is installed already, that one stays.
+pub fn init(args: &NodeArgs) {
+    let subscriber = tracing_subscriber::registry().with(RosLayer.with_filter(filter(&args.log_levels)));
+    tracing::subscriber::set_global_default(subscriber).ok();
+}
+
+/// `--log-level` as a filter. A name that begins with `wm_` is a Rust module of this suite, dots for colons; any
+/// other is a node's logger (`wm.encoder`) and means all that its process logs, since a process runs one node.
+fn filter(levels: &LogLevels) -> Targets {
+    let default = levels.default.unwrap_or(LevelFilter::INFO);
+    levels.loggers.iter().fold(Targets::new().with_default(default), |filter, (logger, level)| {
+        if logger.starts_with("wm_") {
+            filter.with_target(logger.replace('.', "::"), *level)
+        } else {
+            filter.with_default(*level)
+        }
+    })
+}
+
+/// The node that a span belongs to.
+struct NodeOfSpan(String);
+
+struct RosLayer;
+
+impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
+    fn on_new_span(&self, attributes: &span::Attributes<'_>, id: &span::Id, context: Context<'_, S>) {
+        let mut record = Record::default();
+        attributes.record(&mut record);
+        if let (Some(node), Some(span)) = (record.node, context.span(id)) {
+            span.extensions_mut().insert(NodeOfSpan(node));
+        }
+    }
+
+    fn on_event(&self, event: &Event<'_>, context: Context<'_, S>) {
+        if IS_WRITING.get() {
+            return;
+        }
+        let mut record = Record::default();
+        event.record(&mut record);
+        let text = record.into_text();
+        let stamp = system_nanos();
+        let of_span = context
+            .event_scope(event)
+            .and_then(|scope| scope.filter_map(|span| span.extensions().get::<NodeOfSpan>().map(|n| n.0.clone())).next());
+        let rosout = rosout_of(of_span.as_deref());
+        let logger = match (&rosout, &of_span) {
+            (Some(rosout), _) => rosout.logger.as_str(),
+            (None, Some(node)) => node.as_str(),
+            (None, None) => event.metadata().target(),
+        };
+        let line = format!("[{}] [{}] [{logger}]: {text}\n", name(event.metadata().level()), seconds(stamp));
+        // where stderr is gone there is nobody to tell
+        std::io::stderr().lock().write_all(line.as_bytes()).ok();
+        if let Some(Rosout { logger, writer: Some(writer) }) = rosout.as_deref() {
+            IS_WRITING.set(true);
+            publish(&**writer, event, logger, text, stamp);
+            IS_WRITING.set(false);
+        }
+    }
+}
+
+/// The node whose span this is, or the only node of the process.
+fn rosout_of(logger: Option<&str>) -> Option<Arc<Rosout>> {
+    let nodes = NODES.lock().unwrap_or_else(PoisonError::into_inner);
+    match (logger, &nodes[..]) {
+        (Some(logger), nodes) => nodes.iter().find(|node| node.logger == logger).cloned(),
+        (None, [only]) => Some(Arc::clone(only)),
+        (None, _) => None,
+    }
+}
+
+fn publish(writer: &dyn Writer, event: &Event<'_>, logger: &str, text: String, stamp: i64) {
+    let metadata = event.metadata();
+    let log = Log {
+        stamp: Time::from_nanos(stamp),
+        level: number(metadata.level()),
+        name: logger.to_owned(),
+        msg: text,
+        file: metadata.file().unwrap_or_default().to_owned(),
+        function: metadata.module_path().unwrap_or_default().to_owned(),
+        line: metadata.line().unwrap_or_default(),
+    };
+    // A record that cannot be sent has been printed; reporting it would only make another.
+    if let Ok(bytes) = cdr::to_bytes(&log) {
+        let _: Result<Written, _> = writer.write(&bytes.into(), None);
+    }
+}
+
+fn seconds(nanos: i64) -> String {
+    format!("{}.{:09}", nanos.div_euclid(1_000_000_000), nanos.rem_euclid(1_000_000_000))
+}
+
+fn name(level: &Level) -> &'static str {
+    match *level {
+        Level::ERROR => "ERROR",
+        Level::WARN => "WARN",
+        Level::INFO => "INFO",
+        Level::DEBUG | Level::TRACE => "DEBUG",
+    }
+}
+
+/// The numbers of `rcl_interfaces/msg/Log`.
+fn number(level: &Level) -> u8 {
+    match *level {
+        Level::ERROR => 40,
+        Level::WARN => 30,
+        Level::INFO => 20,
+        Level::DEBUG | Level::TRACE => 10,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_become_filters() {
+        let levels = |line: &str| filter(&NodeArgs::parse(line.split_whitespace()).unwrap().log_levels);
+        let all = levels("--ros-args --log-level warn");
+        assert!(!all.would_enable("wm_nodes::encoder", &Level::INFO));
+        let node = levels("--ros-args --log-level wm.encoder:=debug");
+        assert!(node.would_enable("wm_nodes::encoder", &Level::DEBUG));
+        let module = levels("--ros-args --log-level wm_ros.dds:=debug");
+        assert!(module.would_enable("wm_ros::dds", &Level::DEBUG));
+        assert!(!module.would_enable("wm_nodes", &Level::DEBUG));
+    }
+
+    #[test]
+    fn stamps_have_nine_digits() {
+        assert_eq!(seconds(1_700_000_000_000_000_042), "1700000000.000000042");
+    }
+}

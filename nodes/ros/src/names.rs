@@ -1,0 +1,196 @@
+//! Names of nodes, topics, services and types: their rules, and how a relative name becomes an absolute one.
+//!
+//! The rules: <https://design.ros2.org/articles/topic_and_service_names.html>.
+
+use crate::{
+    Error,
+    args::{NodeArgs, Remap, Target},
+};
+
+/// A node's name and namespace after remapping, and the rules that hold for its topics and services.
+#[derive(Clone, Debug)]
+pub(crate) struct NodeName {
+    /// `/wm`, or `/` for none.
+    pub(crate) namespace: String,
+    /// `encoder`.
+    pub(crate) base: String,
+    /// `/wm/encoder`.
+    pub(crate) fully_qualified: String,
+    /// `(expanded from, to)` in the order of the command line.
+    rules: Vec<(String, String)>,
+}
+
+impl NodeName {
+    /// Applies `__node` and `__ns`, then expands the other rules.
+    pub(crate) fn new(default_base: &str, default_namespace: &str, args: &NodeArgs) -> Result<Self, Error> {
+        let first = |target: &Target| {
+            let is_match = |remap: &&Remap| remap.from == *target && remap.is_for(default_base);
+            args.remaps.iter().find(is_match).map(|remap| remap.to.as_str())
+        };
+        let base = first(&Target::Node).unwrap_or(default_base).to_owned();
+        let namespace = first(&Target::Namespace).unwrap_or(default_namespace);
+        let namespace = match namespace.trim_start_matches('/') {
+            "" => "/".to_owned(),
+            relative => format!("/{relative}"),
+        };
+        check_part(&base, "node", &base)?;
+        if namespace != "/" {
+            check_absolute(&namespace, "namespace")?;
+        }
+        let fully_qualified = join(&namespace, &base);
+        let mut name = Self { namespace, base, fully_qualified, rules: Vec::new() };
+        for remap in args.remaps.iter().filter(|remap| remap.is_for(&name.base)) {
+            if let Target::Name(from) = &remap.from {
+                let rule = (name.expand(from, "remapping")?, name.expand(&remap.to, "remapping")?);
+                name.rules.push(rule);
+            }
+        }
+        Ok(name)
+    }
+
+    /// The absolute name of a topic or service, remapping applied.
+    pub(crate) fn resolve(&self, name: &str, kind: &'static str) -> Result<String, Error> {
+        let expanded = self.expand(name, kind)?;
+        let rule = self.rules.iter().find(|(from, _)| *from == expanded);
+        Ok(rule.map_or(expanded, |(_, to)| to.clone()))
+    }
+
+    /// `~` and relative names made absolute.
+    fn expand(&self, name: &str, kind: &'static str) -> Result<String, Error> {
+        let absolute = if let Some(private) = name.strip_prefix("~/") {
+            join(&self.fully_qualified, private)
+        } else if name.starts_with('/') {
+            name.to_owned()
+        } else {
+            join(&self.namespace, name)
+        };
+        check_absolute(&absolute, kind)?;
+        Ok(absolute)
+    }
+
+    /// The name that log records carry: `wm.encoder`.
+    pub(crate) fn logger(&self) -> String {
+        self.fully_qualified.trim_start_matches('/').replace('/', ".")
+    }
+}
+
+fn join(namespace: &str, name: &str) -> String {
+    format!("{}/{name}", namespace.trim_end_matches('/'))
+}
+
+fn check_absolute(name: &str, kind: &'static str) -> Result<(), Error> {
+    name.trim_start_matches('/').split('/').try_for_each(|part| check_part(part, kind, name))?;
+    match name.starts_with("//") {
+        true => Err(invalid(name, kind, "two slashes in a row")),
+        false => Ok(()),
+    }
+}
+
+fn check_part(part: &str, kind: &'static str, name: &str) -> Result<(), Error> {
+    let Some(first) = part.chars().next() else {
+        return Err(invalid(name, kind, "a part is empty"));
+    };
+    if first.is_ascii_digit() {
+        return Err(invalid(name, kind, "a part begins with a digit"));
+    }
+    if let Some(bad) = part.chars().find(|c| !c.is_ascii_alphanumeric() && *c != '_') {
+        return Err(invalid(name, kind, &format!("the character {bad:?}; letters, digits and _ are allowed")));
+    }
+    if part.contains("__") {
+        return Err(invalid(name, kind, "two underscores in a row"));
+    }
+    Ok(())
+}
+
+fn invalid(name: &str, kind: &'static str, reason: &str) -> Error {
+    Error::Name { name: name.to_owned(), kind, reason: reason.to_owned() }
+}
+
+/// A type's ROS name, `package/msg/Type` or `package/srv/Type`, taken apart.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct TypeName {
+    pub(crate) package: String,
+    pub(crate) name: String,
+}
+
+impl TypeName {
+    /// Parses `package/msg/Type`; `package/Type` is taken too.
+    pub(crate) fn parse_message(text: &str) -> Result<Self, Error> {
+        let (package, name) = match text.split('/').collect::<Vec<_>>()[..] {
+            [package, "msg", name] | [package, name] => (package, name),
+            _ => return Err(invalid(text, "type", "expected package/msg/Type")),
+        };
+        check_part(package, "type", text)?;
+        check_part(name, "type", text)?;
+        Ok(Self { package: package.to_owned(), name: name.to_owned() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn node(line: &str) -> Result<NodeName, Error> {
+        NodeName::new("encoder", "/wm", &NodeArgs::parse(line.split_whitespace())?)
+    }
+
+    #[test]
+    fn relative_names_stand_under_the_namespace() {
+        let name = node("").unwrap();
+        assert_eq!(name.fully_qualified, "/wm/encoder");
+        assert_eq!(name.logger(), "wm.encoder");
+        assert_eq!(name.resolve("latent", "topic").unwrap(), "/wm/latent");
+        assert_eq!(name.resolve("/camera/image_raw", "topic").unwrap(), "/camera/image_raw");
+        assert_eq!(name.resolve("~/reset", "service").unwrap(), "/wm/encoder/reset");
+    }
+
+    #[test]
+    fn the_namespace_and_the_name_can_be_replaced() {
+        let name = node("--ros-args -r __ns:=/robot1/wm -r __node:=eye").unwrap();
+        assert_eq!(name.fully_qualified, "/robot1/wm/eye");
+        assert_eq!(name.resolve("latent", "topic").unwrap(), "/robot1/wm/latent");
+        assert_eq!(node("--ros-args -r __ns:=/").unwrap().resolve("latent", "topic").unwrap(), "/latent");
+    }
+
+    #[test]
+    fn the_first_rule_that_matches_holds_and_rules_of_other_nodes_do_not() {
+        let name = node("--ros-args -r decoder:latent:=/no -r latent:=/a -r /wm/latent:=/b -r /x:=y").unwrap();
+        assert_eq!(name.resolve("latent", "topic").unwrap(), "/a");
+        assert_eq!(name.resolve("/x", "topic").unwrap(), "/wm/y");
+        assert_eq!(name.resolve("/a", "topic").unwrap(), "/a");
+    }
+
+    #[test]
+    fn names_that_ros_forbids_are_refused_with_the_rule() {
+        let reason = |name: &str| node("").unwrap().resolve(name, "topic").unwrap_err().to_string();
+        assert!(reason("a//b").contains("empty"));
+        assert!(reason("//a").contains("slashes") || reason("//a").contains("empty"));
+        assert!(reason("2a").contains("digit"));
+        assert!(reason("a-b").contains("'-'"));
+        assert!(reason("a__b").contains("underscores"));
+        assert!(reason("").contains("empty"));
+        assert!(node("--ros-args -r __node:=a/b").is_err());
+    }
+
+    #[test]
+    fn types_come_in_both_spellings() {
+        let string = TypeName { package: "std_msgs".into(), name: "String".into() };
+        assert_eq!(TypeName::parse_message("std_msgs/msg/String").unwrap(), string);
+        assert_eq!(TypeName::parse_message("std_msgs/String").unwrap(), string);
+        assert!(TypeName::parse_message("String").is_err());
+        assert!(TypeName::parse_message("std_msgs/srv/String").is_err());
+    }
+
+    proptest! {
+        /// What comes out is absolute and passes the rules again.
+        #[test]
+        fn a_resolved_name_is_absolute_and_stays(name in "[a-z_/~0-9]{0,12}") {
+            let node = node("").unwrap();
+            if let Ok(resolved) = node.resolve(&name, "topic") {
+                prop_assert!(resolved.starts_with('/'));
+                prop_assert_eq!(node.resolve(&resolved, "topic").unwrap(), resolved);
+            }
+        }
+    }
+}

@@ -1,0 +1,329 @@
+//! A node: its name in the graph, and everything that it makes there.
+
+mod builtin;
+mod graph;
+mod overrides;
+
+pub use graph::TopicInfo;
+
+use crate::{
+    Clock, Context, Descriptor, Diagnostics, Error, NodeArgs, Parameter, Publisher, Qos, RawPublisher,
+    RawSubscription, Service, Shutdown, Subscription,
+    backend::{Backend, Channel, Endpoint, Reader, Writer},
+    logging,
+    mailbox::Mailbox,
+    names::{NodeName, TypeName},
+    parameters::Parameters,
+    service::{self, Client, WAITING_CALLS},
+    subscription::Intake,
+    value::{ParameterType, Value},
+};
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::task::AbortHandle;
+use wm_msgs::{Message, builtin_interfaces::Time, cdr};
+
+/// QoS of a service's two topics, as rclcpp has it.
+const SERVICE_QOS: Qos = Qos::reliable(10);
+
+/// A ROS 2 node. Clones are handles on the same node, which leaves the graph with the last of them.
+#[derive(Clone)]
+pub struct Node {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    name: NodeName,
+    context: Context,
+    parameters: Arc<Parameters>,
+    clock: Clock,
+    diagnostics: Diagnostics,
+    /// Readers that serve for as long as the node lives: services with a handler, `/clock`.
+    kept: Mutex<Vec<Box<dyn Reader>>>,
+    /// The one second beat of the diagnostics.
+    reporting: Mutex<Option<AbortHandle>>,
+    /// Its records go to `/rosout`.
+    rosout: Mutex<Option<logging::Registration>>,
+}
+
+impl Node {
+    /// Makes a node. Its name and namespace are the defaults, unless the command line has `__node` and `__ns`.
+    ///
+    /// The node has the six parameter services, `/parameter_events`, `/rosout`, the parameter `use_sim_time`, and
+    /// diagnostics once a second, as soon as this returns.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, a `use_sim_time` that is not a bool, or the middleware failed.
+    pub fn new(
+        context: &Context,
+        default_name: &str,
+        default_namespace: &str,
+        args: &NodeArgs,
+    ) -> Result<Self, Error> {
+        let name = NodeName::new(default_name, default_namespace, args)?;
+        context.backend().add_node(&name.namespace, &name.base)?;
+        let inner = Inner {
+            parameters: Arc::new(Parameters::new(&name.fully_qualified, &args.overrides)),
+            clock: Clock::new(),
+            diagnostics: Diagnostics::new(&name.fully_qualified),
+            context: context.clone(),
+            kept: Mutex::default(),
+            reporting: Mutex::default(),
+            rosout: Mutex::default(),
+            name,
+        };
+        let node = Self { inner: Arc::new(inner) };
+        builtin::start(&node, args)?;
+        Ok(node)
+    }
+
+    /// The base name, for example `encoder`.
+    pub fn name(&self) -> &str {
+        &self.inner.name.base
+    }
+
+    /// The namespace, for example `/wm`; `/` for none.
+    pub fn namespace(&self) -> &str {
+        &self.inner.name.namespace
+    }
+
+    /// Namespace and name, for example `/wm/encoder`.
+    pub fn fully_qualified_name(&self) -> &str {
+        &self.inner.name.fully_qualified
+    }
+
+    /// The absolute name that a topic or service has after namespace and remapping.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow.
+    pub fn resolve(&self, name: &str) -> Result<String, Error> {
+        self.inner.name.resolve(name, "topic or service")
+    }
+
+    /// The end of the context.
+    pub fn shutdown(&self) -> Shutdown {
+        self.inner.context.shutdown()
+    }
+
+    /// Where the node counts what happens to it.
+    pub fn diagnostics(&self) -> Diagnostics {
+        self.inner.diagnostics.clone()
+    }
+
+    /// The clock that the node goes by.
+    pub fn clock(&self) -> Clock {
+        self.inner.clock.clone()
+    }
+
+    /// The time now, by the node's clock.
+    pub fn now(&self) -> Time {
+        self.inner.clock.now()
+    }
+
+    /// A span that makes log records of a process with several nodes this node's: `future.instrument(node.span())`.
+    pub fn span(&self) -> tracing::Span {
+        tracing::error_span!("node", node = self.inner.name.logger())
+    }
+}
+
+/// Parameters.
+impl Node {
+    /// Declares a parameter. Its value is the one that the command line or a parameter file gives, or the default.
+    ///
+    /// # Errors
+    /// The value given is of another type or out of range, or the parameter is declared already.
+    pub fn declare<T: ParameterType>(
+        &self,
+        name: &str,
+        default: T,
+        descriptor: Descriptor,
+    ) -> Result<Parameter<T>, Error> {
+        let parameters = &self.inner.parameters;
+        let value = parameters.declare(name, default.clone().into_value(), descriptor)?;
+        Ok(Parameter::new(name, &value, default, Arc::clone(parameters)))
+    }
+
+    /// To be called after the last declaration: a value that was given for no declared parameter is an error. One
+    /// from a section that other nodes share (`/**`) is only warned of.
+    ///
+    /// # Errors
+    /// Names the parameter, where it came from, and the parameters that there are.
+    pub fn seal_parameters(&self) -> Result<(), Error> {
+        for ignored in self.inner.parameters.check_all_declared()? {
+            tracing::warn!("the parameter `{}` from {} is not one of this node's", ignored.name, ignored.origin);
+        }
+        Ok(())
+    }
+
+    /// The value of a declared parameter.
+    ///
+    /// # Errors
+    /// It is not declared, or of another type.
+    pub fn parameter<T: ParameterType>(&self, name: &str) -> Result<T, Error> {
+        Ok(self.inner.parameters.get_typed(name)?)
+    }
+
+    /// Changes a parameter, under the rules that hold for everybody.
+    ///
+    /// # Errors
+    /// Not declared, read-only, of another type, out of range, or refused by a check of [`on_set`](Self::on_set).
+    pub fn set_parameter<T: ParameterType>(&self, name: &str, value: T) -> Result<(), Error> {
+        Ok(self.inner.parameters.set(vec![(name.to_owned(), value.into_value())])?)
+    }
+
+    /// Asks `check` before any change of parameters; what it refuses is not made. It must not change parameters.
+    pub fn on_set(&self, check: impl Fn(&[(String, Value)]) -> Result<(), String> + Send + Sync + 'static) {
+        self.inner.parameters.add_check(Box::new(check));
+    }
+}
+
+/// Topics.
+impl Node {
+    /// Publishes a topic of messages `M`.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn publisher<M: Message>(&self, topic: &str, qos: Qos) -> Result<Publisher<M>, Error> {
+        Ok(Publisher::new(self.publish(topic, type_of::<M>(), qos)?))
+    }
+
+    /// Publishes a topic of any type, `package/msg/Type`, as CDR bytes.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn raw_publisher(&self, topic: &str, type_name: &str, qos: Qos) -> Result<RawPublisher, Error> {
+        self.publish(topic, TypeName::parse_message(type_name)?, qos)
+    }
+
+    fn publish(&self, topic: &str, type_name: TypeName, qos: Qos) -> Result<RawPublisher, Error> {
+        let name = self.inner.name.resolve(topic, "topic")?;
+        let qos = overrides::apply(&self.inner.parameters, self.fully_qualified_name(), &name, "publisher", qos)?;
+        let writer = self.inner.writer(Channel::Topic, &name, type_name, qos)?;
+        Ok(RawPublisher::new(name, writer, Arc::clone(self.inner.backend()), self.diagnostics()))
+    }
+
+    /// Subscribes to a topic of messages `M`. A best-effort request matches every publisher.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn subscription<M: Message>(&self, topic: &str, qos: Qos) -> Result<Subscription<M>, Error> {
+        Ok(Subscription::new(self.subscribe(topic, type_of::<M>(), qos)?))
+    }
+
+    /// Subscribes to a topic of any type, `package/msg/Type`, as CDR bytes.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn raw_subscription(&self, topic: &str, type_name: &str, qos: Qos) -> Result<RawSubscription, Error> {
+        self.subscribe(topic, TypeName::parse_message(type_name)?, qos)
+    }
+
+    fn subscribe(&self, topic: &str, type_name: TypeName, qos: Qos) -> Result<RawSubscription, Error> {
+        let name = self.inner.name.resolve(topic, "topic")?;
+        let qos = overrides::apply(&self.inner.parameters, self.fully_qualified_name(), &name, "subscription", qos)?;
+        let intake = Intake::new(name.clone(), qos.depth, self.diagnostics(), self.clock());
+        let endpoint = Endpoint { channel: Channel::Topic, name, type_name, qos };
+        let reader = self.inner.backend().reader(self.fully_qualified_name(), &endpoint, intake.sink())?;
+        Ok(RawSubscription::new(intake, reader, Arc::clone(self.inner.backend()), self.shutdown()))
+    }
+}
+
+/// Services.
+impl Node {
+    /// Serves `S`; calls are read from what this returns.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn service<S: wm_msgs::Service>(&self, name: &str) -> Result<Service<S>, Error> {
+        let name = self.inner.name.resolve(name, "service")?;
+        let calls = Arc::new(Mailbox::new(WAITING_CALLS));
+        let writer = self.inner.writer(Channel::Response, &name, type_of_service::<S>(), SERVICE_QOS)?;
+        let sink = service::call_sink(name.clone(), Arc::clone(&calls));
+        let endpoint =
+            Endpoint { channel: Channel::Request, name, type_name: type_of_service::<S>(), qos: SERVICE_QOS };
+        let reader = self.inner.backend().reader(self.fully_qualified_name(), &endpoint, sink)?;
+        Ok(Service::new(endpoint.name, calls, Arc::from(writer), reader, self.shutdown()))
+    }
+
+    /// Serves `S` with a handler for as long as the node lives. The handler runs on the thread that receives for
+    /// the whole context, so it must be quick; for more, read the calls of [`service`](Self::service).
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn serve<S: wm_msgs::Service>(
+        &self,
+        name: &str,
+        handler: impl Fn(S::Request) -> S::Response + Send + 'static,
+    ) -> Result<(), Error> {
+        let answer = move |request: &[u8]| cdr::to_bytes(&handler(cdr::from_bytes(request)?));
+        self.inner.serve_bytes(name, type_of_service::<S>(), answer)
+    }
+
+    /// Calls the service `S` of this name.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn client<S: wm_msgs::Service>(&self, name: &str) -> Result<Client<S>, Error> {
+        let name = self.inner.name.resolve(name, "service")?;
+        let writer = self.inner.writer(Channel::Request, &name, type_of_service::<S>(), SERVICE_QOS)?;
+        let pending = service::Pending::default();
+        let sink = service::answer_sink(writer.id(), Arc::clone(&pending));
+        let endpoint =
+            Endpoint { channel: Channel::Response, name, type_name: type_of_service::<S>(), qos: SERVICE_QOS };
+        let reader = self.inner.backend().reader(self.fully_qualified_name(), &endpoint, sink)?;
+        let backend = Arc::clone(self.inner.backend());
+        Ok(Client::new(endpoint.name, writer, reader, pending, backend, self.shutdown()))
+    }
+}
+
+impl Inner {
+    fn backend(&self) -> &Arc<dyn Backend> {
+        self.context.backend()
+    }
+
+    fn writer(
+        &self,
+        channel: Channel,
+        name: &str,
+        type_name: TypeName,
+        qos: Qos,
+    ) -> Result<Box<dyn Writer>, Error> {
+        let endpoint = Endpoint { channel, name: name.to_owned(), type_name, qos };
+        self.backend().writer(&self.name.fully_qualified, &endpoint)
+    }
+
+    /// Serves a service in bytes for as long as the node lives.
+    fn serve_bytes(
+        &self,
+        name: &str,
+        type_name: TypeName,
+        answer: impl Fn(&[u8]) -> Result<Vec<u8>, cdr::CdrError> + Send + 'static,
+    ) -> Result<(), Error> {
+        let name = self.name.resolve(name, "service")?;
+        let writer = Arc::from(self.writer(Channel::Response, &name, type_name.clone(), SERVICE_QOS)?);
+        let sink = service::answering_sink(name.clone(), writer, answer);
+        let endpoint = Endpoint { channel: Channel::Request, name, type_name, qos: SERVICE_QOS };
+        let reader = self.backend().reader(&self.name.fully_qualified, &endpoint, sink)?;
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner).push(reader);
+        Ok(())
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        let reporting = self.reporting.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(reporting) = reporting {
+            reporting.abort();
+        }
+        self.rosout.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        self.kept.get_mut().unwrap_or_else(PoisonError::into_inner).clear();
+        self.backend().remove_node(&self.name.namespace, &self.name.base);
+    }
+}
+
+fn type_of<M: Message>() -> TypeName {
+    TypeName { package: M::PACKAGE.to_owned(), name: M::NAME.to_owned() }
+}
+
+fn type_of_service<S: wm_msgs::Service>() -> TypeName {
+    TypeName { package: S::PACKAGE.to_owned(), name: S::NAME.to_owned() }
+}

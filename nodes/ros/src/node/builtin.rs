@@ -1,0 +1,152 @@
+//! What every ROS 2 node has: parameter services, `/parameter_events`, `/rosout`, sim time; and what every node of
+//! this suite has: diagnostics once a second.
+
+use super::Node;
+use crate::{
+    Clock, Descriptor, Error, NodeArgs, Qos,
+    backend::{Channel, Endpoint, Reader},
+    logging,
+    names::TypeName,
+    parameters::{Change, Parameters, services},
+    value::Value,
+};
+use serde::{Serialize, de::DeserializeOwned};
+use std::{
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+use wm_msgs::{
+    cdr::{self, CdrError},
+    diagnostic_msgs::DiagnosticArray,
+    rosgraph_msgs, std_msgs::Header,
+};
+
+/// The QoS of `/parameter_events` and `/rosout` is rclcpp's, with a depth that a node of this suite fills in minutes.
+const PARAMETER_EVENTS_QOS: Qos = Qos::reliable(100);
+const ROSOUT_QOS: Qos = Qos::latched(100);
+const CLOCK_QOS: Qos = Qos::best_effort(1);
+const DIAGNOSTICS_QOS: Qos = Qos::reliable(10);
+const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
+
+/// Starts all of it.
+pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
+    rosout(node, args)?;
+    parameter_events(node)?;
+    follow_clock(node);
+    node.declare("use_sim_time", false, Descriptor::new("whether the clock follows /clock instead of the system"))?;
+    parameter_services(node)?;
+    diagnostics(node)
+}
+
+fn rcl_interfaces(name: &str) -> TypeName {
+    TypeName { package: "rcl_interfaces".to_owned(), name: name.to_owned() }
+}
+
+fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
+    let inner = &node.inner;
+    let writer = match args.rosout {
+        true => Some(inner.writer(Channel::Topic, "/rosout", rcl_interfaces("Log"), ROSOUT_QOS)?),
+        false => None,
+    };
+    let registration = logging::register(inner.name.logger(), writer);
+    *inner.rosout.lock().unwrap_or_else(PoisonError::into_inner) = Some(registration);
+    Ok(())
+}
+
+fn parameter_events(node: &Node) -> Result<(), Error> {
+    let inner = &node.inner;
+    let type_name = rcl_interfaces("ParameterEvent");
+    let writer = inner.writer(Channel::Topic, "/parameter_events", type_name, PARAMETER_EVENTS_QOS)?;
+    let (name, clock) = (inner.name.fully_qualified.clone(), inner.clock.clone());
+    inner.parameters.add_observer(Box::new(move |change| {
+        let event = services::event(&name, clock.now(), change);
+        let sent = cdr::to_bytes(&event).map_err(Error::from).and_then(|bytes| writer.write(&bytes.into(), None));
+        if let Err(error) = sent {
+            tracing::warn!("a change of parameters is not announced: {error}");
+        }
+    }));
+    Ok(())
+}
+
+/// Subscribes to `/clock` when `use_sim_time` becomes true, and stops when it becomes false.
+fn follow_clock(node: &Node) {
+    let inner = &node.inner;
+    let (backend, name) = (Arc::downgrade(inner.backend()), inner.name.fully_qualified.clone());
+    let clock = inner.clock.clone();
+    let reader: Mutex<Option<Box<dyn Reader>>> = Mutex::default();
+    inner.parameters.add_observer(Box::new(move |change: &Change| {
+        let is_simulated = change.values.iter().find_map(|(name, value)| match value {
+            Value::Bool(value) if name == "use_sim_time" => Some(*value),
+            _ => None,
+        });
+        let (Some(is_simulated), Some(backend)) = (is_simulated, backend.upgrade()) else { return };
+        let mut reader = reader.lock().unwrap_or_else(PoisonError::into_inner);
+        if is_simulated == reader.is_some() {
+            return;
+        }
+        clock.set_simulated(is_simulated);
+        *reader = None;
+        if is_simulated {
+            let type_name = TypeName { package: "rosgraph_msgs".to_owned(), name: "Clock".to_owned() };
+            let endpoint =
+                Endpoint { channel: Channel::Topic, name: "/clock".to_owned(), type_name, qos: CLOCK_QOS };
+            match backend.reader(&name, &endpoint, clock_sink(clock.clone())) {
+                Ok(subscribed) => *reader = Some(subscribed),
+                Err(error) => tracing::error!("use_sim_time is set, but there is no clock: {error}"),
+            }
+        }
+    }));
+}
+
+fn clock_sink(clock: Clock) -> crate::backend::Sink {
+    Box::new(move |sample| match sample.map(|sample| cdr::from_bytes::<rosgraph_msgs::Clock>(&sample.bytes)) {
+        Ok(Ok(message)) => clock.advance(message.clock),
+        Ok(Err(error)) => tracing::warn!("/clock: a sample is skipped: {error}"),
+        Err(reason) => tracing::warn!("/clock: a sample is skipped: {reason}"),
+    })
+}
+
+fn parameter_services(node: &Node) -> Result<(), Error> {
+    serve(node, "get_parameters", "GetParameters", |parameters, request| services::get(parameters, &request))?;
+    serve(node, "get_parameter_types", "GetParameterTypes", |parameters, request| {
+        services::get_types(parameters, &request)
+    })?;
+    serve(node, "describe_parameters", "DescribeParameters", |parameters, request| {
+        services::describe(parameters, &request)
+    })?;
+    serve(node, "list_parameters", "ListParameters", |parameters, request| services::list(parameters, &request))?;
+    serve(node, "set_parameters", "SetParameters", services::set)?;
+    serve(node, "set_parameters_atomically", "SetParametersAtomically", services::set_atomically)
+}
+
+fn serve<Request: DeserializeOwned + 'static, Response: Serialize + 'static>(
+    node: &Node,
+    name: &str,
+    type_name: &str,
+    handler: impl Fn(&Parameters, Request) -> Response + Send + 'static,
+) -> Result<(), Error> {
+    let parameters = Arc::clone(&node.inner.parameters);
+    let answer = move |request: &[u8]| -> Result<Vec<u8>, CdrError> {
+        cdr::to_bytes(&handler(&parameters, cdr::from_bytes(request)?))
+    };
+    node.inner.serve_bytes(&format!("~/{name}"), rcl_interfaces(type_name), answer)
+}
+
+fn diagnostics(node: &Node) -> Result<(), Error> {
+    let publisher = node.publisher::<DiagnosticArray>("/diagnostics", DIAGNOSTICS_QOS)?;
+    let (diagnostics, clock) = (node.diagnostics(), node.clock());
+    let beat = node.inner.context.runtime().spawn(async move {
+        let mut beat = tokio::time::interval(DIAGNOSTICS_PERIOD);
+        beat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            beat.tick().await;
+            let status = vec![diagnostics.report(Instant::now())];
+            let header = Header { stamp: clock.now(), frame_id: String::new() };
+            if let Err(error) = publisher.publish(&DiagnosticArray { header, status }) {
+                tracing::warn!("diagnostics are not published: {error}");
+            }
+        }
+    });
+    *node.inner.reporting.lock().unwrap_or_else(PoisonError::into_inner) = Some(beat.abort_handle());
+    Ok(())
+}

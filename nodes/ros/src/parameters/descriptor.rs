@@ -1,0 +1,100 @@
+//! What a parameter is for and which values it takes.
+
+use crate::value::Value;
+use std::fmt;
+
+/// The values that a number may have, both ends included.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Range {
+    /// For integers.
+    Integers {
+        /// The least.
+        from: i64,
+        /// The greatest.
+        to: i64,
+    },
+    /// For doubles.
+    Doubles {
+        /// The least.
+        from: f64,
+        /// The greatest.
+        to: f64,
+    },
+}
+
+impl Range {
+    /// Whether the value, or every value of an array, lies in the range. NaN lies in none.
+    pub(crate) fn contains(&self, value: &Value) -> bool {
+        match (self, value) {
+            (Self::Integers { from, to }, Value::Integer(value)) => (from..=to).contains(&value),
+            (Self::Integers { from, to }, Value::IntegerArray(values)) => {
+                values.iter().all(|value| (from..=to).contains(&value))
+            }
+            (Self::Doubles { from, to }, Value::Double(value)) => (from..=to).contains(&value),
+            (Self::Doubles { from, to }, Value::DoubleArray(values)) => {
+                values.iter().all(|value| (from..=to).contains(&value))
+            }
+            // a range of one type says nothing about a value of another
+            _ => true,
+        }
+    }
+}
+
+impl fmt::Display for Range {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Integers { from, to } => write!(f, "an integer from {from} to {to}"),
+            Self::Doubles { from, to } => write!(f, "a double from {from:?} to {to:?}"),
+        }
+    }
+}
+
+/// What a parameter is for and which values it takes, as `ros2 param describe` shows it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Descriptor {
+    /// Meaning and unit.
+    pub description: String,
+    /// The values allowed; `None`: all of the type.
+    pub range: Option<Range>,
+    /// Whether the value is fixed once the node runs.
+    pub read_only: bool,
+}
+
+impl Descriptor {
+    /// A parameter of any value, which can be changed while the node runs.
+    pub fn new(description: impl Into<String>) -> Self {
+        Self { description: description.into(), ..Self::default() }
+    }
+
+    /// Allows integers in `from..=to` only.
+    #[must_use]
+    pub fn integers(self, from: i64, to: i64) -> Self {
+        Self { range: Some(Range::Integers { from, to }), ..self }
+    }
+
+    /// Allows doubles in `from..=to` only.
+    #[must_use]
+    pub fn floats(self, from: f64, to: f64) -> Self {
+        Self { range: Some(Range::Doubles { from, to }), ..self }
+    }
+
+    /// Fixes the value once the node runs.
+    #[must_use]
+    pub fn read_only(self) -> Self {
+        Self { read_only: true, ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ends_are_included_and_nan_is_not() {
+        let range = Range::Doubles { from: 0.0, to: 1.0 };
+        assert!(range.contains(&Value::Double(0.0)) && range.contains(&Value::Double(1.0)));
+        assert!(!range.contains(&Value::Double(f64::NAN)));
+        assert!(!range.contains(&Value::DoubleArray(vec![0.5, 1.5])));
+        assert!(Range::Integers { from: 1, to: 2 }.contains(&Value::Integer(2)));
+    }
+}

@@ -1,0 +1,218 @@
+//! Services: a server that answers calls, and a client that makes them.
+
+use crate::{
+    Error, Shutdown,
+    backend::{Backend, EndpointId, Reader, RequestId, Sample, Sink, Writer, Written},
+    mailbox::Mailbox,
+};
+use bytes::Bytes;
+use std::{
+    collections::BTreeMap,
+    marker::PhantomData,
+    sync::{Arc, Mutex, PoisonError},
+};
+use tokio::sync::oneshot;
+use wm_msgs::cdr;
+
+/// Calls that may wait for a server. Policy DropOldest: who waited longest has most likely given up.
+pub(crate) const WAITING_CALLS: usize = 64;
+
+/// The serving end of a service `S`.
+pub struct Service<S> {
+    name: String,
+    calls: Arc<Mailbox<(RequestId, Bytes)>>,
+    writer: Arc<dyn Writer>,
+    _reader: Box<dyn Reader>,
+    shutdown: Shutdown,
+    of: PhantomData<fn(S)>,
+}
+
+/// A call to be answered.
+pub struct Call<S: wm_msgs::Service> {
+    /// What the client asks.
+    pub request: S::Request,
+    service: String,
+    id: RequestId,
+    writer: Arc<dyn Writer>,
+}
+
+/// What puts calls into a mailbox.
+pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<(RequestId, Bytes)>>) -> Sink {
+    Box::new(move |sample| match sample {
+        Ok(Sample { bytes, request: Some(id), .. }) => {
+            if !calls.push((id, bytes)) {
+                tracing::warn!("{name}: more than {WAITING_CALLS} calls wait, the oldest is dropped");
+            }
+        }
+        Ok(Sample { request: None, .. }) => tracing::warn!("{name}: a call without an identity cannot be answered"),
+        Err(reason) => tracing::warn!("{name}: a call is skipped: {reason}"),
+    })
+}
+
+/// What answers calls on the receiving thread.
+pub(crate) fn answering_sink(
+    name: String,
+    writer: Arc<dyn Writer>,
+    answer: impl Fn(&[u8]) -> Result<Vec<u8>, cdr::CdrError> + Send + 'static,
+) -> Sink {
+    Box::new(move |sample| {
+        let Ok(Sample { bytes, request: Some(id), .. }) = sample else {
+            tracing::warn!("{name}: a call that cannot be read or answered is skipped");
+            return;
+        };
+        let answered = answer(&bytes).map_err(Error::from).and_then(|answer| send(&*writer, &name, answer, id));
+        if let Err(error) = answered {
+            tracing::warn!("{name}: a call is not answered: {error}");
+        }
+    })
+}
+
+fn send(writer: &dyn Writer, name: &str, answer: Vec<u8>, id: RequestId) -> Result<(), Error> {
+    match writer.write(&answer.into(), Some(id))? {
+        Written::Sent(_) => Ok(()),
+        Written::WindowFull => Err(Error::middleware(format!("answer {name}"), "clients do not take their answers")),
+    }
+}
+
+impl<S: wm_msgs::Service> Service<S> {
+    pub(crate) fn new(
+        name: String,
+        calls: Arc<Mailbox<(RequestId, Bytes)>>,
+        writer: Arc<dyn Writer>,
+        reader: Box<dyn Reader>,
+        shutdown: Shutdown,
+    ) -> Self {
+        Self { name, calls, writer, _reader: reader, shutdown, of: PhantomData }
+    }
+
+    /// Waits for a call; `None` once the context is shut down. Cancel safe. A call that is not of the type is
+    /// reported and skipped.
+    pub async fn recv(&mut self) -> Option<Call<S>> {
+        loop {
+            let (id, bytes) = tokio::select! {
+                biased;
+                () = self.shutdown.wait() => return None,
+                call = self.calls.pop() => call?,
+            };
+            match cdr::from_bytes(&bytes) {
+                Ok(request) => {
+                    let (service, writer) = (self.name.clone(), Arc::clone(&self.writer));
+                    return Some(Call { request, service, id, writer });
+                }
+                Err(error) => tracing::warn!("{}: a call is skipped: {error}", self.name),
+            }
+        }
+    }
+
+    /// The service's absolute name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+}
+
+impl<S: wm_msgs::Service> Call<S> {
+    /// Answers the call.
+    ///
+    /// # Errors
+    /// The response has no CDR form, or the middleware failed.
+    pub fn respond(self, response: &S::Response) -> Result<(), Error> {
+        send(&*self.writer, &self.service, cdr::to_bytes(response)?, self.id)
+    }
+}
+
+/// Answers that are waited for, by the number of their request.
+pub(crate) type Pending = Arc<Mutex<BTreeMap<i64, oneshot::Sender<Bytes>>>>;
+
+/// The calling end of a service `S`.
+pub struct Client<S> {
+    name: String,
+    writer: Box<dyn Writer>,
+    reader: Box<dyn Reader>,
+    pending: Pending,
+    backend: Arc<dyn Backend>,
+    shutdown: Shutdown,
+    of: PhantomData<fn(S)>,
+}
+
+/// What hands answers to the calls that wait for them; those of other clients come along and are none of ours.
+pub(crate) fn answer_sink(client: EndpointId, pending: Pending) -> Sink {
+    Box::new(move |sample| {
+        if let Ok(Sample { bytes, request: Some(id), .. }) = sample
+            && id.client == client
+        {
+            let waiting = pending.lock().unwrap_or_else(PoisonError::into_inner).remove(&id.sequence);
+            if let Some(waiting) = waiting {
+                waiting.send(bytes).ok();
+            }
+        }
+    })
+}
+
+/// Takes a request off the list where nobody waits for it any more.
+struct Waiting<'a> {
+    pending: &'a Pending,
+    sequence: i64,
+}
+
+impl Drop for Waiting<'_> {
+    fn drop(&mut self) {
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.sequence);
+    }
+}
+
+impl<S: wm_msgs::Service> Client<S> {
+    pub(crate) fn new(
+        name: String,
+        writer: Box<dyn Writer>,
+        reader: Box<dyn Reader>,
+        pending: Pending,
+        backend: Arc<dyn Backend>,
+        shutdown: Shutdown,
+    ) -> Self {
+        Self { name, writer, reader, pending, backend, shutdown, of: PhantomData }
+    }
+
+    /// Calls the service and waits for the answer, for as long as it takes: bring a timeout.
+    ///
+    /// # Errors
+    /// The middleware failed, the answer is not of the type, or the context is shut down.
+    pub async fn call(&self, request: &S::Request) -> Result<S::Response, Error> {
+        let request = cdr::to_bytes(request)?.into();
+        let (answer, _waiting) = {
+            // Held over the write, so that the answer cannot come before it is waited for.
+            let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
+            let sequence = match self.writer.write(&request, None)? {
+                Written::Sent(sequence) => sequence,
+                Written::WindowFull => {
+                    return Err(Error::middleware(format!("call {}", self.name), "the server takes no calls"));
+                }
+            };
+            let (sender, answer) = oneshot::channel();
+            pending.insert(sequence, sender);
+            (answer, Waiting { pending: &self.pending, sequence })
+        };
+        tokio::select! {
+            answer = answer => match answer {
+                Ok(bytes) => Ok(cdr::from_bytes(&bytes)?),
+                Err(_) => Err(Error::ShutDown(self.name.clone())),
+            },
+            () = self.shutdown.wait() => Err(Error::ShutDown(self.name.clone())),
+        }
+    }
+
+    /// Waits until a server is connected.
+    pub async fn wait_for_service(&self) {
+        let mut changes = self.backend.changes();
+        let is_there = || self.backend.matched(&self.writer.id()) > 0 && self.backend.matched(&self.reader.id()) > 0;
+        while !is_there() {
+            if changes.changed().await.is_err() {
+                return;
+            }
+        }
+    }
+
+    /// The service's absolute name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+}

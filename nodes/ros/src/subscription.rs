@@ -1,0 +1,261 @@
+//! Subscriptions, typed and raw.
+
+mod gaps;
+
+use crate::{
+    Clock, Diagnostics, Shutdown,
+    backend::{Backend, Reader, Sink},
+    mailbox::Mailbox,
+};
+use bytes::Bytes;
+use gaps::Gaps;
+use std::{
+    marker::PhantomData,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+use wm_msgs::{Message, builtin_interfaces::Time, cdr};
+
+/// A message and when it came.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Received<M> {
+    /// The message.
+    pub message: M,
+    /// When it came (node clock).
+    pub received: Time,
+}
+
+/// The receiving end of a topic of any type: CDR bytes with their 4-byte header, as they were sent.
+///
+/// At most `depth` samples of its QoS wait to be read; policy DropOldest.
+pub struct RawSubscription {
+    intake: Arc<Intake>,
+    reader: Box<dyn Reader>,
+    backend: Arc<dyn Backend>,
+    shutdown: Shutdown,
+}
+
+/// What the receiving thread and the reader of a subscription share.
+pub(crate) struct Intake {
+    topic: String,
+    mailbox: Mailbox<Received<Bytes>>,
+    undecodable: AtomicU64,
+    lost: AtomicU64,
+    diagnostics: Diagnostics,
+    clock: Clock,
+}
+
+impl Intake {
+    pub(crate) fn new(topic: String, depth: usize, diagnostics: Diagnostics, clock: Clock) -> Arc<Self> {
+        let (undecodable, lost) = (AtomicU64::new(0), AtomicU64::new(0));
+        Arc::new(Self { topic, mailbox: Mailbox::new(depth), undecodable, lost, diagnostics, clock })
+    }
+
+    /// What the middleware calls for each sample.
+    pub(crate) fn sink(self: &Arc<Self>) -> Sink {
+        let intake = Arc::clone(self);
+        let mut gaps = Gaps::default();
+        Box::new(move |sample| match sample {
+            Ok(sample) => {
+                let lost = gaps.after(sample.writer, sample.sequence);
+                if lost > 0 {
+                    intake.lost.fetch_add(lost, Ordering::Relaxed);
+                    intake.diagnostics.count_drops(&format!("{}: lost in transport", intake.topic), lost);
+                }
+                intake.diagnostics.received(&intake.topic);
+                let received = Received { message: sample.bytes, received: intake.clock.now() };
+                if !intake.mailbox.push(received) {
+                    intake.diagnostics.count_drop(&format!("{}: queue full", intake.topic));
+                }
+            }
+            Err(reason) => intake.refuse(&reason),
+        })
+    }
+
+    /// Counts a sample that is not a message, and reports the first.
+    fn refuse(&self, reason: &str) {
+        if self.undecodable.fetch_add(1, Ordering::Relaxed) == 0 {
+            tracing::warn!("{}: a sample is skipped, and others like it will be: {reason}", self.topic);
+        }
+        self.diagnostics.count_drop(&format!("{}: undecodable", self.topic));
+    }
+}
+
+impl RawSubscription {
+    pub(crate) fn new(
+        intake: Arc<Intake>,
+        reader: Box<dyn Reader>,
+        backend: Arc<dyn Backend>,
+        shutdown: Shutdown,
+    ) -> Self {
+        Self { intake, reader, backend, shutdown }
+    }
+
+    /// Waits for a sample; `None` once the context is shut down. Cancel safe.
+    pub async fn recv(&mut self) -> Option<Received<Bytes>> {
+        tokio::select! {
+            biased;
+            () = self.shutdown.wait() => None,
+            sample = self.intake.mailbox.pop() => sample,
+        }
+    }
+
+    /// A sample that is there already; also after the shutdown, to read what still waits.
+    pub fn try_recv(&mut self) -> Option<Received<Bytes>> {
+        self.intake.mailbox.try_pop()
+    }
+
+    /// The topic's absolute name.
+    pub fn topic(&self) -> &str {
+        &self.intake.topic
+    }
+
+    /// Samples dropped so far because they were not read in time.
+    pub fn dropped(&self) -> u64 {
+        self.intake.mailbox.dropped()
+    }
+
+    /// Samples that never arrived, by the gaps in their publishers' numbering.
+    pub fn lost(&self) -> u64 {
+        self.intake.lost.load(Ordering::Relaxed)
+    }
+
+    /// Samples skipped so far because they were not messages of the type.
+    pub fn undecodable(&self) -> u64 {
+        self.intake.undecodable.load(Ordering::Relaxed)
+    }
+
+    /// How many publishers are connected.
+    pub fn publishers(&self) -> usize {
+        self.backend.matched(&self.reader.id())
+    }
+
+    /// Waits until at least `number` publishers are connected.
+    pub async fn wait_for_publishers(&self, number: usize) {
+        let mut changes = self.backend.changes();
+        while self.publishers() < number {
+            if changes.changed().await.is_err() {
+                return;
+            }
+        }
+    }
+}
+
+impl Drop for RawSubscription {
+    fn drop(&mut self) {
+        self.intake.mailbox.close();
+    }
+}
+
+/// The receiving end of a topic of messages `M`. At most `depth` messages of its QoS wait to be read; policy
+/// DropOldest. A sample that is not an `M` is counted, reported and skipped.
+pub struct Subscription<M> {
+    raw: RawSubscription,
+    of: PhantomData<fn() -> M>,
+}
+
+impl<M: Message> Subscription<M> {
+    pub(crate) fn new(raw: RawSubscription) -> Self {
+        Self { raw, of: PhantomData }
+    }
+
+    /// Waits for a message; `None` once the context is shut down. Cancel safe.
+    pub async fn recv(&mut self) -> Option<Received<M>> {
+        loop {
+            let sample = self.raw.recv().await?;
+            if let Some(message) = self.decode(&sample) {
+                return Some(message);
+            }
+        }
+    }
+
+    /// A message that is there already; also after the shutdown, to read what still waits.
+    pub fn try_recv(&mut self) -> Option<Received<M>> {
+        loop {
+            let sample = self.raw.try_recv()?;
+            if let Some(message) = self.decode(&sample) {
+                return Some(message);
+            }
+        }
+    }
+
+    fn decode(&self, sample: &Received<Bytes>) -> Option<Received<M>> {
+        match cdr::from_bytes(&sample.message) {
+            Ok(message) => Some(Received { message, received: sample.received }),
+            Err(error) => {
+                self.raw.intake.refuse(&error.to_string());
+                None
+            }
+        }
+    }
+
+    /// The topic's absolute name.
+    pub fn topic(&self) -> &str {
+        self.raw.topic()
+    }
+
+    /// Messages dropped so far because they were not read in time.
+    pub fn dropped(&self) -> u64 {
+        self.raw.dropped()
+    }
+
+    /// Messages that never arrived, by the gaps in their publishers' numbering.
+    pub fn lost(&self) -> u64 {
+        self.raw.lost()
+    }
+
+    /// Samples skipped so far because they were not messages of the type.
+    pub fn undecodable(&self) -> u64 {
+        self.raw.undecodable()
+    }
+
+    /// How many publishers are connected.
+    pub fn publishers(&self) -> usize {
+        self.raw.publishers()
+    }
+
+    /// Waits until at least `number` publishers are connected.
+    pub async fn wait_for_publishers(&self, number: usize) {
+        self.raw.wait_for_publishers(number).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::Sample;
+    use wm_msgs::std_msgs;
+
+    fn sample(sequence: i64, bytes: Vec<u8>) -> Result<Sample, String> {
+        Ok(Sample { bytes: bytes.into(), writer: [1; 16], sequence, request: None })
+    }
+
+    #[test]
+    fn what_is_lost_dropped_or_undecodable_is_counted_and_the_stream_goes_on() {
+        let diagnostics = Diagnostics::new("/wm/test");
+        let intake = Intake::new("/wm/text".into(), 2, diagnostics.clone(), Clock::new());
+        let mut sink = intake.sink();
+        let text = |text: &str| cdr::to_bytes(&std_msgs::String { data: text.into() }).unwrap();
+        sink(sample(1, text("dropped")));
+        sink(sample(2, vec![0, 1, 0, 0, 9, 9, 9, 9]));
+        sink(sample(7, text("kept")));
+        sink(Err("an unknown representation".into()));
+        let report = diagnostics.report(std::time::Instant::now());
+        assert!(report.message.contains("dropped 4: /wm/text: lost in transport"), "{}", report.message);
+        assert!(report.message.contains("dropped 1: /wm/text: queue full"), "{}", report.message);
+
+        let mailbox = &intake.mailbox;
+        let mut decoded = Vec::new();
+        while let Some(received) = mailbox.try_pop() {
+            match cdr::from_bytes::<std_msgs::String>(&received.message) {
+                Ok(message) => decoded.push(message.data),
+                Err(error) => intake.refuse(&error.to_string()),
+            }
+        }
+        assert_eq!(decoded, ["kept"]);
+        assert_eq!(intake.undecodable.load(Ordering::Relaxed), 2);
+        assert_eq!(mailbox.dropped(), 1);
+    }
+}

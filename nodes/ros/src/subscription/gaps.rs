@@ -1,0 +1,44 @@
+//! Samples that never arrived, seen from the numbers of those that did.
+
+use crate::backend::EndpointId;
+use std::collections::BTreeMap;
+
+/// Publishers that are remembered; beyond that a subscription has met more restarts than anybody counts gaps over.
+const MAX_WRITERS: usize = 64;
+
+/// The last number from each publisher.
+#[derive(Debug, Default)]
+pub(super) struct Gaps {
+    last: BTreeMap<EndpointId, i64>,
+}
+
+impl Gaps {
+    /// How many samples of this publisher are missing in front of this one. What came before the first is not: a
+    /// subscription begins where it joins.
+    pub(super) fn after(&mut self, writer: EndpointId, sequence: i64) -> u64 {
+        if self.last.len() >= MAX_WRITERS && !self.last.contains_key(&writer) {
+            self.last.clear();
+        }
+        let last = self.last.entry(writer).or_insert(sequence);
+        let missing = sequence.saturating_sub(*last).saturating_sub(1);
+        *last = sequence.max(*last);
+        u64::try_from(missing).unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_counted_for_each_publisher() {
+        let mut gaps = Gaps::default();
+        let (a, b) = ([1; 16], [2; 16]);
+        assert_eq!(gaps.after(a, 5), 0, "it joined here");
+        assert_eq!(gaps.after(a, 6), 0);
+        assert_eq!(gaps.after(b, 1), 0);
+        assert_eq!(gaps.after(a, 9), 2);
+        assert_eq!(gaps.after(a, 8), 0, "late, not lost twice");
+        assert_eq!(gaps.after(a, 10), 0);
+    }
+}

@@ -1,0 +1,66 @@
+//! What a node says of bad input: every case is counted, and named in the log, but not five times a second.
+
+use std::{
+    collections::BTreeMap,
+    fmt::Display,
+    time::{Duration, Instant},
+};
+
+use wm_ros::{Diagnostics, Level};
+
+/// After a warning, how long more of its kind are only counted.
+const QUIET: Duration = Duration::from_secs(5);
+
+/// Counts drops by reason and warns of them.
+pub struct Complaints {
+    diagnostics: Diagnostics,
+    last: BTreeMap<&'static str, (Instant, u64)>,
+    waiting_for: Option<String>,
+}
+
+impl Complaints {
+    /// Complaints of the node of `diagnostics`.
+    pub fn new(diagnostics: Diagnostics) -> Self {
+        Self { diagnostics, last: BTreeMap::new(), waiting_for: None }
+    }
+
+    /// Counts something that was left out, and says why.
+    pub fn left_out(&mut self, reason: &'static str, error: &dyn Display) {
+        self.left_out_many(reason, 1, error);
+    }
+
+    /// Counts several things that were left out for one reason, and says why.
+    pub fn left_out_many(&mut self, reason: &'static str, number: u64, error: &dyn Display) {
+        self.diagnostics.count_drops(reason, number);
+        let now = Instant::now();
+        match self.last.get_mut(reason) {
+            Some((since, unsaid)) if now.duration_since(*since) < QUIET => *unsaid += number,
+            earlier => {
+                match earlier.map_or(0, |(_, unsaid)| *unsaid) {
+                    0 => tracing::warn!("{reason}: {error}"),
+                    unsaid => tracing::warn!("{reason}: {error} (and {unsaid} more since the last warning)"),
+                }
+                self.last.insert(reason, (now, 0));
+            }
+        }
+    }
+
+    /// Says what the node waits for: in the status, and in the log where it was not waiting before or what it waits
+    /// for (`kind`) is another. Waiting is no drop.
+    pub fn waiting(&mut self, kind: &str, text: &dyn Display) {
+        let text = format!("waiting: {text}");
+        if self.waiting_for.as_deref() != Some(kind) {
+            tracing::warn!("{text}");
+            self.waiting_for = Some(kind.to_owned());
+        }
+        self.diagnostics.set_status(Level::Warn, text);
+    }
+
+    /// Says that the node does its work.
+    pub fn working(&mut self, text: &str) {
+        if self.waiting_for.take().is_some() {
+            tracing::info!("{text}");
+            self.diagnostics.set_status(Level::Ok, text);
+        }
+    }
+}

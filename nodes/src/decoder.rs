@@ -1,0 +1,9 @@
+//! The decoder node: predicted latents in, pictures out.
+//!
+//! [`DecoderStep`] is the node without its wires. A picture has the stamp of its prediction: the time that is predicted.
+
+mod node;
+mod step;
+
+pub use node::{NAME, body, run};
+pub use step::{DecoderError, DecoderStep, jpeg_message, raw_message};

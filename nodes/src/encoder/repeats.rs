@@ -1,0 +1,76 @@
+//! Frames that come by two transports, or twice.
+
+use std::collections::VecDeque;
+
+use wm_msgs::builtin_interfaces::Time;
+
+/// Frames that are remembered: the two transports of one frame are never further apart.
+const REMEMBERED: usize = 16;
+/// A stamp this far behind means that time jumped back, and earlier frames may come again \[ns\].
+const JUMP_NS: i64 = 1_000_000_000;
+
+/// Tells a frame's second arrival by its stamp.
+#[derive(Debug, Default)]
+pub(super) struct Repeats {
+    seen: VecDeque<(Time, bool)>,
+}
+
+/// What an arrival is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Arrival {
+    /// A frame's first.
+    New,
+    /// The same frame by the other transport.
+    OtherTransport,
+    /// The same stamp by the same transport.
+    Duplicate,
+}
+
+impl Repeats {
+    pub(super) fn arrive(&mut self, stamp: Time, is_raw: bool) -> Arrival {
+        if let Some(newest) = self.seen.iter().map(|(stamp, _)| *stamp).max() {
+            if stamp.to_nanos() < newest.to_nanos() - JUMP_NS {
+                self.seen.clear();
+            }
+        }
+        if let Some((_, was_raw)) = self.seen.iter().find(|(seen, _)| *seen == stamp) {
+            return if *was_raw == is_raw { Arrival::Duplicate } else { Arrival::OtherTransport };
+        }
+        if self.seen.len() == REMEMBERED {
+            self.seen.pop_front();
+        }
+        self.seen.push_back((stamp, is_raw));
+        Arrival::New
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stamp(index: i64) -> Time {
+        Time::from_nanos(1_700_000_000_000_000_000 + index * 200_000_000)
+    }
+
+    #[test]
+    fn a_frame_counts_once_by_whichever_transport_comes_first() {
+        let mut repeats = Repeats::default();
+        assert_eq!(repeats.arrive(stamp(0), true), Arrival::New);
+        assert_eq!(repeats.arrive(stamp(0), false), Arrival::OtherTransport);
+        assert_eq!(repeats.arrive(stamp(1), false), Arrival::New);
+        assert_eq!(repeats.arrive(stamp(2), false), Arrival::New);
+        assert_eq!(repeats.arrive(stamp(1), true), Arrival::OtherTransport);
+        assert_eq!(repeats.arrive(stamp(2), false), Arrival::Duplicate);
+    }
+
+    #[test]
+    fn after_a_jump_back_frames_are_new_again() {
+        let mut repeats = Repeats::default();
+        for index in 0..12 {
+            assert_eq!(repeats.arrive(stamp(index), true), Arrival::New);
+        }
+        for index in 0..12 {
+            assert_eq!(repeats.arrive(stamp(index), true), Arrival::New);
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! `wm launch`: starts the nodes of a launch file as processes, passes their parameters, carries their logs to one
+//! screen, and stops them all together.
+//!
+//! Launch files are in ROS 2's own YAML launch format, so that the real `ros2 launch` reads them too. Known
+//! actions: `arg`, `let`, `set_env`, `unset_env`, `push_ros_namespace`, `group`, `include`, `node`, `executable`,
+//! each with `if` and `unless`; substitutions: `var`, `env`, `dirname`, `filename`, `find-pkg-share`,
+//! `find-pkg-prefix`, `equals`, `not-equals`, `not`, `and`, `or`. Anything else is an error that names it: nothing
+//! is skipped silently. A `node` of the package `wm_nodes` is this very program; other packages are looked up in
+//! `AMENT_PREFIX_PATH`. Relative paths mean the working directory, as for `ros2 launch`; `$(dirname)` is the
+//! launch file's folder.
+//!
+//! In layers, of which only the last touches a process: [`substitution`] and [`file`] read, [`plan`] resolves into
+//! complete command lines, [`supervisor`] decides when to start and stop, [`console`] lays out lines, [`runner`]
+//! carries it all out.
+//!
+//! Not here: event handlers, timers, lifecycle and composable nodes of ROS 2's launch.
+
+pub mod console;
+mod entity;
+pub mod error;
+pub mod file;
+pub mod plan;
+pub mod runner;
+pub mod substitution;
+pub mod supervisor;
+
+pub use error::LaunchError;
+pub use file::LaunchFile;
+pub use plan::{Plan, Surroundings, System};
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Reads a launch file.
+///
+/// # Errors
+/// Where it cannot be read, or is not a launch file.
+pub fn read(path: &Path, surroundings: &dyn Surroundings) -> Result<LaunchFile, LaunchError> {
+    let text =
+        surroundings.read(path).map_err(|source| LaunchError::Read { file: path.to_owned(), source })?;
+    LaunchFile::parse(path, &text)
+}
+
+/// The arguments of a launch file in the words of `ros2 launch --show-args`.
+#[must_use]
+pub fn describe_arguments(file: &LaunchFile) -> String {
+    let arguments = file.arguments();
+    if arguments.is_empty() {
+        return "No arguments.\n".to_owned();
+    }
+    let mut text = "Arguments (pass arguments as '<name>:=<value>'):\n".to_owned();
+    for argument in arguments {
+        let description = argument.description.as_deref().unwrap_or("no description given");
+        let choices = if argument.choices.is_empty() {
+            String::new()
+        } else {
+            format!(" Valid choices are: {}", argument.choices.join(", "))
+        };
+        let default = match &argument.default_text {
+            Some(default) => format!("        (default: '{default}')\n"),
+            None => String::new(),
+        };
+        // writing to a String cannot fail
+        write!(text, "\n    '{}':\n        {description}{choices}\n{default}", argument.name).ok();
+    }
+    text
+}

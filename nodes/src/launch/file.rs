@@ -1,0 +1,479 @@
+//! A launch file as it is written: ROS 2's YAML launch format, read strictly, nothing resolved yet.
+
+use super::{
+    entity::{Entity, describe},
+    error::LaunchError,
+    substitution::Template,
+};
+use serde_yaml_ng::Value;
+use std::path::{Path, PathBuf};
+
+/// Groups within groups deeper than this are refused: the reader recurses.
+const DEPTH_LIMIT: usize = 16;
+
+/// The actions that this launcher knows, for error messages.
+const ACTIONS: [&str; 9] =
+    ["arg", "let", "set_env", "unset_env", "push_ros_namespace", "group", "include", "node", "executable"];
+
+/// A launch file: its actions in order.
+#[derive(Clone, Debug)]
+pub struct LaunchFile {
+    /// Where it was read from.
+    pub path: PathBuf,
+    /// What it says.
+    pub actions: Vec<Action>,
+}
+
+/// One entry.
+#[derive(Clone, Debug)]
+pub struct Action {
+    /// The entry's name in errors, for example `launch[3] node "encoder"`.
+    pub entry: String,
+    /// `if:`: do it only where this resolves to true.
+    pub only_if: Option<Template>,
+    /// `unless:`: do it only where this resolves to false.
+    pub unless: Option<Template>,
+    /// What to do.
+    pub kind: ActionKind,
+}
+
+/// What an entry does.
+#[derive(Clone, Debug)]
+pub enum ActionKind {
+    /// `arg`: declares a launch argument.
+    Argument(Argument),
+    /// `let`: sets a launch variable.
+    Let {
+        /// The variable.
+        name: Template,
+        /// Its value.
+        value: Template,
+    },
+    /// `set_env` and, without a value, `unset_env`.
+    Environment {
+        /// The environment variable.
+        name: Template,
+        /// Its value; none: it is removed.
+        value: Option<Template>,
+    },
+    /// `push_ros_namespace`: the namespace of the nodes that follow in this group.
+    PushNamespace(Template),
+    /// `group`.
+    Group {
+        /// Whether variables, environment and namespace are restored at its end.
+        scoped: bool,
+        /// Its entries.
+        actions: Vec<Action>,
+    },
+    /// `include`: another YAML launch file.
+    Include {
+        /// The file.
+        file: Template,
+        /// Launch arguments for it.
+        arguments: Vec<(Template, Template)>,
+    },
+    /// `node`.
+    Node(Box<Node>),
+    /// `executable`.
+    Executable {
+        /// The command line.
+        command: Template,
+        /// The rest.
+        process: ProcessKeys,
+    },
+}
+
+/// A declared launch argument.
+#[derive(Clone, Debug)]
+pub struct Argument {
+    /// Its name.
+    pub name: String,
+    /// Its value where the command line gives none; without it the argument is required.
+    pub default: Option<Template>,
+    /// The default as it is written, for `--show-args`.
+    pub default_text: Option<String>,
+    /// What it is for.
+    pub description: Option<String>,
+    /// The values that it may have; empty: any.
+    pub choices: Vec<String>,
+}
+
+/// A ROS node.
+#[derive(Clone, Debug)]
+pub struct Node {
+    /// `pkg`.
+    pub package: Template,
+    /// `exec`.
+    pub executable: Template,
+    /// `namespace`.
+    pub namespace: Option<Template>,
+    /// `args`: plain arguments.
+    pub arguments: Option<Template>,
+    /// `ros_args`: arguments after `--ros-args`.
+    pub ros_arguments: Option<Template>,
+    /// `remap`: from, to.
+    pub remaps: Vec<(Template, Template)>,
+    /// `param`.
+    pub parameters: Vec<Parameter>,
+    /// The rest; its `name` is the node's name.
+    pub process: ProcessKeys,
+}
+
+/// One `param` of a node.
+#[derive(Clone, Debug)]
+pub enum Parameter {
+    /// `from:` a parameter file.
+    File(Template),
+    /// `name:` (nested names joined by dots) and `value:`.
+    Value {
+        /// The name.
+        name: String,
+        /// The value.
+        value: ParameterValue,
+    },
+}
+
+/// The value of a parameter.
+#[derive(Clone, Debug)]
+pub enum ParameterValue {
+    /// As YAML gives it.
+    Literal(Value),
+    /// A text with substitutions, read as YAML once they are resolved; with `is_text` it stays a string.
+    Substituted {
+        /// The text.
+        template: Template,
+        /// `type: str`.
+        is_text: bool,
+    },
+}
+
+/// The keys that `node` and `executable` share.
+#[derive(Clone, Debug, Default)]
+pub struct ProcessKeys {
+    /// `name`.
+    pub name: Option<Template>,
+    /// `cwd`.
+    pub working_directory: Option<Template>,
+    /// `output`: `screen`, `log` or `both`.
+    pub output: Option<Template>,
+    /// `env`.
+    pub environment: Vec<(Template, Template)>,
+    /// `respawn`.
+    pub respawn: Option<Template>,
+    /// `respawn_delay` \[s\].
+    pub respawn_delay_s: Option<f64>,
+    /// `respawn_max_retries`; none: without end.
+    pub respawn_max_retries: Option<u32>,
+    /// `on_exit: shutdown`: its end ends the launch.
+    pub ends_launch: bool,
+    /// `sigterm_timeout` \[s\]: from SIGINT to SIGTERM.
+    pub sigterm_timeout_s: Option<f64>,
+    /// `sigkill_timeout` \[s\]: from SIGTERM to SIGKILL.
+    pub sigkill_timeout_s: Option<f64>,
+}
+
+impl LaunchFile {
+    /// Reads the text of the launch file `path`.
+    ///
+    /// # Errors
+    /// Where the text is not YAML or not a launch file; the entry and key at fault are named.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, LaunchError> {
+        let document: Value =
+            serde_yaml_ng::from_str(text).map_err(|source| LaunchError::Yaml { file: path.to_owned(), source })?;
+        let root = |message| LaunchError::Entry { file: path.to_owned(), entry: "the file".to_owned(), message };
+        let Value::Mapping(mapping) = &document else {
+            return Err(root(format!("expected a mapping with the one key \"launch\", got {}", describe(&document))));
+        };
+        let entries = match mapping.get("launch") {
+            Some(entries) if mapping.len() == 1 => entries,
+            _ => return Err(root("expected the one key \"launch\" at the top".to_owned())),
+        };
+        Ok(Self { path: path.to_owned(), actions: read_actions(path, "launch", entries, 0)? })
+    }
+
+    /// The declared arguments in order, those within groups included.
+    #[must_use]
+    pub fn arguments(&self) -> Vec<&Argument> {
+        fn collect<'a>(actions: &'a [Action], arguments: &mut Vec<&'a Argument>) {
+            for action in actions {
+                match &action.kind {
+                    ActionKind::Argument(argument) => arguments.push(argument),
+                    ActionKind::Group { actions, .. } => collect(actions, arguments),
+                    _ => {}
+                }
+            }
+        }
+        let mut arguments = Vec::new();
+        collect(&self.actions, &mut arguments);
+        arguments
+    }
+}
+
+fn read_actions(file: &Path, list: &str, entries: &Value, depth: usize) -> Result<Vec<Action>, LaunchError> {
+    let error = |entry: String, message: String| LaunchError::Entry { file: file.to_owned(), entry, message };
+    let Value::Sequence(items) = entries else {
+        return Err(error(list.to_owned(), format!("expected a list of actions, got {}", describe(entries))));
+    };
+    if depth > DEPTH_LIMIT {
+        return Err(error(list.to_owned(), format!("groups nested more than {DEPTH_LIMIT} deep")));
+    }
+    let mut actions = Vec::with_capacity(items.len());
+    for (index, item) in items.iter().enumerate() {
+        let entry = format!("{list}[{index}]");
+        let single = item.as_mapping().filter(|mapping| mapping.len() == 1).and_then(|mapping| mapping.iter().next());
+        let Some((Value::String(kind), body)) = single else {
+            let message = format!("expected a mapping with one key, the action; got {}", describe(item));
+            return Err(error(entry, message));
+        };
+        actions.push(read_action(file, entry, kind, body, depth)?);
+    }
+    Ok(actions)
+}
+
+fn read_action(file: &Path, entry: String, kind: &str, body: &Value, depth: usize) -> Result<Action, LaunchError> {
+    let label = ["name", "exec", "file", "namespace"].iter().find_map(|key| body.get(*key).and_then(Value::as_str));
+    let entry = match label {
+        Some(label) => format!("{entry} {kind} {label:?}"),
+        None => format!("{entry} {kind}"),
+    };
+    // `group:` may be the bare list of its children
+    if kind == "group" && body.is_sequence() {
+        let actions = read_actions(file, &entry, body, depth + 1)?;
+        return Ok(Action { entry, only_if: None, unless: None, kind: ActionKind::Group { scoped: true, actions } });
+    }
+    let mut entity = Entity::new(file, entry, body)?;
+    let only_if = entity.boolean("if")?;
+    let unless = entity.boolean("unless")?;
+    if only_if.is_some() && unless.is_some() {
+        return Err(entity.error("give either \"if\" or \"unless\", not both".to_owned()));
+    }
+    let kind = match kind {
+        "arg" => ActionKind::Argument(read_argument(&mut entity)?),
+        "let" => ActionKind::Let { name: entity.required_template("name")?, value: entity.required_template("value")? },
+        "set_env" => ActionKind::Environment {
+            name: entity.required_template("name")?,
+            value: Some(entity.required_template("value")?),
+        },
+        "unset_env" => ActionKind::Environment { name: entity.required_template("name")?, value: None },
+        "push_ros_namespace" | "push-ros-namespace" => {
+            ActionKind::PushNamespace(entity.required_template("namespace")?)
+        }
+        "group" => {
+            let scoped = match entity.value("scoped") {
+                None | Some(Value::Bool(true)) => true,
+                Some(Value::Bool(false)) => false,
+                Some(other) => {
+                    return Err(entity.error(format!("key \"scoped\" must be a boolean, got {}", describe(other))));
+                }
+            };
+            let Some(children) = entity.value("children") else { return Err(entity.missing("children")) };
+            ActionKind::Group { scoped, actions: read_actions(file, &entity.entry, children, depth + 1)? }
+        }
+        "include" => ActionKind::Include {
+            file: entity.required_template("file")?,
+            arguments: read_pairs(&mut entity, "arg", "name", "value")?,
+        },
+        "node" => ActionKind::Node(Box::new(read_node(&mut entity)?)),
+        "executable" => {
+            let command = entity.required_template("cmd")?;
+            ActionKind::Executable { command, process: read_process(&mut entity)? }
+        }
+        other => {
+            let message = format!("unknown action {other:?}; known here: {}", ACTIONS.join(", "));
+            return Err(entity.error(message));
+        }
+    };
+    let entry = entity.entry.clone();
+    entity.finish()?;
+    Ok(Action { entry, only_if, unless, kind })
+}
+
+fn read_argument(entity: &mut Entity<'_>) -> Result<Argument, LaunchError> {
+    let name = entity.required_text("name")?.to_owned();
+    let default_text = entity.text("default")?.map(ToOwned::to_owned);
+    let default = entity.template("default")?;
+    let description = entity.text("description")?.map(ToOwned::to_owned);
+    let mut choices = Vec::new();
+    for mut choice in entity.entities("choice")? {
+        choices.push(choice.required_text("value")?.to_owned());
+        choice.finish()?;
+    }
+    Ok(Argument { name, default, default_text, description, choices })
+}
+
+fn read_node(entity: &mut Entity<'_>) -> Result<Node, LaunchError> {
+    let package = entity.required_template("pkg")?;
+    let executable = entity.required_template("exec")?;
+    let namespace = entity.template("namespace")?;
+    let arguments = entity.template("args")?;
+    let ros_arguments = entity.template("ros_args")?;
+    let remaps = read_pairs(entity, "remap", "from", "to")?;
+    let mut parameters = Vec::new();
+    for mut parameter in entity.entities("param")? {
+        if let Some(file) = parameter.template("from")? {
+            parameter.finish()?;
+            parameters.push(Parameter::File(file));
+        } else {
+            read_parameter(parameter, "", &mut parameters, 0)?;
+        }
+    }
+    let process = read_process(entity)?;
+    Ok(Node { package, executable, namespace, arguments, ros_arguments, remaps, parameters, process })
+}
+
+fn read_parameter(
+    mut entity: Entity<'_>,
+    prefix: &str,
+    parameters: &mut Vec<Parameter>,
+    depth: usize,
+) -> Result<(), LaunchError> {
+    let Some(name) = entity.text("name")? else {
+        return Err(entity.error("a parameter needs \"name\" and \"value\", or \"from\"".to_owned()));
+    };
+    let name = if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") };
+    let is_text = match entity.text("type")? {
+        None => false,
+        Some("str") => true,
+        Some("bool" | "int" | "float") => false,
+        Some(other) => {
+            return Err(entity.error(format!("key \"type\" must be str, bool, int or float, got {other:?}")));
+        }
+    };
+    let value = entity.value("value");
+    let nested = entity.entities("param")?;
+    match (value, nested.is_empty()) {
+        (Some(value), true) => {
+            let value = match value {
+                Value::String(text) => {
+                    let template = entity.parse("value", text)?;
+                    if template.is_plain() {
+                        // a plain string is a string, whatever it looks like; a backslash in it escapes
+                        ParameterValue::Substituted { template, is_text: true }
+                    } else {
+                        ParameterValue::Substituted { template, is_text }
+                    }
+                }
+                Value::Bool(_) | Value::Number(_) => ParameterValue::Literal(value.clone()),
+                Value::Sequence(items) if items.iter().all(|item| !item.is_mapping() && !item.is_sequence()) => {
+                    ParameterValue::Literal(value.clone())
+                }
+                other => {
+                    let message = format!("key \"value\" must be a scalar or a list of scalars, got {}", describe(other));
+                    return Err(entity.error(message));
+                }
+            };
+            parameters.push(Parameter::Value { name, value });
+        }
+        (None, false) if depth < DEPTH_LIMIT => {
+            for child in nested {
+                read_parameter(child, &name, parameters, depth + 1)?;
+            }
+        }
+        _ => return Err(entity.error("a parameter needs either \"value\" or nested \"param\"".to_owned())),
+    }
+    entity.finish()
+}
+
+fn read_pairs(
+    entity: &mut Entity<'_>,
+    key: &'static str,
+    left: &'static str,
+    right: &'static str,
+) -> Result<Vec<(Template, Template)>, LaunchError> {
+    let mut pairs = Vec::new();
+    for mut pair in entity.entities(key)? {
+        pairs.push((pair.required_template(left)?, pair.required_template(right)?));
+        pair.finish()?;
+    }
+    Ok(pairs)
+}
+
+fn read_process(entity: &mut Entity<'_>) -> Result<ProcessKeys, LaunchError> {
+    let ends_launch = match entity.text("on_exit")? {
+        None => false,
+        Some("shutdown") => true,
+        Some(other) => return Err(entity.error(format!("key \"on_exit\" must be \"shutdown\", got {other:?}"))),
+    };
+    let respawn_max_retries = match entity.value("respawn_max_retries") {
+        None => None,
+        // ROS 2: a negative number means without end
+        Some(value) => match value.as_i64() {
+            Some(retries) => u32::try_from(retries).ok(),
+            None => {
+                let message = format!("key \"respawn_max_retries\" must be an integer, got {}", describe(value));
+                return Err(entity.error(message));
+            }
+        },
+    };
+    Ok(ProcessKeys {
+        name: entity.template("name")?,
+        working_directory: entity.template("cwd")?,
+        output: entity.template("output")?,
+        environment: read_pairs(entity, "env", "name", "value")?,
+        respawn: entity.boolean("respawn")?,
+        respawn_delay_s: entity.number("respawn_delay")?,
+        respawn_max_retries,
+        ends_launch,
+        sigterm_timeout_s: entity.number("sigterm_timeout")?,
+        sigkill_timeout_s: entity.number("sigkill_timeout")?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<LaunchFile, LaunchError> {
+        LaunchFile::parse(Path::new("x.launch.yaml"), text)
+    }
+
+    fn message(text: &str) -> String {
+        parse(text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn an_unknown_key_names_file_entry_and_key() {
+        let text = "launch:\n- arg: {name: a}\n- node: {pkg: p, exec: encoder, respwan: true}\n";
+        let message = message(text);
+        assert!(message.contains("x.launch.yaml"), "{message}");
+        assert!(message.contains("launch[1] node \"encoder\""), "{message}");
+        assert!(message.contains("\"respwan\""), "{message}");
+        assert!(message.contains("respawn"), "{message}");
+    }
+
+    #[test]
+    fn malformed_entries_are_named() {
+        assert!(message("a: 1").contains("one key \"launch\""));
+        assert!(message("launch: 3").contains("list of actions"));
+        assert!(message("launch:\n- nod: {}").contains("unknown action \"nod\""));
+        assert!(message("launch:\n- node: {pkg: p}").contains("\"exec\" is missing"));
+        assert!(message("launch:\n- arg: {name: a, default: 1.0}").contains("must be a string"));
+        assert!(message("launch:\n- node: {pkg: p, exec: e, on_exit: restart}").contains("\"on_exit\""));
+        assert!(message("launch:\n- node: {pkg: p, exec: e, param: [{value: 1}]}").contains("param[0]"));
+        assert!(message("launch:\n- node: {pkg: p, exec: '$(var x'}").contains("key \"exec\""));
+        assert!(message("launch:\n- group: {scoped: yes please, children: []}").contains("scoped"));
+        assert!(message("launch: [").contains("not YAML"));
+    }
+
+    #[test]
+    fn nested_parameters_join_with_dots() {
+        let text = "launch:\n- node: {pkg: p, exec: e, param: [{name: a, param: [{name: b, value: 2}]}]}";
+        let file = parse(text).unwrap();
+        let ActionKind::Node(node) = &file.actions[0].kind else { panic!("not a node") };
+        let Parameter::Value { name, value: ParameterValue::Literal(value) } = &node.parameters[0] else {
+            panic!("not a literal")
+        };
+        assert_eq!((name.as_str(), value.as_i64()), ("a.b", Some(2)));
+    }
+
+    #[test]
+    fn a_deep_file_is_an_error_and_not_a_crash() {
+        let mut text = "launch: ".to_owned();
+        for _ in 0..60 {
+            text.push_str("[{group: ");
+        }
+        text.push_str("[]");
+        text.push_str(&"}]".repeat(60));
+        assert!(parse(&text).is_err());
+    }
+}

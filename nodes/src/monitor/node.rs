@@ -1,0 +1,187 @@
+//! The monitor on the wire.
+
+use super::live_line::LiveLine;
+use crate::{
+    image_message::{decode_compressed, decode_image},
+    report::{Scorer, files::write_report, table::terminal_table},
+    transport::{ImageSubscription, Transports},
+};
+use crate::encoder::CameraFrame;
+use anyhow::{Result, ensure};
+use image::RgbImage;
+use std::io::{IsTerminal as _, Write as _};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+use tokio::time::MissedTickBehavior;
+use tracing::warn;
+use wm_msgs::{
+    diagnostic_msgs::DiagnosticArray,
+    sensor_msgs::Image,
+    wm_msgs::{Plan, Prediction, PredictionError},
+};
+use wm_ros::{Descriptor, Diagnostics, Node, NodeArgs, Qos, Received, Subscription};
+
+/// The node's default name.
+pub const NAME: &str = "monitor";
+
+/// Best effort, which matches every publisher; room for the rollouts that come while one frame is scored.
+const QOS: Qos = Qos::best_effort(64);
+
+/// How often the live line is renewed.
+const LIVE_PERIOD: Duration = Duration::from_millis(500);
+
+/// Runs the monitor until a signal, then writes the report.
+///
+/// # Errors
+/// Names what is wrong with arguments or parameters, or the file that cannot be written.
+pub fn run(argv: impl IntoIterator<Item = String>) -> Result<()> {
+    let args = NodeArgs::parse(argv)?;
+    args.expect_no_rest()?;
+    let mut monitor = None;
+    wm_ros::run(NAME, "/wm", &args, async |node: Node| -> Result<()> {
+        let (state, inputs) = start(&node)?;
+        watch(monitor.insert(state), inputs).await;
+        Ok(())
+    })?;
+    // after the node has left the graph, so that nothing hurries the writing
+    if let Some(Monitor { scorer, output, .. }) = monitor {
+        let (report, files) = write_report(&scorer, "live", &output)?;
+        print!("{}", terminal_table(&report));
+        for file in files {
+            println!("{}", file.display());
+        }
+    }
+    Ok(())
+}
+
+struct Monitor {
+    scorer: Scorer,
+    line: LiveLine,
+    is_live: bool,
+    output: PathBuf,
+    diagnostics: Diagnostics,
+}
+
+struct Inputs {
+    camera: ImageSubscription,
+    predicted: Subscription<Prediction>,
+    pictures: Subscription<Image>,
+    errors: Subscription<PredictionError>,
+    plans: Subscription<Plan>,
+    diagnostics: Subscription<DiagnosticArray>,
+}
+
+fn start(node: &Node) -> Result<(Monitor, Inputs)> {
+    let fixed = |text: &str| Descriptor::new(text).read_only();
+    let output = node
+        .declare("output", "out/monitor".to_owned(), fixed("folder of the report; relative to the working directory"))?
+        .get();
+    let is_live = node.declare("live_line", true, fixed("show a line of what is happening"))?.get();
+    let camera = node
+        .declare("camera_topic", "/camera/image_raw".to_owned(), fixed("the camera's topic; its sibling /compressed too"))?
+        .get();
+    let transports = Transports::declare(node)?;
+    node.seal_parameters()?;
+    ensure!(!output.is_empty(), "parameter \"output\" is empty: name the folder of the report");
+    let inputs = Inputs {
+        camera: ImageSubscription::new(node, &camera, transports, QOS)?,
+        predicted: node.subscription("predicted", QOS)?,
+        pictures: node.subscription("predicted/image", QOS)?,
+        errors: node.subscription("prediction_error", QOS)?,
+        plans: node.subscription("plan", QOS)?,
+        diagnostics: node.subscription("/diagnostics", QOS)?,
+    };
+    let monitor = Monitor {
+        scorer: Scorer::default(),
+        line: LiveLine::default(),
+        is_live,
+        output: PathBuf::from(output),
+        diagnostics: node.diagnostics(),
+    };
+    Ok((monitor, inputs))
+}
+
+async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
+    let mut ticks = tokio::time::interval(LIVE_PERIOD);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    loop {
+        tokio::select! {
+            received = inputs.camera.recv() => match received {
+                Some(received) => monitor.camera(&received.message),
+                None => break,
+            },
+            received = inputs.predicted.recv() => match received {
+                Some(received) => monitor.prediction(&received),
+                None => break,
+            },
+            Some(Received { message, received }) = inputs.pictures.recv() => {
+                let stamp_ns = message.header.stamp.to_nanos();
+                match decode_image(&message) {
+                    Ok(picture) => monitor.scorer.picture(stamp_ns, picture, received.to_nanos()),
+                    Err(problem) => monitor.left_out("predicted image", &problem),
+                }
+            }
+            Some(received) = inputs.errors.recv() => monitor.scorer.error(&received.message),
+            Some(Received { message, .. }) = inputs.plans.recv() => {
+                monitor.line.plan(message.cost, message.time_taken.to_nanos());
+                monitor.scorer.plan(&message);
+            }
+            Some(received) = inputs.diagnostics.recv() => monitor.scorer.diagnostics(&received.message),
+            _ = ticks.tick() => monitor.show(),
+        }
+    }
+    if monitor.is_live && std::io::stderr().is_terminal() {
+        eprintln!();
+    }
+}
+
+impl Monitor {
+    fn camera(&mut self, frame: &CameraFrame) {
+        let decoded = match frame {
+            CameraFrame::Raw(image) => decode_image(image).map(|rgb| (image.header.stamp, rgb)),
+            CameraFrame::Compressed(image) => decode_compressed(image).map(|rgb| (image.header.stamp, rgb)),
+        };
+        match decoded {
+            Ok((stamp, rgb)) => self.frame(stamp.to_nanos(), rgb),
+            Err(problem) => self.left_out("camera image", &problem),
+        }
+    }
+
+    fn frame(&mut self, stamp_ns: i64, frame: RgbImage) {
+        let before = self.scorer.frame_count();
+        self.scorer.frame(stamp_ns, frame);
+        // a frame may come raw and compressed: it counts once
+        if self.scorer.frame_count() > before {
+            self.line.frame(Instant::now());
+        }
+    }
+
+    fn prediction(&mut self, received: &Received<Prediction>) {
+        let Received { message, received } = received;
+        let arrived_ns = received.to_nanos();
+        let latency_ns = arrived_ns.saturating_sub(message.observed_stamp.to_nanos());
+        self.line.prediction(message.step, latency_ns, Instant::now());
+        self.scorer.prediction(message, arrived_ns);
+    }
+
+    fn left_out(&self, what: &str, problem: &dyn std::fmt::Display) {
+        self.diagnostics.count_drop(what);
+        warn!("{what} left out: {problem}");
+    }
+
+    /// On a terminal the line renews itself in place; elsewhere it is a line that begins with a carriage return, by
+    /// which `wm launch` knows it. A closed standard error is no reason to stop watching.
+    fn show(&mut self) {
+        if !self.is_live {
+            return;
+        }
+        let text = self.line.text(Instant::now(), self.scorer.last_error_ratio(), self.scorer.drop_count());
+        let mut screen = std::io::stderr();
+        let written = if screen.is_terminal() {
+            write!(screen, "\r\x1b[2K{text}").and_then(|()| screen.flush())
+        } else {
+            writeln!(screen, "\r{text}")
+        };
+        written.ok();
+    }
+}

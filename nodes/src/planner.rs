@@ -1,0 +1,16 @@
+//! The planner node: a goal image, latents and actions in, plans out.
+//!
+//! [`PlannerStep`] is the node's state without its wires: it keeps the goal's latent and the observed history, and says
+//! when and from what to plan ([`PlanRequest`]). [`PlannerModel::plan`] computes a request by the cross-entropy method
+//! over the transition model, which this node holds itself: candidates never cross a topic.
+
+mod error;
+mod model;
+mod node;
+mod parameters;
+mod step;
+
+pub use error::PlannerError;
+pub use model::PlannerModel;
+pub use node::{NAME, body, run};
+pub use step::{Goal, PlanRequest, PlanWait, PlannerSettings, PlannerStep};

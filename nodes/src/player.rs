@@ -1,0 +1,21 @@
+//! The player node: a bag's messages at the times at which they were recorded, their bytes untouched.
+//!
+//! Two things can be added for the other nodes, computed by pure steps over the bag: the actions that are to come
+//! ([`chunks`]), which a policy would send on a robot, and the bag's last frame as goal for the planner ([`goal`]).
+//!
+//! Time: with `restamp`, header stamps are moved from the bag's time to now ([`restamp`], [`schedule`]), in place,
+//! so that latencies are those of live data; without it they stay, and `clock` publishes the bag's time on `/clock`
+//! for nodes with `use_sim_time`. Either way the messages keep their distances, divided by `rate`.
+//!
+//! Not here: reading bags (`wm_bag`); pausing, seeking and the player services of rosbag2.
+
+pub mod chunks;
+pub mod goal;
+mod node;
+mod playlist;
+pub mod restamp;
+pub mod schedule;
+mod settings;
+
+pub use node::{NAME, run};
+pub use settings::Settings;

@@ -1,0 +1,148 @@
+//! The bag's last frame, as goal for the planner.
+
+use thiserror::Error;
+use wm_bag::{BagError, BagMessage, BagReader};
+use wm_msgs::{
+    Message as _,
+    sensor_msgs::{CompressedImage, Image},
+};
+
+use crate::image_message::{ImageError, decode_image, encode_jpeg};
+
+/// JPEG quality of a goal that the bag has as raw image: artefacts well below what an encoder sees.
+const QUALITY: u8 = 95;
+
+/// How much of the bag's end is looked through for its last frame before all of it is \[ns\].
+const TAIL_NS: u64 = 5_000_000_000;
+
+/// Why a bag has no goal image.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum GoalError {
+    /// No camera.
+    #[error("the bag {bag} has no camera images (no topic of sensor_msgs/msg/Image or CompressedImage); its topics: {topics}")]
+    NoCamera {
+        /// The bag.
+        bag: String,
+        /// Its topics.
+        topics: String,
+    },
+    /// A topic that is not there, or no camera's.
+    #[error("topic {topic:?} is no camera topic of the bag {bag}; its topics: {topics}")]
+    Topic {
+        /// The topic that was asked for.
+        topic: String,
+        /// The bag.
+        bag: String,
+        /// Its topics.
+        topics: String,
+    },
+    /// The camera's topic is empty.
+    #[error("topic {0:?} has no readable message")]
+    Empty(String),
+    /// The bag cannot be read.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    /// The last frame is no image.
+    #[error("the last frame of {topic:?}: {source}")]
+    Image {
+        /// The camera's topic.
+        topic: String,
+        /// What is wrong with it.
+        source: ImageError,
+    },
+}
+
+/// The camera topic of a bag: `wanted`, or, where that is empty, the first camera topic by name, compressed ones
+/// (which are smaller) before raw ones, and masks last.
+///
+/// # Errors
+/// Where there is none.
+pub fn camera_topic(reader: &BagReader, wanted: &str) -> Result<String, GoalError> {
+    let (compressed, raw) = (CompressedImage::ros_name(), Image::ros_name());
+    let bag = reader.path().display().to_string();
+    let names: Vec<&str> = reader.topics().iter().map(|topic| topic.name.as_ref()).collect();
+    let topics = names.join(", ");
+    let cameras = reader.topics().iter().filter(|topic| {
+        let is_image = topic.type_name.as_ref() == compressed || topic.type_name.as_ref() == raw;
+        is_image && topic.message_count > 0 && (wanted.is_empty() || topic.name.as_ref() == wanted)
+    });
+    let best = cameras.min_by_key(|topic| {
+        (topic.name.contains("mask"), topic.type_name.as_ref() != compressed, topic.name.clone())
+    });
+    match best {
+        Some(topic) => Ok(topic.name.to_string()),
+        None if wanted.is_empty() => Err(GoalError::NoCamera { bag, topics }),
+        None => Err(GoalError::Topic { topic: wanted.to_owned(), bag, topics }),
+    }
+}
+
+/// The last frame of a camera topic, as JPEG or PNG. A compressed one is handed on as it is.
+///
+/// # Errors
+/// Where the topic has no readable message, or the last one is no image.
+pub fn last_frame(reader: &BagReader, topic: &str) -> Result<CompressedImage, GoalError> {
+    let readable = |from_ns| reader.messages().only_topics([topic]).starting_at(from_ns).flatten().last();
+    let last = match readable(reader.end_ns().saturating_sub(TAIL_NS)) {
+        Some(last) => last,
+        None => readable(0).ok_or_else(|| GoalError::Empty(topic.to_owned()))?,
+    };
+    compressed(topic, &last)
+}
+
+fn compressed(topic: &str, message: &BagMessage) -> Result<CompressedImage, GoalError> {
+    if message.type_name.as_ref() == CompressedImage::ros_name() {
+        return Ok(message.decode()?);
+    }
+    let image: Image = message.decode()?;
+    let wrong = |source| GoalError::Image { topic: topic.to_owned(), source };
+    let rgb = decode_image(&image).map_err(wrong)?;
+    encode_jpeg(&rgb, image.header, QUALITY).map_err(wrong)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image_message::encode_image;
+    use wm_bag::{BagWriter, WriterOptions};
+    use wm_msgs::{builtin_interfaces::Time, std_msgs};
+
+    fn header(stamp_ns: i64) -> std_msgs::Header {
+        std_msgs::Header { stamp: Time::from_nanos(stamp_ns), frame_id: "camera".to_owned() }
+    }
+
+    #[test]
+    fn the_last_frame_is_found_whatever_comes_after_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();
+        for (index, level) in [(1_u64, 10), (2, 200)] {
+            let rgb = image::RgbImage::from_pixel(16, 16, image::Rgb([level; 3]));
+            let message = encode_image(&rgb, header(index as i64));
+            writer.write("/camera/image_raw", &message, index * 1_000_000_000).unwrap();
+        }
+        let text = std_msgs::String { data: "end".to_owned() };
+        writer.write("/note", &text, 60_000_000_000).unwrap();
+        writer.finish().unwrap();
+
+        let reader = BagReader::open(folder.path().join("bag")).unwrap();
+        let topic = camera_topic(&reader, "").unwrap();
+        assert_eq!(topic, "/camera/image_raw");
+        let goal = last_frame(&reader, &topic).unwrap();
+        assert_eq!(goal.header, header(2));
+        let decoded = crate::image_message::decode_compressed(&goal).unwrap();
+        assert!(decoded.get_pixel(8, 8).0.iter().all(|value| value.abs_diff(200) < 4));
+        let error = camera_topic(&reader, "/other").unwrap_err().to_string();
+        assert!(error.contains("\"/other\"") && error.contains("/camera/image_raw"), "{error}");
+    }
+
+    #[test]
+    fn a_bag_without_camera_says_so_and_what_it_has() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();
+        writer.write("/note", &std_msgs::String::default(), 1).unwrap();
+        writer.finish().unwrap();
+        let reader = BagReader::open(folder.path().join("bag")).unwrap();
+        let error = camera_topic(&reader, "").unwrap_err().to_string();
+        assert!(error.contains("no camera images") && error.contains("/note"), "{error}");
+    }
+}

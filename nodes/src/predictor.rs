@@ -1,0 +1,18 @@
+//! The predictor node: latents and actions in, predicted latents out, one step a message.
+//!
+//! [`PredictorStep`] is the node's state without its wires: it aligns frames and actions, says when and from what to
+//! roll out ([`RolloutRequest`]), and scores predictions whose moment has come. [`RunningRollout`] computes a request,
+//! one [`wm_msgs::wm_msgs::Prediction`] after another, so that the first is sent while the last is still to come. Both
+//! are deterministic: the same messages with the same stamps give the same predictions.
+
+mod error;
+mod node;
+mod rollout;
+mod scoring;
+mod step;
+
+pub use error::PredictorError;
+pub use node::{NAME, body, run};
+pub(crate) use rollout::{context_tensor, past_actions};
+pub use rollout::{PredictedStep, PredictorModel, RolloutRequest, RunningRollout};
+pub use step::{LatentOutcome, PredictorSettings, PredictorStep};

@@ -1,0 +1,44 @@
+//! What can go wrong in the predictor.
+
+use thiserror::Error;
+use wm_model::actions::ActionError;
+
+use crate::{latent_message::LatentError, timeline::TimelineError};
+
+/// Why an input is left out, or a rollout ends.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PredictorError {
+    /// A latent message that cannot be used, or a predicted latent that is not finite.
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+    /// A frame, action or chunk that does not fit the timeline.
+    #[error(transparent)]
+    Timeline(#[from] TimelineError),
+    /// Actions that cannot be encoded for the model.
+    #[error(transparent)]
+    Action(#[from] ActionError),
+    /// The model cannot compute it.
+    #[error(transparent)]
+    Model(#[from] wm_model::Error),
+}
+
+impl From<candle_core::Error> for PredictorError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::Model(error.into())
+    }
+}
+
+impl PredictorError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Latent(LatentError::Space { .. }) => "wrong_space",
+            Self::Latent(_) => "malformed_latent",
+            Self::Timeline(TimelineError::Duplicate { .. }) => "duplicate",
+            Self::Timeline(TimelineError::OutOfOrder { .. }) => "out_of_order",
+            Self::Timeline(_) | Self::Action(_) => "malformed_action",
+            Self::Model(_) => "model",
+        }
+    }
+}

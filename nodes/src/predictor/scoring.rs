@@ -1,0 +1,80 @@
+//! Predictions whose moment is still to come, and how they did when it came.
+
+use std::{collections::VecDeque, sync::Arc};
+
+use wm_model::metrics::mean_squared_error;
+use wm_msgs::{builtin_interfaces::Time, std_msgs::Header, wm_msgs::PredictionError};
+
+use crate::timeline::Frame;
+
+/// Most predictions that wait for their moment: 64 rollouts of 16 steps.
+const MAX_PENDING: usize = 1024;
+
+/// A prediction to be compared with what is seen when its moment comes.
+#[derive(Clone, Debug)]
+pub(super) struct Pending {
+    /// The moment that is predicted \[ns\].
+    pub due_ns: i64,
+    /// The observation it started from.
+    pub observed: Frame,
+    /// Model steps after the observation, from 1.
+    pub step: u32,
+    /// The predicted latent.
+    pub predicted: Arc<[f32]>,
+}
+
+impl Pending {
+    /// The message of this prediction's error against `seen`.
+    fn score(&self, seen: &Frame) -> PredictionError {
+        // Lengths are those of one latent space: no error is possible, and NaN would say so.
+        let error = |values: &[f32]| mean_squared_error(values, &seen.values).unwrap_or(f64::NAN);
+        let (mse, persistence_mse) = (error(&self.predicted), error(&self.observed.values));
+        PredictionError {
+            header: Header { stamp: Time::from_nanos(self.due_ns), frame_id: seen.frame_id.to_string() },
+            observed_stamp: Time::from_nanos(self.observed.stamp_ns),
+            step: self.step,
+            mse: mse as f32,
+            persistence_mse: persistence_mse as f32,
+            ratio: (mse / persistence_mse) as f32,
+        }
+    }
+}
+
+/// The predictions that wait.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Scoring {
+    pending: VecDeque<Pending>,
+}
+
+impl Scoring {
+    /// Adds a prediction; `seen` is the frame of its moment where that came first.
+    pub(super) fn add(&mut self, pending: Pending, seen: Option<&Frame>) -> Option<PredictionError> {
+        if let Some(seen) = seen {
+            return Some(pending.score(seen));
+        }
+        if self.pending.len() == MAX_PENDING {
+            self.pending.pop_front();
+        }
+        self.pending.push_back(pending);
+        None
+    }
+
+    /// Errors of all predictions of the moment of `seen`, the earliest observation first. Those of earlier moments,
+    /// whose frame never came, are forgotten.
+    pub(super) fn seen(&mut self, seen: &Frame, tolerance_ns: i64) -> Vec<PredictionError> {
+        let mut errors = Vec::new();
+        self.pending.retain(|pending| {
+            let late_ns = seen.stamp_ns - pending.due_ns;
+            if late_ns.abs() <= tolerance_ns {
+                errors.push(pending.score(seen));
+                return false;
+            }
+            late_ns < 0
+        });
+        errors
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.pending.clear();
+    }
+}

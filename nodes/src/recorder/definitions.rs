@@ -1,0 +1,152 @@
+//! Message definitions: of this suite's own types, else of the ROS packages on `AMENT_PREFIX_PATH`.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use wm_bag::{Schema, SchemaEncoding, type_schema};
+use wm_msgs::{
+    Message, diagnostic_msgs, geometry_msgs, rosgraph_msgs, sensor_msgs, std_msgs,
+    wm_msgs::{Action, ActionChunk, Latent, LatentSpace, Plan, Prediction, PredictionError},
+};
+
+/// A definition file is text of a few kilobytes; a larger one is no definition.
+const FILE_LIMIT: u64 = 1 << 20;
+
+/// A type of more parts than this is refused.
+const PARTS_LIMIT: usize = 256;
+
+/// The definition of `package/msg/Type`, or an empty schema where it is found nowhere: the bytes can be recorded
+/// and played all the same, only not decoded by who does not know the type.
+#[must_use]
+pub fn definition(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
+    own(type_name).or_else(|| installed(type_name, prefixes))
+}
+
+/// What stands for a definition that was not found.
+#[must_use]
+pub fn unknown() -> Schema {
+    Schema { encoding: SchemaEncoding::Other(String::new()), text: String::new() }
+}
+
+/// The folders of `AMENT_PREFIX_PATH`.
+#[must_use]
+pub fn prefixes() -> Vec<PathBuf> {
+    let path = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
+    std::env::split_paths(&path).filter(|prefix| !prefix.as_os_str().is_empty()).collect()
+}
+
+fn own(type_name: &str) -> Option<Schema> {
+    fn of<M: Message>(type_name: &str) -> Option<Schema> {
+        (M::ros_name() == type_name).then(type_schema::<M>)
+    }
+    let known = [
+        of::<std_msgs::Header>,
+        of::<std_msgs::String>,
+        of::<std_msgs::Bool>,
+        of::<std_msgs::Float32>,
+        of::<sensor_msgs::Image>,
+        of::<sensor_msgs::CompressedImage>,
+        of::<geometry_msgs::Pose>,
+        of::<geometry_msgs::PoseStamped>,
+        of::<diagnostic_msgs::DiagnosticArray>,
+        of::<rosgraph_msgs::Clock>,
+        of::<LatentSpace>,
+        of::<Latent>,
+        of::<Action>,
+        of::<ActionChunk>,
+        of::<Prediction>,
+        of::<PredictionError>,
+        of::<Plan>,
+    ];
+    known.iter().find_map(|of| of(type_name))
+}
+
+fn installed(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
+    let mut text = read(type_name, prefixes)?;
+    let mut seen = BTreeSet::from([type_name.to_owned()]);
+    let mut waiting = parts(type_name, &text);
+    while let Some(part) = waiting.pop() {
+        if seen.len() > PARTS_LIMIT {
+            return None;
+        }
+        if seen.insert(part.clone()) {
+            let definition = read(&part, prefixes)?;
+            waiting.extend(parts(&part, &definition));
+            let name = part.replace("/msg/", "/");
+            // writing to a String cannot fail
+            write!(text, "\n{}\nMSG: {name}\n{definition}", "=".repeat(80)).ok();
+        }
+    }
+    Some(Schema::ros2msg(text))
+}
+
+fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
+    let (package, name) = type_name.split_once("/msg/")?;
+    // names come from the network: nothing but a file name may become part of a path
+    let is_plain = |part: &str| !part.is_empty() && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    if !is_plain(package) || !is_plain(name) {
+        return None;
+    }
+    let file = Path::new("share").join(package).join("msg").join(format!("{name}.msg"));
+    prefixes.iter().map(|prefix| prefix.join(&file)).find_map(|path| {
+        let is_small = std::fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= FILE_LIMIT);
+        if is_small { std::fs::read_to_string(path).ok() } else { None }
+    })
+}
+
+/// The message types that a definition's fields have, as `package/msg/Type`.
+fn parts(type_name: &str, definition: &str) -> Vec<String> {
+    let package = type_name.split('/').next().unwrap_or_default();
+    let mut parts = Vec::new();
+    for line in definition.lines() {
+        let code = line.split('#').next().unwrap_or_default();
+        let Some(field_type) = code.split_whitespace().next() else { continue };
+        let field_type = field_type.split(['[', '<', '=']).next().unwrap_or_default();
+        match field_type.split('/').collect::<Vec<_>>().as_slice() {
+            [package, name] | [package, "msg", name] => parts.push(format!("{package}/msg/{name}")),
+            // types begin with a capital; primitives do not
+            [name] if name.starts_with(|c: char| c.is_ascii_uppercase()) => match *name {
+                "Header" => parts.push("std_msgs/msg/Header".to_owned()),
+                name => parts.push(format!("{package}/msg/{name}")),
+            },
+            _ => {}
+        }
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn own_types_need_no_ros() {
+        let schema = definition("wm_msgs/msg/Prediction", &[]).unwrap();
+        assert_eq!(schema, type_schema::<Prediction>());
+        assert_eq!(definition("nav_msgs/msg/Odometry", &[]), None);
+    }
+
+    #[test]
+    fn installed_types_come_with_their_parts_each_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |package: &str, name: &str, text: &str| {
+            let folder = folder.path().join("share").join(package).join("msg");
+            std::fs::create_dir_all(&folder).unwrap();
+            std::fs::write(folder.join(format!("{name}.msg")), text).unwrap();
+        };
+        write("a", "Top", "Header header\nuint8 X=1\nPart[<=3] parts # Comment\nb/Other other\nstring<=5 s\n");
+        write("a", "Part", "b/Other again\nfloat64[9] k\n");
+        write("b", "Other", "int32 x\n");
+        write("std_msgs", "Header", "builtin_interfaces/Time stamp\nstring frame_id\n");
+        write("builtin_interfaces", "Time", "int32 sec\nuint32 nanosec\n");
+        let prefixes = [folder.path().to_owned()];
+        let text = definition("a/msg/Top", &prefixes).unwrap().text;
+        assert!(text.starts_with("Header header"));
+        for part in ["a/Part", "b/Other", "std_msgs/Header", "builtin_interfaces/Time"] {
+            assert_eq!(text.matches(&format!("MSG: {part}\n")).count(), 1, "{part}");
+        }
+        write("c", "Broken", "missing/Type x\n");
+        assert_eq!(definition("c/msg/Broken", &prefixes), None);
+        assert_eq!(definition("../msg/../../etc/passwd", &prefixes), None);
+    }
+}

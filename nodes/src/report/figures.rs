@@ -1,0 +1,98 @@
+//! The figures of a report.
+
+use serde::{Deserialize, Serialize};
+
+/// A whole report.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// What was scored: the live topics, or a bag.
+    pub source: String,
+    /// Name of the transition model.
+    pub model: String,
+    /// SHA-256 of its weights and configuration.
+    pub model_hash: String,
+    /// Model steps of a rollout.
+    pub horizon: u32,
+    /// Time of one model step \[s\].
+    pub step_period_s: f64,
+    /// Camera frames seen.
+    pub frames: u64,
+    /// Mean rate of the camera frames, by their stamps \[Hz\].
+    pub frame_rate_hz: f64,
+    /// Observations that predictions were made from.
+    pub observations: u64,
+    /// One entry a step, from k = 1.
+    pub steps: Vec<StepFigures>,
+    /// The planner's, where it planned.
+    pub plans: Option<PlanFigures>,
+    /// What the nodes dropped, and why.
+    pub drops: Vec<Drops>,
+}
+
+/// The figures of step k.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StepFigures {
+    /// k: model steps after the observation.
+    pub step: u32,
+    /// Predictions of this step that arrived.
+    pub predictions: u64,
+    /// Predictions of this step that others of the same observation have and this one lacks.
+    pub missing: u64,
+    /// Pictures compared with the frame of their moment.
+    pub compared: u64,
+    /// Mean PSNR of the predicted pictures \[dB\]; each is capped at [`PSNR_CAP_DB`](super::scorer::PSNR_CAP_DB).
+    pub psnr_db: Option<f64>,
+    /// Mean SSIM of the predicted pictures.
+    pub ssim: Option<f64>,
+    /// The same PSNR of the last observed frame held still \[dB\].
+    pub persistence_psnr_db: Option<f64>,
+    /// The same SSIM of the last observed frame held still.
+    pub persistence_ssim: Option<f64>,
+    /// Mean latent squared error of the predictions over that of persistence: below 1 the model beats standing still.
+    pub latent_error_ratio: Option<f64>,
+    /// From the capture of the observed frame until the step was ready to be sent.
+    pub ready_latency: Option<Percentiles>,
+    /// From the capture of the observed frame until the step was here.
+    pub received_latency: Option<Percentiles>,
+}
+
+/// The planner's figures.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlanFigures {
+    /// Plans that arrived.
+    pub plans: u64,
+    /// How many of them the deadline cut short.
+    pub deadline_cuts: u64,
+    /// Planning time.
+    pub time_taken: Option<Percentiles>,
+    /// Cost of the first plan.
+    pub first_cost: f64,
+    /// Cost of the last plan.
+    pub last_cost: f64,
+}
+
+/// Percentiles of a time \[ms\].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Percentiles {
+    /// Samples.
+    pub n: u64,
+    /// Median.
+    pub p50_ms: f64,
+    /// 95th percentile.
+    pub p95_ms: f64,
+    /// 99th percentile.
+    pub p99_ms: f64,
+    /// The longest.
+    pub max_ms: f64,
+}
+
+/// What a node dropped for one reason.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Drops {
+    /// The node.
+    pub node: String,
+    /// Why, in the node's words.
+    pub reason: String,
+    /// How many, since the node began.
+    pub total: u64,
+}

@@ -1,0 +1,113 @@
+//! The camera's last frames by stamp, at the resolution of the predicted pictures once that is known.
+
+use image::RgbImage;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use wm_model::image::resize;
+
+/// Frames that are kept: more than a horizon of 3.2 s at 30 Hz.
+const COUNT_LIMIT: usize = 128;
+
+/// Bytes that are kept: before the resolution of the predictions is known, frames may be large.
+const BYTE_LIMIT: usize = 96 << 20;
+
+/// The last frames.
+#[derive(Debug, Default)]
+pub(super) struct Frames {
+    frames: BTreeMap<i64, Arc<RgbImage>>,
+    /// (height, width) of the predicted pictures.
+    size: Option<(usize, usize)>,
+    bytes: usize,
+}
+
+impl Frames {
+    /// Keeps a frame; false where one of this stamp is here already.
+    pub fn insert(&mut self, stamp_ns: i64, frame: RgbImage) -> bool {
+        if self.frames.contains_key(&stamp_ns) {
+            return false;
+        }
+        let frame = match self.size {
+            Some(size) => fit(frame, size),
+            None => frame,
+        };
+        self.bytes += frame.as_raw().len();
+        self.frames.insert(stamp_ns, Arc::new(frame));
+        while self.frames.len() > COUNT_LIMIT || (self.bytes > BYTE_LIMIT && self.frames.len() > 1) {
+            if let Some((_, oldest)) = self.frames.pop_first() {
+                self.bytes -= oldest.as_raw().len();
+            }
+        }
+        true
+    }
+
+    /// Says what resolution the predicted pictures have; frames are brought to it.
+    pub fn set_size(&mut self, picture: &RgbImage) {
+        let size = (picture.height() as usize, picture.width() as usize);
+        if self.size != Some(size) {
+            self.size = Some(size);
+            let old = std::mem::take(&mut self.frames);
+            self.frames = old.into_iter().map(|(stamp, frame)| (stamp, Arc::new(fit(frame.as_ref().clone(), size)))).collect();
+            self.bytes = self.frames.values().map(|frame| frame.as_raw().len()).sum();
+        }
+    }
+
+    /// The frame nearest to a stamp, within the tolerance.
+    pub fn nearest(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Arc<RgbImage>> {
+        let range = stamp_ns.saturating_sub(tolerance_ns)..=stamp_ns.saturating_add(tolerance_ns);
+        let nearest = self.frames.range(range).min_by_key(|(found, _)| found.abs_diff(stamp_ns));
+        nearest.map(|(_, frame)| frame)
+    }
+
+    /// The newest stamp.
+    pub fn newest_ns(&self) -> Option<i64> {
+        self.frames.last_key_value().map(|(stamp_ns, _)| *stamp_ns)
+    }
+
+    pub fn clear(&mut self) {
+        self.frames.clear();
+        self.bytes = 0;
+    }
+}
+
+/// The frame at this size; as it is where it cannot be brought there, so that the comparison says why.
+fn fit(frame: RgbImage, size: (usize, usize)) -> RgbImage {
+    if (frame.height() as usize, frame.width() as usize) == size {
+        return frame;
+    }
+    match resize(&frame, size) {
+        Ok(resized) => resized,
+        Err(_) => frame,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_within_the_tolerance_is_found() {
+        let mut frames = Frames::default();
+        for stamp in [100, 200, 300] {
+            assert!(frames.insert(stamp, RgbImage::from_pixel(8, 8, image::Rgb([stamp as u8; 3]))));
+        }
+        assert!(!frames.insert(200, RgbImage::new(8, 8)));
+        assert_eq!(frames.nearest(220, 30).unwrap().get_pixel(0, 0).0[0], 200);
+        assert!(frames.nearest(250, 30).is_none());
+        frames.set_size(&RgbImage::new(4, 4));
+        assert_eq!(frames.nearest(300, 0).unwrap().dimensions(), (4, 4));
+    }
+
+    #[test]
+    fn memory_is_bounded_by_count_and_by_bytes() {
+        let mut frames = Frames::default();
+        for stamp in 0..1000 {
+            frames.insert(stamp, RgbImage::new(8, 8));
+        }
+        assert_eq!((frames.frames.len(), frames.newest_ns()), (COUNT_LIMIT, Some(999)));
+        frames.clear();
+        for stamp in 0..20 {
+            frames.insert(stamp, RgbImage::new(2048, 2048));
+        }
+        assert_eq!(frames.frames.len(), BYTE_LIMIT / (2048 * 2048 * 3));
+    }
+}

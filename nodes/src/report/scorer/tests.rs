@@ -1,0 +1,157 @@
+use super::*;
+use image::Rgb;
+use wm_msgs::{
+    builtin_interfaces::{Duration, Time},
+    diagnostic_msgs::{DiagnosticStatus, KeyValue},
+    std_msgs::Header,
+};
+
+const STEP_NS: i64 = 400_000_000;
+const FRAME_NS: i64 = STEP_NS / 2;
+
+fn header(stamp_ns: i64) -> Header {
+    Header { stamp: Time::from_nanos(stamp_ns), ..Header::default() }
+}
+
+fn prediction(observed_ns: i64, step: u32, ready_ns: i64) -> Prediction {
+    Prediction {
+        header: header(observed_ns + i64::from(step) * STEP_NS),
+        observed_stamp: Time::from_nanos(observed_ns),
+        step,
+        horizon: 2,
+        step_period: Duration::from_nanos(STEP_NS),
+        ready_stamp: Time::from_nanos(ready_ns),
+        model: "tiny".to_owned(),
+        ..Prediction::default()
+    }
+}
+
+/// A 16x16 picture of one grey level.
+fn grey(level: u8) -> RgbImage {
+    RgbImage::from_pixel(16, 16, Rgb([level; 3]))
+}
+
+/// The camera brightens by 10 levels a frame; predictions are off by `error` levels.
+fn run(scorer: &mut Scorer, frames: i64, error: u8) {
+    for frame in 0..frames {
+        let now = frame * FRAME_NS;
+        scorer.frame(now, RgbImage::from_pixel(32, 32, Rgb([100 + 10 * frame as u8; 3])));
+        for step in 1..=2_u32 {
+            let arrived = now + 30_000_000 + i64::from(step) * 5_000_000;
+            scorer.prediction(&prediction(now, step, arrived - 1_000_000), arrived);
+            let level = 100 + 10 * (frame as u8 + 2 * step as u8) + error;
+            scorer.picture(now + i64::from(step) * STEP_NS, grey(level), arrived + 10_000_000);
+        }
+    }
+}
+
+#[test]
+fn pictures_are_compared_with_the_frame_of_their_moment_and_the_baseline_with_it_too() {
+    let mut scorer = Scorer::default();
+    run(&mut scorer, 10, 2);
+    let report = scorer.report("test");
+    assert_eq!((report.frames, report.observations, report.horizon), (10, 10, 2));
+    assert!((report.frame_rate_hz - 5.0).abs() < 1e-9);
+    let [first, second] = report.steps.as_slice() else { panic!("{} steps", report.steps.len()) };
+    // k=1 is two frames ahead, k=2 four: so many of the ten have a frame to be compared with
+    assert_eq!((first.predictions, first.compared, first.missing), (10, 8, 0));
+    assert_eq!((second.predictions, second.compared), (10, 6));
+    let decibel = |levels: f64| 20.0 * (255.0 / levels).log10();
+    assert!((first.psnr_db.unwrap() - decibel(2.0)).abs() < 1e-9);
+    assert!((first.persistence_psnr_db.unwrap() - decibel(20.0)).abs() < 1e-9);
+    assert!((second.persistence_psnr_db.unwrap() - decibel(40.0)).abs() < 1e-9);
+    assert!(first.ssim.unwrap() > first.persistence_ssim.unwrap());
+    assert!((first.ready_latency.unwrap().p50_ms - 34.0).abs() < 0.5);
+    assert!((second.received_latency.unwrap().p95_ms - 40.0).abs() < 0.5);
+}
+
+#[test]
+fn a_dropped_picture_is_not_replaced_by_that_of_another_observation() {
+    let mut scorer = Scorer::default();
+    for frame in 0..4 {
+        scorer.frame(frame * FRAME_NS, grey(100));
+    }
+    // both are of the moment 800 ms; the picture of the first was lost
+    let moment = 2 * STEP_NS;
+    scorer.prediction(&prediction(0, 2, 1), 10_000_000);
+    scorer.prediction(&prediction(STEP_NS, 1, 1), STEP_NS + 20_000_000);
+    scorer.picture(moment, grey(103), STEP_NS + 40_000_000);
+    scorer.frame(moment, grey(100));
+    let report = scorer.report("test");
+    assert_eq!(report.steps.iter().map(|step| step.compared).collect::<Vec<_>>(), [1, 0]);
+    assert_eq!(report.steps[0].missing, 1);
+}
+
+#[test]
+fn the_rollout_with_the_most_motion_is_shown() {
+    let mut scorer = Scorer::default();
+    // still, then a jump at frame 6
+    for frame in 0..10 {
+        let now = frame * FRAME_NS;
+        scorer.frame(now, grey(if frame < 6 { 50 } else { 200 }));
+        for step in 1..=2 {
+            scorer.prediction(&prediction(now, step, now), now + 1);
+            scorer.picture(now + i64::from(step) * STEP_NS, grey(60), now + 2);
+        }
+    }
+    let shown = scorer.shown_rollout().unwrap();
+    // from frame 4 and 5 both steps are past the jump; the first of the two stays
+    assert_eq!((shown.observed_ns, shown.steps.len()), (4 * FRAME_NS, 2));
+    assert_eq!(shown.steps[0].0.get_pixel(0, 0).0, [200; 3]);
+}
+
+#[test]
+fn a_picture_whose_frame_never_came_is_dropped_and_a_jump_back_flushes() {
+    let mut scorer = Scorer::default();
+    scorer.frame(0, grey(1));
+    scorer.prediction(&prediction(0, 1, 1), 1);
+    scorer.picture(STEP_NS, grey(1), 2);
+    assert_eq!(scorer.waiting.len(), 1);
+    scorer.frame(STEP_NS + FRAME_NS, grey(1));
+    assert_eq!(scorer.waiting.len(), 0);
+    scorer.frame(10 * STEP_NS, grey(1));
+    scorer.frame(0, grey(1));
+    assert_eq!(scorer.frames.newest_ns(), Some(0));
+    assert_eq!(scorer.report("test").steps[0].compared, 0);
+}
+
+#[test]
+fn what_waits_is_bounded() {
+    let mut scorer = Scorer::default();
+    scorer.frame(0, grey(1));
+    for index in 0..5000_i64 {
+        scorer.prediction(&prediction(index * 1000, 1, 1), index);
+        scorer.picture(index * 1000 + STEP_NS, grey(1), index);
+        scorer.prediction(&prediction(index * 1000, 2, 1), index);
+    }
+    assert_eq!((scorer.awaited.len(), scorer.waiting.len()), (WAITING_LIMIT, WAITING_LIMIT));
+}
+
+#[test]
+fn latent_errors_plans_and_drops_are_summed() {
+    let mut scorer = Scorer::default();
+    for (mse, persistence_mse, ratio) in [(1.0, 2.0, 0.5), (2.0, 10.0, 0.2), (f32::NAN, 0.0, f32::NAN)] {
+        scorer.error(&PredictionError { step: 1, mse, persistence_mse, ratio, ..PredictionError::default() });
+    }
+    assert_eq!(scorer.last_error_ratio(), Some(0.2));
+    let plan = |cost, deadline_cut| Plan {
+        cost,
+        deadline_cut,
+        time_taken: Duration::from_nanos(50_000_000),
+        ..Plan::default()
+    };
+    scorer.plan(&plan(3.0, false));
+    scorer.plan(&plan(1.0, true));
+    let value = |key: &str, value: &str| KeyValue { key: key.to_owned(), value: value.to_owned() };
+    let values = vec![value("dropped: late [total]", "4"), value("dropped: odd [total]", "x"), value("sent", "9")];
+    let status = DiagnosticStatus { name: "wm/encoder".to_owned(), values, ..DiagnosticStatus::default() };
+    let array = DiagnosticArray { status: vec![status], ..DiagnosticArray::default() };
+    scorer.diagnostics(&array);
+    scorer.diagnostics(&array);
+    assert_eq!(scorer.drop_count(), 4);
+    let report = scorer.report("test");
+    assert!((report.steps[0].latent_error_ratio.unwrap() - 0.25).abs() < 1e-9);
+    let plans = report.plans.unwrap();
+    assert_eq!((plans.plans, plans.deadline_cuts, plans.first_cost, plans.last_cost), (2, 1, 3.0, 1.0));
+    assert_eq!(report.drops.len(), 1);
+}

@@ -1,0 +1,302 @@
+//! What was observed and done, aligned in time.
+//!
+//! Frames and actions arrive at the camera's rate, each with its capture stamp; the transition model counts in model
+//! steps of several camera frames. A [`Timeline`] holds the last few of both and answers which frames make the context
+//! of an observation and which actions lie between them, by stamps alone: there is no clock, and what arrives when
+//! makes no difference beyond what has arrived.
+//!
+//! Stamps are nanoseconds of the capture clock. A stamp far behind the newest one means that time jumped back (a bag
+//! that loops, a simulation that restarts): everything observed before is flushed.
+
+mod actions;
+mod frames;
+
+use std::sync::Arc;
+
+use thiserror::Error;
+use wm_msgs::{builtin_interfaces::Time, wm_msgs::{Action, ActionChunk}};
+
+pub use actions::{MAX_CHUNK, PhysicalAction};
+pub use frames::Frame;
+
+use actions::Actions;
+use frames::Frames;
+
+/// How stamps make model steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Timing {
+    /// From one camera frame, and one action, to the next \[ns\].
+    pub frame_period_ns: i64,
+    /// Camera frames of one model step.
+    pub frame_skip: usize,
+    /// How far a stamp may lie from where it is looked for \[ns\].
+    pub tolerance_ns: i64,
+    /// How far back a stamp must lie to mean that time jumped, not that a message was late \[ns\].
+    pub jump_ns: i64,
+}
+
+impl Timing {
+    /// Timing of a camera with `frame_period_ns` between frames: a quarter of that as tolerance, a second as jump.
+    pub fn new(frame_period_ns: i64, frame_skip: usize) -> Self {
+        Self { frame_period_ns, frame_skip, tolerance_ns: frame_period_ns / 4, jump_ns: 1_000_000_000 }
+    }
+
+    /// One model step \[ns\].
+    pub fn step_ns(&self) -> i64 {
+        // A skip is a handful of frames.
+        self.frame_period_ns.saturating_mul(self.frame_skip as i64)
+    }
+
+    /// Stamps of the actions within the model step that begins at `start_ns`.
+    pub fn slots(self, start_ns: i64) -> impl Iterator<Item = i64> {
+        (0..self.frame_skip as i64).map(move |index| start_ns + index * self.frame_period_ns)
+    }
+}
+
+/// What a frame or an action did to the timeline.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Arrival {
+    /// Time jumped back, and what was observed before is forgotten.
+    pub flushed: bool,
+    /// Camera frames that are missing between this frame and the one before.
+    pub missed_frames: u64,
+}
+
+/// Why a frame, an action or a chunk is left out.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum TimelineError {
+    /// The same stamp again.
+    #[error("frame of {} has already come: left out", seconds(*.stamp_ns))]
+    Duplicate {
+        /// Its stamp.
+        stamp_ns: i64,
+    },
+    /// Older than the newest, by less than a jump of time.
+    #[error("{what} of {} came after that of {}: out of order, left out", seconds(*.stamp_ns), seconds(*.newest_ns))]
+    OutOfOrder {
+        /// `frame` or `action chunk`.
+        what: &'static str,
+        /// Its stamp.
+        stamp_ns: i64,
+        /// The newest stamp before it.
+        newest_ns: i64,
+    },
+    /// Values that are no action.
+    #[error("{what}: {source}")]
+    Action {
+        /// Where it came from.
+        what: String,
+        /// What is wrong with it.
+        source: wm_model::actions::ActionError,
+    },
+    /// A chunk that says nothing about when or what.
+    #[error("action chunk of {count} actions, {period_ns} ns apart: expected 1 to {MAX_CHUNK} actions and a positive period")]
+    Chunk {
+        /// How many actions.
+        count: usize,
+        /// Their period \[ns\].
+        period_ns: i64,
+    },
+}
+
+/// Why there is no context yet. None of these is a fault: each passes when more has arrived.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Wait {
+    /// No frame at all.
+    #[error("no frame has come yet")]
+    NoFrame,
+    /// The history is still short.
+    #[error("{have} of {need} context frames have come")]
+    Context {
+        /// Context frames at hand.
+        have: usize,
+        /// Context frames that the model needs.
+        need: usize,
+    },
+    /// A frame that the context needs is missing.
+    #[error("the frame of {} is missing: a gap in the context", seconds(*.missing_ns))]
+    Gap {
+        /// Where it should be.
+        missing_ns: i64,
+    },
+    /// Nothing says what the robot does.
+    #[error("no action has come for {} or before", seconds(*.needed_ns))]
+    NoAction {
+        /// The moment whose action is needed.
+        needed_ns: i64,
+    },
+}
+
+/// Context of one observation.
+#[derive(Clone, Debug)]
+pub struct Context {
+    /// Frames one model step apart, oldest first; the last one is the observation.
+    pub frames: Vec<Frame>,
+    /// The camera-rate actions between each frame and the next: one list of `frame_skip` a gap.
+    pub actions: Vec<Vec<PhysicalAction>>,
+}
+
+/// The last frames and actions.
+#[derive(Clone, Debug)]
+pub struct Timeline {
+    timing: Timing,
+    context_frames: usize,
+    frames: Frames,
+    actions: Actions,
+    epoch: u64,
+}
+
+impl Timeline {
+    /// An empty timeline that keeps what a context of `context_frames` (at least 1) needs.
+    pub fn new(timing: Timing, context_frames: usize) -> Self {
+        let context_frames = context_frames.max(1);
+        // Contexts are a handful of frames.
+        let span_ns = timing.step_ns().saturating_mul(context_frames as i64);
+        Self {
+            timing,
+            context_frames,
+            frames: Frames::new(span_ns),
+            actions: Actions::new(span_ns.saturating_add(timing.jump_ns)),
+            epoch: 0,
+        }
+    }
+
+    /// How stamps make model steps.
+    pub fn timing(&self) -> Timing {
+        self.timing
+    }
+
+    /// Counts up with every flush: what was computed from another epoch is of the past.
+    pub fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    /// Takes the frame captured at `stamp`.
+    ///
+    /// # Errors
+    /// [`TimelineError::Duplicate`], [`TimelineError::OutOfOrder`].
+    pub fn frame(&mut self, stamp: Time, frame_id: &str, values: Arc<[f32]>) -> Result<Arrival, TimelineError> {
+        let stamp_ns = stamp.to_nanos();
+        let mut arrival = Arrival::default();
+        if let Some(newest_ns) = self.frames.newest().map(|frame| frame.stamp_ns) {
+            if self.is_jump(stamp_ns, newest_ns) {
+                self.flush_around(stamp_ns);
+                arrival.flushed = true;
+            } else if stamp_ns == newest_ns {
+                return Err(TimelineError::Duplicate { stamp_ns });
+            } else if stamp_ns < newest_ns {
+                return Err(TimelineError::OutOfOrder { what: "frame", stamp_ns, newest_ns });
+            } else {
+                let period_ns = self.timing.frame_period_ns.max(1);
+                let periods = (stamp_ns - newest_ns + period_ns / 2) / period_ns;
+                arrival.missed_frames = u64::try_from(periods - 1).unwrap_or(0);
+            }
+        }
+        self.frames.push(Frame { stamp_ns, frame_id: frame_id.into(), values });
+        Ok(arrival)
+    }
+
+    /// Takes an action; one of the same stamp replaces the earlier one.
+    ///
+    /// # Errors
+    /// [`TimelineError::Action`].
+    pub fn action(&mut self, action: &Action) -> Result<Arrival, TimelineError> {
+        let parsed = PhysicalAction::parse(action, || "action".into())?;
+        let mut arrival = Arrival::default();
+        if self.actions.newest_ns().is_some_and(|newest_ns| self.is_jump(parsed.stamp_ns, newest_ns)) {
+            self.flush_around(parsed.stamp_ns);
+            arrival.flushed = true;
+        }
+        self.actions.insert(parsed);
+        Ok(arrival)
+    }
+
+    /// Takes the actions to come; they replace those of the chunk before.
+    ///
+    /// # Errors
+    /// [`TimelineError::Chunk`], [`TimelineError::Action`], [`TimelineError::OutOfOrder`].
+    pub fn chunk(&mut self, chunk: &ActionChunk) -> Result<(), TimelineError> {
+        let stamp_ns = chunk.header.stamp.to_nanos();
+        if let Some(newest_ns) = self.actions.chunk_stamp_ns() {
+            if stamp_ns < newest_ns && !self.is_jump(stamp_ns, newest_ns) {
+                return Err(TimelineError::OutOfOrder { what: "action chunk", stamp_ns, newest_ns });
+            }
+        }
+        self.actions.set_chunk(chunk)
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.frames.clear();
+        self.actions.clear();
+        self.epoch += 1;
+    }
+
+    /// The newest frame.
+    pub fn newest(&self) -> Option<&Frame> {
+        self.frames.newest()
+    }
+
+    /// The frame nearest to a stamp, where one lies within `tolerance_ns`.
+    pub fn near(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Frame> {
+        self.frames.near(stamp_ns, tolerance_ns)
+    }
+
+    /// Context of the newest frame.
+    ///
+    /// # Errors
+    /// [`Wait`] says what is missing.
+    pub fn context(&self) -> Result<Context, Wait> {
+        let newest = self.frames.newest().ok_or(Wait::NoFrame)?;
+        let mut frames = vec![newest.clone()];
+        for back in 1..self.context_frames {
+            let wanted_ns = newest.stamp_ns - self.timing.step_ns() * back as i64;
+            match self.frames.near(wanted_ns, self.timing.tolerance_ns) {
+                Some(frame) => frames.push(frame.clone()),
+                None if self.frames.reach_back_to(wanted_ns) => return Err(Wait::Gap { missing_ns: wanted_ns }),
+                None => return Err(Wait::Context { have: frames.len(), need: self.context_frames }),
+            }
+        }
+        frames.reverse();
+        let mut actions = Vec::with_capacity(frames.len() - 1);
+        for frame in frames.iter().take(frames.len() - 1) {
+            actions.push(self.actions_of_step(frame.stamp_ns)?);
+        }
+        Ok(Context { frames, actions })
+    }
+
+    /// The camera-rate actions of the model step that begins at `start_ns`: each the action of that moment, else what
+    /// the chunk says, else the last one before, held.
+    ///
+    /// # Errors
+    /// [`Wait::NoAction`].
+    pub fn actions_of_step(&self, start_ns: i64) -> Result<Vec<PhysicalAction>, Wait> {
+        let at = |slot_ns| {
+            self.actions.at(slot_ns, self.timing.tolerance_ns).ok_or(Wait::NoAction { needed_ns: slot_ns })
+        };
+        self.timing.slots(start_ns).map(at).collect()
+    }
+
+    fn is_jump(&self, stamp_ns: i64, newest_ns: i64) -> bool {
+        stamp_ns < newest_ns.saturating_sub(self.timing.jump_ns)
+    }
+
+    /// Forgets what was observed before time jumped back to `stamp_ns`. Actions outrun frames, which pass through the
+    /// encoder first: those around the new time belong to it and stay.
+    fn flush_around(&mut self, stamp_ns: i64) {
+        self.frames.clear();
+        self.actions.retain_around(stamp_ns, self.timing.jump_ns);
+        self.epoch += 1;
+    }
+}
+
+/// A stamp as people read it.
+fn seconds(stamp_ns: i64) -> String {
+    let time = Time::from_nanos(stamp_ns);
+    format!("{}.{:09} s", time.sec, time.nanosec)
+}
+
+#[cfg(test)]
+mod tests;

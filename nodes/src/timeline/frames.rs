@@ -1,0 +1,59 @@
+//! The last observed frames.
+
+use std::{collections::VecDeque, sync::Arc};
+
+/// One observed frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// When it was captured \[ns\].
+    pub stamp_ns: i64,
+    /// The camera's optical frame.
+    pub frame_id: Arc<str>,
+    /// Its normalised latent, row-major, channels last.
+    pub values: Arc<[f32]>,
+}
+
+/// Frames in the order of their stamps, as many as fit a span of time.
+#[derive(Clone, Debug)]
+pub(super) struct Frames {
+    frames: VecDeque<Frame>,
+    span_ns: i64,
+}
+
+impl Frames {
+    pub(super) fn new(span_ns: i64) -> Self {
+        Self { frames: VecDeque::new(), span_ns }
+    }
+
+    pub(super) fn newest(&self) -> Option<&Frame> {
+        self.frames.back()
+    }
+
+    /// Adds a frame later than all others, forgets those beyond the span.
+    pub(super) fn push(&mut self, frame: Frame) {
+        let oldest_ns = frame.stamp_ns.saturating_sub(self.span_ns);
+        self.frames.push_back(frame);
+        while self.frames.front().is_some_and(|frame| frame.stamp_ns < oldest_ns) {
+            self.frames.pop_front();
+        }
+    }
+
+    /// The frame nearest to a stamp.
+    pub(super) fn near(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Frame> {
+        let distance = |frame: &&Frame| (frame.stamp_ns - stamp_ns).abs();
+        self.frames.iter().min_by_key(distance).filter(|frame| distance(frame) <= tolerance_ns)
+    }
+
+    pub(super) fn reach_back_to(&self, stamp_ns: i64) -> bool {
+        self.frames.front().is_some_and(|frame| frame.stamp_ns <= stamp_ns)
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.frames.clear();
+    }
+
+    #[cfg(test)]
+    pub(super) fn len(&self) -> usize {
+        self.frames.len()
+    }
+}

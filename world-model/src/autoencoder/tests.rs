@@ -1,0 +1,238 @@
+use rand::Rng;
+
+use super::*;
+
+fn config() -> AutoencoderConfig {
+    AutoencoderConfig {
+        name: "test".into(),
+        height: 8,
+        width: 12,
+        widths: vec![4, 6, 8],
+        encoder_blocks: vec![1, 0, 1],
+        decoder_blocks: vec![0, 1, 1],
+        latent_channels: 3,
+        branch: false,
+    }
+}
+
+fn images(seed: u64) -> Tensor {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let values: Vec<f32> = (0..2 * 8 * 12 * 3).map(|_| rng.random()).collect();
+    Tensor::from_vec(values, (2, 8, 12, 3), &Device::Cpu).unwrap()
+}
+
+fn flat(tensor: &Tensor) -> Vec<f32> {
+    tensor.flatten_all().unwrap().to_vec1().unwrap()
+}
+
+fn reopen(builder: &WeightsBuilder) -> Result<Autoencoder> {
+    Autoencoder::from_weights(Weights::from_bytes("test.safetensors", builder.to_bytes())?)
+}
+
+#[test]
+fn a_saved_autoencoder_is_the_same_when_opened() {
+    for branch in [false, true] {
+        let config = AutoencoderConfig { branch, ..config() };
+        let normalisation = Normalisation {
+            mean: vec![0.1, -0.2, 0.3],
+            std: vec![0.5, 2.0, 1.5],
+        };
+        let saved = Autoencoder::random(config, 1)
+            .unwrap()
+            .with_normalisation(normalisation)
+            .unwrap();
+        let opened = reopen(&saved.to_builder(Precision::F32)).unwrap();
+        assert_eq!(saved.space(), opened.space());
+        let latents = saved.encode(&images(2)).unwrap();
+        assert_eq!(latents.dims(), [2, 2, 3, 3]);
+        assert_eq!(flat(&latents), flat(&opened.encode(&images(2)).unwrap()));
+        let decoded = opened.decode(&latents).unwrap();
+        assert_eq!(decoded.dims(), [2, 8, 12, 3]);
+        assert_eq!(flat(&decoded), flat(&saved.decode(&latents).unwrap()));
+    }
+}
+
+#[test]
+fn a_file_of_half_floats_states_the_space_that_it_holds() {
+    let autoencoder = Autoencoder::random(config(), 1).unwrap();
+    let opened = reopen(&autoencoder.to_builder(Precision::F16)).unwrap();
+    assert_ne!(opened.space().hash, autoencoder.space().hash);
+    assert_eq!(
+        reopen(&opened.to_builder(Precision::F32)).unwrap().space(),
+        opened.space()
+    );
+}
+
+#[test]
+fn weights_and_normalisation_define_the_space() {
+    let space = |seed, mean| {
+        Autoencoder::random(config(), seed)
+            .unwrap()
+            .with_normalisation(Normalisation {
+                mean: vec![mean; 3],
+                std: vec![1.0; 3],
+            })
+            .unwrap()
+            .space
+            .hash
+    };
+    assert_eq!(space(1, 0.0), space(1, 0.0));
+    assert_ne!(space(1, 0.0), space(2, 0.0));
+    assert_ne!(space(1, 0.0), space(1, 0.5));
+}
+
+#[test]
+fn what_is_wrong_with_a_file_is_named() {
+    let autoencoder = Autoencoder::random(config(), 1).unwrap();
+    let message = |change: &dyn Fn(&mut WeightsBuilder)| {
+        let mut builder = autoencoder.to_builder(Precision::F32);
+        change(&mut builder);
+        reopen(&builder).unwrap_err().to_string()
+    };
+    assert_eq!(
+        message(&|b| b.values("encoder.9.bias", &[1], &[0.0], Precision::F32)),
+        "test.safetensors: unexpected tensors: encoder.9.bias"
+    );
+    assert_eq!(
+        message(&|b| b.values("decoder.1.bias", &[5], &[0.0; 5], Precision::F32)),
+        "test.safetensors: tensor `decoder.1.bias` has shape [5], expected [8]"
+    );
+    assert!(
+        message(&|b| b.metadata(SPACE_HASH, "0123"))
+            .starts_with("test.safetensors: the hash of the latent space is ")
+    );
+    assert!(
+        message(&|b| b.values("latent_std", &[3], &[1.0, 0.0, 1.0], Precision::F32))
+            .starts_with("latent_std: channel 1 is not positive")
+    );
+    let wider = AutoencoderConfig {
+        encoder_blocks: vec![1, 1, 1],
+        ..config()
+    };
+    assert!(
+        message(&|b| b.metadata(CONFIG, serde_json::json!(wider).to_string()))
+            .contains("is missing")
+    );
+    assert!(message(&|b| b.metadata(CONFIG, "{")).starts_with("test.safetensors: metadata entry `config`"));
+}
+
+#[test]
+fn inputs_of_the_wrong_shape_or_with_nan_are_refused() {
+    let autoencoder = Autoencoder::random(config(), 1).unwrap();
+    let image = Tensor::zeros((1, 8, 8, 3), DType::F32, &Device::Cpu).unwrap();
+    assert_eq!(
+        autoencoder.encode(&image).unwrap_err().to_string(),
+        "images has shape [1, 8, 8, 3], expected (N, 8, 12, 3)"
+    );
+    let latent = Tensor::full(f32::NAN, (1, 2, 3, 3), &Device::Cpu).unwrap();
+    assert_eq!(
+        autoencoder.decode(&latent).unwrap_err().to_string(),
+        "latents holds a value that is not finite"
+    );
+}
+
+#[test]
+fn a_channel_that_does_not_vary_cannot_be_normalised() {
+    let error = Normalisation::of([vec![1.0, 2.0, 1.0, 3.0]], 2).unwrap_err();
+    assert!(error.to_string().starts_with("latent_std: channel 0"), "{error}");
+    let ok = Normalisation::of([vec![1.0, 2.0], vec![3.0, 6.0]], 2).unwrap();
+    assert_eq!((ok.mean, ok.std), (vec![2.0, 4.0], vec![1.0, 2.0]));
+}
+
+/// A loss that is not linear, so that the ReLUs' own gradients matter: half the sum of squares.
+fn loss(network: &Network, input: &[f32], grid: GridSize) -> f64 {
+    let (output, _) = network.forward(input.to_vec(), grid).unwrap();
+    output.iter().map(|v| 0.5 * f64::from(*v) * f64::from(*v)).sum()
+}
+
+#[test]
+fn the_tape_gives_the_output_and_the_gradients_of_finite_differences() {
+    let autoencoder = Autoencoder::random(config(), 3).unwrap();
+    let halves = [
+        (autoencoder.encoder().clone(), 8, 12, 3),
+        (autoencoder.decoder().clone(), 2, 3, 3),
+    ];
+    for (mut network, height, width, channels) in halves {
+        let grid = GridSize {
+            images: 2,
+            height,
+            width,
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut input: Vec<f32> = (0..grid.pixels() * channels)
+            .map(|_| rng.random_range(-1.0..1.0))
+            .collect();
+        let mut tape = Tape::default();
+        let output = tape.forward(&network, &input, grid).unwrap().to_vec();
+        assert_eq!(output, network.forward(input.clone(), grid).unwrap().0);
+        let mut gradients = NetworkGradient::default();
+        let mut by_input = Vec::new();
+        tape.backward(&network, &output, &mut gradients, Some(&mut by_input))
+            .unwrap();
+
+        // Kinks of the ReLUs within the step make single differences wrong, so a small share of
+        // misses is let pass; without the ReLUs' masks or the skips nearly all would miss.
+        let (mut checked, mut missed) = (0, 0);
+        let step = 1e-3f32;
+        let mut compare = |found: f32, up: f64, down: f64| {
+            let expected = ((up - down) / (2.0 * f64::from(step))) as f32;
+            checked += 1;
+            if (found - expected).abs() > 0.01 * (0.1 + expected.abs()) {
+                missed += 1;
+            }
+        };
+        for i in (0..input.len()).step_by(7) {
+            let value = input[i];
+            input[i] = value + step;
+            let up = loss(&network, &input, grid);
+            input[i] = value - step;
+            let down = loss(&network, &input, grid);
+            input[i] = value;
+            compare(by_input[i], up, down);
+        }
+        for c in 0..network.convs().len() {
+            for i in (0..network.convs()[c].weight.len()).step_by(61) {
+                let mut at = |offset: f32| {
+                    let value = network.convs()[c].weight[i];
+                    network.convs_mut()[c].weight[i] = value + offset;
+                    let loss = loss(&network, &input, grid);
+                    network.convs_mut()[c].weight[i] = value;
+                    loss
+                };
+                let (up, down) = (at(step), at(-step));
+                compare(gradients.convs[c].0[i], up, down);
+            }
+            for i in 0..network.convs()[c].bias.as_ref().map_or(0, Vec::len) {
+                let mut at = |offset: f32| {
+                    let value = network.convs()[c].bias.as_ref().unwrap()[i];
+                    network.convs_mut()[c].bias.as_mut().unwrap()[i] = value + offset;
+                    let loss = loss(&network, &input, grid);
+                    network.convs_mut()[c].bias.as_mut().unwrap()[i] = value;
+                    loss
+                };
+                let (up, down) = (at(step), at(-step));
+                compare(gradients.convs[c].1[i], up, down);
+            }
+        }
+        assert!(checked > 100, "{checked}");
+        assert!(missed * 50 <= checked, "{missed} of {checked} differ");
+    }
+}
+
+#[test]
+fn a_network_with_a_branch_is_not_trained() {
+    let config = AutoencoderConfig {
+        branch: true,
+        ..config()
+    };
+    let autoencoder = Autoencoder::random(config, 1).unwrap();
+    let grid = GridSize {
+        images: 1,
+        height: 8,
+        width: 12,
+    };
+    let error = Tape::default()
+        .forward(autoencoder.encoder(), &[0.0; 8 * 12 * 3], grid)
+        .unwrap_err();
+    assert!(error.to_string().starts_with("branch: true"), "{error}");
+}

@@ -1,0 +1,279 @@
+//! Attention of one head over one sequence, in buffers that stay in cache.
+
+use super::product::{LANES, product, product_transposed, transpose};
+use crate::ops::exponential::exp;
+use crate::ops::rotary::{RotaryTable, normalise_and_rotate, normalise_and_rotate_backward};
+
+/// Buffers for one head; rows are tokens.
+pub(super) struct HeadKernel<'a> {
+    rotary: &'a RotaryTable,
+    bias: &'a [f32],
+    length: usize,
+    /// The length rounded up to whole lanes.
+    padded: usize,
+    dim: usize,
+    scale: f32,
+    query: Vec<f32>,
+    key: Vec<f32>,
+    value: Vec<f32>,
+    /// The transposed keys, or values; columns beyond the length stay 0.
+    across: Vec<f32>,
+    weights: Vec<f32>,
+    out: Vec<f32>,
+    grad_weights: Vec<f32>,
+    grad_query: Vec<f32>,
+    grad_key: Vec<f32>,
+    grad_value: Vec<f32>,
+}
+
+impl<'a> HeadKernel<'a> {
+    pub(super) fn new(rotary: &'a RotaryTable, bias: &'a [f32]) -> Self {
+        let (length, dim) = (rotary.len(), rotary.head_dim());
+        let padded = length.next_multiple_of(LANES);
+        let tokens = || vec![0.0; length * dim];
+        Self {
+            rotary,
+            bias,
+            length,
+            padded,
+            dim,
+            scale: 1.0 / (dim as f32).sqrt(),
+            query: tokens(),
+            key: tokens(),
+            value: tokens(),
+            across: vec![0.0; dim * padded],
+            weights: vec![0.0; length * padded],
+            out: tokens(),
+            grad_weights: vec![0.0; length * padded],
+            grad_query: tokens(),
+            grad_key: tokens(),
+            grad_value: tokens(),
+        }
+    }
+
+    /// Takes one head's queries, keys and values of a sequence out of rows q | k | v of 3 `d`.
+    #[inline(always)]
+    pub(super) fn load(
+        &mut self,
+        qkv: &[f32],
+        sequence: usize,
+        stride: usize,
+        d: usize,
+        head: usize,
+    ) {
+        let dim = self.dim;
+        for i in 0..self.length {
+            let row = &qkv[(sequence + i * stride) * 3 * d..][..3 * d];
+            let angles = self.rotary.at(i);
+            let out = i * dim..(i + 1) * dim;
+            normalise_and_rotate(
+                &row[head * dim..][..dim],
+                angles,
+                &mut self.query[out.clone()],
+            );
+            normalise_and_rotate(
+                &row[d + head * dim..][..dim],
+                angles,
+                &mut self.key[out.clone()],
+            );
+            self.value[out].copy_from_slice(&row[2 * d + head * dim..][..dim]);
+        }
+    }
+
+    /// Writes the result of [`Self::forward`] to rows of `d`.
+    #[inline(always)]
+    pub(super) fn store(
+        &self,
+        out: &mut [f32],
+        sequence: usize,
+        stride: usize,
+        d: usize,
+        head: usize,
+    ) {
+        for (i, row) in self.out.chunks_exact(self.dim).enumerate() {
+            out[(sequence + i * stride) * d + head * self.dim..][..self.dim].copy_from_slice(row);
+        }
+    }
+
+    /// Takes the gradient of the result out of rows of `d`.
+    #[inline(always)]
+    pub(super) fn load_grad(
+        &mut self,
+        grad: &[f32],
+        sequence: usize,
+        stride: usize,
+        d: usize,
+        head: usize,
+    ) {
+        for (i, row) in self.out.chunks_exact_mut(self.dim).enumerate() {
+            row.copy_from_slice(
+                &grad[(sequence + i * stride) * d + head * self.dim..][..self.dim],
+            );
+        }
+    }
+
+    /// Writes the gradients of [`Self::backward`] to rows of 3 `d`.
+    #[inline(always)]
+    pub(super) fn store_grad(
+        &self,
+        out: &mut [f32],
+        qkv: &[f32],
+        sequence: usize,
+        stride: usize,
+        d: usize,
+        head: usize,
+    ) {
+        let dim = self.dim;
+        for i in 0..self.length {
+            let start = (sequence + i * stride) * 3 * d;
+            let row = &qkv[start..][..3 * d];
+            let out = &mut out[start..][..3 * d];
+            let angles = self.rotary.at(i);
+            let own = i * dim..(i + 1) * dim;
+            normalise_and_rotate_backward(
+                &row[head * dim..][..dim],
+                angles,
+                &self.grad_query[own.clone()],
+                &mut out[head * dim..][..dim],
+            );
+            normalise_and_rotate_backward(
+                &row[d + head * dim..][..dim],
+                angles,
+                &self.grad_key[own.clone()],
+                &mut out[d + head * dim..][..dim],
+            );
+            out[2 * d + head * dim..][..dim].copy_from_slice(&self.grad_value[own]);
+        }
+    }
+
+    /// The softmax of the scaled scores.
+    #[inline(always)]
+    fn weigh(&mut self) {
+        transpose(self.dim, &self.key, self.padded, &mut self.across);
+        product(
+            self.padded,
+            self.dim,
+            &self.query,
+            self.dim,
+            &self.across,
+            &mut self.weights,
+        );
+        let rows = self.weights.chunks_exact_mut(self.padded);
+        for (row, bias) in rows.zip(self.bias.chunks_exact(self.padded)) {
+            softmax(row, bias, self.scale);
+        }
+    }
+
+    /// Attention of what was loaded.
+    #[inline(always)]
+    pub(super) fn forward(&mut self) {
+        self.weigh();
+        product(
+            self.dim,
+            self.length,
+            &self.weights,
+            self.padded,
+            &self.value,
+            &mut self.out,
+        );
+    }
+
+    /// Gradients of what was loaded, `out` being the gradient of the result.
+    #[inline(always)]
+    pub(super) fn backward(&mut self) {
+        self.weigh();
+        let shape = (self.length, self.dim, self.length);
+        product_transposed(
+            shape,
+            &self.weights,
+            self.padded,
+            &self.out,
+            &mut self.grad_value,
+        );
+        transpose(self.dim, &self.value, self.padded, &mut self.across);
+        product(
+            self.padded,
+            self.dim,
+            &self.out,
+            self.dim,
+            &self.across,
+            &mut self.grad_weights,
+        );
+        let rows = self.grad_weights.chunks_exact_mut(self.padded);
+        for (grad, weights) in rows.zip(self.weights.chunks_exact(self.padded)) {
+            softmax_backward(grad, weights, self.scale);
+        }
+        product(
+            self.dim,
+            self.length,
+            &self.grad_weights,
+            self.padded,
+            &self.key,
+            &mut self.grad_query,
+        );
+        product_transposed(
+            shape,
+            &self.grad_weights,
+            self.padded,
+            &self.query,
+            &mut self.grad_key,
+        );
+    }
+}
+
+/// Softmax of `scale` * `row` + `bias` in place.
+#[inline(always)]
+fn softmax(row: &mut [f32], bias: &[f32], scale: f32) {
+    let (row, _) = row.as_chunks_mut::<LANES>();
+    let (bias, _) = bias.as_chunks::<LANES>();
+    let mut most = [f32::NEG_INFINITY; LANES];
+    for (row, bias) in row.iter_mut().zip(bias) {
+        for lane in 0..LANES {
+            row[lane] = row[lane].mul_add(scale, bias[lane]);
+            most[lane] = if row[lane] > most[lane] {
+                row[lane]
+            } else {
+                most[lane]
+            };
+        }
+    }
+    let most = most.into_iter().fold(f32::NEG_INFINITY, f32::max);
+    let mut sums = [0.0_f32; LANES];
+    for (row, bias) in row.iter_mut().zip(bias) {
+        for lane in 0..LANES {
+            // Masked entries must be exactly 0, which `exp` of -inf is not quite.
+            let e = if bias[lane] == 0.0 {
+                exp(row[lane] - most)
+            } else {
+                0.0
+            };
+            row[lane] = e;
+            sums[lane] += e;
+        }
+    }
+    let inverse = 1.0 / sums.iter().sum::<f32>();
+    for row in row {
+        for value in row {
+            *value *= inverse;
+        }
+    }
+}
+
+/// Turns the gradient of the softmax's result into that of the unscaled scores.
+#[inline(always)]
+fn softmax_backward(grad: &mut [f32], weights: &[f32], scale: f32) {
+    let (grad, _) = grad.as_chunks_mut::<LANES>();
+    let (weights, _) = weights.as_chunks::<LANES>();
+    let mut sums = [0.0_f32; LANES];
+    for (grad, weights) in grad.iter().zip(weights) {
+        for lane in 0..LANES {
+            sums[lane] = grad[lane].mul_add(weights[lane], sums[lane]);
+        }
+    }
+    let dot: f32 = sums.iter().sum();
+    for (grad, weights) in grad.iter_mut().zip(weights) {
+        for lane in 0..LANES {
+            grad[lane] = weights[lane] * (grad[lane] - dot) * scale;
+        }
+    }
+}

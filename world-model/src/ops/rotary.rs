@@ -1,0 +1,135 @@
+//! Rotary position embedding: angles per position for the pairs of adjacent channels (2j, 2j + 1).
+
+/// Base of the geometric series of frequencies.
+const BASE: f64 = 10_000.0;
+
+/// Cosines and sines of every position's angles.
+#[derive(Clone, Debug)]
+pub struct RotaryTable {
+    /// Pairs of channels, half the head dimension.
+    pairs: usize,
+    /// cos then sin of each pair, position by position: (positions, 2, pairs).
+    angles: Vec<f32>,
+}
+
+impl RotaryTable {
+    /// One axis over all `head_dim` channels, for these positions.
+    pub fn sequence(positions: &[usize], head_dim: usize) -> Self {
+        let pairs = head_dim / 2;
+        let frequencies = frequencies(pairs);
+        let angles = positions
+            .iter()
+            .flat_map(|p| cos_sin(frequencies.iter().map(|f| f * *p as f64).collect()))
+            .collect();
+        Self { pairs, angles }
+    }
+
+    /// A grid in row-major order: the first half of the channels turns with the row, the second
+    /// with the column.
+    pub fn grid(height: usize, width: usize, head_dim: usize) -> Self {
+        let pairs = head_dim / 2;
+        let frequencies = frequencies(pairs / 2);
+        let turned = |p: usize| frequencies.iter().map(move |f| f * p as f64);
+        let angles = (0..height)
+            .flat_map(|row| (0..width).map(move |column| (row, column)))
+            .flat_map(|(row, column)| cos_sin(turned(row).chain(turned(column)).collect()))
+            .collect();
+        Self { pairs, angles }
+    }
+
+    /// Number of positions.
+    pub fn len(&self) -> usize {
+        self.angles.len() / (2 * self.pairs)
+    }
+
+    /// Whether there is no position.
+    pub fn is_empty(&self) -> bool {
+        self.angles.is_empty()
+    }
+
+    /// Head dimension that the table is for.
+    pub fn head_dim(&self) -> usize {
+        2 * self.pairs
+    }
+
+    /// Cosines and sines of one position, one of each per pair.
+    #[inline(always)]
+    pub(crate) fn at(&self, position: usize) -> (&[f32], &[f32]) {
+        self.angles[position * 2 * self.pairs..][..2 * self.pairs].split_at(self.pairs)
+    }
+}
+
+/// 10000^(-i / n) for i in 0..n.
+fn frequencies(n: usize) -> Vec<f64> {
+    (0..n)
+        .map(|i| BASE.powf(-(i as f64) / n as f64))
+        .collect()
+}
+
+fn cos_sin(angles: Vec<f64>) -> impl Iterator<Item = f32> {
+    let sines: Vec<f32> = angles.iter().map(|a| a.sin() as f32).collect();
+    angles.into_iter().map(|a| a.cos() as f32).chain(sines)
+}
+
+/// Normalises one head's query or key by its root mean square and turns it by the angles of its
+/// position.
+///
+/// `out` holds the first channels of all pairs, then the second ones: the same order for queries
+/// and keys leaves their products as they are, and needs no shuffling in the products.
+#[inline(always)]
+pub(crate) fn normalise_and_rotate(x: &[f32], (cos, sin): (&[f32], &[f32]), out: &mut [f32]) {
+    let r = inverse_rms(x);
+    let (first, second) = out.split_at_mut(cos.len());
+    let (pairs, _) = x.as_chunks::<2>();
+    for ((([a, b], cos), sin), (first, second)) in pairs
+        .iter()
+        .zip(cos)
+        .zip(sin)
+        .zip(first.iter_mut().zip(second))
+    {
+        let (a, b) = (a * r, b * r);
+        *first = a * cos - b * sin;
+        *second = a * sin + b * cos;
+    }
+}
+
+/// Gradient of [`normalise_and_rotate`]: `grad` is that of its output, in its order of channels;
+/// the gradient of `x` is written to `out`.
+#[inline(always)]
+pub(crate) fn normalise_and_rotate_backward(
+    x: &[f32],
+    (cos, sin): (&[f32], &[f32]),
+    grad: &[f32],
+    out: &mut [f32],
+) {
+    let r = inverse_rms(x);
+    let (first, second) = grad.split_at(cos.len());
+    let (turned, _) = out.as_chunks_mut::<2>();
+    for ((([a, b], cos), sin), (first, second)) in turned
+        .iter_mut()
+        .zip(cos)
+        .zip(sin)
+        .zip(first.iter().zip(second))
+    {
+        *a = first * cos + second * sin;
+        *b = second * cos - first * sin;
+    }
+    // With n = x r: the gradient is r (h - n mean(h n)), h being what is now in `out`.
+    let dot: f32 = out.iter().zip(x).map(|(h, x)| h * x).sum();
+    let factor = dot * r * r * r / x.len() as f32;
+    for (out, x) in out.iter_mut().zip(x) {
+        *out = *out * r - x * factor;
+    }
+}
+
+/// 1 / root mean square, with the machine epsilon of the number format against division by zero.
+#[inline(always)]
+fn inverse_rms(x: &[f32]) -> f32 {
+    let mut sums = [0.0_f32; 16];
+    for chunk in x.as_chunks::<16>().0 {
+        for (sum, x) in sums.iter_mut().zip(chunk) {
+            *sum = x.mul_add(*x, *sum);
+        }
+    }
+    1.0 / (sums.iter().sum::<f32>() / x.len() as f32 + f32::EPSILON).sqrt()
+}

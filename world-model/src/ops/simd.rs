@@ -1,0 +1,176 @@
+//! Sixteen f32 lanes, in the widest form that the processor has.
+
+use std::sync::OnceLock;
+
+/// Lanes in one vector.
+pub(crate) const LANES: usize = 16;
+
+/// Sixteen f32 that are computed with together.
+///
+/// The methods must be called only where the instruction set of the implementing type is enabled.
+pub(crate) trait Lanes: Copy {
+    /// All lanes `v`.
+    fn splat(v: f32) -> Self;
+    /// # Safety
+    /// Sixteen f32 must be readable at `p`.
+    unsafe fn load(p: *const f32) -> Self;
+    /// # Safety
+    /// Sixteen f32 must be writable at `p`.
+    unsafe fn store(self, p: *mut f32);
+    /// `self * b + c`.
+    fn mul_add(self, b: Self, c: Self) -> Self;
+}
+
+/// Instruction sets with kernels of their own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum InstructionSet {
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    Portable,
+}
+
+impl InstructionSet {
+    /// The best one of this machine.
+    pub(crate) fn detect() -> Self {
+        static DETECTED: OnceLock<InstructionSet> = OnceLock::new();
+        *DETECTED.get_or_init(|| {
+            #[cfg(target_arch = "x86_64")]
+            {
+                if is_x86_feature_detected!("avx512f") {
+                    return Self::Avx512;
+                }
+                if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+                    return Self::Avx2;
+                }
+            }
+            Self::Portable
+        })
+    }
+
+    /// Vectors of output channels that one tile of the kernels covers at most, limited by the
+    /// number of registers.
+    pub(crate) fn tile_vectors(self) -> usize {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => 4,
+            _ => 1,
+        }
+    }
+}
+
+/// The form that any processor has.
+#[derive(Clone, Copy)]
+pub(crate) struct Portable([f32; LANES]);
+
+impl Lanes for Portable {
+    #[inline(always)]
+    fn splat(v: f32) -> Self {
+        Self([v; LANES])
+    }
+
+    #[inline(always)]
+    unsafe fn load(p: *const f32) -> Self {
+        // SAFETY: the caller vouches for sixteen f32; the read needs no alignment.
+        Self(unsafe { p.cast::<[f32; LANES]>().read_unaligned() })
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, p: *mut f32) {
+        // SAFETY: the caller vouches for sixteen f32; the write needs no alignment.
+        unsafe { p.cast::<[f32; LANES]>().write_unaligned(self.0) };
+    }
+
+    #[inline(always)]
+    fn mul_add(self, b: Self, c: Self) -> Self {
+        // Not `f32::mul_add`: without the instruction that is a slow library call.
+        let mut out = c.0;
+        for ((out, a), b) in out.iter_mut().zip(self.0).zip(b.0) {
+            *out += a * b;
+        }
+        Self(out)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub(crate) use x86::{Avx2, Avx512};
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use std::arch::x86_64::{
+        __m256, __m512, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_set1_ps, _mm256_storeu_ps,
+        _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_ps, _mm512_storeu_ps,
+    };
+
+    use super::Lanes;
+
+    /// One 512-bit register.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx512(__m512);
+
+    impl Lanes for Avx512 {
+        #[inline(always)]
+        fn splat(v: f32) -> Self {
+            // SAFETY: the trait is used only where the instruction set is enabled.
+            Self(unsafe { _mm512_set1_ps(v) })
+        }
+
+        #[inline(always)]
+        unsafe fn load(p: *const f32) -> Self {
+            // SAFETY: as above, and the caller vouches for `p`.
+            Self(unsafe { _mm512_loadu_ps(p) })
+        }
+
+        #[inline(always)]
+        unsafe fn store(self, p: *mut f32) {
+            // SAFETY: as above, and the caller vouches for `p`.
+            unsafe { _mm512_storeu_ps(p, self.0) };
+        }
+
+        #[inline(always)]
+        fn mul_add(self, b: Self, c: Self) -> Self {
+            // SAFETY: the trait is used only where the instruction set is enabled.
+            Self(unsafe { _mm512_fmadd_ps(self.0, b.0, c.0) })
+        }
+    }
+
+    /// Two 256-bit registers.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx2(__m256, __m256);
+
+    impl Lanes for Avx2 {
+        #[inline(always)]
+        fn splat(v: f32) -> Self {
+            // SAFETY: the trait is used only where the instruction set is enabled.
+            let v = unsafe { _mm256_set1_ps(v) };
+            Self(v, v)
+        }
+
+        #[inline(always)]
+        unsafe fn load(p: *const f32) -> Self {
+            // SAFETY: as above, and the caller vouches for `p`.
+            unsafe { Self(_mm256_loadu_ps(p), _mm256_loadu_ps(p.add(8))) }
+        }
+
+        #[inline(always)]
+        unsafe fn store(self, p: *mut f32) {
+            // SAFETY: as above, and the caller vouches for `p`.
+            unsafe {
+                _mm256_storeu_ps(p, self.0);
+                _mm256_storeu_ps(p.add(8), self.1);
+            }
+        }
+
+        #[inline(always)]
+        fn mul_add(self, b: Self, c: Self) -> Self {
+            // SAFETY: the trait is used only where the instruction set is enabled.
+            unsafe {
+                Self(
+                    _mm256_fmadd_ps(self.0, b.0, c.0),
+                    _mm256_fmadd_ps(self.1, b.1, c.1),
+                )
+            }
+        }
+    }
+}

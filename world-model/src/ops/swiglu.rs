@@ -1,0 +1,82 @@
+//! The gated activation of the feed-forward networks.
+
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
+
+use super::exponential::sigmoid;
+use super::host::{host, slice};
+
+/// Rows that one task handles: enough work to be worth a task, few enough to spread.
+const ROWS: usize = 64;
+
+/// silu(first half) * second half over the last dimension: (.., 2h) becomes (.., h).
+///
+/// # Errors
+/// If the last dimension is odd.
+pub fn swiglu(x: &Tensor) -> Result<Tensor> {
+    x.contiguous()?.apply_op1(Swiglu)
+}
+
+struct Swiglu;
+
+impl CustomOp1 for Swiglu {
+    fn name(&self) -> &'static str {
+        "swiglu"
+    }
+
+    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let mut dims = layout.dims().to_vec();
+        let h = match dims.last_mut() {
+            Some(last) if *last > 0 && *last % 2 == 0 => {
+                *last /= 2;
+                *last
+            }
+            _ => candle_core::bail!("swiglu: cannot halve {:?}", layout.shape()),
+        };
+        let x = slice(storage, layout)?;
+        let mut out = vec![0.0; x.len() / 2];
+        out.par_chunks_mut(ROWS * h)
+            .zip(x.par_chunks(ROWS * 2 * h))
+            .for_each(|(out, x)| {
+                pulp::Arch::new().dispatch(|| {
+                    for (out, x) in out.chunks_exact_mut(h).zip(x.chunks_exact(2 * h)) {
+                        let (a, b) = x.split_at(h);
+                        for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                            *out = a * sigmoid(*a) * b;
+                        }
+                    }
+                });
+            });
+        Ok((CpuStorage::F32(out), Shape::from(dims)))
+    }
+
+    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let grad = grad.contiguous()?;
+        let h = grad.dim(candle_core::D::Minus1)?;
+        let (hx, hg) = (host(x), host(&grad));
+        let (vx, vg) = (hx.values()?, hg.values()?);
+        let mut out = vec![0.0; vx.len()];
+        out.par_chunks_mut(ROWS * 2 * h)
+            .zip(vx.par_chunks(ROWS * 2 * h))
+            .zip(vg.par_chunks(ROWS * h))
+            .for_each(|((out, x), g)| {
+                let rows = out.chunks_exact_mut(2 * h).zip(x.chunks_exact(2 * h));
+                pulp::Arch::new().dispatch(|| {
+                    for ((out, x), g) in rows.zip(g.chunks_exact(h)) {
+                        let (a, b) = x.split_at(h);
+                        let (grad_a, grad_b) = out.split_at_mut(h);
+                        let outputs = grad_a.iter_mut().zip(grad_b);
+                        for (((a, b), g), (grad_a, grad_b)) in
+                            a.iter().zip(b).zip(g).zip(outputs)
+                        {
+                            let s = sigmoid(*a);
+                            let silu = a * s;
+                            *grad_a = g * b * (s + silu * (1.0 - s));
+                            *grad_b = g * silu;
+                        }
+                    }
+                });
+            });
+        Ok(Some(Tensor::from_vec(out, x.shape(), x.device())?))
+    }
+}

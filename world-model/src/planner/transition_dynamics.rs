@@ -1,0 +1,107 @@
+//! The transition model as the dynamics of a plan.
+
+use candle_core::Tensor;
+
+use super::Dynamics;
+use crate::{
+    Result,
+    sampler::{Rollout, Sampler},
+    transition::Transition,
+};
+
+/// Rolls candidates out with the transition model, from one context whose keys and values are computed once, and with
+/// one noise a step that all candidates of all iterations share.
+#[derive(Clone, Debug)]
+pub struct TransitionDynamics<'m> {
+    start: Rollout<'m>,
+    action_dim: usize,
+}
+
+impl<'m> TransitionDynamics<'m> {
+    /// Dynamics from the observed `context` (1, T, h, w, C), oldest first, with the `actions` (T - 1, A) between its
+    /// frames (none for T = 1), and the noise of `noise_seed`.
+    ///
+    /// # Errors
+    /// Where shapes do not fit the model, or a value is not finite.
+    pub fn new(
+        model: &'m Transition,
+        sampler: &Sampler,
+        context: &Tensor,
+        actions: Option<&Tensor>,
+        noise_seed: u64,
+    ) -> Result<Self> {
+        let start = Rollout::new(model, sampler, context, actions, noise_seed)?;
+        Ok(Self { start, action_dim: model.config().action_dim })
+    }
+}
+
+impl Dynamics for TransitionDynamics<'_> {
+    fn action_dim(&self) -> usize {
+        self.action_dim
+    }
+
+    fn rollout(&mut self, actions: &Tensor) -> Result<Tensor> {
+        let (count, steps, _) = actions.dims3()?;
+        let mut rollout = self.start.candidates(count)?;
+        let mut latents = Vec::with_capacity(steps);
+        for step in 0..steps {
+            let action = actions.narrow(1, step, 1)?.squeeze(1)?.contiguous()?;
+            latents.push(rollout.next(&action)?);
+        }
+        Ok(Tensor::stack(&latents, 1)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{DType, Device};
+
+    use super::*;
+    use crate::{
+        planner::{Cem, CemSettings, Target},
+        transition::TransitionConfig,
+    };
+
+    fn model() -> Transition {
+        let config = TransitionConfig {
+            hidden: 64,
+            depth: 2,
+            heads: 2,
+            ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 10).unwrap()
+        };
+        Transition::random(config, 3).unwrap()
+    }
+
+    fn context() -> Tensor {
+        let values: Vec<f32> = (0..2 * 64).map(|i| (i as f32 * 0.37).sin()).collect();
+        Tensor::from_vec(values, (1, 2, 4, 4, 4), &Device::Cpu).unwrap()
+    }
+
+    #[test]
+    fn the_cost_of_a_plan_is_that_of_its_own_rollout() {
+        let (model, context) = (model(), context());
+        let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
+        let sampler = &model.config().sampler;
+        let mut dynamics = TransitionDynamics::new(&model, sampler, &context, Some(&past), 5).unwrap();
+
+        // A goal that the model itself can reach: where some action leads.
+        let mut truth = Rollout::new(&model, sampler, &context, Some(&past), 5).unwrap();
+        let mut action = vec![0.0_f32; 10];
+        action[..7].copy_from_slice(&[0.9, -0.6, 0.3, 0.2, -0.4, 0.1, 1.0]);
+        let goal = truth.next(&Tensor::from_vec(action, (1, 10), &Device::Cpu).unwrap()).unwrap();
+        let target = Target::LastStep(goal.squeeze(0).unwrap());
+
+        let settings = CemSettings { population: 48, iterations: 6, elites: 8, ..CemSettings::default() };
+        let cem = Cem::new(settings, &[(-2.0, 2.0); 7]).unwrap();
+        let plan = cem.plan(&mut dynamics, &target, None, 1, &mut || false).unwrap();
+        assert!(plan.cost < plan.iteration_costs[0] / 2.0, "{:?}", plan.iteration_costs);
+
+        let mut alone = Rollout::new(&model, sampler, &context, Some(&past), 5).unwrap();
+        let mut padded = plan.actions[0].clone();
+        padded.resize(10, 0.0);
+        let reached = alone.next(&Tensor::from_vec(padded, (1, 10), &Device::Cpu).unwrap()).unwrap();
+        let cost = target.costs(&reached.unsqueeze(1).unwrap()).unwrap()[0];
+        // One candidate alone and in a batch differ by the order of sums.
+        assert!((cost - plan.cost).abs() < 1e-5 * (1.0 + cost), "{cost} against {}", plan.cost);
+    }
+}

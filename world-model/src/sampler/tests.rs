@@ -1,0 +1,186 @@
+use std::sync::LazyLock;
+
+use candle_core::{D, Device, Tensor};
+
+use super::*;
+use crate::transition::{ActionAlignment, Parametrisation, TransitionConfig};
+
+/// A small model whose window is full after two predictions from two frames.
+fn model(parametrisation: Parametrisation, action_alignment: ActionAlignment) -> Transition {
+    let config = TransitionConfig {
+        hidden: 64,
+        depth: 2,
+        heads: 2,
+        max_frames: 4,
+        parametrisation,
+        action_alignment,
+        ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
+    };
+    Transition::random(config, 5).unwrap()
+}
+
+static PLAIN: LazyLock<Transition> =
+    LazyLock::new(|| model(Parametrisation::Velocity, ActionAlignment::WithFrame));
+static TINY: LazyLock<Transition> =
+    LazyLock::new(|| model(Parametrisation::Residual, ActionAlignment::WithResult));
+
+fn random(shape: &[usize], seed: u64) -> Tensor {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let values: Vec<f32> = (0..shape.iter().product())
+        .map(|_| StandardNormal.sample(&mut rng))
+        .collect();
+    Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+}
+
+fn most(a: &Tensor, b: &Tensor) -> f32 {
+    let difference = (a - b).unwrap().abs().unwrap();
+    difference.max_all().unwrap().to_scalar().unwrap()
+}
+
+/// The definition: every Euler step computes the whole window.
+fn uncached(
+    model: &Transition,
+    sampler: &Sampler,
+    context: &Tensor,
+    actions: &Tensor,
+    steps: usize,
+    seed: u64,
+) -> Vec<Tensor> {
+    let config = model.config();
+    let given = context.dim(1).unwrap();
+    let mut frames = context.clone();
+    let zero = Tensor::zeros((1, config.action_dim), candle_core::DType::F32, &Device::Cpu).unwrap();
+    for k in 0..steps {
+        let first = (given + k + 1).saturating_sub(config.max_frames);
+        let window = given + k - first;
+        let clean = frames.narrow(1, first, window).unwrap();
+        // Actions first..first + window lead from each clean frame to the next, the last one to
+        // the new frame.
+        let between = actions.narrow(0, first, window).unwrap();
+        let fed = match config.action_alignment {
+            ActionAlignment::WithFrame => Tensor::cat(&[&between, &zero], 0),
+            ActionAlignment::WithResult => Tensor::cat(&[&zero, &between], 0),
+        };
+        let fed = fed.unwrap().unsqueeze(0).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(k as u64);
+        let values: Vec<f32> = (0..4 * 4 * 4).map(|_| StandardNormal.sample(&mut rng)).collect();
+        let mut x = Tensor::from_vec(values, (1, 1, 4, 4, 4), &Device::Cpu).unwrap();
+        let levels = sampler.levels();
+        for pair in levels.windows(2) {
+            let mut tau = vec![sampler.context_tau as f32; window];
+            tau.push(pair[0] as f32);
+            let tau = Tensor::from_vec(tau, (1, window + 1), &Device::Cpu).unwrap();
+            let whole = Tensor::cat(&[&clean, &x], 1).unwrap();
+            let velocity = model.forward(&whole, &tau, &fed).unwrap();
+            let velocity = velocity.narrow(1, window, 1).unwrap();
+            x = (x - (velocity * (pair[0] - pair[1])).unwrap()).unwrap();
+        }
+        frames = Tensor::cat(&[&frames, &x], 1).unwrap();
+    }
+    (0..steps)
+        .map(|k| frames.narrow(1, given + k, 1).unwrap().squeeze(1).unwrap())
+        .collect()
+}
+
+#[test]
+fn cached_rollouts_equal_uncached_ones_also_when_the_window_slides() {
+    for (model, given) in [(&*PLAIN, 2), (&*TINY, 2), (&*TINY, 1), (&*PLAIN, 6)] {
+        let sampler = Sampler {
+            steps: 2,
+            shift: 2.0,
+            context_tau: 0.01,
+        };
+        let steps = 5;
+        let context = random(&[1, given, 4, 4, 4], 1);
+        let actions = random(&[given - 1 + steps, 7], 2);
+        let expected = uncached(model, &sampler, &context, &actions, steps, 9);
+        let past = (given > 1).then(|| actions.narrow(0, 0, given - 1).unwrap());
+        let mut rollout = Rollout::new(model, &sampler, &context, past.as_ref(), 9).unwrap();
+        for (k, expected) in expected.iter().enumerate() {
+            let action = actions.narrow(0, given - 1 + k, 1).unwrap();
+            let got = rollout.next(&action).unwrap();
+            let size = expected.abs().unwrap().max_all().unwrap();
+            let size = size.to_scalar::<f32>().unwrap();
+            let difference = most(&got, expected) / size.max(1.0);
+            assert!(difference < 1e-5, "step {k} differs by {difference}");
+        }
+        assert_eq!(rollout.steps_taken(), steps);
+    }
+}
+
+#[test]
+fn candidates_are_what_they_would_be_alone() {
+    for model in [&*PLAIN, &*TINY] {
+        let sampler = model.config().sampler.clone();
+        let context = random(&[1, 2, 4, 4, 4], 1);
+        let past = random(&[1, 7], 2);
+        let rollout = Rollout::new(model, &sampler, &context, Some(&past), 4).unwrap();
+        let mut together = rollout.candidates(3).unwrap();
+        let mut alone: Vec<_> = (0..3).map(|_| rollout.clone()).collect();
+        for step in 0..4 {
+            let actions = random(&[3, 7], 10 + step);
+            let all = together.next(&actions).unwrap();
+            for (i, alone) in alone.iter_mut().enumerate() {
+                let one = alone.next(&actions.narrow(0, i, 1).unwrap()).unwrap();
+                let difference = most(&all.narrow(0, i, 1).unwrap(), &one);
+                assert!(difference < 1e-4, "candidate {i}, step {step}: {difference}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_seed_decides_every_byte() {
+    let context = random(&[1, 2, 4, 4, 4], 1);
+    let past = random(&[1, 7], 2);
+    let run = |seed: u64| -> Vec<f32> {
+        let sampler = Sampler {
+            steps: 3,
+            ..Sampler::default()
+        };
+        let mut rollout = Rollout::new(&PLAIN, &sampler, &context, Some(&past), seed).unwrap();
+        let frames: Vec<_> = (0..3)
+            .map(|i| rollout.next(&random(&[1, 7], i)).unwrap())
+            .collect();
+        let all = Tensor::cat(&frames, D::Minus1).unwrap();
+        all.flatten_all().unwrap().to_vec1().unwrap()
+    };
+    assert_eq!(run(1), run(1));
+    assert_ne!(run(1), run(2));
+}
+
+#[test]
+fn levels_run_from_noise_to_clean_and_are_shifted() {
+    let sampler = Sampler {
+        steps: 2,
+        shift: 3.0,
+        context_tau: 0.0,
+    };
+    assert_eq!(sampler.levels(), [1.0, 0.75, 0.0]);
+}
+
+#[test]
+fn what_does_not_fit_is_refused_by_name() {
+    let sampler = Sampler::default();
+    let context = random(&[1, 2, 4, 4, 4], 1);
+    let refused = |context: &Tensor, past: Option<&Tensor>| {
+        let error = Rollout::new(&PLAIN, &sampler, context, past, 0).unwrap_err();
+        error.to_string()
+    };
+    assert!(refused(&context, None).starts_with("the actions of the context"));
+    assert!(refused(&random(&[1, 2, 4, 4, 5], 1), None).starts_with("the context has shape"));
+    let infinite = (&context / 0.0).unwrap();
+    assert!(refused(&infinite, Some(&random(&[1, 7], 1))).contains("not finite"));
+
+    let past = random(&[1, 7], 1);
+    let mut rollout = Rollout::new(&PLAIN, &sampler, &context, Some(&past), 0).unwrap();
+    let message = rollout.next(&random(&[2, 7], 1)).unwrap_err().to_string();
+    assert!(message.starts_with("the action has shape"), "{message}");
+    assert!(rollout.candidates(0).is_err());
+    let zero = Sampler {
+        steps: 0,
+        ..Sampler::default()
+    };
+    assert!(zero.validate().unwrap_err().to_string().starts_with("steps"));
+}

@@ -1,0 +1,233 @@
+//! The transition model: a diffusion transformer over the patches of the last latents.
+//!
+//! Given a window of latents, of which each frame has its own noise level tau, and the actions
+//! between them, it gives the velocity of flow matching, (noise - clean), at every frame. Blocks
+//! alternate attention within a frame with causal attention over time; noise level and action
+//! modulate every layer. Names of parameters are those of the published checkpoints.
+//!
+//! ```
+//! use candle_core::{Device, Tensor};
+//! use wm_model::transition::{Transition, TransitionConfig};
+//!
+//! # fn main() -> wm_model::Result<()> {
+//! let config = TransitionConfig::preset("tiny", (16, 16, 8), 2, 7)?;
+//! let model = Transition::random(config, 1)?;
+//! let latents = Tensor::zeros((1, 3, 16, 16, 8), candle_core::DType::F32, &Device::Cpu)?;
+//! let tau = Tensor::new(&[[0.0f32, 0.0, 1.0]], &Device::Cpu)?;
+//! let actions = Tensor::zeros((1, 3, 7), candle_core::DType::F32, &Device::Cpu)?;
+//! let velocity = model.forward(&latents, &tau, &actions)?;
+//! assert_eq!(velocity.dims(), [1, 3, 16, 16, 8]);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! It does not sample ([`crate::sampler`] does) and does not train (`wm_training` does, through
+//! [`Transition::build`] and [`Transition::output`]).
+
+mod block;
+mod config;
+mod context;
+mod embedding;
+mod head;
+mod parameters;
+mod pattern;
+
+use std::sync::Arc;
+
+use candle_core::{DType, Tensor};
+
+pub use config::{ActionAlignment, Parametrisation, TransitionConfig};
+pub use context::FrameContext;
+pub use parameters::{Initialisation, Parameter};
+pub use pattern::TemporalPattern;
+
+use crate::ops::{AttentionPattern, Axis, RotaryTable};
+use crate::{Error, Result, Weights};
+use block::Block;
+use embedding::{Embedding, Patches};
+use head::Head;
+
+/// Metadata entry of a weights file that holds the [`TransitionConfig`] as JSON.
+pub const CONFIG_KEY: &str = "config";
+
+/// Noise levels are not taken below this where the residual parametrisation divides by them.
+const SMALLEST_TAU: f64 = 1e-3;
+
+/// The transition model. Clones share their tensors.
+#[derive(Clone, Debug)]
+pub struct Transition {
+    config: Arc<TransitionConfig>,
+    embedding: Embedding,
+    blocks: Vec<Block>,
+    head: Head,
+    spatial: Arc<AttentionPattern>,
+}
+
+impl Transition {
+    /// Builds the model from tensors that `source` supplies by name and shape.
+    ///
+    /// # Errors
+    /// If the configuration cannot be built, or `source` fails.
+    pub fn build(
+        config: TransitionConfig,
+        source: &mut dyn FnMut(&Parameter) -> Result<Tensor>,
+    ) -> Result<Self> {
+        config.validate()?;
+        let mut tensors = parameters::Tensors::collect(&config, source)?;
+        let rotary = RotaryTable::grid(config.grid().0, config.grid().1, config.head_dim());
+        let spatial = AttentionPattern::new(Axis::Space, config.heads, rotary, |_, _| true)?;
+        let embedding = Embedding::new(&config, &mut tensors)?;
+        let blocks = (0..config.depth)
+            .map(|i| Block::new(i, &config, &mut tensors))
+            .collect::<Result<_>>()?;
+        let head = Head::new(&config, &mut tensors)?;
+        Ok(Self {
+            config: Arc::new(config),
+            embedding,
+            blocks,
+            head,
+            spatial: Arc::new(spatial),
+        })
+    }
+
+    /// Reads a model whose configuration is in the file's metadata.
+    ///
+    /// # Errors
+    /// If the configuration or a tensor is missing or malformed, or there are tensors too many.
+    pub fn from_weights(weights: Weights) -> Result<Self> {
+        let config: TransitionConfig = weights.json(CONFIG_KEY)?;
+        let model = Self::build(config, &mut |p| weights.tensor(&p.name, &p.shape))?;
+        weights.finish()?;
+        Ok(model)
+    }
+
+    /// A model with seeded random weights everywhere, those included that training starts at zero,
+    /// so that every part of it has an effect. For tests and timing.
+    ///
+    /// # Errors
+    /// If the configuration cannot be built.
+    pub fn random(config: TransitionConfig, seed: u64) -> Result<Self> {
+        Self::build(config, &mut |p| p.sample(seed))
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &TransitionConfig {
+        &self.config
+    }
+
+    /// The velocity at every frame: `x` (B, T, H, W, C) latents, `tau` (B, T) their noise levels,
+    /// `action` (B, T, A) what is fed with each frame; gives (B, T, H, W, C).
+    ///
+    /// Frames attend to themselves and to earlier ones. Under [`ActionAlignment::WithFrame`]
+    /// action t is the one that leads from frame t to the next, under
+    /// [`ActionAlignment::WithResult`] the one that led to frame t. Under
+    /// [`Parametrisation::Residual`] the frame before must be clean; the first one has none, and is
+    /// its own.
+    ///
+    /// # Errors
+    /// If the shapes do not fit the configuration.
+    pub fn forward(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<Tensor> {
+        let (_, frames) = tau.dims2()?;
+        let output = self.output(x, tau, action, &TemporalPattern::causal(frames))?;
+        let previous = match frames {
+            1 => x.clone(),
+            _ => Tensor::cat(&[x.narrow(1, 0, 1)?, x.narrow(1, 0, frames - 1)?], 1)?,
+        };
+        self.velocity(&output, x, tau, &previous)
+    }
+
+    /// What the network itself gives at every frame, before the parametrisation is applied:
+    /// (B, T, H, W, C). Shapes as in [`Transition::forward`].
+    ///
+    /// # Errors
+    /// If the shapes do not fit the configuration or the pattern.
+    pub fn output(
+        &self,
+        x: &Tensor,
+        tau: &Tensor,
+        action: &Tensor,
+        pattern: &TemporalPattern,
+    ) -> Result<Tensor> {
+        let (b, t) = self.check_input(x, tau, action)?;
+        if pattern.len() != t {
+            return Err(Error::Shape {
+                what: "the latents",
+                expected: format!("(B, {}, H, W, C) for this pattern", pattern.len()),
+                found: x.dims().to_vec(),
+            });
+        }
+        let temporal = Arc::new(pattern.attention(self.config.heads, self.config.head_dim())?);
+        let patches = Patches::of(x, self.config.patch)?;
+        let mut tokens = self.embedding.tokens(&patches)?;
+        let condition = self
+            .embedding
+            .condition(&tau.flatten_all()?, &action.flatten_to(1)?)?;
+        for block in &self.blocks {
+            tokens = block.forward(&tokens, &condition, &self.spatial, &temporal)?;
+        }
+        let out = self.head.forward(&tokens, &condition)?;
+        Patches::into_grid(&out, (b, t), &self.config)
+    }
+
+    /// The velocity that `output` of the network stands for at `x`, given the clean frame before
+    /// each (`previous`, as `x`).
+    ///
+    /// # Errors
+    /// If the shapes differ.
+    pub fn velocity(
+        &self,
+        output: &Tensor,
+        x: &Tensor,
+        tau: &Tensor,
+        previous: &Tensor,
+    ) -> Result<Tensor> {
+        match self.config.parametrisation {
+            Parametrisation::Velocity => Ok(output.clone()),
+            Parametrisation::Residual => {
+                let (b, t) = tau.dims2()?;
+                let tau = tau.clamp(SMALLEST_TAU, 1.0)?.reshape((b, t, 1, 1, 1))?;
+                let clean = previous.broadcast_add(output)?;
+                Ok((x - clean)?.broadcast_div(&tau)?)
+            }
+        }
+    }
+
+    /// Batch and frames of consistent inputs.
+    fn check_input(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<(usize, usize)> {
+        let c = &self.config;
+        let &[b, t, h, w, channels] = x.dims() else {
+            return Err(shape("the latents", "(B, T, H, W, C)", x));
+        };
+        if (h, w, channels) != (c.latent_height, c.latent_width, c.channels) {
+            let expected = format!(
+                "(B, T, {}, {}, {})",
+                c.latent_height, c.latent_width, c.channels
+            );
+            return Err(shape("the latents", &expected, x));
+        }
+        if tau.dims() != [b, t] {
+            return Err(shape("tau", &format!("({b}, {t})"), tau));
+        }
+        if action.dims() != [b, t, c.action_dim] {
+            let expected = format!("({b}, {t}, {})", c.action_dim);
+            return Err(shape("the actions", &expected, action));
+        }
+        for (what, tensor) in [("latents", x), ("tau", tau), ("actions", action)] {
+            if tensor.dtype() != DType::F32 {
+                return Err(Error::config(
+                    "dtype",
+                    format!("{what} are {:?}, expected F32", tensor.dtype()),
+                ));
+            }
+        }
+        Ok((b, t))
+    }
+}
+
+fn shape(what: &'static str, expected: &str, found: &Tensor) -> Error {
+    Error::Shape {
+        what,
+        expected: expected.to_owned(),
+        found: found.dims().to_vec(),
+    }
+}

@@ -1,0 +1,118 @@
+//! The transformer blocks: attention within a frame, then attention over time.
+
+use std::sync::Arc;
+
+use candle_core::Tensor;
+
+use super::TransitionConfig;
+use super::embedding::Condition;
+use super::parameters::{Linear, Tensors};
+use crate::Result;
+use crate::ops::{
+    self, AttentionPattern, FrameKeys, RotaryTable, cached_attention, gated_residual,
+    rms_norm_modulate, swiglu,
+};
+
+/// Order of a sub-block's modulation: shift, scale and gate of the attention, then of the
+/// feed-forward network.
+const ATTENTION: [usize; 3] = [0, 1, 2];
+const FEED_FORWARD: [usize; 3] = [3, 4, 5];
+
+/// A spatial and a temporal sub-block.
+#[derive(Clone, Debug)]
+pub(super) struct Block {
+    spatial: SubBlock,
+    temporal: SubBlock,
+    heads: usize,
+}
+
+impl Block {
+    pub(super) fn new(
+        index: usize,
+        config: &TransitionConfig,
+        tensors: &mut Tensors,
+    ) -> Result<Self> {
+        Ok(Self {
+            spatial: SubBlock::new(&format!("blocks.{index}.s_block"), tensors)?,
+            temporal: SubBlock::new(&format!("blocks.{index}.t_block"), tensors)?,
+            heads: config.heads,
+        })
+    }
+
+    /// Tokens (B, T, N, d).
+    pub(super) fn forward(
+        &self,
+        tokens: &Tensor,
+        condition: &Condition,
+        spatial: &Arc<AttentionPattern>,
+        temporal: &Arc<AttentionPattern>,
+    ) -> Result<Tensor> {
+        let attend = |qkv: &Tensor| Ok(ops::attention(qkv, spatial)?);
+        let tokens = self.spatial.forward(tokens, condition, attend)?;
+        let attend = |qkv: &Tensor| Ok(ops::attention(qkv, temporal)?);
+        self.temporal.forward(&tokens, condition, attend)
+    }
+
+    /// One new frame, tokens (B, 1, N, d), after `earlier` frames; gives its own keys and values
+    /// too. `angles` has the frame's position only.
+    pub(super) fn forward_after(
+        &self,
+        tokens: &Tensor,
+        condition: &Condition,
+        spatial: &Arc<AttentionPattern>,
+        earlier: &[&FrameKeys],
+        angles: &RotaryTable,
+    ) -> Result<(Tensor, FrameKeys)> {
+        let attend = |qkv: &Tensor| Ok(ops::attention(qkv, spatial)?);
+        let tokens = self.spatial.forward(tokens, condition, attend)?;
+        let mut own = None;
+        let attend = |qkv: &Tensor| {
+            let (out, keys) = cached_attention(&qkv.squeeze(1)?, earlier, self.heads, angles)?;
+            own = Some(keys);
+            Ok(out.unsqueeze(1)?)
+        };
+        let tokens = self.temporal.forward(&tokens, condition, attend)?;
+        match own {
+            Some(own) => Ok((tokens, own)),
+            None => Err(candle_core::Error::Msg("the temporal attention did not run".into()).into()),
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+struct SubBlock {
+    modulation: Linear,
+    qkv: Linear,
+    out: Linear,
+    up: Linear,
+    down: Linear,
+}
+
+impl SubBlock {
+    fn new(name: &str, tensors: &mut Tensors) -> Result<Self> {
+        Ok(Self {
+            modulation: tensors.linear(&format!("{name}.adaLN_modulation.1"))?,
+            qkv: tensors.linear_no_bias(&format!("{name}.attn.qkv_proj"))?,
+            out: tensors.linear(&format!("{name}.attn.out_proj"))?,
+            up: tensors.linear(&format!("{name}.ffwd.w12"))?,
+            down: tensors.linear(&format!("{name}.ffwd.w3"))?,
+        })
+    }
+
+    fn forward(
+        &self,
+        x: &Tensor,
+        condition: &Condition,
+        attend: impl FnOnce(&Tensor) -> Result<Tensor>,
+    ) -> Result<Tensor> {
+        let modulation = self.modulation.forward(&condition.activated)?;
+        let [shift, scale, gate] = ATTENTION;
+        let normed = rms_norm_modulate(x, &modulation, shift, scale)?;
+        let attended = self.out.forward(&attend(&self.qkv.forward(&normed)?)?)?;
+        let x = gated_residual(x, &attended, &modulation, gate)?;
+        let [shift, scale, gate] = FEED_FORWARD;
+        let normed = rms_norm_modulate(&x, &modulation, shift, scale)?;
+        let fed = self.down.forward(&swiglu(&self.up.forward(&normed)?)?)?;
+        Ok(gated_residual(&x, &fed, &modulation, gate)?)
+    }
+}

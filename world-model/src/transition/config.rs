@@ -1,0 +1,277 @@
+//! What defines a transition model.
+
+use serde::{Deserialize, Serialize};
+
+use crate::ops::HEAD_DIM_MULTIPLE;
+use crate::sampler::Sampler;
+use crate::{Error, Result};
+
+use super::parameters;
+
+/// What the network's output stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Parametrisation {
+    /// The velocity itself, as in the published checkpoints.
+    Velocity,
+    /// The clean frame less the clean frame before it. An untrained model then predicts that
+    /// nothing changes, which small models learn from much faster.
+    Residual,
+}
+
+/// Which action is fed with a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ActionAlignment {
+    /// The action that leads from this frame to the next, as in the published checkpoints. A new
+    /// frame whose own action is not known yet gets zeros.
+    WithFrame,
+    /// The action that led to this frame. The first frame of a window gets zeros.
+    WithResult,
+}
+
+/// Sizes and conventions of a transition model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TransitionConfig {
+    /// Width of a token, d.
+    pub hidden: usize,
+    /// Blocks, each of a spatial and a temporal sub-block.
+    pub depth: usize,
+    /// Attention heads.
+    pub heads: usize,
+    /// Side of a patch, p, in latent places.
+    pub patch: usize,
+    /// Rows of a latent.
+    pub latent_height: usize,
+    /// Columns of a latent.
+    pub latent_width: usize,
+    /// Channels of a latent, C.
+    pub channels: usize,
+    /// Values of an action, A.
+    pub action_dim: usize,
+    /// Frames that the model sees at most, the new one included.
+    pub max_frames: usize,
+    /// Width of the wide head, if the model has one (native high-dimensional latents).
+    pub wide_head: Option<usize>,
+    /// What the output stands for.
+    pub parametrisation: Parametrisation,
+    /// Which action is fed with a frame.
+    pub action_alignment: ActionAlignment,
+    /// Camera frames that one model step advances.
+    pub frame_skip: usize,
+    /// How to sample from it unless told otherwise.
+    pub sampler: Sampler,
+}
+
+impl TransitionConfig {
+    /// A preset by name: "dit-s", "dit-b", "dit-l" (384, 768, 1024 wide; 12, 12, 24 deep; plain
+    /// head, conventions of the published checkpoints), or "tiny", the embedded default's.
+    ///
+    /// `latent` is (height, width, channels).
+    ///
+    /// # Errors
+    /// If there is no such preset, or it does not fit the latent.
+    pub fn preset(
+        name: &str,
+        latent: (usize, usize, usize),
+        patch: usize,
+        action_dim: usize,
+    ) -> Result<Self> {
+        let (hidden, depth, heads) = match name {
+            "tiny" => (128, 5, 4),
+            "dit-s" => (384, 12, 6),
+            "dit-b" => (768, 12, 12),
+            "dit-l" => (1024, 24, 16),
+            _ => {
+                return Err(Error::config(
+                    "preset",
+                    format!("`{name}`, expected tiny, dit-s, dit-b or dit-l"),
+                ));
+            }
+        };
+        let tiny = name == "tiny";
+        let (latent_height, latent_width, channels) = latent;
+        let config = Self {
+            hidden,
+            depth,
+            heads,
+            patch,
+            latent_height,
+            latent_width,
+            channels,
+            action_dim,
+            max_frames: 10,
+            wide_head: None,
+            parametrisation: if tiny {
+                Parametrisation::Residual
+            } else {
+                Parametrisation::Velocity
+            },
+            action_alignment: if tiny {
+                ActionAlignment::WithResult
+            } else {
+                ActionAlignment::WithFrame
+            },
+            frame_skip: 2,
+            sampler: if tiny {
+                Sampler {
+                    steps: 1,
+                    shift: 1.0,
+                    context_tau: 0.0,
+                }
+            } else {
+                Sampler::default()
+            },
+        };
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Channels of an attention head.
+    pub fn head_dim(&self) -> usize {
+        self.hidden / self.heads.max(1)
+    }
+
+    /// Rows and columns of patches.
+    pub fn grid(&self) -> (usize, usize) {
+        let patch = self.patch.max(1);
+        (self.latent_height / patch, self.latent_width / patch)
+    }
+
+    /// Tokens of a frame.
+    pub fn tokens(&self) -> usize {
+        self.grid().0 * self.grid().1
+    }
+
+    /// Hidden width of the feed-forward networks, h = floor(8 d / 3).
+    pub fn ffn_hidden(&self) -> usize {
+        2 * (4 * self.hidden) / 3
+    }
+
+    /// Values of a patch, p * p * C.
+    pub fn patch_values(&self) -> usize {
+        self.patch * self.patch * self.channels
+    }
+
+    /// Number of trained values.
+    pub fn parameter_count(&self) -> usize {
+        parameters::all(self)
+            .iter()
+            .map(|p| p.shape.iter().product::<usize>())
+            .sum()
+    }
+
+    /// Checks that a model of this configuration can be built.
+    ///
+    /// # Errors
+    /// [`Error::Config`] with the first field that is wrong.
+    pub fn validate(&self) -> Result<()> {
+        let positive = [
+            ("hidden", self.hidden),
+            ("depth", self.depth),
+            ("heads", self.heads),
+            ("patch", self.patch),
+            ("latent_height", self.latent_height),
+            ("latent_width", self.latent_width),
+            ("channels", self.channels),
+            ("action_dim", self.action_dim),
+            ("frame_skip", self.frame_skip),
+            ("wide_head", self.wide_head.unwrap_or(1)),
+        ];
+        for (field, value) in positive {
+            // A bound, so that products of sizes cannot overflow.
+            if value == 0 || value > 1 << 16 {
+                return Err(Error::config(field, format!("{value}, expected 1 to 65536")));
+            }
+        }
+        if !(2..=1024).contains(&self.max_frames) {
+            let reason = format!("{}, expected 2 to 1024", self.max_frames);
+            return Err(Error::config("max_frames", reason));
+        }
+        let head = self.heads * HEAD_DIM_MULTIPLE;
+        if !self.hidden.is_multiple_of(head) {
+            let reason = format!(
+                "{} with {} heads, expected a multiple of {head}",
+                self.hidden, self.heads
+            );
+            return Err(Error::config("hidden", reason));
+        }
+        for (field, size) in [
+            ("latent_height", self.latent_height),
+            ("latent_width", self.latent_width),
+        ] {
+            if !size.is_multiple_of(self.patch) {
+                let reason = format!("{size}, expected a multiple of the patch {}", self.patch);
+                return Err(Error::config(field, reason));
+            }
+        }
+        self.sampler.validate()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn count(name: &str, latent: (usize, usize, usize), patch: usize, wide: bool) -> f64 {
+        let mut config = TransitionConfig::preset(name, latent, patch, 10).unwrap();
+        config.wide_head = wide.then_some(2048);
+        let millions = config.parameter_count() as f64 / 1e6;
+        (millions * 1e3).round() / 1e3
+    }
+
+    #[test]
+    fn parameter_counts_are_the_published_ones() {
+        let latents = [
+            ((32, 32, 16), 2, false),
+            ((16, 16, 16), 1, false),
+            ((16, 16, 32), 1, false),
+            ((16, 16, 96), 1, false),
+            ((16, 16, 1024), 1, true),
+            ((16, 16, 1152), 1, true),
+        ];
+        let published = [
+            ("dit-s", [64.420, 64.383, 64.395, 64.445, 75.748, 76.059]),
+            (
+                "dit-b",
+                [257.126, 257.053, 257.077, 257.176, 268.699, 269.060],
+            ),
+            (
+                "dit-l",
+                [910.082, 909.984, 910.016, 910.148, 921.490, 921.884],
+            ),
+        ];
+        for (name, expected) in published {
+            for ((latent, patch, wide), expected) in latents.into_iter().zip(expected) {
+                assert_eq!(count(name, latent, patch, wide), expected, "{name} {latent:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn seven_actions_are_three_rows_fewer() {
+        let ten = TransitionConfig::preset("dit-s", (16, 16, 16), 1, 10).unwrap();
+        let seven = TransitionConfig::preset("dit-s", (16, 16, 16), 1, 7).unwrap();
+        assert_eq!(
+            ten.parameter_count() - seven.parameter_count(),
+            3 * ten.hidden
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_built_is_named() {
+        let good = TransitionConfig::preset("tiny", (16, 16, 8), 2, 7).unwrap();
+        let broken = [
+            ("hidden", TransitionConfig { hidden: 100, ..good.clone() }),
+            ("latent_width", TransitionConfig { latent_width: 15, ..good.clone() }),
+            ("max_frames", TransitionConfig { max_frames: 1, ..good.clone() }),
+            ("depth", TransitionConfig { depth: 0, ..good.clone() }),
+        ];
+        for (field, config) in broken {
+            let message = config.validate().unwrap_err().to_string();
+            assert!(message.starts_with(field), "{message}");
+        }
+        assert!(TransitionConfig::preset("dit-x", (16, 16, 8), 2, 7).is_err());
+    }
+}

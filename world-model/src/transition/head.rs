@@ -1,0 +1,52 @@
+//! From tokens back to patches.
+
+use candle_core::Tensor;
+
+use super::TransitionConfig;
+use super::embedding::Condition;
+use super::parameters::{Linear, Tensors};
+use crate::Result;
+use crate::ops::rms_norm_modulate;
+
+/// The last layers.
+#[derive(Clone, Debug)]
+pub(super) struct Head {
+    /// The wide head's projection; the plain head has none.
+    wide: Option<Linear>,
+    modulation: Linear,
+    linear: Linear,
+}
+
+impl Head {
+    pub(super) fn new(config: &TransitionConfig, tensors: &mut Tensors) -> Result<Self> {
+        let (wide, name) = match config.wide_head {
+            Some(_) => (Some(tensors.linear("s_projector")?), "head_final_layer"),
+            None => (None, "final_layer"),
+        };
+        Ok(Self {
+            wide,
+            modulation: tensors.linear(&format!("{name}.adaLN_modulation.1"))?,
+            linear: tensors.linear(&format!("{name}.linear"))?,
+        })
+    }
+
+    /// Tokens (B, T, N, d) to patches (B, T, N, p * p * C).
+    pub(super) fn forward(&self, tokens: &Tensor, condition: &Condition) -> Result<Tensor> {
+        let (b, t, n, d) = tokens.dims4()?;
+        let (tokens, activated) = match &self.wide {
+            None => (tokens.clone(), condition.activated.clone()),
+            Some(project) => {
+                // The wide head is conditioned on the noise level here, and from then on only on
+                // what it made of the frame.
+                let frames = tokens.reshape((b * t, n, d))?;
+                let timed = frames.broadcast_add(&condition.time.unsqueeze(1)?)?;
+                let wide = project.forward(&timed.silu()?)?;
+                let mean = wide.mean(1)?;
+                (wide, mean.silu()?)
+            }
+        };
+        let modulation = self.modulation.forward(&activated)?;
+        let normed = rms_norm_modulate(&tokens, &modulation, 0, 1)?;
+        Ok(self.linear.forward(&normed)?.reshape((b, t, n, ()))?)
+    }
+}

@@ -1,0 +1,215 @@
+//! Names, shapes and initial values of the parameters.
+
+use std::collections::BTreeMap;
+
+use candle_core::{Device, Tensor};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use sha2::{Digest, Sha256};
+
+use super::TransitionConfig;
+use crate::{Error, Result};
+
+/// Values that training starts from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Initialisation {
+    /// All zero.
+    Zero,
+    /// Uniform within sqrt(6 / (fan in + fan out)).
+    Xavier,
+    /// Normal with this standard deviation.
+    Normal(f64),
+}
+
+/// One parameter of the model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// Name as in the published checkpoints.
+    pub name: String,
+    /// Shape; a Linear's weight is (out, in), the patch convolution's (out, C, p, p).
+    pub shape: Vec<usize>,
+    /// Values that training starts from.
+    pub initialisation: Initialisation,
+}
+
+impl Parameter {
+    /// Its initial values, from a generator of its own: they depend on the seed and the name only.
+    ///
+    /// # Errors
+    /// If the tensor cannot be made.
+    pub fn initial(&self, seed: u64) -> Result<Tensor> {
+        let mut rng = self.generator(seed);
+        let count = self.shape.iter().product();
+        let values: Vec<f32> = match self.initialisation {
+            Initialisation::Zero => vec![0.0; count],
+            Initialisation::Xavier => {
+                let bound = (6.0 / (self.fan_in() + self.fan_out()) as f64).sqrt();
+                (0..count)
+                    .map(|_| rng.random_range(-bound..bound) as f32)
+                    .collect()
+            }
+            Initialisation::Normal(deviation) => (0..count)
+                .map(|_| {
+                    let z: f64 = StandardNormal.sample(&mut rng);
+                    (z * deviation) as f32
+                })
+                .collect(),
+        };
+        Ok(Tensor::from_vec(values, self.shape.as_slice(), &Device::Cpu)?)
+    }
+
+    /// Random values that leave no part of the model without effect.
+    pub(super) fn sample(&self, seed: u64) -> Result<Tensor> {
+        let deviation = match self.shape.len() {
+            1 => 0.1,
+            _ => 1.0 / (self.fan_in() as f64).sqrt(),
+        };
+        Self {
+            initialisation: Initialisation::Normal(deviation),
+            ..self.clone()
+        }
+        .initial(seed)
+    }
+
+    fn fan_in(&self) -> usize {
+        self.shape.iter().skip(1).product()
+    }
+
+    fn fan_out(&self) -> usize {
+        self.shape.first().copied().unwrap_or(1)
+    }
+
+    fn generator(&self, seed: u64) -> ChaCha8Rng {
+        let mut hash = Sha256::new();
+        hash.update(seed.to_le_bytes());
+        hash.update(self.name.as_bytes());
+        ChaCha8Rng::from_seed(hash.finalize().into())
+    }
+}
+
+/// All parameters, in the order of the forward pass.
+pub(super) fn all(config: &TransitionConfig) -> Vec<Parameter> {
+    use Initialisation::{Normal, Xavier, Zero};
+    let (d, h) = (config.hidden, config.ffn_hidden());
+    let mut list = Vec::new();
+    let mut linear = |name: String, out: usize, inputs: usize, bias: bool, initialisation| {
+        list.push(Parameter {
+            name: format!("{name}.weight"),
+            shape: vec![out, inputs],
+            initialisation,
+        });
+        if bias {
+            list.push(Parameter {
+                name: format!("{name}.bias"),
+                shape: vec![out],
+                initialisation: Zero,
+            });
+        }
+    };
+    linear("timestep_mlp.0".into(), d, super::embedding::FREQUENCIES * 2, true, Normal(0.02));
+    linear("timestep_mlp.2".into(), d, d, true, Normal(0.02));
+    linear("action_embedder".into(), d, config.action_dim, true, Xavier);
+    for block in 0..config.depth {
+        for part in ["s_block", "t_block"] {
+            let name = |rest: &str| format!("blocks.{block}.{part}.{rest}");
+            linear(name("adaLN_modulation.1"), 6 * d, d, true, Zero);
+            linear(name("attn.qkv_proj"), 3 * d, d, false, Xavier);
+            linear(name("attn.out_proj"), d, d, true, Xavier);
+            linear(name("ffwd.w12"), 2 * h, d, true, Xavier);
+            linear(name("ffwd.w3"), d, h, true, Xavier);
+        }
+    }
+    match config.wide_head {
+        None => {
+            linear("final_layer.adaLN_modulation.1".into(), 2 * d, d, true, Zero);
+            linear("final_layer.linear".into(), config.patch_values(), d, true, Zero);
+        }
+        Some(w) => {
+            linear("s_projector".into(), w, d, true, Xavier);
+            linear("head_final_layer.adaLN_modulation.1".into(), 2 * w, w, true, Zero);
+            linear("head_final_layer.linear".into(), config.patch_values(), w, true, Zero);
+        }
+    }
+    list.insert(
+        0,
+        Parameter {
+            name: "x_proj.weight".into(),
+            shape: vec![d, config.channels, config.patch, config.patch],
+            initialisation: Xavier,
+        },
+    );
+    list.insert(
+        1,
+        Parameter {
+            name: "x_proj.bias".into(),
+            shape: vec![d],
+            initialisation: Zero,
+        },
+    );
+    list
+}
+
+/// The tensors of a model under construction.
+pub(super) struct Tensors(BTreeMap<String, Tensor>);
+
+impl Tensors {
+    /// Asks `source` for every parameter.
+    pub(super) fn collect(
+        config: &TransitionConfig,
+        source: &mut dyn FnMut(&Parameter) -> Result<Tensor>,
+    ) -> Result<Self> {
+        let mut tensors = BTreeMap::new();
+        for parameter in all(config) {
+            let tensor = source(&parameter)?;
+            if tensor.dims() != parameter.shape {
+                return Err(Error::TensorShape {
+                    file: "the source of the weights".into(),
+                    name: parameter.name,
+                    expected: parameter.shape,
+                    found: tensor.dims().to_vec(),
+                });
+            }
+            tensors.insert(parameter.name, tensor);
+        }
+        Ok(Self(tensors))
+    }
+
+    /// Hands out a parameter.
+    pub(super) fn take(&mut self, name: &str) -> Result<Tensor> {
+        self.0.remove(name).ok_or_else(|| Error::MissingTensor {
+            file: "the list of parameters".into(),
+            name: name.to_owned(),
+            expected: Vec::new(),
+        })
+    }
+
+    /// Hands out a Linear with bias.
+    pub(super) fn linear(&mut self, name: &str) -> Result<Linear> {
+        Ok(Linear {
+            weight: self.take(&format!("{name}.weight"))?,
+            bias: Some(self.take(&format!("{name}.bias"))?),
+        })
+    }
+
+    /// Hands out a Linear without bias.
+    pub(super) fn linear_no_bias(&mut self, name: &str) -> Result<Linear> {
+        Ok(Linear {
+            weight: self.take(&format!("{name}.weight"))?,
+            bias: None,
+        })
+    }
+}
+
+/// y = x W^T + b.
+#[derive(Clone, Debug)]
+pub(super) struct Linear {
+    weight: Tensor,
+    bias: Option<Tensor>,
+}
+
+impl Linear {
+    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        Ok(crate::ops::linear(x, &self.weight, self.bias.as_ref())?)
+    }
+}

@@ -1,0 +1,106 @@
+use std::io::Cursor;
+
+use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
+use wm_bag::{BagWriter, WriterOptions};
+use wm_msgs::{
+    builtin_interfaces::Time, sensor_msgs::CompressedImage, std_msgs::Header, wm_msgs::Action,
+};
+
+use super::*;
+
+const PERIOD_NS: i64 = 200_000_000;
+
+fn png(picture: DynamicImage) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, ImageFormat::Png).unwrap();
+    bytes.into_inner()
+}
+
+fn header(index: i64) -> Header {
+    Header {
+        stamp: Time::from_nanos(index * PERIOD_NS),
+        frame_id: String::new(),
+    }
+}
+
+struct Contents {
+    camera: bool,
+    actions: bool,
+    masks: bool,
+}
+
+fn write_bag(dir: &Path, frames: i64, contents: &Contents) {
+    let mut writer = BagWriter::create(dir, WriterOptions::default()).unwrap();
+    for index in 0..frames {
+        let at = (index * PERIOD_NS) as u64;
+        let picture = |picture| CompressedImage {
+            header: header(index),
+            format: "png".into(),
+            data: png(picture),
+        };
+        if contents.camera {
+            let frame = RgbImage::from_pixel(32, 32, Rgb([index as u8 * 10, 20, 30]));
+            writer.write("/camera/image_raw/compressed", &picture(frame.into()), at).unwrap();
+        }
+        if contents.masks {
+            let mask = GrayImage::from_pixel(32, 32, Luma([index as u8]));
+            writer.write("/camera/mask/compressed", &picture(mask.into()), at).unwrap();
+        }
+        // As some data sets do: no action for the last frame.
+        if contents.actions && index + 1 < frames {
+            let action = Action {
+                header: header(index),
+                values: vec![index as f32, 0., 0., 0., 0., 0., 1.],
+            };
+            writer.write("/wm/action", &action, at).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+}
+
+const WHOLE: Contents = Contents {
+    camera: true,
+    actions: true,
+    masks: true,
+};
+
+#[test]
+fn frames_masks_and_actions_keep_their_order_and_come_from_the_cache_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let bags = dir.path().join("bags");
+    write_bag(&bags.join("episode_000000"), 3, &WHOLE);
+    write_bag(&bags.join("episode_000001"), 4, &WHOLE);
+    let cache = dir.path().join("cache");
+    let first = Dataset::open(&bags, &cache, (16, 16)).unwrap();
+    // The cache alone serves the second: the bags' contents are gone, their metadata is not.
+    std::fs::remove_file(bags.join("episode_000000/episode_000000_0.mcap")).unwrap();
+    for dataset in [first, Dataset::open(&bags, &cache, (16, 16)).unwrap()] {
+        assert_eq!(dataset.frame_count(), 7);
+        let second = &dataset.episodes()[1];
+        assert_eq!((second.first_frame, second.frame_count), (3, 4));
+        let firsts: Vec<f32> = second.actions.iter().map(|action| action[0]).collect();
+        assert_eq!(firsts, [0., 1., 2., 2.]);
+        assert_eq!(dataset.frame(5).unwrap()[..3], [20, 20, 30]);
+        assert_eq!(dataset.mask(6).unwrap(), [3; 256]);
+        assert!(dataset.frame(7).is_none());
+    }
+}
+
+#[test]
+fn what_is_missing_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let refusal = |name: &str, contents: &Contents| {
+        let bags = dir.path().join(name);
+        write_bag(&bags.join("episode_000007"), 3, contents);
+        let error = Dataset::open(&bags, &dir.path().join("cache"), (16, 16)).unwrap_err();
+        error.to_string()
+    };
+    let blind = refusal("blind", &Contents { camera: false, masks: false, ..WHOLE });
+    assert!(blind.contains("episode_000007") && blind.contains("no camera"), "{blind}");
+    let idle = refusal("idle", &Contents { actions: false, ..WHOLE });
+    assert!(idle.contains("episode_000007") && idle.contains("/wm/action"), "{idle}");
+    let empty = dir.path().join("empty");
+    std::fs::create_dir(&empty).unwrap();
+    let error = Dataset::open(&empty, dir.path(), (16, 16)).unwrap_err();
+    assert!(matches!(error, DatasetError::Empty(_)), "{error}");
+}

@@ -1,0 +1,221 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+use wm_model::{
+    Encoder,
+    autoencoder::Autoencoder,
+    sampler::Sampler,
+    transition::{ActionAlignment, Parametrisation, TransitionConfig},
+};
+
+use super::Objective;
+use crate::latents::Latents;
+
+/// How noise levels are drawn, before the time shift.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TauDistribution {
+    /// Evenly over 0..1.
+    Uniform,
+    /// The logistic function of a standard normal variable.
+    LogitNormal,
+}
+
+/// Trains the transition model on bags of episodes, with the latents of a frozen encoder.
+#[derive(Clone, Debug, Args)]
+pub struct TrainTransitionArgs {
+    /// Folder of the episodes' bags.
+    #[arg(long)]
+    pub bags: PathBuf,
+    /// Folder of bags that are not trained on, to judge by.
+    #[arg(long)]
+    pub held_out: Option<PathBuf>,
+    /// Weights of the autoencoder whose latents are learned.
+    #[arg(long)]
+    pub autoencoder: PathBuf,
+    /// Folder for checkpoint, loss curve and weights; a training that was stopped goes on from here.
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Folder for decoded frames and latents; `cache` in the output folder by default.
+    #[arg(long)]
+    pub cache: Option<PathBuf>,
+    /// tiny, dit-s, dit-b or dit-l.
+    #[arg(long, default_value = "tiny")]
+    pub preset: String,
+    /// Width instead of the preset's.
+    #[arg(long)]
+    pub hidden: Option<usize>,
+    /// Depth instead of the preset's.
+    #[arg(long)]
+    pub depth: Option<usize>,
+    /// Attention heads instead of the preset's.
+    #[arg(long)]
+    pub heads: Option<usize>,
+    /// Frames of a clip, and of the model's window.
+    #[arg(long, default_value_t = 10)]
+    pub frames: usize,
+    /// Side of a patch of the latent.
+    #[arg(long, default_value_t = 2)]
+    pub patch: usize,
+    /// Predict the velocity itself, as the published checkpoints do, instead of the change from the last frame.
+    #[arg(long)]
+    pub velocity: bool,
+    /// Feed an action with the frame that it starts from, as the published checkpoints do, instead of the one that it leads to.
+    #[arg(long)]
+    pub action_with_frame: bool,
+    /// Euler steps that the weights file recommends.
+    #[arg(long, default_value_t = 1)]
+    pub sampling_steps: usize,
+    /// Steps of the optimiser.
+    #[arg(long, default_value_t = 3000)]
+    pub steps: u64,
+    /// Clips a step.
+    #[arg(long, default_value_t = 16)]
+    pub batch: usize,
+    /// Clips that one thread takes at once.
+    #[arg(long, default_value_t = 2)]
+    pub micro_batch: usize,
+    /// Highest learning rate.
+    #[arg(long, default_value_t = 1.5e-3)]
+    pub learning_rate: f64,
+    /// Steps over which the learning rate rises.
+    #[arg(long, default_value_t = 100)]
+    pub warm_up: u64,
+    /// Last learning rate as a part of the highest.
+    #[arg(long, default_value_t = 0.02)]
+    pub final_rate: f64,
+    /// Decay of the moving average of the weights.
+    #[arg(long, default_value_t = 0.995)]
+    pub ema_decay: f64,
+    /// How noise levels are drawn.
+    #[arg(long, value_enum, default_value_t = TauDistribution::Uniform)]
+    pub tau: TauDistribution,
+    /// Time shift of the drawn noise levels.
+    #[arg(long, default_value_t = 3.0)]
+    pub shift: f64,
+    /// Standard deviation of the noise level that history frames are given.
+    #[arg(long, default_value_t = 0.15)]
+    pub history_noise: f64,
+    /// Part of the clips whose history holds the model's own predictions in place of the later frames.
+    #[arg(long, default_value_t = 0.0)]
+    pub own_history: f64,
+    /// Part of the clips that are given no action (the null action: zeros, the last value 1).
+    #[arg(long, default_value_t = 0.0)]
+    pub action_dropout: f64,
+    /// Threads; all of the machine by default.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// Seed of weights, clips and noise.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Steps between checkpoints.
+    #[arg(long, default_value_t = 200)]
+    pub save_every: u64,
+}
+
+impl TrainTransitionArgs {
+    pub(super) fn encoder(&self) -> Result<Box<dyn Encoder>> {
+        open_encoder(&self.autoencoder)
+    }
+
+    pub(super) fn cache_dir(&self) -> PathBuf {
+        self.cache.clone().unwrap_or_else(|| self.out.join("cache"))
+    }
+
+    pub(super) fn threads(&self) -> Result<usize> {
+        match self.threads {
+            Some(threads) => Ok(threads),
+            None => Ok(std::thread::available_parallelism()
+                .context("how many threads there are")?
+                .get()),
+        }
+    }
+
+    pub(super) fn config(&self, latents: &Latents) -> Result<TransitionConfig> {
+        let action_dim = if self.action_dropout > 0.0 { 10 } else { 7 };
+        let latent = latents.space().shape();
+        let preset = TransitionConfig::preset(&self.preset, latent, self.patch, action_dim)?;
+        let config = TransitionConfig {
+            hidden: self.hidden.unwrap_or(preset.hidden),
+            depth: self.depth.unwrap_or(preset.depth),
+            heads: self.heads.unwrap_or(preset.heads),
+            max_frames: self.frames,
+            parametrisation: if self.velocity {
+                Parametrisation::Velocity
+            } else {
+                Parametrisation::Residual
+            },
+            action_alignment: if self.action_with_frame {
+                ActionAlignment::WithFrame
+            } else {
+                ActionAlignment::WithResult
+            },
+            sampler: Sampler {
+                steps: self.sampling_steps,
+                shift: 1.0,
+                context_tau: 0.0,
+            },
+            ..preset
+        };
+        config.validate()?;
+        Ok(config)
+    }
+
+    pub(super) fn objective(&self) -> Result<Objective> {
+        let objective = Objective {
+            clips: self.batch,
+            micro_batch: self.micro_batch,
+            history: 2,
+            tau: self.tau,
+            shift: self.shift,
+            history_noise: self.history_noise,
+            own_history: self.own_history,
+            action_dropout: self.action_dropout,
+            seed: self.seed,
+        };
+        objective.validate()?;
+        Ok(objective)
+    }
+}
+
+/// Judges a trained transition model on bags that it was not trained on.
+#[derive(Clone, Debug, Args)]
+pub struct EvaluateTransitionArgs {
+    /// Folder of the episodes' bags.
+    #[arg(long)]
+    pub bags: PathBuf,
+    /// Weights of the autoencoder.
+    #[arg(long)]
+    pub autoencoder: PathBuf,
+    /// Weights of the transition model.
+    #[arg(long)]
+    pub weights: PathBuf,
+    /// Folder for decoded frames and latents.
+    #[arg(long)]
+    pub cache: Option<PathBuf>,
+    /// Most windows to judge on.
+    #[arg(long, default_value_t = usize::MAX)]
+    pub windows: usize,
+    /// Other numbers of Euler steps to try.
+    #[arg(long, value_delimiter = ',')]
+    pub sampling_steps: Vec<usize>,
+    /// One-step plans from zero to make, to see how well they recover the true action.
+    #[arg(long, default_value_t = 24)]
+    pub plans: usize,
+}
+
+impl EvaluateTransitionArgs {
+    pub(super) fn encoder(&self) -> Result<Box<dyn Encoder>> {
+        open_encoder(&self.autoencoder)
+    }
+
+    pub(super) fn cache_dir(&self) -> PathBuf {
+        self.cache.clone().unwrap_or_else(std::env::temp_dir)
+    }
+}
+
+fn open_encoder(path: &Path) -> Result<Box<dyn Encoder>> {
+    Ok(Box::new(Autoencoder::open(path)?))
+}

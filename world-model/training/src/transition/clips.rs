@@ -1,0 +1,121 @@
+use anyhow::{Result, ensure};
+use rand::Rng;
+use wm_model::actions::ActionEncoding;
+
+use crate::latents::Latents;
+
+/// Clips of model steps out of episodes: random ones to train on, or given ones.
+pub struct ClipSource<'a> {
+    latents: &'a Latents,
+    encoding: &'a ActionEncoding,
+    /// Frames of a clip.
+    frames: usize,
+    /// Episodes that are long enough.
+    episodes: Vec<usize>,
+}
+
+/// A clip: which episode, and its first camera frame there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Clip {
+    pub(super) episode: usize,
+    pub(super) start: usize,
+}
+
+impl<'a> ClipSource<'a> {
+    /// Clips of `frames` frames, one model step apart; episodes shorter than that are left out.
+    ///
+    /// # Errors
+    /// When no episode is long enough.
+    pub fn new(latents: &'a Latents, encoding: &'a ActionEncoding, frames: usize) -> Result<Self> {
+        let mut source = Self {
+            latents,
+            encoding,
+            frames,
+            episodes: Vec::new(),
+        };
+        let span = source.span();
+        let episodes = latents.episodes().iter().enumerate();
+        source.episodes = episodes
+            .filter(|(_, episode)| episode.frame_count >= span)
+            .map(|(index, _)| index)
+            .collect();
+        ensure!(
+            !source.episodes.is_empty(),
+            "no episode has the {span} frames that a clip of {frames} steps spans"
+        );
+        Ok(source)
+    }
+
+    /// Number of episodes that clips come from.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.episodes.len()
+    }
+
+    /// Whether there are none; `new` does not make such a source.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.episodes.is_empty()
+    }
+
+    /// Frames of a clip.
+    #[must_use]
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    pub(super) fn shape(&self) -> (usize, usize, usize) {
+        self.latents.space().shape()
+    }
+
+    pub(super) fn action_dim(&self) -> usize {
+        self.encoding.action_dim
+    }
+
+    /// Camera frames from the first to the last of a clip.
+    fn span(&self) -> usize {
+        (self.frames - 1) * self.encoding.frame_skip + 1
+    }
+
+    /// A clip anywhere in any episode.
+    pub(super) fn draw(&self, rng: &mut impl Rng) -> Clip {
+        let episode = self.episodes[rng.random_range(0..self.episodes.len())];
+        let last = self.latents.episodes()[episode].frame_count - self.span();
+        Clip {
+            episode,
+            start: rng.random_range(0..=last),
+        }
+    }
+
+    /// Clips that do not overlap, in order.
+    pub(super) fn all(&self) -> Vec<Clip> {
+        let clips = self.episodes.iter().flat_map(|episode| {
+            let starts = 0..=self.latents.episodes()[*episode].frame_count - self.span();
+            let episode = *episode;
+            starts
+                .step_by(self.span())
+                .map(move |start| Clip { episode, start })
+        });
+        clips.collect()
+    }
+
+    /// Appends a clip's latents (frames, h, w, C) and the model actions between them (frames - 1, A).
+    pub(super) fn load(
+        &self,
+        clip: Clip,
+        latents: &mut Vec<f32>,
+        actions: &mut Vec<f32>,
+    ) -> Result<()> {
+        let episode = &self.latents.episodes()[clip.episode];
+        let skip = self.encoding.frame_skip;
+        for i in 0..self.frames {
+            self.latents
+                .read(episode.first_frame + clip.start + i * skip, latents)?;
+        }
+        for i in 0..self.frames - 1 {
+            let first = clip.start + i * skip;
+            actions.extend(self.encoding.encode_step(&episode.actions[first..first + skip])?);
+        }
+        Ok(())
+    }
+}

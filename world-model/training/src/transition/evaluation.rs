@@ -1,0 +1,278 @@
+use std::fmt;
+
+use anyhow::{Context as _, Result};
+use candle_core::{Device, Tensor};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use wm_model::{
+    actions::ActionEncoding,
+    planner::{Cem, CemSettings, Returned, Target, TransitionDynamics},
+    sampler::{Rollout, Sampler},
+    transition::Transition,
+};
+
+use super::ClipSource;
+use crate::latents::Latents;
+
+/// Observed frames that a prediction starts from.
+const CONTEXT: usize = 2;
+/// Seed of the noise of all evaluated predictions.
+const SEED: u64 = 0;
+
+/// What the predictions are told in place of the true actions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ActionChange {
+    /// The true actions.
+    None,
+    /// Translations and rotations of the opposite sign.
+    Negated,
+    /// All zero.
+    Zero,
+    /// Those of another window.
+    Shuffled,
+}
+
+impl fmt::Display for ActionChange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::None => "true",
+            Self::Negated => "negated",
+            Self::Zero => "zero",
+            Self::Shuffled => "another's",
+        })
+    }
+}
+
+/// One window: observed frames and those to be predicted.
+struct Case {
+    /// (CONTEXT + K, h, w, C).
+    frames: Tensor,
+    /// (CONTEXT + K - 1, A).
+    actions: Tensor,
+}
+
+/// Windows of episodes on which predictions are compared with what came, and with persistence: that nothing changes
+/// from the last observed frame on.
+pub struct Evaluation {
+    cases: Vec<Case>,
+    horizon: usize,
+}
+
+impl Evaluation {
+    /// At most `most` windows, spread evenly over the episodes, of `horizon` predicted model steps each.
+    ///
+    /// # Errors
+    /// When no episode is long enough.
+    pub fn new(
+        latents: &Latents,
+        encoding: &ActionEncoding,
+        horizon: usize,
+        most: usize,
+    ) -> Result<Self> {
+        let source = ClipSource::new(latents, encoding, CONTEXT + horizon)?;
+        let clips = source.all();
+        let stride = clips.len().div_ceil(most.max(1)).max(1);
+        let (h, w, c) = source.shape();
+        let cases = clips.into_iter().step_by(stride).map(|clip| {
+            let (mut frames, mut actions) = (Vec::new(), Vec::new());
+            source.load(clip, &mut frames, &mut actions)?;
+            let n = source.frames();
+            Ok(Case {
+                frames: Tensor::from_vec(frames, (n, h, w, c), &Device::Cpu)?,
+                actions: Tensor::from_vec(actions, (n - 1, source.action_dim()), &Device::Cpu)?,
+            })
+        });
+        Ok(Self {
+            cases: cases.collect::<Result<_>>()?,
+            horizon,
+        })
+    }
+
+    /// Number of windows.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.cases.len()
+    }
+
+    /// Whether there are none; `new` does not make such an evaluation.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.cases.is_empty()
+    }
+
+    /// [`Evaluation::ratios_with`] the model's own sampler.
+    ///
+    /// # Errors
+    /// When the model does not fit the latents.
+    pub fn ratios(&self, model: &Transition, change: ActionChange) -> Result<Vec<f64>> {
+        self.ratios_with(model, &model.config().sampler, change)
+    }
+
+    /// Squared latent error of the predictions over that of persistence, both summed over all windows, for each
+    /// predicted step.
+    ///
+    /// # Errors
+    /// When the model does not fit the latents.
+    pub fn ratios_with(
+        &self,
+        model: &Transition,
+        sampler: &Sampler,
+        change: ActionChange,
+    ) -> Result<Vec<f64>> {
+        let errors = (0..self.cases.len())
+            .into_par_iter()
+            .map(|index| self.errors(index, model, sampler, change))
+            .collect::<Result<Vec<_>>>()?;
+        let sums = (0..self.horizon).map(|k| {
+            let at = |errors: &[Vec<(f64, f64)>]| {
+                let of_step = errors.iter().filter_map(|case| case.get(k));
+                of_step.fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1))
+            };
+            at(&errors)
+        });
+        Ok(sums.map(|(model, persistence)| model / persistence).collect())
+    }
+
+    /// Squared errors of prediction and persistence, step by step.
+    fn errors(
+        &self,
+        index: usize,
+        model: &Transition,
+        sampler: &Sampler,
+        change: ActionChange,
+    ) -> Result<Vec<(f64, f64)>> {
+        let case = self.cases.get(index).context("no such window")?;
+        let context = case.frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
+        let past = case.actions.narrow(0, 0, CONTEXT - 1)?;
+        let told = self.changed(index, change)?;
+        let mut rollout = Rollout::new(model, sampler, &context, Some(&past), SEED)?;
+        let last = case.frames.narrow(0, CONTEXT - 1, 1)?;
+        (0..self.horizon)
+            .map(|k| {
+                let predicted = rollout.next(&told.narrow(0, k, 1)?)?;
+                let truth = case.frames.narrow(0, CONTEXT + k, 1)?;
+                Ok((squared(&predicted, &truth)?, squared(&last, &truth)?))
+            })
+            .collect()
+    }
+
+    /// The actions (K, A) that the prediction of a window is told.
+    fn changed(&self, index: usize, change: ActionChange) -> Result<Tensor> {
+        let of = |index: usize| -> Result<Tensor> {
+            let case = self.cases.get(index).context("no such window")?;
+            Ok(case.actions.narrow(0, CONTEXT - 1, self.horizon)?)
+        };
+        let own = of(index)?;
+        Ok(match change {
+            ActionChange::None => own,
+            ActionChange::Zero => own.zeros_like()?,
+            // Half the windows away is another episode.
+            ActionChange::Shuffled => of((index + self.len() / 2) % self.len())?,
+            ActionChange::Negated => {
+                // The gripper, and what follows it, keep their sign.
+                let width = own.dim(1)?;
+                let signs = (0..width).map(|i| if i < 6 { -1.0f32 } else { 1.0 });
+                let signs = Tensor::from_vec(signs.collect(), (1, width), &Device::Cpu)?;
+                own.broadcast_mul(&signs)?
+            }
+        })
+    }
+}
+
+fn squared(a: &Tensor, b: &Tensor) -> Result<f64> {
+    let error = (a - b)?.sqr()?.sum_all()?.to_scalar::<f32>()?;
+    Ok(f64::from(error))
+}
+
+/// How well one-step plans that start from zero recover the true action, in model units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recovery {
+    /// Plans made.
+    pub plans: usize,
+    /// Mean distance over the three translations: of the plan, of no motion, of a random guess within the bounds.
+    pub translation: [f64; 3],
+    /// The same over the three rotations.
+    pub rotation: [f64; 3],
+    /// Part of the plans whose gripper has the true sign; half of the random guesses have.
+    pub gripper: f64,
+}
+
+impl fmt::Display for Recovery {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{} one-step plans from zero, distance to the true action:", self.plans)?;
+        for (name, [plan, zero, random]) in
+            [("xyz", self.translation), ("rotation", self.rotation)]
+        {
+            writeln!(
+                f,
+                "  {name:<9} plan {plan:.3}, no motion {zero:.3}, random {random:.3}: {:.3} of random",
+                plan / random
+            )?;
+        }
+        write!(f, "  gripper of the right sign in {:.0} %", 100.0 * self.gripper)
+    }
+}
+
+/// Plans one step towards the next observed latent from each of `plans` windows.
+///
+/// # Errors
+/// When the model does not fit the latents.
+pub fn recover_actions(
+    model: &Transition,
+    encoding: &ActionEncoding,
+    evaluation: &Evaluation,
+    plans: usize,
+) -> Result<Recovery> {
+    let bounds = encoding.bounds();
+    let settings = CemSettings {
+        population: 96,
+        iterations: 5,
+        elites: 12,
+        batch: 96,
+        initial_std: 0.3,
+        returned: Returned::FinalMean,
+        ..CemSettings::default()
+    };
+    let cem = Cem::new(settings, &bounds)?;
+    let stride = (evaluation.len() / plans.max(1)).max(1);
+    let cases: Vec<&Case> = evaluation.cases.iter().step_by(stride).take(plans).collect();
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut recovery = Recovery {
+        plans: cases.len(),
+        translation: [0.0; 3],
+        rotation: [0.0; 3],
+        gripper: 0.0,
+    };
+    let count = cases.len().max(1) as f64;
+    for case in cases {
+        let context = case.frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
+        let past = case.actions.narrow(0, 0, CONTEXT - 1)?;
+        let sampler = &model.config().sampler;
+        let mut dynamics = TransitionDynamics::new(model, sampler, &context, Some(&past), SEED)?;
+        let target = Target::EachStep(case.frames.narrow(0, CONTEXT, 1)?);
+        let plan = cem.plan(&mut dynamics, &target, None, SEED, &mut || false)?;
+        let planned = plan.actions.into_iter().next().context("a plan without actions")?;
+        let truth = case.actions.get(CONTEXT - 1)?.to_vec1::<f32>()?;
+        let random: Vec<f32> = bounds
+            .iter()
+            .map(|(low, high)| rng.random_range(*low..=*high))
+            .collect();
+        let zero = vec![0.0; truth.len()];
+        for (i, guess) in [&planned, &zero, &random].into_iter().enumerate() {
+            recovery.translation[i] += distance(guess, &truth, 0..3) / count;
+            recovery.rotation[i] += distance(guess, &truth, 3..6) / count;
+        }
+        let signs = planned.get(6).zip(truth.get(6));
+        if signs.is_some_and(|(planned, truth)| (*planned > 0.0) == (*truth > 0.0)) {
+            recovery.gripper += 1.0 / count;
+        }
+    }
+    Ok(recovery)
+}
+
+fn distance(a: &[f32], b: &[f32], part: std::ops::Range<usize>) -> f64 {
+    let pairs = a.iter().zip(b).skip(part.start).take(part.len());
+    let squares: f64 = pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum();
+    squares.sqrt()
+}
