@@ -117,14 +117,14 @@ def main():
             report, work = replay(arguments.wm, env, pathlib.Path(directory) / str(run))
             reports.append(report)
 
-    print("| step k | n | latency p50 ms | p95 ms | p99 ms |")
+    print("| step k | n | capture to received: p50 ms | p95 ms | p99 ms |")
     print("|---|---|---|---|---|")
     for index, _ in enumerate(reports[0]["steps"]):
-        rows = [report["steps"][index] for report in reports]
+        latencies = [report["steps"][index]["received_latency"] for report in reports]
         # The worst of the runs for each quantile: what a user may meet.
-        worst = {q: max(row["latency_ms"][q] for row in rows) for q in ("p50", "p95", "p99")}
-        n = sum(row["latency_ms"]["n"] for row in rows)
-        print(f"| {rows[0]['step']} | {n} | {worst['p50']:.1f} | {worst['p95']:.1f} | {worst['p99']:.1f} |")
+        worst = [max(latency[q] for latency in latencies) for q in ("p50_ms", "p95_ms", "p99_ms")]
+        n = sum(latency["n"] for latency in latencies)
+        print(f"| {index + 1} | {n} | " + " | ".join(f"{value:.1f}" for value in worst) + " |")
     print("\ndrops in each run:", [report["drops"] for report in reports], "\n")
     print("| node | idle CPU % | idle MiB | at work CPU % | at work MiB |")
     print("|---|---|---|---|---|")

@@ -1,6 +1,7 @@
 mod chunk;
 mod file_index;
 mod messages;
+mod scan;
 
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -60,6 +60,12 @@ impl ImageSubscription {
         })
     }
 
+    /// The absolute topics that are subscribed.
+    pub fn topics(&self) -> Vec<&str> {
+        let raw = self.raw.as_ref().map(Subscription::topic);
+        raw.into_iter().chain(self.compressed.as_ref().map(Subscription::topic)).collect()
+    }
+
     /// The next frame by either transport; `None` after shutdown. Cancel safe.
     pub async fn recv(&mut self) -> Option<Received<CameraFrame>> {
         tokio::select! {

@@ -7,7 +7,6 @@ against each other. Prints JSON: {"rosbags": [...], "mcap": [...], "qos": {topic
 "counts": {topic: n}}; each list holds [topic, type, log time, sha256 of the CDR] in log-time order.
 """
 
-import dataclasses
 import hashlib
 import json
 import sys
@@ -25,17 +24,17 @@ def sha256(data):
     return hashlib.sha256(bytes(data)).hexdigest()
 
 
-def plain(value):
-    """A decoded message as numbers, texts and lists, whichever library decoded it."""
+def plain(value, store):
+    """A decoded message as numbers, texts and lists, whichever library decoded it; `store` knows rosbags' types."""
     if hasattr(value, "__msgtype__"):
-        names = [field.name for field in dataclasses.fields(value) if field.name != "__msgtype__"]
-        return {name: plain(getattr(value, name)) for name in names}
+        _constants, fields = store.fielddefs[value.__msgtype__]
+        return {name: plain(getattr(value, name), store) for name, _ in fields}
     if hasattr(value, "__slots__") and not isinstance(value, (str, bytes)):
-        return {name: plain(getattr(value, name)) for name in value.__slots__}
+        return {name: plain(getattr(value, name), store) for name in value.__slots__}
     if isinstance(value, (bytes, bytearray, memoryview)):
         return list(bytes(value))
     if isinstance(value, (list, tuple, numpy.ndarray)):
-        return [plain(item) for item in value]
+        return [plain(item, store) for item in value]
     if isinstance(value, numpy.generic):
         return value.item()
     return value
@@ -60,7 +59,7 @@ def main(bag):
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
         for connection, time, data in reader.messages():
             by_rosbags.append([connection.topic, connection.msgtype, time, sha256(data)])
-            decoded.append(plain(store.deserialize_cdr(data, connection.msgtype)))
+            decoded.append(plain(store.deserialize_cdr(data, connection.msgtype), store))
 
     [file] = Path(bag).glob("*.mcap")
     with file.open("rb") as stream:
@@ -72,7 +71,7 @@ def main(bag):
         messages = reader.iter_decoded_messages(log_time_order=True)
         for number, (schema, channel, message, value) in enumerate(messages):
             by_mcap.append([channel.topic, schema.name, message.log_time, sha256(message.data)])
-            assert plain(value) == decoded[number], (number, plain(value), decoded[number])
+            assert plain(value, store) == decoded[number], (number, plain(value, store), decoded[number])
 
     print(json.dumps({"rosbags": by_rosbags, "mcap": by_mcap, "qos": qos, "counts": counts}))
 

@@ -141,6 +141,15 @@ impl Autoencoder {
         ))
     }
 
+    /// The same with all weights rounded to what `precision` can hold, as they are after saving with
+    /// it.
+    #[must_use]
+    pub fn rounded(mut self, precision: Precision) -> Self {
+        self.encoder.round(precision);
+        self.decoder.round(precision);
+        Self::assemble(self.config, self.encoder, self.decoder, self.normalisation)
+    }
+
     /// Shape of the networks.
     pub fn config(&self) -> &AutoencoderConfig {
         &self.config

@@ -1,23 +1,18 @@
 use std::{
     collections::{BTreeSet, HashMap},
     fs::File,
-    io::{BufReader, Read, Seek, SeekFrom},
+    io::{BufReader, Read as _, Seek as _, SeekFrom},
     path::{Path, PathBuf},
     sync::Arc,
 };
 
-use bytes::Bytes;
 use mcap::{
-    MAGIC, Summary, parse_record,
-    records::{Record, op},
+    MAGIC, Summary,
     sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions},
 };
 
-use super::chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompressed, record_header};
+use super::{chunk::MAX_RECORD_BYTES, scan::Scan};
 use crate::{BagError, BagWarning, CDR, Schema, TopicInfo, schema::canonical_type_name};
-
-/// Messages outside chunks are read in stretches of about this size.
-const STRETCH_BYTES: u64 = 1 << 20;
 
 /// A part of a file that is read in one go.
 #[derive(Clone, Copy, Debug)]
@@ -131,7 +126,8 @@ impl FileIndex {
         Ok(())
     }
 
-    fn add_channel(
+    /// Adds a channel, held against what this crate reads.
+    pub fn add_channel(
         &mut self,
         id: u16,
         topic: &str,
@@ -172,7 +168,8 @@ impl FileIndex {
         Ok(())
     }
 
-    fn count(&mut self, channel_id: u16, log_time_ns: u64) {
+    /// Counts a message that a scan has met.
+    pub fn count(&mut self, channel_id: u16, log_time_ns: u64) {
         if let Some(channel) = self.channels.get_mut(&channel_id) {
             channel.message_count += 1;
             let (start, end) = self.span.unwrap_or((log_time_ns, log_time_ns));
@@ -298,257 +295,4 @@ fn read_summary(
         )));
     }
     Ok(Ok(Some(summary)))
-}
-
-/// How far a scan came.
-struct ScanEnd {
-    /// The end of the last whole record.
-    end: u64,
-    /// Whether the record that ends the data, or the footer, was met.
-    reached_end: bool,
-}
-
-/// Walks the records of a file.
-struct Scan<'a> {
-    file: BufReader<File>,
-    path: &'a Path,
-    size_bytes: u64,
-    schemas: HashMap<u16, (String, String, Vec<u8>)>,
-    /// The stretch of messages outside chunks that is being gathered.
-    stretch: Option<Segment>,
-    warnings: Vec<BagWarning>,
-}
-
-impl<'a> Scan<'a> {
-    fn new(file: File, path: &'a Path, size_bytes: u64) -> Self {
-        Self {
-            file: BufReader::new(file),
-            path,
-            size_bytes,
-            schemas: HashMap::new(),
-            stretch: None,
-            warnings: Vec::new(),
-        }
-    }
-
-    /// Reads the whole file: channels, counts, segments.
-    fn everything(&mut self, index: &mut FileIndex) -> Result<ScanEnd, BagError> {
-        self.range(MAGIC.len() as u64, self.size_bytes, index, true)
-    }
-
-    /// Finds the messages that are in no chunk, in the gaps between the chunks that the summary lists. A file whose
-    /// chunks touch each other, as most do, costs nothing here.
-    fn outside_chunks(&mut self, index: &mut FileIndex, summary: &Summary) -> Result<(), BagError> {
-        let mut chunks: Vec<(u64, u64)> = summary
-            .chunk_indexes
-            .iter()
-            .map(|chunk| {
-                let end = chunk.chunk_start_offset.saturating_add(chunk.chunk_length);
-                (
-                    chunk.chunk_start_offset,
-                    end.saturating_add(chunk.message_index_length),
-                )
-            })
-            .collect();
-        chunks.sort_unstable();
-        let mut from = MAGIC.len() as u64;
-        for (start, end) in chunks {
-            self.range(from, start, index, false)?;
-            from = end;
-        }
-        self.range(from, self.size_bytes, index, false)?;
-        Ok(())
-    }
-
-    /// Walks the records from one byte to another. `fully`: the file has no summary, so that chunks, channels and
-    /// counts are taken from here.
-    fn range(
-        &mut self,
-        from: u64,
-        to: u64,
-        index: &mut FileIndex,
-        fully: bool,
-    ) -> Result<ScanEnd, BagError> {
-        let io = |source| BagError::io(self.path, source);
-        let mut at = from;
-        let mut reached_end = false;
-        if from < to {
-            self.file.seek(SeekFrom::Start(from)).map_err(io)?;
-        }
-        while at + RECORD_HEADER_BYTES <= to {
-            let mut header = [0; RECORD_HEADER_BYTES as usize];
-            self.file
-                .read_exact(&mut header)
-                .map_err(|source| BagError::io(self.path, source))?;
-            let Some((opcode, length)) = record_header(&header) else {
-                break;
-            };
-            let Some(end) = at
-                .checked_add(RECORD_HEADER_BYTES)
-                .and_then(|body| body.checked_add(length))
-            else {
-                break;
-            };
-            if end > to {
-                break;
-            }
-            if matches!(opcode, op::DATA_END | op::FOOTER) {
-                reached_end = true;
-                at = end;
-                break;
-            }
-            let wanted = match opcode {
-                op::MESSAGE => true,
-                op::CHUNK | op::SCHEMA | op::CHANNEL => fully,
-                _ => false,
-            };
-            if !wanted {
-                // Attachments, metadata and indexes may be large; they are stepped over.
-                self.skip(length)?;
-            } else if length > MAX_RECORD_BYTES {
-                self.skip(length)?;
-                self.warn(at, format!("a record of {length} bytes is more than the {MAX_RECORD_BYTES} that are read"));
-            } else {
-                let mut body = vec![0; length as usize];
-                self.file
-                    .read_exact(&mut body)
-                    .map_err(|source| BagError::io(self.path, source))?;
-                self.top_record(opcode, body.into(), at, end, index, fully)?;
-            }
-            at = end;
-        }
-        index.segments.extend(self.stretch.take());
-        Ok(ScanEnd {
-            end: at,
-            reached_end,
-        })
-    }
-
-    fn skip(&mut self, length: u64) -> Result<(), BagError> {
-        // The record ends within the file, so that its length fits.
-        self.file
-            .seek_relative(length as i64)
-            .map_err(|source| BagError::io(self.path, source))
-    }
-
-    fn warn(&mut self, offset: u64, reason: String) {
-        self.warnings.push(BagWarning::Damaged {
-            file: self.path.to_owned(),
-            offset,
-            reason,
-        });
-    }
-
-    /// A record at the top level of the file, from byte `at` to `end`.
-    fn top_record(
-        &mut self,
-        opcode: u8,
-        body: Bytes,
-        at: u64,
-        end: u64,
-        index: &mut FileIndex,
-        fully: bool,
-    ) -> Result<(), BagError> {
-        if opcode != op::CHUNK {
-            let log_time_ns = self.record(opcode, &body, at, index, fully)?;
-            if let Some(log_time_ns) = log_time_ns {
-                self.extend_stretch(at, end, log_time_ns, index);
-            }
-            return Ok(());
-        }
-        index.segments.extend(self.stretch.take());
-        let header = match parse_record(op::CHUNK, &body) {
-            Ok(Record::Chunk { header, .. }) => header,
-            Ok(_) => return Ok(()),
-            Err(error) => {
-                self.warn(at, error.to_string());
-                return Ok(());
-            }
-        };
-        index.compressions.insert(header.compression);
-        index.segments.push(Segment {
-            offset: at,
-            length: end - at,
-            start_ns: header.message_start_time,
-            end_ns: header.message_end_time,
-        });
-        match decompressed(&body) {
-            Ok(records) => {
-                for record in Records::new(records) {
-                    match record {
-                        Ok(record) => {
-                            self.record(record.opcode, &record.body, at, index, true)?;
-                        }
-                        Err(reason) => self.warn(at, reason),
-                    }
-                }
-            }
-            Err(reason) => self.warn(at, reason),
-        }
-        Ok(())
-    }
-
-    /// A schema, channel or message; gives the log time of a message. `fully`: channels and counts are taken.
-    fn record(
-        &mut self,
-        opcode: u8,
-        body: &[u8],
-        at: u64,
-        index: &mut FileIndex,
-        fully: bool,
-    ) -> Result<Option<u64>, BagError> {
-        if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
-            return Ok(None);
-        }
-        match parse_record(opcode, body) {
-            Ok(Record::Schema { header, data }) => {
-                self.schemas
-                    .insert(header.id, (header.name, header.encoding, data.into_owned()));
-            }
-            Ok(Record::Channel(channel)) => {
-                let schema = self.schemas.get(&channel.schema_id);
-                index.add_channel(
-                    channel.id,
-                    &channel.topic,
-                    &channel.message_encoding,
-                    channel
-                        .metadata
-                        .get("offered_qos_profiles")
-                        .map_or("", String::as_str),
-                    schema.map(|(name, encoding, text)| {
-                        (name.as_str(), encoding.as_str(), text.as_slice())
-                    }),
-                )?;
-            }
-            Ok(Record::Message { header, .. }) => {
-                if fully {
-                    index.count(header.channel_id, header.log_time);
-                }
-                return Ok(Some(header.log_time));
-            }
-            Ok(_) => {}
-            Err(error) => self.warn(at, error.to_string()),
-        }
-        Ok(None)
-    }
-
-    /// Adds a message outside chunks to the stretch that is being gathered.
-    fn extend_stretch(&mut self, at: u64, end: u64, log_time_ns: u64, index: &mut FileIndex) {
-        match &mut self.stretch {
-            Some(stretch) if end - stretch.offset <= STRETCH_BYTES => {
-                stretch.length = end - stretch.offset;
-                stretch.start_ns = stretch.start_ns.min(log_time_ns);
-                stretch.end_ns = stretch.end_ns.max(log_time_ns);
-            }
-            full => {
-                let next = Segment {
-                    offset: at,
-                    length: end - at,
-                    start_ns: log_time_ns,
-                    end_ns: log_time_ns,
-                };
-                index.segments.extend(full.replace(next));
-            }
-        }
-    }
 }

@@ -16,9 +16,21 @@ fn main() -> Result<(), Error> {
 }
 
 async fn body(node: Node) -> Result<(), Error> {
-    let suffix = node.declare("suffix", "!".to_owned(), Descriptor::new("what is put behind a text"))?;
-    let times = node.declare("times", 1_i64, Descriptor::new("how often a text is said").integers(1, 3))?;
-    node.declare("voice", "alto".to_owned(), Descriptor::new("fixed once the node runs").read_only())?;
+    let suffix = node.declare(
+        "suffix",
+        "!".to_owned(),
+        Descriptor::new("what is put behind a text"),
+    )?;
+    let times = node.declare(
+        "times",
+        1_i64,
+        Descriptor::new("how often a text is said").integers(1, 3),
+    )?;
+    node.declare(
+        "voice",
+        "alto".to_owned(),
+        Descriptor::new("fixed once the node runs").read_only(),
+    )?;
     node.seal_parameters()?;
 
     let mut texts = node.subscription::<std_msgs::String>("text", Qos::best_effort(10))?;

@@ -17,7 +17,9 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum ArgsError {
     /// A flag inside `--ros-args` that no ROS node has.
-    #[error("unknown ROS argument `{0}`; expected -r/--remap, -p/--param, --params-file, --log-level, or -- to end them")]
+    #[error(
+        "unknown ROS argument `{0}`; expected -r/--remap, -p/--param, --params-file, --log-level, or -- to end them"
+    )]
     Unknown(String),
     /// A flag that ROS has and this runtime has not.
     #[error("`{flag}` is not supported: {reason}")]
@@ -99,14 +101,20 @@ impl NodeArgs {
     /// # Errors
     /// An unknown ROS argument, a missing or malformed value, an unreadable parameter file.
     pub fn parse<S: Into<String>>(words: impl IntoIterator<Item = S>) -> Result<Self, ArgsError> {
-        let mut args = Self { rosout: true, ..Self::default() };
+        let mut args = Self {
+            rosout: true,
+            ..Self::default()
+        };
         let mut words = words.into_iter().map(Into::into);
         let mut in_ros_args = false;
         while let Some(word) = words.next() {
             match word.as_str() {
                 "--ros-args" => in_ros_args = true,
                 "--" if in_ros_args => in_ros_args = false,
-                "--interface" => args.interface = Some(value(&word, "an address or interface name", &mut words)?),
+                "--interface" => {
+                    args.interface =
+                        Some(value(&word, "an address or interface name", &mut words)?);
+                }
                 _ if in_ros_args => args.ros_argument(word, &mut words)?,
                 _ => match word.strip_prefix("--interface=") {
                     Some(interface) => args.interface = Some(interface.to_owned()),
@@ -127,18 +135,29 @@ impl NodeArgs {
     /// # Errors
     /// Words outside `--ros-args`.
     pub fn expect_no_rest(&self) -> Result<(), ArgsError> {
-        if self.rest.is_empty() { Ok(()) } else { Err(ArgsError::Rest(self.rest.clone())) }
+        if self.rest.is_empty() {
+            Ok(())
+        } else {
+            Err(ArgsError::Rest(self.rest.clone()))
+        }
     }
 
-    fn ros_argument(&mut self, flag: String, words: &mut impl Iterator<Item = String>) -> Result<(), ArgsError> {
+    fn ros_argument(
+        &mut self,
+        flag: String,
+        words: &mut impl Iterator<Item = String>,
+    ) -> Result<(), ArgsError> {
         match flag.as_str() {
             "-r" | "--remap" => {
                 let rule = value(&flag, "from:=to", words)?;
-                self.remaps.push(Remap::parse(&rule).map_err(|expected| malformed(&flag, &rule, expected))?);
+                self.remaps.push(
+                    Remap::parse(&rule).map_err(|expected| malformed(&flag, &rule, expected))?,
+                );
             }
             "-p" | "--param" => {
                 let assignment = value(&flag, "name:=value", words)?;
-                let parsed = parameter(&assignment).map_err(|expected| malformed(&flag, &assignment, expected))?;
+                let parsed = parameter(&assignment)
+                    .map_err(|expected| malformed(&flag, &assignment, expected))?;
                 self.overrides.push(parsed);
             }
             "--params-file" => {
@@ -147,17 +166,27 @@ impl NodeArgs {
             }
             "--log-level" => {
                 let level = value(&flag, "a level or logger:=level", words)?;
-                self.log_levels.add(&level).map_err(|expected| malformed(&flag, &level, expected))?;
+                self.log_levels
+                    .add(&level)
+                    .map_err(|expected| malformed(&flag, &level, expected))?;
             }
             "--enable-rosout-logs" => self.rosout = true,
             "--disable-rosout-logs" => self.rosout = false,
             // launch files may pass them; they say what this runtime does anyway
-            "--enable-stdout-logs" | "--enable-external-lib-logs" | "--disable-external-lib-logs" => {}
+            "--enable-stdout-logs"
+            | "--enable-external-lib-logs"
+            | "--disable-external-lib-logs" => {}
             "-e" | "--enclave" => {
-                return Err(ArgsError::Unsupported { flag, reason: "DDS security (SROS 2) is not built in" });
+                return Err(ArgsError::Unsupported {
+                    flag,
+                    reason: "DDS security (SROS 2) is not built in",
+                });
             }
             "--log-config-file" | "--log-file-name" | "--disable-stdout-logs" => {
-                return Err(ArgsError::Unsupported { flag, reason: "logs go to stderr and /rosout" });
+                return Err(ArgsError::Unsupported {
+                    flag,
+                    reason: "logs go to stderr and /rosout",
+                });
             }
             _ => return Err(ArgsError::Unknown(flag)),
         }
@@ -170,11 +199,18 @@ fn value(
     expected: &'static str,
     words: &mut impl Iterator<Item = String>,
 ) -> Result<String, ArgsError> {
-    words.next().ok_or_else(|| ArgsError::Missing { flag: flag.to_owned(), expected })
+    words.next().ok_or_else(|| ArgsError::Missing {
+        flag: flag.to_owned(),
+        expected,
+    })
 }
 
 fn malformed(flag: &str, value: &str, expected: String) -> ArgsError {
-    ArgsError::Malformed { flag: flag.to_owned(), value: value.to_owned(), expected }
+    ArgsError::Malformed {
+        flag: flag.to_owned(),
+        value: value.to_owned(),
+        expected,
+    }
 }
 
 /// `name:=value` or `node:name:=value`, the value in YAML.
@@ -192,10 +228,17 @@ fn parameter(assignment: &str) -> Result<Override, String> {
     let value = if text.is_empty() {
         Value::String(String::new())
     } else {
-        let yaml = serde_yaml_ng::from_str(text).map_err(|error| format!("a YAML value; {error}"))?;
+        let yaml =
+            serde_yaml_ng::from_str(text).map_err(|error| format!("a YAML value; {error}"))?;
         Value::from_yaml(&yaml)?
     };
-    Ok(Override { section, name: name.to_owned(), value, origin: format!("-p {assignment}"), is_shared: false })
+    Ok(Override {
+        section,
+        name: name.to_owned(),
+        value,
+        origin: format!("-p {assignment}"),
+        is_shared: false,
+    })
 }
 
 #[cfg(test)]
@@ -209,7 +252,8 @@ mod tests {
 
     #[test]
     fn ros_arguments_end_at_the_dashes_and_may_come_twice() {
-        let args = parse("bag --ros-args -p a:=1 -- --rate 2 --ros-args -r x:=y --interface lo").unwrap();
+        let args =
+            parse("bag --ros-args -p a:=1 -- --rate 2 --ros-args -r x:=y --interface lo").unwrap();
         assert_eq!(args.rest(), ["bag", "--rate", "2"]);
         assert_eq!(args.overrides.len(), 1);
         assert_eq!(args.remaps.len(), 1);
@@ -219,12 +263,17 @@ mod tests {
 
     #[test]
     fn parameters_are_typed_as_yaml() {
-        let value = |text: &str| parse(&format!("--ros-args -p {text}")).map(|mut args| args.overrides.remove(0).value);
+        let value = |text: &str| {
+            parse(&format!("--ros-args -p {text}")).map(|mut args| args.overrides.remove(0).value)
+        };
         assert_eq!(value("a:=1").unwrap(), Value::Integer(1));
         assert_eq!(value("a:=1.5").unwrap(), Value::Double(1.5));
         assert_eq!(value("a:=[1,2]").unwrap(), Value::IntegerArray(vec![1, 2]));
         assert_eq!(value("a:=").unwrap(), Value::String(String::new()));
-        assert_eq!(value("a:=/dev/video0").unwrap(), Value::String("/dev/video0".into()));
+        assert_eq!(
+            value("a:=/dev/video0").unwrap(),
+            Value::String("/dev/video0".into())
+        );
     }
 
     #[test]

@@ -88,7 +88,8 @@ pub(crate) trait Backend: Send + Sync {
     fn remove_node(&self, namespace: &str, base: &str);
     /// `node` is the full name of the node that the endpoint belongs to.
     fn writer(&self, node: &str, endpoint: &Endpoint) -> Result<Box<dyn Writer>, Error>;
-    fn reader(&self, node: &str, endpoint: &Endpoint, sink: Sink) -> Result<Box<dyn Reader>, Error>;
+    fn reader(&self, node: &str, endpoint: &Endpoint, sink: Sink)
+    -> Result<Box<dyn Reader>, Error>;
     /// The endpoints of topics.
     fn seen(&self) -> Vec<Seen>;
     /// How many endpoints of others this one is connected to.

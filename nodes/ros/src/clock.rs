@@ -22,7 +22,12 @@ struct Inner {
 
 impl Clock {
     pub(crate) fn new() -> Self {
-        Self { inner: Arc::new(Inner { simulated: watch::Sender::new(None), jumps: watch::Sender::new(0) }) }
+        Self {
+            inner: Arc::new(Inner {
+                simulated: watch::Sender::new(None),
+                jumps: watch::Sender::new(0),
+            }),
+        }
     }
 
     /// The time now. A simulated clock stands at 0 until `/clock` speaks.
@@ -100,7 +105,9 @@ impl Clock {
 
 /// Nanoseconds since 1970; a clock before that reads 0.
 pub(crate) fn system_nanos() -> i64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
     i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
 }
 

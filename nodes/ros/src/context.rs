@@ -33,7 +33,10 @@ impl Context {
     /// The thread cannot be started, or the middleware cannot open its sockets.
     pub fn new(environment: &Environment) -> Result<Self, Error> {
         let failed = |source| Error::io("start the receiving thread", source);
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(failed)?;
         let handle = runtime.handle().clone();
         let (stop, stopped) = oneshot::channel();
         // Dropping the runtime at the thread's end drops every task, and the readers in them.
@@ -41,9 +44,19 @@ impl Context {
             .name("wm_ros".to_owned())
             .spawn(move || drop(runtime.block_on(stopped)))
             .map_err(failed)?;
-        let thread = Mutex::new(Some(Thread { stop, handle: thread }));
+        let thread = Mutex::new(Some(Thread {
+            stop,
+            handle: thread,
+        }));
         let backend = Dds::join(environment, handle.clone())?;
-        Ok(Self { inner: Arc::new(Inner { backend, runtime: handle, thread, shutdown: Shutdown::new() }) })
+        Ok(Self {
+            inner: Arc::new(Inner {
+                backend,
+                runtime: handle,
+                thread,
+                shutdown: Shutdown::new(),
+            }),
+        })
     }
 
     /// The end of this context: asked for here or by a signal, seen by all its nodes.
@@ -78,8 +91,14 @@ impl Context {
 impl Inner {
     fn close(&self) {
         self.shutdown.trigger();
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let Some(Thread { stop, handle }) = thread else { return };
+        let thread = self
+            .thread
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
+        let Some(Thread { stop, handle }) = thread else {
+            return;
+        };
         stop.send(()).ok();
         // A handler on that very thread may hold the last clone; it cannot wait for itself.
         if handle.thread().id() != std::thread::current().id() && handle.join().is_err() {

@@ -6,10 +6,12 @@
 //!   reader hold 8192 samples in memory;
 //! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
 //!   descriptors, and its spinner keeps the participant alive;
+//! - a participant's writers and readers are connected here, since rustdds does not do it on loopback;
 //! - the participant goes last, after its readers and writers, or the others never hear that it left.
 
 mod codec;
 mod endpoint;
+mod local;
 mod nodes;
 mod qos;
 
@@ -19,9 +21,13 @@ use crate::{
 };
 use endpoint::{DdsReader, DdsWriter};
 use futures::StreamExt as _;
+use local::{Local, is_same_participant};
 use nodes::Nodes;
 use ros2_client::MessageTypeName;
-use rustdds::{DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent as Event, StatusEvented as _};
+use rustdds::{
+    DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent as Event,
+    StatusEvented as _,
+};
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
@@ -37,10 +43,31 @@ pub(crate) struct Dds {
     participant: Mutex<Option<DomainParticipant>>,
     publisher: rustdds::Publisher,
     subscriber: rustdds::Subscriber,
-    nodes: Arc<Nodes>,
-    matches: Arc<Mutex<Matches>>,
-    changes: watch::Sender<u64>,
+    shared: Arc<Shared>,
     runtime: Handle,
+}
+
+/// What the endpoints need of their participant, and keep alive for as long as they are held.
+struct Shared {
+    nodes: Nodes,
+    local: Local,
+    /// Connections to other participants.
+    matches: Mutex<Matches>,
+    changes: watch::Sender<u64>,
+}
+
+impl Shared {
+    fn changed(&self) {
+        self.changes.send_modify(|count| *count += 1);
+    }
+
+    /// Takes an endpoint off every list.
+    fn forget(&self, id: &EndpointId) {
+        self.local.remove(id);
+        lock(&self.matches).remove(id);
+        self.nodes.remove_endpoint(id);
+        self.changed();
+    }
 }
 
 /// What a lock guards is whole between statements, so a panic elsewhere is no reason to stop.
@@ -51,7 +78,8 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Dds {
     /// Joins the domain. `runtime` runs what receives; it must be stopped before [`Backend::close`].
     pub(crate) fn join(environment: &Environment, runtime: Handle) -> Result<Arc<Self>, Error> {
-        let failed = |error| Error::middleware(format!("join DDS domain {}", environment.domain_id), error);
+        let failed =
+            |error| Error::middleware(format!("join DDS domain {}", environment.domain_id), error);
         let mut builder = DomainParticipantBuilder::new(environment.domain_id);
         if let Some(addresses) = environment.addresses() {
             builder = builder.with_only_networks(addresses);
@@ -60,32 +88,41 @@ impl Dds {
         let defaults = rustdds::QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&defaults).map_err(failed)?;
         let subscriber = participant.create_subscriber(&defaults).map_err(failed)?;
-        let nodes = Arc::new(Nodes::announce(&participant, &publisher)?);
-        let (matches, changes) = (Arc::new(Mutex::default()), watch::Sender::new(0));
-        runtime.spawn(follow(participant.status_listener(), Arc::clone(&matches), changes.clone()));
+        let shared = Arc::new(Shared {
+            nodes: Nodes::announce(&participant, &publisher)?,
+            local: Local::default(),
+            matches: Mutex::default(),
+            changes: watch::Sender::new(0),
+        });
+        runtime.spawn(follow(participant.status_listener(), Arc::clone(&shared)));
         Ok(Arc::new(Self {
             participant: Mutex::new(Some(participant)),
             publisher,
             subscriber,
-            nodes,
-            matches,
-            changes,
+            shared,
             runtime,
         }))
     }
 
-    fn topic(&self, endpoint: &Endpoint, qos: &rustdds::QosPolicies) -> Result<rustdds::Topic, Error> {
+    fn topic(
+        &self,
+        endpoint: &Endpoint,
+        qos: &rustdds::QosPolicies,
+    ) -> Result<rustdds::Topic, Error> {
         let participant = lock(&self.participant);
         let Some(participant) = participant.as_ref() else {
             return Err(Error::ShutDown(endpoint.name.clone()));
         };
         participant
-            .create_topic(dds_name(endpoint), dds_type(endpoint), qos, rustdds::TopicKind::NoKey)
-            .map_err(|error| Error::middleware(format!("create the topic {}", endpoint.name), error))
-    }
-
-    fn changed(&self) {
-        self.changes.send_modify(|count| *count += 1);
+            .create_topic(
+                dds_name(endpoint),
+                dds_type(endpoint),
+                qos,
+                rustdds::TopicKind::NoKey,
+            )
+            .map_err(|error| {
+                Error::middleware(format!("create the topic {}", endpoint.name), error)
+            })
     }
 }
 
@@ -111,46 +148,100 @@ fn dds_type(endpoint: &Endpoint) -> String {
 fn ros_names(dds_name: &str, dds_type: &str) -> Option<(String, String)> {
     let name = dds_name.strip_prefix("rt")?;
     let (package, type_name) = dds_type.strip_suffix('_')?.split_once("::msg::dds_::")?;
-    name.starts_with('/').then(|| (name.to_owned(), format!("{package}/msg/{type_name}")))
+    name.starts_with('/')
+        .then(|| (name.to_owned(), format!("{package}/msg/{type_name}")))
 }
 
 /// Keeps the book of who is connected to whom, from the participant's events.
-async fn follow(
-    listener: rustdds::DomainParticipantStatusListener,
-    matches: Arc<Mutex<Matches>>,
-    changes: watch::Sender<u64>,
-) {
+async fn follow(listener: rustdds::DomainParticipantStatusListener, shared: Arc<Shared>) {
     let mut events = listener.as_async_status_stream();
     while let Some(event) = events.next().await {
         match event {
-            Event::RemoteReaderMatched { local_writer: own, remote_reader: other }
-            | Event::RemoteWriterMatched { local_reader: own, remote_writer: other } => {
-                lock(&matches).entry(own.to_bytes()).or_default().insert(other.to_bytes());
+            Event::RemoteReaderMatched {
+                local_writer: own,
+                remote_reader: other,
+            }
+            | Event::RemoteWriterMatched {
+                local_reader: own,
+                remote_writer: other,
+            } => {
+                let (own, other) = (own.to_bytes(), other.to_bytes());
+                if is_same_participant(&own, &other) {
+                    continue;
+                }
+                lock(&shared.matches).entry(own).or_default().insert(other);
             }
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
-                for others in lock(&matches).values_mut() {
+                for others in lock(&shared.matches).values_mut() {
                     others.remove(&guid.to_bytes());
                 }
             }
-            Event::RemoteReaderQosIncompatible { requested_qos, offered_qos, .. }
-            | Event::RemoteWriterQosIncompatible { requested_qos, offered_qos, .. } => {
-                let (requested, offered) = (qos::from_dds(&requested_qos), qos::from_dds(&offered_qos));
-                tracing::warn!("no connection: a subscription requests `{requested}`, its publisher offers `{offered}`");
+            Event::RemoteReaderQosIncompatible {
+                local_writer,
+                requested_qos,
+                offered_qos,
+                ..
+            } => {
+                warn_of_mismatch(
+                    &shared,
+                    &local_writer.to_bytes(),
+                    "a subscription",
+                    &requested_qos,
+                    &offered_qos,
+                );
+            }
+            Event::RemoteWriterQosIncompatible {
+                local_reader,
+                requested_qos,
+                offered_qos,
+                ..
+            } => {
+                warn_of_mismatch(
+                    &shared,
+                    &local_reader.to_bytes(),
+                    "a publisher",
+                    &requested_qos,
+                    &offered_qos,
+                );
             }
             Event::ReaderDetected { .. } | Event::WriterDetected { .. } => {}
             _ => continue,
         }
-        changes.send_modify(|count| *count += 1);
+        shared.changed();
     }
+}
+
+/// A subscription and a publisher that never meet are the commonest riddle of ROS 2: say which policy keeps them apart.
+fn warn_of_mismatch(
+    shared: &Shared,
+    own: &EndpointId,
+    other: &str,
+    requested: &rustdds::QosPolicies,
+    offered: &rustdds::QosPolicies,
+) {
+    let (requested, offered) = (qos::from_dds(requested), qos::from_dds(offered));
+    let policy = if requested.reliability != offered.reliability {
+        "reliability"
+    } else {
+        "durability"
+    };
+    let topic = shared
+        .nodes
+        .topic_of(own)
+        .unwrap_or_else(|| "a topic".to_owned());
+    tracing::warn!(
+        "{topic}: not connected to {other} for incompatible {policy}: the subscription requests `{requested}`, the \
+         publisher offers `{offered}`"
+    );
 }
 
 impl Backend for Dds {
     fn add_node(&self, namespace: &str, base: &str) -> Result<(), Error> {
-        self.nodes.add(namespace, base)
+        self.shared.nodes.add(namespace, base)
     }
 
     fn remove_node(&self, namespace: &str, base: &str) {
-        self.nodes.remove(namespace, base);
+        self.shared.nodes.remove(namespace, base);
     }
 
     fn writer(&self, node: &str, endpoint: &Endpoint) -> Result<Box<dyn Writer>, Error> {
@@ -160,50 +251,86 @@ impl Backend for Dds {
             .publisher
             .create_datawriter_no_key(&topic, Some(qos))
             .map_err(|error| Error::middleware(format!("publish {}", endpoint.name), error))?;
-        let writer = DdsWriter::new(writer, endpoint, node, &self.nodes);
-        self.changed();
-        Ok(Box::new(writer))
+        Ok(Box::new(DdsWriter::new(
+            writer,
+            endpoint,
+            node,
+            &self.shared,
+        )))
     }
 
-    fn reader(&self, node: &str, endpoint: &Endpoint, sink: Sink) -> Result<Box<dyn Reader>, Error> {
+    fn reader(
+        &self,
+        node: &str,
+        endpoint: &Endpoint,
+        sink: Sink,
+    ) -> Result<Box<dyn Reader>, Error> {
         let qos = qos::for_reader(endpoint.qos);
         let topic = self.topic(endpoint, &qos)?;
         let reader = self
             .subscriber
             .create_simple_datareader_no_key(&topic, Some(qos))
             .map_err(|error| Error::middleware(format!("subscribe to {}", endpoint.name), error))?;
-        let reader = DdsReader::new(reader, endpoint, node, &self.nodes, sink, &self.runtime);
-        self.changed();
-        Ok(Box::new(reader))
+        Ok(Box::new(DdsReader::new(
+            reader,
+            endpoint,
+            node,
+            &self.shared,
+            sink,
+            &self.runtime,
+        )))
     }
 
     fn seen(&self) -> Vec<Seen> {
-        let mut seen = self.nodes.own_topics();
+        let mut seen = self.shared.nodes.own_topics();
         if let Some(participant) = lock(&self.participant).as_ref() {
-            seen.extend(participant.discovered_writers().iter().filter_map(|writer| {
-                let topic = &writer.publication_topic_data;
-                let (name, type_name) = ros_names(&topic.topic_name, &topic.type_name)?;
-                Some(Seen { name, type_name, qos: qos::from_dds(&topic.qos()), is_writer: true })
-            }));
-            seen.extend(participant.discovered_readers().iter().filter_map(|reader| {
-                let topic = &reader.subscription_topic_data;
-                let (name, type_name) = ros_names(topic.topic_name(), topic.type_name())?;
-                Some(Seen { name, type_name, qos: qos::from_dds(&topic.qos()), is_writer: false })
-            }));
+            seen.extend(
+                participant
+                    .discovered_writers()
+                    .iter()
+                    .filter_map(|writer| {
+                        let topic = &writer.publication_topic_data;
+                        let (name, type_name) = ros_names(&topic.topic_name, &topic.type_name)?;
+                        Some(Seen {
+                            name,
+                            type_name,
+                            qos: qos::from_dds(&topic.qos()),
+                            is_writer: true,
+                        })
+                    }),
+            );
+            seen.extend(
+                participant
+                    .discovered_readers()
+                    .iter()
+                    .filter_map(|reader| {
+                        let topic = &reader.subscription_topic_data;
+                        let (name, type_name) = ros_names(topic.topic_name(), topic.type_name())?;
+                        Some(Seen {
+                            name,
+                            type_name,
+                            qos: qos::from_dds(&topic.qos()),
+                            is_writer: false,
+                        })
+                    }),
+            );
         }
         seen
     }
 
     fn matched(&self, endpoint: &EndpointId) -> usize {
-        lock(&self.matches).get(endpoint).map_or(0, BTreeSet::len)
+        let elsewhere = lock(&self.shared.matches)
+            .get(endpoint)
+            .map_or(0, BTreeSet::len);
+        elsewhere + self.shared.local.matched(endpoint)
     }
 
     fn changes(&self) -> watch::Receiver<u64> {
-        self.changes.subscribe()
+        self.shared.changes.subscribe()
     }
 
     fn close(&self) {
-        self.nodes.leave();
+        self.shared.nodes.leave();
         let participant = lock(&self.participant).take();
         drop(participant);
     }
@@ -214,7 +341,9 @@ impl From<Qos> for rustdds::policy::Reliability {
         match qos.reliability {
             crate::Reliability::BestEffort => Self::BestEffort,
             // zero: a full window is reported at once instead of blocking the node
-            crate::Reliability::Reliable => Self::Reliable { max_blocking_time: rustdds::Duration::ZERO },
+            crate::Reliability::Reliable => Self::Reliable {
+                max_blocking_time: rustdds::Duration::ZERO,
+            },
         }
     }
 }
@@ -228,7 +357,10 @@ mod tests {
         Endpoint {
             channel,
             name: "/wm/predictor/reset".into(),
-            type_name: TypeName { package: "wm_msgs".into(), name: "Reset".into() },
+            type_name: TypeName {
+                package: "wm_msgs".into(),
+                name: "Reset".into(),
+            },
             qos: Qos::reliable(10),
         }
     }
@@ -236,18 +368,39 @@ mod tests {
     #[test]
     fn names_are_spelled_as_every_rmw_spells_them() {
         assert_eq!(dds_name(&endpoint(Channel::Topic)), "rt/wm/predictor/reset");
-        assert_eq!(dds_name(&endpoint(Channel::Request)), "rq/wm/predictor/resetRequest");
-        assert_eq!(dds_name(&endpoint(Channel::Response)), "rr/wm/predictor/resetReply");
-        assert_eq!(dds_type(&endpoint(Channel::Topic)), "wm_msgs::msg::dds_::Reset_");
-        assert_eq!(dds_type(&endpoint(Channel::Response)), "wm_msgs::srv::dds_::Reset_Response_");
+        assert_eq!(
+            dds_name(&endpoint(Channel::Request)),
+            "rq/wm/predictor/resetRequest"
+        );
+        assert_eq!(
+            dds_name(&endpoint(Channel::Response)),
+            "rr/wm/predictor/resetReply"
+        );
+        assert_eq!(
+            dds_type(&endpoint(Channel::Topic)),
+            "wm_msgs::msg::dds_::Reset_"
+        );
+        assert_eq!(
+            dds_type(&endpoint(Channel::Response)),
+            "wm_msgs::srv::dds_::Reset_Response_"
+        );
     }
 
     #[test]
     fn names_are_read_back_and_what_is_not_a_topic_is_not() {
         let expected = Some(("/wm/latent".to_owned(), "wm_msgs/msg/Latent".to_owned()));
-        assert_eq!(ros_names("rt/wm/latent", "wm_msgs::msg::dds_::Latent_"), expected);
+        assert_eq!(
+            ros_names("rt/wm/latent", "wm_msgs::msg::dds_::Latent_"),
+            expected
+        );
         assert_eq!(ros_names("rq/a/bRequest", "x::srv::dds_::B_Request_"), None);
-        assert_eq!(ros_names("ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"), None);
+        assert_eq!(
+            ros_names(
+                "ros_discovery_info",
+                "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
+            ),
+            None
+        );
         assert_eq!(ros_names("rt", "a::msg::dds_::B_"), None);
     }
 }

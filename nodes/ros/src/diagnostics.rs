@@ -59,7 +59,10 @@ struct State {
 impl Diagnostics {
     /// `name` is the node's full name.
     pub(crate) fn new(name: &str) -> Self {
-        let host = rustix::system::uname().nodename().to_string_lossy().into_owned();
+        let host = rustix::system::uname()
+            .nodename()
+            .to_string_lossy()
+            .into_owned();
         let state = State {
             name: name.trim_start_matches('/').to_owned(),
             hardware_id: host,
@@ -72,7 +75,9 @@ impl Diagnostics {
             values: BTreeMap::new(),
             expected: BTreeMap::new(),
         };
-        Self { state: Arc::new(Mutex::new(state)) }
+        Self {
+            state: Arc::new(Mutex::new(state)),
+        }
     }
 
     /// Counts stay whole if a thread panics between them.
@@ -127,7 +132,9 @@ impl Diagnostics {
 
     /// Sets a figure to report; the key names its unit.
     pub fn set_value(&self, key: &str, value: impl ToString) {
-        self.state().values.insert(key.to_owned(), value.to_string());
+        self.state()
+            .values
+            .insert(key.to_owned(), value.to_string());
     }
 
     /// Names the hardware, instead of the host.
@@ -149,7 +156,10 @@ impl Diagnostics {
 fn count(rates: &mut BTreeMap<String, Rate>, name: &str) {
     match rates.get_mut(name) {
         Some(rate) => rate.count(Instant::now()),
-        None => rates.entry(name.to_owned()).or_default().count(Instant::now()),
+        None => rates
+            .entry(name.to_owned())
+            .or_default()
+            .count(Instant::now()),
     }
 }
 
@@ -160,16 +170,34 @@ impl State {
         let mut warnings = Vec::new();
         for (direction, rates) in [("received", &mut self.received), ("sent", &mut self.sent)] {
             for (name, rate) in rates {
-                add(format!("{direction} {name} [Hz]"), format!("{:.2}", rate.per_second(now)));
-                add(format!("{direction} {name} [total]"), rate.total().to_string());
+                add(
+                    format!("{direction} {name} [Hz]"),
+                    format!("{:.2}", rate.per_second(now)),
+                );
+                add(
+                    format!("{direction} {name} [total]"),
+                    rate.total().to_string(),
+                );
             }
         }
         for (stage, latency) in &self.latencies {
             if let Some(summary) = latency.summary(now) {
-                add(format!("latency {stage} p50 [ms]"), format!("{:.2}", summary.p50_ms));
-                add(format!("latency {stage} p95 [ms]"), format!("{:.2}", summary.p95_ms));
-                add(format!("latency {stage} p99 [ms]"), format!("{:.2}", summary.p99_ms));
-                add(format!("latency {stage} [samples]"), summary.samples.to_string());
+                add(
+                    format!("latency {stage} p50 [ms]"),
+                    format!("{:.2}", summary.p50_ms),
+                );
+                add(
+                    format!("latency {stage} p95 [ms]"),
+                    format!("{:.2}", summary.p95_ms),
+                );
+                add(
+                    format!("latency {stage} p99 [ms]"),
+                    format!("{:.2}", summary.p99_ms),
+                );
+                add(
+                    format!("latency {stage} [samples]"),
+                    summary.samples.to_string(),
+                );
             }
         }
         for (reason, (total, recent)) in &mut self.drops {
@@ -181,15 +209,23 @@ impl State {
         }
         for (input, age) in &self.expected {
             let last = self.received.get(input).and_then(Rate::last);
-            if let Some(silent) = last.map(|last| now.saturating_duration_since(last)).filter(|silent| silent > age) {
+            if let Some(silent) = last
+                .map(|last| now.saturating_duration_since(last))
+                .filter(|silent| silent > age)
+            {
                 warnings.push(format!("no {input} for {:.1} s", silent.as_secs_f64()));
             }
         }
         for (key, value) in &self.values {
             add(key.clone(), value.clone());
         }
-        let level = if warnings.is_empty() { self.level } else { self.level.max(Level::Warn) };
-        let message = std::iter::once(self.message.as_str()).chain(warnings.iter().map(String::as_str));
+        let level = if warnings.is_empty() {
+            self.level
+        } else {
+            self.level.max(Level::Warn)
+        };
+        let message =
+            std::iter::once(self.message.as_str()).chain(warnings.iter().map(String::as_str));
         DiagnosticStatus {
             level: level.code(),
             name: self.name.clone(),
@@ -205,7 +241,11 @@ mod tests {
     use super::*;
 
     fn value(status: &DiagnosticStatus, key: &str) -> Option<String> {
-        status.values.iter().find(|pair| pair.key == key).map(|pair| pair.value.clone())
+        status
+            .values
+            .iter()
+            .find(|pair| pair.key == key)
+            .map(|pair| pair.value.clone())
     }
 
     #[test]
@@ -216,10 +256,16 @@ mod tests {
         diagnostics.count_drop("out_of_order");
         diagnostics.count_drop("out_of_order");
         let report = diagnostics.report(now);
-        assert_eq!((report.level, report.message.as_str()), (DiagnosticStatus::WARN, "running; dropped 2: out_of_order"));
+        assert_eq!(
+            (report.level, report.message.as_str()),
+            (DiagnosticStatus::WARN, "running; dropped 2: out_of_order")
+        );
         let report = diagnostics.report(now);
         assert_eq!(report.level, DiagnosticStatus::OK);
-        assert_eq!(value(&report, "dropped: out_of_order [total]").as_deref(), Some("2"));
+        assert_eq!(
+            value(&report, "dropped: out_of_order [total]").as_deref(),
+            Some("2")
+        );
         assert_eq!(report.name, "wm/encoder");
         assert!(!report.hardware_id.is_empty());
     }
@@ -229,7 +275,10 @@ mod tests {
         let diagnostics = Diagnostics::new("/wm/encoder");
         diagnostics.set_status(Level::Error, "no weights");
         diagnostics.count_drop("late");
-        assert_eq!(diagnostics.report(Instant::now()).level, DiagnosticStatus::ERROR);
+        assert_eq!(
+            diagnostics.report(Instant::now()).level,
+            DiagnosticStatus::ERROR
+        );
     }
 
     #[test]
@@ -237,9 +286,16 @@ mod tests {
         let diagnostics = Diagnostics::new("/wm/encoder");
         diagnostics.expect_input("latent", Duration::from_secs(2));
         let now = Instant::now();
-        assert_eq!(diagnostics.report(now + Duration::from_secs(9)).level, DiagnosticStatus::OK, "it never began");
+        assert_eq!(
+            diagnostics.report(now + Duration::from_secs(9)).level,
+            DiagnosticStatus::OK,
+            "it never began"
+        );
         diagnostics.received("latent");
-        assert_eq!(diagnostics.report(now + Duration::from_secs(1)).level, DiagnosticStatus::OK);
+        assert_eq!(
+            diagnostics.report(now + Duration::from_secs(1)).level,
+            DiagnosticStatus::OK
+        );
         let report = diagnostics.report(now + Duration::from_secs(9));
         assert_eq!(report.level, DiagnosticStatus::WARN);
         assert!(report.message.contains("no latent for"));
@@ -248,10 +304,17 @@ mod tests {
     #[test]
     fn latencies_and_values_are_listed_with_their_units() {
         let diagnostics = Diagnostics::new("/wm/encoder");
-        diagnostics.latency("step").record(Duration::from_millis(20));
+        diagnostics
+            .latency("step")
+            .record(Duration::from_millis(20));
         diagnostics.set_value("queue [messages]", 3);
         let report = diagnostics.report(Instant::now());
         assert_eq!(value(&report, "queue [messages]").as_deref(), Some("3"));
-        assert!(value(&report, "latency step p95 [ms]").unwrap().starts_with("20."), "{report:?}");
+        assert!(
+            value(&report, "latency step p95 [ms]")
+                .unwrap()
+                .starts_with("20."),
+            "{report:?}"
+        );
     }
 }

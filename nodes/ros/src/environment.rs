@@ -40,15 +40,26 @@ impl Environment {
     /// # Errors
     /// A variable or interface with a value that does not make sense.
     pub fn from_env(args: &NodeArgs) -> Result<Self, Error> {
-        Self::from_variables(args, |name| std::env::var(name).ok().filter(|value| !value.is_empty()))
+        Self::from_variables(args, |name| {
+            std::env::var(name).ok().filter(|value| !value.is_empty())
+        })
     }
 
-    fn from_variables(args: &NodeArgs, variable: impl Fn(&str) -> Option<String>) -> Result<Self, Error> {
+    fn from_variables(
+        args: &NodeArgs,
+        variable: impl Fn(&str) -> Option<String>,
+    ) -> Result<Self, Error> {
         let domain_id = match variable("ROS_DOMAIN_ID") {
             None => 0,
             Some(text) => match text.parse() {
                 Ok(id) if id <= MAX_DOMAIN => id,
-                _ => return Err(invalid("ROS_DOMAIN_ID", &text, format!("a number from 0 to {MAX_DOMAIN}"))),
+                _ => {
+                    return Err(invalid(
+                        "ROS_DOMAIN_ID",
+                        &text,
+                        format!("a number from 0 to {MAX_DOMAIN}"),
+                    ));
+                }
             },
         };
         let reach = match &args.interface {
@@ -80,29 +91,48 @@ fn reach_of(variable: &impl Fn(&str) -> Option<String>) -> Result<Reach, Error> 
         Some("SUBNET") => Ok(Reach::Subnet),
         Some(text) => {
             // OFF would need a participant without discovery, which the middleware does not offer
-            Err(invalid("ROS_AUTOMATIC_DISCOVERY_RANGE", text, "LOCALHOST, SUBNET or SYSTEM_DEFAULT".to_owned()))
+            Err(invalid(
+                "ROS_AUTOMATIC_DISCOVERY_RANGE",
+                text,
+                "LOCALHOST, SUBNET or SYSTEM_DEFAULT".to_owned(),
+            ))
         }
     }
 }
 
 fn address_of(interface: &str) -> Result<IpAddr, Error> {
-    let interfaces =
-        if_addrs::get_if_addrs().map_err(|source| Error::io("list the network interfaces", source))?;
+    let interfaces = if_addrs::get_if_addrs()
+        .map_err(|source| Error::io("list the network interfaces", source))?;
     // the middleware speaks IPv4 only
-    let mut usable = interfaces.iter().filter(|candidate| candidate.ip().is_ipv4());
+    let mut usable = interfaces
+        .iter()
+        .filter(|candidate| candidate.ip().is_ipv4());
     let wanted = interface.parse::<IpAddr>().ok();
-    match usable.clone().find(|candidate| candidate.name == interface || wanted == Some(candidate.ip())) {
+    match usable
+        .clone()
+        .find(|candidate| candidate.name == interface || wanted == Some(candidate.ip()))
+    {
         Some(found) => Ok(found.ip()),
         None => {
-            let known: Vec<_> =
-                usable.by_ref().map(|candidate| format!("{} ({})", candidate.name, candidate.ip())).collect();
-            Err(invalid("--interface", interface, format!("one of {}", known.join(", "))))
+            let known: Vec<_> = usable
+                .by_ref()
+                .map(|candidate| format!("{} ({})", candidate.name, candidate.ip()))
+                .collect();
+            Err(invalid(
+                "--interface",
+                interface,
+                format!("one of {}", known.join(", ")),
+            ))
         }
     }
 }
 
 fn invalid(variable: &'static str, value: &str, expected: String) -> Error {
-    Error::Environment { variable, value: value.to_owned(), expected }
+    Error::Environment {
+        variable,
+        value: value.to_owned(),
+        expected,
+    }
 }
 
 #[cfg(test)]
@@ -112,7 +142,10 @@ mod tests {
     fn environment(line: &str, variables: &[(&str, &str)]) -> Result<Environment, Error> {
         let args = NodeArgs::parse(line.split_whitespace())?;
         Environment::from_variables(&args, |name| {
-            variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
+            variables
+                .iter()
+                .find(|(key, _)| *key == name)
+                .map(|(_, value)| (*value).to_owned())
         })
     }
 
@@ -120,16 +153,37 @@ mod tests {
     fn loopback_unless_asked_otherwise() {
         let reach = |variables: &[(&str, &str)]| environment("", variables).unwrap().reach;
         assert_eq!(reach(&[]), Reach::Localhost);
-        assert_eq!(reach(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")]), Reach::Subnet);
-        assert_eq!(reach(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"), ("ROS_LOCALHOST_ONLY", "1")]), Reach::Localhost);
-        let environment = environment("--interface 127.0.0.1", &[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")]).unwrap();
-        assert_eq!(environment.addresses(), Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]));
+        assert_eq!(
+            reach(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")]),
+            Reach::Subnet
+        );
+        assert_eq!(
+            reach(&[
+                ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
+                ("ROS_LOCALHOST_ONLY", "1")
+            ]),
+            Reach::Localhost
+        );
+        let environment = environment(
+            "--interface 127.0.0.1",
+            &[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")],
+        )
+        .unwrap();
+        assert_eq!(
+            environment.addresses(),
+            Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)])
+        );
     }
 
     #[test]
     fn nonsense_is_refused_by_name() {
-        let message = |line, variables: &[(&str, &str)]| environment(line, variables).unwrap_err().to_string();
-        assert_eq!(message("", &[("ROS_DOMAIN_ID", "233")]), "ROS_DOMAIN_ID is `233`: expected a number from 0 to 232");
+        let message = |line, variables: &[(&str, &str)]| {
+            environment(line, variables).unwrap_err().to_string()
+        };
+        assert_eq!(
+            message("", &[("ROS_DOMAIN_ID", "233")]),
+            "ROS_DOMAIN_ID is `233`: expected a number from 0 to 232"
+        );
         assert!(message("", &[("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]).contains("SUBNET"));
         assert!(message("", &[("ROS_LOCALHOST_ONLY", "yes")]).contains("0 or 1"));
         assert!(message("--interface nope0", &[]).contains("one of"));

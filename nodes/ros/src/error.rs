@@ -45,7 +45,9 @@ pub enum Error {
         reason: String,
     },
     /// Bytes to publish that this middleware cannot send as they are.
-    #[error("cannot publish on {topic}: expected little-endian CDR (0x0001), got 0x{representation:04x}")]
+    #[error(
+        "cannot publish on {topic}: expected little-endian CDR (0x0001), got 0x{representation:04x}"
+    )]
     Representation {
         /// The topic.
         topic: String,
@@ -67,10 +69,16 @@ pub enum Error {
 
 impl Error {
     pub(crate) fn middleware(action: impl Into<String>, reason: impl std::fmt::Display) -> Self {
-        Self::Middleware { action: action.into(), reason: reason.to_string() }
+        Self::Middleware {
+            action: action.into(),
+            reason: reason.to_string(),
+        }
     }
 
     pub(crate) fn io(action: impl Into<String>, source: std::io::Error) -> Self {
-        Self::Io { action: action.into(), source }
+        Self::Io {
+            action: action.into(),
+            source,
+        }
     }
 }

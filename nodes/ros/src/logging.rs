@@ -53,14 +53,18 @@ impl Drop for Registration {
 /// From now on records of this node go to its `/rosout`.
 pub(crate) fn register(logger: String, writer: Option<Box<dyn Writer>>) -> Registration {
     let rosout = Arc::new(Rosout { logger, writer });
-    NODES.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&rosout));
+    NODES
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .push(Arc::clone(&rosout));
     Registration(rosout)
 }
 
 /// Sends the records of this process to stderr and `/rosout`, at the levels of the command line. The first call
 /// holds; where another subscriber is installed already, that one stays.
 pub fn init(args: &NodeArgs) {
-    let subscriber = tracing_subscriber::registry().with(RosLayer.with_filter(filter(&args.log_levels)));
+    let subscriber =
+        tracing_subscriber::registry().with(RosLayer.with_filter(filter(&args.log_levels)));
     tracing::subscriber::set_global_default(subscriber).ok();
 }
 
@@ -68,13 +72,16 @@ pub fn init(args: &NodeArgs) {
 /// other is a node's logger (`wm.encoder`) and means all that its process logs, since a process runs one node.
 fn filter(levels: &LogLevels) -> Targets {
     let default = levels.default.unwrap_or(LevelFilter::INFO);
-    levels.loggers.iter().fold(Targets::new().with_default(default), |filter, (logger, level)| {
-        if logger.starts_with("wm_") {
-            filter.with_target(logger.replace('.', "::"), *level)
-        } else {
-            filter.with_default(*level)
-        }
-    })
+    levels.loggers.iter().fold(
+        Targets::new().with_default(default),
+        |filter, (logger, level)| {
+            if logger.starts_with("wm_") {
+                filter.with_target(logger.replace('.', "::"), *level)
+            } else {
+                filter.with_default(*level)
+            }
+        },
+    )
 }
 
 /// The node that a span belongs to.
@@ -83,7 +90,12 @@ struct NodeOfSpan(String);
 struct RosLayer;
 
 impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
-    fn on_new_span(&self, attributes: &span::Attributes<'_>, id: &span::Id, context: Context<'_, S>) {
+    fn on_new_span(
+        &self,
+        attributes: &span::Attributes<'_>,
+        id: &span::Id,
+        context: Context<'_, S>,
+    ) {
         let mut record = Record::default();
         attributes.record(&mut record);
         if let (Some(node), Some(span)) = (record.node, context.span(id)) {
@@ -99,19 +111,29 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
         event.record(&mut record);
         let text = record.into_text();
         let stamp = system_nanos();
-        let of_span = context
-            .event_scope(event)
-            .and_then(|scope| scope.filter_map(|span| span.extensions().get::<NodeOfSpan>().map(|n| n.0.clone())).next());
+        let of_span = context.event_scope(event).and_then(|scope| {
+            scope
+                .filter_map(|span| span.extensions().get::<NodeOfSpan>().map(|n| n.0.clone()))
+                .next()
+        });
         let rosout = rosout_of(of_span.as_deref());
         let logger = match (&rosout, &of_span) {
             (Some(rosout), _) => rosout.logger.as_str(),
             (None, Some(node)) => node.as_str(),
             (None, None) => event.metadata().target(),
         };
-        let line = format!("[{}] [{}] [{logger}]: {text}\n", name(event.metadata().level()), seconds(stamp));
+        let line = format!(
+            "[{}] [{}] [{logger}]: {text}\n",
+            name(event.metadata().level()),
+            seconds(stamp)
+        );
         // where stderr is gone there is nobody to tell
         std::io::stderr().lock().write_all(line.as_bytes()).ok();
-        if let Some(Rosout { logger, writer: Some(writer) }) = rosout.as_deref() {
+        if let Some(Rosout {
+            logger,
+            writer: Some(writer),
+        }) = rosout.as_deref()
+        {
             IS_WRITING.set(true);
             publish(&**writer, event, logger, text, stamp);
             IS_WRITING.set(false);
@@ -147,7 +169,11 @@ fn publish(writer: &dyn Writer, event: &Event<'_>, logger: &str, text: String, s
 }
 
 fn seconds(nanos: i64) -> String {
-    format!("{}.{:09}", nanos.div_euclid(1_000_000_000), nanos.rem_euclid(1_000_000_000))
+    format!(
+        "{}.{:09}",
+        nanos.div_euclid(1_000_000_000),
+        nanos.rem_euclid(1_000_000_000)
+    )
 }
 
 fn name(level: &Level) -> &'static str {
@@ -175,7 +201,8 @@ mod tests {
 
     #[test]
     fn levels_become_filters() {
-        let levels = |line: &str| filter(&NodeArgs::parse(line.split_whitespace()).unwrap().log_levels);
+        let levels =
+            |line: &str| filter(&NodeArgs::parse(line.split_whitespace()).unwrap().log_levels);
         let all = levels("--ros-args --log-level warn");
         assert!(!all.would_enable("wm_nodes::encoder", &Level::INFO));
         let node = levels("--ros-args --log-level wm.encoder:=debug");

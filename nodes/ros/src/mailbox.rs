@@ -29,7 +29,10 @@ impl<T> Mailbox<T> {
     /// A queue of at least one item.
     pub(crate) fn new(depth: usize) -> Self {
         Self {
-            state: Mutex::new(State { items: VecDeque::new(), closed: false }),
+            state: Mutex::new(State {
+                items: VecDeque::new(),
+                closed: false,
+            }),
             arrived: Notify::new(),
             depth: depth.max(1),
             dropped: AtomicU64::new(0),

@@ -22,10 +22,17 @@ pub(crate) struct NodeName {
 
 impl NodeName {
     /// Applies `__node` and `__ns`, then expands the other rules.
-    pub(crate) fn new(default_base: &str, default_namespace: &str, args: &NodeArgs) -> Result<Self, Error> {
+    pub(crate) fn new(
+        default_base: &str,
+        default_namespace: &str,
+        args: &NodeArgs,
+    ) -> Result<Self, Error> {
         let first = |target: &Target| {
             let is_match = |remap: &&Remap| remap.from == *target && remap.is_for(default_base);
-            args.remaps.iter().find(is_match).map(|remap| remap.to.as_str())
+            args.remaps
+                .iter()
+                .find(is_match)
+                .map(|remap| remap.to.as_str())
         };
         let base = first(&Target::Node).unwrap_or(default_base).to_owned();
         let namespace = first(&Target::Namespace).unwrap_or(default_namespace);
@@ -38,10 +45,18 @@ impl NodeName {
             check_absolute(&namespace, "namespace")?;
         }
         let fully_qualified = join(&namespace, &base);
-        let mut name = Self { namespace, base, fully_qualified, rules: Vec::new() };
+        let mut name = Self {
+            namespace,
+            base,
+            fully_qualified,
+            rules: Vec::new(),
+        };
         for remap in args.remaps.iter().filter(|remap| remap.is_for(&name.base)) {
             if let Target::Name(from) = &remap.from {
-                let rule = (name.expand(from, "remapping")?, name.expand(&remap.to, "remapping")?);
+                let rule = (
+                    name.expand(from, "remapping")?,
+                    name.expand(&remap.to, "remapping")?,
+                );
                 name.rules.push(rule);
             }
         }
@@ -70,7 +85,9 @@ impl NodeName {
 
     /// The name that log records carry: `wm.encoder`.
     pub(crate) fn logger(&self) -> String {
-        self.fully_qualified.trim_start_matches('/').replace('/', ".")
+        self.fully_qualified
+            .trim_start_matches('/')
+            .replace('/', ".")
     }
 }
 
@@ -79,7 +96,9 @@ fn join(namespace: &str, name: &str) -> String {
 }
 
 fn check_absolute(name: &str, kind: &'static str) -> Result<(), Error> {
-    name.trim_start_matches('/').split('/').try_for_each(|part| check_part(part, kind, name))?;
+    name.trim_start_matches('/')
+        .split('/')
+        .try_for_each(|part| check_part(part, kind, name))?;
     match name.starts_with("//") {
         true => Err(invalid(name, kind, "two slashes in a row")),
         false => Ok(()),
@@ -93,8 +112,15 @@ fn check_part(part: &str, kind: &'static str, name: &str) -> Result<(), Error> {
     if first.is_ascii_digit() {
         return Err(invalid(name, kind, "a part begins with a digit"));
     }
-    if let Some(bad) = part.chars().find(|c| !c.is_ascii_alphanumeric() && *c != '_') {
-        return Err(invalid(name, kind, &format!("the character {bad:?}; letters, digits and _ are allowed")));
+    if let Some(bad) = part
+        .chars()
+        .find(|c| !c.is_ascii_alphanumeric() && *c != '_')
+    {
+        return Err(invalid(
+            name,
+            kind,
+            &format!("the character {bad:?}; letters, digits and _ are allowed"),
+        ));
     }
     if part.contains("__") {
         return Err(invalid(name, kind, "two underscores in a row"));
@@ -103,7 +129,11 @@ fn check_part(part: &str, kind: &'static str, name: &str) -> Result<(), Error> {
 }
 
 fn invalid(name: &str, kind: &'static str, reason: &str) -> Error {
-    Error::Name { name: name.to_owned(), kind, reason: reason.to_owned() }
+    Error::Name {
+        name: name.to_owned(),
+        kind,
+        reason: reason.to_owned(),
+    }
 }
 
 /// A type's ROS name, `package/msg/Type` or `package/srv/Type`, taken apart.
@@ -122,7 +152,10 @@ impl TypeName {
         };
         check_part(package, "type", text)?;
         check_part(name, "type", text)?;
-        Ok(Self { package: package.to_owned(), name: name.to_owned() })
+        Ok(Self {
+            package: package.to_owned(),
+            name: name.to_owned(),
+        })
     }
 }
 
@@ -141,21 +174,38 @@ mod tests {
         assert_eq!(name.fully_qualified, "/wm/encoder");
         assert_eq!(name.logger(), "wm.encoder");
         assert_eq!(name.resolve("latent", "topic").unwrap(), "/wm/latent");
-        assert_eq!(name.resolve("/camera/image_raw", "topic").unwrap(), "/camera/image_raw");
-        assert_eq!(name.resolve("~/reset", "service").unwrap(), "/wm/encoder/reset");
+        assert_eq!(
+            name.resolve("/camera/image_raw", "topic").unwrap(),
+            "/camera/image_raw"
+        );
+        assert_eq!(
+            name.resolve("~/reset", "service").unwrap(),
+            "/wm/encoder/reset"
+        );
     }
 
     #[test]
     fn the_namespace_and_the_name_can_be_replaced() {
         let name = node("--ros-args -r __ns:=/robot1/wm -r __node:=eye").unwrap();
         assert_eq!(name.fully_qualified, "/robot1/wm/eye");
-        assert_eq!(name.resolve("latent", "topic").unwrap(), "/robot1/wm/latent");
-        assert_eq!(node("--ros-args -r __ns:=/").unwrap().resolve("latent", "topic").unwrap(), "/latent");
+        assert_eq!(
+            name.resolve("latent", "topic").unwrap(),
+            "/robot1/wm/latent"
+        );
+        assert_eq!(
+            node("--ros-args -r __ns:=/")
+                .unwrap()
+                .resolve("latent", "topic")
+                .unwrap(),
+            "/latent"
+        );
     }
 
     #[test]
     fn the_first_rule_that_matches_holds_and_rules_of_other_nodes_do_not() {
-        let name = node("--ros-args -r decoder:latent:=/no -r latent:=/a -r /wm/latent:=/b -r /x:=y").unwrap();
+        let name =
+            node("--ros-args -r decoder:latent:=/no -r latent:=/a -r /wm/latent:=/b -r /x:=y")
+                .unwrap();
         assert_eq!(name.resolve("latent", "topic").unwrap(), "/a");
         assert_eq!(name.resolve("/x", "topic").unwrap(), "/wm/y");
         assert_eq!(name.resolve("/a", "topic").unwrap(), "/a");
@@ -163,7 +213,13 @@ mod tests {
 
     #[test]
     fn names_that_ros_forbids_are_refused_with_the_rule() {
-        let reason = |name: &str| node("").unwrap().resolve(name, "topic").unwrap_err().to_string();
+        let reason = |name: &str| {
+            node("")
+                .unwrap()
+                .resolve(name, "topic")
+                .unwrap_err()
+                .to_string()
+        };
         assert!(reason("a//b").contains("empty"));
         assert!(reason("//a").contains("slashes") || reason("//a").contains("empty"));
         assert!(reason("2a").contains("digit"));
@@ -175,8 +231,14 @@ mod tests {
 
     #[test]
     fn types_come_in_both_spellings() {
-        let string = TypeName { package: "std_msgs".into(), name: "String".into() };
-        assert_eq!(TypeName::parse_message("std_msgs/msg/String").unwrap(), string);
+        let string = TypeName {
+            package: "std_msgs".into(),
+            name: "String".into(),
+        };
+        assert_eq!(
+            TypeName::parse_message("std_msgs/msg/String").unwrap(),
+            string
+        );
         assert_eq!(TypeName::parse_message("std_msgs/String").unwrap(), string);
         assert!(TypeName::parse_message("String").is_err());
         assert!(TypeName::parse_message("std_msgs/srv/String").is_err());

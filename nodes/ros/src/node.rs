@@ -7,8 +7,8 @@ mod overrides;
 pub use graph::TopicInfo;
 
 use crate::{
-    Clock, Context, Descriptor, Diagnostics, Error, NodeArgs, Parameter, Publisher, Qos, RawPublisher,
-    RawSubscription, Service, Shutdown, Subscription,
+    Clock, Context, Descriptor, Diagnostics, Error, NodeArgs, Parameter, Publisher, Qos,
+    RawPublisher, RawSubscription, Service, Shutdown, Subscription,
     backend::{Backend, Channel, Endpoint, Reader, Writer},
     logging,
     mailbox::Mailbox,
@@ -71,7 +71,9 @@ impl Node {
             rosout: Mutex::default(),
             name,
         };
-        let node = Self { inner: Arc::new(inner) };
+        let node = Self {
+            inner: Arc::new(inner),
+        };
         builtin::start(&node, args)?;
         Ok(node)
     }
@@ -139,7 +141,12 @@ impl Node {
     ) -> Result<Parameter<T>, Error> {
         let parameters = &self.inner.parameters;
         let value = parameters.declare(name, default.clone().into_value(), descriptor)?;
-        Ok(Parameter::new(name, &value, default, Arc::clone(parameters)))
+        Ok(Parameter::new(
+            name,
+            &value,
+            default,
+            Arc::clone(parameters),
+        ))
     }
 
     /// To be called after the last declaration: a value that was given for no declared parameter is an error. One
@@ -149,7 +156,11 @@ impl Node {
     /// Names the parameter, where it came from, and the parameters that there are.
     pub fn seal_parameters(&self) -> Result<(), Error> {
         for ignored in self.inner.parameters.check_all_declared()? {
-            tracing::warn!("the parameter `{}` from {} is not one of this node's", ignored.name, ignored.origin);
+            tracing::warn!(
+                "the parameter `{}` from {} is not one of this node's",
+                ignored.name,
+                ignored.origin
+            );
         }
         Ok(())
     }
@@ -167,11 +178,17 @@ impl Node {
     /// # Errors
     /// Not declared, read-only, of another type, out of range, or refused by a check of [`on_set`](Self::on_set).
     pub fn set_parameter<T: ParameterType>(&self, name: &str, value: T) -> Result<(), Error> {
-        Ok(self.inner.parameters.set(vec![(name.to_owned(), value.into_value())])?)
+        Ok(self
+            .inner
+            .parameters
+            .set(vec![(name.to_owned(), value.into_value())])?)
     }
 
     /// Asks `check` before any change of parameters; what it refuses is not made. It must not change parameters.
-    pub fn on_set(&self, check: impl Fn(&[(String, Value)]) -> Result<(), String> + Send + Sync + 'static) {
+    pub fn on_set(
+        &self,
+        check: impl Fn(&[(String, Value)]) -> Result<(), String> + Send + Sync + 'static,
+    ) {
         self.inner.parameters.add_check(Box::new(check));
     }
 }
@@ -190,40 +207,93 @@ impl Node {
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
-    pub fn raw_publisher(&self, topic: &str, type_name: &str, qos: Qos) -> Result<RawPublisher, Error> {
+    pub fn raw_publisher(
+        &self,
+        topic: &str,
+        type_name: &str,
+        qos: Qos,
+    ) -> Result<RawPublisher, Error> {
         self.publish(topic, TypeName::parse_message(type_name)?, qos)
     }
 
     fn publish(&self, topic: &str, type_name: TypeName, qos: Qos) -> Result<RawPublisher, Error> {
         let name = self.inner.name.resolve(topic, "topic")?;
-        let qos = overrides::apply(&self.inner.parameters, self.fully_qualified_name(), &name, "publisher", qos)?;
+        let qos = overrides::apply(
+            &self.inner.parameters,
+            self.fully_qualified_name(),
+            &name,
+            "publisher",
+            qos,
+        )?;
         let writer = self.inner.writer(Channel::Topic, &name, type_name, qos)?;
-        Ok(RawPublisher::new(name, writer, Arc::clone(self.inner.backend()), self.diagnostics()))
+        Ok(RawPublisher::new(
+            name,
+            writer,
+            Arc::clone(self.inner.backend()),
+            self.diagnostics(),
+        ))
     }
 
     /// Subscribes to a topic of messages `M`. A best-effort request matches every publisher.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
-    pub fn subscription<M: Message>(&self, topic: &str, qos: Qos) -> Result<Subscription<M>, Error> {
-        Ok(Subscription::new(self.subscribe(topic, type_of::<M>(), qos)?))
+    pub fn subscription<M: Message>(
+        &self,
+        topic: &str,
+        qos: Qos,
+    ) -> Result<Subscription<M>, Error> {
+        Ok(Subscription::new(self.subscribe(
+            topic,
+            type_of::<M>(),
+            qos,
+        )?))
     }
 
     /// Subscribes to a topic of any type, `package/msg/Type`, as CDR bytes.
     ///
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
-    pub fn raw_subscription(&self, topic: &str, type_name: &str, qos: Qos) -> Result<RawSubscription, Error> {
+    pub fn raw_subscription(
+        &self,
+        topic: &str,
+        type_name: &str,
+        qos: Qos,
+    ) -> Result<RawSubscription, Error> {
         self.subscribe(topic, TypeName::parse_message(type_name)?, qos)
     }
 
-    fn subscribe(&self, topic: &str, type_name: TypeName, qos: Qos) -> Result<RawSubscription, Error> {
+    fn subscribe(
+        &self,
+        topic: &str,
+        type_name: TypeName,
+        qos: Qos,
+    ) -> Result<RawSubscription, Error> {
         let name = self.inner.name.resolve(topic, "topic")?;
-        let qos = overrides::apply(&self.inner.parameters, self.fully_qualified_name(), &name, "subscription", qos)?;
+        let qos = overrides::apply(
+            &self.inner.parameters,
+            self.fully_qualified_name(),
+            &name,
+            "subscription",
+            qos,
+        )?;
         let intake = Intake::new(name.clone(), qos.depth, self.diagnostics(), self.clock());
-        let endpoint = Endpoint { channel: Channel::Topic, name, type_name, qos };
-        let reader = self.inner.backend().reader(self.fully_qualified_name(), &endpoint, intake.sink())?;
-        Ok(RawSubscription::new(intake, reader, Arc::clone(self.inner.backend()), self.shutdown()))
+        let endpoint = Endpoint {
+            channel: Channel::Topic,
+            name,
+            type_name,
+            qos,
+        };
+        let reader =
+            self.inner
+                .backend()
+                .reader(self.fully_qualified_name(), &endpoint, intake.sink())?;
+        Ok(RawSubscription::new(
+            intake,
+            reader,
+            Arc::clone(self.inner.backend()),
+            self.shutdown(),
+        ))
     }
 }
 
@@ -236,12 +306,30 @@ impl Node {
     pub fn service<S: wm_msgs::Service>(&self, name: &str) -> Result<Service<S>, Error> {
         let name = self.inner.name.resolve(name, "service")?;
         let calls = Arc::new(Mailbox::new(WAITING_CALLS));
-        let writer = self.inner.writer(Channel::Response, &name, type_of_service::<S>(), SERVICE_QOS)?;
+        let writer = self.inner.writer(
+            Channel::Response,
+            &name,
+            type_of_service::<S>(),
+            SERVICE_QOS,
+        )?;
         let sink = service::call_sink(name.clone(), Arc::clone(&calls));
-        let endpoint =
-            Endpoint { channel: Channel::Request, name, type_name: type_of_service::<S>(), qos: SERVICE_QOS };
-        let reader = self.inner.backend().reader(self.fully_qualified_name(), &endpoint, sink)?;
-        Ok(Service::new(endpoint.name, calls, Arc::from(writer), reader, self.shutdown()))
+        let endpoint = Endpoint {
+            channel: Channel::Request,
+            name,
+            type_name: type_of_service::<S>(),
+            qos: SERVICE_QOS,
+        };
+        let reader = self
+            .inner
+            .backend()
+            .reader(self.fully_qualified_name(), &endpoint, sink)?;
+        Ok(Service::new(
+            endpoint.name,
+            calls,
+            Arc::from(writer),
+            reader,
+            self.shutdown(),
+        ))
     }
 
     /// Serves `S` with a handler for as long as the node lives. The handler runs on the thread that receives for
@@ -264,14 +352,30 @@ impl Node {
     /// A name that ROS does not allow, or the middleware failed.
     pub fn client<S: wm_msgs::Service>(&self, name: &str) -> Result<Client<S>, Error> {
         let name = self.inner.name.resolve(name, "service")?;
-        let writer = self.inner.writer(Channel::Request, &name, type_of_service::<S>(), SERVICE_QOS)?;
+        let writer =
+            self.inner
+                .writer(Channel::Request, &name, type_of_service::<S>(), SERVICE_QOS)?;
         let pending = service::Pending::default();
         let sink = service::answer_sink(writer.id(), Arc::clone(&pending));
-        let endpoint =
-            Endpoint { channel: Channel::Response, name, type_name: type_of_service::<S>(), qos: SERVICE_QOS };
-        let reader = self.inner.backend().reader(self.fully_qualified_name(), &endpoint, sink)?;
+        let endpoint = Endpoint {
+            channel: Channel::Response,
+            name,
+            type_name: type_of_service::<S>(),
+            qos: SERVICE_QOS,
+        };
+        let reader = self
+            .inner
+            .backend()
+            .reader(self.fully_qualified_name(), &endpoint, sink)?;
         let backend = Arc::clone(self.inner.backend());
-        Ok(Client::new(endpoint.name, writer, reader, pending, backend, self.shutdown()))
+        Ok(Client::new(
+            endpoint.name,
+            writer,
+            reader,
+            pending,
+            backend,
+            self.shutdown(),
+        ))
     }
 }
 
@@ -287,7 +391,12 @@ impl Inner {
         type_name: TypeName,
         qos: Qos,
     ) -> Result<Box<dyn Writer>, Error> {
-        let endpoint = Endpoint { channel, name: name.to_owned(), type_name, qos };
+        let endpoint = Endpoint {
+            channel,
+            name: name.to_owned(),
+            type_name,
+            qos,
+        };
         self.backend().writer(&self.name.fully_qualified, &endpoint)
     }
 
@@ -299,31 +408,59 @@ impl Inner {
         answer: impl Fn(&[u8]) -> Result<Vec<u8>, cdr::CdrError> + Send + 'static,
     ) -> Result<(), Error> {
         let name = self.name.resolve(name, "service")?;
-        let writer = Arc::from(self.writer(Channel::Response, &name, type_name.clone(), SERVICE_QOS)?);
+        let writer =
+            Arc::from(self.writer(Channel::Response, &name, type_name.clone(), SERVICE_QOS)?);
         let sink = service::answering_sink(name.clone(), writer, answer);
-        let endpoint = Endpoint { channel: Channel::Request, name, type_name, qos: SERVICE_QOS };
-        let reader = self.backend().reader(&self.name.fully_qualified, &endpoint, sink)?;
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner).push(reader);
+        let endpoint = Endpoint {
+            channel: Channel::Request,
+            name,
+            type_name,
+            qos: SERVICE_QOS,
+        };
+        let reader = self
+            .backend()
+            .reader(&self.name.fully_qualified, &endpoint, sink)?;
+        self.kept
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(reader);
         Ok(())
     }
 }
 
 impl Drop for Inner {
     fn drop(&mut self) {
-        let reporting = self.reporting.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        let reporting = self
+            .reporting
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
         if let Some(reporting) = reporting {
             reporting.abort();
         }
-        self.rosout.get_mut().unwrap_or_else(PoisonError::into_inner).take();
-        self.kept.get_mut().unwrap_or_else(PoisonError::into_inner).clear();
-        self.backend().remove_node(&self.name.namespace, &self.name.base);
+        self.rosout
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
+        self.kept
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clear();
+        self.backend()
+            .remove_node(&self.name.namespace, &self.name.base);
     }
 }
 
 fn type_of<M: Message>() -> TypeName {
-    TypeName { package: M::PACKAGE.to_owned(), name: M::NAME.to_owned() }
+    TypeName {
+        package: M::PACKAGE.to_owned(),
+        name: M::NAME.to_owned(),
+    }
 }
 
 fn type_of_service<S: wm_msgs::Service>() -> TypeName {
-    TypeName { package: S::PACKAGE.to_owned(), name: S::NAME.to_owned() }
+    TypeName {
+        package: S::PACKAGE.to_owned(),
+        name: S::NAME.to_owned(),
+    }
 }

@@ -21,73 +21,83 @@ use std::{
 #[non_exhaustive]
 pub enum ParameterError {
     /// Nobody declared it.
-    #[error("{node} has no parameter `{parameter}`{}; it has: {known}", from(origin))]
+    #[error(
+        "{node} has no parameter `{parameter}`{}; it has: {known}",
+        from(origin)
+    )]
     Undeclared {
         /// The node's full name.
-        node: String,
+        node: Box<str>,
         /// The parameter.
-        parameter: String,
+        parameter: Box<str>,
         /// Where the value came from; empty for the services and the program.
-        origin: String,
+        origin: Box<str>,
         /// The parameters that there are.
-        known: String,
+        known: Box<str>,
     },
     /// The value is of another type.
     #[error("{node}: parameter `{parameter}` expects {expected}, got {} {got}{}", got.kind(), from(origin))]
     WrongType {
         /// The node's full name.
-        node: String,
+        node: Box<str>,
         /// The parameter.
-        parameter: String,
+        parameter: Box<str>,
         /// Its type.
         expected: Kind,
         /// The value that came.
         got: Value,
         /// Where it came from.
-        origin: String,
+        origin: Box<str>,
     },
     /// The value lies outside of the range.
-    #[error("{node}: parameter `{parameter}` expects {expected}, got {got}{}", from(origin))]
+    #[error(
+        "{node}: parameter `{parameter}` expects {expected}, got {got}{}",
+        from(origin)
+    )]
     OutOfRange {
         /// The node's full name.
-        node: String,
+        node: Box<str>,
         /// The parameter.
-        parameter: String,
+        parameter: Box<str>,
         /// Its range.
         expected: Range,
         /// The value that came.
         got: Value,
         /// Where it came from.
-        origin: String,
+        origin: Box<str>,
     },
     /// It is fixed once the node runs.
     #[error("{node}: parameter `{parameter}` is read-only; give it when the node is started")]
     ReadOnly {
         /// The node's full name.
-        node: String,
+        node: Box<str>,
         /// The parameter.
-        parameter: String,
+        parameter: Box<str>,
     },
     /// It was declared before.
     #[error("{node}: parameter `{parameter}` is declared twice")]
     DeclaredTwice {
         /// The node's full name.
-        node: String,
+        node: Box<str>,
         /// The parameter.
-        parameter: String,
+        parameter: Box<str>,
     },
     /// The node itself refused the change.
     #[error("{node} refuses the change: {reason}")]
     Refused {
         /// The node's full name.
-        node: String,
+        node: Box<str>,
         /// What the node said.
-        reason: String,
+        reason: Box<str>,
     },
 }
 
 fn from(origin: &str) -> String {
-    if origin.is_empty() { String::new() } else { format!(" (from {origin})") }
+    if origin.is_empty() {
+        String::new()
+    } else {
+        format!(" (from {origin})")
+    }
 }
 
 /// What looks at a change before it is made, and may refuse it.
@@ -111,7 +121,7 @@ struct Entry {
 
 /// The parameters of one node.
 pub(crate) struct Parameters {
-    node: String,
+    node: Box<str>,
     /// What files and the command line give; the last one for a name holds.
     overrides: Vec<Override>,
     entries: Mutex<BTreeMap<String, Entry>>,
@@ -129,8 +139,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Parameters {
     pub(crate) fn new(node: &str, overrides: &[Override]) -> Self {
         Self {
-            node: node.to_owned(),
-            overrides: overrides.iter().filter(|given| given.section.matches(node)).cloned().collect(),
+            node: node.into(),
+            overrides: overrides
+                .iter()
+                .filter(|given| given.section.matches(node))
+                .cloned()
+                .collect(),
             entries: Mutex::default(),
             checks: Mutex::default(),
             observers: Mutex::default(),
@@ -143,12 +157,22 @@ impl Parameters {
     }
 
     /// Values given for names that begin with `prefix`, declared or not.
-    pub(crate) fn given_under<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a Value)> {
-        self.overrides.iter().filter_map(move |given| Some((given.name.strip_prefix(prefix)?, &given.value)))
+    pub(crate) fn given_under<'a>(
+        &'a self,
+        prefix: &'a str,
+    ) -> impl Iterator<Item = (&'a str, &'a Value)> {
+        self.overrides
+            .iter()
+            .filter_map(move |given| Some((given.name.strip_prefix(prefix)?, &given.value)))
     }
 
     /// Declares a parameter: its value is the one given for it, or else the default.
-    pub(crate) fn declare(&self, name: &str, default: Value, descriptor: Descriptor) -> Result<Value, ParameterError> {
+    pub(crate) fn declare(
+        &self,
+        name: &str,
+        default: Value,
+        descriptor: Descriptor,
+    ) -> Result<Value, ParameterError> {
         let changing = lock(&self.changing);
         let (value, origin) = match self.given(name) {
             Some(given) => (given.value.clone(), given.origin.as_str()),
@@ -158,11 +182,23 @@ impl Parameters {
         {
             let mut entries = lock(&self.entries);
             if entries.contains_key(name) {
-                return Err(ParameterError::DeclaredTwice { node: self.node.clone(), parameter: name.to_owned() });
+                return Err(ParameterError::DeclaredTwice {
+                    node: self.node.clone(),
+                    parameter: name.into(),
+                });
             }
-            entries.insert(name.to_owned(), Entry { value: value.clone(), descriptor });
+            entries.insert(
+                name.to_owned(),
+                Entry {
+                    value: value.clone(),
+                    descriptor,
+                },
+            );
         }
-        self.tell(&Change { values: vec![(name.to_owned(), value.clone())], is_declaration: true });
+        self.tell(&Change {
+            values: vec![(name.to_owned(), value.clone())],
+            is_declaration: true,
+        });
         drop(changing);
         Ok(value)
     }
@@ -184,12 +220,22 @@ impl Parameters {
         Ok(ignored)
     }
 
-    fn undeclared(&self, entries: &BTreeMap<String, Entry>, name: &str, origin: &str) -> ParameterError {
+    fn undeclared(
+        &self,
+        entries: &BTreeMap<String, Entry>,
+        name: &str,
+        origin: &str,
+    ) -> ParameterError {
         ParameterError::Undeclared {
             node: self.node.clone(),
-            parameter: name.to_owned(),
-            origin: origin.to_owned(),
-            known: entries.keys().map(String::as_str).collect::<Vec<_>>().join(", "),
+            parameter: name.into(),
+            origin: origin.into(),
+            known: entries
+                .keys()
+                .map(String::as_str)
+                .collect::<Vec<_>>()
+                .join(", ")
+                .into(),
         }
     }
 
@@ -199,9 +245,14 @@ impl Parameters {
         let values = {
             let entries = lock(&self.entries);
             let fit = |(name, value): (String, Value)| {
-                let Some(entry) = entries.get(&name) else { return Err(self.undeclared(&entries, &name, "")) };
+                let Some(entry) = entries.get(&name) else {
+                    return Err(self.undeclared(&entries, &name, ""));
+                };
                 if entry.descriptor.read_only {
-                    return Err(ParameterError::ReadOnly { node: self.node.clone(), parameter: name });
+                    return Err(ParameterError::ReadOnly {
+                        node: self.node.clone(),
+                        parameter: name.into(),
+                    });
                 }
                 let value = self.fit(&name, value, entry.value.kind(), &entry.descriptor, "")?;
                 Ok((name, value))
@@ -209,7 +260,10 @@ impl Parameters {
             values.into_iter().map(fit).collect::<Result<Vec<_>, _>>()?
         };
         for check in lock(&self.checks).iter() {
-            check(&values).map_err(|reason| ParameterError::Refused { node: self.node.clone(), reason })?;
+            check(&values).map_err(|reason| ParameterError::Refused {
+                node: self.node.clone(),
+                reason: reason.into(),
+            })?;
         }
         {
             let mut entries = lock(&self.entries);
@@ -219,7 +273,10 @@ impl Parameters {
                 }
             }
         }
-        self.tell(&Change { values, is_declaration: false });
+        self.tell(&Change {
+            values,
+            is_declaration: false,
+        });
         drop(changing);
         Ok(())
     }
@@ -233,15 +290,27 @@ impl Parameters {
         descriptor: &Descriptor,
         origin: &str,
     ) -> Result<Value, ParameterError> {
-        let (node, parameter, origin) = (self.node.clone(), name.to_owned(), origin.to_owned());
+        let (node, parameter, origin) = (self.node.clone(), name.into(), origin.into());
         let value = match value.coerced(expected) {
             Ok(value) => value,
-            Err(got) => return Err(ParameterError::WrongType { node, parameter, expected, got, origin }),
+            Err(got) => {
+                return Err(ParameterError::WrongType {
+                    node,
+                    parameter,
+                    expected,
+                    got,
+                    origin,
+                });
+            }
         };
         match &descriptor.range {
-            Some(range) if !range.contains(&value) => {
-                Err(ParameterError::OutOfRange { node, parameter, expected: range.clone(), got: value, origin })
-            }
+            Some(range) if !range.contains(&value) => Err(ParameterError::OutOfRange {
+                node,
+                parameter,
+                expected: range.clone(),
+                got: value,
+                origin,
+            }),
             _ => Ok(value),
         }
     }
@@ -253,23 +322,29 @@ impl Parameters {
     }
 
     pub(crate) fn get(&self, name: &str) -> Option<Value> {
-        lock(&self.entries).get(name).map(|entry| entry.value.clone())
+        lock(&self.entries)
+            .get(name)
+            .map(|entry| entry.value.clone())
     }
 
     pub(crate) fn get_typed<T: ParameterType>(&self, name: &str) -> Result<T, ParameterError> {
         let entries = lock(&self.entries);
-        let Some(entry) = entries.get(name) else { return Err(self.undeclared(&entries, name, "the program")) };
+        let Some(entry) = entries.get(name) else {
+            return Err(self.undeclared(&entries, name, "the program"));
+        };
         T::from_value(&entry.value).ok_or_else(|| ParameterError::WrongType {
             node: self.node.clone(),
-            parameter: name.to_owned(),
+            parameter: name.into(),
             expected: T::KIND,
             got: entry.value.clone(),
-            origin: "the program".to_owned(),
+            origin: "the program".into(),
         })
     }
 
     pub(crate) fn descriptor(&self, name: &str) -> Option<(Kind, Descriptor)> {
-        lock(&self.entries).get(name).map(|entry| (entry.value.kind(), entry.descriptor.clone()))
+        lock(&self.entries)
+            .get(name)
+            .map(|entry| (entry.value.kind(), entry.descriptor.clone()))
     }
 
     pub(crate) fn names(&self) -> Vec<String> {
@@ -297,7 +372,12 @@ pub struct Parameter<T> {
 
 impl<T: ParameterType> Parameter<T> {
     pub(crate) fn new(name: &str, value: &Value, default: T, parameters: Arc<Parameters>) -> Self {
-        Self { name: name.to_owned(), declared: T::from_value(value).unwrap_or(default), parameters, of: PhantomData }
+        Self {
+            name: name.to_owned(),
+            declared: T::from_value(value).unwrap_or(default),
+            parameters,
+            of: PhantomData,
+        }
     }
 
     /// The parameter's name.
@@ -307,7 +387,9 @@ impl<T: ParameterType> Parameter<T> {
 
     /// The value of the moment.
     pub fn get(&self) -> T {
-        self.parameters.get_typed(&self.name).unwrap_or_else(|_| self.declared.clone())
+        self.parameters
+            .get_typed(&self.name)
+            .unwrap_or_else(|_| self.declared.clone())
     }
 }
 
@@ -318,7 +400,10 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn parameters(line: &str) -> Parameters {
-        Parameters::new("/wm/encoder", &NodeArgs::parse(line.split_whitespace()).unwrap().overrides)
+        Parameters::new(
+            "/wm/encoder",
+            &NodeArgs::parse(line.split_whitespace()).unwrap().overrides,
+        )
     }
 
     fn rate() -> Descriptor {
@@ -328,14 +413,20 @@ mod tests {
     #[test]
     fn the_last_value_given_holds_and_integers_become_doubles() {
         let parameters = parameters("--ros-args -p rate:=3.5 -p rate:=2 -p decoder:rate:=9");
-        assert_eq!(parameters.declare("rate", Value::Double(5.0), rate()), Ok(Value::Double(2.0)));
+        assert_eq!(
+            parameters.declare("rate", Value::Double(5.0), rate()),
+            Ok(Value::Double(2.0))
+        );
         assert_eq!(parameters.check_all_declared(), Ok(vec![]));
     }
 
     #[test]
     fn errors_name_node_parameter_expected_and_got() {
         let message = |line: &str| {
-            parameters(line).declare("rate", Value::Double(5.0), rate()).unwrap_err().to_string()
+            parameters(line)
+                .declare("rate", Value::Double(5.0), rate())
+                .unwrap_err()
+                .to_string()
         };
         assert_eq!(
             message("--ros-args -p rate:=fast"),
@@ -346,7 +437,9 @@ mod tests {
             "/wm/encoder: parameter `rate` expects a double from 0.1 to 100.0, got 1000.0 (from -p rate:=1000)"
         );
         let undeclared = parameters("--ros-args -p rat:=1");
-        undeclared.declare("rate", Value::Double(5.0), rate()).unwrap();
+        undeclared
+            .declare("rate", Value::Double(5.0), rate())
+            .unwrap();
         assert_eq!(
             undeclared.check_all_declared().unwrap_err().to_string(),
             "/wm/encoder has no parameter `rat` (from -p rat:=1); it has: rate"
@@ -356,12 +449,30 @@ mod tests {
     #[test]
     fn a_change_is_made_whole_or_not_at_all() {
         let parameters = parameters("");
-        parameters.declare("rate", Value::Double(5.0), rate()).unwrap();
-        parameters.declare("name", Value::String("a".into()), Descriptor::new("").read_only()).unwrap();
-        let both = vec![("rate".to_owned(), Value::Double(6.0)), ("name".to_owned(), Value::String("b".into()))];
-        assert!(matches!(parameters.set(both), Err(ParameterError::ReadOnly { .. })));
+        parameters
+            .declare("rate", Value::Double(5.0), rate())
+            .unwrap();
+        parameters
+            .declare(
+                "name",
+                Value::String("a".into()),
+                Descriptor::new("").read_only(),
+            )
+            .unwrap();
+        let both = vec![
+            ("rate".to_owned(), Value::Double(6.0)),
+            ("name".to_owned(), Value::String("b".into())),
+        ];
+        assert!(matches!(
+            parameters.set(both),
+            Err(ParameterError::ReadOnly { .. })
+        ));
         assert_eq!(parameters.get("rate"), Some(Value::Double(5.0)));
-        assert!(parameters.declare("rate", Value::Double(5.0), rate()).is_err());
+        assert!(
+            parameters
+                .declare("rate", Value::Double(5.0), rate())
+                .is_err()
+        );
     }
 
     #[test]
@@ -374,14 +485,27 @@ mod tests {
                 heard.fetch_add(1, Ordering::Relaxed);
             }
         }));
-        parameters.declare("rate", Value::Double(5.0), rate()).unwrap();
+        parameters
+            .declare("rate", Value::Double(5.0), rate())
+            .unwrap();
         parameters.add_check(Box::new(|values| match values {
             [(_, Value::Double(value))] if *value == 7.0 => Err("7 is taken".to_owned()),
             _ => Ok(()),
         }));
-        let refused = parameters.set(vec![("rate".to_owned(), Value::Integer(7))]).unwrap_err();
-        assert_eq!(refused.to_string(), "/wm/encoder refuses the change: 7 is taken");
-        parameters.set(vec![("rate".to_owned(), Value::Integer(8))]).unwrap();
-        assert_eq!(heard.load(Ordering::Relaxed), 2, "the declaration and one change");
+        let refused = parameters
+            .set(vec![("rate".to_owned(), Value::Integer(7))])
+            .unwrap_err();
+        assert_eq!(
+            refused.to_string(),
+            "/wm/encoder refuses the change: 7 is taken"
+        );
+        parameters
+            .set(vec![("rate".to_owned(), Value::Integer(8))])
+            .unwrap();
+        assert_eq!(
+            heard.load(Ordering::Relaxed),
+            2,
+            "the declaration and one change"
+        );
     }
 }

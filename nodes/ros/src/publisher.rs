@@ -42,7 +42,16 @@ impl RawPublisher {
         diagnostics: Diagnostics,
     ) -> Self {
         let (dropped, has_warned_of_size) = (AtomicU64::new(0), AtomicBool::new(false));
-        Self { inner: Arc::new(Inner { topic, writer, backend, diagnostics, dropped, has_warned_of_size }) }
+        Self {
+            inner: Arc::new(Inner {
+                topic,
+                writer,
+                backend,
+                diagnostics,
+                dropped,
+                has_warned_of_size,
+            }),
+        }
     }
 
     /// Publishes a sample: little-endian CDR with its 4-byte header. Never blocks. Policy DropNewest: where a
@@ -57,9 +66,14 @@ impl RawPublisher {
             Written::Sent(_) => inner.diagnostics.sent(&inner.topic),
             Written::WindowFull => {
                 if inner.dropped.fetch_add(1, Ordering::Relaxed) == 0 {
-                    tracing::warn!("{}: a reader has fallen behind, samples are dropped", inner.topic);
+                    tracing::warn!(
+                        "{}: a reader has fallen behind, samples are dropped",
+                        inner.topic
+                    );
                 }
-                inner.diagnostics.count_drop(&format!("{}: a reader is behind", inner.topic));
+                inner
+                    .diagnostics
+                    .count_drop(&format!("{}: a reader is behind", inner.topic));
             }
         }
         Ok(())
@@ -133,13 +147,19 @@ pub struct Publisher<M> {
 
 impl<M> Clone for Publisher<M> {
     fn clone(&self) -> Self {
-        Self { raw: self.raw.clone(), of: PhantomData }
+        Self {
+            raw: self.raw.clone(),
+            of: PhantomData,
+        }
     }
 }
 
 impl<M: Message> Publisher<M> {
     pub(crate) fn new(raw: RawPublisher) -> Self {
-        Self { raw, of: PhantomData }
+        Self {
+            raw,
+            of: PhantomData,
+        }
     }
 
     /// Publishes a message. Never blocks; see [`RawPublisher::publish`].
@@ -155,7 +175,9 @@ impl<M: Message> Publisher<M> {
     /// # Errors
     /// As [`publish`](Self::publish).
     pub async fn publish_when_ready(&self, message: &M) -> Result<(), Error> {
-        self.raw.publish_when_ready(cdr::to_bytes(message)?.into()).await
+        self.raw
+            .publish_when_ready(cdr::to_bytes(message)?.into())
+            .await
     }
 
     /// The topic's absolute name.

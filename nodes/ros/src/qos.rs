@@ -39,24 +39,38 @@ impl Qos {
 
     /// Best effort, volatile, `depth` samples. As a subscription it matches every publisher.
     pub const fn best_effort(depth: usize) -> Self {
-        Self { reliability: Reliability::BestEffort, durability: Durability::Volatile, depth }
+        Self {
+            reliability: Reliability::BestEffort,
+            durability: Durability::Volatile,
+            depth,
+        }
     }
 
     /// Reliable, volatile, `depth` samples.
     pub const fn reliable(depth: usize) -> Self {
-        Self { reliability: Reliability::Reliable, durability: Durability::Volatile, depth }
+        Self {
+            reliability: Reliability::Reliable,
+            durability: Durability::Volatile,
+            depth,
+        }
     }
 
     /// Reliable, and a late subscriber gets the last `depth` samples.
     pub const fn latched(depth: usize) -> Self {
-        Self { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth }
+        Self {
+            reliability: Reliability::Reliable,
+            durability: Durability::TransientLocal,
+            depth,
+        }
     }
 
     /// Whether a subscription that requests `self` matches a publisher that offers `offered`: a request may ask
     /// for no more than is offered.
     pub fn matches(&self, offered: &Self) -> bool {
-        (self.reliability == Reliability::BestEffort || offered.reliability == Reliability::Reliable)
-            && (self.durability == Durability::Volatile || offered.durability == Durability::TransientLocal)
+        (self.reliability == Reliability::BestEffort
+            || offered.reliability == Reliability::Reliable)
+            && (self.durability == Durability::Volatile
+                || offered.durability == Durability::TransientLocal)
     }
 }
 

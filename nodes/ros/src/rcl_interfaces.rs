@@ -36,17 +36,47 @@ pub(crate) struct ParameterValue {
 
 impl From<Value> for ParameterValue {
     fn from(value: Value) -> Self {
-        let base = Self { r#type: value.kind() as u8, ..Self::default() };
+        let base = Self {
+            r#type: value.kind() as u8,
+            ..Self::default()
+        };
         match value {
-            Value::Bool(value) => Self { bool_value: value, ..base },
-            Value::Integer(value) => Self { integer_value: value, ..base },
-            Value::Double(value) => Self { double_value: value, ..base },
-            Value::String(value) => Self { string_value: value, ..base },
-            Value::ByteArray(value) => Self { byte_array_value: value, ..base },
-            Value::BoolArray(value) => Self { bool_array_value: value, ..base },
-            Value::IntegerArray(value) => Self { integer_array_value: value, ..base },
-            Value::DoubleArray(value) => Self { double_array_value: value, ..base },
-            Value::StringArray(value) => Self { string_array_value: value, ..base },
+            Value::Bool(value) => Self {
+                bool_value: value,
+                ..base
+            },
+            Value::Integer(value) => Self {
+                integer_value: value,
+                ..base
+            },
+            Value::Double(value) => Self {
+                double_value: value,
+                ..base
+            },
+            Value::String(value) => Self {
+                string_value: value,
+                ..base
+            },
+            Value::ByteArray(value) => Self {
+                byte_array_value: value,
+                ..base
+            },
+            Value::BoolArray(value) => Self {
+                bool_array_value: value,
+                ..base
+            },
+            Value::IntegerArray(value) => Self {
+                integer_array_value: value,
+                ..base
+            },
+            Value::DoubleArray(value) => Self {
+                double_array_value: value,
+                ..base
+            },
+            Value::StringArray(value) => Self {
+                string_array_value: value,
+                ..base
+            },
         }
     }
 }
@@ -222,6 +252,13 @@ mod tests {
     #[test]
     fn an_unset_value_is_none() {
         assert_eq!(ParameterValue::default().into_value(), None);
-        assert_eq!(ParameterValue { r#type: 10, ..ParameterValue::default() }.into_value(), None);
+        assert_eq!(
+            ParameterValue {
+                r#type: 10,
+                ..ParameterValue::default()
+            }
+            .into_value(),
+            None
+        );
     }
 }

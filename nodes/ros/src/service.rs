@@ -39,12 +39,20 @@ pub struct Call<S: wm_msgs::Service> {
 /// What puts calls into a mailbox.
 pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<(RequestId, Bytes)>>) -> Sink {
     Box::new(move |sample| match sample {
-        Ok(Sample { bytes, request: Some(id), .. }) => {
+        Ok(Sample {
+            bytes,
+            request: Some(id),
+            ..
+        }) => {
             if !calls.push((id, bytes)) {
-                tracing::warn!("{name}: more than {WAITING_CALLS} calls wait, the oldest is dropped");
+                tracing::warn!(
+                    "{name}: more than {WAITING_CALLS} calls wait, the oldest is dropped"
+                );
             }
         }
-        Ok(Sample { request: None, .. }) => tracing::warn!("{name}: a call without an identity cannot be answered"),
+        Ok(Sample { request: None, .. }) => {
+            tracing::warn!("{name}: a call without an identity cannot be answered")
+        }
         Err(reason) => tracing::warn!("{name}: a call is skipped: {reason}"),
     })
 }
@@ -56,11 +64,18 @@ pub(crate) fn answering_sink(
     answer: impl Fn(&[u8]) -> Result<Vec<u8>, cdr::CdrError> + Send + 'static,
 ) -> Sink {
     Box::new(move |sample| {
-        let Ok(Sample { bytes, request: Some(id), .. }) = sample else {
+        let Ok(Sample {
+            bytes,
+            request: Some(id),
+            ..
+        }) = sample
+        else {
             tracing::warn!("{name}: a call that cannot be read or answered is skipped");
             return;
         };
-        let answered = answer(&bytes).map_err(Error::from).and_then(|answer| send(&*writer, &name, answer, id));
+        let answered = answer(&bytes)
+            .map_err(Error::from)
+            .and_then(|answer| send(&*writer, &name, answer, id));
         if let Err(error) = answered {
             tracing::warn!("{name}: a call is not answered: {error}");
         }
@@ -70,7 +85,10 @@ pub(crate) fn answering_sink(
 fn send(writer: &dyn Writer, name: &str, answer: Vec<u8>, id: RequestId) -> Result<(), Error> {
     match writer.write(&answer.into(), Some(id))? {
         Written::Sent(_) => Ok(()),
-        Written::WindowFull => Err(Error::middleware(format!("answer {name}"), "clients do not take their answers")),
+        Written::WindowFull => Err(Error::middleware(
+            format!("answer {name}"),
+            "clients do not take their answers",
+        )),
     }
 }
 
@@ -82,7 +100,14 @@ impl<S: wm_msgs::Service> Service<S> {
         reader: Box<dyn Reader>,
         shutdown: Shutdown,
     ) -> Self {
-        Self { name, calls, writer, _reader: reader, shutdown, of: PhantomData }
+        Self {
+            name,
+            calls,
+            writer,
+            _reader: reader,
+            shutdown,
+            of: PhantomData,
+        }
     }
 
     /// Waits for a call; `None` once the context is shut down. Cancel safe. A call that is not of the type is
@@ -97,7 +122,12 @@ impl<S: wm_msgs::Service> Service<S> {
             match cdr::from_bytes(&bytes) {
                 Ok(request) => {
                     let (service, writer) = (self.name.clone(), Arc::clone(&self.writer));
-                    return Some(Call { request, service, id, writer });
+                    return Some(Call {
+                        request,
+                        service,
+                        id,
+                        writer,
+                    });
                 }
                 Err(error) => tracing::warn!("{}: a call is skipped: {error}", self.name),
             }
@@ -116,7 +146,12 @@ impl<S: wm_msgs::Service> Call<S> {
     /// # Errors
     /// The response has no CDR form, or the middleware failed.
     pub fn respond(self, response: &S::Response) -> Result<(), Error> {
-        send(&*self.writer, &self.service, cdr::to_bytes(response)?, self.id)
+        send(
+            &*self.writer,
+            &self.service,
+            cdr::to_bytes(response)?,
+            self.id,
+        )
     }
 }
 
@@ -137,10 +172,17 @@ pub struct Client<S> {
 /// What hands answers to the calls that wait for them; those of other clients come along and are none of ours.
 pub(crate) fn answer_sink(client: EndpointId, pending: Pending) -> Sink {
     Box::new(move |sample| {
-        if let Ok(Sample { bytes, request: Some(id), .. }) = sample
+        if let Ok(Sample {
+            bytes,
+            request: Some(id),
+            ..
+        }) = sample
             && id.client == client
         {
-            let waiting = pending.lock().unwrap_or_else(PoisonError::into_inner).remove(&id.sequence);
+            let waiting = pending
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .remove(&id.sequence);
             if let Some(waiting) = waiting {
                 waiting.send(bytes).ok();
             }
@@ -156,7 +198,10 @@ struct Waiting<'a> {
 
 impl Drop for Waiting<'_> {
     fn drop(&mut self) {
-        self.pending.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.sequence);
+        self.pending
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .remove(&self.sequence);
     }
 }
 
@@ -169,7 +214,15 @@ impl<S: wm_msgs::Service> Client<S> {
         backend: Arc<dyn Backend>,
         shutdown: Shutdown,
     ) -> Self {
-        Self { name, writer, reader, pending, backend, shutdown, of: PhantomData }
+        Self {
+            name,
+            writer,
+            reader,
+            pending,
+            backend,
+            shutdown,
+            of: PhantomData,
+        }
     }
 
     /// Calls the service and waits for the answer, for as long as it takes: bring a timeout.
@@ -184,12 +237,21 @@ impl<S: wm_msgs::Service> Client<S> {
             let sequence = match self.writer.write(&request, None)? {
                 Written::Sent(sequence) => sequence,
                 Written::WindowFull => {
-                    return Err(Error::middleware(format!("call {}", self.name), "the server takes no calls"));
+                    return Err(Error::middleware(
+                        format!("call {}", self.name),
+                        "the server takes no calls",
+                    ));
                 }
             };
             let (sender, answer) = oneshot::channel();
             pending.insert(sequence, sender);
-            (answer, Waiting { pending: &self.pending, sequence })
+            (
+                answer,
+                Waiting {
+                    pending: &self.pending,
+                    sequence,
+                },
+            )
         };
         tokio::select! {
             answer = answer => match answer {
@@ -203,7 +265,10 @@ impl<S: wm_msgs::Service> Client<S> {
     /// Waits until a server is connected.
     pub async fn wait_for_service(&self) {
         let mut changes = self.backend.changes();
-        let is_there = || self.backend.matched(&self.writer.id()) > 0 && self.backend.matched(&self.reader.id()) > 0;
+        let is_there = || {
+            self.backend.matched(&self.writer.id()) > 0
+                && self.backend.matched(&self.reader.id()) > 0
+        };
         while !is_there() {
             if changes.changed().await.is_err() {
                 return;

@@ -12,7 +12,9 @@ pub struct Shutdown {
 
 impl Shutdown {
     pub(crate) fn new() -> Self {
-        Self { requested: Arc::new(watch::Sender::new(false)) }
+        Self {
+            requested: Arc::new(watch::Sender::new(false)),
+        }
     }
 
     /// Asks for the end.
@@ -28,7 +30,11 @@ impl Shutdown {
     /// Waits until the end is asked for.
     pub async fn wait(&self) {
         // The sender lives in `self`, so the channel cannot close.
-        self.requested.subscribe().wait_for(|requested| *requested).await.ok();
+        self.requested
+            .subscribe()
+            .wait_for(|requested| *requested)
+            .await
+            .ok();
     }
 
     /// From now on SIGINT and SIGTERM ask for the end. Call it inside a tokio runtime, which serves the signals.
@@ -38,7 +44,10 @@ impl Shutdown {
     pub fn listen_for_signals(&self) -> Result<(), Error> {
         use tokio::signal::unix::{SignalKind, signal};
         let install = |kind| signal(kind).map_err(|source| Error::io("listen for signals", source));
-        let (mut interrupt, mut terminate) = (install(SignalKind::interrupt())?, install(SignalKind::terminate())?);
+        let (mut interrupt, mut terminate) = (
+            install(SignalKind::interrupt())?,
+            install(SignalKind::terminate())?,
+        );
         let shutdown = self.clone();
         tokio::spawn(async move {
             tokio::select! {

@@ -48,9 +48,21 @@ pub(crate) struct Intake {
 }
 
 impl Intake {
-    pub(crate) fn new(topic: String, depth: usize, diagnostics: Diagnostics, clock: Clock) -> Arc<Self> {
+    pub(crate) fn new(
+        topic: String,
+        depth: usize,
+        diagnostics: Diagnostics,
+        clock: Clock,
+    ) -> Arc<Self> {
         let (undecodable, lost) = (AtomicU64::new(0), AtomicU64::new(0));
-        Arc::new(Self { topic, mailbox: Mailbox::new(depth), undecodable, lost, diagnostics, clock })
+        Arc::new(Self {
+            topic,
+            mailbox: Mailbox::new(depth),
+            undecodable,
+            lost,
+            diagnostics,
+            clock,
+        })
     }
 
     /// What the middleware calls for each sample.
@@ -62,12 +74,19 @@ impl Intake {
                 let lost = gaps.after(sample.writer, sample.sequence);
                 if lost > 0 {
                     intake.lost.fetch_add(lost, Ordering::Relaxed);
-                    intake.diagnostics.count_drops(&format!("{}: lost in transport", intake.topic), lost);
+                    intake
+                        .diagnostics
+                        .count_drops(&format!("{}: lost in transport", intake.topic), lost);
                 }
                 intake.diagnostics.received(&intake.topic);
-                let received = Received { message: sample.bytes, received: intake.clock.now() };
+                let received = Received {
+                    message: sample.bytes,
+                    received: intake.clock.now(),
+                };
                 if !intake.mailbox.push(received) {
-                    intake.diagnostics.count_drop(&format!("{}: queue full", intake.topic));
+                    intake
+                        .diagnostics
+                        .count_drop(&format!("{}: queue full", intake.topic));
                 }
             }
             Err(reason) => intake.refuse(&reason),
@@ -77,9 +96,13 @@ impl Intake {
     /// Counts a sample that is not a message, and reports the first.
     fn refuse(&self, reason: &str) {
         if self.undecodable.fetch_add(1, Ordering::Relaxed) == 0 {
-            tracing::warn!("{}: a sample is skipped, and others like it will be: {reason}", self.topic);
+            tracing::warn!(
+                "{}: a sample is skipped, and others like it will be: {reason}",
+                self.topic
+            );
         }
-        self.diagnostics.count_drop(&format!("{}: undecodable", self.topic));
+        self.diagnostics
+            .count_drop(&format!("{}: undecodable", self.topic));
     }
 }
 
@@ -90,7 +113,12 @@ impl RawSubscription {
         backend: Arc<dyn Backend>,
         shutdown: Shutdown,
     ) -> Self {
-        Self { intake, reader, backend, shutdown }
+        Self {
+            intake,
+            reader,
+            backend,
+            shutdown,
+        }
     }
 
     /// Waits for a sample; `None` once the context is shut down. Cancel safe.
@@ -158,7 +186,10 @@ pub struct Subscription<M> {
 
 impl<M: Message> Subscription<M> {
     pub(crate) fn new(raw: RawSubscription) -> Self {
-        Self { raw, of: PhantomData }
+        Self {
+            raw,
+            of: PhantomData,
+        }
     }
 
     /// Waits for a message; `None` once the context is shut down. Cancel safe.
@@ -183,7 +214,10 @@ impl<M: Message> Subscription<M> {
 
     fn decode(&self, sample: &Received<Bytes>) -> Option<Received<M>> {
         match cdr::from_bytes(&sample.message) {
-            Ok(message) => Some(Received { message, received: sample.received }),
+            Ok(message) => Some(Received {
+                message,
+                received: sample.received,
+            }),
             Err(error) => {
                 self.raw.intake.refuse(&error.to_string());
                 None
@@ -229,7 +263,12 @@ mod tests {
     use wm_msgs::std_msgs;
 
     fn sample(sequence: i64, bytes: Vec<u8>) -> Result<Sample, String> {
-        Ok(Sample { bytes: bytes.into(), writer: [1; 16], sequence, request: None })
+        Ok(Sample {
+            bytes: bytes.into(),
+            writer: [1; 16],
+            sequence,
+            request: None,
+        })
     }
 
     #[test]
@@ -243,8 +282,18 @@ mod tests {
         sink(sample(7, text("kept")));
         sink(Err("an unknown representation".into()));
         let report = diagnostics.report(std::time::Instant::now());
-        assert!(report.message.contains("dropped 4: /wm/text: lost in transport"), "{}", report.message);
-        assert!(report.message.contains("dropped 1: /wm/text: queue full"), "{}", report.message);
+        assert!(
+            report
+                .message
+                .contains("dropped 4: /wm/text: lost in transport"),
+            "{}",
+            report.message
+        );
+        assert!(
+            report.message.contains("dropped 1: /wm/text: queue full"),
+            "{}",
+            report.message
+        );
 
         let mailbox = &intake.mailbox;
         let mut decoded = Vec::new();

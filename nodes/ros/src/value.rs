@@ -104,9 +104,9 @@ impl Value {
             (value, kind) if value.kind() == kind => Ok(value),
             // Above 2^53 a double does not hold every integer; no parameter of this suite goes there.
             (Self::Integer(value), Kind::Double) => Ok(Self::Double(value as f64)),
-            (Self::IntegerArray(values), Kind::DoubleArray) => {
-                Ok(Self::DoubleArray(values.into_iter().map(|value| value as f64).collect()))
-            }
+            (Self::IntegerArray(values), Kind::DoubleArray) => Ok(Self::DoubleArray(
+                values.into_iter().map(|value| value as f64).collect(),
+            )),
             (Self::IntegerArray(values), Kind::ByteArray) => {
                 match values.iter().map(|value| u8::try_from(*value)).collect() {
                     Ok(bytes) => Ok(Self::ByteArray(bytes)),
@@ -136,9 +136,14 @@ impl Value {
                 if let Some(value) = number.as_i64() {
                     Ok(Self::Integer(value))
                 } else if number.is_u64() {
-                    Err(format!("an integer of at most 64 bits, signed; got {number}"))
+                    Err(format!(
+                        "an integer of at most 64 bits, signed; got {number}"
+                    ))
                 } else {
-                    number.as_f64().map(Self::Double).ok_or_else(|| format!("a number; got {number}"))
+                    number
+                        .as_f64()
+                        .map(Self::Double)
+                        .ok_or_else(|| format!("a number; got {number}"))
                 }
             }
             Yaml::String(value) => Ok(Self::String(value.clone())),
@@ -150,7 +155,10 @@ impl Value {
     }
 
     fn from_yaml_list(items: &[serde_yaml_ng::Value]) -> Result<Self, String> {
-        let items = items.iter().map(Self::from_yaml).collect::<Result<Vec<_>, _>>()?;
+        let items = items
+            .iter()
+            .map(Self::from_yaml)
+            .collect::<Result<Vec<_>, _>>()?;
         let mixed = |items: &[Self]| {
             let kinds: Vec<_> = items.iter().map(|item| item.kind().to_string()).collect();
             format!("a list of one type; got [{}]", kinds.join(", "))
@@ -159,20 +167,33 @@ impl Value {
         match items.first() {
             None => Ok(Self::StringArray(Vec::new())),
             Some(Self::Bool(_)) => {
-                let values = items.iter().map(|item| bool::from_value(item)).collect::<Option<_>>();
+                let values = items
+                    .iter()
+                    .map(|item| bool::from_value(item))
+                    .collect::<Option<_>>();
                 values.map(Self::BoolArray).ok_or_else(|| mixed(&items))
             }
             Some(Self::Integer(_)) if !has_double => {
-                let values = items.iter().map(|item| i64::from_value(item)).collect::<Option<_>>();
+                let values = items
+                    .iter()
+                    .map(|item| i64::from_value(item))
+                    .collect::<Option<_>>();
                 values.map(Self::IntegerArray).ok_or_else(|| mixed(&items))
             }
             Some(Self::Integer(_) | Self::Double(_)) => {
-                let doubles = items.iter().map(|item| item.clone().coerced(Kind::Double).ok());
-                let values = doubles.map(|item| f64::from_value(&item?)).collect::<Option<_>>();
+                let doubles = items
+                    .iter()
+                    .map(|item| item.clone().coerced(Kind::Double).ok());
+                let values = doubles
+                    .map(|item| f64::from_value(&item?))
+                    .collect::<Option<_>>();
                 values.map(Self::DoubleArray).ok_or_else(|| mixed(&items))
             }
             Some(Self::String(_)) => {
-                let values = items.iter().map(|item| String::from_value(item)).collect::<Option<_>>();
+                let values = items
+                    .iter()
+                    .map(|item| String::from_value(item))
+                    .collect::<Option<_>>();
                 values.map(Self::StringArray).ok_or_else(|| mixed(&items))
             }
             Some(_) => Err("a list of scalars; got a list of lists".to_owned()),
@@ -229,7 +250,10 @@ mod tests {
         assert_eq!(yaml("3.0"), Ok(Value::Double(3.0)));
         assert_eq!(yaml("'3'"), Ok(Value::String("3".into())));
         assert_eq!(yaml("[1, 2.5]"), Ok(Value::DoubleArray(vec![1.0, 2.5])));
-        assert_eq!(yaml("[a, b]"), Ok(Value::StringArray(vec!["a".into(), "b".into()])));
+        assert_eq!(
+            yaml("[a, b]"),
+            Ok(Value::StringArray(vec!["a".into(), "b".into()]))
+        );
     }
 
     #[test]
@@ -237,16 +261,35 @@ mod tests {
         assert!(yaml("[1, a]").unwrap_err().contains("[integer, string]"));
         assert!(yaml("~").unwrap_err().contains("nothing"));
         assert!(yaml("{a: 1}").unwrap_err().contains("mapping"));
-        assert!(yaml("18446744073709551615").unwrap_err().contains("64 bits"));
+        assert!(
+            yaml("18446744073709551615")
+                .unwrap_err()
+                .contains("64 bits")
+        );
         assert!(yaml("[[1]]").unwrap_err().contains("list of lists"));
     }
 
     #[test]
     fn only_lossless_changes_of_type_are_made() {
-        assert_eq!(Value::Integer(2).coerced(Kind::Double), Ok(Value::Double(2.0)));
-        assert_eq!(Value::Double(2.0).coerced(Kind::Integer), Err(Value::Double(2.0)));
-        assert_eq!(Value::IntegerArray(vec![1, 255]).coerced(Kind::ByteArray), Ok(Value::ByteArray(vec![1, 255])));
-        assert_eq!(Value::IntegerArray(vec![256]).coerced(Kind::ByteArray), Err(Value::IntegerArray(vec![256])));
-        assert_eq!(Value::StringArray(vec![]).coerced(Kind::BoolArray), Ok(Value::BoolArray(vec![])));
+        assert_eq!(
+            Value::Integer(2).coerced(Kind::Double),
+            Ok(Value::Double(2.0))
+        );
+        assert_eq!(
+            Value::Double(2.0).coerced(Kind::Integer),
+            Err(Value::Double(2.0))
+        );
+        assert_eq!(
+            Value::IntegerArray(vec![1, 255]).coerced(Kind::ByteArray),
+            Ok(Value::ByteArray(vec![1, 255]))
+        );
+        assert_eq!(
+            Value::IntegerArray(vec![256]).coerced(Kind::ByteArray),
+            Err(Value::IntegerArray(vec![256]))
+        );
+        assert_eq!(
+            Value::StringArray(vec![]).coerced(Kind::BoolArray),
+            Ok(Value::BoolArray(vec![]))
+        );
     }
 }

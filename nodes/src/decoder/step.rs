@@ -85,3 +85,6 @@ pub fn jpeg_message(
 fn header(prediction: &Prediction) -> Header {
     prediction.header.clone()
 }
+
+#[cfg(test)]
+mod tests;

@@ -2,7 +2,7 @@
 
 use std::{
     sync::{Arc, Mutex, PoisonError},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result, bail};
@@ -25,6 +25,8 @@ pub const NAME: &str = "encoder";
 
 /// Frames that may wait for the one that is being encoded.
 const WAITING: usize = 1;
+/// A camera that is silent for longer is reported.
+const STALE: Duration = Duration::from_secs(2);
 
 /// Runs the node until SIGINT or SIGTERM.
 ///
@@ -62,6 +64,9 @@ pub async fn body(node: Node) -> Result<()> {
     let diagnostics = node.diagnostics();
     let mut complaints = Complaints::new(diagnostics.clone());
     let mut images = ImageSubscription::new(&node, "/camera/image_raw", transports, Qos::sensor_data())?;
+    for topic in images.topics() {
+        diagnostics.expect_input(topic, STALE);
+    }
     let latents = node.publisher("latent", Qos::sensor_data())?;
     let mut repeats = Repeats::default();
     loop {

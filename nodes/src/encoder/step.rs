@@ -100,3 +100,6 @@ impl EncoderStep {
         self.encoder.space()
     }
 }
+
+#[cfg(test)]
+mod tests;

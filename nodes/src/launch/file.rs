@@ -15,6 +15,10 @@ const DEPTH_LIMIT: usize = 16;
 const ACTIONS: [&str; 9] =
     ["arg", "let", "set_env", "unset_env", "push_ros_namespace", "group", "include", "node", "executable"];
 
+/// The types that a parameter may be declared to have.
+const PARAMETER_TYPES: [&str; 9] =
+    ["str", "bool", "int", "float", "list_of_str", "list_of_bool", "list_of_int", "list_of_float", "yaml"];
+
 /// A launch file: its actions in order.
 #[derive(Clone, Debug)]
 pub struct LaunchFile {
@@ -331,14 +335,11 @@ fn read_parameter(
         return Err(entity.error("a parameter needs \"name\" and \"value\", or \"from\"".to_owned()));
     };
     let name = if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") };
-    let is_text = match entity.text("type")? {
-        None => false,
-        Some("str") => true,
-        Some("bool" | "int" | "float") => false,
-        Some(other) => {
-            return Err(entity.error(format!("key \"type\" must be str, bool, int or float, got {other:?}")));
-        }
-    };
+    let wanted_type = entity.text("type")?;
+    if let Some(other) = wanted_type.filter(|name| !PARAMETER_TYPES.contains(name)) {
+        let message = format!("key \"type\" must be one of {}, got {other:?}", PARAMETER_TYPES.join(", "));
+        return Err(entity.error(message));
+    }
     let value = entity.value("value");
     let nested = entity.entities("param")?;
     match (value, nested.is_empty()) {
@@ -346,12 +347,9 @@ fn read_parameter(
             let value = match value {
                 Value::String(text) => {
                     let template = entity.parse("value", text)?;
-                    if template.is_plain() {
-                        // a plain string is a string, whatever it looks like; a backslash in it escapes
-                        ParameterValue::Substituted { template, is_text: true }
-                    } else {
-                        ParameterValue::Substituted { template, is_text }
-                    }
+                    // without a type, a string that has no substitution stays one, whatever it looks like
+                    let is_text = wanted_type.map_or(template.is_plain(), |name| name == "str");
+                    ParameterValue::Substituted { template, is_text }
                 }
                 Value::Bool(_) | Value::Number(_) => ParameterValue::Literal(value.clone()),
                 Value::Sequence(items) if items.iter().all(|item| !item.is_mapping() && !item.is_sequence()) => {

@@ -34,11 +34,10 @@ const LIVE_PERIOD: Duration = Duration::from_millis(500);
 ///
 /// # Errors
 /// Names what is wrong with arguments or parameters, or the file that cannot be written.
-pub fn run(argv: impl IntoIterator<Item = String>) -> Result<()> {
-    let args = NodeArgs::parse(argv)?;
+pub fn run(args: &NodeArgs) -> Result<()> {
     args.expect_no_rest()?;
     let mut monitor = None;
-    wm_ros::run(NAME, "/wm", &args, async |node: Node| -> Result<()> {
+    wm_ros::run(NAME, crate::NAMESPACE, args, async |node: Node| -> Result<()> {
         let (state, inputs) = start(&node)?;
         watch(monitor.insert(state), inputs).await;
         Ok(())

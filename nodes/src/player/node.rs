@@ -29,11 +29,10 @@ const READ_AHEAD: usize = 64;
 ///
 /// # Errors
 /// Names what is wrong with arguments, parameters or the bag.
-pub fn run(argv: impl IntoIterator<Item = String>) -> Result<Ending> {
-    let args = NodeArgs::parse(argv)?;
+pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
     let mut ending = Ending::Complete;
-    wm_ros::run(NAME, "/wm", &args, async |node: Node| -> Result<()> {
+    wm_ros::run(NAME, crate::NAMESPACE, args, async |node: Node| -> Result<()> {
         ending = play(&node).await?;
         Ok(())
     })?;

@@ -2,7 +2,7 @@
 
 use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result};
@@ -23,6 +23,8 @@ pub const NAME: &str = "predictor";
 
 /// Observations that may wait for the rollout that is under way. A newer one takes the place.
 const WAITING: usize = 1;
+/// An encoder that is silent for longer is reported.
+const STALE: Duration = Duration::from_secs(2);
 
 /// Runs the node until SIGINT or SIGTERM.
 ///
@@ -120,6 +122,7 @@ impl Predictor {
 
     async fn run(&mut self, node: &Node) -> Result<()> {
         let mut latents = node.subscription::<Latent>("latent", Qos::sensor_data())?;
+        self.shared.diagnostics.expect_input(latents.topic(), STALE);
         let mut actions = node.subscription::<Action>("action", Qos::reliable(10))?;
         let mut chunks = node.subscription::<ActionChunk>("action_chunk", Qos::reliable(10))?;
         let mut resets = node.service::<Reset>("~/reset")?;

@@ -28,11 +28,10 @@ type Losses = BTreeMap<Arc<str>, Arc<AtomicU64>>;
 ///
 /// # Errors
 /// Names what is wrong with arguments or parameters, or why the bag cannot be written.
-pub fn run(argv: impl IntoIterator<Item = String>) -> Result<Ending> {
-    let args = NodeArgs::parse(argv)?;
+pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
     let mut recording = None;
-    let result = wm_ros::run(NAME, "/wm", &args, async |node: Node| -> Result<()> {
+    let result = wm_ros::run(NAME, crate::NAMESPACE, args, async |node: Node| -> Result<()> {
         let (started, selection) = start(&node).await?;
         let queue = recording.insert(started).queue();
         let losses = record(&node, &selection, &queue).await?;

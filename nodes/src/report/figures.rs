@@ -39,6 +39,7 @@ pub struct StepFigures {
     /// Predictions of this step that others of the same observation have and this one lacks.
     pub missing: u64,
     /// Pictures compared with the frame of their moment.
+    #[serde(rename = "n")]
     pub compared: u64,
     /// Mean PSNR of the predicted pictures \[dB\]; each is capped at [`PSNR_CAP_DB`](super::scorer::PSNR_CAP_DB).
     pub psnr_db: Option<f64>,

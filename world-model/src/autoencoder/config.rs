@@ -33,7 +33,7 @@ pub struct AutoencoderConfig {
 }
 
 impl AutoencoderConfig {
-    /// The shape of the bundled default: 128x128 images, 16x16x8 latents.
+    /// The shape of the bundled default: 128x128 images, 16x16x12 latents.
     pub fn tiny() -> Self {
         Self {
             name: "tiny".to_owned(),
@@ -41,8 +41,8 @@ impl AutoencoderConfig {
             width: 128,
             widths: vec![16, 32, 64, 96],
             encoder_blocks: vec![0, 1, 2, 2],
-            decoder_blocks: vec![1, 1, 2, 2],
-            latent_channels: 8,
+            decoder_blocks: vec![1, 2, 2, 2],
+            latent_channels: 12,
             branch: false,
         }
     }

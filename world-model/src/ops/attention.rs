@@ -148,7 +148,7 @@ impl CustomOp1 for Attention {
             .for_each_init(
                 || self.kernel(),
                 |kernel, (out, qkv)| {
-                    pulp::Arch::new().dispatch(|| {
+                    pulp::Arch::new().dispatch(#[inline(always)] || {
                         for sequence in 0..group.sequences {
                             for head in 0..self.0.heads {
                                 kernel.load(qkv, sequence, group.stride, d, head);
@@ -175,7 +175,7 @@ impl CustomOp1 for Attention {
             .for_each_init(
                 || self.kernel(),
                 |kernel, ((out, qkv), grad)| {
-                    pulp::Arch::new().dispatch(|| {
+                    pulp::Arch::new().dispatch(#[inline(always)] || {
                         for sequence in 0..group.sequences {
                             for head in 0..self.0.heads {
                                 kernel.load(qkv, sequence, group.stride, d, head);

@@ -70,7 +70,7 @@ impl CustomOp3 for GatedResidual {
             .zip(modulation.par_chunks(width))
             .for_each(|((out, branch), modulation)| {
                 let gate = &modulation[self.gate * d..][..d];
-                pulp::Arch::new().dispatch(|| {
+                pulp::Arch::new().dispatch(#[inline(always)] || {
                     for (out, branch) in out.chunks_exact_mut(d).zip(branch.chunks_exact(d)) {
                         for ((out, branch), gate) in out.iter_mut().zip(branch).zip(gate) {
                             *out = branch.mul_add(*gate, *out);
@@ -105,7 +105,7 @@ impl CustomOp3 for GatedResidual {
                 let gate = &modulation[self.gate * d..][..d];
                 let grad_gate = &mut grad_modulation[self.gate * d..][..d];
                 let rows = grad_branch.chunks_exact_mut(d).zip(branch.chunks_exact(d));
-                pulp::Arch::new().dispatch(|| {
+                pulp::Arch::new().dispatch(#[inline(always)] || {
                     for ((grad_branch, branch), g) in rows.zip(g.chunks_exact(d)) {
                         let inputs = branch.iter().zip(g).zip(gate);
                         let outputs = grad_branch.iter_mut().zip(grad_gate.iter_mut());

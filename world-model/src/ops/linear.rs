@@ -98,7 +98,7 @@ impl Linear {
         };
         let grad_bias = if with_bias {
             let mut sums = vec![0.0; n];
-            pulp::Arch::new().dispatch(|| {
+            pulp::Arch::new().dispatch(#[inline(always)] || {
                 for row in g.chunks_exact(n) {
                     for (sum, g) in sums.iter_mut().zip(row) {
                         *sum += g;

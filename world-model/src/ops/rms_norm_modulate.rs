@@ -81,7 +81,7 @@ impl CustomOp2 for RmsNormModulate {
             .for_each(|((out, x), modulation)| {
                 let shift = &modulation[self.shift * d..][..d];
                 let scale = &modulation[self.scale * d..][..d];
-                pulp::Arch::new().dispatch(|| {
+                pulp::Arch::new().dispatch(#[inline(always)] || {
                     for (out, x) in out.chunks_exact_mut(d).zip(x.chunks_exact(d)) {
                         let r = inverse_rms(x);
                         for (((out, x), shift), scale) in
@@ -119,7 +119,7 @@ impl CustomOp2 for RmsNormModulate {
                 let mut grad_shift = vec![0.0; d];
                 let mut grad_scale = vec![0.0; d];
                 let rows = grad_x.chunks_exact_mut(d).zip(x.chunks_exact(d));
-                pulp::Arch::new().dispatch(|| {
+                pulp::Arch::new().dispatch(#[inline(always)] || {
                     for ((grad_x, x), g) in rows.zip(g.chunks_exact(d)) {
                         backward_row(grad_x, x, g, scale, &mut grad_shift, &mut grad_scale);
                     }

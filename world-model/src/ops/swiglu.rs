@@ -38,7 +38,7 @@ impl CustomOp1 for Swiglu {
         out.par_chunks_mut(ROWS * h)
             .zip(x.par_chunks(ROWS * 2 * h))
             .for_each(|(out, x)| {
-                pulp::Arch::new().dispatch(|| {
+                pulp::Arch::new().dispatch(#[inline(always)] || {
                     for (out, x) in out.chunks_exact_mut(h).zip(x.chunks_exact(2 * h)) {
                         let (a, b) = x.split_at(h);
                         for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
@@ -61,7 +61,7 @@ impl CustomOp1 for Swiglu {
             .zip(vg.par_chunks(ROWS * h))
             .for_each(|((out, x), g)| {
                 let rows = out.chunks_exact_mut(2 * h).zip(x.chunks_exact(2 * h));
-                pulp::Arch::new().dispatch(|| {
+                pulp::Arch::new().dispatch(#[inline(always)] || {
                     for ((out, x), g) in rows.zip(g.chunks_exact(h)) {
                         let (a, b) = x.split_at(h);
                         let (grad_a, grad_b) = out.split_at_mut(h);

@@ -2,6 +2,7 @@
 //!
 //! Not here: the models themselves and inference (`wm_model`), making data (`wm_sim`, `wm_import`).
 
+pub mod autoencoder;
 pub mod dataset;
 pub mod latents;
 pub mod loss_curve;

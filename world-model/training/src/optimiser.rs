@@ -150,6 +150,23 @@ impl AdamW {
                 Ok(gradient.flatten_all()?.to_dtype(DType::F32)?.to_vec1::<f32>()?)
             })
             .collect::<Result<Vec<_>, OptimiserError>>()?;
+        self.step_along(&gradients, learning_rate)
+    }
+
+    /// As [`Self::step`], along plain buffers: one for each variable, in the order of the names, in row-major order.
+    ///
+    /// # Errors
+    /// When a gradient is missing, has another length than its variable or is not finite; nothing is changed then.
+    pub fn step_along(
+        &mut self,
+        gradients: &[Vec<f32>],
+        learning_rate: f64,
+    ) -> Result<f64, OptimiserError> {
+        for (index, parameter) in self.parameters.iter().enumerate() {
+            if gradients.get(index).map(Vec::len) != Some(parameter.weights.len()) {
+                return Err(OptimiserError::NoGradient(parameter.name.clone()));
+            }
+        }
         let squares: Vec<f64> = gradients
             .par_iter()
             .map(|gradient| gradient.iter().map(|g| f64::from(*g) * f64::from(*g)).sum())
@@ -203,6 +220,13 @@ impl AdamW {
             });
         self.write_back()?;
         Ok(norm)
+    }
+
+    /// Every variable's weights in row-major order, in the order of the names.
+    pub fn weights(&self) -> impl Iterator<Item = (&str, &[f32])> {
+        self.parameters
+            .iter()
+            .map(|parameter| (parameter.name.as_str(), parameter.weights.as_slice()))
     }
 
     /// The moving average of every weight, by name, in the shapes of the variables.

@@ -11,6 +11,7 @@ use openh264::{
     encoder::Encoder,
     formats::{RgbSliceU8, YUVBuffer},
 };
+use proptest::prelude::*;
 use zip::{ZipWriter, write::SimpleFileOptions};
 
 use super::*;
@@ -213,5 +214,29 @@ fn a_cut_video_is_an_error() {
             .unwrap_err()
             .to_string();
         assert!(error.contains("made.mp4"), "cut at {end}: {error}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+
+    #[test]
+    fn damaged_files_give_an_episode_or_an_error(
+        flips in prop::collection::vec((0.0f64..1.0, 1u8..=255), 1..6),
+        in_video in any::<bool>(),
+    ) {
+        let dir = tempfile::tempdir().unwrap();
+        let (mut video, mut npz) = (video(2), npz("arr_0", 10, &rows(2)));
+        let damaged = if in_video { &mut video } else { &mut npz };
+        for (share, bits) in flips {
+            let at = (share * damaged.len() as f64) as usize;
+            damaged[at] ^= bits;
+        }
+        // The container's index and the codec's parameters are a small part of the bytes, and hit by a part of the
+        // cases; what is held here is that none of them ends the process.
+        let result = read(dir.path(), &video, &npz);
+        if let Ok(episode) = result {
+            prop_assert_eq!(episode.cameras[0].len(), episode.actions.len());
+        }
     }
 }

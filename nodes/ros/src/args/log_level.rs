@@ -14,7 +14,9 @@ impl LogLevels {
     /// Adds `level` or `logger:=level`.
     pub(crate) fn add(&mut self, text: &str) -> Result<(), String> {
         match text.split_once(":=") {
-            Some((logger, level)) if !logger.is_empty() => self.loggers.push((logger.to_owned(), parse(level)?)),
+            Some((logger, level)) if !logger.is_empty() => {
+                self.loggers.push((logger.to_owned(), parse(level)?));
+            }
             Some(_) => return Err("a logger's name before :=".to_owned()),
             None => self.default = Some(parse(text)?),
         }
@@ -43,7 +45,10 @@ mod tests {
         levels.add("WARN").unwrap();
         levels.add("wm.encoder:=debug").unwrap();
         assert_eq!(levels.default, Some(LevelFilter::WARN));
-        assert_eq!(levels.loggers, [("wm.encoder".to_owned(), LevelFilter::DEBUG)]);
+        assert_eq!(
+            levels.loggers,
+            [("wm.encoder".to_owned(), LevelFilter::DEBUG)]
+        );
         assert!(levels.add(":=debug").is_err());
     }
 }

@@ -23,14 +23,19 @@ pub(crate) struct Section {
 impl Section {
     /// The node that the command line starts.
     pub(crate) fn own() -> Self {
-        Self { parts: vec!["**".to_owned()] }
+        Self {
+            parts: vec!["**".to_owned()],
+        }
     }
 
     /// A section key such as `encoder`, `/wm/encoder`, `/**`.
     pub(crate) fn parse(key: &str) -> Result<Self, String> {
         let absolute = key.starts_with('/');
-        let mut parts: Vec<String> =
-            key.trim_start_matches('/').split('/').map(str::to_owned).collect();
+        let mut parts: Vec<String> = key
+            .trim_start_matches('/')
+            .split('/')
+            .map(str::to_owned)
+            .collect();
         if parts.iter().any(String::is_empty) {
             return Err(format!("a node's name; got `{key}`"));
         }
@@ -42,18 +47,25 @@ impl Section {
 
     /// Whether the section holds for the node of this full name.
     pub(crate) fn matches(&self, fully_qualified_name: &str) -> bool {
-        let name: Vec<_> = fully_qualified_name.trim_start_matches('/').split('/').collect();
+        let name: Vec<_> = fully_qualified_name
+            .trim_start_matches('/')
+            .split('/')
+            .collect();
         matches(&self.parts, &name)
     }
 
     /// Whether several nodes may share the section, so that a parameter that one of them does not know is no error.
     pub(crate) fn is_shared(&self) -> bool {
-        self.parts.last().is_some_and(|part| part == "**" || part == "*")
+        self.parts
+            .last()
+            .is_some_and(|part| part == "**" || part == "*")
     }
 }
 
 fn matches(pattern: &[String], name: &[&str]) -> bool {
-    let Some((first, rest)) = pattern.split_first() else { return name.is_empty() };
+    let Some((first, rest)) = pattern.split_first() else {
+        return name.is_empty();
+    };
     match (first.as_str(), name.split_first()) {
         ("**", None) => matches(rest, name),
         ("**", Some((_, after))) => matches(rest, name) || matches(pattern, after),
@@ -65,17 +77,30 @@ fn matches(pattern: &[String], name: &[&str]) -> bool {
 
 /// Reads a file into overrides, in the order of the file.
 pub(super) fn read(path: &Path) -> Result<Vec<Override>, ArgsError> {
-    let file = |source| ArgsError::File { path: path.to_owned(), source };
-    let content = |problem| ArgsError::FileContent { path: path.to_owned(), problem };
+    let file = |source| ArgsError::File {
+        path: path.to_owned(),
+        source,
+    };
+    let content = |problem| ArgsError::FileContent {
+        path: path.to_owned(),
+        problem,
+    };
     let size = std::fs::metadata(path).map_err(file)?.len();
     if size > MAX_FILE_BYTES {
-        return Err(content(format!("expected at most {MAX_FILE_BYTES} bytes, got {size}")));
+        return Err(content(format!(
+            "expected at most {MAX_FILE_BYTES} bytes, got {size}"
+        )));
     }
-    parse(&std::fs::read_to_string(path).map_err(file)?, &path.display().to_string()).map_err(content)
+    parse(
+        &std::fs::read_to_string(path).map_err(file)?,
+        &path.display().to_string(),
+    )
+    .map_err(content)
 }
 
 fn parse(text: &str, origin: &str) -> Result<Vec<Override>, String> {
-    let yaml: Yaml = serde_yaml_ng::from_str(text).map_err(|error| format!("expected YAML; {error}"))?;
+    let yaml: Yaml =
+        serde_yaml_ng::from_str(text).map_err(|error| format!("expected YAML; {error}"))?;
     let mut overrides = Vec::new();
     match &yaml {
         Yaml::Null => {}
@@ -86,17 +111,36 @@ fn parse(text: &str, origin: &str) -> Result<Vec<Override>, String> {
 }
 
 /// Walks down from namespaces to nodes.
-fn sections(nodes: &Mapping, above: &str, origin: &str, overrides: &mut Vec<Override>) -> Result<(), String> {
+fn sections(
+    nodes: &Mapping,
+    above: &str,
+    origin: &str,
+    overrides: &mut Vec<Override>,
+) -> Result<(), String> {
     for (key, inner) in nodes {
-        let key = key.as_str().ok_or_else(|| format!("expected a node's name as key under `{above}`, got {key:?}"))?;
+        let key = key
+            .as_str()
+            .ok_or_else(|| format!("expected a node's name as key under `{above}`, got {key:?}"))?;
         let (Yaml::Mapping(inner), false) = (inner, key == PARAMETERS) else {
-            return Err(format!("expected `{above}/{key}` to hold `{PARAMETERS}:` with the parameters under it"));
+            return Err(format!(
+                "expected `{above}/{key}` to hold `{PARAMETERS}:` with the parameters under it"
+            ));
         };
-        let name = if above.is_empty() { key.to_owned() } else { format!("{above}/{}", key.trim_start_matches('/')) };
+        let name = if above.is_empty() {
+            key.to_owned()
+        } else {
+            format!("{above}/{}", key.trim_start_matches('/'))
+        };
         match inner.get(PARAMETERS) {
             Some(Yaml::Mapping(values)) => {
                 let section = Section::parse(&name)?;
-                parameters(values, "", &section, &format!("{origin}, section {name}"), overrides)?;
+                parameters(
+                    values,
+                    "",
+                    &section,
+                    &format!("{origin}, section {name}"),
+                    overrides,
+                )?;
             }
             Some(Yaml::Null) => {}
             Some(_) => return Err(format!("expected a mapping under `{name}: {PARAMETERS}`")),
@@ -118,16 +162,25 @@ fn parameters(
         let key = match key {
             Yaml::String(key) => key.clone(),
             Yaml::Number(key) => key.to_string(),
-            other => return Err(format!("{origin}: expected a parameter's name, got {other:?}")),
+            other => {
+                return Err(format!(
+                    "{origin}: expected a parameter's name, got {other:?}"
+                ));
+            }
         };
-        let name = if above.is_empty() { key } else { format!("{above}.{key}") };
+        let name = if above.is_empty() {
+            key
+        } else {
+            format!("{above}.{key}")
+        };
         match value {
             Yaml::Mapping(inner) => parameters(inner, &name, section, origin, overrides)?,
             scalar => overrides.push(Override {
                 is_shared: section.is_shared(),
                 section: section.clone(),
-                value: Value::from_yaml(scalar)
-                    .map_err(|expected| format!("{origin}: parameter `{name}`: expected {expected}"))?,
+                value: Value::from_yaml(scalar).map_err(|expected| {
+                    format!("{origin}: parameter `{name}`: expected {expected}")
+                })?,
                 name,
                 origin: origin.to_owned(),
             }),
@@ -160,7 +213,16 @@ mod tests {
     fn nested_keys_are_joined_and_nested_namespaces_too() {
         let text = "/**: {ros__parameters: {use_sim_time: true}}\nwm:\n  encoder:\n    ros__parameters:\n      a: {b: 1}\n      c: [1.5]\n";
         let overrides = parse(text, "file").unwrap();
-        let found: Vec<_> = overrides.iter().map(|o| (o.name.as_str(), o.value.clone(), o.section.matches("/wm/encoder"))).collect();
+        let found: Vec<_> = overrides
+            .iter()
+            .map(|o| {
+                (
+                    o.name.as_str(),
+                    o.value.clone(),
+                    o.section.matches("/wm/encoder"),
+                )
+            })
+            .collect();
         assert_eq!(
             found,
             [
@@ -175,10 +237,18 @@ mod tests {
 
     #[test]
     fn what_is_not_a_parameter_file_is_refused() {
-        assert!(parse("encoder: {rate: 2}", "f").unwrap_err().contains("ros__parameters"));
+        assert!(
+            parse("encoder: {rate: 2}", "f")
+                .unwrap_err()
+                .contains("ros__parameters")
+        );
         assert!(parse("ros__parameters: {rate: 2}", "f").is_err());
         assert!(parse("[1]", "f").unwrap_err().contains("node names"));
-        assert!(parse("e: {ros__parameters: {rate: ~}}", "f").unwrap_err().contains("`rate`"));
+        assert!(
+            parse("e: {ros__parameters: {rate: ~}}", "f")
+                .unwrap_err()
+                .contains("`rate`")
+        );
         assert!(parse("a: [", "f").unwrap_err().contains("expected YAML"));
         assert_eq!(parse("", "f").unwrap(), []);
     }

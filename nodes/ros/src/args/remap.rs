@@ -29,7 +29,10 @@ impl Remap {
             return Err("from:=to".to_owned());
         };
         if from.contains("://") {
-            return Err("a name without a scheme (rosservice:// and rostopic:// are not supported)".to_owned());
+            return Err(
+                "a name without a scheme (rosservice:// and rostopic:// are not supported)"
+                    .to_owned(),
+            );
         }
         let (node, from) = match from.split_once(':') {
             Some((node, from)) => (Some(node.to_owned()), from),
@@ -43,7 +46,11 @@ impl Remap {
             "__ns" => Target::Namespace,
             name => Target::Name(name.to_owned()),
         };
-        Ok(Self { node, from, to: to.to_owned() })
+        Ok(Self {
+            node,
+            from,
+            to: to.to_owned(),
+        })
     }
 
     /// Whether the rule is for a node of this base name.
@@ -58,10 +65,23 @@ mod tests {
 
     #[test]
     fn the_forms_of_a_rule() {
-        let rule = |node: Option<&str>, from, to: &str| Remap { node: node.map(str::to_owned), from, to: to.to_owned() };
-        assert_eq!(Remap::parse("__ns:=/arm").unwrap(), rule(None, Target::Namespace, "/arm"));
-        assert_eq!(Remap::parse("enc:__node:=eye").unwrap(), rule(Some("enc"), Target::Node, "eye"));
-        assert_eq!(Remap::parse("a:=/b").unwrap(), rule(None, Target::Name("a".into()), "/b"));
+        let rule = |node: Option<&str>, from, to: &str| Remap {
+            node: node.map(str::to_owned),
+            from,
+            to: to.to_owned(),
+        };
+        assert_eq!(
+            Remap::parse("__ns:=/arm").unwrap(),
+            rule(None, Target::Namespace, "/arm")
+        );
+        assert_eq!(
+            Remap::parse("enc:__node:=eye").unwrap(),
+            rule(Some("enc"), Target::Node, "eye")
+        );
+        assert_eq!(
+            Remap::parse("a:=/b").unwrap(),
+            rule(None, Target::Name("a".into()), "/b")
+        );
         assert!(Remap::parse("a=b").is_err());
         assert!(Remap::parse("a:=").is_err());
         assert!(Remap::parse(":a:=b").is_err());

@@ -47,7 +47,11 @@ impl DefaultDecoder<Bytes> for Raw {
 impl Decode<'_, Bytes> for RawDecoder {
     type Error = Infallible;
 
-    fn decode_bytes(self, body: &[u8], encoding: RepresentationIdentifier) -> Result<Bytes, Infallible> {
+    fn decode_bytes(
+        self,
+        body: &[u8],
+        encoding: RepresentationIdentifier,
+    ) -> Result<Bytes, Infallible> {
         let mut bytes = BytesMut::with_capacity(HEADER_LEN + body.len());
         bytes.put_slice(&encoding.to_bytes());
         bytes.put_slice(&[0, 0]);

@@ -1,8 +1,9 @@
 //! Readers and writers of bytes.
 
 use super::{
+    Shared,
     codec::{HEADER_LEN, Raw},
-    nodes::Nodes,
+    local::is_same_participant,
 };
 use crate::{
     Error,
@@ -22,7 +23,7 @@ use tokio::{runtime::Handle, task::AbortHandle};
 pub(super) struct DdsWriter {
     writer: DataWriter<Bytes, Raw>,
     topic: String,
-    nodes: Arc<Nodes>,
+    shared: Arc<Shared>,
 }
 
 impl DdsWriter {
@@ -30,10 +31,16 @@ impl DdsWriter {
         writer: DataWriter<Bytes, Raw>,
         endpoint: &Endpoint,
         node: &str,
-        nodes: &Arc<Nodes>,
+        shared: &Arc<Shared>,
     ) -> Self {
-        let this = Self { writer, topic: endpoint.name.clone(), nodes: Arc::clone(nodes) };
-        nodes.add_endpoint(this.id(), node, endpoint, true);
+        let this = Self {
+            writer,
+            topic: endpoint.name.clone(),
+            shared: Arc::clone(shared),
+        };
+        shared.local.add_writer(this.id(), endpoint);
+        shared.nodes.add_endpoint(this.id(), node, endpoint, true);
+        shared.changed();
         this
     }
 }
@@ -48,21 +55,35 @@ impl Writer for DdsWriter {
         match sample.get(..HEADER_LEN) {
             Some([0x00, 0x01, ..]) => {}
             header => {
-                let byte = |index| header.and_then(|header| header.get(index)).copied().unwrap_or(0xff);
+                let byte = |index| {
+                    header
+                        .and_then(|header| header.get(index))
+                        .copied()
+                        .unwrap_or(0xff)
+                };
                 let representation = u16::from_be_bytes([byte(0), byte(1)]);
-                return Err(Error::Representation { topic: self.topic.clone(), representation });
+                return Err(Error::Representation {
+                    topic: self.topic.clone(),
+                    representation,
+                });
             }
         }
-        let answers = answers.map(|request| SampleIdentity {
+        let related = answers.map(|request| SampleIdentity {
             writer_guid: GUID::from_bytes(request.client),
             sequence_number: SequenceNumber::from(request.sequence),
         });
         let options = WriteOptionsBuilder::new()
             .source_timestamp(Timestamp::now())
-            .related_sample_identity_opt(answers)
+            .related_sample_identity_opt(related)
             .build();
         match self.writer.write_with_options(sample.clone(), options) {
-            Ok(identity) => Ok(Written::Sent(identity.sequence_number.into())),
+            Ok(identity) => {
+                let sequence = identity.sequence_number.into();
+                self.shared
+                    .local
+                    .deliver(self.id(), sequence, sample, answers);
+                Ok(Written::Sent(sequence))
+            }
             Err(WriteError::WouldBlock { .. }) => Ok(Written::WindowFull),
             Err(error) => Err(Error::middleware(format!("publish {}", self.topic), error)),
         }
@@ -71,22 +92,22 @@ impl Writer for DdsWriter {
     fn acknowledged(&self) -> BoxFuture<'_, Result<(), Error>> {
         Box::pin(async move {
             let wait = self.writer.async_wait_for_acknowledgments();
-            wait.await
-                .map(drop)
-                .map_err(|error| Error::middleware(format!("wait for the readers of {}", self.topic), error))
+            wait.await.map(drop).map_err(|error| {
+                Error::middleware(format!("wait for the readers of {}", self.topic), error)
+            })
         })
     }
 }
 
 impl Drop for DdsWriter {
     fn drop(&mut self) {
-        self.nodes.remove_endpoint(&self.id());
+        self.shared.forget(&self.id());
     }
 }
 
 pub(super) struct DdsReader {
     id: EndpointId,
-    nodes: Arc<Nodes>,
+    shared: Arc<Shared>,
     pump: AbortHandle,
 }
 
@@ -95,37 +116,63 @@ impl DdsReader {
         reader: SimpleDataReader<Bytes, Raw>,
         endpoint: &Endpoint,
         node: &str,
-        nodes: &Arc<Nodes>,
+        shared: &Arc<Shared>,
         mut sink: Sink,
         runtime: &Handle,
     ) -> Self {
         let id = reader.guid().to_bytes();
-        nodes.add_endpoint(id, node, endpoint, false);
+        let inbox = shared.local.add_reader(id, endpoint);
+        shared.nodes.add_endpoint(id, node, endpoint, false);
+        shared.changed();
         let is_server = endpoint.channel == Channel::Request;
         let pump = runtime.spawn(async move {
             let mut samples = std::pin::pin!(reader.as_async_stream());
-            while let Some(sample) = samples.next().await {
-                sink(sample.map(|change| into_sample(change, is_server)).map_err(|error| error.to_string()));
+            loop {
+                let sample = tokio::select! {
+                    Some(sample) = inbox.pop() => Ok(sample),
+                    Some(sample) = samples.next() => match sample {
+                        Ok(change) if is_same_participant(&id, &change.writer_guid().to_bytes()) => continue,
+                        Ok(change) => Ok(into_sample(change, is_server)),
+                        Err(error) => Err(error.to_string()),
+                    },
+                    else => break,
+                };
+                sink(sample);
             }
         });
-        Self { id, nodes: Arc::clone(nodes), pump: pump.abort_handle() }
+        Self {
+            id,
+            shared: Arc::clone(shared),
+            pump: pump.abort_handle(),
+        }
     }
 }
 
 fn into_sample(change: DeserializedCacheChange<Bytes>, is_server: bool) -> Sample {
-    let (writer, sequence) = (change.writer_guid().to_bytes(), i64::from(change.sequence_number));
+    let (writer, sequence) = (
+        change.writer_guid().to_bytes(),
+        i64::from(change.sequence_number),
+    );
     let mut request = change.related_sample_identity().map(|identity| RequestId {
         client: identity.writer_guid.to_bytes(),
         sequence: identity.sequence_number.into(),
     });
     if is_server {
         // A client may leave out who it is, or (Fast DDS) the number: the sample's own are meant then.
-        let request = request.get_or_insert(RequestId { client: writer, sequence });
+        let request = request.get_or_insert(RequestId {
+            client: writer,
+            sequence,
+        });
         if request.sequence == i64::from(SequenceNumber::UNKNOWN) {
             request.sequence = sequence;
         }
     }
-    Sample { writer, sequence, request, bytes: change.into_value() }
+    Sample {
+        writer,
+        sequence,
+        request,
+        bytes: change.into_value(),
+    }
 }
 
 impl Reader for DdsReader {
@@ -138,6 +185,6 @@ impl Drop for DdsReader {
     fn drop(&mut self) {
         // the reader lives in the task, and goes with it
         self.pump.abort();
-        self.nodes.remove_endpoint(&self.id);
+        self.shared.forget(&self.id);
     }
 }

@@ -37,12 +37,22 @@ pub(super) struct Nodes {
 }
 
 impl Nodes {
-    pub(super) fn announce(participant: &DomainParticipant, publisher: &rustdds::Publisher) -> Result<Self, Error> {
+    pub(super) fn announce(
+        participant: &DomainParticipant,
+        publisher: &rustdds::Publisher,
+    ) -> Result<Self, Error> {
         let failed = |error| Error::middleware("announce nodes", error);
-        let (name, type_name) = (ros_discovery::TOPIC_NAME.to_owned(), ros_discovery::TYPE_NAME.to_owned());
+        let (name, type_name) = (
+            ros_discovery::TOPIC_NAME.to_owned(),
+            ros_discovery::TYPE_NAME.to_owned(),
+        );
         let qos = &ros_discovery::QOS_PUB;
-        let topic = participant.create_topic(name, type_name, qos, TopicKind::NoKey).map_err(failed)?;
-        let writer = publisher.create_datawriter_no_key(&topic, None).map_err(failed)?;
+        let topic = participant
+            .create_topic(name, type_name, qos, TopicKind::NoKey)
+            .map_err(failed)?;
+        let writer = publisher
+            .create_datawriter_no_key(&topic, None)
+            .map_err(failed)?;
         Ok(Self {
             participant: Gid::from(participant.guid()),
             table: Mutex::default(),
@@ -56,7 +66,9 @@ impl Nodes {
             kind: "node",
             reason: reason.to_string(),
         })?;
-        lock(&self.table).nodes.insert(name.fully_qualified_name(), name);
+        lock(&self.table)
+            .nodes
+            .insert(name.fully_qualified_name(), name);
         self.tell();
         Ok(())
     }
@@ -68,14 +80,28 @@ impl Nodes {
         }
     }
 
-    pub(super) fn add_endpoint(&self, id: EndpointId, node: &str, endpoint: &Endpoint, is_writer: bool) {
-        let seen = ros_names(&dds_name(endpoint), &dds_type(endpoint)).map(|(name, type_name)| Seen {
-            name,
-            type_name,
-            qos: endpoint.qos,
-            is_writer,
-        });
-        lock(&self.table).endpoints.insert(id, Own { node: node.to_owned(), seen, is_writer });
+    pub(super) fn add_endpoint(
+        &self,
+        id: EndpointId,
+        node: &str,
+        endpoint: &Endpoint,
+        is_writer: bool,
+    ) {
+        let seen =
+            ros_names(&dds_name(endpoint), &dds_type(endpoint)).map(|(name, type_name)| Seen {
+                name,
+                type_name,
+                qos: endpoint.qos,
+                is_writer,
+            });
+        lock(&self.table).endpoints.insert(
+            id,
+            Own {
+                node: node.to_owned(),
+                seen,
+                is_writer,
+            },
+        );
         self.tell();
     }
 
@@ -86,7 +112,21 @@ impl Nodes {
 
     /// The topic endpoints of this participant.
     pub(super) fn own_topics(&self) -> Vec<Seen> {
-        lock(&self.table).endpoints.values().filter_map(|own| own.seen.clone()).collect()
+        lock(&self.table)
+            .endpoints
+            .values()
+            .filter_map(|own| own.seen.clone())
+            .collect()
+    }
+
+    /// The topic of an endpoint of this participant.
+    pub(super) fn topic_of(&self, id: &EndpointId) -> Option<String> {
+        lock(&self.table)
+            .endpoints
+            .get(id)?
+            .seen
+            .as_ref()
+            .map(|seen| seen.name.clone())
     }
 
     /// Announces that there are no nodes any more, and falls silent.
@@ -100,11 +140,17 @@ impl Nodes {
     fn tell(&self) {
         // Held throughout, so that announcements go out in the order of the changes.
         let writer = lock(&self.writer);
-        let Some(writer) = writer.as_ref() else { return };
+        let Some(writer) = writer.as_ref() else {
+            return;
+        };
         let table = lock(&self.table);
         let describe = |(full_name, name): (&String, &NodeName)| {
             let mut info = NodeEntitiesInfo::new(name.clone());
-            for (id, own) in table.endpoints.iter().filter(|(_, own)| own.node == *full_name) {
+            for (id, own) in table
+                .endpoints
+                .iter()
+                .filter(|(_, own)| own.node == *full_name)
+            {
                 match own.is_writer {
                     true => info.add_writer(Gid::from(*id)),
                     false => info.add_reader(Gid::from(*id)),
@@ -112,10 +158,15 @@ impl Nodes {
             }
             info
         };
-        let info = ParticipantEntitiesInfo::new(self.participant, table.nodes.iter().map(describe).collect());
+        let info = ParticipantEntitiesInfo::new(
+            self.participant,
+            table.nodes.iter().map(describe).collect(),
+        );
         drop(table);
         let sent = match wm_msgs::cdr::to_bytes(&info) {
-            Ok(bytes) => writer.write(Bytes::from(bytes), Some(Timestamp::now())).map_err(|error| error.to_string()),
+            Ok(bytes) => writer
+                .write(Bytes::from(bytes), Some(Timestamp::now()))
+                .map_err(|error| error.to_string()),
             Err(error) => Err(error.to_string()),
         };
         if let Err(error) = sent {

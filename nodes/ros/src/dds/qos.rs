@@ -33,7 +33,9 @@ fn profile(qos: Qos, max_samples: usize) -> QosPolicies {
             Durability::Volatile => policy::Durability::Volatile,
             Durability::TransientLocal => policy::Durability::TransientLocal,
         })
-        .history(policy::History::KeepLast { depth: int(qos.depth.max(1)) })
+        .history(policy::History::KeepLast {
+            depth: int(qos.depth.max(1)),
+        })
         .resource_limits(policy::ResourceLimits {
             max_samples,
             max_instances: max_samples,
@@ -72,6 +74,12 @@ mod tests {
             let limits = for_writer(qos).resource_limits().unwrap();
             assert!(limits.max_samples > 0 && limits.max_samples <= 512);
         }
-        assert_eq!(for_writer(Qos::reliable(1000)).resource_limits().unwrap().max_samples, 1000);
+        assert_eq!(
+            for_writer(Qos::reliable(1000))
+                .resource_limits()
+                .unwrap()
+                .max_samples,
+            1000
+        );
     }
 }

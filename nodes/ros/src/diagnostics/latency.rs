@@ -93,7 +93,12 @@ mod tests {
         assert!((summary.p50_ms - 50.0).abs() < 1.0, "{summary:?}");
         assert!((summary.p95_ms - 95.0).abs() < 1.5, "{summary:?}");
         assert_eq!(summary.samples, 100);
-        assert_eq!(latency.summary(start + Duration::from_secs(31)).map(|s| s.samples), Some(100));
+        assert_eq!(
+            latency
+                .summary(start + Duration::from_secs(31))
+                .map(|s| s.samples),
+            Some(100)
+        );
         assert!(latency.summary(start + Duration::from_secs(62)).is_none());
     }
 }

@@ -14,7 +14,11 @@ pub(super) struct Record {
 
 impl Record {
     pub(super) fn into_text(self) -> String {
-        let Self { mut message, fields, .. } = self;
+        let Self {
+            mut message,
+            fields,
+            ..
+        } = self;
         message.push_str(&fields);
         message
     }

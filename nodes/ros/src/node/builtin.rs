@@ -18,7 +18,8 @@ use std::{
 use wm_msgs::{
     cdr::{self, CdrError},
     diagnostic_msgs::DiagnosticArray,
-    rosgraph_msgs, std_msgs::Header,
+    rosgraph_msgs,
+    std_msgs::Header,
 };
 
 /// The QoS of `/parameter_events` and `/rosout` is rclcpp's, with a depth that a node of this suite fills in minutes.
@@ -33,13 +34,20 @@ pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     rosout(node, args)?;
     parameter_events(node)?;
     follow_clock(node);
-    node.declare("use_sim_time", false, Descriptor::new("whether the clock follows /clock instead of the system"))?;
+    node.declare(
+        "use_sim_time",
+        false,
+        Descriptor::new("whether the clock follows /clock instead of the system"),
+    )?;
     parameter_services(node)?;
     diagnostics(node)
 }
 
 fn rcl_interfaces(name: &str) -> TypeName {
-    TypeName { package: "rcl_interfaces".to_owned(), name: name.to_owned() }
+    TypeName {
+        package: "rcl_interfaces".to_owned(),
+        name: name.to_owned(),
+    }
 }
 
 fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
@@ -56,11 +64,18 @@ fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
 fn parameter_events(node: &Node) -> Result<(), Error> {
     let inner = &node.inner;
     let type_name = rcl_interfaces("ParameterEvent");
-    let writer = inner.writer(Channel::Topic, "/parameter_events", type_name, PARAMETER_EVENTS_QOS)?;
+    let writer = inner.writer(
+        Channel::Topic,
+        "/parameter_events",
+        type_name,
+        PARAMETER_EVENTS_QOS,
+    )?;
     let (name, clock) = (inner.name.fully_qualified.clone(), inner.clock.clone());
     inner.parameters.add_observer(Box::new(move |change| {
         let event = services::event(&name, clock.now(), change);
-        let sent = cdr::to_bytes(&event).map_err(Error::from).and_then(|bytes| writer.write(&bytes.into(), None));
+        let sent = cdr::to_bytes(&event)
+            .map_err(Error::from)
+            .and_then(|bytes| writer.write(&bytes.into(), None));
         if let Err(error) = sent {
             tracing::warn!("a change of parameters is not announced: {error}");
         }
@@ -71,52 +86,91 @@ fn parameter_events(node: &Node) -> Result<(), Error> {
 /// Subscribes to `/clock` when `use_sim_time` becomes true, and stops when it becomes false.
 fn follow_clock(node: &Node) {
     let inner = &node.inner;
-    let (backend, name) = (Arc::downgrade(inner.backend()), inner.name.fully_qualified.clone());
+    let (backend, name) = (
+        Arc::downgrade(inner.backend()),
+        inner.name.fully_qualified.clone(),
+    );
     let clock = inner.clock.clone();
     let reader: Mutex<Option<Box<dyn Reader>>> = Mutex::default();
-    inner.parameters.add_observer(Box::new(move |change: &Change| {
-        let is_simulated = change.values.iter().find_map(|(name, value)| match value {
-            Value::Bool(value) if name == "use_sim_time" => Some(*value),
-            _ => None,
-        });
-        let (Some(is_simulated), Some(backend)) = (is_simulated, backend.upgrade()) else { return };
-        let mut reader = reader.lock().unwrap_or_else(PoisonError::into_inner);
-        if is_simulated == reader.is_some() {
-            return;
-        }
-        clock.set_simulated(is_simulated);
-        *reader = None;
-        if is_simulated {
-            let type_name = TypeName { package: "rosgraph_msgs".to_owned(), name: "Clock".to_owned() };
-            let endpoint =
-                Endpoint { channel: Channel::Topic, name: "/clock".to_owned(), type_name, qos: CLOCK_QOS };
-            match backend.reader(&name, &endpoint, clock_sink(clock.clone())) {
-                Ok(subscribed) => *reader = Some(subscribed),
-                Err(error) => tracing::error!("use_sim_time is set, but there is no clock: {error}"),
+    inner
+        .parameters
+        .add_observer(Box::new(move |change: &Change| {
+            let is_simulated = change.values.iter().find_map(|(name, value)| match value {
+                Value::Bool(value) if name == "use_sim_time" => Some(*value),
+                _ => None,
+            });
+            let (Some(is_simulated), Some(backend)) = (is_simulated, backend.upgrade()) else {
+                return;
+            };
+            let mut reader = reader.lock().unwrap_or_else(PoisonError::into_inner);
+            if is_simulated == reader.is_some() {
+                return;
             }
-        }
-    }));
+            clock.set_simulated(is_simulated);
+            *reader = None;
+            if is_simulated {
+                let type_name = TypeName {
+                    package: "rosgraph_msgs".to_owned(),
+                    name: "Clock".to_owned(),
+                };
+                let endpoint = Endpoint {
+                    channel: Channel::Topic,
+                    name: "/clock".to_owned(),
+                    type_name,
+                    qos: CLOCK_QOS,
+                };
+                match backend.reader(&name, &endpoint, clock_sink(clock.clone())) {
+                    Ok(subscribed) => *reader = Some(subscribed),
+                    Err(error) => {
+                        tracing::error!("use_sim_time is set, but there is no clock: {error}")
+                    }
+                }
+            }
+        }));
 }
 
 fn clock_sink(clock: Clock) -> crate::backend::Sink {
-    Box::new(move |sample| match sample.map(|sample| cdr::from_bytes::<rosgraph_msgs::Clock>(&sample.bytes)) {
-        Ok(Ok(message)) => clock.advance(message.clock),
-        Ok(Err(error)) => tracing::warn!("/clock: a sample is skipped: {error}"),
-        Err(reason) => tracing::warn!("/clock: a sample is skipped: {reason}"),
+    Box::new(move |sample| {
+        match sample.map(|sample| cdr::from_bytes::<rosgraph_msgs::Clock>(&sample.bytes)) {
+            Ok(Ok(message)) => clock.advance(message.clock),
+            Ok(Err(error)) => tracing::warn!("/clock: a sample is skipped: {error}"),
+            Err(reason) => tracing::warn!("/clock: a sample is skipped: {reason}"),
+        }
     })
 }
 
 fn parameter_services(node: &Node) -> Result<(), Error> {
-    serve(node, "get_parameters", "GetParameters", |parameters, request| services::get(parameters, &request))?;
-    serve(node, "get_parameter_types", "GetParameterTypes", |parameters, request| {
-        services::get_types(parameters, &request)
-    })?;
-    serve(node, "describe_parameters", "DescribeParameters", |parameters, request| {
-        services::describe(parameters, &request)
-    })?;
-    serve(node, "list_parameters", "ListParameters", |parameters, request| services::list(parameters, &request))?;
+    serve(
+        node,
+        "get_parameters",
+        "GetParameters",
+        |parameters, request| services::get(parameters, &request),
+    )?;
+    serve(
+        node,
+        "get_parameter_types",
+        "GetParameterTypes",
+        |parameters, request| services::get_types(parameters, &request),
+    )?;
+    serve(
+        node,
+        "describe_parameters",
+        "DescribeParameters",
+        |parameters, request| services::describe(parameters, &request),
+    )?;
+    serve(
+        node,
+        "list_parameters",
+        "ListParameters",
+        |parameters, request| services::list(parameters, &request),
+    )?;
     serve(node, "set_parameters", "SetParameters", services::set)?;
-    serve(node, "set_parameters_atomically", "SetParametersAtomically", services::set_atomically)
+    serve(
+        node,
+        "set_parameters_atomically",
+        "SetParametersAtomically",
+        services::set_atomically,
+    )
 }
 
 fn serve<Request: DeserializeOwned + 'static, Response: Serialize + 'static>(
@@ -129,7 +183,8 @@ fn serve<Request: DeserializeOwned + 'static, Response: Serialize + 'static>(
     let answer = move |request: &[u8]| -> Result<Vec<u8>, CdrError> {
         cdr::to_bytes(&handler(&parameters, cdr::from_bytes(request)?))
     };
-    node.inner.serve_bytes(&format!("~/{name}"), rcl_interfaces(type_name), answer)
+    node.inner
+        .serve_bytes(&format!("~/{name}"), rcl_interfaces(type_name), answer)
 }
 
 fn diagnostics(node: &Node) -> Result<(), Error> {
@@ -141,12 +196,19 @@ fn diagnostics(node: &Node) -> Result<(), Error> {
         loop {
             beat.tick().await;
             let status = vec![diagnostics.report(Instant::now())];
-            let header = Header { stamp: clock.now(), frame_id: String::new() };
+            let header = Header {
+                stamp: clock.now(),
+                frame_id: String::new(),
+            };
             if let Err(error) = publisher.publish(&DiagnosticArray { header, status }) {
                 tracing::warn!("diagnostics are not published: {error}");
             }
         }
     });
-    *node.inner.reporting.lock().unwrap_or_else(PoisonError::into_inner) = Some(beat.abort_handle());
+    *node
+        .inner
+        .reporting
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner) = Some(beat.abort_handle());
     Ok(())
 }

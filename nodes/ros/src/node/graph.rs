@@ -57,7 +57,10 @@ impl Node {
     fn count(&self, topic: &str, is_writer: bool) -> Result<usize, Error> {
         let name = self.resolve(topic)?;
         let seen = self.inner.backend().seen();
-        Ok(seen.iter().filter(|seen| seen.name == name && seen.is_writer == is_writer).count())
+        Ok(seen
+            .iter()
+            .filter(|seen| seen.name == name && seen.is_writer == is_writer)
+            .count())
     }
 
     /// Counts changes of the graph: endpoints that come, go, or are connected. Wait with `changed()`.

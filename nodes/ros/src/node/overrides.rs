@@ -17,9 +17,15 @@ pub(super) fn apply(
     let prefix = format!("qos_overrides.{topic}.{endpoint}.");
     for (policy, value) in parameters.given_under(&prefix) {
         let applied = match (policy, value) {
-            ("reliability", Value::String(text)) => reliability(text).map(|value| qos.reliability = value),
-            ("durability", Value::String(text)) => durability(text).map(|value| qos.durability = value),
-            ("depth", Value::Integer(depth)) if *depth > 0 => usize::try_from(*depth).ok().map(|value| qos.depth = value),
+            ("reliability", Value::String(text)) => {
+                reliability(text).map(|value| qos.reliability = value)
+            }
+            ("durability", Value::String(text)) => {
+                durability(text).map(|value| qos.durability = value)
+            }
+            ("depth", Value::Integer(depth)) if *depth > 0 => {
+                usize::try_from(*depth).ok().map(|value| qos.depth = value)
+            }
             // the only history there is
             ("history", Value::String(text)) if text == "keep_last" => Some(()),
             _ => None,
@@ -29,7 +35,11 @@ pub(super) fn apply(
                 "`{prefix}{policy}` is {value}: expected reliability (reliable, best_effort), durability (volatile, \
                  transient_local), history (keep_last) or depth (1 and up)"
             );
-            return Err(ParameterError::Refused { node: node.to_owned(), reason }.into());
+            return Err(ParameterError::Refused {
+                node: node.into(),
+                reason: reason.into(),
+            }
+            .into());
         }
     }
     Ok(qos)
@@ -58,7 +68,13 @@ mod tests {
 
     fn applied(line: &str) -> Result<Qos, Error> {
         let args = NodeArgs::parse(line.split_whitespace())?;
-        apply(&Parameters::new("/wm/a", &args.overrides), "/wm/a", "/wm/latent", "publisher", Qos::sensor_data())
+        apply(
+            &Parameters::new("/wm/a", &args.overrides),
+            "/wm/a",
+            "/wm/latent",
+            "publisher",
+            Qos::sensor_data(),
+        )
     }
 
     #[test]
@@ -72,8 +88,14 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused_by_name() {
-        let error = applied("--ros-args -p qos_overrides./wm/latent.publisher.reliability:=maybe").unwrap_err();
-        assert!(error.to_string().contains("qos_overrides./wm/latent.publisher.reliability"), "{error}");
+        let error = applied("--ros-args -p qos_overrides./wm/latent.publisher.reliability:=maybe")
+            .unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("qos_overrides./wm/latent.publisher.reliability"),
+            "{error}"
+        );
         assert!(applied("--ros-args -p qos_overrides./wm/latent.publisher.depth:=0").is_err());
     }
 }

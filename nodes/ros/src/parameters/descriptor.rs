@@ -63,25 +63,37 @@ pub struct Descriptor {
 impl Descriptor {
     /// A parameter of any value, which can be changed while the node runs.
     pub fn new(description: impl Into<String>) -> Self {
-        Self { description: description.into(), ..Self::default() }
+        Self {
+            description: description.into(),
+            ..Self::default()
+        }
     }
 
     /// Allows integers in `from..=to` only.
     #[must_use]
     pub fn integers(self, from: i64, to: i64) -> Self {
-        Self { range: Some(Range::Integers { from, to }), ..self }
+        Self {
+            range: Some(Range::Integers { from, to }),
+            ..self
+        }
     }
 
     /// Allows doubles in `from..=to` only.
     #[must_use]
     pub fn floats(self, from: f64, to: f64) -> Self {
-        Self { range: Some(Range::Doubles { from, to }), ..self }
+        Self {
+            range: Some(Range::Doubles { from, to }),
+            ..self
+        }
     }
 
     /// Fixes the value once the node runs.
     #[must_use]
     pub fn read_only(self) -> Self {
-        Self { read_only: true, ..self }
+        Self {
+            read_only: true,
+            ..self
+        }
     }
 }
 

@@ -2,38 +2,60 @@
 
 use super::{Change, Parameters, Range};
 use crate::rcl_interfaces::{
-    FloatingPointRange, IntegerRange, ListRequest, ListResponse, Names, Parameter, ParameterDescriptor,
-    ParameterDescriptors, ParameterEvent, ParameterTypes, ParameterValue, ParameterValues, ParametersToSet,
-    SetParametersResult, SetResult, SetResults,
+    FloatingPointRange, IntegerRange, ListRequest, ListResponse, Names, Parameter,
+    ParameterDescriptor, ParameterDescriptors, ParameterEvent, ParameterTypes, ParameterValue,
+    ParameterValues, ParametersToSet, SetParametersResult, SetResult, SetResults,
 };
 use wm_msgs::builtin_interfaces::Time;
 
 /// `get_parameters`: "not set" for names that there are not.
 pub(crate) fn get(parameters: &Parameters, request: &Names) -> ParameterValues {
-    let value = |name: &String| parameters.get(name).map(ParameterValue::from).unwrap_or_default();
-    ParameterValues { values: request.names.iter().map(value).collect() }
+    let value = |name: &String| {
+        parameters
+            .get(name)
+            .map(ParameterValue::from)
+            .unwrap_or_default()
+    };
+    ParameterValues {
+        values: request.names.iter().map(value).collect(),
+    }
 }
 
 /// `get_parameter_types`: 0 for names that there are not.
 pub(crate) fn get_types(parameters: &Parameters, request: &Names) -> ParameterTypes {
     let number = |name: &String| parameters.get(name).map_or(0, |value| value.kind() as u8);
-    ParameterTypes { types: request.names.iter().map(number).collect() }
+    ParameterTypes {
+        types: request.names.iter().map(number).collect(),
+    }
 }
 
 /// `describe_parameters`: type 0 for names that there are not.
 pub(crate) fn describe(parameters: &Parameters, request: &Names) -> ParameterDescriptors {
     let describe = |name: &String| {
         let Some((kind, descriptor)) = parameters.descriptor(name) else {
-            return ParameterDescriptor { name: name.clone(), ..ParameterDescriptor::default() };
+            return ParameterDescriptor {
+                name: name.clone(),
+                ..ParameterDescriptor::default()
+            };
         };
         let (integer_range, floating_point_range) = match descriptor.range {
             None => (vec![], vec![]),
-            Some(Range::Integers { from, to }) => {
-                (vec![IntegerRange { from_value: from, to_value: to, step: 0 }], vec![])
-            }
-            Some(Range::Doubles { from, to }) => {
-                (vec![], vec![FloatingPointRange { from_value: from, to_value: to, step: 0.0 }])
-            }
+            Some(Range::Integers { from, to }) => (
+                vec![IntegerRange {
+                    from_value: from,
+                    to_value: to,
+                    step: 0,
+                }],
+                vec![],
+            ),
+            Some(Range::Doubles { from, to }) => (
+                vec![],
+                vec![FloatingPointRange {
+                    from_value: from,
+                    to_value: to,
+                    step: 0.0,
+                }],
+            ),
         };
         ParameterDescriptor {
             name: name.clone(),
@@ -46,22 +68,31 @@ pub(crate) fn describe(parameters: &Parameters, request: &Names) -> ParameterDes
             integer_range,
         }
     };
-    ParameterDescriptors { descriptors: request.names.iter().map(describe).collect() }
+    ParameterDescriptors {
+        descriptors: request.names.iter().map(describe).collect(),
+    }
 }
 
 /// `set_parameters`: each on its own.
 pub(crate) fn set(parameters: &Parameters, request: ParametersToSet) -> SetResults {
     let set = |parameter| set_all(parameters, vec![parameter]);
-    SetResults { results: request.parameters.into_iter().map(set).collect() }
+    SetResults {
+        results: request.parameters.into_iter().map(set).collect(),
+    }
 }
 
 /// `set_parameters_atomically`: all or none.
 pub(crate) fn set_atomically(parameters: &Parameters, request: ParametersToSet) -> SetResult {
-    SetResult { result: set_all(parameters, request.parameters) }
+    SetResult {
+        result: set_all(parameters, request.parameters),
+    }
 }
 
 fn set_all(parameters: &Parameters, changes: Vec<Parameter>) -> SetParametersResult {
-    let refused = |reason| SetParametersResult { successful: false, reason };
+    let refused = |reason| SetParametersResult {
+        successful: false,
+        reason,
+    };
     let mut values = Vec::with_capacity(changes.len());
     for Parameter { name, value } in changes {
         match value.into_value() {
@@ -70,7 +101,10 @@ fn set_all(parameters: &Parameters, changes: Vec<Parameter>) -> SetParametersRes
         }
     }
     match parameters.set(values) {
-        Ok(()) => SetParametersResult { successful: true, reason: String::new() },
+        Ok(()) => SetParametersResult {
+            successful: true,
+            reason: String::new(),
+        },
         Err(error) => refused(error.to_string()),
     }
 }
@@ -82,15 +116,26 @@ pub(crate) fn list(parameters: &Parameters, request: &ListRequest) -> ListRespon
         if request.prefixes.is_empty() {
             return is_within(name.matches('.').count());
         }
-        request.prefixes.iter().any(|prefix| match name.strip_prefix(prefix.as_str()) {
-            Some("") => true,
-            Some(below) => below.strip_prefix('.').is_some_and(|below| is_within(below.matches('.').count())),
-            None => false,
-        })
+        request
+            .prefixes
+            .iter()
+            .any(|prefix| match name.strip_prefix(prefix.as_str()) {
+                Some("") => true,
+                Some(below) => below
+                    .strip_prefix('.')
+                    .is_some_and(|below| is_within(below.matches('.').count())),
+                None => false,
+            })
     };
-    let names: Vec<_> = parameters.names().into_iter().filter(|name| is_listed(name)).collect();
-    let mut prefixes: Vec<_> =
-        names.iter().filter_map(|name| Some(name.rsplit_once('.')?.0.to_owned())).collect();
+    let names: Vec<_> = parameters
+        .names()
+        .into_iter()
+        .filter(|name| is_listed(name))
+        .collect();
+    let mut prefixes: Vec<_> = names
+        .iter()
+        .filter_map(|name| Some(name.rsplit_once('.')?.0.to_owned()))
+        .collect();
     prefixes.dedup();
     ListResponse { names, prefixes }
 }
@@ -100,13 +145,26 @@ pub(crate) fn event(node: &str, stamp: Time, change: &Change) -> ParameterEvent 
     let values = change
         .values
         .iter()
-        .map(|(name, value)| Parameter { name: name.clone(), value: value.clone().into() })
+        .map(|(name, value)| Parameter {
+            name: name.clone(),
+            value: value.clone().into(),
+        })
         .collect();
-    let event = ParameterEvent { stamp, node: node.to_owned(), ..ParameterEvent::default() };
+    let event = ParameterEvent {
+        stamp,
+        node: node.to_owned(),
+        ..ParameterEvent::default()
+    };
     if change.is_declaration {
-        ParameterEvent { new_parameters: values, ..event }
+        ParameterEvent {
+            new_parameters: values,
+            ..event
+        }
     } else {
-        ParameterEvent { changed_parameters: values, ..event }
+        ParameterEvent {
+            changed_parameters: values,
+            ..event
+        }
     }
 }
 
@@ -117,29 +175,57 @@ mod tests {
 
     fn parameters() -> Parameters {
         let parameters = Parameters::new("/wm/encoder", &[]);
-        let declare = |name, value, descriptor| parameters.declare(name, value, descriptor).unwrap();
-        declare("rate", Value::Double(5.0), Descriptor::new("frames a second").floats(0.0, 9.0));
-        declare("model.path", Value::String(String::new()), Descriptor::new("").read_only());
-        declare("model.layers.count", Value::Integer(4), Descriptor::new("").integers(1, 8));
+        let declare =
+            |name, value, descriptor| parameters.declare(name, value, descriptor).unwrap();
+        declare(
+            "rate",
+            Value::Double(5.0),
+            Descriptor::new("frames a second").floats(0.0, 9.0),
+        );
+        declare(
+            "model.path",
+            Value::String(String::new()),
+            Descriptor::new("").read_only(),
+        );
+        declare(
+            "model.layers.count",
+            Value::Integer(4),
+            Descriptor::new("").integers(1, 8),
+        );
         parameters
     }
 
     fn names(names: &[&str]) -> Names {
-        Names { names: names.iter().map(|name| (*name).to_owned()).collect() }
+        Names {
+            names: names.iter().map(|name| (*name).to_owned()).collect(),
+        }
     }
 
     #[test]
     fn unknown_names_are_not_set() {
-        assert_eq!(get_types(&parameters(), &names(&["rate", "rat"])).types, [3, 0]);
-        assert_eq!(get(&parameters(), &names(&["rat"])).values, [ParameterValue::default()]);
+        assert_eq!(
+            get_types(&parameters(), &names(&["rate", "rat"])).types,
+            [3, 0]
+        );
+        assert_eq!(
+            get(&parameters(), &names(&["rat"])).values,
+            [ParameterValue::default()]
+        );
     }
 
     #[test]
     fn descriptions_carry_range_and_read_only() {
         let described = describe(&parameters(), &names(&["rate", "model.path"])).descriptors;
-        let [rate, path] = &described[..] else { panic!("two answers") };
+        let [rate, path] = &described[..] else {
+            panic!("two answers")
+        };
         assert_eq!(rate.description, "frames a second");
-        assert_eq!(rate.floating_point_range.first().map(|range| range.to_value), Some(9.0));
+        assert_eq!(
+            rate.floating_point_range
+                .first()
+                .map(|range| range.to_value),
+            Some(9.0)
+        );
         assert!(path.read_only && !rate.read_only);
     }
 
@@ -159,15 +245,27 @@ mod tests {
     fn each_is_set_on_its_own_or_all_together() {
         let request = || ParametersToSet {
             parameters: vec![
-                Parameter { name: "rate".into(), value: Value::Double(1.0).into() },
-                Parameter { name: "rate".into(), value: Value::Double(99.0).into() },
+                Parameter {
+                    name: "rate".into(),
+                    value: Value::Double(1.0).into(),
+                },
+                Parameter {
+                    name: "rate".into(),
+                    value: Value::Double(99.0).into(),
+                },
             ],
         };
         let parameters = parameters();
         assert!(!set_atomically(&parameters, request()).result.successful);
         assert_eq!(parameters.get("rate"), Some(Value::Double(5.0)));
         let results = set(&parameters, request()).results;
-        assert_eq!(results.iter().map(|result| result.successful).collect::<Vec<_>>(), [true, false]);
+        assert_eq!(
+            results
+                .iter()
+                .map(|result| result.successful)
+                .collect::<Vec<_>>(),
+            [true, false]
+        );
         assert!(results.last().unwrap().reason.contains("from 0.0 to 9.0"));
         assert_eq!(parameters.get("rate"), Some(Value::Double(1.0)));
     }

@@ -1,0 +1,233 @@
+//! Delivery within the participant. rustdds does not connect a participant's writers with its own readers where no
+//! multicast reflects its announcements, which is so on loopback; where it does connect them, its samples are
+//! ignored in favour of these.
+
+use super::{dds_name, dds_type, lock};
+use crate::{
+    Durability, Qos,
+    backend::{Endpoint, EndpointId, RequestId, Sample},
+    mailbox::Mailbox,
+};
+use bytes::Bytes;
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::{Arc, Mutex},
+};
+
+/// Samples that may wait for a reader's task, which hands them on at once.
+const WAITING: usize = 512;
+
+/// What makes two endpoints ends of one topic.
+#[derive(Clone, PartialEq, Eq)]
+struct Topic {
+    name: String,
+    type_name: String,
+}
+
+struct LocalWriter {
+    topic: Topic,
+    qos: Qos,
+    /// The last `depth` samples, for readers that come late; none for a volatile writer.
+    history: VecDeque<Sample>,
+}
+
+struct LocalReader {
+    topic: Topic,
+    qos: Qos,
+    inbox: Arc<Mailbox<Sample>>,
+}
+
+#[derive(Default)]
+struct Table {
+    writers: BTreeMap<EndpointId, LocalWriter>,
+    readers: BTreeMap<EndpointId, LocalReader>,
+}
+
+/// The endpoints of this participant and what they say to each other.
+#[derive(Default)]
+pub(super) struct Local {
+    table: Mutex<Table>,
+}
+
+fn topic_of(endpoint: &Endpoint) -> Topic {
+    Topic {
+        name: dds_name(endpoint),
+        type_name: dds_type(endpoint),
+    }
+}
+
+impl Local {
+    pub(super) fn add_writer(&self, id: EndpointId, endpoint: &Endpoint) {
+        let writer = LocalWriter {
+            topic: topic_of(endpoint),
+            qos: endpoint.qos,
+            history: VecDeque::new(),
+        };
+        lock(&self.table).writers.insert(id, writer);
+    }
+
+    /// The reader's inbox, which holds what is latched already.
+    pub(super) fn add_reader(&self, id: EndpointId, endpoint: &Endpoint) -> Arc<Mailbox<Sample>> {
+        let inbox = Arc::new(Mailbox::new(WAITING));
+        let reader = LocalReader {
+            topic: topic_of(endpoint),
+            qos: endpoint.qos,
+            inbox: Arc::clone(&inbox),
+        };
+        let mut table = lock(&self.table);
+        if reader.qos.durability == Durability::TransientLocal {
+            for writer in table
+                .writers
+                .values()
+                .filter(|writer| connects(writer, &reader))
+            {
+                for sample in &writer.history {
+                    reader.inbox.push(sample.clone());
+                }
+            }
+        }
+        table.readers.insert(id, reader);
+        inbox
+    }
+
+    pub(super) fn remove(&self, id: &EndpointId) {
+        let mut table = lock(&self.table);
+        table.writers.remove(id);
+        table.readers.remove(id);
+    }
+
+    /// Hands a sample to the readers of its topic.
+    pub(super) fn deliver(
+        &self,
+        writer: EndpointId,
+        sequence: i64,
+        bytes: &Bytes,
+        answers: Option<RequestId>,
+    ) {
+        let mut table = lock(&self.table);
+        let Table { writers, readers } = &mut *table;
+        let Some(from) = writers.get_mut(&writer) else {
+            return;
+        };
+        // As on the wire: a request is known by its writer and number, an answer by the request's.
+        let request = answers.unwrap_or(RequestId {
+            client: writer,
+            sequence,
+        });
+        let sample = Sample {
+            bytes: bytes.clone(),
+            writer,
+            sequence,
+            request: Some(request),
+        };
+        for reader in readers.values().filter(|reader| connects(from, reader)) {
+            reader.inbox.push(sample.clone());
+        }
+        if from.qos.durability == Durability::TransientLocal {
+            from.history.push_back(sample);
+            while from.history.len() > from.qos.depth.max(1) {
+                from.history.pop_front();
+            }
+        }
+    }
+
+    /// How many endpoints of this participant the endpoint is connected to.
+    pub(super) fn matched(&self, id: &EndpointId) -> usize {
+        let table = lock(&self.table);
+        if let Some(writer) = table.writers.get(id) {
+            return table
+                .readers
+                .values()
+                .filter(|reader| connects(writer, reader))
+                .count();
+        }
+        table.readers.get(id).map_or(0, |reader| {
+            table
+                .writers
+                .values()
+                .filter(|writer| connects(writer, reader))
+                .count()
+        })
+    }
+}
+
+fn connects(writer: &LocalWriter, reader: &LocalReader) -> bool {
+    writer.topic == reader.topic && reader.qos.matches(&writer.qos)
+}
+
+/// Whether both endpoints are of one participant: the first twelve bytes name it.
+pub(super) fn is_same_participant(one: &EndpointId, other: &EndpointId) -> bool {
+    one.get(..12) == other.get(..12)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{backend::Channel, names::TypeName};
+
+    fn endpoint(name: &str, qos: Qos) -> Endpoint {
+        let type_name = TypeName {
+            package: "std_msgs".into(),
+            name: "Bool".into(),
+        };
+        Endpoint {
+            channel: Channel::Topic,
+            name: name.into(),
+            type_name,
+            qos,
+        }
+    }
+
+    fn sequences(inbox: &Mailbox<Sample>) -> Vec<i64> {
+        std::iter::from_fn(|| inbox.try_pop())
+            .map(|sample| sample.sequence)
+            .collect()
+    }
+
+    #[test]
+    fn samples_go_to_the_readers_that_match() {
+        let local = Local::default();
+        let [writer, reader, picky, other] = [1, 2, 3, 4].map(|byte| [byte; 16]);
+        local.add_writer(writer, &endpoint("/a", Qos::best_effort(1)));
+        let inbox = local.add_reader(reader, &endpoint("/a", Qos::best_effort(1)));
+        let picky_inbox = local.add_reader(picky, &endpoint("/a", Qos::reliable(1)));
+        let other_inbox = local.add_reader(other, &endpoint("/b", Qos::best_effort(1)));
+        assert_eq!(
+            (
+                local.matched(&writer),
+                local.matched(&reader),
+                local.matched(&picky)
+            ),
+            (1, 1, 0)
+        );
+        local.deliver(writer, 1, &Bytes::new(), None);
+        assert_eq!(
+            (
+                sequences(&inbox),
+                sequences(&picky_inbox),
+                sequences(&other_inbox)
+            ),
+            (vec![1], vec![], vec![])
+        );
+        local.remove(&reader);
+        assert_eq!(local.matched(&writer), 0);
+    }
+
+    #[test]
+    fn late_readers_get_the_last_depth_samples_if_they_ask() {
+        let local = Local::default();
+        let [writer, late, volatile] = [1, 2, 3].map(|byte| [byte; 16]);
+        local.add_writer(writer, &endpoint("/a", Qos::latched(2)));
+        for sequence in 1..=3 {
+            local.deliver(writer, sequence, &Bytes::new(), None);
+        }
+        assert_eq!(
+            sequences(&local.add_reader(late, &endpoint("/a", Qos::latched(1)))),
+            [2, 3]
+        );
+        assert_eq!(
+            sequences(&local.add_reader(volatile, &endpoint("/a", Qos::reliable(1)))),
+            [0i64; 0]
+        );
+    }
+}

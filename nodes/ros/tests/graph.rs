@@ -1,0 +1,256 @@
+//! Two participants over DDS on loopback, as two processes would have them. No ROS installation is needed; the
+//! other side's own client library is tested in the suite's interoperability tests.
+
+use bytes::Bytes;
+use std::time::Duration;
+use wm_msgs::{
+    builtin_interfaces::Time,
+    cdr, rosgraph_msgs,
+    std_msgs::{self, Bool},
+    wm_msgs::{Reset, ResetRequest, ResetResponse},
+};
+use wm_ros::{Context, Descriptor, Environment, Node, NodeArgs, Qos, Reach};
+
+/// Far above anything that discovery takes; it only ends a test that hangs.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A domain for each test, so that tests neither meet each other nor another run of them.
+fn context(test: u16) -> Context {
+    let domain_id = 120 + (std::process::id() as u16 % 25) * 4 + test;
+    Context::new(&Environment {
+        domain_id,
+        reach: Reach::Localhost,
+    })
+    .unwrap()
+}
+
+fn node(context: &Context, name: &str, line: &str) -> Node {
+    Node::new(
+        context,
+        name,
+        "/wm",
+        &NodeArgs::parse(line.split_whitespace()).unwrap(),
+    )
+    .unwrap()
+}
+
+async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(PATIENCE, future)
+        .await
+        .unwrap_or_else(|_| panic!("{what} took more than {PATIENCE:?}"))
+}
+
+fn text(data: &str) -> std_msgs::String {
+    std_msgs::String {
+        data: data.to_owned(),
+    }
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn messages_reach_another_participant_typed_and_raw() {
+    let (here, there) = (context(0), context(0));
+    let (talker, listener) = (
+        node(&here, "talker", ""),
+        node(&there, "listener", "--ros-args -r heard:=said"),
+    );
+
+    let said = talker
+        .publisher::<std_msgs::String>("said", Qos::reliable(10))
+        .unwrap();
+    let mut heard = listener
+        .subscription::<std_msgs::String>("heard", Qos::best_effort(10))
+        .unwrap();
+    let mut raw = listener
+        .raw_subscription("/wm/said", "std_msgs/msg/String", Qos::reliable(10))
+        .unwrap();
+    assert_eq!(heard.topic(), "/wm/said");
+    soon("connecting", async {
+        said.wait_for_subscribers(2).await;
+        heard.wait_for_publishers(1).await;
+        raw.wait_for_publishers(1).await;
+    })
+    .await;
+    for word in ["one", "two"] {
+        said.publish(&text(word)).unwrap();
+    }
+    for word in ["one", "two"] {
+        let received = soon("a message", heard.recv()).await.unwrap();
+        assert_eq!(received.message, text(word));
+        assert!(received.received <= listener.now());
+        let bytes = soon("a raw message", raw.recv()).await.unwrap().message;
+        assert_eq!(bytes, cdr::to_bytes(&text(word)).unwrap());
+    }
+    assert!(said.wait_for_acknowledgments(PATIENCE).await.unwrap());
+    assert_eq!(
+        (
+            heard.dropped(),
+            heard.lost(),
+            heard.undecodable(),
+            said.dropped()
+        ),
+        (0, 0, 0, 0)
+    );
+
+    let topics = listener.topics();
+    let topic = topics
+        .iter()
+        .find(|topic| topic.name == "/wm/said")
+        .unwrap();
+    assert_eq!(
+        (topic.type_name.as_str(), topic.subscribers),
+        ("std_msgs/msg/String", 2)
+    );
+    assert_eq!(topic.publishers, [Qos::reliable(10)]);
+    assert_eq!(talker.count_subscribers("said").unwrap(), 2);
+
+    // What goes is seen to go.
+    drop(heard);
+    soon("the subscription's end", async {
+        let mut changes = talker.graph_changes();
+        while said.subscribers() > 1 {
+            changes.changed().await.unwrap();
+        }
+    })
+    .await;
+    drop((said, raw, talker, listener));
+    here.close();
+    there.close();
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn nodes_of_one_context_hear_each_other_and_late_ones_get_what_is_latched() {
+    let here = context(1);
+    let (early, late) = (node(&here, "early", ""), node(&here, "late", ""));
+    let state = early.publisher::<Bool>("state", Qos::latched(1)).unwrap();
+    state.publish(&Bool { data: false }).unwrap();
+    state.publish(&Bool { data: true }).unwrap();
+    let mut states = late
+        .subscription::<Bool>("state", Qos::latched(10))
+        .unwrap();
+    assert_eq!(
+        soon("the latched message", states.recv())
+            .await
+            .unwrap()
+            .message,
+        Bool { data: true }
+    );
+
+    // Bytes that are not the type are counted, and the stream goes on.
+    let raw = early
+        .raw_publisher("state", "std_msgs/msg/Bool", Qos::latched(1))
+        .unwrap();
+    soon("connecting", async {
+        raw.wait_for_subscribers(1).await;
+        states.wait_for_publishers(2).await;
+    })
+    .await;
+    raw.publish(Bytes::from_static(&[0, 1, 0, 0, 7])).unwrap();
+    raw.publish(Bytes::from_static(&[0, 1, 0, 0, 0])).unwrap();
+    assert_eq!(
+        soon("the next message", states.recv())
+            .await
+            .unwrap()
+            .message,
+        Bool { data: false }
+    );
+    assert_eq!(states.undecodable(), 1);
+    assert!(
+        raw.publish(Bytes::from_static(&[0, 0, 0, 0, 1])).is_err(),
+        "big endian cannot be sent as it is"
+    );
+
+    let waiting = tokio::spawn(async move { states.recv().await });
+    early.shutdown().trigger();
+    assert!(soon("the end", waiting).await.unwrap().is_none());
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn services_answer_and_parameters_hold_what_is_given() {
+    let (here, there) = (context(2), context(2));
+    let server = node(&here, "server", "--ros-args -p seed:=3");
+    let seed = server
+        .declare("seed", 0_i64, Descriptor::new("the seed").integers(0, 9))
+        .unwrap();
+    server.seal_parameters().unwrap();
+    assert_eq!(seed.get(), 3);
+    assert!(server.set_parameter("seed", 10_i64).is_err());
+    server.set_parameter("seed", 4_i64).unwrap();
+    assert_eq!(seed.get(), 4);
+
+    let mut resets = server.service::<Reset>("~/reset").unwrap();
+    server
+        .serve::<Reset>("~/quick", |request| ResetResponse {
+            success: request.keep_seed,
+            message: request.seed.to_string(),
+        })
+        .unwrap();
+    let client_node = node(&there, "client", "");
+    let slow = client_node.client::<Reset>("/wm/server/reset").unwrap();
+    let quick = client_node.client::<Reset>("server/quick").unwrap();
+    soon("finding the services", async {
+        slow.wait_for_service().await;
+        quick.wait_for_service().await;
+    })
+    .await;
+    let asked = ResetRequest {
+        seed: 11,
+        keep_seed: true,
+    };
+    let answer = soon("the quick answer", quick.call(&asked)).await.unwrap();
+    assert_eq!(
+        answer,
+        ResetResponse {
+            success: true,
+            message: "11".into()
+        }
+    );
+    let (answer, ()) = soon("the answer", async {
+        tokio::join!(slow.call(&asked), async {
+            let call = resets.recv().await.unwrap();
+            let message = format!("seed {}", call.request.seed);
+            call.respond(&ResetResponse {
+                success: true,
+                message,
+            })
+            .unwrap();
+        })
+    })
+    .await;
+    assert_eq!(answer.unwrap().message, "seed 11");
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn a_node_follows_the_clock_of_another() {
+    let (here, there) = (context(3), context(3));
+    let player = node(&here, "player", "");
+    let follower = node(&there, "follower", "--ros-args -p use_sim_time:=true");
+    assert_eq!(follower.now(), Time::default());
+    let clock = player
+        .publisher::<rosgraph_msgs::Clock>("/clock", Qos::reliable(1))
+        .unwrap();
+    soon("connecting", clock.wait_for_subscribers(1)).await;
+    let mut jumps = follower.clock().jumps();
+    let at = |sec| Time { sec, nanosec: 0 };
+    // The first messages may come before the follower knows the player: the clock is told until it is heard.
+    let tell = async |sec| {
+        let follower_clock = follower.clock();
+        while follower.now() != at(sec) {
+            clock
+                .publish(&rosgraph_msgs::Clock { clock: at(sec) })
+                .unwrap();
+            tokio::time::timeout(
+                Duration::from_millis(50),
+                follower_clock.sleep_until(at(sec)),
+            )
+            .await
+            .ok();
+        }
+    };
+    soon("the clock", tell(10)).await;
+    soon("the jump", async { tokio::join!(tell(5), jumps.changed()) })
+        .await
+        .1
+        .unwrap();
+    assert_eq!(*jumps.borrow(), 1);
+    assert_eq!(follower.now(), at(5));
+}

@@ -1,0 +1,55 @@
+//! Options of a command as parameters of the node that does its work.
+
+use anyhow::Result;
+use serde::Serialize;
+
+/// Arguments for a node, after `--ros-args`.
+#[derive(Debug)]
+pub struct Parameters(Vec<String>);
+
+impl Parameters {
+    /// None yet.
+    pub fn new() -> Self {
+        Self(vec!["--ros-args".to_owned()])
+    }
+
+    /// A parameter; its value is written as JSON, which YAML reads alike.
+    pub fn set(&mut self, name: &str, value: impl Serialize) -> Result<()> {
+        self.0.extend(["-p".to_owned(), format!("{name}:={}", serde_json::to_string(&value)?)]);
+        Ok(())
+    }
+
+    /// A parameter that is a list of texts. ROS has no empty list of texts: then it is left at its default.
+    pub fn set_list(&mut self, name: &str, values: &[String]) -> Result<()> {
+        if values.is_empty() { Ok(()) } else { self.set(name, values) }
+    }
+
+    /// A remapping rule, `from:=to`.
+    pub fn remap(&mut self, rule: &str) {
+        self.0.extend(["-r".to_owned(), rule.to_owned()]);
+    }
+
+    /// The arguments, with those of the user behind them, which win.
+    pub fn with(mut self, ros_args: Vec<String>) -> Vec<String> {
+        self.0.extend(ros_args.into_iter().skip(1));
+        self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_yaml_and_the_users_arguments_come_last() {
+        let mut parameters = Parameters::new();
+        parameters.set("bag", "a \"b\"").unwrap();
+        parameters.set("rate", 2.0).unwrap();
+        parameters.set_list("topics", &[]).unwrap();
+        parameters.remap("/a:=/b");
+        let user = ["--ros-args", "-p", "rate:=3"].map(ToOwned::to_owned).to_vec();
+        let expected =
+            ["--ros-args", "-p", "bag:=\"a \\\"b\\\"\"", "-p", "rate:=2.0", "-r", "/a:=/b", "-p", "rate:=3"];
+        assert_eq!(parameters.with(user), expected);
+    }
+}

@@ -1,0 +1,104 @@
+use std::path::Path;
+
+use wm_model::{Autoencoder, Decoder as _, Encoder as _};
+
+use super::trainer::{TrainingError, pictures};
+use crate::dataset::Dataset;
+
+/// How well an autoencoder gives back what it is shown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reconstruction {
+    /// Frames looked at.
+    pub frames: usize,
+    /// PSNR in dB of the squared error over all pixels of all frames.
+    pub psnr: f64,
+    /// The same over the pixels inside masks (gripper and objects); `None` where the bags have no masks.
+    pub masked_psnr: Option<f64>,
+    /// Mean over the channels of the standard deviation of the normalised latents; 1 on the training data.
+    pub latent_std: f64,
+}
+
+impl std::fmt::Display for Reconstruction {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} frames: PSNR {:.2} dB", self.frames, self.psnr)?;
+        if let Some(masked) = self.masked_psnr {
+            write!(f, ", {masked:.2} dB inside the masks")?;
+        }
+        write!(f, ", latent standard deviation {:.2}", self.latent_std)
+    }
+}
+
+/// Encodes and decodes at most `frames` frames spread over `dataset`.
+///
+/// # Errors
+/// When the frames do not fit the autoencoder.
+pub fn evaluate(
+    autoencoder: &Autoencoder,
+    dataset: &Dataset,
+    frames: usize,
+) -> Result<Reconstruction, TrainingError> {
+    let stride = dataset.frame_count().div_ceil(frames.max(1)).max(1);
+    let chosen: Vec<usize> = (0..dataset.frame_count()).step_by(stride).collect();
+    let mut all = Error::default();
+    let mut masked = Error::default();
+    let (mut sum, mut squares, mut latents) = (0.0, 0.0, 0usize);
+    for chunk in chosen.chunks(16) {
+        let pictures = pictures(dataset, chunk)?;
+        let codes = autoencoder.encode(&pictures)?;
+        for v in codes.flatten_all()?.to_vec1::<f32>()? {
+            sum += f64::from(v);
+            squares += f64::from(v) * f64::from(v);
+            latents += 1;
+        }
+        let decoded = autoencoder.decode(&codes)?.flatten_all()?.to_vec1::<f32>()?;
+        let pictures = pictures.flatten_all()?.to_vec1::<f32>()?;
+        let pixels = decoded.chunks_exact(3).zip(pictures.chunks_exact(3));
+        let masks = chunk.iter().flat_map(|frame| dataset.mask(*frame).unwrap_or_default());
+        let mut masks = masks.copied();
+        for (a, b) in pixels {
+            let error: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum();
+            all.add(error);
+            if masks.next().is_some_and(|class| class > 0) {
+                masked.add(error);
+            }
+        }
+    }
+    let count = latents.max(1) as f64;
+    Ok(Reconstruction {
+        frames: chosen.len(),
+        psnr: all.psnr(),
+        masked_psnr: (masked.pixels > 0).then(|| masked.psnr()),
+        latent_std: (squares / count - (sum / count).powi(2)).max(0.0).sqrt(),
+    })
+}
+
+/// [`evaluate`] on the bags under `bags`, with decoded frames kept under `cache`.
+///
+/// # Errors
+/// When the bags cannot be read, or their frames do not fit.
+pub fn evaluate_bags(
+    autoencoder: &Autoencoder,
+    bags: &Path,
+    cache: &Path,
+    frames: usize,
+) -> Result<Reconstruction, TrainingError> {
+    let dataset = Dataset::open(bags, cache, autoencoder.input_size())?;
+    evaluate(autoencoder, &dataset, frames)
+}
+
+#[derive(Default)]
+struct Error {
+    sum: f64,
+    pixels: usize,
+}
+
+impl Error {
+    fn add(&mut self, error: f64) {
+        self.sum += error;
+        self.pixels += 1;
+    }
+
+    fn psnr(&self) -> f64 {
+        -10.0 * (self.sum / (3 * self.pixels.max(1)) as f64).log10()
+    }
+}
