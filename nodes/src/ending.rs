@@ -15,7 +15,11 @@ pub enum Ending {
 impl Ending {
     /// `DataLost` where `is_lost`.
     pub fn lost_if(is_lost: bool) -> Self {
-        if is_lost { Self::DataLost } else { Self::Complete }
+        if is_lost {
+            Self::DataLost
+        } else {
+            Self::Complete
+        }
     }
 }
 

@@ -36,8 +36,12 @@ use std::path::Path;
 /// # Errors
 /// Where it cannot be read, or is not a launch file.
 pub fn read(path: &Path, surroundings: &dyn Surroundings) -> Result<LaunchFile, LaunchError> {
-    let text =
-        surroundings.read(path).map_err(|source| LaunchError::Read { file: path.to_owned(), source })?;
+    let text = surroundings
+        .read(path)
+        .map_err(|source| LaunchError::Read {
+            file: path.to_owned(),
+            source,
+        })?;
     LaunchFile::parse(path, &text)
 }
 
@@ -50,7 +54,10 @@ pub fn describe_arguments(file: &LaunchFile) -> String {
     }
     let mut text = "Arguments (pass arguments as '<name>:=<value>'):\n".to_owned();
     for argument in arguments {
-        let description = argument.description.as_deref().unwrap_or("no description given");
+        let description = argument
+            .description
+            .as_deref()
+            .unwrap_or("no description given");
         let choices = if argument.choices.is_empty() {
             String::new()
         } else {
@@ -61,7 +68,12 @@ pub fn describe_arguments(file: &LaunchFile) -> String {
             None => String::new(),
         };
         // writing to a String cannot fail
-        write!(text, "\n    '{}':\n        {description}{choices}\n{default}", argument.name).ok();
+        write!(
+            text,
+            "\n    '{}':\n        {description}{choices}\n{default}",
+            argument.name
+        )
+        .ok();
     }
     text
 }

@@ -219,10 +219,11 @@ impl Timeline {
     /// [`TimelineError::Chunk`], [`TimelineError::Action`], [`TimelineError::OutOfOrder`].
     pub fn chunk(&mut self, chunk: &ActionChunk) -> Result<(), TimelineError> {
         let stamp_ns = chunk.header.stamp.to_nanos();
-        if let Some(newest_ns) = self.actions.chunk_stamp_ns() {
-            if stamp_ns < newest_ns && !self.is_jump(stamp_ns, newest_ns) {
-                return Err(TimelineError::OutOfOrder { what: "action chunk", stamp_ns, newest_ns });
-            }
+        if let Some(newest_ns) = self.actions.chunk_stamp_ns()
+            && stamp_ns < newest_ns
+            && !self.is_jump(stamp_ns, newest_ns)
+        {
+            return Err(TimelineError::OutOfOrder { what: "action chunk", stamp_ns, newest_ns });
         }
         self.actions.set_chunk(chunk)
     }

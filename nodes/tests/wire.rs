@@ -7,7 +7,8 @@ use std::{path::Path, thread::JoinHandle, time::Duration};
 use image::{Rgb, RgbImage};
 use wm_model::{
     Autoencoder, AutoencoderConfig,
-    transition::{CONFIG_KEY, Transition, TransitionConfig},
+    actions::ActionEncoding,
+    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
 use wm_msgs::{
@@ -22,7 +23,7 @@ use wm_nodes::{
     image_message::{decode_compressed, decode_image, encode_image, encode_jpeg},
     latent_message::{LatentDtype, encode_latent},
 };
-use wm_ros::{Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
 
 /// Far above anything that happens here; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -33,7 +34,7 @@ const HORIZON: u32 = 3;
 /// Side of the camera's image \[px\]; the autoencoder's is 32.
 const SIDE: u32 = 48;
 
-/// Writes a model of random weights: 32x32 images, 4x4x8 latents.
+/// Writes a model of random weights: 32x32 images, 4x4 latents.
 fn write_model(folder: &Path) -> wm_model::LatentSpace {
     let config = AutoencoderConfig { name: "test".into(), height: 32, width: 32, ..AutoencoderConfig::tiny() };
     let autoencoder = Autoencoder::random(config, 1).unwrap();
@@ -48,7 +49,8 @@ fn write_model(folder: &Path) -> wm_model::LatentSpace {
     };
     let mut builder = WeightsBuilder::new();
     builder.metadata(CONFIG_KEY, serde_json::to_string(&config).unwrap());
-    builder.metadata("latent_space", space.hash.clone());
+    builder.metadata(LATENT_SPACE_KEY, serde_json::to_string(&space).unwrap());
+    builder.metadata(ACTIONS_KEY, serde_json::to_string(&ActionEncoding::default()).unwrap());
     Transition::build(config, &mut |parameter| {
         let tensor = parameter.initial(2)?;
         builder.tensor(&parameter.name, &tensor, Precision::F32)?;
@@ -117,7 +119,7 @@ fn action(index: i64) -> Action {
 
 /// The robot, the camera and the user: everything that the nodes hear, and everything that they say.
 struct World {
-    node: Node,
+    _node: Node,
     camera: Publisher<Image>,
     actions: Publisher<Action>,
     chunks: Publisher<ActionChunk>,
@@ -130,6 +132,7 @@ struct World {
     jpegs: Subscription<CompressedImage>,
     plans: Subscription<Plan>,
     diagnostics: Subscription<DiagnosticArray>,
+    resets: [Client<Reset>; 2],
 }
 
 async fn soon<M: Message>(what: &str, subscription: &mut Subscription<M>) -> M {
@@ -155,7 +158,9 @@ impl World {
             jpegs: node.subscription("predicted/image/compressed", many).unwrap(),
             plans: node.subscription("plan", Qos::reliable(1000)).unwrap(),
             diagnostics: node.subscription("/diagnostics", many).unwrap(),
-            node,
+            // Made early: a server answers into the void until it has found the client's end, too.
+            resets: ["predictor", "planner"].map(|name| node.client(&format!("/wm/{name}/reset")).unwrap()),
+            _node: node,
         };
         let met = async {
             world.camera.wait_for_subscribers(1).await;
@@ -170,6 +175,9 @@ impl World {
             world.pictures.wait_for_publishers(1).await;
             world.jpegs.wait_for_publishers(1).await;
             world.plans.wait_for_publishers(1).await;
+            for reset in &world.resets {
+                reset.wait_for_service().await;
+            }
         };
         tokio::time::timeout(PATIENCE, met).await.expect("the nodes did not meet");
         world
@@ -288,7 +296,8 @@ async fn public_topics_carry_what_they_should(world: &mut World, space: &wm_mode
     world.chunks.publish(&chunk).unwrap();
     for index in first..first + 3 {
         let latent = world.moment(index).await;
-        assert_eq!((latent.height, latent.width, latent.channels, latent.dtype), (4, 4, 8, Latent::F32));
+        let grid = [latent.height, latent.width, latent.channels].map(|side| side as usize);
+        assert_eq!((grid[0], grid[1], grid[2], latent.dtype), (space.height, space.width, space.channels, Latent::F32));
         assert_eq!((&latent.space.name, &latent.space.hash), (&space.name, &space.hash));
         assert_eq!(latent.header.frame_id, "camera");
 
@@ -374,13 +383,9 @@ async fn bad_input_is_counted_and_survived(world: &mut World, space: &wm_model::
 }
 
 async fn resets_and_jumps_flush(world: &mut World, next: i64) {
-    for node in ["predictor", "planner"] {
-        let client = world.node.client::<Reset>(&format!("/wm/{node}/reset")).unwrap();
-        let call = async {
-            client.wait_for_service().await;
-            client.call(&ResetRequest { seed: 5, keep_seed: false }).await.unwrap()
-        };
-        let response = tokio::time::timeout(PATIENCE, call).await.expect("no answer to a reset");
+    for client in &world.resets {
+        let call = client.call(&ResetRequest { seed: 5, keep_seed: false });
+        let response = tokio::time::timeout(PATIENCE, call).await.expect("no answer to a reset").unwrap();
         assert!(response.success && response.message.contains("seed 5"), "{response:?}");
     }
     for index in next..next + 3 {

@@ -21,6 +21,12 @@ use crate::ops::GridSize;
 use crate::weights::{Precision, WeightsBuilder, hex};
 use crate::{Decoder, Encoder, Error, LatentSpace, Result, Weights};
 
+/// Name of the weights in a folder.
+const FILE: &str = "autoencoder.safetensors";
+/// Names of the published halves in a folder.
+const TAEF2_FILES: [&str; 2] = ["taef2_encoder.safetensors", "taef2_decoder.safetensors"];
+/// Height and width at which the published halves are used.
+const TAEF2_SIZE: (usize, usize) = (256, 256);
 /// Metadata entry with the configuration as JSON.
 const CONFIG: &str = "config";
 /// Metadata entry with the hash of the latent space.
@@ -37,12 +43,23 @@ pub struct Autoencoder {
 }
 
 impl Autoencoder {
-    /// Opens a file that [`Autoencoder::save`] wrote.
+    /// Opens a file that [`Autoencoder::save`] wrote, or a folder: of such a file called
+    /// `autoencoder.safetensors`, or else of the published `taef2_encoder.safetensors` and
+    /// `taef2_decoder.safetensors`, which are then used at 256x256.
     ///
     /// # Errors
-    /// If the file cannot be read, or anything in it is missing, misshapen or too much.
+    /// If a file cannot be read, or anything in it is missing, misshapen or too much.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        Self::from_weights(Weights::open(path)?)
+        let path = path.as_ref();
+        if !path.is_dir() {
+            return Self::from_weights(Weights::open(path)?);
+        }
+        let [encoder, decoder] = TAEF2_FILES.map(|name| path.join(name));
+        let whole = path.join(FILE);
+        if !whole.exists() && encoder.exists() {
+            return Self::from_taef2(Weights::open(encoder)?, Weights::open(decoder)?, TAEF2_SIZE);
+        }
+        Self::from_weights(Weights::open(whole)?)
     }
 
     /// Reads both halves, the normalisation and the configuration from one file.

@@ -13,6 +13,7 @@ mod latent_space;
 
 pub mod actions;
 pub mod autoencoder;
+pub mod bundle;
 pub mod image;
 pub mod metrics;
 pub mod ops;

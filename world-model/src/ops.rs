@@ -15,6 +15,7 @@ mod rms_norm_modulate;
 mod rotary;
 mod simd;
 mod swiglu;
+mod vectorised;
 
 pub use attention::{Axis, AttentionPattern, HEAD_DIM_MULTIPLE, attention};
 pub use cached_attention::{FrameKeys, cached_attention};

@@ -49,6 +49,10 @@ use head::Head;
 
 /// Metadata entry of a weights file that holds the [`TransitionConfig`] as JSON.
 pub const CONFIG_KEY: &str = "config";
+/// Metadata entry with the [`LatentSpace`](crate::LatentSpace) that it was trained on, as JSON.
+pub const LATENT_SPACE_KEY: &str = "latent_space";
+/// Metadata entry with the [`ActionEncoding`](crate::actions::ActionEncoding), as JSON.
+pub const ACTIONS_KEY: &str = "actions";
 
 /// Noise levels are not taken below this where the residual parametrisation divides by them.
 const SMALLEST_TAU: f64 = 1e-3;

@@ -1,6 +1,7 @@
 //! `NAME.mp4` (frames) with `NAME.npz` (actions, scaled for a model).
 
 mod actions;
+mod mp4;
 mod video;
 
 use std::path::PathBuf;

@@ -1,5 +1,7 @@
 //! Holds every Rust type against its ROS definition: the names, order and types of the fields, and the constants.
 
+#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
+
 mod describe;
 mod interface;
 
@@ -44,7 +46,7 @@ fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String,
         };
         match element {
             Shape::Primitive(primitive) => {
-                assert_eq!(primitive, &expected.type_name, "{name}.{field}")
+                assert_eq!(primitive, &expected.type_name, "{name}.{field}");
             }
             Shape::Struct {
                 name: rust_name, ..
@@ -81,32 +83,21 @@ fn hold_message<M: Message>() {
     hold(&shape, M::PACKAGE, M::DEFINITION, &definitions);
 }
 
-/// Runs one generic check for every message type of the crate.
+/// Runs a generic check for every message type of the crate; what follows its name is passed on to each call.
 macro_rules! every_message {
-    ($check:ident) => {
-        $check::<builtin_interfaces::Time>();
-        $check::<builtin_interfaces::Duration>();
-        $check::<std_msgs::Header>();
-        $check::<std_msgs::String>();
-        $check::<std_msgs::Bool>();
-        $check::<std_msgs::Float32>();
-        $check::<sensor_msgs::Image>();
-        $check::<sensor_msgs::CompressedImage>();
-        $check::<geometry_msgs::Point>();
-        $check::<geometry_msgs::Quaternion>();
-        $check::<geometry_msgs::Pose>();
-        $check::<geometry_msgs::PoseStamped>();
-        $check::<diagnostic_msgs::KeyValue>();
-        $check::<diagnostic_msgs::DiagnosticStatus>();
-        $check::<diagnostic_msgs::DiagnosticArray>();
-        $check::<rosgraph_msgs::Clock>();
-        $check::<wm::LatentSpace>();
-        $check::<wm::Latent>();
-        $check::<wm::Action>();
-        $check::<wm::ActionChunk>();
-        $check::<wm::Prediction>();
-        $check::<wm::PredictionError>();
-        $check::<wm::Plan>();
+    ($check:ident $(, $argument:expr)*) => {
+        every_message!(@ $check [$($argument),*]
+            builtin_interfaces::Time builtin_interfaces::Duration std_msgs::Header std_msgs::String std_msgs::Bool
+            std_msgs::Float32 sensor_msgs::Image sensor_msgs::CompressedImage geometry_msgs::Point
+            geometry_msgs::Quaternion geometry_msgs::Pose geometry_msgs::PoseStamped diagnostic_msgs::KeyValue
+            diagnostic_msgs::DiagnosticStatus diagnostic_msgs::DiagnosticArray rosgraph_msgs::Clock wm::LatentSpace
+            wm::Latent wm::Action wm::ActionChunk wm::Prediction wm::PredictionError wm::Plan)
+    };
+    (@ $check:ident $arguments:tt $($package:ident :: $message:ident)*) => {
+        $(every_message!(@call $check $arguments $package::$message);)*
+    };
+    (@call $check:ident [$($argument:expr),*] $message:path) => {
+        $check::<$message>($($argument),*)
     };
 }
 
@@ -138,18 +129,7 @@ fn every_msg_file_has_a_rust_type() {
             types.push(M::NAME.to_owned());
         }
     }
-    macro_rules! noting {
-        ($($message:ty),*) => { $(note::<$message>(&mut types);)* };
-    }
-    noting!(
-        wm::LatentSpace,
-        wm::Latent,
-        wm::Action,
-        wm::ActionChunk,
-        wm::Prediction,
-        wm::PredictionError,
-        wm::Plan
-    );
+    every_message!(note, &mut types);
     types.sort();
     assert_eq!(types, files);
 }
@@ -218,32 +198,5 @@ fn definitions_are_those_of_the_ros_installation() {
             M::ros_name()
         );
     }
-    macro_rules! checking {
-        ($($message:ty),*) => { $(check::<$message>(&prefixes);)* };
-    }
-    checking!(
-        builtin_interfaces::Time,
-        builtin_interfaces::Duration,
-        std_msgs::Header,
-        std_msgs::String,
-        std_msgs::Bool,
-        std_msgs::Float32,
-        sensor_msgs::Image,
-        sensor_msgs::CompressedImage,
-        geometry_msgs::Point,
-        geometry_msgs::Quaternion,
-        geometry_msgs::Pose,
-        geometry_msgs::PoseStamped,
-        diagnostic_msgs::KeyValue,
-        diagnostic_msgs::DiagnosticStatus,
-        diagnostic_msgs::DiagnosticArray,
-        rosgraph_msgs::Clock,
-        wm::LatentSpace,
-        wm::Latent,
-        wm::Action,
-        wm::ActionChunk,
-        wm::Prediction,
-        wm::PredictionError,
-        wm::Plan
-    );
+    every_message!(check, &prefixes);
 }

@@ -7,6 +7,9 @@
 //! middleware's unicast sockets are open on every address all the same (only announcements and multicast follow the
 //! interface): on a network with strangers, put a firewall on UDP ports 7400 + 250 x domain and up, and cap the
 //! process's memory (`systemd-run -p MemoryMax=...`).
+//!
+//! Loopback mostly has no multicast: participants then announce themselves to the first twelve of the domain on this
+//! host, so that any two find each other as long as one of them is among those.
 
 use crate::{Error, NodeArgs};
 use std::net::{IpAddr, Ipv4Addr};

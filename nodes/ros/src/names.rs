@@ -146,9 +146,9 @@ pub(crate) struct TypeName {
 impl TypeName {
     /// Parses `package/msg/Type`; `package/Type` is taken too.
     pub(crate) fn parse_message(text: &str) -> Result<Self, Error> {
-        let (package, name) = match text.split('/').collect::<Vec<_>>()[..] {
-            [package, "msg", name] | [package, name] => (package, name),
-            _ => return Err(invalid(text, "type", "expected package/msg/Type")),
+        let parts: Vec<_> = text.split('/').collect();
+        let ([package, "msg", name] | [package, name]) = parts[..] else {
+            return Err(invalid(text, "type", "expected package/msg/Type"));
         };
         check_part(package, "type", text)?;
         check_part(name, "type", text)?;

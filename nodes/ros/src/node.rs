@@ -231,6 +231,7 @@ impl Node {
             writer,
             Arc::clone(self.inner.backend()),
             self.diagnostics(),
+            self.shutdown(),
         ))
     }
 

@@ -1,7 +1,7 @@
 //! Publishers, typed and raw.
 
 use crate::{
-    Diagnostics, Error,
+    Diagnostics, Error, Shutdown,
     backend::{Backend, Writer, Written},
 };
 use bytes::Bytes;
@@ -30,6 +30,7 @@ struct Inner {
     writer: Box<dyn Writer>,
     backend: Arc<dyn Backend>,
     diagnostics: Diagnostics,
+    shutdown: Shutdown,
     dropped: AtomicU64,
     has_warned_of_size: AtomicBool,
 }
@@ -40,6 +41,7 @@ impl RawPublisher {
         writer: Box<dyn Writer>,
         backend: Arc<dyn Backend>,
         diagnostics: Diagnostics,
+        shutdown: Shutdown,
     ) -> Self {
         let (dropped, has_warned_of_size) = (AtomicU64::new(0), AtomicBool::new(false));
         Self {
@@ -48,6 +50,7 @@ impl RawPublisher {
                 writer,
                 backend,
                 diagnostics,
+                shutdown,
                 dropped,
                 has_warned_of_size,
             }),
@@ -64,31 +67,42 @@ impl RawPublisher {
         self.warn_of_size(sample.len());
         match inner.writer.write(&sample, None)? {
             Written::Sent(_) => inner.diagnostics.sent(&inner.topic),
-            Written::WindowFull => {
-                if inner.dropped.fetch_add(1, Ordering::Relaxed) == 0 {
-                    tracing::warn!(
-                        "{}: a reader has fallen behind, samples are dropped",
-                        inner.topic
-                    );
-                }
-                inner
-                    .diagnostics
-                    .count_drop(&format!("{}: a reader is behind", inner.topic));
-            }
+            Written::WindowFull => self.drop_one(),
         }
         Ok(())
     }
 
-    /// Publishes a sample, waiting until readers that have fallen behind have caught up. Policy Block.
+    fn drop_one(&self) {
+        let inner = &*self.inner;
+        if inner.dropped.fetch_add(1, Ordering::Relaxed) == 0 {
+            tracing::warn!(
+                "{}: a reader has fallen behind, samples are dropped",
+                inner.topic
+            );
+        }
+        inner
+            .diagnostics
+            .count_drop(&format!("{}: a reader is behind", inner.topic));
+    }
+
+    /// Publishes a sample, waiting until readers that have fallen behind have caught up. Policy Block. A shutdown
+    /// ends the wait; the sample is then dropped and counted.
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
     pub async fn publish_when_ready(&self, sample: Bytes) -> Result<(), Error> {
+        let inner = &*self.inner;
         self.warn_of_size(sample.len());
-        while self.inner.writer.write(&sample, None)? == Written::WindowFull {
-            self.inner.writer.acknowledged().await?;
+        while inner.writer.write(&sample, None)? == Written::WindowFull {
+            tokio::select! {
+                acknowledged = inner.writer.acknowledged() => acknowledged?,
+                () = inner.shutdown.wait() => {
+                    self.drop_one();
+                    return Ok(());
+                }
+            }
         }
-        self.inner.diagnostics.sent(&self.inner.topic);
+        inner.diagnostics.sent(&inner.topic);
         Ok(())
     }
 

@@ -51,7 +51,7 @@ pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<(RequestId, Bytes)>>) -
             }
         }
         Ok(Sample { request: None, .. }) => {
-            tracing::warn!("{name}: a call without an identity cannot be answered")
+            tracing::warn!("{name}: a call without an identity cannot be answered");
         }
         Err(reason) => tracing::warn!("{name}: a call is skipped: {reason}"),
     })

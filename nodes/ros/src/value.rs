@@ -167,17 +167,11 @@ impl Value {
         match items.first() {
             None => Ok(Self::StringArray(Vec::new())),
             Some(Self::Bool(_)) => {
-                let values = items
-                    .iter()
-                    .map(|item| bool::from_value(item))
-                    .collect::<Option<_>>();
+                let values = items.iter().map(bool::from_value).collect::<Option<_>>();
                 values.map(Self::BoolArray).ok_or_else(|| mixed(&items))
             }
             Some(Self::Integer(_)) if !has_double => {
-                let values = items
-                    .iter()
-                    .map(|item| i64::from_value(item))
-                    .collect::<Option<_>>();
+                let values = items.iter().map(i64::from_value).collect::<Option<_>>();
                 values.map(Self::IntegerArray).ok_or_else(|| mixed(&items))
             }
             Some(Self::Integer(_) | Self::Double(_)) => {
@@ -190,10 +184,7 @@ impl Value {
                 values.map(Self::DoubleArray).ok_or_else(|| mixed(&items))
             }
             Some(Self::String(_)) => {
-                let values = items
-                    .iter()
-                    .map(|item| String::from_value(item))
-                    .collect::<Option<_>>();
+                let values = items.iter().map(String::from_value).collect::<Option<_>>();
                 values.map(Self::StringArray).ok_or_else(|| mixed(&items))
             }
             Some(_) => Err("a list of scalars; got a list of lists".to_owned()),

@@ -1,6 +1,8 @@
 //! Two participants over DDS on loopback, as two processes would have them. No ROS installation is needed; the
 //! other side's own client library is tested in the suite's interoperability tests.
 
+#![allow(clippy::unwrap_used, reason = "a test's helpers may fail the test")]
+
 use bytes::Bytes;
 use std::time::Duration;
 use wm_msgs::{

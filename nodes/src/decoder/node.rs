@@ -42,7 +42,7 @@ pub async fn body(node: Node) -> Result<()> {
     let steps = node.declare("steps", Vec::<i64>::new(), descriptor)?;
     node.seal_parameters()?;
 
-    let decoder = tokio::task::spawn_blocking(move || model_choice::decoder(&model)).await??;
+    let decoder = tokio::task::spawn_blocking(move || model.decoder()).await??;
     let step = DecoderStep::new(decoder);
     if transports.raw && step.raw_bytes() > SAFE_BYTES {
         tracing::warn!(

@@ -51,7 +51,7 @@ pub async fn body(node: Node) -> Result<()> {
     let transports = Transports::declare(&node)?;
     node.seal_parameters()?;
 
-    let encoder = tokio::task::spawn_blocking(move || model_choice::encoder(&model)).await??;
+    let encoder = tokio::task::spawn_blocking(move || model.encoder()).await??;
     let step = EncoderStep::new(encoder, dtype);
     tracing::info!("encoding to latent space {}", step.space());
     let step = Arc::new(Mutex::new(step));

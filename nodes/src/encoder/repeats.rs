@@ -28,10 +28,9 @@ pub(super) enum Arrival {
 
 impl Repeats {
     pub(super) fn arrive(&mut self, stamp: Time, is_raw: bool) -> Arrival {
-        if let Some(newest) = self.seen.iter().map(|(stamp, _)| *stamp).max() {
-            if stamp.to_nanos() < newest.to_nanos() - JUMP_NS {
-                self.seen.clear();
-            }
+        let newest = self.seen.iter().map(|(stamp, _)| *stamp).max();
+        if newest.is_some_and(|newest| stamp.to_nanos() < newest.to_nanos() - JUMP_NS) {
+            self.seen.clear();
         }
         if let Some((_, was_raw)) = self.seen.iter().find(|(seen, _)| *seen == stamp) {
             return if *was_raw == is_raw { Arrival::Duplicate } else { Arrival::OtherTransport };

@@ -34,7 +34,13 @@ pub struct Console<O, E> {
 impl<O: Write, E: Write> Console<O, E> {
     /// A screen; `columns`: the width of the terminal that standard error is, if it is one.
     pub fn new(out: O, err: E, columns: Option<usize>) -> Self {
-        Self { out, err, columns, live: None, live_printed: None }
+        Self {
+            out,
+            err,
+            columns,
+            live: None,
+            live_printed: None,
+        }
     }
 
     /// Prints one line of process `name`.
@@ -86,7 +92,9 @@ impl<O: Write, E: Write> Console<O, E> {
             write!(self.err, "{CLEAR_LINE}")?;
             return self.show_live();
         }
-        let is_due = self.live_printed.is_none_or(|printed| now.duration_since(printed) >= LIVE_PERIOD);
+        let is_due = self
+            .live_printed
+            .is_none_or(|printed| now.duration_since(printed) >= LIVE_PERIOD);
         if is_due {
             self.live_printed = Some(now);
             writeln!(self.err, "[{name}] {}", text.trim_end())?;
@@ -96,11 +104,17 @@ impl<O: Write, E: Write> Console<O, E> {
     }
 
     fn hide_live(&mut self) -> io::Result<()> {
-        if self.live.is_some() { write!(self.err, "{CLEAR_LINE}").and_then(|()| self.err.flush()) } else { Ok(()) }
+        if self.live.is_some() {
+            write!(self.err, "{CLEAR_LINE}").and_then(|()| self.err.flush())
+        } else {
+            Ok(())
+        }
     }
 
     fn show_live(&mut self) -> io::Result<()> {
-        let (Some(live), Some(columns)) = (&self.live, self.columns) else { return Ok(()) };
+        let (Some(live), Some(columns)) = (&self.live, self.columns) else {
+            return Ok(());
+        };
         // a line that wraps could not be cleared again
         let shown: String = live.chars().take(columns.saturating_sub(1)).collect();
         write!(self.err, "{shown}")?;
@@ -116,18 +130,30 @@ mod tests {
     fn lines_carry_their_process_and_stream() {
         let mut console = Console::new(Vec::new(), Vec::new(), None);
         let now = Instant::now();
-        console.line("encoder-1", Stream::Err, "[INFO] ready", now).unwrap();
-        console.line("monitor-2", Stream::Out, "table", now).unwrap();
+        console
+            .line("encoder-1", Stream::Err, "[INFO] ready", now)
+            .unwrap();
+        console
+            .line("monitor-2", Stream::Out, "table", now)
+            .unwrap();
         console.say("stopping").unwrap();
-        assert_eq!(String::from_utf8(console.out).unwrap(), "[monitor-2] table\n");
-        assert_eq!(String::from_utf8(console.err).unwrap(), "[encoder-1] [INFO] ready\n[launch] stopping\n");
+        assert_eq!(
+            String::from_utf8(console.out).unwrap(),
+            "[monitor-2] table\n"
+        );
+        assert_eq!(
+            String::from_utf8(console.err).unwrap(),
+            "[encoder-1] [INFO] ready\n[launch] stopping\n"
+        );
     }
 
     #[test]
     fn the_live_line_stays_below_the_others_on_a_terminal() {
         let mut console = Console::new(Vec::new(), Vec::new(), Some(9));
         let now = Instant::now();
-        console.line("monitor-1", Stream::Out, "\r5.0 Hz, k=1", now).unwrap();
+        console
+            .line("monitor-1", Stream::Out, "\r5.0 Hz, k=1", now)
+            .unwrap();
         console.line("encoder-2", Stream::Err, "warn", now).unwrap();
         console.finish().unwrap();
         let expected = "\r\x1b[2K5.0 Hz, \r\x1b[2K[encoder-2] warn\n5.0 Hz, \r\x1b[2K";
@@ -141,8 +167,18 @@ mod tests {
         let start = Instant::now();
         for second in 0..11 {
             let text = format!("\r{second}");
-            console.line("monitor-1", Stream::Out, &text, start + Duration::from_secs(second)).unwrap();
+            console
+                .line(
+                    "monitor-1",
+                    Stream::Out,
+                    &text,
+                    start + Duration::from_secs(second),
+                )
+                .unwrap();
         }
-        assert_eq!(String::from_utf8(console.err).unwrap(), "[monitor-1] 0\n[monitor-1] 5\n[monitor-1] 10\n");
+        assert_eq!(
+            String::from_utf8(console.err).unwrap(),
+            "[monitor-1] 0\n[monitor-1] 5\n[monitor-1] 10\n"
+        );
     }
 }

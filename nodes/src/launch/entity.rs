@@ -23,7 +23,12 @@ impl<'a> Entity<'a> {
                 message: format!("expected a mapping of keys, got {}", describe(value)),
             });
         };
-        Ok(Self { file, entry, mapping, asked: Vec::new() })
+        Ok(Self {
+            file,
+            entry,
+            mapping,
+            asked: Vec::new(),
+        })
     }
 
     /// The value of `key`, null counting as absent.
@@ -37,9 +42,10 @@ impl<'a> Entity<'a> {
         match self.value(key) {
             None => Ok(None),
             Some(Value::String(text)) => Ok(Some(text)),
-            Some(other) => {
-                Err(self.error(format!("key {key:?} must be a string (in quotes), got {}", describe(other))))
-            }
+            Some(other) => Err(self.error(format!(
+                "key {key:?} must be a string (in quotes), got {}",
+                describe(other)
+            ))),
         }
     }
 
@@ -74,27 +80,43 @@ impl<'a> Entity<'a> {
     /// A boolean, or a text to be resolved into one.
     pub fn boolean(&mut self, key: &'static str) -> Result<Option<Template>, LaunchError> {
         match self.value(key) {
-            Some(Value::Bool(value)) => self.parse(key, if *value { "true" } else { "false" }).map(Some),
+            Some(Value::Bool(value)) => self
+                .parse(key, if *value { "true" } else { "false" })
+                .map(Some),
             _ => self.template(key),
         }
     }
 
     /// A number that is not negative.
     pub fn number(&mut self, key: &'static str) -> Result<Option<f64>, LaunchError> {
-        let Some(value) = self.value(key) else { return Ok(None) };
-        match value.as_f64().filter(|number| number.is_finite() && *number >= 0.0) {
+        let Some(value) = self.value(key) else {
+            return Ok(None);
+        };
+        match value
+            .as_f64()
+            .filter(|number| number.is_finite() && *number >= 0.0)
+        {
             Some(number) => Ok(Some(number)),
-            None => Err(self.error(format!("key {key:?} must be a number from 0 up, got {}", describe(value)))),
+            None => Err(self.error(format!(
+                "key {key:?} must be a number from 0 up, got {}",
+                describe(value)
+            ))),
         }
     }
 
     /// The mappings of a list.
     pub fn entities(&mut self, key: &'static str) -> Result<Vec<Entity<'a>>, LaunchError> {
-        let Some(value) = self.value(key) else { return Ok(Vec::new()) };
-        let Value::Sequence(items) = value else {
-            return Err(self.error(format!("key {key:?} must be a list of mappings, got {}", describe(value))));
+        let Some(value) = self.value(key) else {
+            return Ok(Vec::new());
         };
-        let named = |(index, item)| Entity::new(self.file, format!("{}: {key}[{index}]", self.entry), item);
+        let Value::Sequence(items) = value else {
+            return Err(self.error(format!(
+                "key {key:?} must be a list of mappings, got {}",
+                describe(value)
+            )));
+        };
+        let named =
+            |(index, item)| Entity::new(self.file, format!("{}: {key}[{index}]", self.entry), item);
         items.iter().enumerate().map(named).collect()
     }
 
@@ -106,7 +128,9 @@ impl<'a> Entity<'a> {
                 return Err(LaunchError::UnknownKey {
                     file: self.file.to_owned(),
                     entry: self.entry,
-                    key: key.as_str().map_or_else(|| describe(key), ToOwned::to_owned),
+                    key: key
+                        .as_str()
+                        .map_or_else(|| describe(key), ToOwned::to_owned),
                     known: self.asked,
                 });
             }
@@ -119,7 +143,11 @@ impl<'a> Entity<'a> {
     }
 
     pub fn error(&self, message: String) -> LaunchError {
-        LaunchError::Entry { file: self.file.to_owned(), entry: self.entry.clone(), message }
+        LaunchError::Entry {
+            file: self.file.to_owned(),
+            entry: self.entry.clone(),
+            message,
+        }
     }
 }
 

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use thiserror::Error;
 
 /// A launch file that cannot be read, is malformed, or cannot be resolved into processes. Each names the file,
-/// and the entry within it.
+/// and the entry within it; where there is a cause, it is the error's source.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum LaunchError {
     /// The file cannot be read.
-    #[error("cannot read the launch file {}: {source}", file.display())]
+    #[error("cannot read the launch file {}", file.display())]
     Read {
         /// The file.
         file: PathBuf,
@@ -18,7 +18,7 @@ pub enum LaunchError {
         source: std::io::Error,
     },
     /// The file is not YAML.
-    #[error("{}: not YAML: {source}", file.display())]
+    #[error("{}: not YAML", file.display())]
     Yaml {
         /// The file.
         file: PathBuf,
@@ -38,7 +38,7 @@ pub enum LaunchError {
         known: Vec<&'static str>,
     },
     /// A substitution that does not parse, or stands for nothing.
-    #[error("{}: {entry}: key {key:?}: {source}", file.display())]
+    #[error("{}: {entry}: key {key:?}", file.display())]
     Substitution {
         /// The file.
         file: PathBuf,

@@ -12,12 +12,30 @@ use std::path::{Path, PathBuf};
 const DEPTH_LIMIT: usize = 16;
 
 /// The actions that this launcher knows, for error messages.
-const ACTIONS: [&str; 9] =
-    ["arg", "let", "set_env", "unset_env", "push_ros_namespace", "group", "include", "node", "executable"];
+const ACTIONS: [&str; 9] = [
+    "arg",
+    "let",
+    "set_env",
+    "unset_env",
+    "push_ros_namespace",
+    "group",
+    "include",
+    "node",
+    "executable",
+];
 
 /// The types that a parameter may be declared to have.
-const PARAMETER_TYPES: [&str; 9] =
-    ["str", "bool", "int", "float", "list_of_str", "list_of_bool", "list_of_int", "list_of_float", "yaml"];
+const PARAMETER_TYPES: [&str; 9] = [
+    "str",
+    "bool",
+    "int",
+    "float",
+    "list_of_str",
+    "list_of_bool",
+    "list_of_int",
+    "list_of_float",
+    "yaml",
+];
 
 /// A launch file: its actions in order.
 #[derive(Clone, Debug)]
@@ -183,16 +201,33 @@ impl LaunchFile {
     /// Where the text is not YAML or not a launch file; the entry and key at fault are named.
     pub fn parse(path: &Path, text: &str) -> Result<Self, LaunchError> {
         let document: Value =
-            serde_yaml_ng::from_str(text).map_err(|source| LaunchError::Yaml { file: path.to_owned(), source })?;
-        let root = |message| LaunchError::Entry { file: path.to_owned(), entry: "the file".to_owned(), message };
+            serde_yaml_ng::from_str(text).map_err(|source| LaunchError::Yaml {
+                file: path.to_owned(),
+                source,
+            })?;
+        let root = |message| LaunchError::Entry {
+            file: path.to_owned(),
+            entry: "the file".to_owned(),
+            message,
+        };
         let Value::Mapping(mapping) = &document else {
-            return Err(root(format!("expected a mapping with the one key \"launch\", got {}", describe(&document))));
+            return Err(root(format!(
+                "expected a mapping with the one key \"launch\", got {}",
+                describe(&document)
+            )));
         };
         let entries = match mapping.get("launch") {
             Some(entries) if mapping.len() == 1 => entries,
-            _ => return Err(root("expected the one key \"launch\" at the top".to_owned())),
+            _ => {
+                return Err(root(
+                    "expected the one key \"launch\" at the top".to_owned(),
+                ));
+            }
         };
-        Ok(Self { path: path.to_owned(), actions: read_actions(path, "launch", entries, 0)? })
+        Ok(Self {
+            path: path.to_owned(),
+            actions: read_actions(path, "launch", entries, 0)?,
+        })
     }
 
     /// The declared arguments in order, those within groups included.
@@ -213,20 +248,41 @@ impl LaunchFile {
     }
 }
 
-fn read_actions(file: &Path, list: &str, entries: &Value, depth: usize) -> Result<Vec<Action>, LaunchError> {
-    let error = |entry: String, message: String| LaunchError::Entry { file: file.to_owned(), entry, message };
+fn read_actions(
+    file: &Path,
+    list: &str,
+    entries: &Value,
+    depth: usize,
+) -> Result<Vec<Action>, LaunchError> {
+    let error = |entry: String, message: String| LaunchError::Entry {
+        file: file.to_owned(),
+        entry,
+        message,
+    };
     let Value::Sequence(items) = entries else {
-        return Err(error(list.to_owned(), format!("expected a list of actions, got {}", describe(entries))));
+        return Err(error(
+            list.to_owned(),
+            format!("expected a list of actions, got {}", describe(entries)),
+        ));
     };
     if depth > DEPTH_LIMIT {
-        return Err(error(list.to_owned(), format!("groups nested more than {DEPTH_LIMIT} deep")));
+        return Err(error(
+            list.to_owned(),
+            format!("groups nested more than {DEPTH_LIMIT} deep"),
+        ));
     }
     let mut actions = Vec::with_capacity(items.len());
     for (index, item) in items.iter().enumerate() {
         let entry = format!("{list}[{index}]");
-        let single = item.as_mapping().filter(|mapping| mapping.len() == 1).and_then(|mapping| mapping.iter().next());
+        let single = item
+            .as_mapping()
+            .filter(|mapping| mapping.len() == 1)
+            .and_then(|mapping| mapping.iter().next());
         let Some((Value::String(kind), body)) = single else {
-            let message = format!("expected a mapping with one key, the action; got {}", describe(item));
+            let message = format!(
+                "expected a mapping with one key, the action; got {}",
+                describe(item)
+            );
             return Err(error(entry, message));
         };
         actions.push(read_action(file, entry, kind, body, depth)?);
@@ -234,8 +290,16 @@ fn read_actions(file: &Path, list: &str, entries: &Value, depth: usize) -> Resul
     Ok(actions)
 }
 
-fn read_action(file: &Path, entry: String, kind: &str, body: &Value, depth: usize) -> Result<Action, LaunchError> {
-    let label = ["name", "exec", "file", "namespace"].iter().find_map(|key| body.get(*key).and_then(Value::as_str));
+fn read_action(
+    file: &Path,
+    entry: String,
+    kind: &str,
+    body: &Value,
+    depth: usize,
+) -> Result<Action, LaunchError> {
+    let label = ["name", "exec", "file", "namespace"]
+        .iter()
+        .find_map(|key| body.get(*key).and_then(Value::as_str));
     let entry = match label {
         Some(label) => format!("{entry} {kind} {label:?}"),
         None => format!("{entry} {kind}"),
@@ -243,7 +307,15 @@ fn read_action(file: &Path, entry: String, kind: &str, body: &Value, depth: usiz
     // `group:` may be the bare list of its children
     if kind == "group" && body.is_sequence() {
         let actions = read_actions(file, &entry, body, depth + 1)?;
-        return Ok(Action { entry, only_if: None, unless: None, kind: ActionKind::Group { scoped: true, actions } });
+        return Ok(Action {
+            entry,
+            only_if: None,
+            unless: None,
+            kind: ActionKind::Group {
+                scoped: true,
+                actions,
+            },
+        });
     }
     let mut entity = Entity::new(file, entry, body)?;
     let only_if = entity.boolean("if")?;
@@ -253,12 +325,18 @@ fn read_action(file: &Path, entry: String, kind: &str, body: &Value, depth: usiz
     }
     let kind = match kind {
         "arg" => ActionKind::Argument(read_argument(&mut entity)?),
-        "let" => ActionKind::Let { name: entity.required_template("name")?, value: entity.required_template("value")? },
+        "let" => ActionKind::Let {
+            name: entity.required_template("name")?,
+            value: entity.required_template("value")?,
+        },
         "set_env" => ActionKind::Environment {
             name: entity.required_template("name")?,
             value: Some(entity.required_template("value")?),
         },
-        "unset_env" => ActionKind::Environment { name: entity.required_template("name")?, value: None },
+        "unset_env" => ActionKind::Environment {
+            name: entity.required_template("name")?,
+            value: None,
+        },
         "push_ros_namespace" | "push-ros-namespace" => {
             ActionKind::PushNamespace(entity.required_template("namespace")?)
         }
@@ -267,11 +345,19 @@ fn read_action(file: &Path, entry: String, kind: &str, body: &Value, depth: usiz
                 None | Some(Value::Bool(true)) => true,
                 Some(Value::Bool(false)) => false,
                 Some(other) => {
-                    return Err(entity.error(format!("key \"scoped\" must be a boolean, got {}", describe(other))));
+                    return Err(entity.error(format!(
+                        "key \"scoped\" must be a boolean, got {}",
+                        describe(other)
+                    )));
                 }
             };
-            let Some(children) = entity.value("children") else { return Err(entity.missing("children")) };
-            ActionKind::Group { scoped, actions: read_actions(file, &entity.entry, children, depth + 1)? }
+            let Some(children) = entity.value("children") else {
+                return Err(entity.missing("children"));
+            };
+            ActionKind::Group {
+                scoped,
+                actions: read_actions(file, &entity.entry, children, depth + 1)?,
+            }
         }
         "include" => ActionKind::Include {
             file: entity.required_template("file")?,
@@ -280,16 +366,27 @@ fn read_action(file: &Path, entry: String, kind: &str, body: &Value, depth: usiz
         "node" => ActionKind::Node(Box::new(read_node(&mut entity)?)),
         "executable" => {
             let command = entity.required_template("cmd")?;
-            ActionKind::Executable { command, process: read_process(&mut entity)? }
+            ActionKind::Executable {
+                command,
+                process: read_process(&mut entity)?,
+            }
         }
         other => {
-            let message = format!("unknown action {other:?}; known here: {}", ACTIONS.join(", "));
+            let message = format!(
+                "unknown action {other:?}; known here: {}",
+                ACTIONS.join(", ")
+            );
             return Err(entity.error(message));
         }
     };
     let entry = entity.entry.clone();
     entity.finish()?;
-    Ok(Action { entry, only_if, unless, kind })
+    Ok(Action {
+        entry,
+        only_if,
+        unless,
+        kind,
+    })
 }
 
 fn read_argument(entity: &mut Entity<'_>) -> Result<Argument, LaunchError> {
@@ -302,7 +399,13 @@ fn read_argument(entity: &mut Entity<'_>) -> Result<Argument, LaunchError> {
         choices.push(choice.required_text("value")?.to_owned());
         choice.finish()?;
     }
-    Ok(Argument { name, default, default_text, description, choices })
+    Ok(Argument {
+        name,
+        default,
+        default_text,
+        description,
+        choices,
+    })
 }
 
 fn read_node(entity: &mut Entity<'_>) -> Result<Node, LaunchError> {
@@ -322,7 +425,16 @@ fn read_node(entity: &mut Entity<'_>) -> Result<Node, LaunchError> {
         }
     }
     let process = read_process(entity)?;
-    Ok(Node { package, executable, namespace, arguments, ros_arguments, remaps, parameters, process })
+    Ok(Node {
+        package,
+        executable,
+        namespace,
+        arguments,
+        ros_arguments,
+        remaps,
+        parameters,
+        process,
+    })
 }
 
 fn read_parameter(
@@ -332,12 +444,21 @@ fn read_parameter(
     depth: usize,
 ) -> Result<(), LaunchError> {
     let Some(name) = entity.text("name")? else {
-        return Err(entity.error("a parameter needs \"name\" and \"value\", or \"from\"".to_owned()));
+        return Err(
+            entity.error("a parameter needs \"name\" and \"value\", or \"from\"".to_owned())
+        );
     };
-    let name = if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") };
+    let name = if prefix.is_empty() {
+        name.to_owned()
+    } else {
+        format!("{prefix}.{name}")
+    };
     let wanted_type = entity.text("type")?;
     if let Some(other) = wanted_type.filter(|name| !PARAMETER_TYPES.contains(name)) {
-        let message = format!("key \"type\" must be one of {}, got {other:?}", PARAMETER_TYPES.join(", "));
+        let message = format!(
+            "key \"type\" must be one of {}, got {other:?}",
+            PARAMETER_TYPES.join(", ")
+        );
         return Err(entity.error(message));
     }
     let value = entity.value("value");
@@ -352,11 +473,18 @@ fn read_parameter(
                     ParameterValue::Substituted { template, is_text }
                 }
                 Value::Bool(_) | Value::Number(_) => ParameterValue::Literal(value.clone()),
-                Value::Sequence(items) if items.iter().all(|item| !item.is_mapping() && !item.is_sequence()) => {
+                Value::Sequence(items)
+                    if items
+                        .iter()
+                        .all(|item| !item.is_mapping() && !item.is_sequence()) =>
+                {
                     ParameterValue::Literal(value.clone())
                 }
                 other => {
-                    let message = format!("key \"value\" must be a scalar or a list of scalars, got {}", describe(other));
+                    let message = format!(
+                        "key \"value\" must be a scalar or a list of scalars, got {}",
+                        describe(other)
+                    );
                     return Err(entity.error(message));
                 }
             };
@@ -367,7 +495,11 @@ fn read_parameter(
                 read_parameter(child, &name, parameters, depth + 1)?;
             }
         }
-        _ => return Err(entity.error("a parameter needs either \"value\" or nested \"param\"".to_owned())),
+        _ => {
+            return Err(
+                entity.error("a parameter needs either \"value\" or nested \"param\"".to_owned())
+            );
+        }
     }
     entity.finish()
 }
@@ -380,7 +512,10 @@ fn read_pairs(
 ) -> Result<Vec<(Template, Template)>, LaunchError> {
     let mut pairs = Vec::new();
     for mut pair in entity.entities(key)? {
-        pairs.push((pair.required_template(left)?, pair.required_template(right)?));
+        pairs.push((
+            pair.required_template(left)?,
+            pair.required_template(right)?,
+        ));
         pair.finish()?;
     }
     Ok(pairs)
@@ -390,7 +525,11 @@ fn read_process(entity: &mut Entity<'_>) -> Result<ProcessKeys, LaunchError> {
     let ends_launch = match entity.text("on_exit")? {
         None => false,
         Some("shutdown") => true,
-        Some(other) => return Err(entity.error(format!("key \"on_exit\" must be \"shutdown\", got {other:?}"))),
+        Some(other) => {
+            return Err(entity.error(format!(
+                "key \"on_exit\" must be \"shutdown\", got {other:?}"
+            )));
+        }
     };
     let respawn_max_retries = match entity.value("respawn_max_retries") {
         None => None,
@@ -398,7 +537,10 @@ fn read_process(entity: &mut Entity<'_>) -> Result<ProcessKeys, LaunchError> {
         Some(value) => match value.as_i64() {
             Some(retries) => u32::try_from(retries).ok(),
             None => {
-                let message = format!("key \"respawn_max_retries\" must be an integer, got {}", describe(value));
+                let message = format!(
+                    "key \"respawn_max_retries\" must be an integer, got {}",
+                    describe(value)
+                );
                 return Err(entity.error(message));
             }
         },
@@ -446,8 +588,12 @@ mod tests {
         assert!(message("launch:\n- nod: {}").contains("unknown action \"nod\""));
         assert!(message("launch:\n- node: {pkg: p}").contains("\"exec\" is missing"));
         assert!(message("launch:\n- arg: {name: a, default: 1.0}").contains("must be a string"));
-        assert!(message("launch:\n- node: {pkg: p, exec: e, on_exit: restart}").contains("\"on_exit\""));
-        assert!(message("launch:\n- node: {pkg: p, exec: e, param: [{value: 1}]}").contains("param[0]"));
+        assert!(
+            message("launch:\n- node: {pkg: p, exec: e, on_exit: restart}").contains("\"on_exit\"")
+        );
+        assert!(
+            message("launch:\n- node: {pkg: p, exec: e, param: [{value: 1}]}").contains("param[0]")
+        );
         assert!(message("launch:\n- node: {pkg: p, exec: '$(var x'}").contains("key \"exec\""));
         assert!(message("launch:\n- group: {scoped: yes please, children: []}").contains("scoped"));
         assert!(message("launch: [").contains("not YAML"));
@@ -455,10 +601,17 @@ mod tests {
 
     #[test]
     fn nested_parameters_join_with_dots() {
-        let text = "launch:\n- node: {pkg: p, exec: e, param: [{name: a, param: [{name: b, value: 2}]}]}";
+        let text =
+            "launch:\n- node: {pkg: p, exec: e, param: [{name: a, param: [{name: b, value: 2}]}]}";
         let file = parse(text).unwrap();
-        let ActionKind::Node(node) = &file.actions[0].kind else { panic!("not a node") };
-        let Parameter::Value { name, value: ParameterValue::Literal(value) } = &node.parameters[0] else {
+        let ActionKind::Node(node) = &file.actions[0].kind else {
+            panic!("not a node")
+        };
+        let Parameter::Value {
+            name,
+            value: ParameterValue::Literal(value),
+        } = &node.parameters[0]
+        else {
             panic!("not a literal")
         };
         assert_eq!((name.as_str(), value.as_i64()), ("a.b", Some(2)));

@@ -38,11 +38,21 @@ impl Plan {
         arguments: &BTreeMap<String, String>,
         surroundings: &dyn Surroundings,
     ) -> Result<Self, LaunchError> {
-        let mut resolver =
-            Resolver { surroundings, processes: Vec::new(), warnings: Vec::new(), declared: BTreeSet::new() };
-        let mut scope = Scope { variables: arguments.clone(), ..Scope::default() };
+        let mut resolver = Resolver {
+            surroundings,
+            processes: Vec::new(),
+            warnings: Vec::new(),
+            declared: BTreeSet::new(),
+        };
+        let mut scope = Scope {
+            variables: arguments.clone(),
+            ..Scope::default()
+        };
         resolver.visit(file, &file.actions, &mut scope, 0)?;
-        if let Some(name) = arguments.keys().find(|name| !resolver.declared.contains(*name)) {
+        if let Some(name) = arguments
+            .keys()
+            .find(|name| !resolver.declared.contains(*name))
+        {
             return Err(LaunchError::UnknownArgument {
                 file: file.path.clone(),
                 name: name.clone(),
@@ -54,10 +64,15 @@ impl Plan {
             if let Some(node) = &process.node
                 && !names.insert(node)
             {
-                resolver.warnings.push(format!("more than one node is named {node}"));
+                resolver
+                    .warnings
+                    .push(format!("more than one node is named {node}"));
             }
         }
-        Ok(Self { processes: resolver.processes, warnings: resolver.warnings })
+        Ok(Self {
+            processes: resolver.processes,
+            warnings: resolver.warnings,
+        })
     }
 }
 
@@ -87,19 +102,30 @@ struct Site<'a> {
 
 impl Site<'_> {
     fn resolve(&self, key: &str, template: &Template) -> Result<String, LaunchError> {
-        template.resolve(self).map_err(|source| self.substitution(key, source))
+        template
+            .resolve(self)
+            .map_err(|source| self.substitution(key, source))
     }
 
-    fn resolve_optional(&self, key: &str, template: Option<&Template>) -> Result<Option<String>, LaunchError> {
-        template.map(|template| self.resolve(key, template)).transpose()
+    fn resolve_optional(
+        &self,
+        key: &str,
+        template: Option<&Template>,
+    ) -> Result<Option<String>, LaunchError> {
+        template
+            .map(|template| self.resolve(key, template))
+            .transpose()
     }
 
     fn words(&self, key: &str, template: &Template) -> Result<Vec<String>, LaunchError> {
-        template.resolve_words(self).map_err(|source| self.substitution(key, source))
+        template
+            .resolve_words(self)
+            .map_err(|source| self.substitution(key, source))
     }
 
     fn boolean(&self, key: &str, template: &Template) -> Result<bool, LaunchError> {
-        parse_boolean(&self.resolve(key, template)?).map_err(|source| self.substitution(key, source))
+        parse_boolean(&self.resolve(key, template)?)
+            .map_err(|source| self.substitution(key, source))
     }
 
     fn substitution(&self, key: &str, source: SubstitutionError) -> LaunchError {
@@ -112,7 +138,11 @@ impl Site<'_> {
     }
 
     fn error(&self, message: String) -> LaunchError {
-        LaunchError::Entry { file: self.file.to_owned(), entry: self.entry.to_owned(), message }
+        LaunchError::Entry {
+            file: self.file.to_owned(),
+            entry: self.entry.to_owned(),
+            message,
+        }
     }
 
     /// The folder of the launch file, never empty.
@@ -141,7 +171,10 @@ impl Lookup for Site<'_> {
     }
 
     fn filename(&self) -> String {
-        self.file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+        self.file
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+            .unwrap_or_default()
     }
 
     fn package_share(&self, package: &str) -> Option<String> {
@@ -150,7 +183,9 @@ impl Lookup for Site<'_> {
     }
 
     fn package_prefix(&self, package: &str) -> Option<String> {
-        self.surroundings.package_prefix(package).map(|prefix| prefix.display().to_string())
+        self.surroundings
+            .package_prefix(package)
+            .map(|prefix| prefix.display().to_string())
     }
 }
 
@@ -164,8 +199,12 @@ impl Resolver<'_> {
     ) -> Result<(), LaunchError> {
         for action in actions {
             let seen = scope.clone();
-            let site =
-                Site { file: &file.path, entry: &action.entry, scope: &seen, surroundings: self.surroundings };
+            let site = Site {
+                file: &file.path,
+                entry: &action.entry,
+                scope: &seen,
+                surroundings: self.surroundings,
+            };
             let is_wanted = match (&action.only_if, &action.unless) {
                 (Some(condition), _) => site.boolean("if", condition)?,
                 (None, Some(condition)) => !site.boolean("unless", condition)?,
@@ -193,7 +232,9 @@ impl Resolver<'_> {
                 scope.variables.insert(argument.name.clone(), value);
             }
             ActionKind::Let { name, value } => {
-                scope.variables.insert(site.resolve("name", name)?, site.resolve("value", value)?);
+                scope
+                    .variables
+                    .insert(site.resolve("name", name)?, site.resolve("value", value)?);
             }
             ActionKind::Environment { name, value } => {
                 let value = site.resolve_optional("value", value.as_ref())?;
@@ -201,14 +242,30 @@ impl Resolver<'_> {
             }
             ActionKind::PushNamespace(namespace) => {
                 let namespace = site.resolve("namespace", namespace)?;
-                scope.namespace = process::join_namespaces(scope.namespace.as_deref(), Some(&namespace));
+                scope.namespace =
+                    process::join_namespaces(scope.namespace.as_deref(), Some(&namespace));
             }
-            ActionKind::Group { scoped: true, actions } => {
+            ActionKind::Group {
+                scoped: true,
+                actions,
+            } => {
                 self.visit(file, actions, &mut site.scope.clone(), includes)?;
             }
-            ActionKind::Group { scoped: false, actions } => self.visit(file, actions, scope, includes)?,
-            ActionKind::Include { file: included, arguments } => {
-                self.include(&site.resolve("file", included)?, arguments, site, scope, includes)?;
+            ActionKind::Group {
+                scoped: false,
+                actions,
+            } => self.visit(file, actions, scope, includes)?,
+            ActionKind::Include {
+                file: included,
+                arguments,
+            } => {
+                self.include(
+                    &site.resolve("file", included)?,
+                    arguments,
+                    site,
+                    scope,
+                    includes,
+                )?;
             }
             ActionKind::Node(node) => {
                 let process = process::node(node, site, self.processes.len())?;
@@ -231,17 +288,25 @@ impl Resolver<'_> {
         includes: usize,
     ) -> Result<(), LaunchError> {
         if includes >= INCLUDE_LIMIT {
-            return Err(site.error(format!("launch files include each other more than {INCLUDE_LIMIT} deep")));
+            return Err(site.error(format!(
+                "launch files include each other more than {INCLUDE_LIMIT} deep"
+            )));
         }
         // as in ROS 2, relative to the working directory, and the included file's variables are seen afterwards
         let path = PathBuf::from(path);
         let text = self
             .surroundings
             .read(&path)
-            .map_err(|source| LaunchError::Read { file: path.clone(), source })?;
+            .map_err(|source| LaunchError::Read {
+                file: path.clone(),
+                source,
+            })?;
         let included = LaunchFile::parse(&path, &text)?;
         for (name, value) in arguments {
-            scope.variables.insert(site.resolve("arg name", name)?, site.resolve("arg value", value)?);
+            scope.variables.insert(
+                site.resolve("arg name", name)?,
+                site.resolve("arg value", value)?,
+            );
         }
         self.visit(&included, &included.actions, scope, includes + 1)
     }
@@ -252,7 +317,10 @@ fn argument_value(argument: &Argument, site: &Site<'_>) -> Result<String, Launch
         (Some(given), _) => given.clone(),
         (None, Some(default)) => site.resolve("default", default)?,
         (None, None) => {
-            let what = argument.description.as_deref().unwrap_or("no description given");
+            let what = argument
+                .description
+                .as_deref()
+                .unwrap_or("no description given");
             return Err(site.error(format!(
                 "launch argument {:?} ({what}) has no default: give it as {}:=VALUE",
                 argument.name, argument.name

@@ -43,7 +43,12 @@ enum Report {
 pub async fn run(plan: Plan) -> io::Result<Outcome> {
     let console = Console::new(io::stdout(), io::stderr(), terminal_columns());
     let (reports, mut inbox) = mpsc::channel(LINES_WAITING);
-    let mut launch = Launch { console, reports, groups: HashMap::new(), is_screen_gone: false };
+    let mut launch = Launch {
+        console,
+        reports,
+        groups: HashMap::new(),
+        is_screen_gone: false,
+    };
     for warning in &plan.warnings {
         launch.say(&format!("warning: {warning}"));
     }
@@ -80,7 +85,10 @@ pub async fn run(plan: Plan) -> io::Result<Outcome> {
 }
 
 fn terminal_columns() -> Option<usize> {
-    rustix::termios::tcgetwinsize(io::stderr()).ok().map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0)
+    rustix::termios::tcgetwinsize(io::stderr())
+        .ok()
+        .map(|size| usize::from(size.ws_col))
+        .filter(|columns| *columns > 0)
 }
 
 struct Launch {
@@ -98,11 +106,14 @@ impl Launch {
     }
 
     fn line(&mut self, process: Option<&Process>, stream: Stream, text: &str) -> io::Result<()> {
-        let Some(process) = process.filter(|_| !self.is_screen_gone) else { return Ok(()) };
+        let Some(process) = process.filter(|_| !self.is_screen_gone) else {
+            return Ok(());
+        };
         if process.output == Output::Log && stream == Stream::Out {
             return Ok(());
         }
-        self.console.line(&process.name, stream, text, Instant::now())
+        self.console
+            .line(&process.name, stream, text, Instant::now())
     }
 
     /// Whether this is the first time that the screen turns out to be gone.
@@ -116,19 +127,24 @@ impl Launch {
             match order {
                 Order::Say(text) => self.say(&text),
                 Order::Start(index) => {
-                    let Some(process) = supervisor.process(index) else { continue };
+                    let Some(process) = supervisor.process(index) else {
+                        continue;
+                    };
                     let started = start(process);
                     match started {
                         Ok(child) => self.watch(index, child),
                         Err(error) => {
                             let text = format!("cannot start {}: {error}", process.name);
                             self.say(&text);
-                            waiting.extend(supervisor.on_event(Event::Ended(index, Exit::NotStarted)));
+                            waiting
+                                .extend(supervisor.on_event(Event::Ended(index, Exit::NotStarted)));
                         }
                     }
                 }
                 Order::Send(index, stop_signal) => {
-                    let Some(group) = self.groups.get(&index) else { continue };
+                    let Some(group) = self.groups.get(&index) else {
+                        continue;
+                    };
                     let signal = match stop_signal {
                         StopSignal::Interrupt => Signal::INT,
                         StopSignal::Terminate => Signal::TERM,
@@ -141,7 +157,10 @@ impl Launch {
                     let reports = self.reports.clone();
                     tokio::spawn(async move {
                         tokio::time::sleep(after).await;
-                        reports.send(Report::Event(Event::TimerElapsed(index, step))).await.ok();
+                        reports
+                            .send(Report::Event(Event::TimerElapsed(index, step)))
+                            .await
+                            .ok();
                     });
                 }
             }
@@ -150,13 +169,22 @@ impl Launch {
 
     /// Reports the lines and the end of `child`.
     fn watch(&mut self, index: usize, mut child: Child) {
-        let group = child.id().and_then(|id| i32::try_from(id).ok()).and_then(Pid::from_raw);
+        let group = child
+            .id()
+            .and_then(|id| i32::try_from(id).ok())
+            .and_then(Pid::from_raw);
         match group {
             Some(group) => self.groups.insert(index, group),
             None => self.groups.remove(&index),
         };
-        let out = child.stdout.take().map(|stream| forward(self.reports.clone(), index, Stream::Out, stream));
-        let err = child.stderr.take().map(|stream| forward(self.reports.clone(), index, Stream::Err, stream));
+        let out = child
+            .stdout
+            .take()
+            .map(|stream| forward(self.reports.clone(), index, Stream::Out, stream));
+        let err = child
+            .stderr
+            .take()
+            .map(|stream| forward(self.reports.clone(), index, Stream::Err, stream));
         let reports = self.reports.clone();
         tokio::spawn(async move {
             let exit = child.wait().await.map_or(Exit::NotStarted, exit_of);
@@ -170,7 +198,10 @@ impl Launch {
                 }
             };
             tokio::time::timeout(LAST_LINES, last_lines).await.ok();
-            reports.send(Report::Event(Event::Ended(index, exit))).await.ok();
+            reports
+                .send(Report::Event(Event::Ended(index, exit)))
+                .await
+                .ok();
         });
     }
 }
@@ -180,7 +211,11 @@ fn start(process: &Process) -> io::Result<Child> {
         Program::Own => Command::new(std::env::current_exe()?),
         Program::Path(path) => Command::new(path),
     };
-    command.args(&process.arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+        .args(&process.arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
     command.process_group(0);
     for (name, value) in &process.environment {
         match value {
@@ -195,7 +230,11 @@ fn start(process: &Process) -> io::Result<Child> {
     let tie_to_launcher = move || {
         set_parent_process_death_signal(Some(Signal::TERM))?;
         // had the launcher died before that call, no signal would ever come
-        if rustix::process::getppid() == Some(launcher) { Ok(()) } else { Err(io::ErrorKind::NotConnected.into()) }
+        if rustix::process::getppid() == Some(launcher) {
+            Ok(())
+        } else {
+            Err(io::ErrorKind::NotConnected.into())
+        }
     };
     // SAFETY: between fork and exec the closure only makes two system calls (prctl, getppid); it allocates nothing
     // and takes no lock.
@@ -219,7 +258,11 @@ fn forward(
     tokio::spawn(async move {
         let mut source = BufReader::with_capacity(LINE_LIMIT, source);
         while let Ok(Some(line)) = next_line(&mut source).await {
-            if reports.send(Report::Line(index, stream, line)).await.is_err() {
+            if reports
+                .send(Report::Line(index, stream, line))
+                .await
+                .is_err()
+            {
                 break;
             }
         }
@@ -227,7 +270,9 @@ fn forward(
 }
 
 /// The next line without its end, or the next [`LINE_LIMIT`] bytes of it; none at the end.
-async fn next_line(source: &mut (impl tokio::io::AsyncBufRead + Unpin)) -> io::Result<Option<String>> {
+async fn next_line(
+    source: &mut (impl tokio::io::AsyncBufRead + Unpin),
+) -> io::Result<Option<String>> {
     let mut line = Vec::new();
     loop {
         let available = source.fill_buf().await?;
@@ -250,7 +295,11 @@ mod tests {
     use super::*;
 
     fn block_on<T>(future: impl Future<Output = T>) -> T {
-        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(future)
+        tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .unwrap()
+            .block_on(future)
     }
 
     #[test]
@@ -276,7 +325,13 @@ mod tests {
     /// Makes a named pipe and gives its path.
     fn pipe(folder: &std::path::Path, name: &str) -> std::path::PathBuf {
         let path = folder.join(name);
-        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        assert!(
+            std::process::Command::new("mkfifo")
+                .arg(&path)
+                .status()
+                .unwrap()
+                .success()
+        );
         path
     }
 
@@ -287,18 +342,36 @@ mod tests {
         // the first ends, and with it the launch, once the second's background job runs; that job ignores SIGINT,
         // as a shell's background jobs do, and holds `held` open for as long as it lives
         let first = format!("read x < {}", started.display());
-        let second = format!("exec 3> {}; sleep 1000 & echo x > {}; wait", held.display(), started.display());
-        let entry = |name, script: &str, more| format!("- executable: {{cmd: \"sh -c '{script}'\", name: {name}{more}}}\n");
-        let plan = plan(&[&entry("first", &first, ", on_exit: shutdown"), &entry("second", &second, "")]);
+        let second = format!(
+            "exec 3> {}; sleep 1000 & echo x > {}; wait",
+            held.display(),
+            started.display()
+        );
+        let entry = |name, script: &str, more| {
+            format!("- executable: {{cmd: \"sh -c '{script}'\", name: {name}{more}}}\n")
+        };
+        let plan = plan(&[
+            &entry("first", &first, ", on_exit: shutdown"),
+            &entry("second", &second, ""),
+        ]);
         let all_gone = std::thread::spawn(move || std::fs::read(held).unwrap());
         let outcome = block_on(run(plan)).unwrap();
-        assert_eq!(outcome, Outcome { failures: Vec::new(), lost_data: Vec::new() });
+        assert_eq!(
+            outcome,
+            Outcome {
+                failures: Vec::new(),
+                lost_data: Vec::new()
+            }
+        );
         assert!(all_gone.join().unwrap().is_empty());
     }
 
     #[test]
     fn a_program_that_does_not_exist_fails_by_name() {
-        let outcome = block_on(run(plan(&["- executable: {cmd: /no/such/program, name: ghost}\n"]))).unwrap();
+        let outcome = block_on(run(plan(&[
+            "- executable: {cmd: /no/such/program, name: ghost}\n",
+        ])))
+        .unwrap();
         assert_eq!(outcome.failures, ["ghost-1 failed: could not be started"]);
         assert_eq!(outcome.exit_code(), 1);
     }

@@ -52,7 +52,9 @@ pub enum SubstitutionError {
         found: usize,
     },
     /// `$(var x)` where no `arg` or `let` named x came before.
-    #[error("launch variable {name:?} is not set here; declare it with `arg` or `let` before its use")]
+    #[error(
+        "launch variable {name:?} is not set here; declare it with `arg` or `let` before its use"
+    )]
     Variable {
         /// The variable.
         name: String,
@@ -100,7 +102,10 @@ pub struct Template(Vec<Fragment>);
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Fragment {
     Text(String),
-    Call { name: String, arguments: Vec<Template> },
+    Call {
+        name: String,
+        arguments: Vec<Template>,
+    },
 }
 
 impl Template {
@@ -110,7 +115,11 @@ impl Template {
     /// Where a substitution is unterminated or malformed. Unknown names are found by [`Self::resolve`].
     pub fn parse(text: &str) -> Result<Self, SubstitutionError> {
         let characters: Vec<char> = text.chars().collect();
-        let mut parser = Parser { characters: &characters, at: 0, text };
+        let mut parser = Parser {
+            characters: &characters,
+            at: 0,
+            text,
+        };
         let template = parser.template(End::Text, 0)?;
         Ok(template)
     }
@@ -118,7 +127,9 @@ impl Template {
     /// Whether there is no substitution in it.
     #[must_use]
     pub fn is_plain(&self) -> bool {
-        self.0.iter().all(|fragment| matches!(fragment, Fragment::Text(_)))
+        self.0
+            .iter()
+            .all(|fragment| matches!(fragment, Fragment::Text(_)))
     }
 
     /// The text with every substitution replaced.
@@ -130,7 +141,9 @@ impl Template {
         for fragment in &self.0 {
             match fragment {
                 Fragment::Text(text) => resolved.push_str(text),
-                Fragment::Call { name, arguments } => resolved.push_str(&call(name, arguments, lookup)?),
+                Fragment::Call { name, arguments } => {
+                    resolved.push_str(&call(name, arguments, lookup)?)
+                }
             }
         }
         Ok(resolved)
@@ -148,7 +161,8 @@ impl Template {
         for fragment in &self.0 {
             match fragment {
                 Fragment::Call { name, arguments } => {
-                    word.get_or_insert_default().push_str(&call(name, arguments, lookup)?);
+                    word.get_or_insert_default()
+                        .push_str(&call(name, arguments, lookup)?);
                 }
                 Fragment::Text(text) => {
                     for character in text.chars() {
@@ -167,7 +181,10 @@ impl Template {
             }
         }
         if quote.is_some() {
-            return Err(SubstitutionError::Unterminated { what: "quote", text: self.resolve(lookup)? });
+            return Err(SubstitutionError::Unterminated {
+                what: "quote",
+                text: self.resolve(lookup)?,
+            });
         }
         words.extend(word);
         Ok(words)
@@ -179,31 +196,62 @@ pub(super) fn parse_boolean(value: &str) -> Result<bool, SubstitutionError> {
     match value.trim().to_ascii_lowercase().as_str() {
         "true" | "1" => Ok(true),
         "false" | "0" => Ok(false),
-        _ => Err(SubstitutionError::Boolean { value: value.to_owned() }),
+        _ => Err(SubstitutionError::Boolean {
+            value: value.to_owned(),
+        }),
     }
 }
 
-fn call(name: &str, arguments: &[Template], lookup: &dyn Lookup) -> Result<String, SubstitutionError> {
-    let values = arguments.iter().map(|argument| argument.resolve(lookup)).collect::<Result<Vec<_>, _>>()?;
-    let wrong = |expected| SubstitutionError::Arguments { name: name.to_owned(), expected, found: values.len() };
+fn call(
+    name: &str,
+    arguments: &[Template],
+    lookup: &dyn Lookup,
+) -> Result<String, SubstitutionError> {
+    let values = arguments
+        .iter()
+        .map(|argument| argument.resolve(lookup))
+        .collect::<Result<Vec<_>, _>>()?;
+    let wrong = |expected| SubstitutionError::Arguments {
+        name: name.to_owned(),
+        expected,
+        found: values.len(),
+    };
     match (name, values.as_slice()) {
         ("var", [variable]) => {
-            lookup.variable(variable).ok_or_else(|| SubstitutionError::Variable { name: variable.clone() })
+            lookup
+                .variable(variable)
+                .ok_or_else(|| SubstitutionError::Variable {
+                    name: variable.clone(),
+                })
         }
         ("var", _) => Err(wrong("1")),
         ("env", [variable]) => {
-            lookup.environment(variable).ok_or_else(|| SubstitutionError::Environment { name: variable.clone() })
+            lookup
+                .environment(variable)
+                .ok_or_else(|| SubstitutionError::Environment {
+                    name: variable.clone(),
+                })
         }
-        ("env", [variable, default]) => Ok(lookup.environment(variable).unwrap_or_else(|| default.clone())),
+        ("env", [variable, default]) => Ok(lookup
+            .environment(variable)
+            .unwrap_or_else(|| default.clone())),
         ("env", _) => Err(wrong("1 or 2")),
         ("dirname", []) => Ok(lookup.dirname()),
         ("filename", []) => Ok(lookup.filename()),
         ("dirname" | "filename", _) => Err(wrong("no")),
         ("find-pkg-share", [package]) => {
-            lookup.package_share(package).ok_or_else(|| SubstitutionError::Package { name: package.clone() })
+            lookup
+                .package_share(package)
+                .ok_or_else(|| SubstitutionError::Package {
+                    name: package.clone(),
+                })
         }
         ("find-pkg-prefix", [package]) => {
-            lookup.package_prefix(package).ok_or_else(|| SubstitutionError::Package { name: package.clone() })
+            lookup
+                .package_prefix(package)
+                .ok_or_else(|| SubstitutionError::Package {
+                    name: package.clone(),
+                })
         }
         ("find-pkg-share" | "find-pkg-prefix", _) => Err(wrong("1")),
         ("equals", [left, right]) => Ok((left == right).to_string()),
@@ -213,7 +261,9 @@ fn call(name: &str, arguments: &[Template], lookup: &dyn Lookup) -> Result<Strin
         ("or", [left, right]) => Ok((parse_boolean(left)? | parse_boolean(right)?).to_string()),
         ("equals" | "not-equals" | "and" | "or", _) => Err(wrong("2")),
         ("not", _) => Err(wrong("1")),
-        _ => Err(SubstitutionError::Unknown { name: name.to_owned() }),
+        _ => Err(SubstitutionError::Unknown {
+            name: name.to_owned(),
+        }),
     }
 }
 
@@ -241,7 +291,9 @@ impl Parser<'_> {
 
     fn template(&mut self, end: End, depth: usize) -> Result<Template, SubstitutionError> {
         if depth > DEPTH_LIMIT {
-            return Err(SubstitutionError::Depth { text: self.text.to_owned() });
+            return Err(SubstitutionError::Depth {
+                text: self.text.to_owned(),
+            });
         }
         let mut fragments = Vec::new();
         let mut text = String::new();
@@ -285,16 +337,23 @@ impl Parser<'_> {
     fn call(&mut self, depth: usize) -> Result<Fragment, SubstitutionError> {
         self.at += 1;
         if self.peek() != Some('(') {
-            return Err(SubstitutionError::Dollar { text: self.text.to_owned() });
+            return Err(SubstitutionError::Dollar {
+                text: self.text.to_owned(),
+            });
         }
         self.at += 1;
         let mut name = String::new();
-        while let Some(character) = self.peek().filter(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_')) {
+        while let Some(character) = self
+            .peek()
+            .filter(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_'))
+        {
             name.push(character);
             self.at += 1;
         }
         if name.is_empty() {
-            return Err(SubstitutionError::Dollar { text: self.text.to_owned() });
+            return Err(SubstitutionError::Dollar {
+                text: self.text.to_owned(),
+            });
         }
         let mut arguments = Vec::new();
         loop {
@@ -315,7 +374,10 @@ impl Parser<'_> {
     }
 
     fn unterminated(&self, what: &'static str) -> SubstitutionError {
-        SubstitutionError::Unterminated { what, text: self.text.to_owned() }
+        SubstitutionError::Unterminated {
+            what,
+            text: self.text.to_owned(),
+        }
     }
 }
 
@@ -356,29 +418,68 @@ mod tests {
         assert_eq!(resolve("out/$(var bag)/x").unwrap(), "out/my bag/x");
         assert_eq!(resolve("$(env HOME)").unwrap(), "/home/me");
         assert_eq!(resolve("$(env NONE 'a b')").unwrap(), "a b");
-        assert_eq!(resolve("$(env NONE \"$(dirname)/y\")").unwrap(), "/launch/y");
-        assert_eq!(resolve("$(find-pkg-share wm_nodes)/bags").unwrap(), "/opt/share/wm_nodes/bags");
+        assert_eq!(
+            resolve("$(env NONE \"$(dirname)/y\")").unwrap(),
+            "/launch/y"
+        );
+        assert_eq!(
+            resolve("$(find-pkg-share wm_nodes)/bags").unwrap(),
+            "/opt/share/wm_nodes/bags"
+        );
         assert_eq!(resolve("$(not $(equals $(var bag) x))").unwrap(), "true");
         assert_eq!(resolve(r"costs 5\$").unwrap(), "costs 5$");
     }
 
     #[test]
     fn what_is_wrong_is_named() {
-        assert_eq!(resolve("$(var other)").unwrap_err(), SubstitutionError::Variable { name: "other".into() });
-        assert_eq!(resolve("$(eval 1+1)").unwrap_err(), SubstitutionError::Unknown { name: "eval".into() });
-        assert!(matches!(resolve("$(var bag").unwrap_err(), SubstitutionError::Unterminated { .. }));
-        assert!(matches!(resolve("$(env X 'a").unwrap_err(), SubstitutionError::Unterminated { .. }));
-        assert!(matches!(resolve("a$b").unwrap_err(), SubstitutionError::Dollar { .. }));
-        assert!(matches!(resolve("$(var a b)").unwrap_err(), SubstitutionError::Arguments { found: 2, .. }));
+        assert_eq!(
+            resolve("$(var other)").unwrap_err(),
+            SubstitutionError::Variable {
+                name: "other".into()
+            }
+        );
+        assert_eq!(
+            resolve("$(eval 1+1)").unwrap_err(),
+            SubstitutionError::Unknown {
+                name: "eval".into()
+            }
+        );
+        assert!(matches!(
+            resolve("$(var bag").unwrap_err(),
+            SubstitutionError::Unterminated { .. }
+        ));
+        assert!(matches!(
+            resolve("$(env X 'a").unwrap_err(),
+            SubstitutionError::Unterminated { .. }
+        ));
+        assert!(matches!(
+            resolve("a$b").unwrap_err(),
+            SubstitutionError::Dollar { .. }
+        ));
+        assert!(matches!(
+            resolve("$(var a b)").unwrap_err(),
+            SubstitutionError::Arguments { found: 2, .. }
+        ));
         let deep = "$(not ".repeat(40) + "true" + &")".repeat(40);
-        assert!(matches!(resolve(&deep).unwrap_err(), SubstitutionError::Depth { .. }));
+        assert!(matches!(
+            resolve(&deep).unwrap_err(),
+            SubstitutionError::Depth { .. }
+        ));
     }
 
     #[test]
     fn a_substituted_value_is_one_word() {
-        let words = Template::parse("play $(var bag) --x 'a b'  last").unwrap().resolve_words(&Fixed).unwrap();
+        let words = Template::parse("play $(var bag) --x 'a b'  last")
+            .unwrap()
+            .resolve_words(&Fixed)
+            .unwrap();
         assert_eq!(words, ["play", "my bag", "--x", "a b", "last"]);
-        assert!(Template::parse("it's").unwrap().resolve_words(&Fixed).is_err());
+        assert!(
+            Template::parse("it's")
+                .unwrap()
+                .resolve_words(&Fixed)
+                .is_err()
+        );
     }
 
     proptest! {

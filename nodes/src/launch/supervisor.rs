@@ -128,9 +128,25 @@ impl Supervisor {
     #[must_use]
     pub fn new(processes: Vec<Process>) -> (Self, Vec<Order>) {
         let orders = (0..processes.len()).map(Order::Start).collect();
-        let running = |process| (process, State { step: Step::Running, restarts: 0 });
+        let running = |process| {
+            (
+                process,
+                State {
+                    step: Step::Running,
+                    restarts: 0,
+                },
+            )
+        };
         let processes = processes.into_iter().map(running).collect();
-        (Self { processes, is_stopping: false, failures: Vec::new(), lost_data: Vec::new() }, orders)
+        (
+            Self {
+                processes,
+                is_stopping: false,
+                failures: Vec::new(),
+                lost_data: Vec::new(),
+            },
+            orders,
+        )
     }
 
     /// Process `index`.
@@ -142,7 +158,10 @@ impl Supervisor {
     /// How many processes are not gone for good.
     #[must_use]
     pub fn alive(&self) -> usize {
-        self.processes.iter().filter(|(_, state)| state.step != Step::Ended).count()
+        self.processes
+            .iter()
+            .filter(|(_, state)| state.step != Step::Ended)
+            .count()
     }
 
     /// Takes note of `event`; what to do about it.
@@ -157,26 +176,38 @@ impl Supervisor {
     /// How it went, once nothing is alive.
     #[must_use]
     pub fn outcome(&self) -> Outcome {
-        Outcome { failures: self.failures.clone(), lost_data: self.lost_data.clone() }
+        Outcome {
+            failures: self.failures.clone(),
+            lost_data: self.lost_data.clone(),
+        }
     }
 
     fn on_ended(&mut self, index: usize, exit: Exit) -> Vec<Order> {
-        let Some((process, state)) = self.processes.get_mut(index) else { return Vec::new() };
+        let Some((process, state)) = self.processes.get_mut(index) else {
+            return Vec::new();
+        };
         let step = std::mem::replace(&mut state.step, Step::Ended);
         let name = process.name.clone();
         // the answer to a signal that we sent is no failure, unless it took SIGKILL
         let was_asked = matches!(
             (step, exit),
-            (Step::Interrupted | Step::Terminated | Step::Killed, Exit::Signal(2 | 15))
+            (
+                Step::Interrupted | Step::Terminated | Step::Killed,
+                Exit::Signal(2 | 15)
+            )
         );
         let problem = match exit {
             Exit::Code(0) => None,
             Exit::Code(DATA_LOSS) => {
                 self.lost_data.push(name.clone());
-                Some(format!("{name} finished with data lost (exit code {DATA_LOSS})"))
+                Some(format!(
+                    "{name} finished with data lost (exit code {DATA_LOSS})"
+                ))
             }
             _ if was_asked => None,
-            _ if step == Step::Killed => Some(format!("{name} did not stop when asked and was killed")),
+            _ if step == Step::Killed => {
+                Some(format!("{name} did not stop when asked and was killed"))
+            }
             _ => Some(format!("{name} failed: {exit}")),
         };
         let mut orders = Vec::new();
@@ -198,21 +229,31 @@ impl Supervisor {
             if is_left {
                 state.restarts += 1;
                 state.step = Step::Waiting;
-                orders.push(Order::Say(format!("{name} is started again (no. {})", state.restarts)));
+                orders.push(Order::Say(format!(
+                    "{name} is started again (no. {})",
+                    state.restarts
+                )));
                 orders.push(Order::ArmTimer(index, Step::Waiting, respawn.delay));
                 return orders;
             }
-            orders.push(Order::Say(format!("{name} is not started again: {} restart(s) used up", state.restarts)));
+            orders.push(Order::Say(format!(
+                "{name} is not started again: {} restart(s) used up",
+                state.restarts
+            )));
         }
         if process.ends_launch {
-            orders.push(Order::Say(format!("{name} has ended, and with it the launch: stopping the others")));
+            orders.push(Order::Say(format!(
+                "{name} has ended, and with it the launch: stopping the others"
+            )));
             orders.extend(self.stop());
         }
         orders
     }
 
     fn on_timer(&mut self, index: usize, step: Step) -> Vec<Order> {
-        let Some((_, state)) = self.processes.get_mut(index) else { return Vec::new() };
+        let Some((_, state)) = self.processes.get_mut(index) else {
+            return Vec::new();
+        };
         // a timer of a step that is over says nothing
         if state.step != step {
             return Vec::new();
@@ -229,12 +270,16 @@ impl Supervisor {
 
     fn stop(&mut self) -> Vec<Order> {
         self.is_stopping = true;
-        (0..self.processes.len()).flat_map(|index| self.escalate(index)).collect()
+        (0..self.processes.len())
+            .flat_map(|index| self.escalate(index))
+            .collect()
     }
 
     /// Takes the next step of stopping process `index`.
     fn escalate(&mut self, index: usize) -> Vec<Order> {
-        let Some((process, state)) = self.processes.get_mut(index) else { return Vec::new() };
+        let Some((process, state)) = self.processes.get_mut(index) else {
+            return Vec::new();
+        };
         match state.step {
             Step::Waiting => {
                 state.step = Step::Ended;
@@ -250,7 +295,10 @@ impl Supervisor {
             Step::Interrupted => {
                 state.step = Step::Terminated;
                 vec![
-                    Order::Say(format!("{} goes on after SIGINT: sending SIGTERM", process.name)),
+                    Order::Say(format!(
+                        "{} goes on after SIGINT: sending SIGTERM",
+                        process.name
+                    )),
                     Order::Send(index, StopSignal::Terminate),
                     Order::ArmTimer(index, Step::Terminated, process.sigkill_timeout),
                 ]
@@ -258,7 +306,10 @@ impl Supervisor {
             Step::Terminated => {
                 state.step = Step::Killed;
                 vec![
-                    Order::Say(format!("{} goes on after SIGTERM: sending SIGKILL", process.name)),
+                    Order::Say(format!(
+                        "{} goes on after SIGTERM: sending SIGKILL",
+                        process.name
+                    )),
                     Order::Send(index, StopSignal::Kill),
                 ]
             }
@@ -298,13 +349,19 @@ mod tests {
 
     #[test]
     fn the_end_of_the_player_stops_the_others_cleanly() {
-        let player = Process { ends_launch: true, ..process("player-1") };
+        let player = Process {
+            ends_launch: true,
+            ..process("player-1")
+        };
         let (mut supervisor, orders) = Supervisor::new(vec![player, process("encoder-2")]);
         assert_eq!(orders, [Order::Start(0), Order::Start(1)]);
         let orders = supervisor.on_event(Event::Ended(0, Exit::Code(0)));
         assert_eq!(signals(&orders), [(1, StopSignal::Interrupt)]);
         supervisor.on_event(Event::Ended(1, Exit::Code(0)));
-        assert_eq!((supervisor.alive(), supervisor.outcome().exit_code()), (0, 0));
+        assert_eq!(
+            (supervisor.alive(), supervisor.outcome().exit_code()),
+            (0, 0)
+        );
     }
 
     #[test]
@@ -324,43 +381,82 @@ mod tests {
     fn a_node_that_ignores_signals_is_killed_step_by_step() {
         let (mut supervisor, _) = Supervisor::new(vec![process("stuck-1")]);
         let orders = supervisor.on_event(Event::StopRequested);
-        assert!(orders.contains(&Order::ArmTimer(0, Step::Interrupted, Duration::from_secs(5))));
+        assert!(orders.contains(&Order::ArmTimer(
+            0,
+            Step::Interrupted,
+            Duration::from_secs(5)
+        )));
         let orders = supervisor.on_event(Event::TimerElapsed(0, Step::Interrupted));
         assert_eq!(signals(&orders), [(0, StopSignal::Terminate)]);
-        assert!(supervisor.on_event(Event::TimerElapsed(0, Step::Interrupted)).is_empty());
+        assert!(
+            supervisor
+                .on_event(Event::TimerElapsed(0, Step::Interrupted))
+                .is_empty()
+        );
         let orders = supervisor.on_event(Event::TimerElapsed(0, Step::Terminated));
         assert_eq!(signals(&orders), [(0, StopSignal::Kill)]);
         supervisor.on_event(Event::Ended(0, Exit::Signal(9)));
-        assert_eq!(supervisor.outcome().failures, ["stuck-1 did not stop when asked and was killed"]);
+        assert_eq!(
+            supervisor.outcome().failures,
+            ["stuck-1 did not stop when asked and was killed"]
+        );
     }
 
     #[test]
     fn a_second_request_to_stop_does_not_wait() {
         let (mut supervisor, _) = Supervisor::new(vec![process("slow-1")]);
         supervisor.on_event(Event::StopRequested);
-        assert_eq!(signals(&supervisor.on_event(Event::StopRequested)), [(0, StopSignal::Terminate)]);
-        assert_eq!(signals(&supervisor.on_event(Event::StopRequested)), [(0, StopSignal::Kill)]);
+        assert_eq!(
+            signals(&supervisor.on_event(Event::StopRequested)),
+            [(0, StopSignal::Terminate)]
+        );
+        assert_eq!(
+            signals(&supervisor.on_event(Event::StopRequested)),
+            [(0, StopSignal::Kill)]
+        );
     }
 
     #[test]
     fn only_who_asks_is_started_again_and_only_so_often() {
-        let respawn = Respawn { delay: Duration::from_millis(10), max_retries: Some(1) };
-        let (mut supervisor, _) = Supervisor::new(vec![Process { respawn: Some(respawn), ..process("a-1") }]);
+        let respawn = Respawn {
+            delay: Duration::from_millis(10),
+            max_retries: Some(1),
+        };
+        let (mut supervisor, _) = Supervisor::new(vec![Process {
+            respawn: Some(respawn),
+            ..process("a-1")
+        }]);
         let orders = supervisor.on_event(Event::Ended(0, Exit::Code(1)));
         assert!(orders.contains(&Order::ArmTimer(0, Step::Waiting, respawn.delay)));
-        assert_eq!(supervisor.on_event(Event::TimerElapsed(0, Step::Waiting)), [Order::Start(0)]);
+        assert_eq!(
+            supervisor.on_event(Event::TimerElapsed(0, Step::Waiting)),
+            [Order::Start(0)]
+        );
         supervisor.on_event(Event::Ended(0, Exit::Code(1)));
-        assert_eq!((supervisor.alive(), supervisor.outcome().exit_code()), (0, 1));
+        assert_eq!(
+            (supervisor.alive(), supervisor.outcome().exit_code()),
+            (0, 1)
+        );
     }
 
     #[test]
     fn a_stop_while_waiting_for_a_restart_starts_nothing() {
-        let respawn = Respawn { delay: Duration::from_secs(1), max_retries: None };
-        let (mut supervisor, _) = Supervisor::new(vec![Process { respawn: Some(respawn), ..process("a-1") }]);
+        let respawn = Respawn {
+            delay: Duration::from_secs(1),
+            max_retries: None,
+        };
+        let (mut supervisor, _) = Supervisor::new(vec![Process {
+            respawn: Some(respawn),
+            ..process("a-1")
+        }]);
         supervisor.on_event(Event::Ended(0, Exit::Code(0)));
         supervisor.on_event(Event::StopRequested);
         assert_eq!(supervisor.alive(), 0);
-        assert!(supervisor.on_event(Event::TimerElapsed(0, Step::Waiting)).is_empty());
+        assert!(
+            supervisor
+                .on_event(Event::TimerElapsed(0, Step::Waiting))
+                .is_empty()
+        );
     }
 
     #[test]

@@ -46,14 +46,22 @@ impl LiveLine {
         while self.predictions.front().is_some_and(|then| is_old(*then)) {
             self.predictions.pop_front();
         }
-        while self.latencies.front().is_some_and(|(then, _)| is_old(*then)) {
+        while self
+            .latencies
+            .front()
+            .is_some_and(|(then, _)| is_old(*then))
+        {
             self.latencies.pop_front();
         }
         let mut parts = vec![
             format!("camera {:.1} Hz", rate(&self.frames)),
             format!("predicted {:.1} Hz", rate(&self.predictions)),
         ];
-        let mut sorted: Vec<f64> = self.latencies.iter().map(|(_, milliseconds)| *milliseconds).collect();
+        let mut sorted: Vec<f64> = self
+            .latencies
+            .iter()
+            .map(|(_, milliseconds)| *milliseconds)
+            .collect();
         sorted.sort_by(f64::total_cmp);
         parts.push(match (sorted.get(sorted.len() / 2), sorted.last()) {
             (Some(median), Some(worst)) => format!("k=1 {median:.0} ms (max {worst:.0})"),
@@ -80,9 +88,15 @@ fn push<T>(events: &mut VecDeque<T>, event: T) {
 
 /// Events a second, from the first to the last of them.
 fn rate(events: &VecDeque<Instant>) -> f64 {
-    let (Some(first), Some(last)) = (events.front(), events.back()) else { return 0.0 };
+    let (Some(first), Some(last)) = (events.front(), events.back()) else {
+        return 0.0;
+    };
     let span = last.duration_since(*first).as_secs_f64();
-    if span > 0.0 { (events.len() - 1) as f64 / span } else { 0.0 }
+    if span > 0.0 {
+        (events.len() - 1) as f64 / span
+    } else {
+        0.0
+    }
 }
 
 #[cfg(test)]
@@ -96,14 +110,26 @@ mod tests {
         let at = |milliseconds| start + Duration::from_millis(milliseconds);
         for frame in 0..11 {
             line.frame(at(200 * frame));
-            line.prediction(1, 40_000_000 + 1_000_000 * frame as i64, at(200 * frame + 40));
+            line.prediction(
+                1,
+                40_000_000 + 1_000_000 * frame as i64,
+                at(200 * frame + 40),
+            );
             line.prediction(2, 60_000_000, at(200 * frame + 60));
         }
         line.plan(0.5, 90_000_000);
         let text = line.text(at(2000), Some(0.4), 3);
         assert!(text.starts_with("camera 5.0 Hz | predicted 10."), "{text}");
-        assert!(text.contains("k=1 45 ms (max 50) | error ratio 0.40 | plan cost 0.500 in 90 ms | drops 3"), "{text}");
+        assert!(
+            text.contains(
+                "k=1 45 ms (max 50) | error ratio 0.40 | plan cost 0.500 in 90 ms | drops 3"
+            ),
+            "{text}"
+        );
         let text = line.text(at(9000), None, 0);
-        assert!(text.starts_with("camera 0.0 Hz | predicted 0.0 Hz | k=1 - | error ratio -"), "{text}");
+        assert!(
+            text.starts_with("camera 0.0 Hz | predicted 0.0 Hz | k=1 - | error ratio -"),
+            "{text}"
+        );
     }
 }

@@ -1,12 +1,12 @@
 //! The monitor on the wire.
 
 use super::live_line::LiveLine;
+use crate::encoder::CameraFrame;
 use crate::{
     image_message::{decode_compressed, decode_image},
     report::{Scorer, files::write_report, table::terminal_table},
     transport::{ImageSubscription, Transports},
 };
-use crate::encoder::CameraFrame;
 use anyhow::{Result, ensure};
 use image::RgbImage;
 use std::io::{IsTerminal as _, Write as _};
@@ -37,11 +37,16 @@ const LIVE_PERIOD: Duration = Duration::from_millis(500);
 pub fn run(args: &NodeArgs) -> Result<()> {
     args.expect_no_rest()?;
     let mut monitor = None;
-    wm_ros::run(NAME, crate::NAMESPACE, args, async |node: Node| -> Result<()> {
-        let (state, inputs) = start(&node)?;
-        watch(monitor.insert(state), inputs).await;
-        Ok(())
-    })?;
+    wm_ros::run(
+        NAME,
+        crate::NAMESPACE,
+        args,
+        async |node: Node| -> Result<()> {
+            let (state, inputs) = start(&node)?;
+            watch(monitor.insert(state), inputs).await;
+            Ok(())
+        },
+    )?;
     // after the node has left the graph, so that nothing hurries the writing
     if let Some(Monitor { scorer, output, .. }) = monitor {
         let (report, files) = write_report(&scorer, "live", &output)?;
@@ -73,15 +78,28 @@ struct Inputs {
 fn start(node: &Node) -> Result<(Monitor, Inputs)> {
     let fixed = |text: &str| Descriptor::new(text).read_only();
     let output = node
-        .declare("output", "out/monitor".to_owned(), fixed("folder of the report; relative to the working directory"))?
+        .declare(
+            "output",
+            "out/monitor".to_owned(),
+            fixed("folder of the report; relative to the working directory"),
+        )?
         .get();
-    let is_live = node.declare("live_line", true, fixed("show a line of what is happening"))?.get();
+    let is_live = node
+        .declare("live_line", true, fixed("show a line of what is happening"))?
+        .get();
     let camera = node
-        .declare("camera_topic", "/camera/image_raw".to_owned(), fixed("the camera's topic; its sibling /compressed too"))?
+        .declare(
+            "camera_topic",
+            "/camera/image_raw".to_owned(),
+            fixed("the camera's topic; its sibling /compressed too"),
+        )?
         .get();
     let transports = Transports::declare(node)?;
     node.seal_parameters()?;
-    ensure!(!output.is_empty(), "parameter \"output\" is empty: name the folder of the report");
+    ensure!(
+        !output.is_empty(),
+        "parameter \"output\" is empty: name the folder of the report"
+    );
     let inputs = Inputs {
         camera: ImageSubscription::new(node, &camera, transports, QOS)?,
         predicted: node.subscription("predicted", QOS)?,
@@ -138,7 +156,9 @@ impl Monitor {
     fn camera(&mut self, frame: &CameraFrame) {
         let decoded = match frame {
             CameraFrame::Raw(image) => decode_image(image).map(|rgb| (image.header.stamp, rgb)),
-            CameraFrame::Compressed(image) => decode_compressed(image).map(|rgb| (image.header.stamp, rgb)),
+            CameraFrame::Compressed(image) => {
+                decode_compressed(image).map(|rgb| (image.header.stamp, rgb))
+            }
         };
         match decoded {
             Ok((stamp, rgb)) => self.frame(stamp.to_nanos(), rgb),
@@ -159,7 +179,8 @@ impl Monitor {
         let Received { message, received } = received;
         let arrived_ns = received.to_nanos();
         let latency_ns = arrived_ns.saturating_sub(message.observed_stamp.to_nanos());
-        self.line.prediction(message.step, latency_ns, Instant::now());
+        self.line
+            .prediction(message.step, latency_ns, Instant::now());
         self.scorer.prediction(message, arrived_ns);
     }
 
@@ -174,7 +195,11 @@ impl Monitor {
         if !self.is_live {
             return;
         }
-        let text = self.line.text(Instant::now(), self.scorer.last_error_ratio(), self.scorer.drop_count());
+        let text = self.line.text(
+            Instant::now(),
+            self.scorer.last_error_ratio(),
+            self.scorer.drop_count(),
+        );
         let mut screen = std::io::stderr();
         let written = if screen.is_terminal() {
             write!(screen, "\r\x1b[2K{text}").and_then(|()| screen.flush())

@@ -46,7 +46,7 @@ pub async fn body(node: Node) -> Result<()> {
     let parameters = Parameters::declare(&node)?;
     node.seal_parameters()?;
     let (encoder, model) = tokio::task::spawn_blocking(move || -> Result<_> {
-        Ok((model_choice::encoder(&chosen)?, model_choice::predictor(&chosen)?))
+        Ok((chosen.encoder()?, chosen.predictor()?))
     })
     .await??;
     let timing = model_choice::timing(parameters.frame_period, &model.encoding);

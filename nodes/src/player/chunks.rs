@@ -37,7 +37,11 @@ impl ActionChunks {
     /// Where there are fewer than two, or their stamps do not grow.
     pub fn new(actions: Vec<Action>, length: usize) -> Result<Self, ChunkError> {
         let stamps = actions.iter().map(|action| action.header.stamp.to_nanos());
-        let mut distances: Vec<i64> = stamps.clone().zip(stamps.skip(1)).map(|(one, next)| next - one).collect();
+        let mut distances: Vec<i64> = stamps
+            .clone()
+            .zip(stamps.skip(1))
+            .map(|(one, next)| next - one)
+            .collect();
         distances.sort_unstable();
         let Some(&period_ns) = distances.get(distances.len() / 2) else {
             return Err(ChunkError::TooFew(actions.len()));
@@ -45,7 +49,11 @@ impl ActionChunks {
         if period_ns <= 0 {
             return Err(ChunkError::Period(period_ns));
         }
-        Ok(Self { actions, period_ns, length })
+        Ok(Self {
+            actions,
+            period_ns,
+            length,
+        })
     }
 
     /// The chunk that begins with action `index`; none past the last action. `map` moves stamps \[ns\] to the
@@ -55,14 +63,29 @@ impl ActionChunks {
         let first = self.actions.get(index)?;
         let stamp_ns = map(first.header.stamp.to_nanos());
         let period_ns = (self.period_ns as f64 / rate).round() as i64;
-        let coming = self.actions.iter().skip(index).take(self.length).enumerate();
+        let coming = self
+            .actions
+            .iter()
+            .skip(index)
+            .take(self.length)
+            .enumerate();
         let actions = coming.map(|(step, action)| {
             // a chunk has no more actions than the bag
-            let stamp = Time::from_nanos(stamp_ns.saturating_add(period_ns.saturating_mul(step as i64)));
-            Action { header: Header { stamp, ..action.header.clone() }, values: action.values.clone() }
+            let stamp =
+                Time::from_nanos(stamp_ns.saturating_add(period_ns.saturating_mul(step as i64)));
+            Action {
+                header: Header {
+                    stamp,
+                    ..action.header.clone()
+                },
+                values: action.values.clone(),
+            }
         });
         Some(ActionChunk {
-            header: Header { stamp: Time::from_nanos(stamp_ns), frame_id: first.header.frame_id.clone() },
+            header: Header {
+                stamp: Time::from_nanos(stamp_ns),
+                frame_id: first.header.frame_id.clone(),
+            },
             period: Duration::from_nanos(period_ns),
             actions: actions.collect(),
         })
@@ -74,28 +97,62 @@ mod tests {
     use super::*;
 
     fn action(stamp_ns: i64, value: f32) -> Action {
-        let header = Header { stamp: Time::from_nanos(stamp_ns), frame_id: "base".to_owned() };
-        Action { header, values: vec![value; 7] }
+        let header = Header {
+            stamp: Time::from_nanos(stamp_ns),
+            frame_id: "base".to_owned(),
+        };
+        Action {
+            header,
+            values: vec![value; 7],
+        }
     }
 
     #[test]
     fn a_chunk_begins_with_its_action_and_ends_with_the_bag() {
         // the third is late: the chunk's times are those of the period all the same
-        let actions = vec![action(1000, 0.0), action(1200, 1.0), action(1430, 2.0), action(1600, 3.0)];
+        let actions = vec![
+            action(1000, 0.0),
+            action(1200, 1.0),
+            action(1430, 2.0),
+            action(1600, 3.0),
+        ];
         let chunks = ActionChunks::new(actions, 3).unwrap();
         let chunk = chunks.chunk(1, 1.0, |stamp| stamp + 7).unwrap();
-        assert_eq!((chunk.header.stamp.to_nanos(), chunk.period.to_nanos()), (1207, 200));
-        let entries: Vec<_> = chunk.actions.iter().map(|a| (a.header.stamp.to_nanos(), a.values[0])).collect();
+        assert_eq!(
+            (chunk.header.stamp.to_nanos(), chunk.period.to_nanos()),
+            (1207, 200)
+        );
+        let entries: Vec<_> = chunk
+            .actions
+            .iter()
+            .map(|a| (a.header.stamp.to_nanos(), a.values[0]))
+            .collect();
         assert_eq!(entries, [(1207, 1.0), (1407, 2.0), (1607, 3.0)]);
-        assert_eq!(chunks.chunk(3, 1.0, |stamp| stamp).unwrap().actions.len(), 1);
+        assert_eq!(
+            chunks.chunk(3, 1.0, |stamp| stamp).unwrap().actions.len(),
+            1
+        );
         assert_eq!(chunks.chunk(4, 1.0, |stamp| stamp), None);
-        assert_eq!(chunks.chunk(0, 2.0, |stamp| stamp).unwrap().period.to_nanos(), 100);
+        assert_eq!(
+            chunks
+                .chunk(0, 2.0, |stamp| stamp)
+                .unwrap()
+                .period
+                .to_nanos(),
+            100
+        );
     }
 
     #[test]
     fn actions_without_a_period_are_refused() {
-        assert_eq!(ActionChunks::new(vec![action(1, 0.0)], 3).unwrap_err(), ChunkError::TooFew(1));
+        assert_eq!(
+            ActionChunks::new(vec![action(1, 0.0)], 3).unwrap_err(),
+            ChunkError::TooFew(1)
+        );
         let same = vec![action(1, 0.0), action(1, 0.0)];
-        assert_eq!(ActionChunks::new(same, 3).unwrap_err(), ChunkError::Period(0));
+        assert_eq!(
+            ActionChunks::new(same, 3).unwrap_err(),
+            ChunkError::Period(0)
+        );
     }
 }

@@ -20,7 +20,9 @@ const TAIL_NS: u64 = 5_000_000_000;
 #[non_exhaustive]
 pub enum GoalError {
     /// No camera.
-    #[error("the bag {bag} has no camera images (no topic of sensor_msgs/msg/Image or CompressedImage); its topics: {topics}")]
+    #[error(
+        "the bag {bag} has no camera images (no topic of sensor_msgs/msg/Image or CompressedImage); its topics: {topics}"
+    )]
     NoCamera {
         /// The bag.
         bag: String,
@@ -61,19 +63,31 @@ pub enum GoalError {
 pub fn camera_topic(reader: &BagReader, wanted: &str) -> Result<String, GoalError> {
     let (compressed, raw) = (CompressedImage::ros_name(), Image::ros_name());
     let bag = reader.path().display().to_string();
-    let names: Vec<&str> = reader.topics().iter().map(|topic| topic.name.as_ref()).collect();
+    let names: Vec<&str> = reader
+        .topics()
+        .iter()
+        .map(|topic| topic.name.as_ref())
+        .collect();
     let topics = names.join(", ");
     let cameras = reader.topics().iter().filter(|topic| {
         let is_image = topic.type_name.as_ref() == compressed || topic.type_name.as_ref() == raw;
         is_image && topic.message_count > 0 && (wanted.is_empty() || topic.name.as_ref() == wanted)
     });
     let best = cameras.min_by_key(|topic| {
-        (topic.name.contains("mask"), topic.type_name.as_ref() != compressed, topic.name.clone())
+        (
+            topic.name.contains("mask"),
+            topic.type_name.as_ref() != compressed,
+            topic.name.clone(),
+        )
     });
     match best {
         Some(topic) => Ok(topic.name.to_string()),
         None if wanted.is_empty() => Err(GoalError::NoCamera { bag, topics }),
-        None => Err(GoalError::Topic { topic: wanted.to_owned(), bag, topics }),
+        None => Err(GoalError::Topic {
+            topic: wanted.to_owned(),
+            bag,
+            topics,
+        }),
     }
 }
 
@@ -82,7 +96,14 @@ pub fn camera_topic(reader: &BagReader, wanted: &str) -> Result<String, GoalErro
 /// # Errors
 /// Where the topic has no readable message, or the last one is no image.
 pub fn last_frame(reader: &BagReader, topic: &str) -> Result<CompressedImage, GoalError> {
-    let readable = |from_ns| reader.messages().only_topics([topic]).starting_at(from_ns).flatten().last();
+    let readable = |from_ns| {
+        reader
+            .messages()
+            .only_topics([topic])
+            .starting_at(from_ns)
+            .flatten()
+            .last()
+    };
     let last = match readable(reader.end_ns().saturating_sub(TAIL_NS)) {
         Some(last) => last,
         None => readable(0).ok_or_else(|| GoalError::Empty(topic.to_owned()))?,
@@ -95,7 +116,10 @@ fn compressed(topic: &str, message: &BagMessage) -> Result<CompressedImage, Goal
         return Ok(message.decode()?);
     }
     let image: Image = message.decode()?;
-    let wrong = |source| GoalError::Image { topic: topic.to_owned(), source };
+    let wrong = |source| GoalError::Image {
+        topic: topic.to_owned(),
+        source,
+    };
     let rgb = decode_image(&image).map_err(wrong)?;
     encode_jpeg(&rgb, image.header, QUALITY).map_err(wrong)
 }
@@ -108,19 +132,27 @@ mod tests {
     use wm_msgs::{builtin_interfaces::Time, std_msgs};
 
     fn header(stamp_ns: i64) -> std_msgs::Header {
-        std_msgs::Header { stamp: Time::from_nanos(stamp_ns), frame_id: "camera".to_owned() }
+        std_msgs::Header {
+            stamp: Time::from_nanos(stamp_ns),
+            frame_id: "camera".to_owned(),
+        }
     }
 
     #[test]
     fn the_last_frame_is_found_whatever_comes_after_it() {
         let folder = tempfile::tempdir().unwrap();
-        let mut writer = BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();
+        let mut writer =
+            BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();
         for (index, level) in [(1_u64, 10), (2, 200)] {
             let rgb = image::RgbImage::from_pixel(16, 16, image::Rgb([level; 3]));
             let message = encode_image(&rgb, header(index as i64));
-            writer.write("/camera/image_raw", &message, index * 1_000_000_000).unwrap();
+            writer
+                .write("/camera/image_raw", &message, index * 1_000_000_000)
+                .unwrap();
         }
-        let text = std_msgs::String { data: "end".to_owned() };
+        let text = std_msgs::String {
+            data: "end".to_owned(),
+        };
         writer.write("/note", &text, 60_000_000_000).unwrap();
         writer.finish().unwrap();
 
@@ -130,19 +162,34 @@ mod tests {
         let goal = last_frame(&reader, &topic).unwrap();
         assert_eq!(goal.header, header(2));
         let decoded = crate::image_message::decode_compressed(&goal).unwrap();
-        assert!(decoded.get_pixel(8, 8).0.iter().all(|value| value.abs_diff(200) < 4));
+        assert!(
+            decoded
+                .get_pixel(8, 8)
+                .0
+                .iter()
+                .all(|value| value.abs_diff(200) < 4)
+        );
         let error = camera_topic(&reader, "/other").unwrap_err().to_string();
-        assert!(error.contains("\"/other\"") && error.contains("/camera/image_raw"), "{error}");
+        assert!(
+            error.contains("\"/other\"") && error.contains("/camera/image_raw"),
+            "{error}"
+        );
     }
 
     #[test]
     fn a_bag_without_camera_says_so_and_what_it_has() {
         let folder = tempfile::tempdir().unwrap();
-        let mut writer = BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();
-        writer.write("/note", &std_msgs::String::default(), 1).unwrap();
+        let mut writer =
+            BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();
+        writer
+            .write("/note", &std_msgs::String::default(), 1)
+            .unwrap();
         writer.finish().unwrap();
         let reader = BagReader::open(folder.path().join("bag")).unwrap();
         let error = camera_topic(&reader, "").unwrap_err().to_string();
-        assert!(error.contains("no camera images") && error.contains("/note"), "{error}");
+        assert!(
+            error.contains("no camera images") && error.contains("/note"),
+            "{error}"
+        );
     }
 }

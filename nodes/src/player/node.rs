@@ -11,9 +11,7 @@ use tokio::time::{Instant, Interval, MissedTickBehavior};
 use tracing::{error, info, warn};
 use wm_bag::{BagError, BagMessage, BagReader};
 use wm_msgs::{
-    builtin_interfaces::Time,
-    rosgraph_msgs::Clock,
-    sensor_msgs::CompressedImage,
+    builtin_interfaces::Time, rosgraph_msgs::Clock, sensor_msgs::CompressedImage,
     wm_msgs::ActionChunk,
 };
 use wm_ros::{Node, NodeArgs, Publisher, Qos};
@@ -32,10 +30,15 @@ const READ_AHEAD: usize = 64;
 pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
     let mut ending = Ending::Complete;
-    wm_ros::run(NAME, crate::NAMESPACE, args, async |node: Node| -> Result<()> {
-        ending = play(&node).await?;
-        Ok(())
-    })?;
+    wm_ros::run(
+        NAME,
+        crate::NAMESPACE,
+        args,
+        async |node: Node| -> Result<()> {
+            ending = play(&node).await?;
+            Ok(())
+        },
+    )?;
     Ok(ending)
 }
 
@@ -56,7 +59,8 @@ async fn play(node: &Node) -> Result<Ending> {
 }
 
 fn open(node: &Node, settings: &Settings) -> Result<(BagReader, Playlist)> {
-    let reader = BagReader::open(&settings.bag).with_context(|| format!("bag {}", settings.bag.display()))?;
+    let reader = BagReader::open(&settings.bag)
+        .with_context(|| format!("bag {}", settings.bag.display()))?;
     for warning in reader.warnings() {
         warn!("{warning}");
     }
@@ -113,9 +117,14 @@ impl Player {
         let start_ns = self.settings.start_ns(&self.reader);
         let end_ns = self.reader.end_ns();
         let seconds = end_ns.saturating_sub(start_ns) as f64 / 1e9;
-        info!("playing {} ({seconds:.1} s at rate {})", self.settings.bag.display(), self.settings.rate);
+        info!(
+            "playing {} ({seconds:.1} s at rate {})",
+            self.settings.bag.display(),
+            self.settings.rate
+        );
         loop {
-            self.play_pass(Schedule::new(start_ns, self.settings.rate), start_ns).await?;
+            self.play_pass(Schedule::new(start_ns, self.settings.rate), start_ns)
+                .await?;
             if !self.settings.is_looping || end_ns <= start_ns {
                 break;
             }
@@ -130,7 +139,10 @@ impl Player {
         let missing = || {
             let mut missing = Vec::new();
             for topic in &self.settings.wait_for {
-                match (self.node.count_publishers(topic), self.node.count_subscribers(topic)) {
+                match (
+                    self.node.count_publishers(topic),
+                    self.node.count_subscribers(topic),
+                ) {
                     (Ok(0), _) => missing.push(format!("a publisher of {topic}")),
                     (_, Ok(0)) => missing.push(format!("a subscriber of {topic}")),
                     (Err(problem), _) | (_, Err(problem)) => missing.push(problem.to_string()),
@@ -148,9 +160,15 @@ impl Player {
                 }
             }
         };
-        if tokio::time::timeout(self.settings.wait_timeout, all_there).await.is_err() {
+        if tokio::time::timeout(self.settings.wait_timeout, all_there)
+            .await
+            .is_err()
+        {
             let waited = self.settings.wait_timeout.as_secs_f64();
-            warn!("beginning after {waited:.1} s without {}", missing().join(", "));
+            warn!(
+                "beginning after {waited:.1} s without {}",
+                missing().join(", ")
+            );
         }
     }
 
@@ -159,10 +177,17 @@ impl Player {
         let begin = Instant::now();
         let wall_start_ns = self.node.now().to_nanos();
         let is_restamping = self.settings.is_restamping;
-        let map = |stamp_ns| if is_restamping { schedule.restamped_ns(stamp_ns, wall_start_ns) } else { stamp_ns };
+        let map = |stamp_ns| {
+            if is_restamping {
+                schedule.restamped_ns(stamp_ns, wall_start_ns)
+            } else {
+                stamp_ns
+            }
+        };
         self.publish_goal(map)?;
         // before the first frame, which would find no chunk otherwise
-        let mut next_chunk = self.publish_chunk(0, map)?;
+        self.publish_chunk(0, map)?;
+        let mut next_chunk = 0;
         let mut ticks = self.clock_ticks();
         while let Some(message) = messages.recv().await {
             let message = match message {
@@ -181,7 +206,8 @@ impl Player {
                 }
             }
             if message.topic.as_ref() == self.settings.action_topic {
-                next_chunk = self.publish_chunk(next_chunk, map)?;
+                self.publish_chunk(next_chunk, map)?;
+                next_chunk += 1;
             }
             self.publish(&message, map)?;
         }
@@ -189,7 +215,9 @@ impl Player {
     }
 
     fn publish(&mut self, message: &BagMessage, map: impl Fn(i64) -> i64) -> Result<()> {
-        let Some(track) = self.playlist.tracks.get(&message.topic) else { return Ok(()) };
+        let Some(track) = self.playlist.tracks.get(&message.topic) else {
+            return Ok(());
+        };
         let mut data = message.data.clone();
         if track.is_restamped {
             match restamp(&data, map) {
@@ -208,15 +236,19 @@ impl Player {
         Ok(())
     }
 
-    /// Publishes the chunk of action `index`; the index of the next.
-    fn publish_chunk(&self, index: usize, map: impl Fn(i64) -> i64) -> Result<usize> {
+    /// Publishes the chunk of action `index`.
+    fn publish_chunk(&self, index: usize, map: impl Fn(i64) -> i64) -> Result<()> {
         if let (Some(publisher), Some(chunks)) = (&self.chunks, &self.playlist.chunks) {
-            let rate = if self.settings.is_restamping { self.settings.rate } else { 1.0 };
+            let rate = if self.settings.is_restamping {
+                self.settings.rate
+            } else {
+                1.0
+            };
             if let Some(chunk) = chunks.chunk(index, rate, map) {
                 publisher.publish(&chunk)?;
             }
         }
-        Ok(index + 1)
+        Ok(())
     }
 
     fn publish_goal(&self, map: impl Fn(i64) -> i64) -> Result<()> {
@@ -230,7 +262,8 @@ impl Player {
 
     fn clock_ticks(&self) -> Option<Interval> {
         self.clock.as_ref()?;
-        let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / self.settings.clock_hz));
+        let mut ticks =
+            tokio::time::interval(Duration::from_secs_f64(1.0 / self.settings.clock_hz));
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         Some(ticks)
     }
@@ -238,7 +271,9 @@ impl Player {
     fn publish_clock(&self, bag_time_ns: u64) -> Result<()> {
         if let Some(clock) = &self.clock {
             let time_ns = i64::try_from(bag_time_ns).unwrap_or(i64::MAX);
-            clock.publish(&Clock { clock: Time::from_nanos(time_ns) })?;
+            clock.publish(&Clock {
+                clock: Time::from_nanos(time_ns),
+            })?;
         }
         Ok(())
     }
@@ -254,7 +289,10 @@ impl Player {
             }
         }
         if self.unreadable > 0 {
-            warn!("{} unreadable part(s) of the bag were left out", self.unreadable);
+            warn!(
+                "{} unreadable part(s) of the bag were left out",
+                self.unreadable
+            );
         }
         if self.reader.truncated() {
             warn!("the bag ends early: it was cut off while it was recorded or copied");

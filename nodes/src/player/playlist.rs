@@ -36,44 +36,82 @@ pub(super) struct Playlist {
 impl Playlist {
     /// Reads what has to be known beforehand and makes the publishers. Reads the bag: not for an async context.
     pub fn new(reader: &BagReader, settings: &Settings, node: &Node) -> Result<Self> {
-        for topic in settings.topics.iter().filter(|topic| reader.topic(topic).is_none()) {
+        for topic in settings
+            .topics
+            .iter()
+            .filter(|topic| reader.topic(topic).is_none())
+        {
             warn!("the bag has no topic {topic}");
         }
         let mut tracks = HashMap::new();
-        for topic in reader.topics().iter().filter(|topic| settings.plays(&topic.name)) {
+        for topic in reader
+            .topics()
+            .iter()
+            .filter(|topic| settings.plays(&topic.name))
+        {
             let has_header = begins_with_header(&topic.schema);
             if settings.is_restamping && !has_header {
-                tracing::debug!("{}: {} begins with no header: nothing to restamp", topic.name, topic.type_name);
+                tracing::debug!(
+                    "{}: {} begins with no header: nothing to restamp",
+                    topic.name,
+                    topic.type_name
+                );
             }
-            let qos = topic.qos().map_or(Qos::reliable(10), |profile| offered(&profile));
+            let qos = topic
+                .qos()
+                .map_or(Qos::reliable(10), |profile| offered(&profile));
             let publisher = node
                 .raw_publisher(&topic.name, &topic.type_name, qos)
                 .with_context(|| format!("topic {} of the bag", topic.name))?;
-            let track = Track { publisher, is_restamped: settings.is_restamping && has_header };
+            let track = Track {
+                publisher,
+                is_restamped: settings.is_restamping && has_header,
+            };
             tracks.insert(topic.name.clone(), track);
         }
         if tracks.is_empty() {
-            let names: Vec<&str> = reader.topics().iter().map(|topic| topic.name.as_ref()).collect();
-            bail!("nothing to play in {}; its topics: {}", reader.path().display(), names.join(", "));
+            let names: Vec<&str> = reader
+                .topics()
+                .iter()
+                .map(|topic| topic.name.as_ref())
+                .collect();
+            bail!(
+                "nothing to play in {}; its topics: {}",
+                reader.path().display(),
+                names.join(", ")
+            );
         }
         let chunks = match settings.chunk_length {
             0 => None,
             length => Some(read_chunks(reader, settings, length)?),
         };
         let goal = if settings.has_goal {
-            Some(last_frame(reader, &camera_topic(reader, &settings.camera_topic)?)?)
+            Some(last_frame(
+                reader,
+                &camera_topic(reader, &settings.camera_topic)?,
+            )?)
         } else {
             None
         };
-        Ok(Self { tracks, chunks, goal })
+        Ok(Self {
+            tracks,
+            chunks,
+            goal,
+        })
     }
 }
 
 fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result<ActionChunks> {
     let topic = settings.action_topic.as_str();
-    let has_actions = reader.topic(topic).is_some_and(|found| found.type_name.as_ref() == Action::ros_name());
+    let has_actions = reader
+        .topic(topic)
+        .is_some_and(|found| found.type_name.as_ref() == Action::ros_name());
     if !has_actions {
-        let names: Vec<&str> = reader.topics().iter().map(|topic| topic.name.as_ref()).collect();
+        let names: Vec<&str> = reader
+            .topics()
+            .iter()
+            .map(|topic| topic.name.as_ref())
+            .collect();
         bail!(
             "the bag {} has no actions: no topic {topic} of {}; its topics: {}",
             reader.path().display(),
@@ -84,7 +122,12 @@ fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result
     // unreadable parts of the bag are reported when they are played
     let mut actions = Vec::new();
     let start_ns = settings.start_ns(reader);
-    for message in reader.messages().only_topics([topic]).starting_at(start_ns).flatten() {
+    for message in reader
+        .messages()
+        .only_topics([topic])
+        .starting_at(start_ns)
+        .flatten()
+    {
         actions.push(message.decode::<Action>()?);
     }
     Ok(ActionChunks::new(actions, length)?)

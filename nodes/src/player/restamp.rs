@@ -17,7 +17,9 @@ pub enum RestampError {
     #[error("{0} byte(s) are too few for a message with a header: at least 12 are needed")]
     TooShort(usize),
     /// An encapsulation whose first field is elsewhere.
-    #[error("CDR encapsulation {0:#06x} is not known; expected plain CDR or plain CDR 2 (0, 1, 6, 7)")]
+    #[error(
+        "CDR encapsulation {0:#06x} is not known; expected plain CDR or plain CDR 2 (0, 1, 6, 7)"
+    )]
     Encapsulation(u16),
     /// A time that the message cannot express.
     #[error("{0} ns is out of the range of a ROS time")]
@@ -30,13 +32,20 @@ pub fn begins_with_header(schema: &Schema) -> bool {
     if schema.encoding != SchemaEncoding::Ros2Msg {
         return false;
     }
-    let own = schema.text.lines().take_while(|line| !line.starts_with("====")).map(|line| {
-        line.split_once('#').map_or(line, |(code, _)| code).trim()
-    });
+    let own = schema
+        .text
+        .lines()
+        .take_while(|line| !line.starts_with("===="))
+        .map(|line| line.split_once('#').map_or(line, |(code, _)| code).trim());
     // constants take no place in the message
-    let first_field = own.into_iter().find(|line| !line.is_empty() && !line.contains('='));
+    let first_field = own
+        .into_iter()
+        .find(|line| !line.is_empty() && !line.contains('='));
     let first_type = first_field.and_then(|field| field.split_whitespace().next());
-    matches!(first_type, Some("std_msgs/Header" | "std_msgs/msg/Header" | "Header"))
+    matches!(
+        first_type,
+        Some("std_msgs/Header" | "std_msgs/msg/Header" | "Header")
+    )
 }
 
 /// The message with `map` applied to its header's stamp \[ns\].
@@ -51,7 +60,11 @@ pub fn restamp(cdr: &Bytes, map: impl FnOnce(i64) -> i64) -> Result<Bytes, Resta
         1 | 7 => true,
         other => return Err(RestampError::Encapsulation(other)),
     };
-    let word = |range| cdr.get(range).and_then(|bytes: &[u8]| <[u8; 4]>::try_from(bytes).ok()).ok_or_else(too_short);
+    let word = |range| {
+        cdr.get(range)
+            .and_then(|bytes: &[u8]| <[u8; 4]>::try_from(bytes).ok())
+            .ok_or_else(too_short)
+    };
     let (seconds, nanoseconds) = (word(SECONDS)?, word(NANOSECONDS)?);
     let (seconds, nanoseconds) = if is_little {
         (i32::from_le_bytes(seconds), u32::from_le_bytes(nanoseconds))
@@ -68,8 +81,14 @@ pub fn restamp(cdr: &Bytes, map: impl FnOnce(i64) -> i64) -> Result<Bytes, Resta
         (seconds.to_be_bytes(), nanoseconds.to_be_bytes())
     };
     let mut moved = BytesMut::from(cdr.as_ref());
-    moved.get_mut(SECONDS).ok_or_else(too_short)?.copy_from_slice(&seconds);
-    moved.get_mut(NANOSECONDS).ok_or_else(too_short)?.copy_from_slice(&nanoseconds);
+    moved
+        .get_mut(SECONDS)
+        .ok_or_else(too_short)?
+        .copy_from_slice(&seconds);
+    moved
+        .get_mut(NANOSECONDS)
+        .ok_or_else(too_short)?
+        .copy_from_slice(&nanoseconds);
     Ok(moved.freeze())
 }
 
@@ -82,12 +101,22 @@ mod tests {
 
     #[test]
     fn only_the_stamp_changes() {
-        let header = std_msgs::Header { stamp: Time::from_nanos(5_000_000_007), frame_id: "base_link".to_owned() };
-        let action = Action { header, values: vec![0.5; 7] };
+        let header = std_msgs::Header {
+            stamp: Time::from_nanos(5_000_000_007),
+            frame_id: "base_link".to_owned(),
+        };
+        let action = Action {
+            header,
+            values: vec![0.5; 7],
+        };
         let bytes = Bytes::from(cdr::to_bytes(&action).unwrap());
-        let moved: Action = cdr::from_bytes(&restamp(&bytes, |stamp| stamp + 2_999_999_999).unwrap()).unwrap();
+        let moved: Action =
+            cdr::from_bytes(&restamp(&bytes, |stamp| stamp + 2_999_999_999).unwrap()).unwrap();
         assert_eq!(moved.header.stamp.to_nanos(), 8_000_000_006);
-        let back = Action { header: action.header.clone(), ..moved };
+        let back = Action {
+            header: action.header.clone(),
+            ..moved
+        };
         assert_eq!(back, action);
     }
 
@@ -100,11 +129,20 @@ mod tests {
 
     #[test]
     fn what_cannot_be_moved_is_named() {
-        assert_eq!(restamp(&Bytes::from_static(&[0, 1, 0, 0, 1]), |s| s), Err(RestampError::TooShort(5)));
+        assert_eq!(
+            restamp(&Bytes::from_static(&[0, 1, 0, 0, 1]), |s| s),
+            Err(RestampError::TooShort(5))
+        );
         let parameter_list = Bytes::from_static(&[0, 3, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(restamp(&parameter_list, |s| s), Err(RestampError::Encapsulation(3)));
+        assert_eq!(
+            restamp(&parameter_list, |s| s),
+            Err(RestampError::Encapsulation(3))
+        );
         let plain = Bytes::from_static(&[0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(restamp(&plain, |_| i64::MAX), Err(RestampError::OutOfRange(i64::MAX)));
+        assert_eq!(
+            restamp(&plain, |_| i64::MAX),
+            Err(RestampError::OutOfRange(i64::MAX))
+        );
     }
 
     #[test]
@@ -113,8 +151,13 @@ mod tests {
         assert!(!begins_with_header(&type_schema::<std_msgs::String>()));
         let commented = "# a comment: std_msgs/Header\nuint8 A=1 # constant\n\nstd_msgs/Header header # stamp\nint32 x\n";
         assert!(begins_with_header(&Schema::ros2msg(commented)));
-        assert!(!begins_with_header(&Schema::ros2msg("int32 x\nstd_msgs/Header header\n")));
-        let idl = Schema { encoding: SchemaEncoding::Ros2Idl, text: "std_msgs/Header header".to_owned() };
+        assert!(!begins_with_header(&Schema::ros2msg(
+            "int32 x\nstd_msgs/Header header\n"
+        )));
+        let idl = Schema {
+            encoding: SchemaEncoding::Ros2Idl,
+            text: "std_msgs/Header header".to_owned(),
+        };
         assert!(!begins_with_header(&idl));
     }
 

@@ -28,7 +28,8 @@ impl Schedule {
     /// The bag's time \[ns\] at `elapsed` since the beginning of the pass.
     #[must_use]
     pub fn bag_time_ns(&self, elapsed: Duration) -> u64 {
-        self.bag_start_ns.saturating_add((elapsed.as_secs_f64() * self.rate * 1e9) as u64)
+        self.bag_start_ns
+            .saturating_add((elapsed.as_secs_f64() * self.rate * 1e9) as u64)
     }
 
     /// The stamp \[ns\] that replaces `stamp_ns` in a pass that began at `wall_start_ns`.
@@ -36,7 +37,11 @@ impl Schedule {
     pub fn restamped_ns(&self, stamp_ns: i64, wall_start_ns: i64) -> i64 {
         // stamps lie near the bag's start: the difference in f64 is exact to well under a microsecond
         let since_start_ns = i128::from(stamp_ns) - i128::from(self.bag_start_ns);
-        let scaled = if self.rate == 1.0 { since_start_ns as i64 } else { (since_start_ns as f64 / self.rate) as i64 };
+        let scaled = if self.rate == 1.0 {
+            since_start_ns as i64
+        } else {
+            (since_start_ns as f64 / self.rate) as i64
+        };
         wall_start_ns.saturating_add(scaled)
     }
 }
@@ -48,16 +53,25 @@ mod tests {
     #[test]
     fn messages_are_due_at_their_distance_over_the_rate() {
         let schedule = Schedule::new(1_700_000_000_000_000_000, 2.0);
-        assert_eq!(schedule.due(1_700_000_000_400_000_000), Duration::from_millis(200));
+        assert_eq!(
+            schedule.due(1_700_000_000_400_000_000),
+            Duration::from_millis(200)
+        );
         assert_eq!(schedule.due(1_600_000_000_000_000_000), Duration::ZERO);
-        assert_eq!(schedule.bag_time_ns(Duration::from_millis(200)), 1_700_000_000_400_000_000);
+        assert_eq!(
+            schedule.bag_time_ns(Duration::from_millis(200)),
+            1_700_000_000_400_000_000
+        );
     }
 
     #[test]
     fn stamps_keep_their_distances() {
         let start = 1_700_000_000_123_456_789;
         let real = Schedule::new(start, 1.0);
-        assert_eq!(real.restamped_ns(start as i64 + 200_000_001, 50), 200_000_051);
+        assert_eq!(
+            real.restamped_ns(start as i64 + 200_000_001, 50),
+            200_000_051
+        );
         assert_eq!(real.restamped_ns(start as i64 - 10, 50), 40);
         let double = Schedule::new(start, 2.0);
         assert_eq!(double.restamped_ns(start as i64 + 200, 50), 150);

@@ -61,18 +61,42 @@ impl Settings {
             // ROS cannot write an empty list of strings: [''] stands for it
             Ok(list.into_iter().filter(|item| !item.is_empty()).collect())
         };
-        let flag = |name: &str, what: &str| -> Result<bool> { Ok(node.declare(name, false, fixed(what))?.get()) };
+        let flag = |name: &str, what: &str| -> Result<bool> {
+            Ok(node.declare(name, false, fixed(what))?.get())
+        };
         let seconds = |name: &str, default: f64, what: &str| -> Result<Duration> {
-            let value = node.declare(name, default, fixed(what).floats(0.0, LONGEST_S))?.get();
+            let value = node
+                .declare(name, default, fixed(what).floats(0.0, LONGEST_S))?
+                .get();
             Duration::try_from_secs_f64(value).with_context(|| format!("parameter {name:?}"))
         };
 
-        let bag = text("bag", "", "bag to play: its folder, or one .mcap file; relative to the working directory")?;
-        let rate = node.declare("rate", 1.0, fixed("seconds of the bag in a second").floats(0.001, 1000.0))?.get();
-        let clock_hz =
-            node.declare("clock", 0.0, fixed("publish the bag's time on /clock this often [Hz]; 0: never").floats(0.0, 1000.0))?.get();
+        let bag = text(
+            "bag",
+            "",
+            "bag to play: its folder, or one .mcap file; relative to the working directory",
+        )?;
+        let rate = node
+            .declare(
+                "rate",
+                1.0,
+                fixed("seconds of the bag in a second").floats(0.001, 1000.0),
+            )?
+            .get();
+        let clock_hz = node
+            .declare(
+                "clock",
+                0.0,
+                fixed("publish the bag's time on /clock this often [Hz]; 0: never")
+                    .floats(0.0, 1000.0),
+            )?
+            .get();
         let chunk_length = node
-            .declare("action_chunk_length", 0_i64, fixed("publish so many coming actions at each action; 0: none").integers(0, 1024))?
+            .declare(
+                "action_chunk_length",
+                0_i64,
+                fixed("publish so many coming actions at each action; 0: none").integers(0, 1024),
+            )?
             .get();
         let settings = Self {
             rate,
@@ -80,16 +104,32 @@ impl Settings {
             clock_hz,
             is_restamping: flag("restamp", "move header stamps from the bag's time to now")?,
             delay: seconds("delay", 0.0, "time before the first message [s]")?,
-            start_offset: seconds("start_offset", 0.0, "part of the bag's beginning to leave out [s]")?,
+            start_offset: seconds(
+                "start_offset",
+                0.0,
+                "part of the bag's beginning to leave out [s]",
+            )?,
             topics: texts("topics", "topics to play; empty: all")?,
             exclude_topics: texts("exclude_topics", "topics not to play")?,
-            wait_for: texts("wait_for", "topics that need a publisher and a subscriber before the first message")?,
+            wait_for: texts(
+                "wait_for",
+                "topics that need a publisher and a subscriber before the first message",
+            )?,
             wait_timeout: seconds("wait_timeout", 10.0, "the longest to wait for them [s]")?,
-            linger: seconds("linger", 0.0, "time from the last message to the player's end [s]")?,
-            chunk_length: usize::try_from(chunk_length).context("parameter \"action_chunk_length\"")?,
+            linger: seconds(
+                "linger",
+                0.0,
+                "time from the last message to the player's end [s]",
+            )?,
+            chunk_length: usize::try_from(chunk_length)
+                .context("parameter \"action_chunk_length\"")?,
             action_topic: text("action_topic", "/wm/action", "the bag's topic of actions")?,
             has_goal: flag("goal", "publish the bag's last frame as goal")?,
-            camera_topic: text("camera_topic", "", "the goal's camera topic in the bag; empty: the first")?,
+            camera_topic: text(
+                "camera_topic",
+                "",
+                "the goal's camera topic in the bag; empty: the first",
+            )?,
             bag: PathBuf::from(bag),
         };
         settings.check()?;

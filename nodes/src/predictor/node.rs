@@ -43,7 +43,7 @@ pub async fn body(node: Node) -> Result<()> {
     let chosen = model_choice::declare(&node)?;
     let parameters = Parameters::declare(&node)?;
     node.seal_parameters()?;
-    let model = Arc::new(tokio::task::spawn_blocking(move || model_choice::predictor(&chosen)).await??);
+    let model = Arc::new(tokio::task::spawn_blocking(move || chosen.predictor()).await??);
     let mut predictor = Predictor::new(&node, parameters, model)?;
     predictor.run(&node).await
 }

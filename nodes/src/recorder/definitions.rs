@@ -15,6 +15,31 @@ const FILE_LIMIT: u64 = 1 << 20;
 /// A type of more parts than this is refused.
 const PARTS_LIMIT: usize = 256;
 
+/// What every ROS node publishes beside its own topics, so that a bag can be decoded where no ROS is installed.
+const EVERY_NODE: [(&str, &str); 5] = [
+    ("builtin_interfaces/msg/Time", "int32 sec\nuint32 nanosec\n"),
+    (
+        "rcl_interfaces/msg/Log",
+        "uint8 DEBUG=10\nuint8 INFO=20\nuint8 WARN=30\nuint8 ERROR=40\nuint8 FATAL=50\nbuiltin_interfaces/Time stamp\n\
+         uint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line\n",
+    ),
+    (
+        "rcl_interfaces/msg/ParameterEvent",
+        "builtin_interfaces/Time stamp\nstring node\nParameter[] new_parameters\nParameter[] changed_parameters\n\
+         Parameter[] deleted_parameters\n",
+    ),
+    (
+        "rcl_interfaces/msg/Parameter",
+        "string name\nParameterValue value\n",
+    ),
+    (
+        "rcl_interfaces/msg/ParameterValue",
+        "uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\nstring string_value\n\
+         byte[] byte_array_value\nbool[] bool_array_value\nint64[] integer_array_value\n\
+         float64[] double_array_value\nstring[] string_array_value\n",
+    ),
+];
+
 /// The definition of `package/msg/Type`, or an empty schema where it is found nowhere: the bytes can be recorded
 /// and played all the same, only not decoded by who does not know the type.
 #[must_use]
@@ -25,14 +50,19 @@ pub fn definition(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
 /// What stands for a definition that was not found.
 #[must_use]
 pub fn unknown() -> Schema {
-    Schema { encoding: SchemaEncoding::Other(String::new()), text: String::new() }
+    Schema {
+        encoding: SchemaEncoding::Other(String::new()),
+        text: String::new(),
+    }
 }
 
 /// The folders of `AMENT_PREFIX_PATH`.
 #[must_use]
 pub fn prefixes() -> Vec<PathBuf> {
     let path = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
-    std::env::split_paths(&path).filter(|prefix| !prefix.as_os_str().is_empty()).collect()
+    std::env::split_paths(&path)
+        .filter(|prefix| !prefix.as_os_str().is_empty())
+        .collect()
 }
 
 fn own(type_name: &str) -> Option<Schema> {
@@ -83,15 +113,35 @@ fn installed(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
 fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
     let (package, name) = type_name.split_once("/msg/")?;
     // names come from the network: nothing but a file name may become part of a path
-    let is_plain = |part: &str| !part.is_empty() && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    let is_plain = |part: &str| {
+        !part.is_empty() && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+    };
     if !is_plain(package) || !is_plain(name) {
         return None;
     }
-    let file = Path::new("share").join(package).join("msg").join(format!("{name}.msg"));
-    prefixes.iter().map(|prefix| prefix.join(&file)).find_map(|path| {
-        let is_small = std::fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= FILE_LIMIT);
-        if is_small { std::fs::read_to_string(path).ok() } else { None }
-    })
+    let file = Path::new("share")
+        .join(package)
+        .join("msg")
+        .join(format!("{name}.msg"));
+    let installed = prefixes
+        .iter()
+        .map(|prefix| prefix.join(&file))
+        .find_map(|path| {
+            let is_small =
+                std::fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= FILE_LIMIT);
+            if is_small {
+                std::fs::read_to_string(path).ok()
+            } else {
+                None
+            }
+        });
+    let known = || {
+        EVERY_NODE
+            .iter()
+            .find(|(known, _)| *known == type_name)
+            .map(|(_, text)| (*text).to_owned())
+    };
+    installed.or_else(known)
 }
 
 /// The message types that a definition's fields have, as `package/msg/Type`.
@@ -100,7 +150,9 @@ fn parts(type_name: &str, definition: &str) -> Vec<String> {
     let mut parts = Vec::new();
     for line in definition.lines() {
         let code = line.split('#').next().unwrap_or_default();
-        let Some(field_type) = code.split_whitespace().next() else { continue };
+        let Some(field_type) = code.split_whitespace().next() else {
+            continue;
+        };
         let field_type = field_type.split(['[', '<', '=']).next().unwrap_or_default();
         match field_type.split('/').collect::<Vec<_>>().as_slice() {
             [package, name] | [package, "msg", name] => parts.push(format!("{package}/msg/{name}")),
@@ -124,6 +176,20 @@ mod tests {
         let schema = definition("wm_msgs/msg/Prediction", &[]).unwrap();
         assert_eq!(schema, type_schema::<Prediction>());
         assert_eq!(definition("nav_msgs/msg/Odometry", &[]), None);
+        let event = definition("rcl_interfaces/msg/ParameterEvent", &[])
+            .unwrap()
+            .text;
+        for part in [
+            "rcl_interfaces/Parameter",
+            "rcl_interfaces/ParameterValue",
+            "builtin_interfaces/Time",
+        ] {
+            assert_eq!(
+                event.matches(&format!("MSG: {part}\n")).count(),
+                1,
+                "{part}"
+            );
+        }
     }
 
     #[test]
@@ -134,15 +200,28 @@ mod tests {
             std::fs::create_dir_all(&folder).unwrap();
             std::fs::write(folder.join(format!("{name}.msg")), text).unwrap();
         };
-        write("a", "Top", "Header header\nuint8 X=1\nPart[<=3] parts # Comment\nb/Other other\nstring<=5 s\n");
+        write(
+            "a",
+            "Top",
+            "Header header\nuint8 X=1\nPart[<=3] parts # Comment\nb/Other other\nstring<=5 s\n",
+        );
         write("a", "Part", "b/Other again\nfloat64[9] k\n");
         write("b", "Other", "int32 x\n");
-        write("std_msgs", "Header", "builtin_interfaces/Time stamp\nstring frame_id\n");
+        write(
+            "std_msgs",
+            "Header",
+            "builtin_interfaces/Time stamp\nstring frame_id\n",
+        );
         write("builtin_interfaces", "Time", "int32 sec\nuint32 nanosec\n");
         let prefixes = [folder.path().to_owned()];
         let text = definition("a/msg/Top", &prefixes).unwrap().text;
         assert!(text.starts_with("Header header"));
-        for part in ["a/Part", "b/Other", "std_msgs/Header", "builtin_interfaces/Time"] {
+        for part in [
+            "a/Part",
+            "b/Other",
+            "std_msgs/Header",
+            "builtin_interfaces/Time",
+        ] {
             assert_eq!(text.matches(&format!("MSG: {part}\n")).count(), 1, "{part}");
         }
         write("c", "Broken", "missing/Type x\n");

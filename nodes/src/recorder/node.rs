@@ -16,7 +16,9 @@ use std::sync::{
 use tokio::task::JoinSet;
 use tracing::{debug, info, warn};
 use wm_bag::QosProfile;
-use wm_ros::{Descriptor, Durability, Node, NodeArgs, Qos, RawSubscription, Reliability, TopicInfo};
+use wm_ros::{
+    Descriptor, Durability, Node, NodeArgs, Qos, RawSubscription, Reliability, TopicInfo,
+};
 
 /// The node's default name.
 pub const NAME: &str = "recorder";
@@ -31,23 +33,43 @@ type Losses = BTreeMap<Arc<str>, Arc<AtomicU64>>;
 pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
     let mut recording = None;
-    let result = wm_ros::run(NAME, crate::NAMESPACE, args, async |node: Node| -> Result<()> {
-        let (started, selection) = start(&node).await?;
-        let queue = recording.insert(started).queue();
-        let losses = record(&node, &selection, &queue).await?;
-        for (topic, lost) in losses {
-            let messages = lost.load(Ordering::Relaxed);
-            if messages > 0 && !queue.offer(Entry::Lost { topic: topic.clone(), messages })? {
-                warn!("{topic}: {messages} message(s) lost");
+    let result = wm_ros::run(
+        NAME,
+        crate::NAMESPACE,
+        args,
+        async |node: Node| -> Result<()> {
+            let (started, selection) = start(&node).await?;
+            let queue = recording.insert(started).queue();
+            let losses = record(&node, &selection, &queue).await?;
+            for (topic, lost) in losses {
+                let messages = lost.load(Ordering::Relaxed);
+                if messages > 0
+                    && !queue.offer(Entry::Lost {
+                        topic: topic.clone(),
+                        messages,
+                    })?
+                {
+                    warn!("{topic}: {messages} message(s) lost");
+                }
             }
-        }
-        Ok(())
-    });
+            Ok(())
+        },
+    );
     // the bag is closed whatever happened, so that what was recorded can be read
-    let Some(recording) = recording else { return result.map(|()| Ending::Complete) };
+    let Some(recording) = recording else {
+        return result.map(|()| Ending::Complete);
+    };
     let summary = recording.finish()?;
     result?;
-    print!("{summary}");
+    println!(
+        "recorded {} message(s) of {} topic(s) to {}",
+        summary.message_count,
+        summary.topics.len(),
+        summary.path.display()
+    );
+    for (topic, messages) in summary.lost.iter().filter(|(_, messages)| **messages > 0) {
+        println!("lost {messages} message(s) of {topic}");
+    }
     let is_lost = summary.lost.values().any(|messages| *messages > 0);
     Ok(Ending::lost_if(is_lost))
 }
@@ -57,17 +79,32 @@ async fn start(node: &Node) -> Result<(Recording, Selection)> {
     let texts = |name: &str, what: &str| -> Result<Vec<String>> {
         let list = node.declare(name, Vec::<String>::new(), fixed(what))?.get();
         // ROS cannot write an empty list of strings: [''] stands for it
-        list.into_iter().filter(|item| !item.is_empty()).map(|item| Ok(node.resolve(&item)?)).collect()
+        list.into_iter()
+            .filter(|item| !item.is_empty())
+            .map(|item| Ok(node.resolve(&item)?))
+            .collect()
     };
     let output = node
-        .declare("output", String::new(), fixed("folder of the new bag; relative to the working directory"))?
+        .declare(
+            "output",
+            String::new(),
+            fixed("folder of the new bag; relative to the working directory"),
+        )?
         .get();
-    let is_overwriting =
-        node.declare("overwrite", false, fixed("replace a bag that is there already"))?.get();
+    let is_overwriting = node
+        .declare(
+            "overwrite",
+            false,
+            fixed("replace a bag that is there already"),
+        )?
+        .get();
     let topics = texts("topics", "topics to record; empty: all that are not hidden")?;
     let exclude = texts("exclude_topics", "topics not to record")?;
     node.seal_parameters()?;
-    ensure!(!output.is_empty(), "parameter \"output\" is empty: name the folder of the new bag");
+    ensure!(
+        !output.is_empty(),
+        "parameter \"output\" is empty: name the folder of the new bag"
+    );
     let folder = PathBuf::from(output);
     info!("recording to {}", folder.display());
     let recording = tokio::task::spawn_blocking(move || -> Result<Recording> {
@@ -90,12 +127,19 @@ async fn record(node: &Node, selection: &Selection, queue: &Queue) -> Result<Los
     let mut topics = JoinSet::new();
     let mut changes = node.graph_changes();
     loop {
-        for topic in node.topics().into_iter().filter(|topic| selection.wants(topic)) {
+        for topic in node
+            .topics()
+            .into_iter()
+            .filter(|topic| selection.wants(topic))
+        {
             match types.get(&topic.name) {
                 Some(known) if *known == topic.type_name => continue,
                 Some(known) => {
                     if refused.insert((topic.name.clone(), topic.type_name.clone())) {
-                        warn!("{} is recorded as {known}; not as {} too", topic.name, topic.type_name);
+                        warn!(
+                            "{} is recorded as {known}; not as {} too",
+                            topic.name, topic.type_name
+                        );
                     }
                     continue;
                 }
@@ -131,20 +175,33 @@ fn subscribe(
     prefixes: &[PathBuf],
 ) -> Result<RawSubscription> {
     let schema = definitions::definition(&topic.type_name, prefixes).unwrap_or_else(|| {
-        warn!("{name}: no definition of {} on AMENT_PREFIX_PATH: recorded without one", topic.type_name);
+        warn!(
+            "{name}: no definition of {} on AMENT_PREFIX_PATH: recorded without one",
+            topic.type_name
+        );
         definitions::unknown()
     });
     let qos = common_qos(&topic.publishers);
     info!("recording {name} ({})", topic.type_name);
     let type_name = topic.type_name.clone();
-    let recorded = Entry::Topic { name: Arc::clone(name), type_name, schema, qos: profile(topic.publishers.first()) };
-    ensure!(queue.offer(recorded)?, "the disk is too slow to begin recording {name}");
+    let recorded = Entry::Topic {
+        name: Arc::clone(name),
+        type_name,
+        schema,
+        qos: profile(topic.publishers.first()),
+    };
+    ensure!(
+        queue.offer(recorded)?,
+        "the disk is too slow to begin recording {name}"
+    );
     Ok(node.raw_subscription(&topic.name, &topic.type_name, qos)?)
 }
 
 /// What the publisher offers, as the bag keeps it.
 fn profile(offered: Option<&Qos>) -> QosProfile {
-    let Some(qos) = offered else { return QosProfile::reliable() };
+    let Some(qos) = offered else {
+        return QosProfile::reliable();
+    };
     QosProfile {
         reliability: match qos.reliability {
             Reliability::BestEffort => wm_bag::Reliability::BestEffort,
@@ -166,7 +223,11 @@ async fn forward(
 ) -> Result<()> {
     while let Some(received) = subscription.recv().await {
         let log_time_ns = u64::try_from(received.received.to_nanos()).unwrap_or(0);
-        let entry = Entry::Message { topic: Arc::clone(&topic), log_time_ns, data: received.message };
+        let entry = Entry::Message {
+            topic: Arc::clone(&topic),
+            log_time_ns,
+            data: received.message,
+        };
         if !queue.offer(entry)? {
             lost.fetch_add(1, Ordering::Relaxed);
         }

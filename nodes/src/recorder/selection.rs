@@ -29,11 +29,23 @@ impl Selection {
 /// The strongest quality of service that all publishers of a topic offer, so that a subscription matches each.
 #[must_use]
 pub fn common_qos(publishers: &[Qos]) -> Qos {
-    let all_reliable = publishers.iter().all(|qos| qos.reliability == Reliability::Reliable);
-    let all_latched = publishers.iter().all(|qos| qos.durability == Durability::TransientLocal);
+    let all_reliable = publishers
+        .iter()
+        .all(|qos| qos.reliability == Reliability::Reliable);
+    let all_latched = publishers
+        .iter()
+        .all(|qos| qos.durability == Durability::TransientLocal);
     Qos {
-        reliability: if all_reliable { Reliability::Reliable } else { Reliability::BestEffort },
-        durability: if all_latched { Durability::TransientLocal } else { Durability::Volatile },
+        reliability: if all_reliable {
+            Reliability::Reliable
+        } else {
+            Reliability::BestEffort
+        },
+        durability: if all_latched {
+            Durability::TransientLocal
+        } else {
+            Durability::Volatile
+        },
         depth: DEPTH,
     }
 }
@@ -43,7 +55,12 @@ mod tests {
     use super::*;
 
     fn topic(name: &str, publishers: Vec<Qos>) -> TopicInfo {
-        TopicInfo { name: name.to_owned(), type_name: "std_msgs/msg/String".to_owned(), publishers, subscribers: 0 }
+        TopicInfo {
+            name: name.to_owned(),
+            type_name: "std_msgs/msg/String".to_owned(),
+            publishers,
+            subscribers: 0,
+        }
     }
 
     #[test]
@@ -52,17 +69,38 @@ mod tests {
         assert!(all.wants(&topic("/a/b", vec![Qos::reliable(1)])));
         assert!(!all.wants(&topic("/a/b", vec![])));
         assert!(!all.wants(&topic("/a/_hidden/b", vec![Qos::reliable(1)])));
-        let named = Selection { topics: vec!["/a/_hidden".into()], exclude: vec![] };
+        let named = Selection {
+            topics: vec!["/a/_hidden".into()],
+            exclude: vec![],
+        };
         assert!(named.wants(&topic("/a/_hidden", vec![Qos::reliable(1)])));
         assert!(!named.wants(&topic("/b", vec![Qos::reliable(1)])));
-        let without = Selection { topics: vec![], exclude: vec!["/b".into()] };
+        let without = Selection {
+            topics: vec![],
+            exclude: vec!["/b".into()],
+        };
         assert!(!without.wants(&topic("/b", vec![Qos::reliable(1)])));
     }
 
     #[test]
     fn one_weak_publisher_weakens_the_subscription() {
-        assert_eq!(common_qos(&[Qos::latched(1)]), Qos { depth: DEPTH, ..Qos::latched(1) });
-        assert_eq!(common_qos(&[Qos::latched(1), Qos::reliable(5)]), Qos { depth: DEPTH, ..Qos::reliable(1) });
-        assert_eq!(common_qos(&[Qos::sensor_data(), Qos::reliable(5)]), Qos::best_effort(DEPTH));
+        assert_eq!(
+            common_qos(&[Qos::latched(1)]),
+            Qos {
+                depth: DEPTH,
+                ..Qos::latched(1)
+            }
+        );
+        assert_eq!(
+            common_qos(&[Qos::latched(1), Qos::reliable(5)]),
+            Qos {
+                depth: DEPTH,
+                ..Qos::reliable(1)
+            }
+        );
+        assert_eq!(
+            common_qos(&[Qos::sensor_data(), Qos::reliable(5)]),
+            Qos::best_effort(DEPTH)
+        );
     }
 }

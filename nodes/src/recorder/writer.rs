@@ -17,9 +17,18 @@ const CHUNK_TIME: Duration = Duration::from_secs(1);
 /// What the node sends to the bag's thread.
 pub(super) enum Entry {
     /// A topic that is recorded from now on.
-    Topic { name: Arc<str>, type_name: String, schema: Schema, qos: QosProfile },
+    Topic {
+        name: Arc<str>,
+        type_name: String,
+        schema: Schema,
+        qos: QosProfile,
+    },
     /// A message of it.
-    Message { topic: Arc<str>, log_time_ns: u64, data: Bytes },
+    Message {
+        topic: Arc<str>,
+        log_time_ns: u64,
+        data: Bytes,
+    },
     /// So many messages of it did not get here.
     Lost { topic: Arc<str>, messages: u64 },
 }
@@ -48,7 +57,11 @@ impl Queue {
             Ok(()) => Ok(true),
             Err(mpsc::TrySendError::Full(_)) => Ok(false),
             Err(mpsc::TrySendError::Disconnected(_)) => {
-                let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone();
+                let failure = self
+                    .failure
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .clone();
                 bail!("the bag cannot be written: {}", failure.unwrap_or_default())
             }
         }
@@ -61,23 +74,37 @@ impl Recording {
     /// # Errors
     /// Where the folder cannot be made, or holds something already.
     pub fn create(folder: &Path) -> Result<Self> {
-        let options = WriterOptions { chunk_duration: Some(CHUNK_TIME), ..WriterOptions::default() };
+        let options = WriterOptions {
+            chunk_duration: Some(CHUNK_TIME),
+            ..WriterOptions::default()
+        };
         let writer = BagWriter::create(folder, options)?;
         let (queue, entries) = mpsc::sync_channel(QUEUE);
         let failure = Arc::new(Mutex::new(None));
         let thread_failure = Arc::clone(&failure);
-        let thread = std::thread::Builder::new().name("bag".to_owned()).spawn(move || {
-            let result = write(writer, &entries);
-            if let Err(error) = &result {
-                *thread_failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(format!("{error:#}"));
-            }
-            result
-        })?;
-        Ok(Self { queue, thread, failure })
+        let thread = std::thread::Builder::new()
+            .name("bag".to_owned())
+            .spawn(move || {
+                let result = write(writer, &entries);
+                if let Err(error) = &result {
+                    *thread_failure
+                        .lock()
+                        .unwrap_or_else(PoisonError::into_inner) = Some(format!("{error:#}"));
+                }
+                result
+            })?;
+        Ok(Self {
+            queue,
+            thread,
+            failure,
+        })
     }
 
     pub fn queue(&self) -> Queue {
-        Queue { queue: self.queue.clone(), failure: Arc::clone(&self.failure) }
+        Queue {
+            queue: self.queue.clone(),
+            failure: Arc::clone(&self.failure),
+        }
     }
 
     /// Closes the bag once every [`Queue`] is gone.
@@ -103,14 +130,25 @@ fn write(mut writer: BagWriter, entries: &mpsc::Receiver<Entry>) -> Result<BagSu
                 writer.flush()?;
                 continue;
             }
-            Err(mpsc::RecvTimeoutError::Disconnected) => return writer.finish().context("closing the bag"),
+            Err(mpsc::RecvTimeoutError::Disconnected) => {
+                return writer.finish().context("closing the bag");
+            }
         };
         match entry {
-            Entry::Topic { name, type_name, schema, qos } => {
+            Entry::Topic {
+                name,
+                type_name,
+                schema,
+                qos,
+            } => {
                 writer.add_topic_raw(&name, &type_name, &schema, &qos.to_yaml())?;
                 types.insert(name, (type_name, schema));
             }
-            Entry::Message { topic, log_time_ns, data } => {
+            Entry::Message {
+                topic,
+                log_time_ns,
+                data,
+            } => {
                 if let Some((type_name, schema)) = types.get(&topic) {
                     writer.write_raw(&topic, type_name, schema, log_time_ns, &data)?;
                 }
@@ -130,14 +168,22 @@ pub(super) fn remove_old(folder: &Path) -> Result<()> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
         Err(error) => return Err(error).with_context(|| format!("folder {}", folder.display())),
     };
-    let paths = entries.map(|entry| entry.map(|entry| entry.path())).collect::<std::io::Result<Vec<PathBuf>>>()?;
+    let paths = entries
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<std::io::Result<Vec<PathBuf>>>()?;
     let is_part_of_bag = |path: &PathBuf| {
         path.is_file()
-            && (path.extension().is_some_and(|extension| extension == "mcap")
+            && (path
+                .extension()
+                .is_some_and(|extension| extension == "mcap")
                 || path.file_name().is_some_and(|name| name == "metadata.yaml"))
     };
     if let Some(stranger) = paths.iter().find(|path| !is_part_of_bag(path)) {
-        bail!("will not overwrite {}: it holds {}, which is no part of a bag", folder.display(), stranger.display());
+        bail!(
+            "will not overwrite {}: it holds {}, which is no part of a bag",
+            folder.display(),
+            stranger.display()
+        );
     }
     for path in paths {
         std::fs::remove_file(&path).with_context(|| format!("removing {}", path.display()))?;
@@ -160,18 +206,40 @@ mod tests {
         let topic: Arc<str> = "/note".into();
         let schema = type_schema::<std_msgs::String>();
         let type_name = "std_msgs/msg/String".to_owned();
-        let entry = Entry::Topic { name: topic.clone(), type_name, schema, qos: QosProfile::latched() };
+        let entry = Entry::Topic {
+            name: topic.clone(),
+            type_name,
+            schema,
+            qos: QosProfile::latched(),
+        };
         assert!(queue.offer(entry).unwrap());
-        let data = Bytes::from(wm_msgs::cdr::to_bytes(&std_msgs::String { data: "hello".to_owned() }).unwrap());
-        queue.offer(Entry::Message { topic: topic.clone(), log_time_ns: 7, data: data.clone() }).unwrap();
+        let data = Bytes::from(
+            wm_msgs::cdr::to_bytes(&std_msgs::String {
+                data: "hello".to_owned(),
+            })
+            .unwrap(),
+        );
+        queue
+            .offer(Entry::Message {
+                topic: topic.clone(),
+                log_time_ns: 7,
+                data: data.clone(),
+            })
+            .unwrap();
         queue.offer(Entry::Lost { topic, messages: 3 }).unwrap();
         drop(queue);
         let summary = recording.finish().unwrap();
         assert_eq!(summary.lost.get("/note"), Some(&3));
         let reader = BagReader::open(&bag).unwrap();
-        assert_eq!(reader.topic("/note").unwrap().qos(), Some(QosProfile::latched()));
+        assert_eq!(
+            reader.topic("/note").unwrap().qos(),
+            Some(QosProfile::latched())
+        );
         let messages: Vec<_> = reader.messages().map(|message| message.unwrap()).collect();
-        assert_eq!((messages.len(), messages[0].log_time_ns, &messages[0].data), (1, 7, &data));
+        assert_eq!(
+            (messages.len(), messages[0].log_time_ns, &messages[0].data),
+            (1, 7, &data)
+        );
     }
 
     #[test]
@@ -184,7 +252,12 @@ mod tests {
         assert_eq!(std::fs::read_dir(&bag).unwrap().count(), 0);
         std::fs::write(bag.join("thesis.txt"), "x").unwrap();
         std::fs::write(bag.join("a.mcap"), "x").unwrap();
-        assert!(remove_old(&bag).unwrap_err().to_string().contains("thesis.txt"));
+        assert!(
+            remove_old(&bag)
+                .unwrap_err()
+                .to_string()
+                .contains("thesis.txt")
+        );
         assert!(bag.join("a.mcap").exists());
     }
 }

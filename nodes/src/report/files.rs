@@ -9,7 +9,11 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// Names the file that cannot be written.
-pub fn write_report(scorer: &Scorer, source: &str, folder: &Path) -> Result<(Report, Vec<PathBuf>)> {
+pub fn write_report(
+    scorer: &Scorer,
+    source: &str,
+    folder: &Path,
+) -> Result<(Report, Vec<PathBuf>)> {
     std::fs::create_dir_all(folder).with_context(|| format!("folder {}", folder.display()))?;
     let report = scorer.report(source);
     let mut written = Vec::new();

@@ -37,7 +37,8 @@ mod tests {
     fn letters_leave_ink_and_the_edge_cuts_them() {
         let mut picture = RgbImage::new(20, 8);
         write(&mut picture, "kk=", 0, 0, Rgb([255; 3]));
-        let ink = |from, to| (from..to).any(|x| (0..8).any(|y| picture.get_pixel(x, y).0 == [255; 3]));
+        let ink =
+            |from, to| (from..to).any(|x| (0..8).any(|y| picture.get_pixel(x, y).0 == [255; 3]));
         assert!(ink(0, 8) && ink(8, 16) && ink(16, 20));
         assert_eq!(width("kk="), 24);
     }

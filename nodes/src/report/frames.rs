@@ -32,7 +32,8 @@ impl Frames {
         };
         self.bytes += frame.as_raw().len();
         self.frames.insert(stamp_ns, Arc::new(frame));
-        while self.frames.len() > COUNT_LIMIT || (self.bytes > BYTE_LIMIT && self.frames.len() > 1) {
+        while self.frames.len() > COUNT_LIMIT || (self.bytes > BYTE_LIMIT && self.frames.len() > 1)
+        {
             if let Some((_, oldest)) = self.frames.pop_first() {
                 self.bytes -= oldest.as_raw().len();
             }
@@ -46,7 +47,10 @@ impl Frames {
         if self.size != Some(size) {
             self.size = Some(size);
             let old = std::mem::take(&mut self.frames);
-            self.frames = old.into_iter().map(|(stamp, frame)| (stamp, Arc::new(fit(frame.as_ref().clone(), size)))).collect();
+            self.frames = old
+                .into_iter()
+                .map(|(stamp, frame)| (stamp, Arc::new(fit(frame.as_ref().clone(), size))))
+                .collect();
             self.bytes = self.frames.values().map(|frame| frame.as_raw().len()).sum();
         }
     }
@@ -54,7 +58,10 @@ impl Frames {
     /// The frame nearest to a stamp, within the tolerance.
     pub fn nearest(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Arc<RgbImage>> {
         let range = stamp_ns.saturating_sub(tolerance_ns)..=stamp_ns.saturating_add(tolerance_ns);
-        let nearest = self.frames.range(range).min_by_key(|(found, _)| found.abs_diff(stamp_ns));
+        let nearest = self
+            .frames
+            .range(range)
+            .min_by_key(|(found, _)| found.abs_diff(stamp_ns));
         nearest.map(|(_, frame)| frame)
     }
 
@@ -88,7 +95,10 @@ mod tests {
     fn the_nearest_within_the_tolerance_is_found() {
         let mut frames = Frames::default();
         for stamp in [100, 200, 300] {
-            assert!(frames.insert(stamp, RgbImage::from_pixel(8, 8, image::Rgb([stamp as u8; 3]))));
+            assert!(frames.insert(
+                stamp,
+                RgbImage::from_pixel(8, 8, image::Rgb([stamp as u8; 3]))
+            ));
         }
         assert!(!frames.insert(200, RgbImage::new(8, 8)));
         assert_eq!(frames.nearest(220, 30).unwrap().get_pixel(0, 0).0[0], 200);
@@ -103,7 +113,10 @@ mod tests {
         for stamp in 0..1000 {
             frames.insert(stamp, RgbImage::new(8, 8));
         }
-        assert_eq!((frames.frames.len(), frames.newest_ns()), (COUNT_LIMIT, Some(999)));
+        assert_eq!(
+            (frames.frames.len(), frames.newest_ns()),
+            (COUNT_LIMIT, Some(999))
+        );
         frames.clear();
         for stamp in 0..20 {
             frames.insert(stamp, RgbImage::new(2048, 2048));

@@ -15,19 +15,26 @@ pub(super) struct Times {
 impl Times {
     pub fn new() -> Self {
         // two significant digits: percentiles within 1 %. The bounds are constants that the crate accepts.
-        Self { histogram: Histogram::new_with_bounds(1_000, LIMIT_NS, 2).ok() }
+        Self {
+            histogram: Histogram::new_with_bounds(1_000, LIMIT_NS, 2).ok(),
+        }
     }
 
     /// Counts a time, unless it is negative or longer than an hour.
     pub fn record(&mut self, time_ns: i64) {
-        let time_ns = u64::try_from(time_ns).ok().filter(|time_ns| *time_ns <= LIMIT_NS);
+        let time_ns = u64::try_from(time_ns)
+            .ok()
+            .filter(|time_ns| *time_ns <= LIMIT_NS);
         if let (Some(histogram), Some(time_ns)) = (&mut self.histogram, time_ns) {
             histogram.saturating_record(time_ns);
         }
     }
 
     pub fn percentiles(&self) -> Option<Percentiles> {
-        let histogram = self.histogram.as_ref().filter(|histogram| !histogram.is_empty())?;
+        let histogram = self
+            .histogram
+            .as_ref()
+            .filter(|histogram| !histogram.is_empty())?;
         let milliseconds = |quantile| histogram.value_at_quantile(quantile) as f64 / 1e6;
         Some(Percentiles {
             n: histogram.len(),
@@ -54,8 +61,15 @@ mod tests {
         times.record(i64::MAX);
         let percentiles = times.percentiles().unwrap();
         assert_eq!(percentiles.n, 100);
-        for (value, expected) in [(percentiles.p50_ms, 50.0), (percentiles.p95_ms, 95.0), (percentiles.p99_ms, 99.0)] {
-            assert!((value - expected).abs() <= expected * 0.01, "{value} against {expected}");
+        for (value, expected) in [
+            (percentiles.p50_ms, 50.0),
+            (percentiles.p95_ms, 95.0),
+            (percentiles.p99_ms, 99.0),
+        ] {
+            assert!(
+                (value - expected).abs() <= expected * 0.01,
+                "{value} against {expected}"
+            );
         }
     }
 }

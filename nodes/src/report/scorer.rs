@@ -103,7 +103,11 @@ impl Default for Scorer {
 impl Scorer {
     /// A camera frame, captured at `stamp_ns`.
     pub fn frame(&mut self, stamp_ns: i64, frame: RgbImage) {
-        if self.frames.newest_ns().is_some_and(|newest_ns| stamp_ns < newest_ns.saturating_sub(JUMP_NS)) {
+        if self
+            .frames
+            .newest_ns()
+            .is_some_and(|newest_ns| stamp_ns < newest_ns.saturating_sub(JUMP_NS))
+        {
             self.flush();
         }
         let newest_ns = self.frames.newest_ns();
@@ -111,7 +115,10 @@ impl Scorer {
             return;
         }
         self.frame_count += 1;
-        if let Some(distance_ns) = newest_ns.map(|newest_ns| stamp_ns - newest_ns).filter(|distance| *distance > 0) {
+        if let Some(distance_ns) = newest_ns
+            .map(|newest_ns| stamp_ns - newest_ns)
+            .filter(|distance| *distance > 0)
+        {
             self.frame_span_ns = self.frame_span_ns.saturating_add(distance_ns);
             self.frame_distances += 1;
         }
@@ -132,7 +139,10 @@ impl Scorer {
         self.period_ns = prediction.step_period.to_nanos();
         let observed_ns = prediction.observed_stamp.to_nanos();
         self.steps.entry(prediction.step).or_default().prediction(
-            prediction.ready_stamp.to_nanos().saturating_sub(observed_ns),
+            prediction
+                .ready_stamp
+                .to_nanos()
+                .saturating_sub(observed_ns),
             arrived_ns.saturating_sub(observed_ns),
         );
         self.rollouts.observed(observed_ns);
@@ -154,12 +164,23 @@ impl Scorer {
     /// in the order of their predictions, within a model step: the oldest such prediction it is, else the newest.
     pub fn picture(&mut self, stamp_ns: i64, picture: RgbImage, arrived_ns: i64) {
         let of_moment = |awaited: &Awaited| awaited.stamp_ns == stamp_ns;
-        let is_fresh = |awaited: &Awaited| arrived_ns.saturating_sub(awaited.arrived_ns) <= awaited.period_ns;
-        let found = self.awaited.iter().position(|awaited| of_moment(awaited) && is_fresh(awaited));
-        let Some(index) = found.or_else(|| self.awaited.iter().rposition(of_moment)) else { return };
-        let Some(prediction) = self.awaited.remove(index) else { return };
+        let is_fresh =
+            |awaited: &Awaited| arrived_ns.saturating_sub(awaited.arrived_ns) <= awaited.period_ns;
+        let found = self
+            .awaited
+            .iter()
+            .position(|awaited| of_moment(awaited) && is_fresh(awaited));
+        let Some(index) = found.or_else(|| self.awaited.iter().rposition(of_moment)) else {
+            return;
+        };
+        let Some(prediction) = self.awaited.remove(index) else {
+            return;
+        };
         self.frames.set_size(&picture);
-        self.compare_or_wait(Waiting { prediction, picture: Arc::new(picture) });
+        self.compare_or_wait(Waiting {
+            prediction,
+            picture: Arc::new(picture),
+        });
     }
 
     /// The latent error of a prediction.
@@ -170,7 +191,10 @@ impl Scorer {
         if error.step == 1 && error.ratio.is_finite() {
             self.last_error_ratio = Some(error.ratio);
         }
-        self.steps.entry(error.step).or_default().latent_error(error.mse, error.persistence_mse);
+        self.steps
+            .entry(error.step)
+            .or_default()
+            .latent_error(error.mse, error.persistence_mse);
     }
 
     /// A plan.
@@ -188,9 +212,13 @@ impl Scorer {
     pub fn diagnostics(&mut self, array: &DiagnosticArray) {
         for status in &array.status {
             for pair in &status.values {
-                let reason = pair.key.strip_prefix("dropped: ").and_then(|key| key.strip_suffix(" [total]"));
+                let reason = pair
+                    .key
+                    .strip_prefix("dropped: ")
+                    .and_then(|key| key.strip_suffix(" [total]"));
                 if let (Some(reason), Ok(total)) = (reason, pair.value.parse()) {
-                    self.drops.insert((status.name.clone(), reason.to_owned()), total);
+                    self.drops
+                        .insert((status.name.clone(), reason.to_owned()), total);
                 }
             }
         }
@@ -228,7 +256,10 @@ impl Scorer {
             0 => 0.0,
             span_ns => self.frame_distances as f64 / (span_ns as f64 / 1e9),
         };
-        let steps = self.steps.iter().map(|(step, score)| score.figures(*step, observations));
+        let steps = self
+            .steps
+            .iter()
+            .map(|(step, score)| score.figures(*step, observations));
         let drops = self.drops.iter().filter(|(_, total)| **total > 0);
         Report {
             source: source.to_owned(),
@@ -248,7 +279,11 @@ impl Scorer {
                 last_cost: self.last_cost,
             }),
             drops: drops
-                .map(|((node, reason), total)| Drops { node: node.clone(), reason: reason.clone(), total: *total })
+                .map(|((node, reason), total)| Drops {
+                    node: node.clone(),
+                    reason: reason.clone(),
+                    total: *total,
+                })
                 .collect(),
         }
     }
@@ -259,7 +294,8 @@ impl Scorer {
         // a stamp that is off by an eighth of a step is still that moment; the next frame is further away
         let tolerance_ns = prediction.period_ns / 8;
         let Some(real) = self.frames.nearest(prediction.stamp_ns, tolerance_ns) else {
-            let has_passed = |newest_ns| prediction.stamp_ns.saturating_add(tolerance_ns) < newest_ns;
+            let has_passed =
+                |newest_ns| prediction.stamp_ns.saturating_add(tolerance_ns) < newest_ns;
             if !self.frames.newest_ns().is_some_and(has_passed) {
                 if self.waiting.len() == WAITING_LIMIT {
                     self.waiting.pop_front();
@@ -268,10 +304,19 @@ impl Scorer {
             }
             return;
         };
-        let Some(observed) = self.frames.nearest(prediction.observed_ns, tolerance_ns) else { return };
+        let Some(observed) = self.frames.nearest(prediction.observed_ns, tolerance_ns) else {
+            return;
+        };
         let score = self.steps.entry(prediction.step).or_default();
         score.compare(&waiting.picture, real, observed);
-        self.rollouts.picture(prediction.observed_ns, prediction.step, self.horizon, observed, real, &waiting.picture);
+        self.rollouts.picture(
+            prediction.observed_ns,
+            prediction.step,
+            self.horizon,
+            observed,
+            real,
+            &waiting.picture,
+        );
     }
 
     /// Time jumped back: nothing that waits will be matched any more.

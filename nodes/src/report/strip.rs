@@ -23,7 +23,10 @@ const INK: Rgb<u8> = Rgb([230, 230, 230]);
 #[must_use]
 pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let scale = LEAST_SIDE.div_ceil(rollout.observed.width().max(1)).max(1);
-    let (cell_width, cell_height) = (rollout.observed.width() * scale, rollout.observed.height() * scale);
+    let (cell_width, cell_height) = (
+        rollout.observed.width() * scale,
+        rollout.observed.height() * scale,
+    );
     let difference_label = format!("|diff| x{DIFFERENCE_GAIN}");
     let rows = ["real", "predicted", difference_label.as_str()];
     let left = rows.iter().map(|label| width(label)).max().unwrap_or(0) + 2 * GAP;
@@ -31,7 +34,10 @@ pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let line = CHARACTER + GAP / 2;
     // a rollout has at most some 64 steps
     let columns = rollout.steps.len() as u32 + 1;
-    let size = (left + columns * (cell_width + GAP), top + 3 * (cell_height + GAP) + 2 * line + GAP);
+    let size = (
+        left + columns * (cell_width + GAP),
+        top + 3 * (cell_height + GAP) + 2 * line + GAP,
+    );
     let mut strip = RgbImage::from_pixel(size.0, size.1, BACKGROUND);
     let row_top = |row: u32| top + row * (cell_height + GAP);
     for (row, label) in (0..).zip(rows) {
@@ -43,7 +49,12 @@ pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
 
     let blank = RgbImage::from_pixel(cell_width, cell_height, BLANK);
     let mut paste = |picture: &RgbImage, x: u32, row: u32| {
-        let shown = imageops::resize(picture, cell_width, cell_height, imageops::FilterType::Nearest);
+        let shown = imageops::resize(
+            picture,
+            cell_width,
+            cell_height,
+            imageops::FilterType::Nearest,
+        );
         imageops::replace(&mut strip, &shown, i64::from(x), i64::from(row_top(row)));
     };
     let column_left = |column: u32| left + column * (cell_width + GAP);
@@ -59,7 +70,13 @@ pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     write(&mut strip, "observed", column_left(0), GAP, INK);
     for (column, (real, predicted)) in (1..).zip(&rollout.steps) {
         let x = column_left(column);
-        write(&mut strip, &format!("k={column} +{:.1}s", f64::from(column) * period_s), x, GAP, INK);
+        write(
+            &mut strip,
+            &format!("k={column} +{:.1}s", f64::from(column) * period_s),
+            x,
+            GAP,
+            INK,
+        );
         for (y, picture) in [(foot, predicted), (foot + line, &rollout.observed)] {
             if let Ok(decibel) = psnr(picture, real) {
                 write(&mut strip, &format!("{decibel:.1} dB"), x, y, INK);
@@ -90,12 +107,21 @@ mod tests {
     fn every_step_has_its_column() {
         let grey = |level| Arc::new(RgbImage::from_pixel(128, 128, Rgb([level; 3])));
         let steps = vec![(grey(100), grey(110)), (grey(120), grey(150))];
-        let rollout = ShownRollout { observed_ns: 0, observed: grey(90), steps };
+        let rollout = ShownRollout {
+            observed_ns: 0,
+            observed: grey(90),
+            steps,
+        };
         let strip = picture_strip(&rollout, 0.4);
         let left = width("predicted") + 2 * GAP;
         let top = CHARACTER + 2 * GAP;
         let centre = |column: u32, row: u32| {
-            strip.get_pixel(left + column * (128 + GAP) + 64, top + row * (128 + GAP) + 64).0[0]
+            strip
+                .get_pixel(
+                    left + column * (128 + GAP) + 64,
+                    top + row * (128 + GAP) + 64,
+                )
+                .0[0]
         };
         assert_eq!([centre(0, 0), centre(1, 0), centre(2, 0)], [90, 100, 120]);
         assert_eq!([centre(1, 1), centre(2, 1)], [110, 150]);

@@ -4,7 +4,17 @@ use super::figures::{Percentiles, Report, StepFigures};
 use std::fmt::Write as _;
 
 const HEADINGS: [&str; 11] = [
-    "k", "n", "PSNR dB", "(held)", "SSIM", "(held)", "latent ratio", "p50 ms", "p95 ms", "p99 ms", "missing",
+    "k",
+    "n",
+    "PSNR dB",
+    "(held)",
+    "SSIM",
+    "(held)",
+    "latent ratio",
+    "p50 ms",
+    "p95 ms",
+    "p99 ms",
+    "missing",
 ];
 
 /// The report in lines of text; "held" is the persistence baseline.
@@ -19,7 +29,10 @@ pub fn terminal_table(report: &Report) -> String {
     }
     let mut text = heading(report);
     let line = |cells: &mut dyn Iterator<Item = &str>| {
-        let padded: Vec<String> = cells.zip(widths).map(|(cell, width)| format!("{cell:>width$}")).collect();
+        let padded: Vec<String> = cells
+            .zip(widths)
+            .map(|(cell, width)| format!("{cell:>width$}"))
+            .collect();
         padded.join("  ")
     };
     // writing to a String cannot fail
@@ -34,9 +47,18 @@ pub fn terminal_table(report: &Report) -> String {
 /// The report as Markdown.
 #[must_use]
 pub fn markdown(report: &Report) -> String {
-    let mut text = format!("# Predictions against what happened\n\n{}\n", heading(report));
+    let mut text = format!(
+        "# Predictions against what happened\n\n{}\n",
+        heading(report)
+    );
     // writing to a String cannot fail
-    writeln!(text, "| {} |\n|{}", HEADINGS.join(" | "), "---:|".repeat(HEADINGS.len())).ok();
+    writeln!(
+        text,
+        "| {} |\n|{}",
+        HEADINGS.join(" | "),
+        "---:|".repeat(HEADINGS.len())
+    )
+    .ok();
     for step in &report.steps {
         writeln!(text, "| {} |", row(step).join(" | ")).ok();
     }
@@ -94,14 +116,22 @@ fn remarks(report: &Report, bullet: &str) -> String {
         let times = plans.time_taken.unwrap_or_default();
         add(format!(
             "{} plans in p50 {:.0} ms, p95 {:.0} ms; {} cut short by the deadline; cost {:.3} first, {:.3} last",
-            plans.plans, times.p50_ms, times.p95_ms, plans.deadline_cuts, plans.first_cost, plans.last_cost
+            plans.plans,
+            times.p50_ms,
+            times.p95_ms,
+            plans.deadline_cuts,
+            plans.first_cost,
+            plans.last_cost
         ));
     }
     if report.drops.is_empty() {
         add("drops: none".to_owned());
     }
     for drops in &report.drops {
-        add(format!("dropped by {}: {} ({})", drops.node, drops.total, drops.reason));
+        add(format!(
+            "dropped by {}: {} ({})",
+            drops.node, drops.total, drops.reason
+        ));
     }
     text
 }
@@ -112,7 +142,13 @@ mod tests {
     use crate::report::figures::Drops;
 
     fn report() -> Report {
-        let latency = Percentiles { n: 9, p50_ms: 40.04, p95_ms: 61.0, p99_ms: 99.9, max_ms: 100.0 };
+        let latency = Percentiles {
+            n: 9,
+            p50_ms: 40.04,
+            p95_ms: 61.0,
+            p99_ms: 99.9,
+            max_ms: 100.0,
+        };
         let step = StepFigures {
             step: 1,
             compared: 9,
@@ -120,8 +156,17 @@ mod tests {
             received_latency: Some(latency),
             ..StepFigures::default()
         };
-        let drops = vec![Drops { node: "wm/encoder".to_owned(), reason: "late".to_owned(), total: 2 }];
-        Report { source: "live".to_owned(), steps: vec![step], drops, ..Report::default() }
+        let drops = vec![Drops {
+            node: "wm/encoder".to_owned(),
+            reason: "late".to_owned(),
+            total: 2,
+        }];
+        Report {
+            source: "live".to_owned(),
+            steps: vec![step],
+            drops,
+            ..Report::default()
+        }
     }
 
     #[test]
@@ -129,7 +174,10 @@ mod tests {
         let table = terminal_table(&report());
         let lines: Vec<&str> = table.lines().collect();
         assert_eq!(lines[1].len(), lines[2].len());
-        assert!(lines[2].contains("28.46") && lines[2].contains("40.0") && lines[2].contains('-'), "{table}");
+        assert!(
+            lines[2].contains("28.46") && lines[2].contains("40.0") && lines[2].contains('-'),
+            "{table}"
+        );
         assert!(table.contains("dropped by wm/encoder: 2 (late)"));
     }
 

@@ -63,13 +63,16 @@ impl BagCommand {
             Self::Play(command) => command.run(ros_args),
             Self::Record(command) => command.run(ros_args),
             Self::Info { bag } => {
-                print(BagReader::open(&bag)?.summary())?;
+                print(format_args!("{}\n", BagReader::open(&bag)?.summary()))?;
                 Ok(ExitCode::SUCCESS)
             }
             Self::Import(ImportCommand::Bridge(command)) => {
                 let defaults = ImportOptions::default();
-                let options =
-                    ImportOptions { episodes: command.episodes, jpeg_quality: command.jpeg_quality, ..defaults };
+                let options = ImportOptions {
+                    episodes: command.episodes,
+                    jpeg_quality: command.jpeg_quality,
+                    ..defaults
+                };
                 for bag in import_bridge(&command.source, &command.output, &options)? {
                     print(format_args!("{}\n", bag.display()))?;
                 }

@@ -13,9 +13,11 @@ const ROS_ARGS: &str = "--ros-args";
 /// ROS 2 nodes that predict what a camera will see next for the actions that a robot takes, and plan with it.
 #[derive(Debug, Parser)]
 #[command(name = "wm", version, propagate_version = true)]
-#[command(after_help = "Nodes and `bag play|record` take ROS arguments: --ros-args -r from:=to -p name:=value \
+#[command(
+    after_help = "Nodes and `bag play|record` take ROS arguments: --ros-args -r from:=to -p name:=value \
     --params-file FILE -r __ns:=/x -r __node:=name --log-level LEVEL.\n\
-    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 finished with data lost.")]
+    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 finished with data lost."
+)]
 struct Cli {
     #[command(subcommand)]
     command: Subcommands,
@@ -49,14 +51,21 @@ pub struct Command {
 ///
 /// A program that is called by a node's name, as by a link `lib/wm_nodes/encoder`, is that node.
 pub fn parse() -> Command {
-    let mut arguments: Vec<String> =
-        std::env::args_os().map(|argument| argument.to_string_lossy().into_owned()).collect();
-    let called = arguments.first().and_then(|path| Path::new(path).file_name()).map(|name| name.to_string_lossy());
+    let mut arguments: Vec<String> = std::env::args_os()
+        .map(|argument| argument.to_string_lossy().into_owned())
+        .collect();
+    let called = arguments
+        .first()
+        .and_then(|path| Path::new(path).file_name())
+        .map(|name| name.to_string_lossy());
     if let Some(name) = called.filter(|name| node::NodeCommand::NAMES.contains(&name.as_ref())) {
         let name = name.into_owned();
         arguments.insert(1, name);
     }
-    let at = arguments.iter().position(|argument| argument == ROS_ARGS).unwrap_or(arguments.len());
+    let at = arguments
+        .iter()
+        .position(|argument| argument == ROS_ARGS)
+        .unwrap_or(arguments.len());
     let ros_args = arguments.split_off(at);
     let command = Cli::parse_from(arguments).command;
     if !ros_args.is_empty() && !command.takes_ros_args() {
@@ -99,7 +108,10 @@ impl Command {
 /// 2 where the user's arguments are wrong, else 1.
 pub fn failure_code(error: &anyhow::Error) -> ExitCode {
     let is_usage = error.is::<ArgsError>()
-        || matches!(error.downcast_ref(), Some(LaunchError::UnknownArgument { .. }));
+        || matches!(
+            error.downcast_ref(),
+            Some(LaunchError::UnknownArgument { .. })
+        );
     ExitCode::from(if is_usage { 2 } else { 1 })
 }
 

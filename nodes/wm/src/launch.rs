@@ -51,7 +51,9 @@ impl LaunchCommand {
             return Ok(ExitCode::SUCCESS);
         }
         // one thread: the kernel ties the processes' fate to the thread that started them
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()?;
         let outcome = runtime.block_on(runner::run(plan)).context("the launch")?;
         Ok(ExitCode::from(outcome.exit_code()))
     }
@@ -65,7 +67,11 @@ fn describe(plan: &Plan) -> Result<String> {
             Program::Own => std::env::current_exe()?,
             Program::Path(path) => path.clone(),
         };
-        text.push_str(&format!("[{}] {}", process.name, quote(&program.to_string_lossy())));
+        text.push_str(&format!(
+            "[{}] {}",
+            process.name,
+            quote(&program.to_string_lossy())
+        ));
         for argument in &process.arguments {
             text.push(' ');
             text.push_str(&quote(argument));
@@ -77,7 +83,11 @@ fn describe(plan: &Plan) -> Result<String> {
 
 fn quote(word: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./:=+,@%".contains(c);
-    if !word.is_empty() && word.chars().all(is_plain) { word.to_owned() } else { format!("'{}'", word.replace('\'', "'\\''")) }
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
 }
 
 #[cfg(test)]
@@ -93,7 +103,10 @@ mod tests {
 
     #[test]
     fn launch_arguments_need_a_name() {
-        assert_eq!(parse_argument("a:=b:=c"), Ok(("a".to_owned(), "b:=c".to_owned())));
+        assert_eq!(
+            parse_argument("a:=b:=c"),
+            Ok(("a".to_owned(), "b:=c".to_owned()))
+        );
         assert!(parse_argument(":=b").is_err());
         assert!(parse_argument("a=b").is_err());
     }

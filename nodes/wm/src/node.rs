@@ -35,8 +35,15 @@ pub struct NodeArguments {
 
 impl NodeCommand {
     /// The nodes' names.
-    pub const NAMES: [&str; 7] =
-        ["encoder", "predictor", "decoder", "planner", "player", "recorder", "monitor"];
+    pub const NAMES: [&str; 7] = [
+        "encoder",
+        "predictor",
+        "decoder",
+        "planner",
+        "player",
+        "recorder",
+        "monitor",
+    ];
 
     /// Runs the node until a signal, or its end.
     pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {

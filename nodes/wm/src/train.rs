@@ -3,7 +3,10 @@
 use anyhow::Result;
 use clap::Subcommand;
 use std::process::ExitCode;
-use wm_training::{autoencoder::TrainAutoencoderArgs, transition::{EvaluateTransitionArgs, TrainTransitionArgs}};
+use wm_training::{
+    autoencoder::TrainAutoencoderArgs,
+    transition::{EvaluateTransitionArgs, TrainTransitionArgs},
+};
 
 /// Trains a model.
 #[derive(Debug, Subcommand)]

@@ -117,6 +117,31 @@ fn what_is_wrong_with_a_file_is_named() {
 }
 
 #[test]
+fn a_folder_is_opened_by_what_it_holds() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let error = Autoencoder::open(path).unwrap_err().to_string();
+    assert!(error.contains("autoencoder.safetensors"), "{error}");
+
+    // The published shape with random weights: the halves without prefix, each in its file.
+    let published = Autoencoder::random(AutoencoderConfig::taef2(256, 256), 1).unwrap();
+    let halves = [published.encoder(), published.decoder()];
+    for (network, name) in halves.into_iter().zip(TAEF2_FILES) {
+        let mut builder = WeightsBuilder::new();
+        network.store(&mut builder, "", Precision::F32);
+        builder.write(path.join(name)).unwrap();
+    }
+    let opened = Autoencoder::open(path).unwrap();
+    assert_eq!(opened.space(), published.space());
+    assert_eq!(opened.space().shape(), (32, 32, 32));
+    assert_eq!(opened.encoder().parameters(), 1_337_120);
+
+    let own = Autoencoder::random(config(), 1).unwrap();
+    own.save(path.join(FILE), Precision::F32).unwrap();
+    assert_eq!(Autoencoder::open(path).unwrap().space(), own.space());
+}
+
+#[test]
 fn inputs_of_the_wrong_shape_or_with_nan_are_refused() {
     let autoencoder = Autoencoder::random(config(), 1).unwrap();
     let image = Tensor::zeros((1, 8, 8, 3), DType::F32, &Device::Cpu).unwrap();

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use super::host::{host, slice};
 use super::rotary::RotaryTable;
+use super::vectorised::vectorised;
 use head::HeadKernel;
 
 /// Head dimensions are multiples of this: the width of the products' inner loop.
@@ -147,17 +148,7 @@ impl CustomOp1 for Attention {
             .zip(qkv.par_chunks(group.rows * 3 * d))
             .for_each_init(
                 || self.kernel(),
-                |kernel, (out, qkv)| {
-                    pulp::Arch::new().dispatch(#[inline(always)] || {
-                        for sequence in 0..group.sequences {
-                            for head in 0..self.0.heads {
-                                kernel.load(qkv, sequence, group.stride, d, head);
-                                kernel.forward();
-                                kernel.store(out, sequence, group.stride, d, head);
-                            }
-                        }
-                    });
-                },
+                |kernel, (out, qkv)| forward_group(kernel, out, qkv, group, self.0.heads),
             );
         Ok((CpuStorage::F32(out), (b, t, n, d).into()))
     }
@@ -175,18 +166,47 @@ impl CustomOp1 for Attention {
             .for_each_init(
                 || self.kernel(),
                 |kernel, ((out, qkv), grad)| {
-                    pulp::Arch::new().dispatch(#[inline(always)] || {
-                        for sequence in 0..group.sequences {
-                            for head in 0..self.0.heads {
-                                kernel.load(qkv, sequence, group.stride, d, head);
-                                kernel.load_grad(grad, sequence, group.stride, d, head);
-                                kernel.backward();
-                                kernel.store_grad(out, qkv, sequence, group.stride, d, head);
-                            }
-                        }
-                    });
+                    backward_group(kernel, out, qkv, grad, group, self.0.heads);
                 },
             );
         Ok(Some(Tensor::from_vec(out, qkv.shape(), qkv.device())?))
+    }
+}
+
+vectorised! {
+    fn forward_group(
+        kernel: &mut HeadKernel<'_>,
+        out: &mut [f32],
+        qkv: &[f32],
+        group: Group,
+        heads: usize,
+    ) {
+        for sequence in 0..group.sequences {
+            for head in 0..heads {
+                kernel.load(qkv, sequence, group.stride, group.d, head);
+                kernel.forward();
+                kernel.store(out, sequence, group.stride, group.d, head);
+            }
+        }
+    }
+}
+
+vectorised! {
+    fn backward_group(
+        kernel: &mut HeadKernel<'_>,
+        out: &mut [f32],
+        qkv: &[f32],
+        grad: &[f32],
+        group: Group,
+        heads: usize,
+    ) {
+        for sequence in 0..group.sequences {
+            for head in 0..heads {
+                kernel.load(qkv, sequence, group.stride, group.d, head);
+                kernel.load_grad(grad, sequence, group.stride, group.d, head);
+                kernel.backward();
+                kernel.store_grad(out, qkv, sequence, group.stride, group.d, head);
+            }
+        }
     }
 }

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::exponential::exp;
 use super::host::host;
 use super::rotary::{RotaryTable, normalise_and_rotate};
+use super::vectorised::vectorised;
 
 /// Tokens that one task handles.
 const ROWS: usize = 16;
@@ -56,7 +57,7 @@ pub fn cached_attention(
     let qkv = qkv.contiguous()?;
     let guard = host(&qkv);
     let qkv_values = guard.values()?;
-    let (queries, keys, values) = split(qkv_values, d, dim, angles);
+    let (queries, keys, values) = split(qkv_values, d, angles);
 
     let mut sources = Vec::with_capacity(earlier.len() + 1);
     let hosts: Vec<_> = earlier
@@ -85,32 +86,8 @@ pub fn cached_attention(
         .for_each_init(
             || vec![0.0; sources.len()],
             |weights, (chunk, (out, queries))| {
-                pulp::Arch::new().dispatch(|| {
-                    for (i, (out, query)) in out
-                        .chunks_exact_mut(d)
-                        .zip(queries.chunks_exact(d))
-                        .enumerate()
-                    {
-                        let row = chunk * ROWS + i;
-                        for head in 0..heads {
-                            let at = |shared: bool| {
-                                (if shared { row % n } else { row }) * d + head * dim
-                            };
-                            let query = &query[head * dim..][..dim];
-                            for (weight, (k, _, shared)) in weights.iter_mut().zip(&sources) {
-                                *weight = dot(query, &k[at(*shared)..][..dim]) * scale;
-                            }
-                            softmax(weights);
-                            let out = &mut out[head * dim..][..dim];
-                            for (weight, (_, v, shared)) in weights.iter().zip(&sources) {
-                                let v = &v[at(*shared)..][..dim];
-                                for (out, v) in out.iter_mut().zip(v) {
-                                    *out = weight.mul_add(*v, *out);
-                                }
-                            }
-                        }
-                    }
-                });
+                let rows = Rows { first: chunk * ROWS, n, d, dim, scale };
+                attend_rows(out, queries, &sources, weights, rows);
             },
         );
     drop(sources);
@@ -123,12 +100,7 @@ pub fn cached_attention(
 }
 
 /// Queries and keys, normalised and turned, and values, of rows q | k | v.
-fn split(
-    qkv: &[f32],
-    d: usize,
-    dim: usize,
-    angles: &RotaryTable,
-) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
+fn split(qkv: &[f32], d: usize, angles: &RotaryTable) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let size = qkv.len() / 3;
     let (mut queries, mut keys, mut values) = (vec![0.0; size], vec![0.0; size], vec![0.0; size]);
     queries
@@ -137,25 +109,81 @@ fn split(
         .zip(values.par_chunks_mut(ROWS * d))
         .zip(qkv.par_chunks(ROWS * 3 * d))
         .for_each(|(((queries, keys), values), qkv)| {
-            pulp::Arch::new().dispatch(|| {
-                for (((queries, keys), values), qkv) in queries
-                    .chunks_exact_mut(d)
-                    .zip(keys.chunks_exact_mut(d))
-                    .zip(values.chunks_exact_mut(d))
-                    .zip(qkv.chunks_exact(3 * d))
-                {
-                    let turn = |from: &[f32], to: &mut [f32]| {
-                        for (from, to) in from.chunks_exact(dim).zip(to.chunks_exact_mut(dim)) {
-                            normalise_and_rotate(from, angles.at(0), to);
-                        }
-                    };
-                    turn(&qkv[..d], queries);
-                    turn(&qkv[d..2 * d], keys);
-                    values.copy_from_slice(&qkv[2 * d..]);
-                }
-            });
+            split_rows(queries, keys, values, qkv, d, angles);
         });
     (queries, keys, values)
+}
+
+/// Keys, values, and whether they are shared by the whole batch, of one frame.
+type Source<'a> = (&'a [f32], &'a [f32], bool);
+
+/// Which rows of the new frames a task handles.
+#[derive(Clone, Copy)]
+struct Rows {
+    /// Number of the first, over the whole batch.
+    first: usize,
+    /// Tokens of a frame.
+    n: usize,
+    d: usize,
+    /// Channels of a head.
+    dim: usize,
+    scale: f32,
+}
+
+vectorised! {
+    fn attend_rows(
+        out: &mut [f32],
+        queries: &[f32],
+        sources: &[Source<'_>],
+        weights: &mut [f32],
+        rows: Rows,
+    ) {
+        let Rows { first, n, d, dim, scale } = rows;
+        let pairs = out.chunks_exact_mut(d).zip(queries.chunks_exact(d));
+        for (row, (out, query)) in (first..).zip(pairs) {
+            let heads = out.chunks_exact_mut(dim).zip(query.chunks_exact(dim));
+            for (head, (out, query)) in heads.enumerate() {
+                let (own, common) = (row * d + head * dim, row % n * d + head * dim);
+                for (weight, (k, _, shared)) in weights.iter_mut().zip(sources) {
+                    let start = if *shared { common } else { own };
+                    *weight = dot(query, &k[start..][..dim]) * scale;
+                }
+                softmax(weights);
+                for (weight, (_, v, shared)) in weights.iter().zip(sources) {
+                    let start = if *shared { common } else { own };
+                    for (out, v) in out.iter_mut().zip(&v[start..][..dim]) {
+                        *out = weight.mul_add(*v, *out);
+                    }
+                }
+            }
+        }
+    }
+}
+
+vectorised! {
+    fn split_rows(
+        queries: &mut [f32],
+        keys: &mut [f32],
+        values: &mut [f32],
+        qkv: &[f32],
+        d: usize,
+        angles: &RotaryTable,
+    ) {
+        let dim = angles.head_dim();
+        let rows = queries.chunks_exact_mut(d).zip(keys.chunks_exact_mut(d));
+        let rows = rows.zip(values.chunks_exact_mut(d)).zip(qkv.chunks_exact(3 * d));
+        for (((queries, keys), values), qkv) in rows {
+            let (q, kv) = qkv.split_at(d);
+            let (k, v) = kv.split_at(d);
+            for (from, to) in q.chunks_exact(dim).zip(queries.chunks_exact_mut(dim)) {
+                normalise_and_rotate(from, angles.at(0), to);
+            }
+            for (from, to) in k.chunks_exact(dim).zip(keys.chunks_exact_mut(dim)) {
+                normalise_and_rotate(from, angles.at(0), to);
+            }
+            values.copy_from_slice(v);
+        }
+    }
 }
 
 #[inline(always)]

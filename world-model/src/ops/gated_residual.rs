@@ -4,6 +4,7 @@ use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::host::{host, slice};
+use super::vectorised::vectorised;
 
 /// `x` + gate * `branch`, both (.., N, d); the gate is chunk `gate` of `modulation`
 /// (frames, chunks * d).
@@ -69,14 +70,7 @@ impl CustomOp3 for GatedResidual {
             .zip(branch.par_chunks(frame))
             .zip(modulation.par_chunks(width))
             .for_each(|((out, branch), modulation)| {
-                let gate = &modulation[self.gate * d..][..d];
-                pulp::Arch::new().dispatch(#[inline(always)] || {
-                    for (out, branch) in out.chunks_exact_mut(d).zip(branch.chunks_exact(d)) {
-                        for ((out, branch), gate) in out.iter_mut().zip(branch).zip(gate) {
-                            *out = branch.mul_add(*gate, *out);
-                        }
-                    }
-                });
+                forward_frame(out, branch, &modulation[self.gate * d..][..d]);
             });
         Ok((CpuStorage::F32(out), l1.shape().clone()))
     }
@@ -104,17 +98,7 @@ impl CustomOp3 for GatedResidual {
             .for_each(|((((grad_branch, grad_modulation), branch), g), modulation)| {
                 let gate = &modulation[self.gate * d..][..d];
                 let grad_gate = &mut grad_modulation[self.gate * d..][..d];
-                let rows = grad_branch.chunks_exact_mut(d).zip(branch.chunks_exact(d));
-                pulp::Arch::new().dispatch(#[inline(always)] || {
-                    for ((grad_branch, branch), g) in rows.zip(g.chunks_exact(d)) {
-                        let inputs = branch.iter().zip(g).zip(gate);
-                        let outputs = grad_branch.iter_mut().zip(grad_gate.iter_mut());
-                        for (((branch, g), gate), (grad_branch, grad_gate)) in inputs.zip(outputs) {
-                            *grad_branch = g * gate;
-                            *grad_gate = g.mul_add(*branch, *grad_gate);
-                        }
-                    }
-                });
+                backward_frame(grad_branch, grad_gate, branch, g, gate);
             });
         Ok((
             Some(grad.clone()),
@@ -125,5 +109,37 @@ impl CustomOp3 for GatedResidual {
                 x.device(),
             )?),
         ))
+    }
+}
+
+vectorised! {
+    fn forward_frame(out: &mut [f32], branch: &[f32], gate: &[f32]) {
+        let d = gate.len();
+        for (out, branch) in out.chunks_exact_mut(d).zip(branch.chunks_exact(d)) {
+            for ((out, branch), gate) in out.iter_mut().zip(branch).zip(gate) {
+                *out = branch.mul_add(*gate, *out);
+            }
+        }
+    }
+}
+
+vectorised! {
+    fn backward_frame(
+        grad_branch: &mut [f32],
+        grad_gate: &mut [f32],
+        branch: &[f32],
+        g: &[f32],
+        gate: &[f32],
+    ) {
+        let d = gate.len();
+        let rows = grad_branch.chunks_exact_mut(d).zip(branch.chunks_exact(d));
+        for ((grad_branch, branch), g) in rows.zip(g.chunks_exact(d)) {
+            let inputs = branch.iter().zip(g).zip(gate);
+            let outputs = grad_branch.iter_mut().zip(grad_gate.iter_mut());
+            for (((branch, g), gate), (grad_branch, grad_gate)) in inputs.zip(outputs) {
+                *grad_branch = g * gate;
+                *grad_gate = g.mul_add(*branch, *grad_gate);
+            }
+        }
     }
 }

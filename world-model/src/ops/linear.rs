@@ -7,6 +7,7 @@ use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tenso
 use gemm::Parallelism;
 
 use super::host::{host, slice};
+use super::vectorised::vectorised;
 
 /// `x` (.., in) times the transpose of `weight` (out, in) plus `bias` (out): (.., out).
 ///
@@ -98,13 +99,7 @@ impl Linear {
         };
         let grad_bias = if with_bias {
             let mut sums = vec![0.0; n];
-            pulp::Arch::new().dispatch(#[inline(always)] || {
-                for row in g.chunks_exact(n) {
-                    for (sum, g) in sums.iter_mut().zip(row) {
-                        *sum += g;
-                    }
-                }
-            });
+            sum_rows(g, &mut sums);
             Some(Tensor::from_vec(sums, n, x.device())?)
         } else {
             None
@@ -166,6 +161,17 @@ impl CustomOp3 for Linear {
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         Self::backward(x, weight, grad, true)
+    }
+}
+
+vectorised! {
+    /// Adds every row of `values` to `sums`.
+    fn sum_rows(values: &[f32], sums: &mut [f32]) {
+        for row in values.chunks_exact(sums.len()) {
+            for (sum, value) in sums.iter_mut().zip(row) {
+                *sum += value;
+            }
+        }
     }
 }
 

@@ -4,6 +4,7 @@ use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::host::{host, slice};
+use super::vectorised::vectorised;
 
 const EPSILON: f32 = 1e-6;
 
@@ -81,16 +82,7 @@ impl CustomOp2 for RmsNormModulate {
             .for_each(|((out, x), modulation)| {
                 let shift = &modulation[self.shift * d..][..d];
                 let scale = &modulation[self.scale * d..][..d];
-                pulp::Arch::new().dispatch(#[inline(always)] || {
-                    for (out, x) in out.chunks_exact_mut(d).zip(x.chunks_exact(d)) {
-                        let r = inverse_rms(x);
-                        for (((out, x), shift), scale) in
-                            out.iter_mut().zip(x).zip(shift).zip(scale)
-                        {
-                            *out = (x * r).mul_add(1.0 + scale, *shift);
-                        }
-                    }
-                });
+                forward_frame(out, x, shift, scale);
             });
         Ok((CpuStorage::F32(out), l1.shape().clone()))
     }
@@ -118,12 +110,7 @@ impl CustomOp2 for RmsNormModulate {
                 let scale = &modulation[self.scale * d..][..d];
                 let mut grad_shift = vec![0.0; d];
                 let mut grad_scale = vec![0.0; d];
-                let rows = grad_x.chunks_exact_mut(d).zip(x.chunks_exact(d));
-                pulp::Arch::new().dispatch(#[inline(always)] || {
-                    for ((grad_x, x), g) in rows.zip(g.chunks_exact(d)) {
-                        backward_row(grad_x, x, g, scale, &mut grad_shift, &mut grad_scale);
-                    }
-                });
+                backward_frame(grad_x, x, g, scale, &mut grad_shift, &mut grad_scale);
                 grad_modulation[self.shift * d..][..d].copy_from_slice(&grad_shift);
                 grad_modulation[self.scale * d..][..d].copy_from_slice(&grad_scale);
             });
@@ -135,6 +122,35 @@ impl CustomOp2 for RmsNormModulate {
                 x.device(),
             )?),
         ))
+    }
+}
+
+vectorised! {
+    fn forward_frame(out: &mut [f32], x: &[f32], shift: &[f32], scale: &[f32]) {
+        let d = scale.len();
+        for (out, x) in out.chunks_exact_mut(d).zip(x.chunks_exact(d)) {
+            let r = inverse_rms(x);
+            for (((out, x), shift), scale) in out.iter_mut().zip(x).zip(shift).zip(scale) {
+                *out = (x * r).mul_add(1.0 + scale, *shift);
+            }
+        }
+    }
+}
+
+vectorised! {
+    fn backward_frame(
+        grad_x: &mut [f32],
+        x: &[f32],
+        g: &[f32],
+        scale: &[f32],
+        grad_shift: &mut [f32],
+        grad_scale: &mut [f32],
+    ) {
+        let d = scale.len();
+        let rows = grad_x.chunks_exact_mut(d).zip(x.chunks_exact(d));
+        for ((grad_x, x), g) in rows.zip(g.chunks_exact(d)) {
+            backward_row(grad_x, x, g, scale, grad_shift, grad_scale);
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::exponential::sigmoid;
 use super::host::{host, slice};
+use super::vectorised::vectorised;
 
 /// Rows that one task handles: enough work to be worth a task, few enough to spread.
 const ROWS: usize = 64;
@@ -37,16 +38,7 @@ impl CustomOp1 for Swiglu {
         let mut out = vec![0.0; x.len() / 2];
         out.par_chunks_mut(ROWS * h)
             .zip(x.par_chunks(ROWS * 2 * h))
-            .for_each(|(out, x)| {
-                pulp::Arch::new().dispatch(#[inline(always)] || {
-                    for (out, x) in out.chunks_exact_mut(h).zip(x.chunks_exact(2 * h)) {
-                        let (a, b) = x.split_at(h);
-                        for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
-                            *out = a * sigmoid(*a) * b;
-                        }
-                    }
-                });
-            });
+            .for_each(|(out, x)| forward_rows(out, x, h));
         Ok((CpuStorage::F32(out), Shape::from(dims)))
     }
 
@@ -59,24 +51,35 @@ impl CustomOp1 for Swiglu {
         out.par_chunks_mut(ROWS * 2 * h)
             .zip(vx.par_chunks(ROWS * 2 * h))
             .zip(vg.par_chunks(ROWS * h))
-            .for_each(|((out, x), g)| {
-                let rows = out.chunks_exact_mut(2 * h).zip(x.chunks_exact(2 * h));
-                pulp::Arch::new().dispatch(#[inline(always)] || {
-                    for ((out, x), g) in rows.zip(g.chunks_exact(h)) {
-                        let (a, b) = x.split_at(h);
-                        let (grad_a, grad_b) = out.split_at_mut(h);
-                        let outputs = grad_a.iter_mut().zip(grad_b);
-                        for (((a, b), g), (grad_a, grad_b)) in
-                            a.iter().zip(b).zip(g).zip(outputs)
-                        {
-                            let s = sigmoid(*a);
-                            let silu = a * s;
-                            *grad_a = g * b * (s + silu * (1.0 - s));
-                            *grad_b = g * silu;
-                        }
-                    }
-                });
-            });
+            .for_each(|((out, x), g)| backward_rows(out, x, g, h));
         Ok(Some(Tensor::from_vec(out, x.shape(), x.device())?))
+    }
+}
+
+vectorised! {
+    fn forward_rows(out: &mut [f32], x: &[f32], h: usize) {
+        for (out, x) in out.chunks_exact_mut(h).zip(x.chunks_exact(2 * h)) {
+            let (a, b) = x.split_at(h);
+            for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                *out = a * sigmoid(*a) * b;
+            }
+        }
+    }
+}
+
+vectorised! {
+    fn backward_rows(out: &mut [f32], x: &[f32], g: &[f32], h: usize) {
+        let rows = out.chunks_exact_mut(2 * h).zip(x.chunks_exact(2 * h));
+        for ((out, x), g) in rows.zip(g.chunks_exact(h)) {
+            let (a, b) = x.split_at(h);
+            let (grad_a, grad_b) = out.split_at_mut(h);
+            let outputs = grad_a.iter_mut().zip(grad_b);
+            for (((a, b), g), (grad_a, grad_b)) in a.iter().zip(b).zip(g).zip(outputs) {
+                let s = sigmoid(*a);
+                let silu = a * s;
+                *grad_a = g * b * (s + silu * (1.0 - s));
+                *grad_b = g * silu;
+            }
+        }
     }
 }

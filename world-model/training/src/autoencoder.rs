@@ -1,15 +1,15 @@
 //! Training of the autoencoder: L1 and squared error of the picture, latents pulled towards a unit Gaussian and
 //! disturbed by a little noise, on crops most of which show what moves.
 
-mod args;
+mod arguments;
 mod crops;
 mod evaluation;
 mod salience;
 mod trainer;
 
-pub use args::TrainAutoencoderArgs;
-pub use evaluation::{Reconstruction, evaluate, evaluate_bags};
-pub use trainer::{AutoencoderRun, TrainingError, train};
+pub use arguments::{EvaluateAutoencoderArgs, TrainAutoencoderArgs};
+pub use evaluation::{Reconstruction, evaluate, picture};
+pub use trainer::{TrainingError, train};
 
 use serde::{Deserialize, Serialize};
 use wm_model::AutoencoderConfig;
@@ -70,3 +70,6 @@ impl Default for AutoencoderSettings {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

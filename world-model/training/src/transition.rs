@@ -22,7 +22,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use wm_model::{
     Encoder, Weights,
     actions::ActionEncoding,
-    transition::{CONFIG_KEY, Transition, TransitionConfig},
+    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
 
@@ -38,10 +38,6 @@ pub use evaluation::{ActionChange, Evaluation, recover_actions};
 pub use objective::Objective;
 use workers::Workers;
 
-/// Metadata entry of the weights file with the latent space, as JSON.
-pub const LATENT_SPACE_KEY: &str = "latent_space";
-/// Metadata entry of the weights file with the action encoding, as JSON.
-pub const ACTIONS_KEY: &str = "actions";
 
 /// Model steps that are predicted in an evaluation.
 const HORIZON: usize = 8;

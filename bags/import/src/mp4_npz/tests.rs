@@ -4,8 +4,10 @@ use std::{
     path::Path,
 };
 
+use ::mp4::{
+    AvcConfig, Bytes, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType,
+};
 use image::{ImageFormat, Rgb, RgbImage};
-use mp4::{AvcConfig, Bytes, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType};
 use npyz::WriterBuilder as _;
 use openh264::{
     encoder::Encoder,

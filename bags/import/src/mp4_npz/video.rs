@@ -6,8 +6,8 @@ use openh264::{
     decoder::{DecodeOptions, DecodedYUV, Decoder, DecoderConfig, Flush},
     formats::YUVSource as _,
 };
-use re_mp4::{Mp4, StsdBoxContent, TrackKind};
 
+use super::mp4::{H264Track, with_h264_track};
 use crate::{ImportError, episode::jpeg};
 
 /// No side of a frame may be longer.
@@ -17,67 +17,46 @@ const START_CODE: [u8; 4] = [0, 0, 0, 1];
 
 /// The frames of an h264 video in the order in which they are shown, as JPEG. Their times are not looked at.
 pub(super) fn read(file: &Path, jpeg_quality: u8) -> Result<Vec<Vec<u8>>, ImportError> {
-    let corrupt = |reason: String| ImportError::corrupt(file, reason);
     let bytes = fs::read(file).map_err(|source| ImportError::io(file, source))?;
-    let mp4 =
-        Mp4::read_bytes(&bytes).map_err(|error| corrupt(format!("not an mp4 video: {error}")))?;
-    let track = mp4
-        .tracks()
-        .values()
-        .find(|track| track.kind == Some(TrackKind::Video))
-        .ok_or_else(|| corrupt("it has no video track".to_owned()))?;
-    let StsdBoxContent::Avc1(avc) = &track.trak(&mp4).mdia.minf.stbl.stsd.contents else {
-        let codec = track
-            .codec_string(&mp4)
-            .unwrap_or_else(|| "unknown".to_owned());
-        return Err(corrupt(format!("expected h264 video, got codec {codec}")));
-    };
-    let length_bytes = usize::from(avc.avcc.length_size_minus_one & 3) + 1;
-    let mut packet = Vec::new();
-    for parameters in avc
-        .avcc
-        .sequence_parameter_sets
-        .iter()
-        .chain(&avc.avcc.picture_parameter_sets)
-    {
-        packet.extend(START_CODE);
-        packet.extend(&parameters.bytes);
-    }
+    with_h264_track(&bytes, |track| decode(&track, jpeg_quality))
+        .map_err(|reason| ImportError::corrupt(file, reason))
+}
 
+fn decode(track: &H264Track, jpeg_quality: u8) -> Result<Vec<Vec<u8>>, String> {
     // Frames must come out in the order in which they are shown, so that the decoder is never made to give one early.
     let config = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
     let options = DecodeOptions::new().flush_after_decode(Flush::NoFlush);
     let mut decoder = Decoder::with_api_config(OpenH264API::from_source(), config)
-        .map_err(|error| corrupt(format!("no h264 decoder: {error}")))?;
-    let mut frames = Vec::with_capacity(track.samples.len().min(bytes.len()));
+        .map_err(|error| format!("no h264 decoder: {error}"))?;
+    let mut packet = Vec::new();
+    for parameters in &track.parameters {
+        packet.extend(START_CODE);
+        packet.extend(*parameters);
+    }
+    let mut frames = Vec::with_capacity(track.samples.len());
     for (number, sample) in track.samples.iter().enumerate() {
-        let at_sample = |reason: String| corrupt(format!("frame {number}: {reason}"));
-        let data = usize::try_from(sample.offset)
-            .ok()
-            .zip(usize::try_from(sample.size).ok())
-            .and_then(|(offset, size)| bytes.get(offset..offset.checked_add(size)?))
-            .ok_or_else(|| at_sample("its bytes are not in the file".to_owned()))?;
-        append_annex_b(&mut packet, data, length_bytes).map_err(at_sample)?;
-        if let Some(picture) = decoder
+        let at_frame = |reason: String| format!("frame {number}: {reason}");
+        append_annex_b(&mut packet, sample, track.length_bytes).map_err(at_frame)?;
+        let picture = decoder
             .decode_with_options(&packet, options.clone())
-            .map_err(|error| at_sample(error.to_string()))?
-        {
-            frames.push(encode(&picture, jpeg_quality).map_err(at_sample)?);
+            .map_err(|error| at_frame(error.to_string()))?;
+        if let Some(picture) = picture {
+            frames.push(encode(&picture, jpeg_quality).map_err(at_frame)?);
         }
         packet.clear();
     }
     for picture in decoder
         .flush_remaining()
-        .map_err(|error| corrupt(error.to_string()))?
+        .map_err(|error| error.to_string())?
     {
-        frames.push(encode(&picture, jpeg_quality).map_err(corrupt)?);
+        frames.push(encode(&picture, jpeg_quality)?);
     }
     if frames.len() != track.samples.len() {
-        return Err(corrupt(format!(
+        return Err(format!(
             "expected {} frames, decoded {}",
             track.samples.len(),
             frames.len()
-        )));
+        ));
     }
     Ok(frames)
 }

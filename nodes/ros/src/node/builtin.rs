@@ -122,7 +122,7 @@ fn follow_clock(node: &Node) {
                 match backend.reader(&name, &endpoint, clock_sink(clock.clone())) {
                     Ok(subscribed) => *reader = Some(subscribed),
                     Err(error) => {
-                        tracing::error!("use_sim_time is set, but there is no clock: {error}")
+                        tracing::error!("use_sim_time is set, but there is no clock: {error}");
                     }
                 }
             }

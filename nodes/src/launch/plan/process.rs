@@ -125,7 +125,10 @@ pub(super) fn executable(
     let program = PathBuf::from(program);
     let label = match site.resolve_optional("name", keys.name.as_ref())? {
         Some(name) => name,
-        None => program.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+        None => program
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+            .unwrap_or_default(),
     };
     let mut process = with_keys(keys, site, &label, index)?;
     process.program = Program::Path(program);
@@ -145,22 +148,39 @@ pub(super) fn join_namespaces(outer: Option<&str>, inner: Option<&str>) -> Optio
     Some(format!("/{}", parts.join("/")))
 }
 
-fn with_keys(keys: &ProcessKeys, site: &Site<'_>, label: &str, index: usize) -> Result<Process, LaunchError> {
-    let output = match site.resolve_optional("output", keys.output.as_ref())?.as_deref() {
+fn with_keys(
+    keys: &ProcessKeys,
+    site: &Site<'_>,
+    label: &str,
+    index: usize,
+) -> Result<Process, LaunchError> {
+    let output = match site
+        .resolve_optional("output", keys.output.as_ref())?
+        .as_deref()
+    {
         None | Some("log") => Output::Log,
         Some("screen" | "both") => Output::Screen,
         Some(other) => {
-            return Err(site.error(format!("key \"output\" must be screen, log or both, got {other:?}")));
+            return Err(site.error(format!(
+                "key \"output\" must be screen, log or both, got {other:?}"
+            )));
         }
     };
     let is_respawned = match &keys.respawn {
         Some(template) => site.boolean("respawn", template)?,
         None => false,
     };
-    let mut environment: Vec<(String, Option<String>)> =
-        site.scope.environment.iter().map(|(name, value)| (name.clone(), value.clone())).collect();
+    let mut environment: Vec<(String, Option<String>)> = site
+        .scope
+        .environment
+        .iter()
+        .map(|(name, value)| (name.clone(), value.clone()))
+        .collect();
     for (name, value) in &keys.environment {
-        environment.push((site.resolve("env", name)?, Some(site.resolve("env", value)?)));
+        environment.push((
+            site.resolve("env", name)?,
+            Some(site.resolve("env", value)?),
+        ));
     }
     Ok(Process {
         name: format!("{label}-{}", index + 1),
@@ -168,7 +188,9 @@ fn with_keys(keys: &ProcessKeys, site: &Site<'_>, label: &str, index: usize) -> 
         program: Program::Own,
         arguments: Vec::new(),
         environment,
-        working_directory: site.resolve_optional("cwd", keys.working_directory.as_ref())?.map(PathBuf::from),
+        working_directory: site
+            .resolve_optional("cwd", keys.working_directory.as_ref())?
+            .map(PathBuf::from),
         output,
         respawn: is_respawned.then(|| Respawn {
             delay: keys.respawn_delay_s.map_or(Duration::ZERO, seconds),
@@ -185,7 +207,11 @@ fn seconds(value: f64) -> Duration {
     Duration::from_secs_f64(value.min(86_400.0))
 }
 
-fn find_executable(package: &str, executable: &str, site: &Site<'_>) -> Result<PathBuf, LaunchError> {
+fn find_executable(
+    package: &str,
+    executable: &str,
+    site: &Site<'_>,
+) -> Result<PathBuf, LaunchError> {
     let Some(prefix) = site.surroundings.package_prefix(package) else {
         return Err(site.error(format!(
             "package {package:?} was not found in AMENT_PREFIX_PATH (is its ROS workspace sourced?)"
@@ -195,7 +221,10 @@ fn find_executable(package: &str, executable: &str, site: &Site<'_>) -> Result<P
     if site.surroundings.exists(&path) {
         Ok(path)
     } else {
-        Err(site.error(format!("package {package:?} has no executable {executable:?}: {} is missing", path.display())))
+        Err(site.error(format!(
+            "package {package:?} has no executable {executable:?}: {} is missing",
+            path.display()
+        )))
     }
 }
 
@@ -213,10 +242,15 @@ fn parameter_arguments(parameter: &Parameter, site: &Site<'_>) -> Result<[String
                 ParameterValue::Literal(value) => value.clone(),
                 ParameterValue::Substituted { template, is_text } => {
                     let text = site.resolve(&format!("param {name}"), template)?;
-                    if *is_text { Value::String(text) } else { read_scalar(text) }
+                    if *is_text {
+                        Value::String(text)
+                    } else {
+                        read_scalar(text)
+                    }
                 }
             };
-            let value = flow_yaml(&value).ok_or_else(|| site.error(format!("parameter {name:?} is no ROS parameter")))?;
+            let value = flow_yaml(&value)
+                .ok_or_else(|| site.error(format!("parameter {name:?} is no ROS parameter")))?;
             Ok(["-p".to_owned(), format!("{name}:={value}")])
         }
     }

@@ -17,7 +17,10 @@ pub trait Surroundings {
     /// The install prefix of a ROS package: the first folder of `AMENT_PREFIX_PATH` with `share/<package>`.
     fn package_prefix(&self, package: &str) -> Option<PathBuf> {
         let prefixes = self.environment("AMENT_PREFIX_PATH")?;
-        let mut prefixes = prefixes.split(':').filter(|prefix| !prefix.is_empty()).map(PathBuf::from);
+        let mut prefixes = prefixes
+            .split(':')
+            .filter(|prefix| !prefix.is_empty())
+            .map(PathBuf::from);
         prefixes.find(|prefix| self.exists(&prefix.join("share").join(package)))
     }
 }

@@ -14,16 +14,26 @@ impl Surroundings for Memory {
     }
     fn read(&self, path: &Path) -> std::io::Result<String> {
         let text = self.files.get(path.to_str().unwrap());
-        text.map(|text| (*text).to_owned()).ok_or_else(|| std::io::ErrorKind::NotFound.into())
+        text.map(|text| (*text).to_owned())
+            .ok_or_else(|| std::io::ErrorKind::NotFound.into())
     }
     fn exists(&self, path: &Path) -> bool {
-        self.files.keys().any(|file| Path::new(file).starts_with(path))
+        self.files
+            .keys()
+            .any(|file| Path::new(file).starts_with(path))
     }
 }
 
-fn resolve_in(memory: &Memory, text: &str, arguments: &[(&str, &str)]) -> Result<Plan, LaunchError> {
+fn resolve_in(
+    memory: &Memory,
+    text: &str,
+    arguments: &[(&str, &str)],
+) -> Result<Plan, LaunchError> {
     let file = LaunchFile::parse(Path::new("/l/x.launch.yaml"), text)?;
-    let arguments = arguments.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+    let arguments = arguments
+        .iter()
+        .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+        .collect();
     Plan::resolve(&file, &arguments, memory)
 }
 
@@ -32,7 +42,10 @@ fn resolve(text: &str, arguments: &[(&str, &str)]) -> Result<Plan, LaunchError> 
 }
 
 fn message(text: &str, arguments: &[(&str, &str)]) -> String {
-    resolve(text, arguments).unwrap_err().to_string()
+    format!(
+        "{:#}",
+        anyhow::Error::from(resolve(text, arguments).unwrap_err())
+    )
 }
 
 #[test]
@@ -70,9 +83,30 @@ launch:
     assert_eq!(process.output, Output::Screen);
     assert_eq!(process.respawn, None);
     let expected = [
-        "player", "--verbose", "two words", "--ros-args", "--log-level", "info", "-r", "__node:=play", "-r",
-        "__ns:=/wm", "-p", "rate:=2", "-p", "text:=\"2\"", "-p", "plain:=\"1.5\"", "-p", "whole:=2.0", "-p",
-        "list:=[1, 2]", "-p", "bag:=\"out//l/b\"", "-r", "/a:=/b/2",
+        "player",
+        "--verbose",
+        "two words",
+        "--ros-args",
+        "--log-level",
+        "info",
+        "-r",
+        "__node:=play",
+        "-r",
+        "__ns:=/wm",
+        "-p",
+        "rate:=2",
+        "-p",
+        "text:=\"2\"",
+        "-p",
+        "plain:=\"1.5\"",
+        "-p",
+        "whole:=2.0",
+        "-p",
+        "list:=[1, 2]",
+        "-p",
+        "bag:=\"out//l/b\"",
+        "-r",
+        "/a:=/b/2",
     ];
     assert_eq!(process.arguments, expected);
 }
@@ -92,11 +126,26 @@ launch:
 - node: {pkg: wm_nodes, exec: monitor, if: "$(var on)"}
 "#;
     let plan = resolve(text, &[]).unwrap();
-    let names: Vec<_> = plan.processes.iter().map(|process| process.name.as_str()).collect();
+    let names: Vec<_> = plan
+        .processes
+        .iter()
+        .map(|process| process.name.as_str())
+        .collect();
     assert_eq!(names, ["encoder-1", "decoder-2", "monitor-3"]);
-    assert!(plan.processes[0].arguments.contains(&"__ns:=/robot/wm".to_owned()));
-    assert!(plan.processes[1].arguments.contains(&"__ns:=/abs".to_owned()));
-    assert_eq!(plan.processes[0].environment, [("A".to_owned(), Some("1".to_owned()))]);
+    assert!(
+        plan.processes[0]
+            .arguments
+            .contains(&"__ns:=/robot/wm".to_owned())
+    );
+    assert!(
+        plan.processes[1]
+            .arguments
+            .contains(&"__ns:=/abs".to_owned())
+    );
+    assert_eq!(
+        plan.processes[0].environment,
+        [("A".to_owned(), Some("1".to_owned()))]
+    );
     assert!(plan.processes[2].environment.is_empty());
 }
 
@@ -105,39 +154,78 @@ fn executables_and_respawn() {
     let text = "launch:\n- executable: {cmd: 'sleep $(env N 10)', respawn: true, respawn_delay: 0.5, respawn_max_retries: 2, sigterm_timeout: 1}";
     let plan = resolve(text, &[]).unwrap();
     let process = &plan.processes[0];
-    assert_eq!((process.name.as_str(), process.arguments.as_slice()), ("sleep-1", &["10".to_owned()][..]));
+    assert_eq!(
+        (process.name.as_str(), process.arguments.as_slice()),
+        ("sleep-1", &["10".to_owned()][..])
+    );
     let respawn = process.respawn.unwrap();
-    assert_eq!((respawn.delay.as_millis(), respawn.max_retries), (500, Some(2)));
+    assert_eq!(
+        (respawn.delay.as_millis(), respawn.max_retries),
+        (500, Some(2))
+    );
     assert_eq!(process.sigterm_timeout.as_secs(), 1);
 }
 
 #[test]
 fn another_package_is_found_by_its_prefix() {
     let memory = Memory {
-        files: [("/opt/ros/share/cam/package.xml", ""), ("/opt/ros/lib/cam/driver", "")].into(),
+        files: [
+            ("/opt/ros/share/cam/package.xml", ""),
+            ("/opt/ros/lib/cam/driver", ""),
+        ]
+        .into(),
         environment: [("AMENT_PREFIX_PATH", "/nowhere:/opt/ros")].into(),
     };
     let plan = resolve_in(&memory, "launch:\n- node: {pkg: cam, exec: driver}", &[]).unwrap();
-    assert_eq!(plan.processes[0].program, Program::Path("/opt/ros/lib/cam/driver".into()));
-    let missing = resolve_in(&memory, "launch:\n- node: {pkg: cam, exec: other}", &[]).unwrap_err().to_string();
-    assert!(missing.contains("/opt/ros/lib/cam/other is missing"), "{missing}");
-    assert!(message("launch:\n- node: {pkg: cam, exec: driver}", &[]).contains("AMENT_PREFIX_PATH"));
+    assert_eq!(
+        plan.processes[0].program,
+        Program::Path("/opt/ros/lib/cam/driver".into())
+    );
+    let missing = resolve_in(&memory, "launch:\n- node: {pkg: cam, exec: other}", &[])
+        .unwrap_err()
+        .to_string();
+    assert!(
+        missing.contains("/opt/ros/lib/cam/other is missing"),
+        "{missing}"
+    );
+    assert!(
+        message("launch:\n- node: {pkg: cam, exec: driver}", &[]).contains("AMENT_PREFIX_PATH")
+    );
 }
 
 #[test]
 fn an_included_file_gets_its_arguments() {
     let memory = Memory {
         files: [
-            ("/l/y.launch.yaml", "launch:\n- arg: {name: n}\n- node: {pkg: wm_nodes, exec: '$(var n)'}"),
-            ("/l/loop.launch.yaml", "launch:\n- include: {file: /l/loop.launch.yaml}"),
+            (
+                "/l/y.launch.yaml",
+                "launch:\n- arg: {name: n}\n- node: {pkg: wm_nodes, exec: '$(var n)'}",
+            ),
+            (
+                "/l/loop.launch.yaml",
+                "launch:\n- include: {file: /l/loop.launch.yaml}",
+            ),
         ]
         .into(),
         ..Memory::default()
     };
-    let text = "launch:\n- include: {file: $(dirname)/y.launch.yaml, arg: [{name: n, value: encoder}]}";
-    assert_eq!(resolve_in(&memory, text, &[]).unwrap().processes[0].name, "encoder-1");
-    let looping = resolve_in(&memory, "launch:\n- include: {file: /l/loop.launch.yaml}", &[]);
-    assert!(looping.unwrap_err().to_string().contains("include each other"));
+    let text =
+        "launch:\n- include: {file: $(dirname)/y.launch.yaml, arg: [{name: n, value: encoder}]}";
+    assert_eq!(
+        resolve_in(&memory, text, &[]).unwrap().processes[0].name,
+        "encoder-1"
+    );
+    let looping = resolve_in(
+        &memory,
+        "launch:\n- include: {file: /l/loop.launch.yaml}",
+        &[],
+    );
+    assert!(
+        looping
+            .unwrap_err()
+            .to_string()
+            .contains("include each other")
+    );
 }
 
 #[test]
@@ -146,8 +234,14 @@ fn wrong_arguments_are_named() {
     assert!(message(text, &[]).contains("bag:=VALUE"));
     assert!(message(text, &[("bag", "x"), ("mode", "c")]).contains("it may be: a, b"));
     assert!(message(text, &[("bag", "x"), ("bgg", "y")]).contains("\"bgg\" is not declared"));
-    assert!(message("launch:\n- let: {name: a, value: $(var b)}", &[]).contains("launch variable \"b\""));
-    assert!(message("launch:\n- let: {name: a, value: b, if: maybe}", &[]).contains("true, false, 1 or 0"));
+    assert!(
+        message("launch:\n- let: {name: a, value: $(var b)}", &[])
+            .contains("launch variable \"b\"")
+    );
+    assert!(
+        message("launch:\n- let: {name: a, value: b, if: maybe}", &[])
+            .contains("true, false, 1 or 0")
+    );
     let file = "launch:\n- node: {pkg: wm_nodes, exec: e, param: [{from: /no.yaml}]}";
     assert!(message(file, &[]).contains("/no.yaml"));
     let output = "launch:\n- node: {pkg: wm_nodes, exec: e, output: console}";

@@ -61,9 +61,13 @@ impl Rollouts {
         real: &Arc<RgbImage>,
         predicted: &Arc<RgbImage>,
     ) {
-        let new = || Open { observed: Arc::clone(observed), steps: BTreeMap::new() };
+        let new = || Open {
+            observed: Arc::clone(observed),
+            steps: BTreeMap::new(),
+        };
         let open = self.open.entry(observed_ns).or_insert_with(new);
-        open.steps.insert(step, (Arc::clone(real), Arc::clone(predicted)));
+        open.steps
+            .insert(step, (Arc::clone(real), Arc::clone(predicted)));
         if open.steps.len() == horizon as usize {
             if let Some(whole) = self.open.remove(&observed_ns) {
                 self.consider(observed_ns, whole);
@@ -85,11 +89,23 @@ impl Rollouts {
 
     fn consider(&mut self, observed_ns: i64, whole: Open) {
         // motion: how unlike the observation the frames became
-        let likeness = whole.steps.values().filter_map(|(real, _)| psnr(&whole.observed, real).ok());
-        let stillness: f64 = likeness.map(|decibel| decibel.min(super::PSNR_CAP_DB)).sum();
+        let likeness = whole
+            .steps
+            .values()
+            .filter_map(|(real, _)| psnr(&whole.observed, real).ok());
+        let stillness: f64 = likeness
+            .map(|decibel| decibel.min(super::PSNR_CAP_DB))
+            .sum();
         if self.best.as_ref().is_none_or(|(best, _)| stillness < *best) {
             let steps = whole.steps.into_values().collect();
-            self.best = Some((stillness, ShownRollout { observed_ns, observed: whole.observed, steps }));
+            self.best = Some((
+                stillness,
+                ShownRollout {
+                    observed_ns,
+                    observed: whole.observed,
+                    steps,
+                },
+            ));
         }
     }
 }

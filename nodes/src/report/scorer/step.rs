@@ -70,8 +70,19 @@ impl StepScore {
     /// Scores a picture and the baseline. Pictures of unequal size, which a frame that cannot be resized gives, count
     /// for neither.
     pub fn compare(&mut self, predicted: &RgbImage, real: &RgbImage, observed: &RgbImage) {
-        let scores = (psnr(predicted, real), psnr(observed, real), ssim(predicted, real), ssim(observed, real));
-        if let (Ok(predicted_psnr), Ok(persistence_psnr), Ok(predicted_ssim), Ok(persistence_ssim)) = scores {
+        let scores = (
+            psnr(predicted, real),
+            psnr(observed, real),
+            ssim(predicted, real),
+            ssim(observed, real),
+        );
+        if let (
+            Ok(predicted_psnr),
+            Ok(persistence_psnr),
+            Ok(predicted_ssim),
+            Ok(persistence_ssim),
+        ) = scores
+        {
             self.psnr.add(predicted_psnr.min(PSNR_CAP_DB));
             self.persistence_psnr.add(persistence_psnr.min(PSNR_CAP_DB));
             self.ssim.add(predicted_ssim);
@@ -90,7 +101,11 @@ impl StepScore {
             ssim: self.ssim.get(),
             persistence_psnr_db: self.persistence_psnr.get(),
             persistence_ssim: self.persistence_ssim.get(),
-            latent_error_ratio: self.latent_mse.get().zip(persistence).map(|(mse, persistence)| mse / persistence),
+            latent_error_ratio: self
+                .latent_mse
+                .get()
+                .zip(persistence)
+                .map(|(mse, persistence)| mse / persistence),
             ready_latency: self.ready.percentiles(),
             received_latency: self.received.percentiles(),
         }

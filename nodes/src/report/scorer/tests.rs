@@ -10,7 +10,10 @@ const STEP_NS: i64 = 400_000_000;
 const FRAME_NS: i64 = STEP_NS / 2;
 
 fn header(stamp_ns: i64) -> Header {
-    Header { stamp: Time::from_nanos(stamp_ns), ..Header::default() }
+    Header {
+        stamp: Time::from_nanos(stamp_ns),
+        ..Header::default()
+    }
 }
 
 fn prediction(observed_ns: i64, step: u32, ready_ns: i64) -> Prediction {
@@ -35,12 +38,19 @@ fn grey(level: u8) -> RgbImage {
 fn run(scorer: &mut Scorer, frames: i64, error: u8) {
     for frame in 0..frames {
         let now = frame * FRAME_NS;
-        scorer.frame(now, RgbImage::from_pixel(32, 32, Rgb([100 + 10 * frame as u8; 3])));
+        scorer.frame(
+            now,
+            RgbImage::from_pixel(32, 32, Rgb([100 + 10 * frame as u8; 3])),
+        );
         for step in 1..=2_u32 {
             let arrived = now + 30_000_000 + i64::from(step) * 5_000_000;
             scorer.prediction(&prediction(now, step, arrived - 1_000_000), arrived);
             let level = 100 + 10 * (frame as u8 + 2 * step as u8) + error;
-            scorer.picture(now + i64::from(step) * STEP_NS, grey(level), arrived + 10_000_000);
+            scorer.picture(
+                now + i64::from(step) * STEP_NS,
+                grey(level),
+                arrived + 10_000_000,
+            );
         }
     }
 }
@@ -50,11 +60,19 @@ fn pictures_are_compared_with_the_frame_of_their_moment_and_the_baseline_with_it
     let mut scorer = Scorer::default();
     run(&mut scorer, 10, 2);
     let report = scorer.report("test");
-    assert_eq!((report.frames, report.observations, report.horizon), (10, 10, 2));
+    assert_eq!(
+        (report.frames, report.observations, report.horizon),
+        (10, 10, 2)
+    );
     assert!((report.frame_rate_hz - 5.0).abs() < 1e-9);
-    let [first, second] = report.steps.as_slice() else { panic!("{} steps", report.steps.len()) };
+    let [first, second] = report.steps.as_slice() else {
+        panic!("{} steps", report.steps.len())
+    };
     // k=1 is two frames ahead, k=2 four: so many of the ten have a frame to be compared with
-    assert_eq!((first.predictions, first.compared, first.missing), (10, 8, 0));
+    assert_eq!(
+        (first.predictions, first.compared, first.missing),
+        (10, 8, 0)
+    );
     assert_eq!((second.predictions, second.compared), (10, 6));
     let decibel = |levels: f64| 20.0 * (255.0 / levels).log10();
     assert!((first.psnr_db.unwrap() - decibel(2.0)).abs() < 1e-9);
@@ -78,7 +96,14 @@ fn a_dropped_picture_is_not_replaced_by_that_of_another_observation() {
     scorer.picture(moment, grey(103), STEP_NS + 40_000_000);
     scorer.frame(moment, grey(100));
     let report = scorer.report("test");
-    assert_eq!(report.steps.iter().map(|step| step.compared).collect::<Vec<_>>(), [1, 0]);
+    assert_eq!(
+        report
+            .steps
+            .iter()
+            .map(|step| step.compared)
+            .collect::<Vec<_>>(),
+        [1, 0]
+    );
     assert_eq!(report.steps[0].missing, 1);
 }
 
@@ -124,14 +149,25 @@ fn what_waits_is_bounded() {
         scorer.picture(index * 1000 + STEP_NS, grey(1), index);
         scorer.prediction(&prediction(index * 1000, 2, 1), index);
     }
-    assert_eq!((scorer.awaited.len(), scorer.waiting.len()), (WAITING_LIMIT, WAITING_LIMIT));
+    assert_eq!(
+        (scorer.awaited.len(), scorer.waiting.len()),
+        (WAITING_LIMIT, WAITING_LIMIT)
+    );
 }
 
 #[test]
 fn latent_errors_plans_and_drops_are_summed() {
     let mut scorer = Scorer::default();
-    for (mse, persistence_mse, ratio) in [(1.0, 2.0, 0.5), (2.0, 10.0, 0.2), (f32::NAN, 0.0, f32::NAN)] {
-        scorer.error(&PredictionError { step: 1, mse, persistence_mse, ratio, ..PredictionError::default() });
+    for (mse, persistence_mse, ratio) in
+        [(1.0, 2.0, 0.5), (2.0, 10.0, 0.2), (f32::NAN, 0.0, f32::NAN)]
+    {
+        scorer.error(&PredictionError {
+            step: 1,
+            mse,
+            persistence_mse,
+            ratio,
+            ..PredictionError::default()
+        });
     }
     assert_eq!(scorer.last_error_ratio(), Some(0.2));
     let plan = |cost, deadline_cut| Plan {
@@ -142,16 +178,38 @@ fn latent_errors_plans_and_drops_are_summed() {
     };
     scorer.plan(&plan(3.0, false));
     scorer.plan(&plan(1.0, true));
-    let value = |key: &str, value: &str| KeyValue { key: key.to_owned(), value: value.to_owned() };
-    let values = vec![value("dropped: late [total]", "4"), value("dropped: odd [total]", "x"), value("sent", "9")];
-    let status = DiagnosticStatus { name: "wm/encoder".to_owned(), values, ..DiagnosticStatus::default() };
-    let array = DiagnosticArray { status: vec![status], ..DiagnosticArray::default() };
+    let value = |key: &str, value: &str| KeyValue {
+        key: key.to_owned(),
+        value: value.to_owned(),
+    };
+    let values = vec![
+        value("dropped: late [total]", "4"),
+        value("dropped: odd [total]", "x"),
+        value("sent", "9"),
+    ];
+    let status = DiagnosticStatus {
+        name: "wm/encoder".to_owned(),
+        values,
+        ..DiagnosticStatus::default()
+    };
+    let array = DiagnosticArray {
+        status: vec![status],
+        ..DiagnosticArray::default()
+    };
     scorer.diagnostics(&array);
     scorer.diagnostics(&array);
     assert_eq!(scorer.drop_count(), 4);
     let report = scorer.report("test");
     assert!((report.steps[0].latent_error_ratio.unwrap() - 0.25).abs() < 1e-9);
     let plans = report.plans.unwrap();
-    assert_eq!((plans.plans, plans.deadline_cuts, plans.first_cost, plans.last_cost), (2, 1, 3.0, 1.0));
+    assert_eq!(
+        (
+            plans.plans,
+            plans.deadline_cuts,
+            plans.first_cost,
+            plans.last_cost
+        ),
+        (2, 1, 3.0, 1.0)
+    );
     assert_eq!(report.drops.len(), 1);
 }

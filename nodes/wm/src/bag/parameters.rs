@@ -15,13 +15,20 @@ impl Parameters {
 
     /// A parameter; its value is written as JSON, which YAML reads alike.
     pub fn set(&mut self, name: &str, value: impl Serialize) -> Result<()> {
-        self.0.extend(["-p".to_owned(), format!("{name}:={}", serde_json::to_string(&value)?)]);
+        self.0.extend([
+            "-p".to_owned(),
+            format!("{name}:={}", serde_json::to_string(&value)?),
+        ]);
         Ok(())
     }
 
     /// A parameter that is a list of texts. ROS has no empty list of texts: then it is left at its default.
     pub fn set_list(&mut self, name: &str, values: &[String]) -> Result<()> {
-        if values.is_empty() { Ok(()) } else { self.set(name, values) }
+        if values.is_empty() {
+            Ok(())
+        } else {
+            self.set(name, values)
+        }
     }
 
     /// A remapping rule, `from:=to`.
@@ -47,9 +54,20 @@ mod tests {
         parameters.set("rate", 2.0).unwrap();
         parameters.set_list("topics", &[]).unwrap();
         parameters.remap("/a:=/b");
-        let user = ["--ros-args", "-p", "rate:=3"].map(ToOwned::to_owned).to_vec();
-        let expected =
-            ["--ros-args", "-p", "bag:=\"a \\\"b\\\"\"", "-p", "rate:=2.0", "-r", "/a:=/b", "-p", "rate:=3"];
+        let user = ["--ros-args", "-p", "rate:=3"]
+            .map(ToOwned::to_owned)
+            .to_vec();
+        let expected = [
+            "--ros-args",
+            "-p",
+            "bag:=\"a \\\"b\\\"\"",
+            "-p",
+            "rate:=2.0",
+            "-r",
+            "/a:=/b",
+            "-p",
+            "rate:=3",
+        ];
         assert_eq!(parameters.with(user), expected);
     }
 }

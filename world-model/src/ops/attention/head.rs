@@ -1,6 +1,6 @@
 //! Attention of one head over one sequence, in buffers that stay in cache.
 
-use super::product::{LANES, product, product_transposed, transpose};
+use super::product::{LANES, product, transpose};
 use crate::ops::exponential::exp;
 use crate::ops::rotary::{RotaryTable, normalise_and_rotate, normalise_and_rotate_backward};
 
@@ -19,6 +19,8 @@ pub(super) struct HeadKernel<'a> {
     /// The transposed keys, or values; columns beyond the length stay 0.
     across: Vec<f32>,
     weights: Vec<f32>,
+    /// The transposed weights, or their gradient: (padded, padded).
+    turned: Vec<f32>,
     out: Vec<f32>,
     grad_weights: Vec<f32>,
     grad_query: Vec<f32>,
@@ -43,6 +45,7 @@ impl<'a> HeadKernel<'a> {
             value: tokens(),
             across: vec![0.0; dim * padded],
             weights: vec![0.0; length * padded],
+            turned: vec![0.0; padded * padded],
             out: tokens(),
             grad_weights: vec![0.0; length * padded],
             grad_query: tokens(),
@@ -182,10 +185,11 @@ impl<'a> HeadKernel<'a> {
     #[inline(always)]
     pub(super) fn backward(&mut self) {
         self.weigh();
-        let shape = (self.length, self.dim, self.length);
-        product_transposed(
-            shape,
-            &self.weights,
+        transpose(self.padded, &self.weights, self.padded, &mut self.turned);
+        product(
+            self.dim,
+            self.length,
+            &self.turned[..self.length * self.padded],
             self.padded,
             &self.out,
             &mut self.grad_value,
@@ -211,9 +215,11 @@ impl<'a> HeadKernel<'a> {
             &self.key,
             &mut self.grad_query,
         );
-        product_transposed(
-            shape,
-            &self.grad_weights,
+        transpose(self.padded, &self.grad_weights, self.padded, &mut self.turned);
+        product(
+            self.dim,
+            self.length,
+            &self.turned[..self.length * self.padded],
             self.padded,
             &self.query,
             &mut self.grad_key,

@@ -7,7 +7,7 @@ pub(super) const LANES: usize = 16;
 /// of the multiply-adds.
 const ROWS: usize = 8;
 
-/// `c` (m, n) = `a` (m, k) times `b` (k, n).
+/// `c` (m, n) = the first k columns of `a` (m, a_width) times `b` (k, n).
 #[inline(always)]
 pub(super) fn product(n: usize, k: usize, a: &[f32], a_width: usize, b: &[f32], c: &mut [f32]) {
     let mut a_blocks = a.chunks_exact(ROWS * a_width);
@@ -43,51 +43,6 @@ fn rows<const R: usize>(
                 let a = a[r][i];
                 for lane in 0..LANES {
                     sums[r][lane] = a.mul_add(b[lane], sums[r][lane]);
-                }
-            }
-        }
-        for (r, sums) in sums.iter().enumerate() {
-            c[r * n + column..][..LANES].copy_from_slice(sums);
-        }
-    }
-}
-
-/// `c` (m, n) = the transpose of `a` (k, a_width), of which the first m columns count, times `b`
-/// (k, n).
-#[inline(always)]
-pub(super) fn product_transposed(
-    (m, n, k): (usize, usize, usize),
-    a: &[f32],
-    a_width: usize,
-    b: &[f32],
-    c: &mut [f32],
-) {
-    let whole = m - m % ROWS;
-    for row in (0..whole).step_by(ROWS) {
-        columns::<ROWS>(n, k, &a[row..], a_width, b, &mut c[row * n..][..ROWS * n]);
-    }
-    for row in whole..m {
-        columns::<1>(n, k, &a[row..], a_width, b, &mut c[row * n..][..n]);
-    }
-}
-
-#[inline(always)]
-fn columns<const R: usize>(
-    n: usize,
-    k: usize,
-    a: &[f32],
-    a_width: usize,
-    b: &[f32],
-    c: &mut [f32],
-) {
-    for column in (0..n).step_by(LANES) {
-        let mut sums = [[0.0_f32; LANES]; R];
-        for i in 0..k {
-            let b = &b[i * n + column..][..LANES];
-            let a = &a[i * a_width..][..R];
-            for r in 0..R {
-                for lane in 0..LANES {
-                    sums[r][lane] = a[r].mul_add(b[lane], sums[r][lane]);
                 }
             }
         }
@@ -135,8 +90,8 @@ mod tests {
 
         let mut transposed = vec![0.0; k * 20];
         transpose(k, &a, 20, &mut transposed);
-        let mut c = vec![0.0; m * n];
-        product_transposed((m, n, k), &transposed, 20, &b, &mut c);
-        assert_eq!(c, expected);
+        let mut back = vec![0.0; 20 * k];
+        transpose(20, &transposed, k, &mut back);
+        assert_eq!(back[..m * k], a);
     }
 }

@@ -1,6 +1,6 @@
-use std::path::Path;
-
-use wm_model::{Autoencoder, Decoder as _, Encoder as _};
+use candle_core::Tensor;
+use image::RgbImage;
+use wm_model::{Autoencoder, Decoder as _, Encoder as _, image::to_rgb};
 
 use super::trainer::{TrainingError, pictures};
 use crate::dataset::Dataset;
@@ -72,18 +72,26 @@ pub fn evaluate(
     })
 }
 
-/// [`evaluate`] on the bags under `bags`, with decoded frames kept under `cache`.
+/// `count` frames spread over `dataset`, a row each: the frame, what becomes of it, and four times the difference.
 ///
 /// # Errors
-/// When the bags cannot be read, or their frames do not fit.
-pub fn evaluate_bags(
+/// When the frames do not fit the autoencoder.
+pub fn picture(
     autoencoder: &Autoencoder,
-    bags: &Path,
-    cache: &Path,
-    frames: usize,
-) -> Result<Reconstruction, TrainingError> {
-    let dataset = Dataset::open(bags, cache, autoencoder.input_size())?;
-    evaluate(autoencoder, &dataset, frames)
+    dataset: &Dataset,
+    count: usize,
+) -> Result<RgbImage, TrainingError> {
+    let count = count.clamp(1, dataset.frame_count().max(1));
+    let chosen: Vec<usize> = (0..count)
+        // From the middle of each stretch: the first frames of episodes are much alike.
+        .map(|i| (2 * i + 1) * dataset.frame_count() / (2 * count))
+        .collect();
+    let frames = pictures(dataset, &chosen)?;
+    let decoded = autoencoder.decode(&autoencoder.encode(&frames)?)?;
+    let difference = ((&frames - &decoded)?.abs()? * 4.0)?;
+    let across = Tensor::cat(&[frames, decoded, difference], 2)?;
+    let (rows, height, width, _) = across.dims4()?;
+    Ok(to_rgb(&across.reshape((rows * height, width, 3))?)?)
 }
 
 #[derive(Default)]

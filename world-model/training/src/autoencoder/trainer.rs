@@ -24,10 +24,11 @@ use crate::{
     optimiser::{AdamW, AdamWSettings, OptimiserError, Schedule, step_rng},
 };
 
-/// Steps between two lines of the log.
+/// Steps between two lines of the log, where the progress bar is not seen.
 const LOG_STEPS: u64 = 100;
-/// Frames that the normalisation of the latents is taken over, at most.
+/// Frames that the normalisation of the latents is taken over, at most; and while the training goes on.
 const NORMALISATION_FRAMES: usize = 2000;
+const INTERIM_FRAMES: usize = 200;
 /// Weights are saved as half floats.
 const PRECISION: Precision = Precision::F16;
 
@@ -66,7 +67,7 @@ pub enum TrainingError {
 }
 
 /// An autoencoder in training.
-pub struct AutoencoderRun {
+pub(super) struct AutoencoderRun {
     settings: AutoencoderSettings,
     /// Settings and data, as the checkpoint names them.
     run: String,
@@ -84,8 +85,8 @@ struct Half {
 }
 
 /// The parts of a step's loss.
-#[derive(Clone, Copy, Debug)]
-pub struct StepLoss {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct StepLoss {
     /// What is minimised.
     pub total: f32,
     /// Mean squared error of the crops.
@@ -99,7 +100,7 @@ impl AutoencoderRun {
     ///
     /// # Errors
     /// When the settings make no sense.
-    pub fn new(settings: AutoencoderSettings, data: &str) -> Result<Self, TrainingError> {
+    pub(super) fn new(settings: AutoencoderSettings, data: &str) -> Result<Self, TrainingError> {
         let model = Autoencoder::random(settings.model.clone(), settings.seed)?;
         let optimiser = AdamW::new(
             &variables(&model)?,
@@ -127,8 +128,7 @@ impl AutoencoderRun {
     }
 
     /// Steps taken so far.
-    #[must_use]
-    pub fn steps_taken(&self) -> u64 {
+    pub(super) fn steps_taken(&self) -> u64 {
         self.optimiser.steps_taken()
     }
 
@@ -136,7 +136,7 @@ impl AutoencoderRun {
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn save(&mut self, path: &Path) -> Result<(), TrainingError> {
+    pub(super) fn save(&mut self, path: &Path) -> Result<(), TrainingError> {
         Ok(self.optimiser.save(path, &self.run)?)
     }
 
@@ -144,7 +144,7 @@ impl AutoencoderRun {
     ///
     /// # Errors
     /// When the file is of another run or broken.
-    pub fn resume(&mut self, path: &Path) -> Result<(), TrainingError> {
+    pub(super) fn resume(&mut self, path: &Path) -> Result<(), TrainingError> {
         self.optimiser.resume(path, &self.run)?;
         self.load_weights();
         Ok(())
@@ -227,17 +227,57 @@ impl AutoencoderRun {
         })
     }
 
+    /// The length of the gradient of one half (0 encoder, 1 decoder) at step 0, and the slope of the loss along it by
+    /// a central difference of half-width `step`.
+    #[cfg(test)]
+    pub(super) fn slope_along_gradient(
+        &mut self,
+        dataset: &Dataset,
+        salience: &Salience<'_>,
+        half: usize,
+        step: f32,
+    ) -> Result<(f32, f32), TrainingError> {
+        let mut rng = step_rng(self.settings.seed, 0);
+        let crops = crops::draw(dataset, salience, &self.settings, 0, &mut rng);
+        let start = self.model.clone();
+        self.gradients(&crops, &mut rng.clone())?;
+        let gradient = [&self.encoder.gradient, &self.decoder.gradient][half].clone();
+        let squares = gradient.convs.iter().flat_map(|(weight, bias)| weight.iter().chain(bias));
+        let length = squares.map(|g| g * g).sum::<f32>().sqrt();
+        let mut losses = [0.0; 2];
+        for (loss, sign) in losses.iter_mut().zip([1.0, -1.0]) {
+            self.model = start.clone();
+            let (encoder, decoder) = self.model.networks_mut();
+            let network = [encoder, decoder].into_iter().nth(half);
+            let convs = network.into_iter().flat_map(|network| network.convs_mut());
+            for (conv, (weight, bias)) in convs.zip(&gradient.convs) {
+                let weights = conv.weight.iter_mut().chain(conv.bias.iter_mut().flatten());
+                for (w, g) in weights.zip(weight.iter().chain(bias)) {
+                    *w += sign * step * g / length;
+                }
+            }
+            *loss = self.gradients(&crops, &mut rng.clone())?.total;
+        }
+        self.model = start;
+        Ok((length, (losses[0] - losses[1]) / (2.0 * step)))
+    }
+
     fn load_weights(&mut self) {
         let weights = self.optimiser.weights();
         let named = weights.map(|(name, values)| (name.to_owned(), values.to_vec())).collect();
         assign(&mut self.model, named);
     }
 
-    /// The autoencoder with the averaged weights and the normalisation of its latents over `dataset`.
+    /// The autoencoder with the averaged weights and the normalisation of its latents over at most `frames` frames of
+    /// `dataset`.
     ///
     /// # Errors
     /// When a channel of the latents does not vary.
-    pub fn finished(&self, dataset: &Dataset) -> Result<Autoencoder, TrainingError> {
+    pub(super) fn finished(
+        &self,
+        dataset: &Dataset,
+        frames: usize,
+    ) -> Result<Autoencoder, TrainingError> {
         let mut model = self.model.clone();
         let mut averaged = BTreeMap::new();
         for (name, tensor) in self.optimiser.ema()? {
@@ -245,7 +285,7 @@ impl AutoencoderRun {
         }
         assign(&mut model, averaged);
         let model = model.rounded(PRECISION);
-        let stride = dataset.frame_count().div_ceil(NORMALISATION_FRAMES).max(1);
+        let stride = dataset.frame_count().div_ceil(frames.max(1)).max(1);
         let frames: Vec<usize> = (0..dataset.frame_count()).step_by(stride).collect();
         // The model has the identity as normalisation here, so these are the plain latents.
         let latents = frames
@@ -386,7 +426,7 @@ pub fn train(
         curve.push(step, loss.total);
         progress.set_position(step + 1);
         progress.set_message(format!("loss {:.4}", curve.recent_mean(50)));
-        if step % LOG_STEPS == LOG_STEPS - 1 {
+        if progress.is_hidden() && step % LOG_STEPS == LOG_STEPS - 1 {
             let psnr = -10.0 * loss.squared_error.log10();
             let mean = curve.recent_mean(LOG_STEPS as usize);
             tracing::info!(
@@ -398,14 +438,15 @@ pub fn train(
         if saved.elapsed() >= checkpoint_every {
             run.save(&checkpoint)?;
             curve.write(out, "autoencoder").map_err(io)?;
-            run.finished(dataset)?.save(out.join("autoencoder.safetensors"), PRECISION)?;
+            run.finished(dataset, INTERIM_FRAMES)?
+                .save(out.join("autoencoder.safetensors"), PRECISION)?;
             saved = Instant::now();
         }
     }
     progress.finish_and_clear();
     run.save(&checkpoint)?;
     curve.write(out, "autoencoder").map_err(io)?;
-    let autoencoder = run.finished(dataset)?;
+    let autoencoder = run.finished(dataset, NORMALISATION_FRAMES)?;
     autoencoder.save(out.join("autoencoder.safetensors"), PRECISION)?;
     Ok(autoencoder)
 }

@@ -1,0 +1,142 @@
+//! Where a whole world model lives: the embedded default, or a folder of weights.
+//!
+//! A folder holds `autoencoder.safetensors` and `transition.safetensors`, as the training writes them. In place of the
+//! former it may hold the published `taef2_encoder.safetensors` and `taef2_decoder.safetensors`; encoding and
+//! decoding then need no transition model beside them.
+
+use std::path::PathBuf;
+
+use crate::{
+    Autoencoder, Error, LatentSpace, Result, Weights,
+    actions::ActionEncoding,
+    transition::{ACTIONS_KEY, LATENT_SPACE_KEY, Transition},
+};
+
+/// Name of the embedded default.
+pub const EMBEDDED: &str = "tiny";
+
+const TRANSITION_FILE: &str = "transition.safetensors";
+
+static EMBEDDED_AUTOENCODER: &[u8] = include_bytes!("../weights/tiny/autoencoder.safetensors");
+static EMBEDDED_TRANSITION: &[u8] = include_bytes!("../weights/tiny/transition.safetensors");
+
+/// The place of a world model's weights.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Bundle {
+    /// The default that is part of the program.
+    Embedded,
+    /// A folder of weights.
+    Folder(PathBuf),
+}
+
+/// A transition model with what is needed to use it.
+#[derive(Clone, Debug)]
+pub struct BundledTransition {
+    /// The model.
+    pub model: Transition,
+    /// Lower-case hex SHA-256 of its weights.
+    pub hash: String,
+    /// How physical actions become its actions.
+    pub encoding: ActionEncoding,
+    /// The space of the latents that it was trained on.
+    pub space: LatentSpace,
+}
+
+impl Bundle {
+    /// [`EMBEDDED`] is the default; anything else is a folder.
+    #[must_use]
+    pub fn named(name: &str) -> Self {
+        if name == EMBEDDED {
+            Self::Embedded
+        } else {
+            Self::Folder(PathBuf::from(name))
+        }
+    }
+
+    /// Loads encoder and decoder.
+    ///
+    /// # Errors
+    /// When a file is missing or corrupt, or a tensor in it is missing, misshapen or unexpected.
+    pub fn autoencoder(&self) -> Result<Autoencoder> {
+        match self {
+            Self::Embedded => Autoencoder::from_weights(Weights::from_static(
+                "embedded autoencoder",
+                EMBEDDED_AUTOENCODER,
+            )?),
+            Self::Folder(folder) => Autoencoder::open(folder),
+        }
+    }
+
+    /// Loads the transition model, and checks that it belongs to the autoencoder beside it.
+    ///
+    /// # Errors
+    /// As [`Self::autoencoder`]; and when the model was trained in another latent space.
+    pub fn transition(&self) -> Result<BundledTransition> {
+        let weights = match self {
+            Self::Embedded => Weights::from_static("embedded transition", EMBEDDED_TRANSITION)?,
+            Self::Folder(folder) => Weights::open(folder.join(TRANSITION_FILE))?,
+        };
+        let space = self.autoencoder()?.space().clone();
+        let trained_on: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
+        if trained_on.hash != space.hash {
+            return Err(Error::WrongHash {
+                file: weights.file().to_owned(),
+                what: "the latent space that the transition model was trained on",
+                expected: space.hash,
+                found: trained_on.hash,
+            });
+        }
+        let encoding: ActionEncoding = weights.json(ACTIONS_KEY)?;
+        let hash = weights.sha256();
+        Ok(BundledTransition {
+            model: Transition::from_weights(weights)?,
+            hash,
+            encoding,
+            space,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_embedded_default_is_whole_small_and_of_one_latent_space() {
+        let bundle = Bundle::named(EMBEDDED);
+        let autoencoder = bundle.autoencoder().unwrap();
+        let transition = bundle.transition().unwrap();
+        assert_eq!(&transition.space, autoencoder.space());
+        assert_eq!(transition.hash.len(), 64);
+        let config = transition.model.config();
+        let space = autoencoder.space();
+        assert_eq!(
+            (config.latent_height, config.latent_width, config.channels),
+            (space.height, space.width, space.channels)
+        );
+        assert_eq!(config.action_dim, transition.encoding.action_dim);
+        assert!(EMBEDDED_AUTOENCODER.len() + EMBEDDED_TRANSITION.len() <= 12_000_000);
+    }
+
+    #[test]
+    fn a_transition_of_another_latent_space_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let other = Autoencoder::random(
+            Bundle::Embedded.autoencoder().unwrap().config().clone(),
+            1,
+        )
+        .unwrap();
+        other
+            .save(folder.path().join("autoencoder.safetensors"), crate::weights::Precision::F16)
+            .unwrap();
+        std::fs::write(folder.path().join(TRANSITION_FILE), EMBEDDED_TRANSITION).unwrap();
+        let error = Bundle::Folder(folder.path().to_owned()).transition().unwrap_err();
+        assert!(error.to_string().contains("latent space"), "{error}");
+    }
+
+    #[test]
+    fn a_missing_folder_is_named() {
+        let error = Bundle::named("/no/such/model").autoencoder().unwrap_err();
+        assert!(error.to_string().contains("/no/such/model"), "{error}");
+    }
+}

@@ -1,0 +1,176 @@
+use std::{io::Cursor, path::Path, time::Duration};
+
+use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
+use wm_bag::{BagWriter, WriterOptions};
+use wm_model::{Autoencoder, AutoencoderConfig};
+use wm_msgs::{
+    builtin_interfaces::Time, sensor_msgs::CompressedImage, std_msgs::Header, wm_msgs::Action,
+};
+
+use super::{AutoencoderSettings, TrainingError, evaluate, picture, salience::Salience, train, trainer::AutoencoderRun};
+use crate::dataset::Dataset;
+
+const SIZE: u32 = 16;
+const NEVER: Duration = Duration::from_secs(3600);
+
+/// A red square that moves over a shaded ground, and its mask.
+fn frame(at: u32) -> (DynamicImage, DynamicImage) {
+    let inside = |x: u32, y: u32| (at..at + 5).contains(&x) && (4..9).contains(&y);
+    let picture = RgbImage::from_fn(SIZE, SIZE, |x, y| {
+        if inside(x, y) {
+            Rgb([220, 40, 30])
+        } else {
+            Rgb([60 + 8 * y as u8, 90, 120 - 4 * x as u8])
+        }
+    });
+    let mask = GrayImage::from_fn(SIZE, SIZE, |x, y| Luma([2 * u8::from(inside(x, y))]));
+    (picture.into(), mask.into())
+}
+
+fn write_bag(dir: &Path, masks: bool) {
+    let mut writer = BagWriter::create(dir, WriterOptions::default()).unwrap();
+    for index in 0..8u32 {
+        let header = Header {
+            stamp: Time::from_nanos(i64::from(index) * 200_000_000),
+            frame_id: String::new(),
+        };
+        let at = u64::from(index) * 200_000_000;
+        let (picture, mask) = frame(index + 1);
+        let mut pictures = vec![("/camera/image_raw/compressed", picture)];
+        if masks {
+            pictures.push(("/camera/mask/compressed", mask));
+        }
+        for (topic, picture) in pictures {
+            let mut png = Cursor::new(Vec::new());
+            picture.write_to(&mut png, ImageFormat::Png).unwrap();
+            let message = CompressedImage {
+                header: header.clone(),
+                format: "png".into(),
+                data: png.into_inner(),
+            };
+            writer.write(topic, &message, at).unwrap();
+        }
+        let action = Action {
+            header,
+            values: vec![0.0; 7],
+        };
+        writer.write("/wm/action", &action, at).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+fn dataset(scratch: &Path, masks: bool) -> Dataset {
+    let bags = scratch.join(format!("bags_{masks}"));
+    if !bags.exists() {
+        write_bag(&bags.join("episode_000000"), masks);
+    }
+    Dataset::open(&bags, &scratch.join("cache"), (SIZE as usize, SIZE as usize)).unwrap()
+}
+
+fn settings() -> AutoencoderSettings {
+    AutoencoderSettings {
+        model: AutoencoderConfig {
+            name: "test".into(),
+            height: SIZE as usize,
+            width: SIZE as usize,
+            widths: vec![8, 16],
+            encoder_blocks: vec![0, 1],
+            decoder_blocks: vec![0, 1],
+            latent_channels: 4,
+            branch: false,
+        },
+        seed: 3,
+        steps: 60,
+        whole_picture_steps: 10,
+        batch: 4,
+        crop: 8,
+        warm_up_steps: 5,
+        learning_rate: 3e-3,
+        ema_decay: 0.9,
+        ..AutoencoderSettings::default()
+    }
+}
+
+#[test]
+fn training_learns_and_leaves_weights_and_curve() {
+    let scratch = tempfile::tempdir().unwrap();
+    for masks in [false, true] {
+        let dataset = dataset(scratch.path(), masks);
+        let out = scratch.path().join(format!("run_{masks}"));
+        let trained = train(&dataset, settings(), &out, NEVER).unwrap();
+        let fresh = Autoencoder::random(settings().model, 3).unwrap();
+        let before = evaluate(&fresh, &dataset, 8).unwrap();
+        let after = evaluate(&trained, &dataset, 8).unwrap();
+        assert!(after.psnr > before.psnr + 6.0, "{before} then {after}");
+        assert_eq!(after.masked_psnr.is_some(), masks);
+        // The latents of the training data are normalised.
+        assert!((after.latent_std - 1.0).abs() < 0.05, "{after}");
+        let opened = Autoencoder::open(out.join("autoencoder.safetensors")).unwrap();
+        assert_eq!(opened.space(), trained.space());
+        assert!(out.join("loss.svg").is_file());
+        let picture = picture(&opened, &dataset, 2).unwrap();
+        assert_eq!(picture.dimensions(), (3 * SIZE, 2 * SIZE));
+    }
+}
+
+#[test]
+fn a_resumed_training_gives_the_weights_of_the_uninterrupted_one() {
+    let scratch = tempfile::tempdir().unwrap();
+    let dataset = dataset(scratch.path(), true);
+    let salience = Salience::new(&dataset);
+    let checkpoint = scratch.path().join("checkpoint.safetensors");
+    let mut whole = AutoencoderRun::new(settings(), dataset.digest()).unwrap();
+    for step in 0..20 {
+        if step == 9 {
+            whole.save(&checkpoint).unwrap();
+        }
+        whole.step(&dataset, &salience).unwrap();
+    }
+    let mut resumed = AutoencoderRun::new(settings(), dataset.digest()).unwrap();
+    resumed.resume(&checkpoint).unwrap();
+    assert_eq!(resumed.steps_taken(), 9);
+    while resumed.steps_taken() < 20 {
+        resumed.step(&dataset, &salience).unwrap();
+    }
+    let hash = |run: &AutoencoderRun| run.finished(&dataset, 8).unwrap().space().hash.clone();
+    assert_eq!(hash(&whole), hash(&resumed));
+
+    let mut other = AutoencoderRun::new(settings(), "other data").unwrap();
+    let error = other.resume(&checkpoint).unwrap_err().to_string();
+    assert!(error.contains("other data"), "{error}");
+}
+
+/// Along each half's gradient the loss must change by the gradient's length: this holds the chain of picture loss,
+/// decoder, clamp, noise, penalty and encoder against finite differences.
+#[test]
+fn the_whole_gradient_is_that_of_the_loss() {
+    let scratch = tempfile::tempdir().unwrap();
+    let dataset = dataset(scratch.path(), true);
+    let salience = Salience::new(&dataset);
+    let settings = AutoencoderSettings {
+        // Large enough to be seen beside the picture's loss.
+        latent_penalty: 0.3,
+        latent_noise: 0.3,
+        ..settings()
+    };
+    let mut run = AutoencoderRun::new(settings, dataset.digest()).unwrap();
+    for half in 0..2 {
+        let (length, slope) = run.slope_along_gradient(&dataset, &salience, half, 2e-3).unwrap();
+        assert!(length > 0.01, "half {half}: {length}");
+        assert!(
+            (slope / length - 1.0).abs() < 0.03,
+            "half {half}: gradient {length}, difference {slope}"
+        );
+    }
+}
+
+#[test]
+fn frames_of_another_size_are_refused() {
+    let scratch = tempfile::tempdir().unwrap();
+    let dataset = dataset(scratch.path(), true);
+    let error = train(&dataset, AutoencoderSettings::default(), scratch.path(), NEVER).unwrap_err();
+    assert!(
+        matches!(error, TrainingError::FrameSize { expected: (128, 128), found: (16, 16) }),
+        "{error}"
+    );
+}
