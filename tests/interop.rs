@@ -33,13 +33,17 @@ fn collect(peers: &std::path::Path, domain: u16, topics: &[&str]) -> Value {
 }
 
 fn messages<'a>(report: &'a Value, topic: &str) -> &'a Vec<Value> {
-    let messages = report["received"][topic].as_array().expect("every asked topic is in the answer");
+    let messages = report["received"][topic]
+        .as_array()
+        .expect("every asked topic is in the answer");
     assert!(!messages.is_empty(), "nothing arrived on {topic}");
     messages
 }
 
 fn integer(value: &Value) -> i64 {
-    value.as_i64().unwrap_or_else(|| panic!("{value} is not an integer"))
+    value
+        .as_i64()
+        .unwrap_or_else(|| panic!("{value} is not an integer"))
 }
 
 fn stamps(report: &Value, topic: &str) -> BTreeSet<i64> {
@@ -93,7 +97,8 @@ fn every_public_topic_reaches_a_real_ros_2() {
     );
     let mut spaces = BTreeSet::new();
     for latent in messages(&report, "/wm/latent") {
-        let numbers = integer(&latent["height"]) * integer(&latent["width"]) * integer(&latent["channels"]);
+        let numbers =
+            integer(&latent["height"]) * integer(&latent["width"]) * integer(&latent["channels"]);
         assert_eq!(latent["dtype"], 1, "f16 is the default");
         assert_eq!(integer(&latent["data"]["len"]), numbers * 2);
         spaces.insert(latent["space"].to_string());
@@ -112,7 +117,12 @@ fn every_public_topic_reaches_a_real_ros_2() {
         assert_eq!(prediction["horizon"], HORIZON);
         assert_eq!(prediction["latent"]["header"], prediction["header"]);
         spaces.insert(prediction["latent"]["space"].to_string());
-        assert!(!prediction["actions"].as_array().expect("actions").is_empty());
+        assert!(
+            !prediction["actions"]
+                .as_array()
+                .expect("actions")
+                .is_empty()
+        );
         for action in prediction["actions"].as_array().expect("actions") {
             assert_finite(&action["values"]);
         }
@@ -122,7 +132,11 @@ fn every_public_topic_reaches_a_real_ros_2() {
         assert!(prediction["integration_steps"].as_u64() >= Some(1));
     }
     assert_eq!(steps_seen, (1..=HORIZON).collect());
-    assert_eq!(spaces.len(), 1, "one latent space in the whole suite: {spaces:?}");
+    assert_eq!(
+        spaces.len(),
+        1,
+        "one latent space in the whole suite: {spaces:?}"
+    );
 
     let predicted = stamps(&report, "/wm/predicted");
     for topic in ["/wm/predicted/image", "/wm/predicted/image/compressed"] {
@@ -137,11 +151,19 @@ fn every_public_topic_reaches_a_real_ros_2() {
     assert_eq!(integer(&image["step"]), integer(&image["width"]) * 3);
     let bytes = integer(&image["data"]["len"]);
     assert_eq!(bytes, integer(&image["step"]) * integer(&image["height"]));
-    assert!(bytes < 98_000, "a stock subscriber takes up to 98 KB, not {bytes}");
+    assert!(
+        bytes < 98_000,
+        "a stock subscriber takes up to 98 KB, not {bytes}"
+    );
 
     for error in messages(&report, "/wm/prediction_error") {
         for field in ["mse", "persistence_mse"] {
-            assert!(error[field].as_f64().is_some_and(|e| e.is_finite() && e >= 0.0), "{error}");
+            assert!(
+                error[field]
+                    .as_f64()
+                    .is_some_and(|e| e.is_finite() && e >= 0.0),
+                "{error}"
+            );
         }
         let gap = integer(&error["header"]["stamp"]) - integer(&error["observed_stamp"]);
         assert_eq!(gap, integer(&error["step"]) * MODEL_STEP_NS);
@@ -154,7 +176,8 @@ fn every_public_topic_reaches_a_real_ros_2() {
             assert_eq!(action["values"].as_array().map(Vec::len), Some(7));
             assert_finite(&action["values"]);
         }
-        serde_json::from_str::<Value>(plan["settings"].as_str().expect("text")).expect("settings are JSON");
+        serde_json::from_str::<Value>(plan["settings"].as_str().expect("text"))
+            .expect("settings are JSON");
     }
     for action in messages(&report, "/wm/action") {
         assert_eq!(action["values"].as_array().map(Vec::len), Some(7));
@@ -162,9 +185,17 @@ fn every_public_topic_reaches_a_real_ros_2() {
     }
     let reported = report["received"]["/diagnostics"].to_string();
     for node in ["encoder", "predictor", "decoder", "planner"] {
-        assert!(reported.contains(node), "{node} does not report on /diagnostics");
+        assert!(
+            reported.contains(node),
+            "{node} does not report on /diagnostics"
+        );
     }
-    assert!(!messages(&report, "/task/instruction")[0]["data"].as_str().expect("text").is_empty());
+    assert!(
+        !messages(&report, "/task/instruction")[0]["data"]
+            .as_str()
+            .expect("text")
+            .is_empty()
+    );
 }
 
 #[test]
@@ -180,8 +211,15 @@ fn a_late_and_a_restarted_subscriber_are_served() {
     // Each peer joins when the suite has long been running, and the second after the first has gone.
     for attempt in ["late", "restarted"] {
         let report = collect(&peers, domain, &topics);
-        assert!(messages(&report, "/wm/predicted").len() >= 8, "{attempt} subscriber");
-        assert_eq!(messages(&report, "/wm/goal/image/compressed").len(), 1, "{attempt} subscriber");
+        assert!(
+            messages(&report, "/wm/predicted").len() >= 8,
+            "{attempt} subscriber"
+        );
+        assert_eq!(
+            messages(&report, "/wm/goal/image/compressed").len(),
+            1,
+            "{attempt} subscriber"
+        );
     }
 }
 
@@ -191,16 +229,27 @@ fn parameters_are_visible_and_guarded() {
     let domain = fresh_domain();
     let predictor = Process::start(wm(
         domain,
-        &["predictor", "--ros-args", "-p", "horizon:=3", "-r", "__ns:=/arm1"],
+        &[
+            "predictor",
+            "--ros-args",
+            "-p",
+            "horizon:=3",
+            "-r",
+            "__ns:=/arm1",
+        ],
     ));
     let peer = Process::start(rclpy(
         &peers,
         domain,
         "parameters.py",
         &[
-            "--seconds", "20", "/arm1/predictor",
-            "--set", "horizon=\"eight\"",
-            "--set", "no_such_parameter=1",
+            "--seconds",
+            "20",
+            "/arm1/predictor",
+            "--set",
+            "horizon=\"eight\"",
+            "--set",
+            "no_such_parameter=1",
         ],
     ));
     let (status, stdout) = peer.finish(Duration::from_secs(60));
@@ -209,11 +258,22 @@ fn parameters_are_visible_and_guarded() {
     let horizon = &answer["parameters"]["horizon"];
     assert_eq!(horizon["value"], 3);
     assert!(!horizon["description"].as_str().expect("text").is_empty());
-    for (set, name) in answer["sets"].as_array().expect("two answers").iter().zip(["horizon", "no_such_parameter"]) {
+    for (set, name) in answer["sets"]
+        .as_array()
+        .expect("two answers")
+        .iter()
+        .zip(["horizon", "no_such_parameter"])
+    {
         assert_eq!(set["successful"], false);
-        assert!(set["reason"].as_str().expect("text").contains(name), "{set}");
+        assert!(
+            set["reason"].as_str().expect("text").contains(name),
+            "{set}"
+        );
     }
     predictor.signal("INT");
     let (status, _) = predictor.finish(Duration::from_secs(5));
-    assert!(status.success(), "a node that is asked to stop exits with 0, not {status}");
+    assert!(
+        status.success(),
+        "a node that is asked to stop exits with 0, not {status}"
+    );
 }

@@ -19,14 +19,18 @@ fn the_main_job_leaves_report_strip_and_bag() {
     assert!(status.success(), "the launch ended with {status}");
     assert!(stdout.contains("PSNR"), "no table in: {stdout}");
 
-    let report: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(out.path().join("report.json")).expect("report.json is written"))
-            .expect("report.json is JSON");
+    let report: serde_json::Value = serde_json::from_slice(
+        &std::fs::read(out.path().join("report.json")).expect("report.json is written"),
+    )
+    .expect("report.json is JSON");
     let steps = report["steps"].as_array().expect("a row per step");
     assert_eq!(steps.len(), 8);
     for step in steps {
         assert!(step["n"].as_u64() > Some(0), "{step}");
-        assert!(step["psnr_db"].as_f64().is_some_and(f64::is_finite), "{step}");
+        assert!(
+            step["psnr_db"].as_f64().is_some_and(f64::is_finite),
+            "{step}"
+        );
     }
     let strip = std::fs::read(out.path().join("strip.png")).expect("strip.png is written");
     assert!(strip.starts_with(b"\x89PNG"));
@@ -36,7 +40,13 @@ fn the_main_job_leaves_report_strip_and_bag() {
     let info = Process::start(wm(fresh_domain(), &["bag", "info", &bag.to_string_lossy()]));
     let (status, text) = info.finish(Duration::from_secs(10));
     assert!(status.success());
-    for topic in ["/wm/latent", "/wm/predicted", "/wm/predicted/image/compressed", "/wm/plan", "/camera/image_raw/compressed"] {
+    for topic in [
+        "/wm/latent",
+        "/wm/predicted",
+        "/wm/predicted/image/compressed",
+        "/wm/plan",
+        "/camera/image_raw/compressed",
+    ] {
         assert!(text.contains(topic), "{topic} was not recorded: {text}");
     }
 }
@@ -55,7 +65,10 @@ fn a_node_that_dies_fails_the_launch_by_name() {
         .expect("wm runs");
     assert!(!run.status.success());
     let stderr = String::from_utf8_lossy(&run.stderr);
-    assert!(stderr.contains("encoder") && stderr.contains("/no/such/model"), "{stderr}");
+    assert!(
+        stderr.contains("encoder") && stderr.contains("/no/such/model"),
+        "{stderr}"
+    );
 }
 
 #[test]

@@ -21,7 +21,11 @@ pub struct Complaints {
 impl Complaints {
     /// Complaints of the node of `diagnostics`.
     pub fn new(diagnostics: Diagnostics) -> Self {
-        Self { diagnostics, last: BTreeMap::new(), waiting_for: None }
+        Self {
+            diagnostics,
+            last: BTreeMap::new(),
+            waiting_for: None,
+        }
     }
 
     /// Counts something that was left out, and says why.
@@ -38,7 +42,9 @@ impl Complaints {
             earlier => {
                 match earlier.map_or(0, |(_, unsaid)| *unsaid) {
                     0 => tracing::warn!("{reason}: {error}"),
-                    unsaid => tracing::warn!("{reason}: {error} (and {unsaid} more since the last warning)"),
+                    unsaid => tracing::warn!(
+                        "{reason}: {error} (and {unsaid} more since the last warning)"
+                    ),
                 }
                 self.last.insert(reason, (now, 0));
             }

@@ -27,7 +27,9 @@ const MAX_DECODED: u64 = 256 << 20;
 #[non_exhaustive]
 pub enum ImageError {
     /// A pixel format that is not supported.
-    #[error("image encoding \"{0}\" is not supported; expected rgb8, bgr8, rgba8, bgra8, mono8 or mono16")]
+    #[error(
+        "image encoding \"{0}\" is not supported; expected rgb8, bgr8, rgba8, bgra8, mono8 or mono16"
+    )]
     Encoding(String),
     /// No pixel, or too many.
     #[error("image of {width}x{height} pixels; each side must be 1 to {MAX_SIDE}")]
@@ -95,14 +97,35 @@ struct PixelLayout {
 impl PixelLayout {
     fn of(image: &Image) -> Result<Self, ImageError> {
         Ok(match image.encoding.as_str() {
-            "rgb8" => Self { bytes: 3, rgb: [0, 1, 2] },
-            "bgr8" => Self { bytes: 3, rgb: [2, 1, 0] },
-            "rgba8" => Self { bytes: 4, rgb: [0, 1, 2] },
-            "bgra8" => Self { bytes: 4, rgb: [2, 1, 0] },
-            "mono8" => Self { bytes: 1, rgb: [0; 3] },
+            "rgb8" => Self {
+                bytes: 3,
+                rgb: [0, 1, 2],
+            },
+            "bgr8" => Self {
+                bytes: 3,
+                rgb: [2, 1, 0],
+            },
+            "rgba8" => Self {
+                bytes: 4,
+                rgb: [0, 1, 2],
+            },
+            "bgra8" => Self {
+                bytes: 4,
+                rgb: [2, 1, 0],
+            },
+            "mono8" => Self {
+                bytes: 1,
+                rgb: [0; 3],
+            },
             // The high byte is what 8 bits can show.
-            "mono16" if image.is_bigendian != 0 => Self { bytes: 2, rgb: [0; 3] },
-            "mono16" => Self { bytes: 2, rgb: [1; 3] },
+            "mono16" if image.is_bigendian != 0 => Self {
+                bytes: 2,
+                rgb: [0; 3],
+            },
+            "mono16" => Self {
+                bytes: 2,
+                rgb: [1; 3],
+            },
             _ => return Err(ImageError::Encoding(image.encoding.clone())),
         })
     }
@@ -123,7 +146,12 @@ impl<'a> TryAsRefCv<'a, ArrayView3<'a, u8>> for RosImage<'a> {
         let (columns, rows, step) = (width as usize, height as usize, image.step as usize);
         let needed = columns * layout.bytes;
         if step < needed {
-            return Err(ImageError::Step { step: image.step, width, encoding: image.encoding.clone(), needed });
+            return Err(ImageError::Step {
+                step: image.step,
+                width,
+                encoding: image.encoding.clone(),
+                needed,
+            });
         }
         let wrong_data = |expected| ImageError::Data {
             actual: image.data.len(),
@@ -149,10 +177,16 @@ impl TryToCv<RgbImage> for RosImage<'_> {
         let mut data = vec![0; self.0.width as usize * self.0.height as usize * 3];
         for (channel, offset) in rgb.into_iter().enumerate() {
             let source = pixels.slice(s![.., .., offset]);
-            data.iter_mut().skip(channel).step_by(3).zip(source).for_each(|(out, value)| *out = *value);
+            data.iter_mut()
+                .skip(channel)
+                .step_by(3)
+                .zip(source)
+                .for_each(|(out, value)| *out = *value);
         }
-        RgbImage::from_raw(self.0.width, self.0.height, data)
-            .ok_or(ImageError::Size { width: self.0.width, height: self.0.height })
+        RgbImage::from_raw(self.0.width, self.0.height, data).ok_or(ImageError::Size {
+            width: self.0.width,
+            height: self.0.height,
+        })
     }
 }
 
@@ -179,7 +213,9 @@ pub fn decode_compressed(image: &CompressedImage) -> Result<RgbImage, ImageError
         return Err(ImageError::Format(image.format.clone()));
     };
     if image.data.len() > MAX_COMPRESSED {
-        return Err(ImageError::TooLarge { actual: image.data.len() });
+        return Err(ImageError::TooLarge {
+            actual: image.data.len(),
+        });
     }
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
@@ -187,7 +223,10 @@ pub fn decode_compressed(image: &CompressedImage) -> Result<RgbImage, ImageError
     limits.max_alloc = Some(MAX_DECODED);
     let mut reader = ImageReader::with_format(Cursor::new(&image.data), format);
     reader.limits(limits);
-    let decoded = reader.decode().map_err(|source| ImageError::Codec { format: name, source })?;
+    let decoded = reader.decode().map_err(|source| ImageError::Codec {
+        format: name,
+        source,
+    })?;
     Ok(decoded.into_rgb8())
 }
 
@@ -208,12 +247,23 @@ pub fn encode_image(rgb: &RgbImage, header: Header) -> Image {
 ///
 /// # Errors
 /// [`ImageError::Codec`] where the image is too large for JPEG, or empty.
-pub fn encode_jpeg(rgb: &RgbImage, header: Header, quality: u8) -> Result<CompressedImage, ImageError> {
+pub fn encode_jpeg(
+    rgb: &RgbImage,
+    header: Header,
+    quality: u8,
+) -> Result<CompressedImage, ImageError> {
     let mut data = Vec::new();
     JpegEncoder::new_with_quality(&mut data, quality.clamp(1, 100))
         .encode_image(rgb)
-        .map_err(|source| ImageError::Codec { format: "jpeg", source })?;
-    Ok(CompressedImage { header, format: "jpeg".into(), data })
+        .map_err(|source| ImageError::Codec {
+            format: "jpeg",
+            source,
+        })?;
+    Ok(CompressedImage {
+        header,
+        format: "jpeg".into(),
+        data,
+    })
 }
 
 #[cfg(test)]

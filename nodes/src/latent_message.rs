@@ -66,7 +66,9 @@ impl LatentDtype {
 #[non_exhaustive]
 pub enum LatentError {
     /// Another latent space.
-    #[error("latent of space \"{actual_name}\" ({actual_hash}); expected \"{expected_name}\" ({expected_hash})")]
+    #[error(
+        "latent of space \"{actual_name}\" ({actual_hash}); expected \"{expected_name}\" ({expected_hash})"
+    )]
     Space {
         /// Name that came.
         actual_name: String,
@@ -117,7 +119,11 @@ pub fn encode_latent(
     header: Header,
 ) -> Result<Latent, LatentError> {
     if values.len() != space.elements() {
-        return Err(LatentError::Length { actual: values.len(), expected: space.elements(), unit: "values" });
+        return Err(LatentError::Length {
+            actual: values.len(),
+            expected: space.elements(),
+            unit: "values",
+        });
     }
     let mut data = Vec::with_capacity(values.len() * dtype.size());
     for (index, value) in values.iter().enumerate() {
@@ -144,7 +150,10 @@ pub fn encode_latent(
     let side = |value: usize| u32::try_from(value).unwrap_or(u32::MAX);
     Ok(Latent {
         header,
-        space: SpaceMessage { name: space.name.clone(), hash: space.hash.clone() },
+        space: SpaceMessage {
+            name: space.name.clone(),
+            hash: space.hash.clone(),
+        },
         height: side(space.height),
         width: side(space.width),
         channels: side(space.channels),
@@ -167,19 +176,37 @@ pub fn decode_latent(latent: &Latent, space: &LatentSpace) -> Result<Vec<f32>, L
         });
     }
     let actual = (latent.height, latent.width, latent.channels);
-    let sides = [(latent.height, space.height), (latent.width, space.width), (latent.channels, space.channels)];
-    if sides.iter().any(|(came, expected)| usize::try_from(*came).ok() != Some(*expected)) {
-        return Err(LatentError::Shape { actual, expected: space.shape() });
+    let sides = [
+        (latent.height, space.height),
+        (latent.width, space.width),
+        (latent.channels, space.channels),
+    ];
+    if sides
+        .iter()
+        .any(|(came, expected)| usize::try_from(*came).ok() != Some(*expected))
+    {
+        return Err(LatentError::Shape {
+            actual,
+            expected: space.shape(),
+        });
     }
     let dtype = LatentDtype::from_wire(latent.dtype)?;
     let expected = space.elements() * dtype.size();
     if latent.data.len() != expected {
-        return Err(LatentError::Length { actual: latent.data.len(), expected, unit: "bytes" });
+        return Err(LatentError::Length {
+            actual: latent.data.len(),
+            expected,
+            unit: "bytes",
+        });
     }
     let values: Vec<f32> = match dtype {
         LatentDtype::F32 => words(&latent.data).map(f32::from_le_bytes).collect(),
-        LatentDtype::F16 => words(&latent.data).map(|word| f16::from_le_bytes(word).to_f32()).collect(),
-        LatentDtype::Bf16 => words(&latent.data).map(|word| bf16::from_le_bytes(word).to_f32()).collect(),
+        LatentDtype::F16 => words(&latent.data)
+            .map(|word| f16::from_le_bytes(word).to_f32())
+            .collect(),
+        LatentDtype::Bf16 => words(&latent.data)
+            .map(|word| bf16::from_le_bytes(word).to_f32())
+            .collect(),
     };
     match values.iter().position(|value| !value.is_finite()) {
         Some(index) => Err(LatentError::NotFinite { index }),
@@ -201,7 +228,13 @@ mod tests {
     use super::*;
 
     fn space() -> LatentSpace {
-        LatentSpace { name: "test".into(), hash: "abc".into(), height: 2, width: 3, channels: 2 }
+        LatentSpace {
+            name: "test".into(),
+            hash: "abc".into(),
+            height: 2,
+            width: 3,
+            channels: 2,
+        }
     }
 
     fn good(dtype: LatentDtype) -> Latent {
@@ -212,15 +245,52 @@ mod tests {
     fn each_error_names_what_is_wrong() {
         let latent = good(LatentDtype::F16);
         let refused = |latent: Latent| decode_latent(&latent, &space()).unwrap_err();
-        let other = SpaceMessage { name: "test".into(), hash: "def".into() };
-        assert!(refused(Latent { space: other, ..latent.clone() }).to_string().contains("(def)"));
-        assert!(refused(Latent { height: 3, width: 2, ..latent.clone() }).to_string().contains("(3, 2, 2)"));
-        assert_eq!(refused(Latent { dtype: 9, ..latent.clone() }), LatentError::Dtype(9));
-        let short = Latent { data: vec![0; 23], ..latent.clone() };
-        assert_eq!(refused(short), LatentError::Length { actual: 23, expected: 24, unit: "bytes" });
+        let other = SpaceMessage {
+            name: "test".into(),
+            hash: "def".into(),
+        };
+        assert!(
+            refused(Latent {
+                space: other,
+                ..latent.clone()
+            })
+            .to_string()
+            .contains("(def)")
+        );
+        assert!(
+            refused(Latent {
+                height: 3,
+                width: 2,
+                ..latent.clone()
+            })
+            .to_string()
+            .contains("(3, 2, 2)")
+        );
+        assert_eq!(
+            refused(Latent {
+                dtype: 9,
+                ..latent.clone()
+            }),
+            LatentError::Dtype(9)
+        );
+        let short = Latent {
+            data: vec![0; 23],
+            ..latent.clone()
+        };
+        assert_eq!(
+            refused(short),
+            LatentError::Length {
+                actual: 23,
+                expected: 24,
+                unit: "bytes"
+            }
+        );
         let mut data = latent.data.clone();
         data.splice(4..6, f16::NAN.to_le_bytes());
-        assert_eq!(refused(Latent { data, ..latent }), LatentError::NotFinite { index: 2 });
+        assert_eq!(
+            refused(Latent { data, ..latent }),
+            LatentError::NotFinite { index: 2 }
+        );
     }
 
     #[test]
@@ -228,10 +298,20 @@ mod tests {
         let mut values = [0.0; 12];
         values[7] = 7e4;
         let encode = |dtype| encode_latent(&values, &space(), dtype, Header::default());
-        assert_eq!(encode(LatentDtype::F16), Err(LatentError::NotFinite { index: 7 }));
+        assert_eq!(
+            encode(LatentDtype::F16),
+            Err(LatentError::NotFinite { index: 7 })
+        );
         assert!(encode(LatentDtype::Bf16).is_ok() && encode(LatentDtype::F32).is_ok());
         let short = encode_latent(&values[..11], &space(), LatentDtype::F32, Header::default());
-        assert_eq!(short, Err(LatentError::Length { actual: 11, expected: 12, unit: "values" }));
+        assert_eq!(
+            short,
+            Err(LatentError::Length {
+                actual: 11,
+                expected: 12,
+                unit: "values"
+            })
+        );
     }
 
     proptest! {

@@ -23,8 +23,17 @@ pub struct ModelChoice {
 /// The parameter is of another type.
 pub fn declare(node: &Node) -> Result<ModelChoice> {
     let text = format!("world model: {EMBEDDED} (embedded), or a folder of weights");
-    let name = node.declare("model", EMBEDDED.to_owned(), Descriptor::new(text).read_only())?.get();
-    Ok(ModelChoice { bundle: Bundle::named(&name), name })
+    let name = node
+        .declare(
+            "model",
+            EMBEDDED.to_owned(),
+            Descriptor::new(text).read_only(),
+        )?
+        .get();
+    Ok(ModelChoice {
+        bundle: Bundle::named(&name),
+        name,
+    })
 }
 
 impl ModelChoice {
@@ -33,7 +42,9 @@ impl ModelChoice {
     /// # Errors
     /// Names what is missing or wrong in the weights.
     pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
-        Ok(Box::new(self.bundle.autoencoder().with_context(|| self.text())?))
+        Ok(Box::new(
+            self.bundle.autoencoder().with_context(|| self.text())?,
+        ))
     }
 
     /// The decoder.
@@ -41,7 +52,9 @@ impl ModelChoice {
     /// # Errors
     /// Names what is missing or wrong in the weights.
     pub fn decoder(&self) -> Result<Box<dyn Decoder>> {
-        Ok(Box::new(self.bundle.autoencoder().with_context(|| self.text())?))
+        Ok(Box::new(
+            self.bundle.autoencoder().with_context(|| self.text())?,
+        ))
     }
 
     /// The transition model and the latent space that it works in.

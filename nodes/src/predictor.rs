@@ -13,6 +13,6 @@ mod step;
 
 pub use error::PredictorError;
 pub use node::{NAME, body, run};
-pub(crate) use rollout::{context_tensor, past_actions};
 pub use rollout::{PredictedStep, PredictorModel, RolloutRequest, RunningRollout};
+pub(crate) use rollout::{context_tensor, past_actions};
 pub use step::{LatentOutcome, PredictorSettings, PredictorStep};

@@ -14,7 +14,10 @@ mod frames;
 use std::sync::Arc;
 
 use thiserror::Error;
-use wm_msgs::{builtin_interfaces::Time, wm_msgs::{Action, ActionChunk}};
+use wm_msgs::{
+    builtin_interfaces::Time,
+    wm_msgs::{Action, ActionChunk},
+};
 
 pub use actions::{MAX_CHUNK, PhysicalAction};
 pub use frames::Frame;
@@ -38,7 +41,12 @@ pub struct Timing {
 impl Timing {
     /// Timing of a camera with `frame_period_ns` between frames: a quarter of that as tolerance, a second as jump.
     pub fn new(frame_period_ns: i64, frame_skip: usize) -> Self {
-        Self { frame_period_ns, frame_skip, tolerance_ns: frame_period_ns / 4, jump_ns: 1_000_000_000 }
+        Self {
+            frame_period_ns,
+            frame_skip,
+            tolerance_ns: frame_period_ns / 4,
+            jump_ns: 1_000_000_000,
+        }
     }
 
     /// One model step \[ns\].
@@ -91,7 +99,9 @@ pub enum TimelineError {
         source: wm_model::actions::ActionError,
     },
     /// A chunk that says nothing about when or what.
-    #[error("action chunk of {count} actions, {period_ns} ns apart: expected 1 to {MAX_CHUNK} actions and a positive period")]
+    #[error(
+        "action chunk of {count} actions, {period_ns} ns apart: expected 1 to {MAX_CHUNK} actions and a positive period"
+    )]
     Chunk {
         /// How many actions.
         count: usize,
@@ -177,7 +187,12 @@ impl Timeline {
     ///
     /// # Errors
     /// [`TimelineError::Duplicate`], [`TimelineError::OutOfOrder`].
-    pub fn frame(&mut self, stamp: Time, frame_id: &str, values: Arc<[f32]>) -> Result<Arrival, TimelineError> {
+    pub fn frame(
+        &mut self,
+        stamp: Time,
+        frame_id: &str,
+        values: Arc<[f32]>,
+    ) -> Result<Arrival, TimelineError> {
         let stamp_ns = stamp.to_nanos();
         let mut arrival = Arrival::default();
         if let Some(newest_ns) = self.frames.newest().map(|frame| frame.stamp_ns) {
@@ -187,14 +202,22 @@ impl Timeline {
             } else if stamp_ns == newest_ns {
                 return Err(TimelineError::Duplicate { stamp_ns });
             } else if stamp_ns < newest_ns {
-                return Err(TimelineError::OutOfOrder { what: "frame", stamp_ns, newest_ns });
+                return Err(TimelineError::OutOfOrder {
+                    what: "frame",
+                    stamp_ns,
+                    newest_ns,
+                });
             } else {
                 let period_ns = self.timing.frame_period_ns.max(1);
                 let periods = (stamp_ns - newest_ns + period_ns / 2) / period_ns;
                 arrival.missed_frames = u64::try_from(periods - 1).unwrap_or(0);
             }
         }
-        self.frames.push(Frame { stamp_ns, frame_id: frame_id.into(), values });
+        self.frames.push(Frame {
+            stamp_ns,
+            frame_id: frame_id.into(),
+            values,
+        });
         Ok(arrival)
     }
 
@@ -205,7 +228,11 @@ impl Timeline {
     pub fn action(&mut self, action: &Action) -> Result<Arrival, TimelineError> {
         let parsed = PhysicalAction::parse(action, || "action".into())?;
         let mut arrival = Arrival::default();
-        if self.actions.newest_ns().is_some_and(|newest_ns| self.is_jump(parsed.stamp_ns, newest_ns)) {
+        if self
+            .actions
+            .newest_ns()
+            .is_some_and(|newest_ns| self.is_jump(parsed.stamp_ns, newest_ns))
+        {
             self.flush_around(parsed.stamp_ns);
             arrival.flushed = true;
         }
@@ -223,7 +250,11 @@ impl Timeline {
             && stamp_ns < newest_ns
             && !self.is_jump(stamp_ns, newest_ns)
         {
-            return Err(TimelineError::OutOfOrder { what: "action chunk", stamp_ns, newest_ns });
+            return Err(TimelineError::OutOfOrder {
+                what: "action chunk",
+                stamp_ns,
+                newest_ns,
+            });
         }
         self.actions.set_chunk(chunk)
     }
@@ -256,8 +287,17 @@ impl Timeline {
             let wanted_ns = newest.stamp_ns - self.timing.step_ns() * back as i64;
             match self.frames.near(wanted_ns, self.timing.tolerance_ns) {
                 Some(frame) => frames.push(frame.clone()),
-                None if self.frames.reach_back_to(wanted_ns) => return Err(Wait::Gap { missing_ns: wanted_ns }),
-                None => return Err(Wait::Context { have: frames.len(), need: self.context_frames }),
+                None if self.frames.reach_back_to(wanted_ns) => {
+                    return Err(Wait::Gap {
+                        missing_ns: wanted_ns,
+                    });
+                }
+                None => {
+                    return Err(Wait::Context {
+                        have: frames.len(),
+                        need: self.context_frames,
+                    });
+                }
             }
         }
         frames.reverse();
@@ -275,7 +315,9 @@ impl Timeline {
     /// [`Wait::NoAction`].
     pub fn actions_of_step(&self, start_ns: i64) -> Result<Vec<PhysicalAction>, Wait> {
         let at = |slot_ns| {
-            self.actions.at(slot_ns, self.timing.tolerance_ns).ok_or(Wait::NoAction { needed_ns: slot_ns })
+            self.actions
+                .at(slot_ns, self.timing.tolerance_ns)
+                .ok_or(Wait::NoAction { needed_ns: slot_ns })
         };
         self.timing.slots(start_ns).map(at).collect()
     }

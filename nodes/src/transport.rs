@@ -22,10 +22,21 @@ impl Transports {
     /// Names a value that is none of these.
     pub fn parse(name: &str) -> anyhow::Result<Self> {
         Ok(match name {
-            "raw" => Self { raw: true, compressed: false },
-            "compressed" => Self { raw: false, compressed: true },
-            "both" => Self { raw: true, compressed: true },
-            other => bail!("parameter image_transport is \"{other}\"; expected raw, compressed or both"),
+            "raw" => Self {
+                raw: true,
+                compressed: false,
+            },
+            "compressed" => Self {
+                raw: false,
+                compressed: true,
+            },
+            "both" => Self {
+                raw: true,
+                compressed: true,
+            },
+            other => {
+                bail!("parameter image_transport is \"{other}\"; expected raw, compressed or both")
+            }
         })
     }
 
@@ -35,7 +46,11 @@ impl Transports {
     /// As [`Self::parse`], and where the parameter is of another type.
     pub fn declare(node: &Node) -> anyhow::Result<Self> {
         let descriptor = Descriptor::new("image transport: raw, compressed or both").read_only();
-        Self::parse(&node.declare("image_transport", "both".to_owned(), descriptor)?.get())
+        Self::parse(
+            &node
+                .declare("image_transport", "both".to_owned(), descriptor)?
+                .get(),
+        )
     }
 }
 
@@ -50,9 +65,17 @@ impl ImageSubscription {
     ///
     /// # Errors
     /// The graph refuses.
-    pub fn new(node: &Node, topic: &str, transports: Transports, qos: Qos) -> Result<Self, wm_ros::Error> {
+    pub fn new(
+        node: &Node,
+        topic: &str,
+        transports: Transports,
+        qos: Qos,
+    ) -> Result<Self, wm_ros::Error> {
         Ok(Self {
-            raw: transports.raw.then(|| node.subscription(topic, qos)).transpose()?,
+            raw: transports
+                .raw
+                .then(|| node.subscription(topic, qos))
+                .transpose()?,
             compressed: transports
                 .compressed
                 .then(|| node.subscription(&format!("{topic}/compressed"), qos))
@@ -63,7 +86,9 @@ impl ImageSubscription {
     /// The absolute topics that are subscribed.
     pub fn topics(&self) -> Vec<&str> {
         let raw = self.raw.as_ref().map(Subscription::topic);
-        raw.into_iter().chain(self.compressed.as_ref().map(Subscription::topic)).collect()
+        raw.into_iter()
+            .chain(self.compressed.as_ref().map(Subscription::topic))
+            .collect()
     }
 
     /// The next frame by either transport; `None` after shutdown. Cancel safe.
@@ -81,7 +106,9 @@ impl ImageSubscription {
 }
 
 /// Never, where the transport is not used.
-async fn recv_from<M: wm_msgs::Message>(subscription: &mut Option<Subscription<M>>) -> Option<Received<M>> {
+async fn recv_from<M: wm_msgs::Message>(
+    subscription: &mut Option<Subscription<M>>,
+) -> Option<Received<M>> {
     match subscription {
         Some(subscription) => subscription.recv().await,
         None => std::future::pending().await,

@@ -19,7 +19,12 @@ pub struct Work<T, R> {
 impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
     /// Jobs that `run` computes; at most `capacity` (at least 1) wait.
     pub fn new(capacity: usize, run: impl Fn(T) -> R + Send + Sync + 'static) -> Self {
-        Self { run: Arc::new(run), waiting: VecDeque::new(), capacity: capacity.max(1), running: None }
+        Self {
+            run: Arc::new(run),
+            waiting: VecDeque::new(),
+            capacity: capacity.max(1),
+            running: None,
+        }
     }
 
     /// Starts a job, or lets it wait; gives back the oldest waiting one where there is no room. Within a tokio runtime.
@@ -29,7 +34,11 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
             self.start(job);
             return None;
         }
-        let dropped = if self.waiting.len() == self.capacity { self.waiting.pop_front() } else { None };
+        let dropped = if self.waiting.len() == self.capacity {
+            self.waiting.pop_front()
+        } else {
+            None
+        };
         self.waiting.push_back(job);
         dropped
     }

@@ -19,7 +19,11 @@ fn main() -> wm_model::Result<()> {
     ];
     println!("GFLOP/s: forward, input gradient, weight gradient");
     for (shape, size) in cases {
-        let grid = GridSize { images: 16, height: size, width: size };
+        let grid = GridSize {
+            images: 16,
+            height: size,
+            width: size,
+        };
         let out = shape.output(grid);
         let x = vec![0.5f32; grid.pixels() * shape.inputs];
         let g = vec![0.5f32; out.pixels() * shape.outputs];
@@ -35,7 +39,20 @@ fn main() -> wm_model::Result<()> {
             }
             Ok(shape.flops(grid) as f64 / best / 1e9)
         };
-        let a = time(&mut || conv2d(&shape, (&w, None), &x, grid, Epilogue { residual: None, relu: true }, &mut y).map(drop))?;
+        let a = time(&mut || {
+            conv2d(
+                &shape,
+                (&w, None),
+                &x,
+                grid,
+                Epilogue {
+                    residual: None,
+                    relu: true,
+                },
+                &mut y,
+            )
+            .map(drop)
+        })?;
         let b = time(&mut || conv2d_input_gradient(&shape, &w, &g, grid, None, Some(&x), &mut gx))?;
         let c = time(&mut || conv2d_weight_gradient(&shape, &x, &g, grid, &mut gw, None))?;
         println!("{shape:?} at {size}: {a:.0} {b:.0} {c:.0}");

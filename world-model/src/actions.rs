@@ -66,8 +66,10 @@ pub enum ActionError {
 /// # Errors
 /// [`ActionError::Length`] where `values` has not [`PHYSICAL_DIM`] values, [`ActionError::NotFinite`] where one is not finite.
 pub fn physical(values: &[f32]) -> Result<[f32; PHYSICAL_DIM], ActionError> {
-    let action = <[f32; PHYSICAL_DIM]>::try_from(values)
-        .map_err(|_| ActionError::Length { expected: PHYSICAL_DIM, actual: values.len() })?;
+    let action = <[f32; PHYSICAL_DIM]>::try_from(values).map_err(|_| ActionError::Length {
+        expected: PHYSICAL_DIM,
+        actual: values.len(),
+    })?;
     finite(&action)?;
     Ok(action)
 }
@@ -156,10 +158,16 @@ impl ActionEncoding {
     /// [`ActionError::Count`] where another number of actions came, and those of [`physical`].
     pub fn encode_step<V: AsRef<[f32]>>(&self, actions: &[V]) -> Result<Vec<f32>, ActionError> {
         let (Some(first), Some(last)) = (actions.first(), actions.last()) else {
-            return Err(ActionError::Count { expected: self.frame_skip, actual: 0 });
+            return Err(ActionError::Count {
+                expected: self.frame_skip,
+                actual: 0,
+            });
         };
         if actions.len() != self.frame_skip {
-            return Err(ActionError::Count { expected: self.frame_skip, actual: actions.len() });
+            return Err(ActionError::Count {
+                expected: self.frame_skip,
+                actual: actions.len(),
+            });
         }
         let mut model = match self.accumulation {
             Accumulation::Index => self.scale(first.as_ref())?.to_vec(),
@@ -188,9 +196,15 @@ impl ActionEncoding {
     ///
     /// # Errors
     /// Those of [`Self::encode_step`].
-    pub fn encode_steps<V: AsRef<[f32]>>(&self, actions: &[V]) -> Result<Vec<Vec<f32>>, ActionError> {
+    pub fn encode_steps<V: AsRef<[f32]>>(
+        &self,
+        actions: &[V],
+    ) -> Result<Vec<Vec<f32>>, ActionError> {
         self.validate()?;
-        actions.chunks_exact(self.frame_skip).map(|step| self.encode_step(step)).collect()
+        actions
+            .chunks_exact(self.frame_skip)
+            .map(|step| self.encode_step(step))
+            .collect()
     }
 
     /// The physical delta that a model action stands for over its whole model step: translations \[m\], rotations
@@ -200,7 +214,10 @@ impl ActionEncoding {
     /// [`ActionError::Length`] where `model` is not `action_dim` or 7 long, [`ActionError::NotFinite`].
     pub fn decode_step(&self, model: &[f32]) -> Result<[f32; PHYSICAL_DIM], ActionError> {
         if model.len() != self.action_dim && model.len() != PHYSICAL_DIM {
-            return Err(ActionError::Length { expected: self.action_dim, actual: model.len() });
+            return Err(ActionError::Length {
+                expected: self.action_dim,
+                actual: model.len(),
+            });
         }
         finite(model)?;
         let mut delta = [0.0_f32; PHYSICAL_DIM];
@@ -234,8 +251,15 @@ impl ActionEncoding {
 }
 
 fn finite(values: &[f32]) -> Result<(), ActionError> {
-    match values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
-        Some((index, value)) => Err(ActionError::NotFinite { index, value: *value }),
+    match values
+        .iter()
+        .enumerate()
+        .find(|(_, value)| !value.is_finite())
+    {
+        Some((index, value)) => Err(ActionError::NotFinite {
+            index,
+            value: *value,
+        }),
         None => Ok(()),
     }
 }

@@ -121,16 +121,19 @@ mod tests {
     #[test]
     fn a_transition_of_another_latent_space_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let other = Autoencoder::random(
-            Bundle::Embedded.autoencoder().unwrap().config().clone(),
-            1,
-        )
-        .unwrap();
+        let other =
+            Autoencoder::random(Bundle::Embedded.autoencoder().unwrap().config().clone(), 1)
+                .unwrap();
         other
-            .save(folder.path().join("autoencoder.safetensors"), crate::weights::Precision::F16)
+            .save(
+                folder.path().join("autoencoder.safetensors"),
+                crate::weights::Precision::F16,
+            )
             .unwrap();
         std::fs::write(folder.path().join(TRANSITION_FILE), EMBEDDED_TRANSITION).unwrap();
-        let error = Bundle::Folder(folder.path().to_owned()).transition().unwrap_err();
+        let error = Bundle::Folder(folder.path().to_owned())
+            .transition()
+            .unwrap_err();
         assert!(error.to_string().contains("latent space"), "{error}");
     }
 

@@ -48,8 +48,7 @@ pub fn resize(rgb: &RgbImage, size: (usize, usize)) -> Result<RgbImage> {
     let source = ImageRef::new(rgb.width(), rgb.height(), rgb.as_raw(), PixelType::U8x3)
         .map_err(|e| fail(e.to_string()))?;
     let mut target = Image::new(target_w, target_h, PixelType::U8x3);
-    let options =
-        ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
+    let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
     Resizer::new()
         .resize(&source, &mut target, &options)
         .map_err(|e| fail(e.to_string()))?;

@@ -17,9 +17,11 @@ mod simd;
 mod swiglu;
 mod vectorised;
 
-pub use attention::{Axis, AttentionPattern, HEAD_DIM_MULTIPLE, attention};
+pub use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
 pub use cached_attention::{FrameKeys, cached_attention};
-pub use conv::{ConvShape, Epilogue, GridSize, conv2d, conv2d_input_gradient, conv2d_weight_gradient};
+pub use conv::{
+    ConvShape, Epilogue, GridSize, conv2d, conv2d_input_gradient, conv2d_weight_gradient,
+};
 pub use gated_residual::gated_residual;
 pub use group_norm::group_norm;
 pub use linear::linear;

@@ -12,8 +12,8 @@ use std::path::Path;
 use candle_core::{Device, Tensor};
 use half::{bf16, f16};
 use memmap2::Mmap;
-use safetensors::tensor::{Dtype, Metadata};
 use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, Metadata};
 use sha2::{Digest, Sha256};
 
 use crate::{Error, Result};
@@ -191,14 +191,11 @@ impl Weights {
     /// not finite.
     pub fn values(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
         let file = || self.file.clone();
-        let info = self
-            .header
-            .info(name)
-            .ok_or_else(|| Error::MissingTensor {
-                file: file(),
-                name: name.to_owned(),
-                expected: shape.to_vec(),
-            })?;
+        let info = self.header.info(name).ok_or_else(|| Error::MissingTensor {
+            file: file(),
+            name: name.to_owned(),
+            expected: shape.to_vec(),
+        })?;
         self.used.borrow_mut().insert(name.to_owned());
         if info.shape != shape {
             return Err(Error::TensorShape {

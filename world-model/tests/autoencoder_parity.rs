@@ -19,7 +19,13 @@ fn assert_close(what: &str, found: &Tensor, expected: &Tensor) {
     assert_eq!(found.dims(), expected.dims(), "{what}");
     let difference = (found - expected).unwrap().abs().unwrap();
     let largest = difference.max_all().unwrap().to_scalar::<f32>().unwrap();
-    let spread = expected.abs().unwrap().max_all().unwrap().to_scalar::<f32>().unwrap();
+    let spread = expected
+        .abs()
+        .unwrap()
+        .max_all()
+        .unwrap()
+        .to_scalar::<f32>()
+        .unwrap();
     assert!(spread > 0.5, "{what}: the fixture says nothing");
     assert!(largest < 1e-4, "{what}: differs by {largest}");
 }

@@ -44,7 +44,9 @@ fn check(name: &str, shapes: &[&[usize]], f: impl Fn(&[Tensor]) -> candle_core::
     let total = (result * &weights).unwrap().sum_all().unwrap();
     let gradients = total.backward().unwrap();
     for (i, input) in inputs.iter().enumerate() {
-        let gradient = gradients.get(input).unwrap_or_else(|| panic!("{name}: input {i} has none"));
+        let gradient = gradients
+            .get(input)
+            .unwrap_or_else(|| panic!("{name}: input {i} has none"));
         let gradient = values(gradient);
         let size = gradient.iter().fold(0.0_f32, |most, g| most.max(g.abs()));
         let at = values(input);

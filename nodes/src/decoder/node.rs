@@ -57,7 +57,9 @@ pub async fn body(node: Node) -> Result<()> {
         let started = Instant::now();
         let messages = step.decode(&prediction).and_then(|picture| {
             let raw = transports.raw.then(|| raw_message(&picture, &prediction));
-            let jpeg = transports.compressed.then(|| jpeg_message(&picture, &prediction, quality));
+            let jpeg = transports
+                .compressed
+                .then(|| jpeg_message(&picture, &prediction, quality));
             Ok((raw, jpeg.transpose()?))
         });
         (messages, started.elapsed())
@@ -65,10 +67,17 @@ pub async fn body(node: Node) -> Result<()> {
 
     let diagnostics = node.diagnostics();
     let mut complaints = Complaints::new(diagnostics.clone());
-    let mut predictions = node.subscription::<Prediction>("predicted", Qos::best_effort(WAITING))?;
+    let mut predictions =
+        node.subscription::<Prediction>("predicted", Qos::best_effort(WAITING))?;
     let qos = Qos::best_effort(WAITING);
-    let raws = transports.raw.then(|| node.publisher("predicted/image", qos)).transpose()?;
-    let jpegs = transports.compressed.then(|| node.publisher("predicted/image/compressed", qos)).transpose()?;
+    let raws = transports
+        .raw
+        .then(|| node.publisher("predicted/image", qos))
+        .transpose()?;
+    let jpegs = transports
+        .compressed
+        .then(|| node.publisher("predicted/image/compressed", qos))
+        .transpose()?;
     loop {
         tokio::select! {
             biased;

@@ -54,7 +54,11 @@ impl DecoderStep {
     pub fn decode(&self, prediction: &Prediction) -> Result<RgbImage, DecoderError> {
         let space = self.decoder.space();
         let values = decode_latent(&prediction.latent, space)?;
-        let latent = Tensor::from_vec(values, (1, space.height, space.width, space.channels), &Device::Cpu)?;
+        let latent = Tensor::from_vec(
+            values,
+            (1, space.height, space.width, space.channels),
+            &Device::Cpu,
+        )?;
         Ok(to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?)
     }
 

@@ -63,7 +63,8 @@ pub async fn body(node: Node) -> Result<()> {
 
     let diagnostics = node.diagnostics();
     let mut complaints = Complaints::new(diagnostics.clone());
-    let mut images = ImageSubscription::new(&node, "/camera/image_raw", transports, Qos::sensor_data())?;
+    let mut images =
+        ImageSubscription::new(&node, "/camera/image_raw", transports, Qos::sensor_data())?;
     for topic in images.topics() {
         diagnostics.expect_input(topic, STALE);
     }

@@ -33,7 +33,11 @@ impl Repeats {
             self.seen.clear();
         }
         if let Some((_, was_raw)) = self.seen.iter().find(|(seen, _)| *seen == stamp) {
-            return if *was_raw == is_raw { Arrival::Duplicate } else { Arrival::OtherTransport };
+            return if *was_raw == is_raw {
+                Arrival::Duplicate
+            } else {
+                Arrival::OtherTransport
+            };
         }
         if self.seen.len() == REMEMBERED {
             self.seen.pop_front();

@@ -83,7 +83,12 @@ impl EncoderStep {
     /// [`EncoderError`] says whether the image, the model or the latent is at fault.
     pub fn encode(&self, frame: &CameraFrame) -> Result<Latent, EncoderError> {
         let values = self.encode_values(&frame.decode()?)?;
-        Ok(encode_latent(&values, self.encoder.space(), self.dtype, frame.header().clone())?)
+        Ok(encode_latent(
+            &values,
+            self.encoder.space(),
+            self.dtype,
+            frame.header().clone(),
+        )?)
     }
 
     /// The latent of an image, row-major, channels last.
@@ -92,7 +97,11 @@ impl EncoderStep {
     /// Those of the encoder.
     pub fn encode_values(&self, rgb: &RgbImage) -> Result<Vec<f32>, EncoderError> {
         let pixels = preprocess(rgb, self.encoder.input_size())?;
-        Ok(self.encoder.encode(&pixels)?.flatten_all()?.to_vec1::<f32>()?)
+        Ok(self
+            .encoder
+            .encode(&pixels)?
+            .flatten_all()?
+            .to_vec1::<f32>()?)
     }
 
     /// The space of its latents.

@@ -63,7 +63,12 @@ impl PlannerModel {
         };
         // Plain numbers and texts always have a JSON form.
         let settings_json = serde_json::to_string(&text).unwrap_or_default();
-        Ok(Self { model, cem, integration_steps, settings_json })
+        Ok(Self {
+            model,
+            cem,
+            integration_steps,
+            settings_json,
+        })
     }
 
     /// Searches for the plan of a request, until `out_of_time`. The message is complete but for `time_taken`, which is
@@ -76,42 +81,65 @@ impl PlannerModel {
         request: &PlanRequest,
         out_of_time: &mut dyn FnMut() -> bool,
     ) -> Result<(PlannedActions, Plan), PlannerError> {
-        let PredictorModel { transition, space, encoding, .. } = &self.model;
+        let PredictorModel {
+            transition,
+            space,
+            encoding,
+            ..
+        } = &self.model;
         let context = context_tensor(&request.context, space)?;
         let past = past_actions(&request.context, encoding)?;
         let mut sampler = transition.config().sampler.clone();
         sampler.steps = self.integration_steps;
-        let mut dynamics = TransitionDynamics::new(transition, &sampler, &context, past.as_ref(), request.seed)?;
+        let mut dynamics =
+            TransitionDynamics::new(transition, &sampler, &context, past.as_ref(), request.seed)?;
         let goal = Tensor::from_slice(&request.goal.values, space.shape(), &Device::Cpu)?;
         let target = Target::LastStep(goal);
         // A plan of another horizon, from before a parameter changed, is no start.
-        let start = request.start.as_deref().filter(|start| start.len() == self.cem.settings().horizon);
-        let found = self.cem.plan(&mut dynamics, &target, start, request.seed, out_of_time)?;
+        let start = request
+            .start
+            .as_deref()
+            .filter(|start| start.len() == self.cem.settings().horizon);
+        let found = self
+            .cem
+            .plan(&mut dynamics, &target, start, request.seed, out_of_time)?;
         let message = self.message(request, &found)?;
         Ok((found, message))
     }
 
     fn message(&self, request: &PlanRequest, found: &PlannedActions) -> Result<Plan, PlannerError> {
-        let observed = request.context.frames.last().ok_or(wm_model::Error::Shape {
-            what: "the context",
-            expected: "at least one frame".into(),
-            found: vec![0],
-        })?;
+        let observed = request
+            .context
+            .frames
+            .last()
+            .ok_or(wm_model::Error::Shape {
+                what: "the context",
+                expected: "at least one frame".into(),
+                found: vec![0],
+            })?;
         let stamp_ns = observed.stamp_ns;
         let step_ns = request.timing.step_ns();
         // The frame of the deltas, as the robot names it.
         let base = request.context.actions.iter().flatten().next_back();
-        let base = base.map(|action| action.frame_id.to_string()).unwrap_or_default();
+        let base = base
+            .map(|action| action.frame_id.to_string())
+            .unwrap_or_default();
         let actions = found.actions.iter().enumerate().map(|(index, action)| {
             let header = Header {
                 // Horizons are a handful of steps.
                 stamp: Time::from_nanos(stamp_ns + step_ns * index as i64),
                 frame_id: base.clone(),
             };
-            Ok(Action { header, values: self.model.encoding.decode_step(action)?.to_vec() })
+            Ok(Action {
+                header,
+                values: self.model.encoding.decode_step(action)?.to_vec(),
+            })
         });
         Ok(Plan {
-            header: Header { stamp: Time::from_nanos(stamp_ns), frame_id: observed.frame_id.to_string() },
+            header: Header {
+                stamp: Time::from_nanos(stamp_ns),
+                frame_id: observed.frame_id.to_string(),
+            },
             actions: actions.collect::<Result<_, PlannerError>>()?,
             period: Duration::from_nanos(step_ns),
             cost: found.cost,
@@ -127,7 +155,11 @@ impl PlannerModel {
 }
 
 /// The model's bounds, narrowed to the physical ones of a model step.
-fn bounds(encoding: &ActionEncoding, max_translation: f64, max_rotation: f64) -> [(f32, f32); PHYSICAL_DIM] {
+fn bounds(
+    encoding: &ActionEncoding,
+    max_translation: f64,
+    max_rotation: f64,
+) -> [(f32, f32); PHYSICAL_DIM] {
     // A model step repeats its scaled action in each of its camera frames.
     let per_frame = |max: f64, scale: f32| (max / encoding.frame_skip.max(1) as f64) as f32 * scale;
     let mut bounds = encoding.bounds();

@@ -13,7 +13,9 @@ use wm_msgs::{
 };
 use wm_ros::{Node, NodeArgs, Publisher, Qos, Received};
 
-use super::{Goal, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerStep, parameters::Parameters};
+use super::{
+    Goal, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerStep, parameters::Parameters,
+};
 use crate::{
     complaints::Complaints,
     encoder::{CameraFrame, EncoderError, EncoderStep},
@@ -51,7 +53,11 @@ pub async fn body(node: Node) -> Result<()> {
     .await??;
     let timing = model_choice::timing(parameters.frame_period, &model.encoding);
     let step = PlannerStep::new(parameters.settings(), timing, model.space.clone());
-    tracing::info!("planning with {} in latent space {}", model.name, model.space);
+    tracing::info!(
+        "planning with {} in latent space {}",
+        model.name,
+        model.space
+    );
     let integration_steps = match parameters.integration_steps {
         0 => model.transition.config().sampler.steps,
         steps => steps,
@@ -68,7 +74,11 @@ pub async fn body(node: Node) -> Result<()> {
     planner.run(&node, transports).await
 }
 
-type Planned = (PlanRequest, Result<(PlannedActions, Plan), PlannerError>, Duration);
+type Planned = (
+    PlanRequest,
+    Result<(PlannedActions, Plan), PlannerError>,
+    Duration,
+);
 
 struct Planner {
     step: PlannerStep,
@@ -93,9 +103,15 @@ impl Planner {
             let encoder = encoder.lock().unwrap_or_else(PoisonError::into_inner);
             let values = encoder.encode_values(&frame.decode()?)?;
             if values.iter().any(|value| !value.is_finite()) {
-                return Err(wm_model::Error::NotFinite { what: "the goal's latent" }.into());
+                return Err(wm_model::Error::NotFinite {
+                    what: "the goal's latent",
+                }
+                .into());
             }
-            Ok(Goal { stamp: frame.header().stamp, values: Arc::from(values) })
+            Ok(Goal {
+                stamp: frame.header().stamp,
+                values: Arc::from(values),
+            })
         });
         let (deadline, shutdown) = (parameters.deadline, node.shutdown());
         let searches = Work::new(1, move |request: PlanRequest| {
@@ -187,7 +203,9 @@ impl Planner {
                 self.step.set_goal(goal);
                 self.plan();
             }
-            Err(error) => self.complaints.left_out("bad_goal", &format_args!("goal image: {error}")),
+            Err(error) => self
+                .complaints
+                .left_out("bad_goal", &format_args!("goal image: {error}")),
         }
     }
 
@@ -197,13 +215,17 @@ impl Planner {
             Ok(request) => {
                 self.complaints.working("planning");
                 if self.searches.submit(request).is_some() {
-                    self.complaints.left_out("overload", &"planning takes longer than plan_period");
+                    self.complaints
+                        .left_out("overload", &"planning takes longer than plan_period");
                 }
             }
             Err(PlanWait::Recent) => {}
             Err(wait @ PlanWait::NoGoal) => self.complaints.waiting("goal", &wait),
             Err(PlanWait::History(wait @ Wait::NoFrame)) => {
-                self.complaints.waiting("frame", &format_args!("a goal is set, but {wait} on latent"));
+                self.complaints.waiting(
+                    "frame",
+                    &format_args!("a goal is set, but {wait} on latent"),
+                );
             }
             Err(wait) => self.complaints.waiting("history", &wait),
         }

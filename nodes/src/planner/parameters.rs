@@ -49,23 +49,74 @@ impl Parameters {
             Ok(node.declare(name, default, descriptor)?.get())
         };
         let limit = |value: f64| if value > 0.0 { value } else { f64::INFINITY };
-        let deadline = number("deadline", 0.5, 0.0, 3600.0, "time that a search may take [s]; 0: no limit")?;
-        let returned = Descriptor::new("which actions are returned: best_seen or final_mean").read_only();
-        let seed = Descriptor::new("seed of the first plan's candidates and noise; each later plan adds 1").read_only();
+        let deadline = number(
+            "deadline",
+            0.5,
+            0.0,
+            3600.0,
+            "time that a search may take [s]; 0: no limit",
+        )?;
+        let returned =
+            Descriptor::new("which actions are returned: best_seen or final_mean").read_only();
+        let seed = Descriptor::new(
+            "seed of the first plan's candidates and noise; each later plan adds 1",
+        )
+        .read_only();
         Ok(Self {
             population: count("population", 64, 2, "candidates an iteration")?,
             iterations: count("iterations", 3, 1, "iterations a plan")?,
-            elites: count("elites", 8, 2, "candidates that the next iteration is fitted to")?,
+            elites: count(
+                "elites",
+                8,
+                2,
+                "candidates that the next iteration is fitted to",
+            )?,
             horizon: count("horizon", 1, 1, "model steps of a plan")?,
-            batch: count("batch", 16, 1, "candidates rolled out at once; the deadline is looked at after each batch")?,
-            initial_std: number("initial_std", 0.25, 1e-6, 10.0, "first standard deviation, part of each range")? as f32,
-            std_floor: number("std_floor", 1e-4, 1e-9, 10.0, "least standard deviation [model units]")? as f32,
-            returned: node.declare("returned", "best_seen".to_owned(), returned)?.get(),
-            context_frames: count("context_frames", 2, 1, "observed frames that a plan starts from")?.min(64),
-            plan_period: number("plan_period", 1.0, 0.0, 3600.0, "least time between two plans for one goal [s]")?,
+            batch: count(
+                "batch",
+                16,
+                1,
+                "candidates rolled out at once; the deadline is looked at after each batch",
+            )?,
+            initial_std: number(
+                "initial_std",
+                0.25,
+                1e-6,
+                10.0,
+                "first standard deviation, part of each range",
+            )? as f32,
+            std_floor: number(
+                "std_floor",
+                1e-4,
+                1e-9,
+                10.0,
+                "least standard deviation [model units]",
+            )? as f32,
+            returned: node
+                .declare("returned", "best_seen".to_owned(), returned)?
+                .get(),
+            context_frames: count(
+                "context_frames",
+                2,
+                1,
+                "observed frames that a plan starts from",
+            )?
+            .min(64),
+            plan_period: number(
+                "plan_period",
+                1.0,
+                0.0,
+                3600.0,
+                "least time between two plans for one goal [s]",
+            )?,
             // Any 64 bits are a seed.
             seed: node.declare("seed", 0_i64, seed)?.get() as u64,
-            integration_steps: count("integration_steps", 0, 0, "Euler steps a frame; 0: what the model was trained for")?,
+            integration_steps: count(
+                "integration_steps",
+                0,
+                0,
+                "Euler steps a frame; 0: what the model was trained for",
+            )?,
             max_translation: limit(number(
                 "max_translation",
                 0.0,
@@ -80,7 +131,13 @@ impl Parameters {
                 10.0,
                 "bound of each rotation in one model step [rad]; 0: the model's own",
             )?),
-            frame_period: number("frame_period", 0.2, 1e-3, 60.0, "time from one camera frame to the next [s]")?,
+            frame_period: number(
+                "frame_period",
+                0.2,
+                1e-3,
+                60.0,
+                "time from one camera frame to the next [s]",
+            )?,
             deadline: (deadline > 0.0).then(|| Duration::from_secs_f64(deadline)),
         })
     }

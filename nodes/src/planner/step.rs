@@ -101,7 +101,9 @@ impl PlannerStep {
     /// [`PlannerError`]: the latent is left out.
     pub fn latent(&mut self, latent: &Latent) -> Result<Arrival, PlannerError> {
         let values: Arc<[f32]> = decode_latent(latent, &self.space)?.into();
-        let arrival = self.timeline.frame(latent.header.stamp, &latent.header.frame_id, values)?;
+        let arrival = self
+            .timeline
+            .frame(latent.header.stamp, &latent.header.frame_id, values)?;
         self.note(arrival);
         Ok(arrival)
     }
@@ -143,22 +145,42 @@ impl PlannerStep {
         if let Some(last) = &self.last {
             // A stamp that is a jitter early is due all the same.
             let since_ns = observed_ns - last.observed_ns;
-            if since_ns < self.settings.plan_period_ns.saturating_sub(timing.tolerance_ns).max(1) {
+            if since_ns
+                < self
+                    .settings
+                    .plan_period_ns
+                    .saturating_sub(timing.tolerance_ns)
+                    .max(1)
+            {
                 return Err(PlanWait::Recent);
             }
-            start = last.actions.as_ref().and_then(|actions| shifted(actions, since_ns, timing.step_ns()));
+            start = last
+                .actions
+                .as_ref()
+                .and_then(|actions| shifted(actions, since_ns, timing.step_ns()));
         }
-        self.last = Some(LastPlan { observed_ns, actions: None });
+        self.last = Some(LastPlan {
+            observed_ns,
+            actions: None,
+        });
         let seed = self.seed;
         self.seed = self.seed.wrapping_add(1);
-        Ok(PlanRequest { epoch: self.timeline.epoch(), context, goal, start, seed, timing })
+        Ok(PlanRequest {
+            epoch: self.timeline.epoch(),
+            context,
+            goal,
+            start,
+            seed,
+            timing,
+        })
     }
 
     /// Takes note of what a request led to: the start of the next search. Ignored where time has jumped, or the goal
     /// has changed, since.
     pub fn planned(&mut self, request: &PlanRequest, actions: &PlannedActions) {
         let observed_ns = request.context.frames.last().map(|frame| frame.stamp_ns);
-        let is_current = request.epoch == self.timeline.epoch() && self.goal.as_ref() == Some(&request.goal);
+        let is_current =
+            request.epoch == self.timeline.epoch() && self.goal.as_ref() == Some(&request.goal);
         match &mut self.last {
             Some(last) if is_current && Some(last.observed_ns) == observed_ns => {
                 last.actions = Some(actions.clone());
@@ -174,8 +196,15 @@ impl PlannerStep {
             self.settings.seed = seed;
         }
         self.seed = self.settings.seed;
-        let goal = if self.goal.is_some() { "kept the goal" } else { "there is no goal" };
-        format!("forgot all frames, actions and the last plan; {goal}; seed {}", self.seed)
+        let goal = if self.goal.is_some() {
+            "kept the goal"
+        } else {
+            "there is no goal"
+        };
+        format!(
+            "forgot all frames, actions and the last plan; {goal}; seed {}",
+            self.seed
+        )
     }
 
     /// Forgets all history: time jumped back.

@@ -6,16 +6,16 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_msgs::wm_msgs::{Action, ActionChunk, Latent, Prediction, PredictionError, Reset, ResetResponse};
-use wm_ros::{Clock, Descriptor, Diagnostics, Node, NodeArgs, Parameter, Publisher, Qos, Received, Shutdown};
+use wm_msgs::wm_msgs::{
+    Action, ActionChunk, Latent, Prediction, PredictionError, Reset, ResetResponse,
+};
+use wm_ros::{
+    Clock, Descriptor, Diagnostics, Node, NodeArgs, Parameter, Publisher, Qos, Received, Shutdown,
+};
 
 use super::{PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout};
 use crate::{
-    complaints::Complaints,
-    latent_message::LatentDtype,
-    model_choice,
-    timeline::Wait,
-    work::Work,
+    complaints::Complaints, latent_message::LatentDtype, model_choice, timeline::Wait, work::Work,
 };
 
 /// The node's default name.
@@ -59,16 +59,28 @@ struct Parameters {
 impl Parameters {
     fn declare(node: &Node) -> Result<Self> {
         let horizon = Descriptor::new("model steps of a rollout").integers(1, 64);
-        let steps = Descriptor::new("Euler steps a predicted frame; 0: what the model was trained for").integers(0, 1000);
+        let steps =
+            Descriptor::new("Euler steps a predicted frame; 0: what the model was trained for")
+                .integers(0, 1000);
         let seed = Descriptor::new("seed of the noise").read_only();
-        let context = Descriptor::new("observed frames, one model step apart, that a rollout starts from");
-        let period = Descriptor::new("time from one camera frame to the next [s], as the model was trained");
+        let context =
+            Descriptor::new("observed frames, one model step apart, that a rollout starts from");
+        let period =
+            Descriptor::new("time from one camera frame to the next [s], as the model was trained");
         Ok(Self {
             horizon: node.declare("horizon", 8_i64, horizon)?,
             integration_steps: node.declare("integration_steps", 0_i64, steps)?,
             seed: node.declare("seed", 0_i64, seed)?.get(),
-            context_frames: node.declare("context_frames", 2_i64, context.integers(1, 64).read_only())?.get(),
-            frame_period: node.declare("frame_period", 0.2_f64, period.floats(1e-3, 60.0).read_only())?.get(),
+            context_frames: node
+                .declare("context_frames", 2_i64, context.integers(1, 64).read_only())?
+                .get(),
+            frame_period: node
+                .declare(
+                    "frame_period",
+                    0.2_f64,
+                    period.floats(1e-3, 60.0).read_only(),
+                )?
+                .get(),
         })
     }
 }
@@ -104,7 +116,11 @@ impl Predictor {
         };
         let timing = model_choice::timing(parameters.frame_period, &model.encoding);
         let step = PredictorStep::new(settings, timing, model.space.clone());
-        tracing::info!("predicting with {} in latent space {}", model.name, model.space);
+        tracing::info!(
+            "predicting with {} in latent space {}",
+            model.name,
+            model.space
+        );
         let shared = Shared {
             step: Arc::new(Mutex::new(step)),
             model,
@@ -115,9 +131,16 @@ impl Predictor {
             shutdown: node.shutdown(),
         };
         let runner = shared.clone();
-        let work = Work::new(WAITING, move |(request, received)| runner.roll_out(request, received));
+        let work = Work::new(WAITING, move |(request, received)| {
+            runner.roll_out(request, received)
+        });
         let complaints = Complaints::new(node.diagnostics());
-        Ok(Self { shared, parameters, work, complaints })
+        Ok(Self {
+            shared,
+            parameters,
+            work,
+            complaints,
+        })
     }
 
     async fn run(&mut self, node: &Node) -> Result<()> {
@@ -197,14 +220,21 @@ impl Predictor {
             tracing::info!("time jumped back: history flushed");
         }
         if outcome.arrival.missed_frames > 0 {
-            let text = format!("{} frames are missing before this one", outcome.arrival.missed_frames);
-            self.complaints.left_out_many("gap", outcome.arrival.missed_frames, &text);
+            let text = format!(
+                "{} frames are missing before this one",
+                outcome.arrival.missed_frames
+            );
+            self.complaints
+                .left_out_many("gap", outcome.arrival.missed_frames, &text);
         }
         match outcome.rollout {
             Ok(request) => {
                 self.complaints.working("predicting");
                 if self.work.submit((request, arrived)).is_some() {
-                    self.complaints.left_out("overload", &"a rollout takes longer than a frame: an observation is left out");
+                    self.complaints.left_out(
+                        "overload",
+                        &"a rollout takes longer than a frame: an observation is left out",
+                    );
                 }
             }
             Err(wait) => self.complaints.waiting(kind(&wait), &wait),
@@ -231,14 +261,18 @@ impl Shared {
             predicted.prediction.ready_stamp = self.clock.now();
             self.predictions.publish(&predicted.prediction)?;
             if index == 0 {
-                self.diagnostics.latency("latent to first step").record(received.elapsed());
+                self.diagnostics
+                    .latency("latent to first step")
+                    .record(received.elapsed());
             }
             let late = self.step().predicted(&predicted);
             if let Some(error) = late {
                 self.errors.publish(&error)?;
             }
         }
-        self.diagnostics.latency("rollout").record(started.elapsed());
+        self.diagnostics
+            .latency("rollout")
+            .record(started.elapsed());
         Ok(())
     }
 }

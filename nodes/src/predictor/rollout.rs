@@ -3,12 +3,7 @@
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use wm_model::{
-    LatentSpace,
-    actions::ActionEncoding,
-    sampler::Rollout,
-    transition::Transition,
-};
+use wm_model::{LatentSpace, actions::ActionEncoding, sampler::Rollout, transition::Transition};
 use wm_msgs::{
     builtin_interfaces::{Duration, Time},
     std_msgs::Header,
@@ -87,24 +82,49 @@ impl<'m> RunningRollout<'m> {
     /// # Errors
     /// Where actions cannot be encoded or the model does not take the context.
     pub fn new(model: &'m PredictorModel, request: RolloutRequest) -> Result<Self, PredictorError> {
-        let observed = request.context.frames.last().cloned().ok_or_else(|| wm_model::Error::Shape {
-            what: "the context",
-            expected: "at least one frame".into(),
-            found: vec![0],
-        })?;
+        let observed =
+            request
+                .context
+                .frames
+                .last()
+                .cloned()
+                .ok_or_else(|| wm_model::Error::Shape {
+                    what: "the context",
+                    expected: "at least one frame".into(),
+                    found: vec![0],
+                })?;
         let mut sampler = model.transition.config().sampler.clone();
         sampler.steps = request.integration_steps;
         let context = context_tensor(&request.context, &model.space)?;
         let past = past_actions(&request.context, &model.encoding)?;
-        let rollout = Rollout::new(&model.transition, &sampler, &context, past.as_ref(), request.seed)?;
-        Ok(Self { model, request, rollout, observed, actions: Vec::new(), step: 0, has_failed: false })
+        let rollout = Rollout::new(
+            &model.transition,
+            &sampler,
+            &context,
+            past.as_ref(),
+            request.seed,
+        )?;
+        Ok(Self {
+            model,
+            request,
+            rollout,
+            observed,
+            actions: Vec::new(),
+            step: 0,
+            has_failed: false,
+        })
     }
 
     fn advance(&mut self, actions: &[PhysicalAction]) -> Result<PredictedStep, PredictorError> {
         let encoded = self.model.encoding.encode_step(actions)?;
         let action = Tensor::from_vec(encoded, (1, self.model.encoding.action_dim), &Device::Cpu)?;
-        let values = self.rollout.next(&action)?.flatten_all()?.to_vec1::<f32>()?;
-        self.actions.extend(actions.iter().map(PhysicalAction::to_message));
+        let values = self
+            .rollout
+            .next(&action)?
+            .flatten_all()?
+            .to_vec1::<f32>()?;
+        self.actions
+            .extend(actions.iter().map(PhysicalAction::to_message));
         self.step += 1;
 
         let step_ns = self.request.timing.step_ns();
@@ -114,7 +134,12 @@ impl<'m> RunningRollout<'m> {
             stamp: Time::from_nanos(stamp_ns),
             frame_id: self.observed.frame_id.to_string(),
         };
-        let latent = encode_latent(&values, &self.model.space, self.request.dtype, header.clone())?;
+        let latent = encode_latent(
+            &values,
+            &self.model.space,
+            self.request.dtype,
+            header.clone(),
+        )?;
         let prediction = Prediction {
             header,
             observed_stamp: Time::from_nanos(self.observed.stamp_ns),
@@ -155,9 +180,22 @@ impl Iterator for RunningRollout<'_> {
 }
 
 /// Context frames as (1, T, h, w, C).
-pub(crate) fn context_tensor(context: &Context, space: &LatentSpace) -> Result<Tensor, candle_core::Error> {
-    let values: Vec<f32> = context.frames.iter().flat_map(|frame| frame.values.iter().copied()).collect();
-    let shape = (1, context.frames.len(), space.height, space.width, space.channels);
+pub(crate) fn context_tensor(
+    context: &Context,
+    space: &LatentSpace,
+) -> Result<Tensor, candle_core::Error> {
+    let values: Vec<f32> = context
+        .frames
+        .iter()
+        .flat_map(|frame| frame.values.iter().copied())
+        .collect();
+    let shape = (
+        1,
+        context.frames.len(),
+        space.height,
+        space.width,
+        space.channels,
+    );
     Tensor::from_vec(values, shape, &Device::Cpu)
 }
 
@@ -173,7 +211,11 @@ pub(crate) fn past_actions(
     for step in &context.actions {
         values.extend(encoding.encode_step(step)?);
     }
-    Ok(Some(Tensor::from_vec(values, (context.actions.len(), encoding.action_dim), &Device::Cpu)?))
+    Ok(Some(Tensor::from_vec(
+        values,
+        (context.actions.len(), encoding.action_dim),
+        &Device::Cpu,
+    )?))
 }
 
 /// Counts of a message; horizons and step counts are bounded far below.

@@ -30,7 +30,10 @@ impl Pending {
         let error = |values: &[f32]| mean_squared_error(values, &seen.values).unwrap_or(f64::NAN);
         let (mse, persistence_mse) = (error(&self.predicted), error(&self.observed.values));
         PredictionError {
-            header: Header { stamp: Time::from_nanos(self.due_ns), frame_id: seen.frame_id.to_string() },
+            header: Header {
+                stamp: Time::from_nanos(self.due_ns),
+                frame_id: seen.frame_id.to_string(),
+            },
             observed_stamp: Time::from_nanos(self.observed.stamp_ns),
             step: self.step,
             mse: mse as f32,
@@ -48,7 +51,11 @@ pub(super) struct Scoring {
 
 impl Scoring {
     /// Adds a prediction; `seen` is the frame of its moment where that came first.
-    pub(super) fn add(&mut self, pending: Pending, seen: Option<&Frame>) -> Option<PredictionError> {
+    pub(super) fn add(
+        &mut self,
+        pending: Pending,
+        seen: Option<&Frame>,
+    ) -> Option<PredictionError> {
         if let Some(seen) = seen {
             return Some(pending.score(seen));
         }

@@ -67,9 +67,15 @@ impl PredictorStep {
     ///
     /// # Errors
     /// [`PredictorError`]: the latent is left out, the state is as before.
-    pub fn latent(&mut self, latent: &Latent, received: Time) -> Result<LatentOutcome, PredictorError> {
+    pub fn latent(
+        &mut self,
+        latent: &Latent,
+        received: Time,
+    ) -> Result<LatentOutcome, PredictorError> {
         let values: Arc<[f32]> = decode_latent(latent, &self.space)?.into();
-        let arrival = self.timeline.frame(latent.header.stamp, &latent.header.frame_id, values)?;
+        let arrival = self
+            .timeline
+            .frame(latent.header.stamp, &latent.header.frame_id, values)?;
         if arrival.flushed {
             self.scoring.clear();
         }
@@ -78,7 +84,11 @@ impl PredictorStep {
             Some(seen) => self.scoring.seen(seen, tolerance_ns),
             None => Vec::new(),
         };
-        Ok(LatentOutcome { arrival, errors, rollout: self.request(received) })
+        Ok(LatentOutcome {
+            arrival,
+            errors,
+            rollout: self.request(received),
+        })
     }
 
     /// Takes an action that was taken.
@@ -115,7 +125,8 @@ impl PredictorStep {
             predicted: Arc::clone(&step.values),
         };
         let tolerance_ns = self.timeline.timing().tolerance_ns;
-        self.scoring.add(pending, self.timeline.near(due_ns, tolerance_ns))
+        self.scoring
+            .add(pending, self.timeline.near(due_ns, tolerance_ns))
     }
 
     /// Forgets all history and takes a new seed where one is given; says what was done.
@@ -124,7 +135,10 @@ impl PredictorStep {
         if let Some(seed) = seed {
             self.settings.seed = seed;
         }
-        format!("forgot all frames, actions and open predictions; seed {}", self.settings.seed)
+        format!(
+            "forgot all frames, actions and open predictions; seed {}",
+            self.settings.seed
+        )
     }
 
     /// Forgets all history: time jumped back.
@@ -150,7 +164,10 @@ impl PredictorStep {
         let observed_ns = context.frames.last().ok_or(Wait::NoFrame)?.stamp_ns;
         // Horizons are a handful of steps.
         let future = (0..self.settings.horizon)
-            .map(|step| self.timeline.actions_of_step(observed_ns + timing.step_ns() * step as i64))
+            .map(|step| {
+                self.timeline
+                    .actions_of_step(observed_ns + timing.step_ns() * step as i64)
+            })
             .collect::<Result<_, _>>()?;
         Ok(RolloutRequest {
             epoch: self.epoch(),

@@ -33,8 +33,14 @@ impl AsRef<[f32]> for PhysicalAction {
 
 impl PhysicalAction {
     /// Checks a message's values; `what` names it in the error.
-    pub(super) fn parse(action: &Action, what: impl FnOnce() -> String) -> Result<Self, TimelineError> {
-        let values = physical(&action.values).map_err(|source| TimelineError::Action { what: what(), source })?;
+    pub(super) fn parse(
+        action: &Action,
+        what: impl FnOnce() -> String,
+    ) -> Result<Self, TimelineError> {
+        let values = physical(&action.values).map_err(|source| TimelineError::Action {
+            what: what(),
+            source,
+        })?;
         Ok(Self {
             stamp_ns: action.header.stamp.to_nanos(),
             frame_id: action.header.frame_id.as_str().into(),
@@ -45,7 +51,10 @@ impl PhysicalAction {
     /// The message.
     pub fn to_message(&self) -> Action {
         Action {
-            header: Header { stamp: Time::from_nanos(self.stamp_ns), frame_id: self.frame_id.to_string() },
+            header: Header {
+                stamp: Time::from_nanos(self.stamp_ns),
+                frame_id: self.frame_id.to_string(),
+            },
             values: self.values.to_vec(),
         }
     }
@@ -61,11 +70,17 @@ struct Chunk {
 impl Chunk {
     /// The last entry at or before a stamp.
     fn at(&self, stamp_ns: i64) -> Option<(i64, &PhysicalAction)> {
-        let since_ns = stamp_ns.checked_sub(self.stamp_ns).filter(|since_ns| *since_ns >= 0)?;
+        let since_ns = stamp_ns
+            .checked_sub(self.stamp_ns)
+            .filter(|since_ns| *since_ns >= 0)?;
         let last = self.actions.len().checked_sub(1)?;
-        let index = usize::try_from(since_ns / self.period_ns).unwrap_or(last).min(last);
+        let index = usize::try_from(since_ns / self.period_ns)
+            .unwrap_or(last)
+            .min(last);
         // Below MAX_CHUNK.
-        let entry_ns = self.stamp_ns.saturating_add(self.period_ns.saturating_mul(index as i64));
+        let entry_ns = self
+            .stamp_ns
+            .saturating_add(self.period_ns.saturating_mul(index as i64));
         Some((entry_ns, self.actions.get(index)?))
     }
 }
@@ -80,7 +95,11 @@ pub(super) struct Actions {
 
 impl Actions {
     pub(super) fn new(span_ns: i64) -> Self {
-        Self { taken: BTreeMap::new(), chunk: None, span_ns }
+        Self {
+            taken: BTreeMap::new(),
+            chunk: None,
+            span_ns,
+        }
     }
 
     pub(super) fn newest_ns(&self) -> Option<i64> {
@@ -93,10 +112,17 @@ impl Actions {
 
     pub(super) fn insert(&mut self, action: PhysicalAction) {
         self.taken.insert(action.stamp_ns, action);
-        let Some(newest_ns) = self.newest_ns() else { return };
+        let Some(newest_ns) = self.newest_ns() else {
+            return;
+        };
         // The last one before the span stays too: it may be held into it.
         let oldest_ns = newest_ns.saturating_sub(self.span_ns);
-        while self.taken.keys().nth(1).is_some_and(|second_ns| *second_ns <= oldest_ns) {
+        while self
+            .taken
+            .keys()
+            .nth(1)
+            .is_some_and(|second_ns| *second_ns <= oldest_ns)
+        {
             self.taken.pop_first();
         }
     }
@@ -106,9 +132,20 @@ impl Actions {
         if count == 0 || count > MAX_CHUNK || period_ns <= 0 {
             return Err(TimelineError::Chunk { count, period_ns });
         }
-        let parse = |(index, action)| PhysicalAction::parse(action, || format!("action {index} of a chunk"));
-        let actions = chunk.actions.iter().enumerate().map(parse).collect::<Result<_, _>>()?;
-        self.chunk = Some(Chunk { stamp_ns: chunk.header.stamp.to_nanos(), period_ns, actions });
+        let parse = |(index, action)| {
+            PhysicalAction::parse(action, || format!("action {index} of a chunk"))
+        };
+        let actions = chunk
+            .actions
+            .iter()
+            .enumerate()
+            .map(parse)
+            .collect::<Result<_, _>>()?;
+        self.chunk = Some(Chunk {
+            stamp_ns: chunk.header.stamp.to_nanos(),
+            period_ns,
+            actions,
+        });
         Ok(())
     }
 
@@ -116,14 +153,25 @@ impl Actions {
     /// is not after it; what was really taken wins over what was announced for the same moment.
     pub(super) fn at(&self, slot_ns: i64, tolerance_ns: i64) -> Option<PhysicalAction> {
         let until_ns = slot_ns.saturating_add(tolerance_ns);
-        let taken = self.taken.range(..=until_ns).next_back().map(|(stamp_ns, action)| (*stamp_ns, action));
+        let taken = self
+            .taken
+            .range(..=until_ns)
+            .next_back()
+            .map(|(stamp_ns, action)| (*stamp_ns, action));
         let announced = self.chunk.as_ref().and_then(|chunk| chunk.at(until_ns));
         let (_, action) = match (taken, announced) {
-            (Some(taken), Some(announced)) if announced.0 > taken.0.saturating_add(tolerance_ns) => announced,
+            (Some(taken), Some(announced))
+                if announced.0 > taken.0.saturating_add(tolerance_ns) =>
+            {
+                announced
+            }
             (Some(taken), _) => taken,
             (None, announced) => announced?,
         };
-        Some(PhysicalAction { stamp_ns: slot_ns, ..action.clone() })
+        Some(PhysicalAction {
+            stamp_ns: slot_ns,
+            ..action.clone()
+        })
     }
 
     /// Keeps what lies within `margin_ns` of a stamp.

@@ -22,7 +22,10 @@ pub(super) struct Frames {
 
 impl Frames {
     pub(super) fn new(span_ns: i64) -> Self {
-        Self { frames: VecDeque::new(), span_ns }
+        Self {
+            frames: VecDeque::new(),
+            span_ns,
+        }
     }
 
     pub(super) fn newest(&self) -> Option<&Frame> {
@@ -33,7 +36,11 @@ impl Frames {
     pub(super) fn push(&mut self, frame: Frame) {
         let oldest_ns = frame.stamp_ns.saturating_sub(self.span_ns);
         self.frames.push_back(frame);
-        while self.frames.front().is_some_and(|frame| frame.stamp_ns < oldest_ns) {
+        while self
+            .frames
+            .front()
+            .is_some_and(|frame| frame.stamp_ns < oldest_ns)
+        {
             self.frames.pop_front();
         }
     }
@@ -41,11 +48,16 @@ impl Frames {
     /// The frame nearest to a stamp.
     pub(super) fn near(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Frame> {
         let distance = |frame: &&Frame| (frame.stamp_ns - stamp_ns).abs();
-        self.frames.iter().min_by_key(distance).filter(|frame| distance(frame) <= tolerance_ns)
+        self.frames
+            .iter()
+            .min_by_key(distance)
+            .filter(|frame| distance(frame) <= tolerance_ns)
     }
 
     pub(super) fn reach_back_to(&self, stamp_ns: i64) -> bool {
-        self.frames.front().is_some_and(|frame| frame.stamp_ns <= stamp_ns)
+        self.frames
+            .front()
+            .is_some_and(|frame| frame.stamp_ns <= stamp_ns)
     }
 
     pub(super) fn clear(&mut self) {

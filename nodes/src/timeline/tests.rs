@@ -17,13 +17,26 @@ fn stamp(index: i64) -> Time {
 }
 
 fn action(index: i64, value: f32) -> Action {
-    Action { header: Header { stamp: stamp(index), frame_id: "base".into() }, values: vec![value; 7] }
+    Action {
+        header: Header {
+            stamp: stamp(index),
+            frame_id: "base".into(),
+        },
+        values: vec![value; 7],
+    }
 }
 
 fn chunk(index: i64, values: &[f32]) -> ActionChunk {
-    let actions = values.iter().enumerate().map(|(i, value)| action(index + i as i64, *value)).collect();
+    let actions = values
+        .iter()
+        .enumerate()
+        .map(|(i, value)| action(index + i as i64, *value))
+        .collect();
     ActionChunk {
-        header: Header { stamp: stamp(index), frame_id: "base".into() },
+        header: Header {
+            stamp: stamp(index),
+            frame_id: "base".into(),
+        },
         period: Duration::from_nanos(PERIOD),
         actions,
     }
@@ -47,21 +60,40 @@ fn a_context_is_frames_one_step_apart_with_the_actions_between() {
     let context = timeline.context().unwrap();
     let seen: Vec<f32> = context.frames.iter().map(|frame| frame.values[0]).collect();
     assert_eq!(seen, [1.0, 3.0, 5.0]);
-    assert_eq!(context.actions.iter().map(|step| firsts(step)).collect::<Vec<_>>(), [[1.0, 2.0], [3.0, 4.0]]);
+    assert_eq!(
+        context
+            .actions
+            .iter()
+            .map(|step| firsts(step))
+            .collect::<Vec<_>>(),
+        [[1.0, 2.0], [3.0, 4.0]]
+    );
 }
 
 #[test]
 fn jitter_within_the_tolerance_is_taken_and_beyond_is_a_gap() {
     let mut timeline = timeline(2);
     timeline.action(&action(-5, 0.0)).unwrap();
-    timeline.frame(Time::from_nanos(START + 40_000_000), "", vec![0.0].into()).unwrap();
+    timeline
+        .frame(Time::from_nanos(START + 40_000_000), "", vec![0.0].into())
+        .unwrap();
     timeline.frame(stamp(2), "", vec![2.0].into()).unwrap();
     assert_eq!(timeline.context().unwrap().frames[0].values[0], 0.0);
 
-    timeline.frame(Time::from_nanos(START + 3 * PERIOD + 60_000_000), "", vec![3.0].into()).unwrap();
+    timeline
+        .frame(
+            Time::from_nanos(START + 3 * PERIOD + 60_000_000),
+            "",
+            vec![3.0].into(),
+        )
+        .unwrap();
     let missing_ns = START + PERIOD + 60_000_000;
     assert_eq!(timeline.context().unwrap_err(), Wait::Gap { missing_ns });
-    assert!(Wait::Gap { missing_ns }.to_string().contains("1700000000.260000000 s is missing"));
+    assert!(
+        Wait::Gap { missing_ns }
+            .to_string()
+            .contains("1700000000.260000000 s is missing")
+    );
 }
 
 #[test]
@@ -69,10 +101,16 @@ fn it_waits_for_frames_and_for_actions_by_name() {
     let mut timeline = timeline(2);
     assert_eq!(timeline.context().unwrap_err(), Wait::NoFrame);
     see(&mut timeline, 0).unwrap();
-    assert_eq!(timeline.context().unwrap_err(), Wait::Context { have: 1, need: 2 });
+    assert_eq!(
+        timeline.context().unwrap_err(),
+        Wait::Context { have: 1, need: 2 }
+    );
     see(&mut timeline, 1).unwrap();
     see(&mut timeline, 2).unwrap();
-    assert_eq!(timeline.context().unwrap_err(), Wait::NoAction { needed_ns: START });
+    assert_eq!(
+        timeline.context().unwrap_err(),
+        Wait::NoAction { needed_ns: START }
+    );
     timeline.action(&action(0, 1.0)).unwrap();
     assert_eq!(firsts(&timeline.context().unwrap().actions[0]), [1.0, 1.0]);
 }
@@ -89,9 +127,19 @@ fn missed_frames_are_counted() {
 fn duplicates_and_late_frames_are_left_out() {
     let mut timeline = timeline(2);
     see(&mut timeline, 4).unwrap();
-    assert_eq!(see(&mut timeline, 4), Err(TimelineError::Duplicate { stamp_ns: START + 4 * PERIOD }));
+    assert_eq!(
+        see(&mut timeline, 4),
+        Err(TimelineError::Duplicate {
+            stamp_ns: START + 4 * PERIOD
+        })
+    );
     let error = see(&mut timeline, 3).unwrap_err();
-    assert!(error.to_string().contains("frame of 1700000000.600000000 s came after"), "{error}");
+    assert!(
+        error
+            .to_string()
+            .contains("frame of 1700000000.600000000 s came after"),
+        "{error}"
+    );
     assert_eq!(timeline.epoch(), 0);
 }
 
@@ -100,17 +148,31 @@ fn the_last_action_is_held_and_a_chunk_overrides_the_hold() {
     let mut timeline = timeline(1);
     timeline.action(&action(0, 1.0)).unwrap();
     timeline.action(&action(1, 2.0)).unwrap();
-    let step = |timeline: &Timeline, index: i64| firsts(&timeline.actions_of_step(START + index * PERIOD).unwrap());
+    let step = |timeline: &Timeline, index: i64| {
+        firsts(&timeline.actions_of_step(START + index * PERIOD).unwrap())
+    };
     assert_eq!(step(&timeline, 0), [1.0, 2.0]);
     assert_eq!(step(&timeline, 6), [2.0, 2.0]);
 
     timeline.chunk(&chunk(1, &[7.0, 8.0, 9.0])).unwrap();
-    assert_eq!(step(&timeline, 1), [2.0, 8.0], "what was taken wins over what was announced");
+    assert_eq!(
+        step(&timeline, 1),
+        [2.0, 8.0],
+        "what was taken wins over what was announced"
+    );
     assert_eq!(step(&timeline, 2), [8.0, 9.0]);
-    assert_eq!(step(&timeline, 3), [9.0, 9.0], "the end of the chunk is held");
+    assert_eq!(
+        step(&timeline, 3),
+        [9.0, 9.0],
+        "the end of the chunk is held"
+    );
 
     timeline.action(&action(4, 5.0)).unwrap();
-    assert_eq!(step(&timeline, 4), [5.0, 5.0], "a later action ends the hold");
+    assert_eq!(
+        step(&timeline, 4),
+        [5.0, 5.0],
+        "a later action ends the hold"
+    );
 }
 
 #[test]
@@ -119,14 +181,41 @@ fn chunks_that_say_nothing_are_refused_and_the_old_one_stays() {
     timeline.chunk(&chunk(0, &[1.0])).unwrap();
     let mut still = chunk(1, &[2.0]);
     still.period = Duration::default();
-    assert_eq!(timeline.chunk(&still), Err(TimelineError::Chunk { count: 1, period_ns: 0 }));
-    assert!(matches!(timeline.chunk(&chunk(1, &[])), Err(TimelineError::Chunk { count: 0, .. })));
+    assert_eq!(
+        timeline.chunk(&still),
+        Err(TimelineError::Chunk {
+            count: 1,
+            period_ns: 0
+        })
+    );
+    assert!(matches!(
+        timeline.chunk(&chunk(1, &[])),
+        Err(TimelineError::Chunk { count: 0, .. })
+    ));
     let error = timeline.chunk(&chunk(1, &[0.0, f32::NAN])).unwrap_err();
-    assert!(error.to_string().contains("action 1 of a chunk: value 0"), "{error}");
-    assert!(matches!(timeline.chunk(&chunk(-1, &[3.0])), Err(TimelineError::OutOfOrder { .. })));
-    assert_eq!(firsts(&timeline.actions_of_step(START).unwrap()), [1.0, 1.0]);
-    let short = Action { values: vec![0.0; 6], ..action(0, 0.0) };
-    assert!(timeline.action(&short).unwrap_err().to_string().contains("6 values where 7"));
+    assert!(
+        error.to_string().contains("action 1 of a chunk: value 0"),
+        "{error}"
+    );
+    assert!(matches!(
+        timeline.chunk(&chunk(-1, &[3.0])),
+        Err(TimelineError::OutOfOrder { .. })
+    ));
+    assert_eq!(
+        firsts(&timeline.actions_of_step(START).unwrap()),
+        [1.0, 1.0]
+    );
+    let short = Action {
+        values: vec![0.0; 6],
+        ..action(0, 0.0)
+    };
+    assert!(
+        timeline
+            .action(&short)
+            .unwrap_err()
+            .to_string()
+            .contains("6 values where 7")
+    );
 }
 
 #[test]
@@ -147,14 +236,24 @@ fn time_jumping_back_flushes_whichever_stream_sees_it_first() {
             assert!(!timeline.action(&action(0, 2.0)).unwrap().flushed);
         }
         assert_eq!(timeline.epoch(), 1);
-        assert_eq!(timeline.context().unwrap_err(), Wait::Context { have: 1, need: 2 });
+        assert_eq!(
+            timeline.context().unwrap_err(),
+            Wait::Context { have: 1, need: 2 }
+        );
         for index in 1..3 {
             timeline.action(&action(index, 2.0)).unwrap();
             see(&mut timeline, index).unwrap();
         }
         let context = timeline.context().unwrap();
-        assert_eq!(firsts(&context.actions[0]), [2.0, 2.0], "nothing of the time before is left");
-        assert_eq!(firsts(&timeline.actions_of_step(START + 2 * PERIOD).unwrap()), [2.0, 2.0]);
+        assert_eq!(
+            firsts(&context.actions[0]),
+            [2.0, 2.0],
+            "nothing of the time before is left"
+        );
+        assert_eq!(
+            firsts(&timeline.actions_of_step(START + 2 * PERIOD).unwrap()),
+            [2.0, 2.0]
+        );
     }
 }
 
@@ -162,7 +261,11 @@ fn time_jumping_back_flushes_whichever_stream_sees_it_first() {
 fn memory_is_bounded_by_the_span() {
     let mut timeline = timeline(2);
     timeline.chunk(&chunk(0, &vec![0.0; MAX_CHUNK])).unwrap();
-    assert!(timeline.chunk(&chunk(0, &vec![0.0; MAX_CHUNK + 1])).is_err());
+    assert!(
+        timeline
+            .chunk(&chunk(0, &vec![0.0; MAX_CHUNK + 1]))
+            .is_err()
+    );
     for index in 0..10_000 {
         timeline.action(&action(index, 0.0)).unwrap();
         see(&mut timeline, index).unwrap();

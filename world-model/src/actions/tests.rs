@@ -29,7 +29,11 @@ fn clips_each_action_before_the_mean() {
 
 #[test]
 fn index_rule_takes_the_sampled_frame_only() {
-    let encoding = ActionEncoding { accumulation: Accumulation::Index, action_dim: 10, ..Default::default() };
+    let encoding = ActionEncoding {
+        accumulation: Accumulation::Index,
+        action_dim: 10,
+        ..Default::default()
+    };
     let step = encoding.encode_step(&[CLOSED, OPEN]).unwrap();
     assert_eq!(step[..7], encoding.scale(&CLOSED).unwrap());
     assert_eq!(step[7..], [0.0; 3]);
@@ -45,20 +49,64 @@ fn half_open_counts_as_closed() {
 #[test]
 fn refuses_by_name() {
     let encoding = ActionEncoding::default();
-    assert_eq!(encoding.scale(&[0.0; 6]), Err(ActionError::Length { expected: 7, actual: 6 }));
+    assert_eq!(
+        encoding.scale(&[0.0; 6]),
+        Err(ActionError::Length {
+            expected: 7,
+            actual: 6
+        })
+    );
     let mut bad = OPEN;
     bad[4] = f32::INFINITY;
-    assert_eq!(encoding.scale(&bad), Err(ActionError::NotFinite { index: 4, value: f32::INFINITY }));
-    assert_eq!(encoding.encode_step(&[OPEN]), Err(ActionError::Count { expected: 2, actual: 1 }));
-    assert_eq!(encoding.encode_step::<[f32; 7]>(&[]), Err(ActionError::Count { expected: 2, actual: 0 }));
+    assert_eq!(
+        encoding.scale(&bad),
+        Err(ActionError::NotFinite {
+            index: 4,
+            value: f32::INFINITY
+        })
+    );
+    assert_eq!(
+        encoding.encode_step(&[OPEN]),
+        Err(ActionError::Count {
+            expected: 2,
+            actual: 1
+        })
+    );
+    assert_eq!(
+        encoding.encode_step::<[f32; 7]>(&[]),
+        Err(ActionError::Count {
+            expected: 2,
+            actual: 0
+        })
+    );
     assert!(encoding.decode_step(&[0.0; 8]).is_err());
-    assert!(ActionEncoding { frame_skip: 0, ..encoding.clone() }.validate().is_err());
-    assert!(ActionEncoding { translation_scale: f32::NAN, ..encoding }.validate().is_err());
+    assert!(
+        ActionEncoding {
+            frame_skip: 0,
+            ..encoding.clone()
+        }
+        .validate()
+        .is_err()
+    );
+    assert!(
+        ActionEncoding {
+            translation_scale: f32::NAN,
+            ..encoding
+        }
+        .validate()
+        .is_err()
+    );
 }
 
 #[test]
 fn a_remainder_is_left_out() {
-    assert_eq!(ActionEncoding::default().encode_steps(&[OPEN; 5]).unwrap().len(), 2);
+    assert_eq!(
+        ActionEncoding::default()
+            .encode_steps(&[OPEN; 5])
+            .unwrap()
+            .len(),
+        2
+    );
 }
 
 proptest! {

@@ -296,7 +296,11 @@ impl Network {
             let shape = vec![outputs, inputs, kernel, kernel];
             tensor(format!("{}.weight", conv.name), shape, stored);
             if let Some(bias) = &conv.bias {
-                tensor(format!("{}.bias", conv.name), vec![bias.len()], bias.clone());
+                tensor(
+                    format!("{}.bias", conv.name),
+                    vec![bias.len()],
+                    bias.clone(),
+                );
             }
         };
         self.convs.iter().for_each(&mut conv);
@@ -396,10 +400,22 @@ impl Branch {
         let name = |i: usize| format!("{block}.pool.{i}");
         Ok(Self {
             name: block.to_owned(),
-            widen: conv(source, name(0), ConvShape::same(width, wide, 1), (false, false), 1.0)?,
+            widen: conv(
+                source,
+                name(0),
+                ConvShape::same(width, wide, 1),
+                (false, false),
+                1.0,
+            )?,
             scale: source.vector(&format!("{}.weight", name(1)), wide, 1.0)?,
             shift: source.vector(&format!("{}.bias", name(1)), wide, 0.0)?,
-            narrow: conv(source, name(3), ConvShape::same(wide, width, 1), (false, false), 0.3)?,
+            narrow: conv(
+                source,
+                name(3),
+                ConvShape::same(wide, width, 1),
+                (false, false),
+                0.3,
+            )?,
         })
     }
 

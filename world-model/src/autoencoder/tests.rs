@@ -113,7 +113,10 @@ fn what_is_wrong_with_a_file_is_named() {
         message(&|b| b.metadata(CONFIG, serde_json::json!(wider).to_string()))
             .contains("is missing")
     );
-    assert!(message(&|b| b.metadata(CONFIG, "{")).starts_with("test.safetensors: metadata entry `config`"));
+    assert!(
+        message(&|b| b.metadata(CONFIG, "{"))
+            .starts_with("test.safetensors: metadata entry `config`")
+    );
 }
 
 #[test]
@@ -159,7 +162,10 @@ fn inputs_of_the_wrong_shape_or_with_nan_are_refused() {
 #[test]
 fn a_channel_that_does_not_vary_cannot_be_normalised() {
     let error = Normalisation::of([vec![1.0, 2.0, 1.0, 3.0]], 2).unwrap_err();
-    assert!(error.to_string().starts_with("latent_std: channel 0"), "{error}");
+    assert!(
+        error.to_string().starts_with("latent_std: channel 0"),
+        "{error}"
+    );
     let ok = Normalisation::of([vec![1.0, 2.0], vec![3.0, 6.0]], 2).unwrap();
     assert_eq!((ok.mean, ok.std), (vec![2.0, 4.0], vec![1.0, 2.0]));
 }
@@ -167,7 +173,10 @@ fn a_channel_that_does_not_vary_cannot_be_normalised() {
 /// A loss that is not linear, so that the ReLUs' own gradients matter: half the sum of squares.
 fn loss(network: &Network, input: &[f32], grid: GridSize) -> f64 {
     let (output, _) = network.forward(input.to_vec(), grid).unwrap();
-    output.iter().map(|v| 0.5 * f64::from(*v) * f64::from(*v)).sum()
+    output
+        .iter()
+        .map(|v| 0.5 * f64::from(*v) * f64::from(*v))
+        .sum()
 }
 
 #[test]
@@ -205,7 +214,10 @@ fn the_tape_gives_the_output_and_the_gradients_of_finite_differences() {
             let tolerance = 0.02 * (0.1 + found.abs());
             let low = sides[0].min(sides[1]) - tolerance;
             let high = sides[0].max(sides[1]) + tolerance;
-            assert!((low..=high).contains(&found), "{found} not in {low}..{high}");
+            assert!(
+                (low..=high).contains(&found),
+                "{found} not in {low}..{high}"
+            );
             checked += 1;
         };
         for i in (0..input.len()).step_by(7) {

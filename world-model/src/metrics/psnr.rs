@@ -13,7 +13,11 @@ const RANGE: f64 = 255.0;
 /// [`MetricError::Size`], [`MetricError::Empty`].
 pub fn psnr(image: &RgbImage, reference: &RgbImage) -> Result<f64, MetricError> {
     same_size(image.dimensions(), reference.dimensions())?;
-    let squares = image.as_raw().iter().zip(reference.as_raw()).map(|(a, b)| square(*a, *b));
+    let squares = image
+        .as_raw()
+        .iter()
+        .zip(reference.as_raw())
+        .map(|(a, b)| square(*a, *b));
     decibel(squares.sum(), image.as_raw().len())
 }
 
@@ -45,12 +49,19 @@ pub fn masked_psnr(
 /// [`MetricError::Length`], [`MetricError::Empty`].
 pub fn mean_squared_error(a: &[f32], b: &[f32]) -> Result<f64, MetricError> {
     if a.len() != b.len() {
-        return Err(MetricError::Length { first: a.len(), second: b.len() });
+        return Err(MetricError::Length {
+            first: a.len(),
+            second: b.len(),
+        });
     }
     if a.is_empty() {
         return Err(MetricError::Empty);
     }
-    let sum: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+    let sum: f64 = a
+        .iter()
+        .zip(b)
+        .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+        .sum();
     // Lengths stay far below 2^52.
     Ok(sum / a.len() as f64)
 }
@@ -69,7 +80,11 @@ fn decibel(sum: f64, count: usize) -> Result<f64, MetricError> {
 
 /// Whether two sizes agree.
 pub(super) fn same_size(first: (u32, u32), second: (u32, u32)) -> Result<(), MetricError> {
-    if first == second { Ok(()) } else { Err(MetricError::Size { first, second }) }
+    if first == second {
+        Ok(())
+    } else {
+        Err(MetricError::Size { first, second })
+    }
 }
 
 #[cfg(test)]
@@ -94,15 +109,33 @@ mod tests {
         let mask = GrayImage::from_raw(2, 1, vec![0, 7]).unwrap();
         let expected = 10.0 * (255.0_f64 * 255.0 / 25.0).log10();
         assert!((masked_psnr(&a, &b, &mask).unwrap() - expected).abs() < 1e-12);
-        assert_eq!(masked_psnr(&a, &b, &GrayImage::new(2, 1)), Err(MetricError::Empty));
+        assert_eq!(
+            masked_psnr(&a, &b, &GrayImage::new(2, 1)),
+            Err(MetricError::Empty)
+        );
     }
 
     #[test]
     fn sizes_must_agree() {
         let error = psnr(&RgbImage::new(2, 2), &RgbImage::new(2, 3)).unwrap_err();
-        assert_eq!(error, MetricError::Size { first: (2, 2), second: (2, 3) });
-        assert_eq!(psnr(&RgbImage::new(0, 0), &RgbImage::new(0, 0)), Err(MetricError::Empty));
-        assert_eq!(mean_squared_error(&[1.0], &[]), Err(MetricError::Length { first: 1, second: 0 }));
+        assert_eq!(
+            error,
+            MetricError::Size {
+                first: (2, 2),
+                second: (2, 3)
+            }
+        );
+        assert_eq!(
+            psnr(&RgbImage::new(0, 0), &RgbImage::new(0, 0)),
+            Err(MetricError::Empty)
+        );
+        assert_eq!(
+            mean_squared_error(&[1.0], &[]),
+            Err(MetricError::Length {
+                first: 1,
+                second: 0
+            })
+        );
         assert_eq!(mean_squared_error(&[1.0, 0.0], &[0.0, 3.0]), Ok(5.0));
     }
 }

@@ -21,7 +21,10 @@ pub fn ssim(image: &RgbImage, reference: &RgbImage) -> Result<f64, MetricError> 
     same_size(image.dimensions(), reference.dimensions())?;
     let (width, height) = image.dimensions();
     if width < SSIM_WINDOW || height < SSIM_WINDOW {
-        return Err(MetricError::TooSmall { size: (width, height), window: SSIM_WINDOW });
+        return Err(MetricError::TooSmall {
+            size: (width, height),
+            window: SSIM_WINDOW,
+        });
     }
     let sum: f64 = (0..CHANNELS)
         .map(|channel| channel_ssim(image.as_raw(), reference.as_raw(), width as usize, channel))
@@ -36,11 +39,17 @@ const WINDOW: usize = SSIM_WINDOW as usize;
 type Sums = [u64; 5];
 
 fn add(total: &mut Sums, other: &Sums) {
-    total.iter_mut().zip(other).for_each(|(total, value)| *total += value);
+    total
+        .iter_mut()
+        .zip(other)
+        .for_each(|(total, value)| *total += value);
 }
 
 fn subtract(total: &mut Sums, other: &Sums) {
-    total.iter_mut().zip(other).for_each(|(total, value)| *total -= value);
+    total
+        .iter_mut()
+        .zip(other)
+        .for_each(|(total, value)| *total -= value);
 }
 
 /// One channel's mean over all windows; rows come and go from running column sums, so that a pixel costs the same at
@@ -52,7 +61,10 @@ fn channel_ssim(image: &[u8], reference: &[u8], width: usize, channel: usize) ->
     };
     let row_of = |a: &[u8], b: &[u8]| -> Vec<Sums> {
         let values = a.iter().skip(channel).step_by(CHANNELS);
-        values.zip(b.iter().skip(channel).step_by(CHANNELS)).map(|(a, b)| products(a, b)).collect()
+        values
+            .zip(b.iter().skip(channel).step_by(CHANNELS))
+            .map(|(a, b)| products(a, b))
+            .collect()
     };
     let stride = width * CHANNELS;
     let rows: Vec<Vec<Sums>> = image
@@ -64,9 +76,15 @@ fn channel_ssim(image: &[u8], reference: &[u8], width: usize, channel: usize) ->
     let mut columns = vec![Sums::default(); width];
     let (mut total, mut windows) = (0.0, 0_u64);
     for (index, row) in rows.iter().enumerate() {
-        columns.iter_mut().zip(row).for_each(|(column, value)| add(column, value));
+        columns
+            .iter_mut()
+            .zip(row)
+            .for_each(|(column, value)| add(column, value));
         if let Some(gone) = index.checked_sub(WINDOW).and_then(|index| rows.get(index)) {
-            columns.iter_mut().zip(gone).for_each(|(column, value)| subtract(column, value));
+            columns
+                .iter_mut()
+                .zip(gone)
+                .for_each(|(column, value)| subtract(column, value));
         }
         if index + 1 < WINDOW {
             continue;
@@ -117,7 +135,10 @@ mod tests {
         ];
         for (width, height, golden) in golden {
             let value = ssim(&pattern(width, height, 3), &pattern(width, height, 4)).unwrap();
-            assert!((value - golden).abs() < 1e-9, "{width}x{height}: {value} against {golden}");
+            assert!(
+                (value - golden).abs() < 1e-9,
+                "{width}x{height}: {value} against {golden}"
+            );
         }
     }
 
@@ -130,6 +151,12 @@ mod tests {
     #[test]
     fn too_small_is_named() {
         let image = RgbImage::new(6, 20);
-        assert_eq!(ssim(&image, &image), Err(MetricError::TooSmall { size: (6, 20), window: 7 }));
+        assert_eq!(
+            ssim(&image, &image),
+            Err(MetricError::TooSmall {
+                size: (6, 20),
+                window: 7
+            })
+        );
     }
 }

@@ -86,7 +86,13 @@ pub fn cached_attention(
         .for_each_init(
             || vec![0.0; sources.len()],
             |weights, (chunk, (out, queries))| {
-                let rows = Rows { first: chunk * ROWS, n, d, dim, scale };
+                let rows = Rows {
+                    first: chunk * ROWS,
+                    n,
+                    d,
+                    dim,
+                    scale,
+                };
                 attend_rows(out, queries, &sources, weights, rows);
             },
         );

@@ -160,7 +160,10 @@ pub fn conv2d(
     output.resize(length, 0.0);
     let depth = shape.kernel * shape.kernel * shape.inputs;
     let panels = Panels::pack(depth, shape.outputs, bias, |k, n| {
-        weight.get(k * shape.outputs + n).copied().unwrap_or_default()
+        weight
+            .get(k * shape.outputs + n)
+            .copied()
+            .unwrap_or_default()
     });
     let pad = (shape.kernel / 2) as isize;
     Sweep {

@@ -95,11 +95,13 @@ impl CustomOp3 for GatedResidual {
             .zip(vb.par_chunks(frame))
             .zip(vg.par_chunks(frame))
             .zip(vm.par_chunks(width))
-            .for_each(|((((grad_branch, grad_modulation), branch), g), modulation)| {
-                let gate = &modulation[self.gate * d..][..d];
-                let grad_gate = &mut grad_modulation[self.gate * d..][..d];
-                backward_frame(grad_branch, grad_gate, branch, g, gate);
-            });
+            .for_each(
+                |((((grad_branch, grad_modulation), branch), g), modulation)| {
+                    let gate = &modulation[self.gate * d..][..d];
+                    let grad_gate = &mut grad_modulation[self.gate * d..][..d];
+                    backward_frame(grad_branch, grad_gate, branch, g, gate);
+                },
+            );
         Ok((
             Some(grad.clone()),
             Some(Tensor::from_vec(grad_branch, x.shape(), x.device())?),

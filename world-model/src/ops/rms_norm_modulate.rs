@@ -21,10 +21,8 @@ pub fn rms_norm_modulate(
     shift: usize,
     scale: usize,
 ) -> Result<Tensor> {
-    x.contiguous()?.apply_op2(
-        &modulation.contiguous()?,
-        RmsNormModulate { shift, scale },
-    )
+    x.contiguous()?
+        .apply_op2(&modulation.contiguous()?, RmsNormModulate { shift, scale })
 }
 
 struct RmsNormModulate {

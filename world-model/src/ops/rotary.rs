@@ -61,9 +61,7 @@ impl RotaryTable {
 
 /// 10000^(-i / n) for i in 0..n.
 fn frequencies(n: usize) -> Vec<f64> {
-    (0..n)
-        .map(|i| BASE.powf(-(i as f64) / n as f64))
-        .collect()
+    (0..n).map(|i| BASE.powf(-(i as f64) / n as f64)).collect()
 }
 
 fn cos_sin(angles: Vec<f64>) -> impl Iterator<Item = f32> {

@@ -62,7 +62,9 @@ impl Cem {
     pub fn new(settings: CemSettings, bounds: &[(f32, f32)]) -> Result<Self, PlanError> {
         settings.validate()?;
         if bounds.is_empty() {
-            return Err(PlanError::Setting("no bounds: nothing to search over".into()));
+            return Err(PlanError::Setting(
+                "no bounds: nothing to search over".into(),
+            ));
         }
         for (index, (low, high)) in bounds.iter().enumerate() {
             if !(low.is_finite() && high.is_finite() && low <= high) {
@@ -71,7 +73,10 @@ impl Cem {
                 )));
             }
         }
-        Ok(Self { settings, bounds: bounds.to_vec() })
+        Ok(Self {
+            settings,
+            bounds: bounds.to_vec(),
+        })
     }
 
     /// The settings.
@@ -135,8 +140,9 @@ impl Cem {
         out_of_time: &mut dyn FnMut() -> bool,
     ) -> Result<(), PlanError> {
         // All are drawn before any is rolled out, so that the batch size does not change the plan.
-        let population: Vec<Vec<f32>> =
-            (0..self.settings.population).map(|_| self.draw(search)).collect();
+        let population: Vec<Vec<f32>> = (0..self.settings.population)
+            .map(|_| self.draw(search))
+            .collect();
         let mut scored: Vec<(f32, &Vec<f32>)> = Vec::with_capacity(population.len());
         let mut tried = 0;
         for (index, batch) in population.chunks(self.settings.batch).enumerate() {
@@ -144,9 +150,15 @@ impl Cem {
                 search.found.deadline_cut = true;
                 break;
             }
-            let costs = target.costs(&dynamics.rollout(&self.tensor(batch, dynamics.action_dim())?)?)?;
+            let costs =
+                target.costs(&dynamics.rollout(&self.tensor(batch, dynamics.action_dim())?)?)?;
             tried += batch.len();
-            scored.extend(costs.into_iter().zip(batch).filter(|(cost, _)| cost.is_finite()));
+            scored.extend(
+                costs
+                    .into_iter()
+                    .zip(batch)
+                    .filter(|(cost, _)| cost.is_finite()),
+            );
         }
         search.found.candidates += tried;
         search.found.rejected += tried - scored.len();
@@ -154,7 +166,10 @@ impl Cem {
         // The sort is stable: equal costs keep the order in which they were drawn.
         scored.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         let Some((least, best)) = scored.first() else {
-            return Err(PlanError::NoFiniteCost { iteration, candidates: tried });
+            return Err(PlanError::NoFiniteCost {
+                iteration,
+                candidates: tried,
+            });
         };
         search.found.iteration_costs.push(*least);
         if search.best.as_ref().is_none_or(|(cost, _)| least < cost) {
@@ -163,7 +178,12 @@ impl Cem {
         scored.truncate(self.settings.elites);
         // One elite, where the others were cut off or not finite, says nothing about the spread.
         if scored.len() > 1 {
-            fit(&scored, self.settings.std_floor, &mut search.mean, &mut search.std);
+            fit(
+                &scored,
+                self.settings.std_floor,
+                &mut search.mean,
+                &mut search.std,
+            );
         }
         Ok(())
     }
@@ -174,13 +194,25 @@ impl Cem {
         dynamics: &mut dyn Dynamics,
         target: &Target,
     ) -> Result<PlannedActions, PlanError> {
-        let Search { mut found, best, mean, .. } = search;
-        let (mut cost, mut flat) =
-            best.ok_or(PlanError::NoFiniteCost { iteration: 1, candidates: found.candidates })?;
+        let Search {
+            mut found,
+            best,
+            mean,
+            ..
+        } = search;
+        let (mut cost, mut flat) = best.ok_or(PlanError::NoFiniteCost {
+            iteration: 1,
+            candidates: found.candidates,
+        })?;
         if self.settings.returned == Returned::FinalMean {
             let mean = self.clamp(mean);
-            let rolled = dynamics.rollout(&self.tensor(std::slice::from_ref(&mean), dynamics.action_dim())?)?;
-            let mean_cost = target.costs(&rolled)?.into_iter().next().unwrap_or(f32::NAN);
+            let rolled = dynamics
+                .rollout(&self.tensor(std::slice::from_ref(&mean), dynamics.action_dim())?)?;
+            let mean_cost = target
+                .costs(&rolled)?
+                .into_iter()
+                .next()
+                .unwrap_or(f32::NAN);
             found.candidates += 1;
             if mean_cost.is_finite() {
                 (cost, flat) = (mean_cost, mean);
@@ -189,7 +221,10 @@ impl Cem {
             }
         }
         found.cost = cost;
-        found.actions = flat.chunks_exact(self.bounds.len()).map(<[f32]>::to_vec).collect();
+        found.actions = flat
+            .chunks_exact(self.bounds.len())
+            .map(<[f32]>::to_vec)
+            .collect();
         Ok(found)
     }
 
@@ -206,15 +241,23 @@ impl Cem {
             )));
         }
         if start.iter().flatten().any(|value| !value.is_finite()) {
-            return Err(PlanError::Setting("the start holds a value that is not finite".into()));
+            return Err(PlanError::Setting(
+                "the start holds a value that is not finite".into(),
+            ));
         }
         Ok(self.clamp(start.concat()))
     }
 
     fn first_std(&self) -> Vec<f32> {
         let floor = self.settings.std_floor;
-        let of_range = |(low, high): &(f32, f32)| ((high - low) * self.settings.initial_std).max(floor);
-        self.bounds.iter().cycle().take(self.settings.horizon * self.bounds.len()).map(of_range).collect()
+        let of_range =
+            |(low, high): &(f32, f32)| ((high - low) * self.settings.initial_std).max(floor);
+        self.bounds
+            .iter()
+            .cycle()
+            .take(self.settings.horizon * self.bounds.len())
+            .map(of_range)
+            .collect()
     }
 
     fn draw(&self, search: &mut Search) -> Vec<f32> {
@@ -242,7 +285,10 @@ impl Cem {
             )));
         }
         let mut data = Vec::with_capacity(candidates.len() * self.settings.horizon * action_dim);
-        for action in candidates.iter().flat_map(|candidate| candidate.chunks_exact(values)) {
+        for action in candidates
+            .iter()
+            .flat_map(|candidate| candidate.chunks_exact(values))
+        {
             data.extend_from_slice(action);
             data.resize(data.len() + action_dim - values, 0.0);
         }
@@ -256,7 +302,12 @@ fn fit(elites: &[(f32, &Vec<f32>)], floor: f32, mean: &mut [f32], std: &mut [f32
     // Counts stay far below 2^52.
     let count = elites.len() as f64;
     for (index, (mean, std)) in mean.iter_mut().zip(std).enumerate() {
-        let values = || elites.iter().filter_map(|(_, elite)| elite.get(index)).map(|value| f64::from(*value));
+        let values = || {
+            elites
+                .iter()
+                .filter_map(|(_, elite)| elite.get(index))
+                .map(|value| f64::from(*value))
+        };
         let centre = values().sum::<f64>() / count;
         let variance = values().map(|value| (value - centre).powi(2)).sum::<f64>() / (count - 1.0);
         *mean = centre as f32;

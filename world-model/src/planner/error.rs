@@ -13,7 +13,9 @@ pub enum PlanError {
     #[error(transparent)]
     Model(#[from] crate::Error),
     /// Not one candidate of an iteration had a finite cost.
-    #[error("planner: none of the {candidates} candidates of iteration {iteration} has a finite cost")]
+    #[error(
+        "planner: none of the {candidates} candidates of iteration {iteration} has a finite cost"
+    )]
     NoFiniteCost {
         /// The iteration, from 1.
         iteration: usize,

@@ -77,7 +77,10 @@ impl CemSettings {
                 self.population, self.elites
             ));
         }
-        for (name, value) in [("initial_std", self.initial_std), ("std_floor", self.std_floor)] {
+        for (name, value) in [
+            ("initial_std", self.initial_std),
+            ("std_floor", self.std_floor),
+        ] {
             if !(value.is_finite() && value > 0.0) {
                 return complain(format!("{name} must be positive and finite, not {value}"));
             }

@@ -28,7 +28,10 @@ impl Target {
             }
             Self::LastStep(target) => {
                 expect(target, &[height, width, channels])?;
-                (target, latents.narrow(1, steps.saturating_sub(1), 1)?.squeeze(1)?)
+                (
+                    target,
+                    latents.narrow(1, steps.saturating_sub(1), 1)?.squeeze(1)?,
+                )
             }
         };
         let error = compared.broadcast_sub(&target.unsqueeze(0)?)?.sqr()?;
@@ -55,12 +58,19 @@ mod tests {
 
     #[test]
     fn each_step_counts_all_and_last_step_the_last() {
-        let latents = Tensor::from_vec(vec![0.0_f32, 2.0, 1.0, 4.0], (2, 2, 1, 1, 1), &Device::Cpu).unwrap();
+        let latents =
+            Tensor::from_vec(vec![0.0_f32, 2.0, 1.0, 4.0], (2, 2, 1, 1, 1), &Device::Cpu).unwrap();
         let each = Tensor::from_vec(vec![0.0_f32, 1.0], (2, 1, 1, 1), &Device::Cpu).unwrap();
         assert_eq!(Target::EachStep(each).costs(&latents).unwrap(), [0.5, 5.0]);
         let last = Tensor::from_vec(vec![1.0_f32], (1, 1, 1), &Device::Cpu).unwrap();
-        assert_eq!(Target::LastStep(last.clone()).costs(&latents).unwrap(), [1.0, 9.0]);
-        let message = Target::EachStep(last).costs(&latents).unwrap_err().to_string();
+        assert_eq!(
+            Target::LastStep(last.clone()).costs(&latents).unwrap(),
+            [1.0, 9.0]
+        );
+        let message = Target::EachStep(last)
+            .costs(&latents)
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("[2, 1, 1, 1]"), "{message}");
     }
 }

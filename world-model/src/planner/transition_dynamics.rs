@@ -31,7 +31,10 @@ impl<'m> TransitionDynamics<'m> {
         noise_seed: u64,
     ) -> Result<Self> {
         let start = Rollout::new(model, sampler, context, actions, noise_seed)?;
-        Ok(Self { start, action_dim: model.config().action_dim })
+        Ok(Self {
+            start,
+            action_dim: model.config().action_dim,
+        })
     }
 }
 
@@ -82,26 +85,46 @@ mod tests {
         let (model, context) = (model(), context());
         let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
         let sampler = &model.config().sampler;
-        let mut dynamics = TransitionDynamics::new(&model, sampler, &context, Some(&past), 5).unwrap();
+        let mut dynamics =
+            TransitionDynamics::new(&model, sampler, &context, Some(&past), 5).unwrap();
 
         // A goal that the model itself can reach: where some action leads.
         let mut truth = Rollout::new(&model, sampler, &context, Some(&past), 5).unwrap();
         let mut action = vec![0.0_f32; 10];
         action[..7].copy_from_slice(&[0.9, -0.6, 0.3, 0.2, -0.4, 0.1, 1.0]);
-        let goal = truth.next(&Tensor::from_vec(action, (1, 10), &Device::Cpu).unwrap()).unwrap();
+        let goal = truth
+            .next(&Tensor::from_vec(action, (1, 10), &Device::Cpu).unwrap())
+            .unwrap();
         let target = Target::LastStep(goal.squeeze(0).unwrap());
 
-        let settings = CemSettings { population: 48, iterations: 6, elites: 8, ..CemSettings::default() };
+        let settings = CemSettings {
+            population: 48,
+            iterations: 6,
+            elites: 8,
+            ..CemSettings::default()
+        };
         let cem = Cem::new(settings, &[(-2.0, 2.0); 7]).unwrap();
-        let plan = cem.plan(&mut dynamics, &target, None, 1, &mut || false).unwrap();
-        assert!(plan.cost < plan.iteration_costs[0] / 2.0, "{:?}", plan.iteration_costs);
+        let plan = cem
+            .plan(&mut dynamics, &target, None, 1, &mut || false)
+            .unwrap();
+        assert!(
+            plan.cost < plan.iteration_costs[0] / 2.0,
+            "{:?}",
+            plan.iteration_costs
+        );
 
         let mut alone = Rollout::new(&model, sampler, &context, Some(&past), 5).unwrap();
         let mut padded = plan.actions[0].clone();
         padded.resize(10, 0.0);
-        let reached = alone.next(&Tensor::from_vec(padded, (1, 10), &Device::Cpu).unwrap()).unwrap();
+        let reached = alone
+            .next(&Tensor::from_vec(padded, (1, 10), &Device::Cpu).unwrap())
+            .unwrap();
         let cost = target.costs(&reached.unsqueeze(1).unwrap()).unwrap()[0];
         // One candidate alone and in a batch differ by the order of sums.
-        assert!((cost - plan.cost).abs() < 1e-5 * (1.0 + cost), "{cost} against {}", plan.cost);
+        assert!(
+            (cost - plan.cost).abs() < 1e-5 * (1.0 + cost),
+            "{cost} against {}",
+            plan.cost
+        );
     }
 }

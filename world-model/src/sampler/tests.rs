@@ -49,7 +49,12 @@ fn uncached(
     let config = model.config();
     let given = context.dim(1).unwrap();
     let mut frames = context.clone();
-    let zero = Tensor::zeros((1, config.action_dim), candle_core::DType::F32, &Device::Cpu).unwrap();
+    let zero = Tensor::zeros(
+        (1, config.action_dim),
+        candle_core::DType::F32,
+        &Device::Cpu,
+    )
+    .unwrap();
     for k in 0..steps {
         let first = (given + k + 1).saturating_sub(config.max_frames);
         let window = given + k - first;
@@ -64,7 +69,9 @@ fn uncached(
         let fed = fed.unwrap().unsqueeze(0).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(k as u64);
-        let values: Vec<f32> = (0..4 * 4 * 4).map(|_| StandardNormal.sample(&mut rng)).collect();
+        let values: Vec<f32> = (0..4 * 4 * 4)
+            .map(|_| StandardNormal.sample(&mut rng))
+            .collect();
         let mut x = Tensor::from_vec(values, (1, 1, 4, 4, 4), &Device::Cpu).unwrap();
         let levels = sampler.levels();
         for pair in levels.windows(2) {
@@ -124,7 +131,10 @@ fn candidates_are_what_they_would_be_alone() {
             for (i, alone) in alone.iter_mut().enumerate() {
                 let one = alone.next(&actions.narrow(0, i, 1).unwrap()).unwrap();
                 let difference = most(&all.narrow(0, i, 1).unwrap(), &one);
-                assert!(difference < 1e-4, "candidate {i}, step {step}: {difference}");
+                assert!(
+                    difference < 1e-4,
+                    "candidate {i}, step {step}: {difference}"
+                );
             }
         }
     }
@@ -182,5 +192,10 @@ fn what_does_not_fit_is_refused_by_name() {
         steps: 0,
         ..Sampler::default()
     };
-    assert!(zero.validate().unwrap_err().to_string().starts_with("steps"));
+    assert!(
+        zero.validate()
+            .unwrap_err()
+            .to_string()
+            .starts_with("steps")
+    );
 }

@@ -74,7 +74,9 @@ impl Block {
         let tokens = self.temporal.forward(&tokens, condition, attend)?;
         match own {
             Some(own) => Ok((tokens, own)),
-            None => Err(candle_core::Error::Msg("the temporal attention did not run".into()).into()),
+            None => {
+                Err(candle_core::Error::Msg("the temporal attention did not run".into()).into())
+            }
         }
     }
 }

@@ -182,7 +182,10 @@ impl TransitionConfig {
         for (field, value) in positive {
             // A bound, so that products of sizes cannot overflow.
             if value == 0 || value > 1 << 16 {
-                return Err(Error::config(field, format!("{value}, expected 1 to 65536")));
+                return Err(Error::config(
+                    field,
+                    format!("{value}, expected 1 to 65536"),
+                ));
             }
         }
         if !(2..=1024).contains(&self.max_frames) {
@@ -244,7 +247,11 @@ mod tests {
         ];
         for (name, expected) in published {
             for ((latent, patch, wide), expected) in latents.into_iter().zip(expected) {
-                assert_eq!(count(name, latent, patch, wide), expected, "{name} {latent:?}");
+                assert_eq!(
+                    count(name, latent, patch, wide),
+                    expected,
+                    "{name} {latent:?}"
+                );
             }
         }
     }
@@ -263,10 +270,34 @@ mod tests {
     fn what_cannot_be_built_is_named() {
         let good = TransitionConfig::preset("tiny", (16, 16, 8), 2, 7).unwrap();
         let broken = [
-            ("hidden", TransitionConfig { hidden: 100, ..good.clone() }),
-            ("latent_width", TransitionConfig { latent_width: 15, ..good.clone() }),
-            ("max_frames", TransitionConfig { max_frames: 1, ..good.clone() }),
-            ("depth", TransitionConfig { depth: 0, ..good.clone() }),
+            (
+                "hidden",
+                TransitionConfig {
+                    hidden: 100,
+                    ..good.clone()
+                },
+            ),
+            (
+                "latent_width",
+                TransitionConfig {
+                    latent_width: 15,
+                    ..good.clone()
+                },
+            ),
+            (
+                "max_frames",
+                TransitionConfig {
+                    max_frames: 1,
+                    ..good.clone()
+                },
+            ),
+            (
+                "depth",
+                TransitionConfig {
+                    depth: 0,
+                    ..good.clone()
+                },
+            ),
         ];
         for (field, config) in broken {
             let message = config.validate().unwrap_err().to_string();

@@ -6,8 +6,8 @@
 
 use candle_core::Tensor;
 
-use super::embedding::Patches;
 use super::Transition;
+use super::embedding::Patches;
 use crate::ops::{FrameKeys, RotaryTable};
 use crate::{Error, Result};
 

@@ -56,7 +56,11 @@ impl Parameter {
                 })
                 .collect(),
         };
-        Ok(Tensor::from_vec(values, self.shape.as_slice(), &Device::Cpu)?)
+        Ok(Tensor::from_vec(
+            values,
+            self.shape.as_slice(),
+            &Device::Cpu,
+        )?)
     }
 
     /// Random values that leave no part of the model without effect.
@@ -107,7 +111,13 @@ pub(super) fn all(config: &TransitionConfig) -> Vec<Parameter> {
             });
         }
     };
-    linear("timestep_mlp.0".into(), d, super::embedding::FREQUENCIES * 2, true, Normal(0.02));
+    linear(
+        "timestep_mlp.0".into(),
+        d,
+        super::embedding::FREQUENCIES * 2,
+        true,
+        Normal(0.02),
+    );
     linear("timestep_mlp.2".into(), d, d, true, Normal(0.02));
     linear("action_embedder".into(), d, config.action_dim, true, Xavier);
     for block in 0..config.depth {
@@ -122,13 +132,37 @@ pub(super) fn all(config: &TransitionConfig) -> Vec<Parameter> {
     }
     match config.wide_head {
         None => {
-            linear("final_layer.adaLN_modulation.1".into(), 2 * d, d, true, Zero);
-            linear("final_layer.linear".into(), config.patch_values(), d, true, Zero);
+            linear(
+                "final_layer.adaLN_modulation.1".into(),
+                2 * d,
+                d,
+                true,
+                Zero,
+            );
+            linear(
+                "final_layer.linear".into(),
+                config.patch_values(),
+                d,
+                true,
+                Zero,
+            );
         }
         Some(w) => {
             linear("s_projector".into(), w, d, true, Xavier);
-            linear("head_final_layer.adaLN_modulation.1".into(), 2 * w, w, true, Zero);
-            linear("head_final_layer.linear".into(), config.patch_values(), w, true, Zero);
+            linear(
+                "head_final_layer.adaLN_modulation.1".into(),
+                2 * w,
+                w,
+                true,
+                Zero,
+            );
+            linear(
+                "head_final_layer.linear".into(),
+                config.patch_values(),
+                w,
+                true,
+                Zero,
+            );
         }
     }
     list.insert(

@@ -52,9 +52,8 @@ impl TemporalPattern {
     pub(super) fn attention(&self, heads: usize, head_dim: usize) -> Result<AttentionPattern> {
         let n = self.len();
         let rotary = RotaryTable::sequence(&self.positions, head_dim);
-        let visible = |query: usize, key: usize| {
-            self.visible.get(query * n + key).copied().unwrap_or(false)
-        };
+        let visible =
+            |query: usize, key: usize| self.visible.get(query * n + key).copied().unwrap_or(false);
         Ok(AttentionPattern::new(Axis::Time, heads, rotary, visible)?)
     }
 }
@@ -74,7 +73,13 @@ mod tests {
             .collect();
         assert_eq!(
             seen,
-            [vec![0], vec![0, 1], vec![0, 1, 2], vec![0, 1, 3], vec![0, 1, 2, 4]]
+            [
+                vec![0],
+                vec![0, 1],
+                vec![0, 1, 2],
+                vec![0, 1, 3],
+                vec![0, 1, 2, 4]
+            ]
         );
     }
 }

@@ -2,7 +2,12 @@ use super::*;
 
 fn file() -> Vec<u8> {
     let mut builder = WeightsBuilder::new();
-    builder.values("a.weight", &[2, 3], &[1., 2., 3., 4., 5., 6.], Precision::F32);
+    builder.values(
+        "a.weight",
+        &[2, 3],
+        &[1., 2., 3., 4., 5., 6.],
+        Precision::F32,
+    );
     builder.values("b.bias", &[2], &[0.5, -2.0], Precision::F16);
     builder.metadata("config", r#"{"width":3}"#);
     builder.to_bytes()
@@ -124,5 +129,8 @@ fn a_file_is_replaced_whole() {
     builder.write(&path).unwrap();
     let weights = Weights::open(&path).unwrap();
     assert_eq!(weights.values("a", &[1]).unwrap(), [2.0]);
-    assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    assert_eq!(
+        std::fs::read_dir(path.parent().unwrap()).unwrap().count(),
+        1
+    );
 }

@@ -117,7 +117,10 @@ impl Dataset {
     /// Frames of all episodes together.
     #[must_use]
     pub fn frame_count(&self) -> usize {
-        self.episodes.iter().map(|episode| episode.frame_count).sum()
+        self.episodes
+            .iter()
+            .map(|episode| episode.frame_count)
+            .sum()
     }
 
     /// The episodes, in the order of their frames.
@@ -178,10 +181,18 @@ fn digest(bags: &[PathBuf], size: (usize, usize)) -> Result<String, DatasetError
         // The metadata holds message counts and times of the whole bag, and the name its place in the set.
         let path = bag.join("metadata.yaml");
         let metadata = std::fs::read(&path).map_err(|source| DatasetError::Io { path, source })?;
-        hash.update(bag.file_name().map(|name| name.as_encoded_bytes()).unwrap_or_default());
+        hash.update(
+            bag.file_name()
+                .map(|name| name.as_encoded_bytes())
+                .unwrap_or_default(),
+        );
         hash.update(Sha256::digest(&metadata));
     }
-    Ok(hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hash
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect())
 }
 
 fn decode(bags: &[PathBuf], size: (usize, usize), cache: &Cache) -> Result<(), DatasetError> {

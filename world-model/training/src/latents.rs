@@ -90,7 +90,11 @@ impl Latents {
             .get(index * bytes..(index + 1) * bytes)
             .with_context(|| format!("no frame {index}"))?;
         let (values, _) = latent.as_chunks::<2>();
-        out.extend(values.iter().map(|value| f16::from_le_bytes(*value).to_f32()));
+        out.extend(
+            values
+                .iter()
+                .map(|value| f16::from_le_bytes(*value).to_f32()),
+        );
         Ok(())
     }
 }
@@ -107,20 +111,24 @@ fn encode(dataset: &Dataset, encoder: &dyn Encoder, path: &Path) -> Result<()> {
         .unwrap_or_else(|_| ProgressStyle::default_bar());
     let progress = ProgressBar::new(total as u64).with_style(style);
     let partial = partial(path);
-    let mut file = BufWriter::new(
-        File::create(&partial).with_context(|| partial.display().to_string())?,
-    );
+    let mut file =
+        BufWriter::new(File::create(&partial).with_context(|| partial.display().to_string())?);
     for first in (0..total).step_by(BATCH) {
         let count = BATCH.min(total - first);
         let mut pixels = Vec::with_capacity(count * height * width * 3);
         for index in first..first + count {
-            let frame = dataset.frame(index).with_context(|| format!("no frame {index}"))?;
+            let frame = dataset
+                .frame(index)
+                .with_context(|| format!("no frame {index}"))?;
             pixels.extend(frame.iter().map(|value| f32::from(*value) / 255.0));
         }
         let images = Tensor::from_vec(pixels, (count, height, width, 3), &Device::Cpu)?;
         let latents = encoder.encode(&images)?.flatten_all()?.to_vec1::<f32>()?;
         for value in latents {
-            ensure!(value.is_finite(), "a latent of frames {first}.. is not finite");
+            ensure!(
+                value.is_finite(),
+                "a latent of frames {first}.. is not finite"
+            );
             file.write_all(&f16::from_f32(value).to_le_bytes())?;
         }
         progress.inc(count as u64);

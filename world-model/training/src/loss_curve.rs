@@ -87,9 +87,16 @@ impl LossCurve {
             mean += 0.05 * (*loss - mean);
             *loss = mean;
         }
-        let low = positive.iter().map(|(_, loss)| *loss).fold(f64::INFINITY, f64::min);
+        let low = positive
+            .iter()
+            .map(|(_, loss)| *loss)
+            .fold(f64::INFINITY, f64::min);
         let high = positive.iter().map(|(_, loss)| *loss).fold(0.0, f64::max);
-        let (low, high) = if positive.is_empty() { (0.1, 1.0) } else { (low, high * 1.01) };
+        let (low, high) = if positive.is_empty() {
+            (0.1, 1.0)
+        } else {
+            (low, high * 1.01)
+        };
         let last = positive.last().map_or(1.0, |(step, _)| step.max(1.0));
 
         let area = SVGBackend::new(path, (900, 500)).into_drawing_area();
@@ -140,7 +147,9 @@ mod tests {
     #[test]
     fn an_empty_curve_is_drawn_and_a_broken_table_is_refused() {
         let dir = tempfile::tempdir().unwrap();
-        LossCurve::default().write(dir.path(), "nothing yet").unwrap();
+        LossCurve::default()
+            .write(dir.path(), "nothing yet")
+            .unwrap();
         std::fs::write(dir.path().join("loss.csv"), "step,loss\nnonsense\n").unwrap();
         assert!(LossCurve::resume(dir.path(), 1).is_err());
     }

@@ -24,10 +24,14 @@ pub use schedule::Schedule;
 #[non_exhaustive]
 pub enum OptimiserError {
     /// A parameter got no gradient: some operation on its way to the loss does not propagate one.
-    #[error("parameter `{0}` got no gradient: an operation between it and the loss drops gradients")]
+    #[error(
+        "parameter `{0}` got no gradient: an operation between it and the loss drops gradients"
+    )]
     NoGradient(String),
     /// The gradient holds a NaN or an infinity.
-    #[error("the gradient of step {step} is not finite (norm {norm}); first in parameter `{parameter}`")]
+    #[error(
+        "the gradient of step {step} is not finite (norm {norm}); first in parameter `{parameter}`"
+    )]
     NotFinite {
         /// The step, from 0.
         step: u64,
@@ -147,7 +151,10 @@ impl AdamW {
                 let gradient = gradients
                     .get(&parameter.var)
                     .ok_or_else(|| OptimiserError::NoGradient(parameter.name.clone()))?;
-                Ok(gradient.flatten_all()?.to_dtype(DType::F32)?.to_vec1::<f32>()?)
+                Ok(gradient
+                    .flatten_all()?
+                    .to_dtype(DType::F32)?
+                    .to_vec1::<f32>()?)
             })
             .collect::<Result<Vec<_>, OptimiserError>>()?;
         self.step_along(&gradients, learning_rate)
@@ -335,7 +342,10 @@ mod tests {
             .unwrap();
         let mut same = AdamW::new(&vars, AdamWSettings::default()).unwrap();
         let error = same.resume(&path, "run 2").unwrap_err().to_string();
-        assert!(error.contains("run 1") && error.contains("run 2"), "{error}");
+        assert!(
+            error.contains("run 1") && error.contains("run 2"),
+            "{error}"
+        );
         let wider = Var::new(&[0f32; 4], &Device::Cpu).unwrap();
         let vars = BTreeMap::from([("w".to_owned(), wider)]);
         let mut other = AdamW::new(&vars, AdamWSettings::default()).unwrap();

@@ -38,7 +38,6 @@ pub use evaluation::{ActionChange, Evaluation, recover_actions};
 pub use objective::Objective;
 use workers::Workers;
 
-
 /// Model steps that are predicted in an evaluation.
 const HORIZON: usize = 8;
 /// Windows of the evaluations during the training.
@@ -93,8 +92,12 @@ impl TrainTransitionArgs {
             tracing::info!(step = optimiser.steps_taken(), "resumed");
         }
         let mut curve = LossCurve::resume(&self.out, optimiser.steps_taken())?;
-        let schedule =
-            Schedule::new(self.learning_rate, self.warm_up, self.steps, self.final_rate);
+        let schedule = Schedule::new(
+            self.learning_rate,
+            self.warm_up,
+            self.steps,
+            self.final_rate,
+        );
         let workers = Workers::new(self.threads()?)?;
         let objective = self.objective()?;
         println!(
@@ -119,7 +122,11 @@ impl TrainTransitionArgs {
                 curve.write(&self.out, "transition model: loss")?;
                 let averaged = self.write(&config, actions, train, &optimiser)?;
                 if let Some(held_out) = held_out {
-                    let windows = if done == self.steps { usize::MAX } else { QUICK_WINDOWS };
+                    let windows = if done == self.steps {
+                        usize::MAX
+                    } else {
+                        QUICK_WINDOWS
+                    };
                     let evaluation = Evaluation::new(held_out, actions, HORIZON, windows)?;
                     let ratios = evaluation.ratios(&averaged, ActionChange::None)?;
                     progress.println(format!(
@@ -195,8 +202,17 @@ impl EvaluateTransitionArgs {
         space.require(latents.space())?;
         let model = Transition::from_weights(weights)?;
         let evaluation = Evaluation::new(&latents, &actions, HORIZON, self.windows)?;
-        println!("{} windows; squared latent error / persistence", evaluation.len());
-        println!("{:<16} {}", "action", (1..=HORIZON).map(|k| format!("k={k:<5}")).collect::<String>());
+        println!(
+            "{} windows; squared latent error / persistence",
+            evaluation.len()
+        );
+        println!(
+            "{:<16} {}",
+            "action",
+            (1..=HORIZON)
+                .map(|k| format!("k={k:<5}"))
+                .collect::<String>()
+        );
         for change in [
             ActionChange::None,
             ActionChange::Negated,
@@ -213,7 +229,10 @@ impl EvaluateTransitionArgs {
             println!("{:<16} {}", format!("{steps} steps"), table_row(&ratios));
         }
         if self.plans > 0 {
-            println!("{}", recover_actions(&model, &actions, &evaluation, self.plans)?);
+            println!(
+                "{}",
+                recover_actions(&model, &actions, &evaluation, self.plans)?
+            );
         }
         Ok(())
     }
@@ -237,7 +256,8 @@ fn table_row(ratios: &[f64]) -> String {
 
 fn progress_bar(steps: u64, done: u64) -> ProgressBar {
     let template = "{bar:30} {pos}/{len} {msg} {per_sec}, {eta} left";
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    let style =
+        ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     let progress = ProgressBar::new(steps).with_style(style);
     progress.set_position(done);
     progress.reset_eta();

@@ -29,17 +29,32 @@ impl Encoder for BlockMeans {
 }
 
 fn step(dtype: LatentDtype) -> EncoderStep {
-    let space = LatentSpace { name: "means".into(), hash: "01".into(), height: 2, width: 2, channels: 3 };
+    let space = LatentSpace {
+        name: "means".into(),
+        hash: "01".into(),
+        height: 2,
+        width: 2,
+        channels: 3,
+    };
     EncoderStep::new(Box::new(BlockMeans(space)), dtype)
 }
 
 fn header() -> Header {
-    Header { stamp: Time { sec: 7, nanosec: 5 }, frame_id: "camera".into() }
+    Header {
+        stamp: Time { sec: 7, nanosec: 5 },
+        frame_id: "camera".into(),
+    }
 }
 
 /// Red on the left, green on the right; 8x8.
 fn picture() -> RgbImage {
-    RgbImage::from_fn(8, 8, |x, _| if x < 4 { image::Rgb([255, 0, 0]) } else { image::Rgb([0, 255, 0]) })
+    RgbImage::from_fn(8, 8, |x, _| {
+        if x < 4 {
+            image::Rgb([255, 0, 0])
+        } else {
+            image::Rgb([0, 255, 0])
+        }
+    })
 }
 
 const EXPECTED: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
@@ -59,7 +74,9 @@ fn a_frame_becomes_the_latent_of_its_stamp() {
 fn both_transports_and_any_size_give_the_same_latent() {
     let large = image::imageops::resize(&picture(), 32, 32, image::imageops::FilterType::Nearest);
     let frame = CameraFrame::Compressed(encode_jpeg(&large, header(), 95).unwrap());
-    let values = step(LatentDtype::F32).encode_values(&frame.decode().unwrap()).unwrap();
+    let values = step(LatentDtype::F32)
+        .encode_values(&frame.decode().unwrap())
+        .unwrap();
     for (value, expected) in values.iter().zip(EXPECTED) {
         // JPEG's colour is coarse at the edge.
         assert!((value - expected).abs() < 0.06, "{values:?}");
@@ -68,7 +85,10 @@ fn both_transports_and_any_size_give_the_same_latent() {
 
 #[test]
 fn a_malformed_frame_is_an_error_that_names_it() {
-    let frame = CameraFrame::Raw(Image { encoding: "yuv422".into(), ..encode_image(&picture(), header()) });
+    let frame = CameraFrame::Raw(Image {
+        encoding: "yuv422".into(),
+        ..encode_image(&picture(), header())
+    });
     let error = step(LatentDtype::F16).encode(&frame).unwrap_err();
     assert!(error.to_string().contains("\"yuv422\""), "{error}");
 }

@@ -18,11 +18,21 @@ const PERIOD: i64 = 200_000_000;
 const START: i64 = 1_700_000_000_000_000_000;
 
 fn space() -> LatentSpace {
-    LatentSpace { name: "test".into(), hash: "00ff".into(), height: 4, width: 4, channels: 4 }
+    LatentSpace {
+        name: "test".into(),
+        hash: "00ff".into(),
+        height: 4,
+        width: 4,
+        channels: 4,
+    }
 }
 
 fn planner() -> PlannerStep {
-    let settings = PlannerSettings { context_frames: 2, plan_period_ns: 2 * PERIOD, seed: 5 };
+    let settings = PlannerSettings {
+        context_frames: 2,
+        plan_period_ns: 2 * PERIOD,
+        seed: 5,
+    };
     PlannerStep::new(settings, Timing::new(PERIOD, 2), space())
 }
 
@@ -44,7 +54,13 @@ fn model(settings: CemSettings) -> PlannerModel {
 }
 
 fn settings() -> CemSettings {
-    CemSettings { population: 32, iterations: 3, elites: 8, horizon: 2, ..CemSettings::default() }
+    CemSettings {
+        population: 32,
+        iterations: 3,
+        elites: 8,
+        horizon: 2,
+        ..CemSettings::default()
+    }
 }
 
 fn stamp(index: i64) -> Time {
@@ -52,20 +68,36 @@ fn stamp(index: i64) -> Time {
 }
 
 fn values(index: i64) -> Vec<f32> {
-    (0..64).map(|i| ((i + 7 * index) as f32 * 0.3).sin()).collect()
+    (0..64)
+        .map(|i| ((i + 7 * index) as f32 * 0.3).sin())
+        .collect()
 }
 
 fn feed(step: &mut PlannerStep, span: std::ops::RangeInclusive<i64>) {
     for index in span {
-        let header = Header { stamp: stamp(index), frame_id: "base".into() };
-        step.action(&Action { header, values: vec![0.0; 7] }).unwrap();
-        let header = Header { stamp: stamp(index), frame_id: "camera".into() };
-        step.latent(&encode_latent(&values(index), &space(), LatentDtype::F16, header).unwrap()).unwrap();
+        let header = Header {
+            stamp: stamp(index),
+            frame_id: "base".into(),
+        };
+        step.action(&Action {
+            header,
+            values: vec![0.0; 7],
+        })
+        .unwrap();
+        let header = Header {
+            stamp: stamp(index),
+            frame_id: "camera".into(),
+        };
+        step.latent(&encode_latent(&values(index), &space(), LatentDtype::F16, header).unwrap())
+            .unwrap();
     }
 }
 
 fn goal(index: i64) -> Goal {
-    Goal { stamp: stamp(index), values: values(index).into() }
+    Goal {
+        stamp: stamp(index),
+        values: values(index).into(),
+    }
 }
 
 #[test]
@@ -87,22 +119,54 @@ fn a_plan_says_what_it_was_computed_from_and_keeps_the_bounds() {
     feed(&mut step, 0..=2);
     let request = step.request().unwrap();
     let (found, plan) = model(settings()).plan(&request, &mut || false).unwrap();
-    assert_eq!(plan.header, Header { stamp: stamp(2), frame_id: "camera".into() });
-    assert_eq!((plan.goal_stamp, plan.seed, plan.planner.as_str()), (stamp(40), 5, "cem"));
+    assert_eq!(
+        plan.header,
+        Header {
+            stamp: stamp(2),
+            frame_id: "camera".into()
+        }
+    );
+    assert_eq!(
+        (plan.goal_stamp, plan.seed, plan.planner.as_str()),
+        (stamp(40), 5, "cem")
+    );
     assert_eq!(plan.period, Duration::from_nanos(2 * PERIOD));
     assert_eq!(plan.iteration_costs.len(), 3);
     assert!(plan.cost <= plan.iteration_costs[0] && !plan.deadline_cut);
-    let stamps: Vec<_> = plan.actions.iter().map(|action| action.header.stamp).collect();
+    let stamps: Vec<_> = plan
+        .actions
+        .iter()
+        .map(|action| action.header.stamp)
+        .collect();
     assert_eq!(stamps, [stamp(2), stamp(4)]);
     for action in &plan.actions {
         assert_eq!(action.header.frame_id, "base");
-        assert!(action.values[..3].iter().all(|delta| delta.abs() <= 0.02 + 1e-6), "{action:?}");
-        assert!(action.values[3..6].iter().all(|delta| delta.abs() <= 2.0 * 1.39 / 5.6 + 1e-6), "{action:?}");
+        assert!(
+            action.values[..3]
+                .iter()
+                .all(|delta| delta.abs() <= 0.02 + 1e-6),
+            "{action:?}"
+        );
+        assert!(
+            action.values[3..6]
+                .iter()
+                .all(|delta| delta.abs() <= 2.0 * 1.39 / 5.6 + 1e-6),
+            "{action:?}"
+        );
         assert!([0.0, 1.0].contains(&action.values[6]));
     }
     let told: serde_json::Value = serde_json::from_str(&plan.settings).unwrap();
-    assert_eq!((told["population"].as_u64(), told["horizon"].as_u64()), (Some(32), Some(2)));
-    assert_eq!((told["integration_steps"].as_u64(), told["model_hash"].as_str()), (Some(1), Some("beef")));
+    assert_eq!(
+        (told["population"].as_u64(), told["horizon"].as_u64()),
+        (Some(32), Some(2))
+    );
+    assert_eq!(
+        (
+            told["integration_steps"].as_u64(),
+            told["model_hash"].as_str()
+        ),
+        (Some(1), Some("beef"))
+    );
 
     let (again, _) = model(settings()).plan(&request, &mut || false).unwrap();
     assert_eq!(found, again);
@@ -126,7 +190,11 @@ fn plans_are_a_period_apart_and_start_from_the_last_one_shifted() {
     assert_eq!((next.seed, next.start), (6, Some(found.shifted())));
 
     step.set_goal(goal(41));
-    assert_eq!(step.request().unwrap().start, None, "another goal is planned for at once and anew");
+    assert_eq!(
+        step.request().unwrap().start,
+        None,
+        "another goal is planned for at once and anew"
+    );
 }
 
 #[test]
@@ -138,11 +206,18 @@ fn a_jump_and_a_reset_forget_the_history_but_not_the_goal() {
     let (found, _) = model(settings()).plan(&request, &mut || false).unwrap();
     feed(&mut step, 0..=2);
     step.planned(&request, &found);
-    assert_eq!(step.request().unwrap().start, None, "a plan of the time before is no start");
+    assert_eq!(
+        step.request().unwrap().start,
+        None,
+        "a plan of the time before is no start"
+    );
 
     let said = step.reset(Some(70));
     assert!(said.contains("kept the goal; seed 70"), "{said}");
-    assert_eq!(step.request().unwrap_err(), PlanWait::History(Wait::NoFrame));
+    assert_eq!(
+        step.request().unwrap_err(),
+        PlanWait::History(Wait::NoFrame)
+    );
     feed(&mut step, 3..=5);
     assert_eq!(step.request().unwrap().seed, 70);
 }

@@ -109,9 +109,7 @@ impl<'a> HeadKernel<'a> {
         head: usize,
     ) {
         for (i, row) in self.out.chunks_exact_mut(self.dim).enumerate() {
-            row.copy_from_slice(
-                &grad[(sequence + i * stride) * d + head * self.dim..][..self.dim],
-            );
+            row.copy_from_slice(&grad[(sequence + i * stride) * d + head * self.dim..][..self.dim]);
         }
     }
 
@@ -215,7 +213,12 @@ impl<'a> HeadKernel<'a> {
             &self.key,
             &mut self.grad_query,
         );
-        transpose(self.padded, &self.grad_weights, self.padded, &mut self.turned);
+        transpose(
+            self.padded,
+            &self.grad_weights,
+            self.padded,
+            &mut self.turned,
+        );
         product(
             self.dim,
             self.length,

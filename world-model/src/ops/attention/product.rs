@@ -26,14 +26,7 @@ pub(super) fn product(n: usize, k: usize, a: &[f32], a_width: usize, b: &[f32], 
 }
 
 #[inline(always)]
-fn rows<const R: usize>(
-    n: usize,
-    k: usize,
-    a: &[f32],
-    a_width: usize,
-    b: &[f32],
-    c: &mut [f32],
-) {
+fn rows<const R: usize>(n: usize, k: usize, a: &[f32], a_width: usize, b: &[f32], c: &mut [f32]) {
     let a: [&[f32]; R] = std::array::from_fn(|r| &a[r * a_width..][..k]);
     for column in (0..n).step_by(LANES) {
         let mut sums = [[0.0_f32; LANES]; R];

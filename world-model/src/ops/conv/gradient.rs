@@ -215,7 +215,15 @@ pub fn conv2d_weight_gradient(
                 for task in tasks * part / PARTS..tasks * (part + 1) / PARTS {
                     let (image, first) = (task / passes, task % passes * rows);
                     let count = rows.min(target.height - first);
-                    add_outer(shape, input, gradient, grid, (image, first, count), buffers, &mut sums);
+                    add_outer(
+                        shape,
+                        input,
+                        gradient,
+                        grid,
+                        (image, first, count),
+                        buffers,
+                        &mut sums,
+                    );
                 }
             });
             sums

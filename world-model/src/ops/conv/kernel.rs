@@ -3,9 +3,9 @@
 //! Both keep a tile of results in registers: [`Row`] sums over taps and input channels, and
 //! [`Outer`] sums over pixels for the gradient of the weights.
 
-use crate::ops::simd::{InstructionSet, LANES, Lanes, Portable};
 #[cfg(target_arch = "x86_64")]
 use crate::ops::simd::{Avx2, Avx512};
+use crate::ops::simd::{InstructionSet, LANES, Lanes, Portable};
 
 /// One row of output pixels, for one panel of output channels.
 #[derive(Clone, Copy)]

@@ -56,7 +56,11 @@ impl Panels {
         for vectors in panels.widths.clone() {
             let width = vectors * LANES;
             let panel = panels.values.get_mut(start..start + depth * width);
-            for (k, row) in panel.unwrap_or_default().chunks_exact_mut(width).enumerate() {
+            for (k, row) in panel
+                .unwrap_or_default()
+                .chunks_exact_mut(width)
+                .enumerate()
+            {
                 for (j, v) in row.iter_mut().enumerate().take(outputs - first) {
                     *v = value(k, first + j);
                 }

@@ -94,18 +94,23 @@ impl Sweep<'_> {
         let columns = ((out.width - 1) * self.stride + tap_columns).max(1);
         let row_bytes = columns * self.channels * self.stride * size_of::<f32>();
         let rows = (BAND_BYTES / row_bytes.max(1))
-            .min(out.height.div_ceil(if self.grid.images < 4 { 4 } else { 1 }))
+            .min(
+                out.height
+                    .div_ceil(if self.grid.images < 4 { 4 } else { 1 }),
+            )
             .max(1);
         let bands = out.height.div_ceil(rows);
         let target = Target(output.as_mut_ptr());
-        (0..self.grid.images * bands).into_par_iter().for_each(|task| {
-            let (image, band) = (task / bands, task % bands);
-            let first = band * rows;
-            let count = rows.min(out.height - first);
-            BAND.with_borrow_mut(|buffer| {
-                self.band(image, first, (count, columns), out, target, buffer);
+        (0..self.grid.images * bands)
+            .into_par_iter()
+            .for_each(|task| {
+                let (image, band) = (task / bands, task % bands);
+                let first = band * rows;
+                let count = rows.min(out.height - first);
+                BAND.with_borrow_mut(|buffer| {
+                    self.band(image, first, (count, columns), out, target, buffer);
+                });
             });
-        });
     }
 
     fn band(

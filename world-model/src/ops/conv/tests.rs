@@ -122,7 +122,10 @@ fn assert_close(what: &str, shape: ConvShape, found: &[f32], expected: &[f32], t
     assert_eq!(found.len(), expected.len(), "{what} {shape:?}");
     for (i, (a, b)) in found.iter().zip(expected).enumerate() {
         let bound = tolerance * (1.0 + b.abs());
-        assert!((a - b).abs() <= bound, "{what} {shape:?} at {i}: {a}, expected {b}");
+        assert!(
+            (a - b).abs() <= bound,
+            "{what} {shape:?} at {i}: {a}, expected {b}"
+        );
     }
 }
 
@@ -145,7 +148,15 @@ fn residual_and_relu_come_after_the_sum() {
             relu: true,
         };
         let weights = (case.weight.as_slice(), Some(case.bias.as_slice()));
-        conv2d(&case.shape, weights, &case.input, case.grid, epilogue, &mut output).unwrap();
+        conv2d(
+            &case.shape,
+            weights,
+            &case.input,
+            case.grid,
+            epilogue,
+            &mut output,
+        )
+        .unwrap();
         let expected: Vec<f32> = plain
             .iter()
             .zip(&residual)
@@ -167,7 +178,10 @@ fn difference(loss: impl Fn(&[f32]) -> f64, at: &[f32], index: usize) -> f32 {
 }
 
 fn dot(a: &[f32], b: &[f32]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| f64::from(*a) * f64::from(*b))
+        .sum()
 }
 
 /// Some forty places spread over `length`.

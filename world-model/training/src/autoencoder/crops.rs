@@ -49,11 +49,14 @@ pub(super) fn draw(
         let mask = dataset.mask(frame);
         for row in top..top + rows {
             let first = row * width + left;
-            let bytes = picture.get(first * 3..(first + columns) * 3).unwrap_or_default();
+            let bytes = picture
+                .get(first * 3..(first + columns) * 3)
+                .unwrap_or_default();
             values.extend(bytes.iter().map(|v| f32::from(*v) / 255.0));
             match mask.and_then(|mask| mask.get(first..first + columns)) {
                 Some(mask) => weights.extend(
-                    mask.iter().map(|class| 1.0 + settings.mask_weight * f32::from(u8::from(*class > 0))),
+                    mask.iter()
+                        .map(|class| 1.0 + settings.mask_weight * f32::from(u8::from(*class > 0))),
                 ),
                 None => weights.extend(std::iter::repeat_n(1.0, columns)),
             }
@@ -107,7 +110,10 @@ mod tests {
             for _ in 0..50 {
                 let start = start(Some(centre), 64, 128, &mut rng);
                 assert!(start <= 64);
-                assert!((start..start + 64).contains(&centre), "{centre} from {start}");
+                assert!(
+                    (start..start + 64).contains(&centre),
+                    "{centre} from {start}"
+                );
             }
         }
         assert_eq!(start(None, 128, 128, &mut rng), 0);

@@ -50,10 +50,15 @@ pub fn evaluate(
             squares += f64::from(v) * f64::from(v);
             latents += 1;
         }
-        let decoded = autoencoder.decode(&codes)?.flatten_all()?.to_vec1::<f32>()?;
+        let decoded = autoencoder
+            .decode(&codes)?
+            .flatten_all()?
+            .to_vec1::<f32>()?;
         let pictures = pictures.flatten_all()?.to_vec1::<f32>()?;
         let pixels = decoded.chunks_exact(3).zip(pictures.chunks_exact(3));
-        let masks = chunk.iter().flat_map(|frame| dataset.mask(*frame).unwrap_or_default());
+        let masks = chunk
+            .iter()
+            .flat_map(|frame| dataset.mask(*frame).unwrap_or_default());
         let mut masks = masks.copied();
         for (a, b) in pixels {
             let error: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum();

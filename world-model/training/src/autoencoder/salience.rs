@@ -20,7 +20,11 @@ impl<'a> Salience<'a> {
         let medians = if dataset.mask(0).is_some() {
             Vec::new()
         } else {
-            dataset.episodes().iter().map(|episode| median(dataset, episode)).collect()
+            dataset
+                .episodes()
+                .iter()
+                .map(|episode| median(dataset, episode))
+                .collect()
         };
         Self { dataset, medians }
     }
@@ -58,7 +62,10 @@ fn salient_in_mask(mask: &[u8], rng: &mut impl Rng) -> Option<usize> {
         }
     }
     let classes = seen.iter().enumerate().skip(1);
-    let class = classes.filter(|(_, seen)| **seen).map(|(class, _)| class).choose(rng)?;
+    let class = classes
+        .filter(|(_, seen)| **seen)
+        .map(|(class, _)| class)
+        .choose(rng)?;
     let pixels = mask.iter().enumerate();
     pixels
         .filter(|(_, value)| usize::from(**value) == class)
@@ -68,7 +75,9 @@ fn salient_in_mask(mask: &[u8], rng: &mut impl Rng) -> Option<usize> {
 
 fn difference(pixel: &[u8], median: &[u8]) -> i32 {
     let channels = pixel.iter().zip(median);
-    channels.map(|(a, b)| (i32::from(*a) - i32::from(*b)).abs()).sum()
+    channels
+        .map(|(a, b)| (i32::from(*a) - i32::from(*b)).abs())
+        .sum()
 }
 
 fn median(dataset: &Dataset, episode: &Episode) -> Vec<u8> {

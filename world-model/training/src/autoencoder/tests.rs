@@ -7,7 +7,10 @@ use wm_msgs::{
     builtin_interfaces::Time, sensor_msgs::CompressedImage, std_msgs::Header, wm_msgs::Action,
 };
 
-use super::{AutoencoderSettings, TrainingError, evaluate, picture, salience::Salience, train, trainer::AutoencoderRun};
+use super::{
+    AutoencoderSettings, TrainingError, evaluate, picture, salience::Salience, train,
+    trainer::AutoencoderRun,
+};
 use crate::dataset::Dataset;
 
 const SIZE: u32 = 16;
@@ -64,7 +67,12 @@ fn dataset(scratch: &Path, masks: bool) -> Dataset {
     if !bags.exists() {
         write_bag(&bags.join("episode_000000"), masks);
     }
-    Dataset::open(&bags, &scratch.join("cache"), (SIZE as usize, SIZE as usize)).unwrap()
+    Dataset::open(
+        &bags,
+        &scratch.join("cache"),
+        (SIZE as usize, SIZE as usize),
+    )
+    .unwrap()
 }
 
 fn settings() -> AutoencoderSettings {
@@ -155,7 +163,9 @@ fn the_whole_gradient_is_that_of_the_loss() {
     };
     let mut run = AutoencoderRun::new(settings, dataset.digest()).unwrap();
     for half in 0..2 {
-        let (length, slope) = run.slope_along_gradient(&dataset, &salience, half, 2e-3).unwrap();
+        let (length, slope) = run
+            .slope_along_gradient(&dataset, &salience, half, 2e-3)
+            .unwrap();
         assert!(length > 0.01, "half {half}: {length}");
         assert!(
             (slope / length - 1.0).abs() < 0.03,
@@ -168,9 +178,21 @@ fn the_whole_gradient_is_that_of_the_loss() {
 fn frames_of_another_size_are_refused() {
     let scratch = tempfile::tempdir().unwrap();
     let dataset = dataset(scratch.path(), true);
-    let error = train(&dataset, AutoencoderSettings::default(), scratch.path(), NEVER).unwrap_err();
+    let error = train(
+        &dataset,
+        AutoencoderSettings::default(),
+        scratch.path(),
+        NEVER,
+    )
+    .unwrap_err();
     assert!(
-        matches!(error, TrainingError::FrameSize { expected: (128, 128), found: (16, 16) }),
+        matches!(
+            error,
+            TrainingError::FrameSize {
+                expected: (128, 128),
+                found: (16, 16)
+            }
+        ),
         "{error}"
     );
 }

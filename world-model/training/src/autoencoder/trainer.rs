@@ -175,7 +175,8 @@ impl AutoencoderRun {
             }
         }
         let gradients: Vec<Vec<f32>> = named.into_values().collect();
-        self.optimiser.step_along(&gradients, self.schedule.at(step))?;
+        self.optimiser
+            .step_along(&gradients, self.schedule.at(step))?;
         self.load_weights();
         Ok(loss)
     }
@@ -199,7 +200,10 @@ impl AutoencoderRun {
                 clamp(z + self.settings.latent_noise * noise)
             })
             .collect();
-        let pictures = self.decoder.tape.forward(self.model.decoder(), &clamped, grid)?;
+        let pictures = self
+            .decoder
+            .tape
+            .forward(self.model.decoder(), &clamped, grid)?;
         let (squared, loss, by_picture) = picture_loss(pictures, crops, self.settings.squared);
         let mut by_latent = Vec::new();
         self.decoder.tape.backward(
@@ -242,7 +246,10 @@ impl AutoencoderRun {
         let start = self.model.clone();
         self.gradients(&crops, &mut rng.clone())?;
         let gradient = [&self.encoder.gradient, &self.decoder.gradient][half].clone();
-        let squares = gradient.convs.iter().flat_map(|(weight, bias)| weight.iter().chain(bias));
+        let squares = gradient
+            .convs
+            .iter()
+            .flat_map(|(weight, bias)| weight.iter().chain(bias));
         let length = squares.map(|g| g * g).sum::<f32>().sqrt();
         let mut losses = [0.0; 2];
         for (loss, sign) in losses.iter_mut().zip([1.0, -1.0]) {
@@ -264,7 +271,9 @@ impl AutoencoderRun {
 
     fn load_weights(&mut self) {
         let weights = self.optimiser.weights();
-        let named = weights.map(|(name, values)| (name.to_owned(), values.to_vec())).collect();
+        let named = weights
+            .map(|(name, values)| (name.to_owned(), values.to_vec()))
+            .collect();
         assign(&mut self.model, named);
     }
 

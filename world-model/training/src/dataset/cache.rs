@@ -47,8 +47,8 @@ impl Cache {
     pub(super) fn open(&self) -> Result<(Vec<Episode>, Mmap, Option<Mmap>), DatasetError> {
         let path = self.file("episodes.json");
         let text = fs::read(&path).map_err(at(&path))?;
-        let episodes =
-            serde_json::from_slice(&text).map_err(|error| at(&path)(std::io::Error::other(error)))?;
+        let episodes = serde_json::from_slice(&text)
+            .map_err(|error| at(&path)(std::io::Error::other(error)))?;
         let masks = self.file("masks");
         let has_masks = fs::metadata(&masks).map_err(at(&masks))?.len() > 0;
         Ok((
@@ -96,7 +96,9 @@ impl CacheWriter<'_> {
     }
 
     pub(super) fn finish(mut self) -> Result<(), DatasetError> {
-        self.frames.flush().map_err(at(&self.cache.file("frames")))?;
+        self.frames
+            .flush()
+            .map_err(at(&self.cache.file("frames")))?;
         self.masks.flush().map_err(at(&self.cache.file("masks")))?;
         let path = self.cache.file("episodes.json");
         let text = serde_json::to_vec(&self.episodes)

@@ -35,13 +35,19 @@ pub(super) fn decode(
     let mut frames: Vec<(i64, Vec<u8>)> = Vec::new();
     let mut masks = Vec::new();
     let mut actions: Vec<(i64, [f32; 7])> = Vec::new();
-    for message in reader.messages().only_topics([COMPRESSED, RAW, MASK, ACTION]) {
+    for message in reader
+        .messages()
+        .only_topics([COMPRESSED, RAW, MASK, ACTION])
+    {
         let message = message.map_err(|source| DatasetError::Bag {
             bag: bag.to_owned(),
             source: Box::new(source),
         })?;
         let undecodable = |what: String| {
-            refused(format!("{} at {} ns: {what}", message.topic, message.log_time_ns))
+            refused(format!(
+                "{} at {} ns: {what}",
+                message.topic, message.log_time_ns
+            ))
         };
         match &*message.topic {
             ACTION => {
@@ -63,11 +69,16 @@ pub(super) fn decode(
         }
     }
     if frames.is_empty() {
-        return Err(refused(format!("no camera: expected frames on {COMPRESSED} or {RAW}")));
+        return Err(refused(format!(
+            "no camera: expected frames on {COMPRESSED} or {RAW}"
+        )));
     }
     if !masks.is_empty() && masks.len() != frames.len() * size.0 * size.1 {
         let count = masks.len() / (size.0 * size.1);
-        return Err(refused(format!("{count} masks for {} frames", frames.len())));
+        return Err(refused(format!(
+            "{count} masks for {} frames",
+            frames.len()
+        )));
     }
     let actions = align(&frames, &actions).map_err(refused)?;
     Ok(Decoded {
@@ -77,10 +88,7 @@ pub(super) fn decode(
     })
 }
 
-fn align(
-    frames: &[(i64, Vec<u8>)],
-    actions: &[(i64, [f32; 7])],
-) -> Result<Vec<[f32; 7]>, String> {
+fn align(frames: &[(i64, Vec<u8>)], actions: &[(i64, [f32; 7])]) -> Result<Vec<[f32; 7]>, String> {
     if actions.is_empty() {
         return Err(format!("no actions: expected messages on {ACTION}"));
     }
@@ -107,7 +115,11 @@ fn align(
             (Some((_, values)), _) => aligned.push(*values),
             // After the last frame nothing need be done any more: some data sets record no action for it.
             (None, Some(before)) if index == last => aligned.push(*before),
-            (None, _) => return Err(format!("no action within half a period of the frame at {stamp} ns")),
+            (None, _) => {
+                return Err(format!(
+                    "no action within half a period of the frame at {stamp} ns"
+                ));
+            }
         }
     }
     Ok(aligned)
@@ -137,7 +149,12 @@ fn frame(message: &BagMessage) -> Result<(i64, RgbImage), String> {
     let length = picture.data.len();
     RgbImage::from_raw(picture.width, picture.height, picture.data)
         .map(|rgb| (stamp, rgb))
-        .ok_or_else(|| format!("{}x{} rgb8 does not fit {length} bytes", picture.height, picture.width))
+        .ok_or_else(|| {
+            format!(
+                "{}x{} rgb8 does not fit {length} bytes",
+                picture.height, picture.width
+            )
+        })
 }
 
 /// Class numbers may not be blended: nearest neighbour.

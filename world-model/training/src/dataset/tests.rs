@@ -40,11 +40,15 @@ fn write_bag(dir: &Path, frames: i64, contents: &Contents) {
         };
         if contents.camera {
             let frame = RgbImage::from_pixel(32, 32, Rgb([index as u8 * 10, 20, 30]));
-            writer.write("/camera/image_raw/compressed", &picture(frame.into()), at).unwrap();
+            writer
+                .write("/camera/image_raw/compressed", &picture(frame.into()), at)
+                .unwrap();
         }
         if contents.masks {
             let mask = GrayImage::from_pixel(32, 32, Luma([index as u8]));
-            writer.write("/camera/mask/compressed", &picture(mask.into()), at).unwrap();
+            writer
+                .write("/camera/mask/compressed", &picture(mask.into()), at)
+                .unwrap();
         }
         // As some data sets do: no action for the last frame.
         if contents.actions && index + 1 < frames {
@@ -95,10 +99,29 @@ fn what_is_missing_is_named() {
         let error = Dataset::open(&bags, &dir.path().join("cache"), (16, 16)).unwrap_err();
         error.to_string()
     };
-    let blind = refusal("blind", &Contents { camera: false, masks: false, ..WHOLE });
-    assert!(blind.contains("episode_000007") && blind.contains("no camera"), "{blind}");
-    let idle = refusal("idle", &Contents { actions: false, ..WHOLE });
-    assert!(idle.contains("episode_000007") && idle.contains("/wm/action"), "{idle}");
+    let blind = refusal(
+        "blind",
+        &Contents {
+            camera: false,
+            masks: false,
+            ..WHOLE
+        },
+    );
+    assert!(
+        blind.contains("episode_000007") && blind.contains("no camera"),
+        "{blind}"
+    );
+    let idle = refusal(
+        "idle",
+        &Contents {
+            actions: false,
+            ..WHOLE
+        },
+    );
+    assert!(
+        idle.contains("episode_000007") && idle.contains("/wm/action"),
+        "{idle}"
+    );
     let empty = dir.path().join("empty");
     std::fs::create_dir(&empty).unwrap();
     let error = Dataset::open(&empty, dir.path(), (16, 16)).unwrap_err();

@@ -59,7 +59,10 @@ impl AdamW {
         };
         let saved_run = entry("run")?;
         if saved_run != run {
-            return Err(refused(path, format!("expected run {run:?}, found {saved_run:?}")));
+            return Err(refused(
+                path,
+                format!("expected run {run:?}, found {saved_run:?}"),
+            ));
         }
         let step = entry("step")?
             .parse()
@@ -68,9 +71,9 @@ impl AdamW {
             let shape = parameter.var.dims().to_vec();
             let name = parameter.name.clone();
             for (prefix, buffer) in buffers(parameter) {
-                let tensor = file
-                    .tensor(&format!("{prefix}/{name}"))
-                    .map_err(|_| refused(path, format!("{prefix} of parameter `{name}` are missing")))?;
+                let tensor = file.tensor(&format!("{prefix}/{name}")).map_err(|_| {
+                    refused(path, format!("{prefix} of parameter `{name}` are missing"))
+                })?;
                 *buffer = f32_values(&tensor, &shape).ok_or_else(|| {
                     refused(
                         path,

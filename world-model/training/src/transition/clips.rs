@@ -114,7 +114,10 @@ impl<'a> ClipSource<'a> {
         }
         for i in 0..self.frames - 1 {
             let first = clip.start + i * skip;
-            actions.extend(self.encoding.encode_step(&episode.actions[first..first + skip])?);
+            actions.extend(
+                self.encoding
+                    .encode_step(&episode.actions[first..first + skip])?,
+            );
         }
         Ok(())
     }

@@ -131,7 +131,9 @@ impl Evaluation {
             };
             at(&errors)
         });
-        Ok(sums.map(|(model, persistence)| model / persistence).collect())
+        Ok(sums
+            .map(|(model, persistence)| model / persistence)
+            .collect())
     }
 
     /// Squared errors of prediction and persistence, step by step.
@@ -200,9 +202,12 @@ pub struct Recovery {
 
 impl fmt::Display for Recovery {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{} one-step plans from zero, distance to the true action:", self.plans)?;
-        for (name, [plan, zero, random]) in
-            [("xyz", self.translation), ("rotation", self.rotation)]
+        writeln!(
+            f,
+            "{} one-step plans from zero, distance to the true action:",
+            self.plans
+        )?;
+        for (name, [plan, zero, random]) in [("xyz", self.translation), ("rotation", self.rotation)]
         {
             writeln!(
                 f,
@@ -210,7 +215,11 @@ impl fmt::Display for Recovery {
                 plan / random
             )?;
         }
-        write!(f, "  gripper of the right sign in {:.0} %", 100.0 * self.gripper)
+        write!(
+            f,
+            "  gripper of the right sign in {:.0} %",
+            100.0 * self.gripper
+        )
     }
 }
 
@@ -236,7 +245,12 @@ pub fn recover_actions(
     };
     let cem = Cem::new(settings, &bounds)?;
     let stride = (evaluation.len() / plans.max(1)).max(1);
-    let cases: Vec<&Case> = evaluation.cases.iter().step_by(stride).take(plans).collect();
+    let cases: Vec<&Case> = evaluation
+        .cases
+        .iter()
+        .step_by(stride)
+        .take(plans)
+        .collect();
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let mut recovery = Recovery {
         plans: cases.len(),
@@ -252,7 +266,11 @@ pub fn recover_actions(
         let mut dynamics = TransitionDynamics::new(model, sampler, &context, Some(&past), SEED)?;
         let target = Target::EachStep(case.frames.narrow(0, CONTEXT, 1)?);
         let plan = cem.plan(&mut dynamics, &target, None, SEED, &mut || false)?;
-        let planned = plan.actions.into_iter().next().context("a plan without actions")?;
+        let planned = plan
+            .actions
+            .into_iter()
+            .next()
+            .context("a plan without actions")?;
         let truth = case.actions.get(CONTEXT - 1)?.to_vec1::<f32>()?;
         let random: Vec<f32> = bounds
             .iter()

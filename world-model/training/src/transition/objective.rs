@@ -52,9 +52,16 @@ impl Objective {
             ("own-history", self.own_history),
             ("action-dropout", self.action_dropout),
         ] {
-            ensure!((0.0..=1.0).contains(&part), "{name} is {part}, expected 0 to 1");
+            ensure!(
+                (0.0..=1.0).contains(&part),
+                "{name} is {part}, expected 0 to 1"
+            );
         }
-        ensure!(self.shift > 0.0, "the shift is {}, expected above 0", self.shift);
+        ensure!(
+            self.shift > 0.0,
+            "the shift is {}, expected above 0",
+            self.shift
+        );
         ensure!(
             self.history_noise >= 0.0,
             "the history noise is {}, expected at least 0",
@@ -114,7 +121,10 @@ impl Batch {
         rng: &mut ChaCha8Rng,
     ) -> Result<Self> {
         let (b, n, past) = (objective.micro_batch, clips.frames(), objective.history);
-        ensure!(past >= 1 && past < n, "clips of {n} frames leave none to learn after {past}");
+        ensure!(
+            past >= 1 && past < n,
+            "clips of {n} frames leave none to learn after {past}"
+        );
         let (h, w, c) = clips.shape();
         let a = clips.action_dim();
         let (mut latents, mut actions) = (Vec::new(), Vec::new());

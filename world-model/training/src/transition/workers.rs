@@ -68,7 +68,11 @@ impl Workers {
                 .collect();
             let mut results = Vec::new();
             for worker in running {
-                results.extend(worker.join().map_err(|_| anyhow!("a training thread panicked"))?);
+                results.extend(
+                    worker
+                        .join()
+                        .map_err(|_| anyhow!("a training thread panicked"))?,
+                );
             }
             Ok(results)
         })?;
