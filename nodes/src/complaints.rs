@@ -52,11 +52,15 @@ impl Complaints {
     }
 
     /// Says what the node waits for: in the status, and in the log where it was not waiting before or what it waits
-    /// for (`kind`) is another. Waiting is no drop.
-    pub fn waiting(&mut self, kind: &str, text: &dyn Display) {
+    /// for (`kind`) is another. Waiting is no drop; every start `is_usual`.
+    pub fn waiting(&mut self, kind: &str, is_usual: bool, text: &dyn Display) {
         let text = format!("waiting: {text}");
         if self.waiting_for.as_deref() != Some(kind) {
-            tracing::warn!("{text}");
+            if is_usual {
+                tracing::info!("{text}");
+            } else {
+                tracing::warn!("{text}");
+            }
             self.waiting_for = Some(kind.to_owned());
         }
         self.diagnostics.set_status(Level::Warn, text);

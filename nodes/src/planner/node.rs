@@ -220,14 +220,17 @@ impl Planner {
                 }
             }
             Err(PlanWait::Recent) => {}
-            Err(wait @ PlanWait::NoGoal) => self.complaints.waiting("goal", &wait),
+            Err(wait @ PlanWait::NoGoal) => self.complaints.waiting("goal", true, &wait),
             Err(PlanWait::History(wait @ Wait::NoFrame)) => {
                 self.complaints.waiting(
                     "frame",
                     &format_args!("a goal is set, but {wait} on latent"),
                 );
             }
-            Err(wait) => self.complaints.waiting("history", &wait),
+            Err(wait @ PlanWait::History(Wait::Context { .. })) => {
+                self.complaints.waiting("context", true, &wait)
+            }
+            Err(wait) => self.complaints.waiting("history", false, &wait),
         }
     }
 

@@ -237,7 +237,10 @@ impl Predictor {
                     );
                 }
             }
-            Err(wait) => self.complaints.waiting(kind(&wait), &wait),
+            Err(wait) => {
+                let is_usual = matches!(wait, Wait::NoFrame | Wait::Context { .. });
+                self.complaints.waiting(kind(&wait), is_usual, &wait);
+            }
         }
         Ok(())
     }
