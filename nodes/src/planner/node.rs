@@ -224,6 +224,7 @@ impl Planner {
             Err(PlanWait::History(wait @ Wait::NoFrame)) => {
                 self.complaints.waiting(
                     "frame",
+                    false,
                     &format_args!("a goal is set, but {wait} on latent"),
                 );
             }

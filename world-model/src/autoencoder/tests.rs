@@ -137,7 +137,7 @@ fn a_folder_is_opened_by_what_it_holds() {
     let opened = Autoencoder::open(path).unwrap();
     assert_eq!(opened.space(), published.space());
     assert_eq!(opened.space().shape(), (32, 32, 32));
-    assert_eq!(opened.encoder().parameters(), 1_337_120);
+    assert_eq!(opened.encoder().parameters(), 1_338_528);
 
     let own = Autoencoder::random(config(), 1).unwrap();
     own.save(path.join(FILE), Precision::F32).unwrap();

@@ -312,3 +312,6 @@ impl Outer {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
