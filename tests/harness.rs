@@ -1,7 +1,7 @@
 //! Starts and stops real processes of the suite, each test in a ROS domain of its own on loopback.
 
 use std::{
-    io::{BufRead as _, BufReader, Read as _},
+    io::Read as _,
     os::unix::process::CommandExt as _,
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
@@ -78,7 +78,7 @@ pub struct Process {
 }
 
 impl Process {
-    /// Starts `command`; its stderr goes to the test's own, its stdout is kept for [`Self::line`] and [`Self::output`].
+    /// Starts `command`; its stderr goes to the test's own, its stdout is kept for [`Self::finish`].
     pub fn start(mut command: Command) -> Self {
         let name = format!("{command:?}");
         command.stdin(Stdio::null()).stdout(Stdio::piped());
@@ -102,22 +102,6 @@ impl Process {
             .status()
             .expect("kill is part of every system");
         assert!(status.success(), "could not send {signal} to {}", self.name);
-    }
-
-    /// Waits until a line of stdout contains `text`; panics when the output ends before.
-    pub fn wait_for_line(&mut self, text: &str) {
-        let stdout = self.child.stdout.as_mut().expect("stdout is piped");
-        // One byte at a time: nothing after the line may be swallowed.
-        let mut reader = BufReader::with_capacity(1, stdout);
-        let mut line = String::new();
-        loop {
-            line.clear();
-            let read = reader.read_line(&mut line).expect("stdout is text");
-            assert!(read > 0, "{} ended without saying {text:?}", self.name);
-            if line.contains(text) {
-                return;
-            }
-        }
     }
 
     /// Waits for the end of the process, at most `limit`; gives its exit status and the rest of its stdout.

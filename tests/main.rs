@@ -1,5 +1,7 @@
 //! Tests of whole processes: the suite as a user runs it, and a real ROS 2 as its peer.
 
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
 mod harness;
 mod interop;
 mod replay;

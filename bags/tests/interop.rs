@@ -1,6 +1,8 @@
 //! Bags against readers and writers that nobody here wrote: rosbags, mcap and mcap-ros2-support from PyPI, in the
 //! virtual environment that `tests/setup_ros2` makes.
 
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
 use std::{
     path::{Path, PathBuf},
     process::Command,

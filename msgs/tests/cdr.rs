@@ -1,5 +1,7 @@
 //! Property tests of the CDR codec: round trips of every shape of field, and any bytes at all.
 
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
 use proptest::prelude::*;
 use wm_msgs::{
     builtin_interfaces::{Duration, Time},

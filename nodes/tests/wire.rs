@@ -2,6 +2,8 @@
 //! out of the public topics, and that bad input is counted and survived. No ROS installation, and no sleep: every step
 //! waits for the message that it causes.
 
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
 use std::{path::Path, thread::JoinHandle, time::Duration};
 
 use image::{Rgb, RgbImage};

@@ -80,7 +80,7 @@ impl Transition {
         let mut tensors = parameters::Tensors::collect(&config, source)?;
         let rotary = RotaryTable::grid(config.grid().0, config.grid().1, config.head_dim());
         let spatial = AttentionPattern::new(Axis::Space, config.heads, rotary, |_, _| true)?;
-        let embedding = Embedding::new(&config, &mut tensors)?;
+        let embedding = Embedding::new(&mut tensors)?;
         let blocks = (0..config.depth)
             .map(|i| Block::new(i, &config, &mut tensors))
             .collect::<Result<_>>()?;

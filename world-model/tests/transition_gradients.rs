@@ -1,6 +1,8 @@
 //! Every operation that the transition model trains through, its gradient against finite
 //! differences.
 
+#![allow(clippy::unwrap_used)]
+
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor, Var};

@@ -1,6 +1,8 @@
 //! The transition model against an independent implementation in PyTorch
 //! (fixtures/generate_transition.py).
 
+#![allow(clippy::unwrap_used)]
+
 use std::path::Path;
 
 use candle_core::{Device, Tensor};
@@ -22,12 +24,22 @@ fn tensor(weights: &Weights, name: &str) -> Tensor {
 }
 
 fn most(tensor: &Tensor) -> f32 {
-    tensor.abs().unwrap().max_all().unwrap().to_scalar().unwrap()
+    tensor
+        .abs()
+        .unwrap()
+        .max_all()
+        .unwrap()
+        .to_scalar()
+        .unwrap()
 }
 
 fn config(case: &Value) -> TransitionConfig {
     let size = |key: &str| case[key].as_u64().map(|value| value as usize);
-    let latent = (size("height").unwrap(), size("width").unwrap(), size("channels").unwrap());
+    let latent = (
+        size("height").unwrap(),
+        size("width").unwrap(),
+        size("channels").unwrap(),
+    );
     TransitionConfig {
         hidden: size("d").unwrap(),
         depth: size("depth").unwrap(),
@@ -46,16 +58,25 @@ fn velocities_are_those_of_pytorch() {
     for (name, case) in cases {
         let config = config(case);
         let prefix = format!("{name}/");
-        let stored = weights.names().iter().filter(|n| n.starts_with(&prefix)).count();
+        let stored = weights
+            .names()
+            .iter()
+            .filter(|n| n.starts_with(&prefix))
+            .count();
         let mut asked = 0;
         let model = Transition::build(config, &mut |parameter| {
             asked += 1;
             weights.tensor(&format!("{prefix}{}", parameter.name), &parameter.shape)
         })
         .unwrap();
-        assert_eq!(asked, stored, "{name}: parameters that PyTorch has and we do not");
+        assert_eq!(
+            asked, stored,
+            "{name}: parameters that PyTorch has and we do not"
+        );
         let input = |what: &str| tensor(&weights, &format!("{name}:{what}"));
-        let velocity = model.forward(&input("x"), &input("tau"), &input("action")).unwrap();
+        let velocity = model
+            .forward(&input("x"), &input("tau"), &input("action"))
+            .unwrap();
         let expected = input("velocity");
         let difference = most(&(velocity - &expected).unwrap()) / most(&expected);
         println!("{name}: {difference:.1e} of the largest velocity");
@@ -67,13 +88,22 @@ fn velocities_are_those_of_pytorch() {
 fn the_model_runs_on_the_cpu_whatever_the_batch_is() {
     let config = TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap();
     let model = Transition::random(config, 1).unwrap();
-    let zeros = |shape: &[usize]| Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu).unwrap();
+    let zeros =
+        |shape: &[usize]| Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu).unwrap();
     for batch in [1, 3] {
         let velocity = model
-            .forward(&zeros(&[batch, 2, 4, 4, 4]), &zeros(&[batch, 2]), &zeros(&[batch, 2, 7]))
+            .forward(
+                &zeros(&[batch, 2, 4, 4, 4]),
+                &zeros(&[batch, 2]),
+                &zeros(&[batch, 2, 7]),
+            )
             .unwrap();
         assert_eq!(velocity.dims(), [batch, 2, 4, 4, 4]);
     }
-    let wrong = model.forward(&zeros(&[1, 2, 4, 4, 5]), &zeros(&[1, 2]), &zeros(&[1, 2, 7]));
+    let wrong = model.forward(
+        &zeros(&[1, 2, 4, 4, 5]),
+        &zeros(&[1, 2]),
+        &zeros(&[1, 2, 7]),
+    );
     assert!(wrong.unwrap_err().to_string().contains("(B, T, 4, 4, 4)"));
 }

@@ -1,6 +1,8 @@
 //! Real Bridge V2 episodes, from the directory that the environment variable WM_SHARED_DATA names (with `bridge_v2/`
 //! and `bridge_rlds/` in it). They are not part of the repository.
 
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
 use std::path::PathBuf;
 
 use image::{ImageFormat, RgbImage};

@@ -142,7 +142,7 @@ impl Template {
             match fragment {
                 Fragment::Text(text) => resolved.push_str(text),
                 Fragment::Call { name, arguments } => {
-                    resolved.push_str(&call(name, arguments, lookup)?)
+                    resolved.push_str(&call(name, arguments, lookup)?);
                 }
             }
         }

@@ -229,7 +229,7 @@ impl Planner {
                 );
             }
             Err(wait @ PlanWait::History(Wait::Context { .. })) => {
-                self.complaints.waiting("context", true, &wait)
+                self.complaints.waiting("context", true, &wait);
             }
             Err(wait) => self.complaints.waiting("history", false, &wait),
         }

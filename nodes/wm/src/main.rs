@@ -18,7 +18,18 @@ use std::process::ExitCode;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
+/// Keeps candle to one thread: its own pool spins while it waits and is shared by all threads of the process, so that
+/// nodes side by side, or the workers of a training, take each other's processor. Our operations are spread by rayon.
+fn keep_candle_to_one_thread() {
+    const THREADS: &str = "CANDLE_NUM_THREADS";
+    if std::env::var_os(THREADS).is_none() {
+        // SAFETY: the first thing that main does; no other thread runs yet that could read the environment.
+        unsafe { std::env::set_var(THREADS, "1") };
+    }
+}
+
 fn main() -> ExitCode {
+    keep_candle_to_one_thread();
     let command = cli::parse();
     match command.run() {
         Ok(code) => code,

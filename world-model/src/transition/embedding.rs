@@ -37,7 +37,7 @@ pub(super) struct Embedding {
 }
 
 impl Embedding {
-    pub(super) fn new(_: &TransitionConfig, tensors: &mut Tensors) -> Result<Self> {
+    pub(super) fn new(tensors: &mut Tensors) -> Result<Self> {
         let frequencies: Vec<f32> = (0..FREQUENCIES)
             .map(|i| {
                 let exponent = -FREQUENCY_RANGE.ln() * i as f64 / FREQUENCIES as f64;

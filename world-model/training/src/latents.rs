@@ -43,10 +43,26 @@ impl Latents {
         if !path.is_file() {
             encode(dataset, encoder, &path)?;
         }
-        let file = File::open(&path).with_context(|| path.display().to_string())?;
+        Self::map(
+            &path,
+            space,
+            dataset.episodes().to_vec(),
+            dataset.digest().to_owned(),
+        )
+    }
+
+    /// Maps the file of the latents of `episodes`.
+    pub(crate) fn map(
+        path: &Path,
+        space: LatentSpace,
+        episodes: Vec<Episode>,
+        digest: String,
+    ) -> Result<Self> {
+        let file = File::open(path).with_context(|| path.display().to_string())?;
         // SAFETY: the cache is this program's own; whoever changes it during a training breaks only their own run.
         let values = unsafe { Mmap::map(&file) }.with_context(|| path.display().to_string())?;
-        let expected = dataset.frame_count() * space.elements() * size_of::<f16>();
+        let frames: usize = episodes.iter().map(|episode| episode.frame_count).sum();
+        let expected = frames * space.elements() * size_of::<f16>();
         ensure!(
             values.len() == expected,
             "{}: expected {expected} bytes, found {}; remove it to have it made anew",
@@ -55,8 +71,8 @@ impl Latents {
         );
         Ok(Self {
             space,
-            episodes: dataset.episodes().to_vec(),
-            digest: dataset.digest().to_owned(),
+            episodes,
+            digest,
             values,
         })
     }

@@ -129,11 +129,12 @@ impl TrainTransitionArgs {
                     };
                     let evaluation = Evaluation::new(held_out, actions, HORIZON, windows)?;
                     let ratios = evaluation.ratios(&averaged, ActionChange::None)?;
-                    progress.println(format!(
+                    let row = format!(
                         "step {done}, loss {:.4}, error / persistence at k = 1..{HORIZON}: {}",
                         curve.recent_mean(200),
                         table_row(&ratios)
-                    ));
+                    );
+                    progress.suspend(|| println!("{row}"));
                 }
             }
         }
@@ -263,3 +264,6 @@ fn progress_bar(steps: u64, done: u64) -> ProgressBar {
     progress.reset_eta();
     progress
 }
+
+#[cfg(test)]
+mod tests;

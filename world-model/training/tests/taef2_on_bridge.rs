@@ -2,6 +2,8 @@
 //! in the folders `WM_TAEF2_DIR` (taef2_encoder.safetensors, taef2_decoder.safetensors) and `WM_BRIDGE_DIR` (episodes
 //! as NNN.mp4 + NNN.npz), and says so and passes where they are not given.
 
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
 use std::{env, path::PathBuf};
 
 use wm_import::{ImportOptions, import_bridge};

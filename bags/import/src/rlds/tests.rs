@@ -120,7 +120,7 @@ fn the_masked_crc_is_that_of_tensorflow() {
 
 /// The mask as tensorflow/core/lib/hash/crc32c.h writes it.
 fn masked(crc: u32) -> u32 {
-    ((crc >> 15) | (crc << 17)).wrapping_add(0xa282_ead8)
+    crc.rotate_right(15).wrapping_add(0xa282_ead8)
 }
 
 #[test]

@@ -208,7 +208,10 @@ mod tests {
         let ball = volume(&Mesh::ball(1.0));
         assert!((ball - 4.19).abs() < 0.15, "{ball}");
         let cylinder = volume(&Mesh::cylinder(1.0, 2.0).lying_along_y());
-        assert!((cylinder - 6.28).abs() < 0.15, "{cylinder}");
+        assert!(
+            (cylinder - std::f32::consts::TAU).abs() < 0.15,
+            "{cylinder}"
+        );
     }
 
     #[test]

@@ -68,10 +68,10 @@ impl Rollouts {
         let open = self.open.entry(observed_ns).or_insert_with(new);
         open.steps
             .insert(step, (Arc::clone(real), Arc::clone(predicted)));
-        if open.steps.len() == horizon as usize {
-            if let Some(whole) = self.open.remove(&observed_ns) {
-                self.consider(observed_ns, whole);
-            }
+        if open.steps.len() == horizon as usize
+            && let Some(whole) = self.open.remove(&observed_ns)
+        {
+            self.consider(observed_ns, whole);
         }
         while self.open.len() > OPEN_LIMIT {
             self.open.pop_first();

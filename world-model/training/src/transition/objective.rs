@@ -170,14 +170,13 @@ impl Batch {
     }
 
     fn loss(&self, model: &Transition, history: &Tensor, past: usize) -> Result<Tensor> {
-        let (output, x, tau) = self.output(model, history, &self.tau, past)?;
+        let (output, _, tau) = self.output(model, history, &self.tau, past)?;
         match model.config().parametrisation {
             Parametrisation::Velocity => {
                 let velocity = (&self.noise - &self.target)?;
                 Ok((output - velocity)?.sqr()?.mean_all()?)
             }
             Parametrisation::Residual => {
-                let _ = x;
                 let predicted = (output + self.previous(history, past)?)?;
                 // An error of the clean frame is one of the velocity times tau. Dividing by all of it would spend the
                 // training on small noise levels, where there is little left to predict.
