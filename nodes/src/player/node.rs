@@ -19,6 +19,9 @@ use wm_ros::{Node, NodeArgs, Publisher, Qos};
 /// The node's default name.
 pub const NAME: &str = "player";
 
+/// How long the graph must not change before the first message, where others are waited for.
+const QUIET: Duration = Duration::from_millis(500);
+
 /// Messages read ahead of their time. Those of a camera take about 200 KB each.
 const READ_AHEAD: usize = 64;
 
@@ -136,6 +139,9 @@ impl Player {
 
     /// Waits, but not for ever, until the topics named in `wait_for` have a publisher and a subscriber.
     async fn wait_for_others(&self) {
+        if self.settings.wait_for.is_empty() {
+            return;
+        }
         let missing = || {
             let mut missing = Vec::new();
             for topic in &self.settings.wait_for {
@@ -159,16 +165,22 @@ impl Player {
                     std::future::pending::<()>().await;
                 }
             }
+            // a topic may have further subscribers, and what is here has yet to see us: a node makes its endpoints
+            // one after another, so a graph that is quiet is a graph that is whole
+            while let Ok(Ok(())) = tokio::time::timeout(QUIET, changes.changed()).await {}
         };
         if tokio::time::timeout(self.settings.wait_timeout, all_there)
             .await
             .is_err()
         {
             let waited = self.settings.wait_timeout.as_secs_f64();
-            warn!(
-                "beginning after {waited:.1} s without {}",
-                missing().join(", ")
-            );
+            match missing().as_slice() {
+                [] => warn!("beginning after {waited:.1} s although the graph still changes"),
+                missing => warn!(
+                    "beginning after {waited:.1} s without {}",
+                    missing.join(", ")
+                ),
+            }
         }
     }
 
