@@ -9,7 +9,7 @@
 //! `AMENT_PREFIX_PATH`. Relative paths mean the working directory, as for `ros2 launch`; `$(dirname)` is the
 //! launch file's folder.
 //!
-//! In layers, of which only the last touches a process: [`substitution`] and [`file`] read, [`plan`] resolves into
+//! In layers, of which only the last touches a process: [`substitution`] and [`mod@file`] read, [`plan`] resolves into
 //! complete command lines, [`supervisor`] decides when to start and stop, [`console`] lays out lines, [`runner`]
 //! carries it all out.
 //!

@@ -25,10 +25,10 @@ pub struct PlayCommand {
     /// Play under other names
     #[arg(short = 'm', long, value_name = "FROM:=TO", num_args = 1.., value_parser = parse_rule)]
     remap: Vec<String>,
-    /// Wait before the first message [s]
+    /// Wait before the first message, in seconds
     #[arg(short, long, value_name = "SECONDS", default_value_t = 0.0)]
     delay: f64,
-    /// Leave out so much of the beginning [s]
+    /// Leave out so much of the beginning, in seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     start_offset: f64,
     /// Play these topics only
@@ -43,7 +43,7 @@ pub struct PlayCommand {
     /// Do not begin before these topics have a publisher and a subscriber
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     wait_for: Vec<String>,
-    /// The longest to wait for them [s]
+    /// The longest to wait for them, in seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0)]
     wait_timeout: f64,
     /// Publish so many coming actions at each action, on /wm/action_chunk
