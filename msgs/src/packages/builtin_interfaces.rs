@@ -10,9 +10,9 @@ const NANOS: i64 = 1_000_000_000;
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 pub struct Time {
-    /// Whole seconds [s], rounded towards the past.
+    /// Whole seconds \[s\], rounded towards the past.
     pub sec: i32,
-    /// Nanoseconds after `sec` [ns], 0 to 999 999 999.
+    /// Nanoseconds after `sec` \[ns\], 0 to 999 999 999.
     pub nanosec: u32,
 }
 
@@ -21,9 +21,9 @@ pub struct Time {
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 pub struct Duration {
-    /// Whole seconds [s], rounded towards minus infinity.
+    /// Whole seconds \[s\], rounded towards minus infinity.
     pub sec: i32,
-    /// Nanoseconds after `sec` [ns], 0 to 999 999 999.
+    /// Nanoseconds after `sec` \[ns\], 0 to 999 999 999.
     pub nanosec: u32,
 }
 

@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 /// A position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// Forward [m].
+    /// Forward \[m\].
     pub x: f64,
-    /// Left [m].
+    /// Left \[m\].
     pub y: f64,
-    /// Up [m].
+    /// Up \[m\].
     pub z: f64,
 }
 
@@ -42,7 +42,7 @@ impl Default for Quaternion {
 /// A position and an orientation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
-    /// Where [m].
+    /// Where \[m\].
     pub position: Point,
     /// Which way.
     pub orientation: Quaternion,

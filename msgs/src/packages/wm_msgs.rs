@@ -49,7 +49,7 @@ impl Latent {
 pub struct Action {
     /// `stamp`: when the action was taken; `frame_id`: the frame of the deltas (the robot's base).
     pub header: Header,
-    /// Bridge V2: dx dy dz [m], droll dpitch dyaw [rad], gripper [0 closed .. 1 open].
+    /// Bridge V2: dx dy dz \[m\], droll dpitch dyaw \[rad\], gripper \[0 closed .. 1 open\].
     pub values: Vec<f32>,
 }
 
@@ -104,7 +104,7 @@ pub struct PredictionError {
     pub observed_stamp: Time,
     /// k: how many model steps after the observation.
     pub step: u32,
-    /// Mean squared error of the predicted latent [normalised latent units^2].
+    /// Mean squared error of the predicted latent \[normalised latent units^2\].
     pub mse: f32,
     /// The same error of the last observed latent, held still.
     pub persistence_mse: f32,

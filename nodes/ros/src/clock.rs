@@ -15,7 +15,7 @@ pub struct Clock {
 
 #[derive(Debug)]
 struct Inner {
-    /// The time on `/clock` [ns] where the clock is simulated; 0 until the first message, as in rclcpp.
+    /// The time on `/clock` \[ns\] where the clock is simulated; 0 until the first message, as in rclcpp.
     simulated: watch::Sender<Option<i64>>,
     jumps: watch::Sender<u64>,
 }
