@@ -8,15 +8,15 @@ use serde::{Deserialize, Serialize};
 pub struct Image {
     /// `stamp`: when the frame was captured; `frame_id`: the camera's optical frame.
     pub header: Header,
-    /// Rows [pixel].
+    /// Rows \[pixel\].
     pub height: u32,
-    /// Columns [pixel].
+    /// Columns \[pixel\].
     pub width: u32,
     /// Channels and their order, for example `rgb8`.
     pub encoding: String,
     /// 1 where numbers of more than one byte are big endian, else 0.
     pub is_bigendian: u8,
-    /// Bytes from one row to the next [byte].
+    /// Bytes from one row to the next \[byte\].
     pub step: u32,
     /// `step` x `height` bytes, row-major.
     #[serde(with = "serde_bytes")]

@@ -15,7 +15,7 @@ use std::{
 };
 use wm_msgs::{Message, cdr};
 
-/// Above this size [byte] a sample does not reliably reach a stock ROS 2 machine: it arrives as one burst of
+/// Above this size \[byte\] a sample does not reliably reach a stock ROS 2 machine: it arrives as one burst of
 /// fragments, which a default receive buffer of 212 kB loses part of.
 const SAFE_SAMPLE_BYTES: usize = 98_000;
 
