@@ -82,9 +82,23 @@ pub enum BagError {
         /// The topic.
         topic: String,
     },
+    /// A topic whose type has no name that ROS knows.
+    #[error(
+        "{path}: topic {topic} has the type {name:?}, expected a message type as package/msg/Type"
+    )]
+    SchemaName {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The type's name in the file.
+        name: String,
+    },
     /// A topic with two types.
-    #[error("topic {topic} has two types: {first} and {second}")]
+    #[error("{path}: topic {topic} has two types: {first} and {second}")]
     TypeConflict {
+        /// The bag or file.
+        path: PathBuf,
         /// The topic.
         topic: String,
         /// The type it had first.
@@ -101,6 +115,18 @@ pub enum BagError {
         offset: u64,
         /// What is wrong with it.
         reason: String,
+    },
+    /// So many chunks cover the same time that their messages cannot be put in order within bounds.
+    #[error(
+        "{path}: the chunk at byte {offset} belongs to a time of which {limit} bytes of messages wait already"
+    )]
+    Overlap {
+        /// The file.
+        path: PathBuf,
+        /// Where the chunk begins.
+        offset: u64,
+        /// How many bytes may wait.
+        limit: usize,
     },
     /// The directory to write to holds something already.
     #[error("{0} is there already and is not an empty directory; a bag never overwrites")]

@@ -1,5 +1,6 @@
 mod chunk;
 mod file_index;
+mod indexing;
 mod messages;
 mod scan;
 
@@ -59,12 +60,12 @@ impl BagReader {
         };
         let mut index = Vec::with_capacity(files.len());
         for file in files {
-            let (file_index, file_warnings) = FileIndex::read(&file)?;
+            let (file_index, file_warnings) = indexing::index(&file)?;
             index.push(file_index);
             warnings.extend(file_warnings);
         }
 
-        let mut topics = merged_topics(&index)?;
+        let mut topics = merged_topics(path, &index)?;
         let counted: u64 = topics.values().map(|topic| topic.message_count).sum();
         let mut lost = BTreeMap::new();
         let mut ros_distro = String::new();
@@ -271,12 +272,16 @@ fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
 }
 
 /// The topics of all files, by name.
-fn merged_topics(index: &[FileIndex]) -> Result<BTreeMap<Arc<str>, TopicInfo>, BagError> {
+fn merged_topics(
+    path: &Path,
+    index: &[FileIndex],
+) -> Result<BTreeMap<Arc<str>, TopicInfo>, BagError> {
     let mut topics: BTreeMap<Arc<str>, TopicInfo> = BTreeMap::new();
     for channel in index.iter().flat_map(|file| file.channels.values()) {
         match topics.get_mut(&channel.name) {
             Some(known) if known.type_name != channel.type_name => {
                 return Err(BagError::TypeConflict {
+                    path: path.to_owned(),
                     topic: channel.name.to_string(),
                     first: known.type_name.to_string(),
                     second: channel.type_name.to_string(),
@@ -319,7 +324,13 @@ fn add_from_metadata(
                 known.qos_yaml = qos_yaml;
             }
         } else {
-            let type_name = canonical_type_name(&listed.type_name)?.into();
+            let type_name = canonical_type_name(&listed.type_name)
+                .map_err(|_| BagError::SchemaName {
+                    path: path.to_owned(),
+                    topic: listed.name.clone(),
+                    name: listed.type_name.clone(),
+                })?
+                .into();
             let schema = Arc::new(Schema {
                 encoding: "".into(),
                 text: String::new(),

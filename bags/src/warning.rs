@@ -27,6 +27,13 @@ pub enum BagWarning {
         /// What is wrong with it.
         reason: String,
     },
+    /// More of the file is damaged than is told of one by one.
+    MoreDamaged {
+        /// The file.
+        file: PathBuf,
+        /// Damaged places that are not told of.
+        places: u64,
+    },
     /// A directory without `metadata.yaml`; its `.mcap` files were taken by name.
     NoMetadata {
         /// The bag.
@@ -68,6 +75,9 @@ impl fmt::Display for BagWarning {
                     "{} is damaged at byte {offset}: {reason}",
                     file.display()
                 )
+            }
+            Self::MoreDamaged { file, places } => {
+                write!(f, "{} is damaged in {places} more places", file.display())
             }
             Self::NoMetadata { dir } => {
                 write!(

@@ -375,6 +375,7 @@ impl BagWriter {
         };
         if channel.type_name != type_name && channel.type_name != canonical_type_name(type_name)? {
             return Err(BagError::TypeConflict {
+                path: self.dir.clone(),
                 topic: topic.to_owned(),
                 first: channel.type_name.clone(),
                 second: type_name.to_owned(),

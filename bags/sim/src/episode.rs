@@ -76,6 +76,7 @@ impl Episode {
         if !FRAMES.contains(&options.frames) {
             return Err(Error::Frames {
                 frames: options.frames,
+                possible: FRAMES,
             });
         }
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -288,7 +289,7 @@ mod tests {
     fn too_few_frames_are_an_error() {
         assert!(matches!(
             Episode::generate(0, &short(1)),
-            Err(Error::Frames { frames: 1 })
+            Err(Error::Frames { frames: 1, .. })
         ));
     }
 }

@@ -1,16 +1,16 @@
 //! What can go wrong.
 
-use crate::episode::FRAMES;
-
 /// Errors of the simulator.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A number of frames that no episode has.
-    #[error("an episode has {} to {} frames, not {frames}", FRAMES.start(), FRAMES.end())]
+    #[error("an episode has {} to {} frames, not {frames}", .possible.start(), .possible.end())]
     Frames {
         /// What was asked for.
         frames: usize,
+        /// What can be.
+        possible: std::ops::RangeInclusive<usize>,
     },
     /// Seeds beyond the largest 64-bit number.
     #[error(

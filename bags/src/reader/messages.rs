@@ -64,7 +64,11 @@ struct Place {
     number: usize,
 }
 
-/// A message that waits for its turn, within its decompressed chunk.
+/// Most bytes of messages that wait for their turn: chunks that cover the same time are all read at once, and each may
+/// hold a quarter of this.
+const WAITING_BYTES: usize = 1 << 30;
+
+/// A message that waits for its turn; a copy, so that it does not keep its chunk in memory.
 #[derive(Debug)]
 struct Waiting {
     place: Place,
@@ -103,6 +107,7 @@ pub struct Messages {
     /// Number of the file and the segment; the next one to read is the last.
     ahead: Vec<(usize, Segment)>,
     waiting: BinaryHeap<Reverse<Waiting>>,
+    waiting_bytes: usize,
     /// The file that was read last.
     open: Option<(usize, File)>,
     topics: Option<HashSet<String>>,
@@ -121,6 +126,7 @@ impl Messages {
             index,
             ahead,
             waiting: BinaryHeap::new(),
+            waiting_bytes: 0,
             open: None,
             topics: None,
             starting_at_ns: 0,
@@ -190,6 +196,16 @@ impl Messages {
                     .as_ref()
                     .is_none_or(|topics| topics.contains(&*topic.name));
             if wanted {
+                // What it costs to keep a message, however short.
+                let waiting_bytes = self.waiting_bytes + size_of::<Waiting>() + data.len();
+                if waiting_bytes > WAITING_BYTES {
+                    return Err(BagError::Overlap {
+                        path: file_index.path.clone(),
+                        offset: segment.offset,
+                        limit: WAITING_BYTES,
+                    });
+                }
+                self.waiting_bytes = waiting_bytes;
                 self.waiting.push(Reverse(Waiting {
                     place: Place {
                         log_time_ns: header.log_time,
@@ -199,7 +215,7 @@ impl Messages {
                     },
                     channel_id: header.channel_id,
                     publish_time_ns: header.publish_time,
-                    data: record.body.slice(record.body.len() - data.len()..),
+                    data: Bytes::copy_from_slice(&data),
                 }));
             }
         }
@@ -244,6 +260,7 @@ impl Iterator for Messages {
             }
         }
         let Reverse(next) = self.waiting.pop()?;
+        self.waiting_bytes -= size_of::<Waiting>() + next.data.len();
         let topic = self
             .index
             .get(next.place.file)?
@@ -254,8 +271,7 @@ impl Iterator for Messages {
             type_name: Arc::clone(&topic.type_name),
             log_time_ns: next.place.log_time_ns,
             publish_time_ns: next.publish_time_ns,
-            // Copied, so that a message that is kept does not keep its chunk in memory.
-            data: Bytes::copy_from_slice(&next.data),
+            data: next.data,
         }))
     }
 }

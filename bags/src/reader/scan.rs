@@ -5,6 +5,7 @@ use std::{
     fs::File,
     io::{BufReader, Read as _, Seek as _, SeekFrom},
     path::Path,
+    sync::Arc,
 };
 
 use bytes::Bytes;
@@ -17,10 +18,13 @@ use super::{
     chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompressed, record_header},
     file_index::{FileIndex, Segment},
 };
-use crate::{BagError, BagWarning};
+use crate::{BagError, BagWarning, Schema};
 
 /// Messages outside chunks are read in stretches of about this size.
 const STRETCH_BYTES: u64 = 1 << 20;
+
+/// Damaged places of a file that are told of one by one; a file of nothing else could fill the memory.
+const DAMAGE_TOLD: u64 = 100;
 
 /// How far a scan came.
 pub(super) struct ScanEnd {
@@ -35,10 +39,12 @@ pub(super) struct Scan<'a> {
     pub file: BufReader<File>,
     path: &'a Path,
     size_bytes: u64,
-    schemas: HashMap<u16, (String, String, Vec<u8>)>,
+    /// Name and definition by id.
+    schemas: HashMap<u16, (String, Arc<Schema>)>,
     /// The stretch of messages outside chunks that is being gathered.
     stretch: Option<Segment>,
-    pub warnings: Vec<BagWarning>,
+    warnings: Vec<BagWarning>,
+    damaged_places: u64,
 }
 
 impl<'a> Scan<'a> {
@@ -50,6 +56,7 @@ impl<'a> Scan<'a> {
             schemas: HashMap::new(),
             stretch: None,
             warnings: Vec::new(),
+            damaged_places: 0,
         }
     }
 
@@ -101,7 +108,7 @@ impl<'a> Scan<'a> {
         if from < to {
             self.file.seek(SeekFrom::Start(from)).map_err(io)?;
         }
-        while at + RECORD_HEADER_BYTES <= to {
+        while to.saturating_sub(at) >= RECORD_HEADER_BYTES {
             let mut header = [0; RECORD_HEADER_BYTES as usize];
             self.file
                 .read_exact(&mut header)
@@ -157,7 +164,25 @@ impl<'a> Scan<'a> {
             .map_err(|source| BagError::io(self.path, source))
     }
 
+    /// What is wrong with the file, as far as it was met.
+    pub fn into_warnings(self) -> Vec<BagWarning> {
+        let mut warnings = self.warnings;
+        if let Some(places) = self.damaged_places.checked_sub(DAMAGE_TOLD)
+            && places > 0
+        {
+            warnings.push(BagWarning::MoreDamaged {
+                file: self.path.to_owned(),
+                places,
+            });
+        }
+        warnings
+    }
+
     fn warn(&mut self, offset: u64, reason: String) {
+        self.damaged_places += 1;
+        if self.damaged_places > DAMAGE_TOLD {
+            return;
+        }
         self.warnings.push(BagWarning::Damaged {
             file: self.path.to_owned(),
             offset,
@@ -228,8 +253,12 @@ impl<'a> Scan<'a> {
         }
         match parse_record(opcode, body) {
             Ok(Record::Schema { header, data }) => {
+                let schema = Schema {
+                    encoding: header.encoding.as_str().into(),
+                    text: String::from_utf8_lossy(&data).into_owned(),
+                };
                 self.schemas
-                    .insert(header.id, (header.name, header.encoding, data.into_owned()));
+                    .insert(header.id, (header.name, Arc::new(schema)));
             }
             Ok(Record::Channel(channel)) => {
                 let schema = self.schemas.get(&channel.schema_id);
@@ -241,9 +270,7 @@ impl<'a> Scan<'a> {
                         .metadata
                         .get("offered_qos_profiles")
                         .map_or("", String::as_str),
-                    schema.map(|(name, encoding, text)| {
-                        (name.as_str(), encoding.as_str(), text.as_slice())
-                    }),
+                    schema.map(|(name, schema)| (name.as_str(), Arc::clone(schema))),
                 )?;
             }
             Ok(Record::Message { header, .. }) => {

@@ -433,6 +433,58 @@ fn a_damaged_chunk_is_named_and_the_others_are_read() {
     );
 }
 
+/// One MCAP record.
+fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
+    let length = (body.len() as u64).to_le_bytes();
+    [&[opcode][..], &length, body].concat()
+}
+
+/// A file of `data` records and of `summary` records, with header, footer and magic around them.
+fn crafted(data: &[u8], summary: &[u8]) -> Vec<u8> {
+    let front = [
+        mcap::MAGIC,
+        &record(0x01, &[0; 8]),
+        data,
+        &record(0x0f, &[0; 4]),
+    ]
+    .concat();
+    let start = if summary.is_empty() {
+        0
+    } else {
+        front.len() as u64
+    };
+    let footer = [&start.to_le_bytes()[..], &[0; 12]].concat();
+    [&front, summary, &record(0x02, &footer), mcap::MAGIC].concat()
+}
+
+#[test]
+fn a_summary_with_foreign_records_is_not_believed() {
+    let scratch = TempDir::new().unwrap();
+    let path = scratch.path().join("crafted.mcap");
+    // An attachment whose body is too short for its checksum: the library would index out of bounds.
+    fs::write(&path, crafted(&[], &record(0x09, &[0; 32]))).unwrap();
+    let reader = BagReader::open(&path).unwrap();
+    let warnings: Vec<String> = reader.warnings().iter().map(ToString::to_string).collect();
+    assert!(
+        warnings.iter().any(|text| text.contains("does not belong")),
+        "{warnings:?}"
+    );
+}
+
+#[test]
+fn a_file_of_damage_fills_no_memory_with_complaints() {
+    let scratch = TempDir::new().unwrap();
+    let path = scratch.path().join("crafted.mcap");
+    fs::write(&path, crafted(&record(0x05, &[0; 3]).repeat(250), &[])).unwrap();
+    let reader = BagReader::open(&path).unwrap();
+    let damaged = reader.warnings();
+    assert!(damaged.len() < 110, "{} warnings", damaged.len());
+    assert!(damaged.contains(&BagWarning::MoreDamaged {
+        file: path,
+        places: 150
+    }));
+}
+
 /// Opens a file of these bytes, reads all it can, and holds it against what was written.
 fn survives(
     scratch: &Path,

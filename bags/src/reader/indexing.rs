@@ -1,0 +1,243 @@
+use std::{
+    fs::File,
+    io::{BufReader, Read as _, Seek as _, SeekFrom},
+    path::Path,
+};
+
+use mcap::{
+    MAGIC, Summary,
+    records::op,
+    sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions},
+};
+
+use super::{
+    chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, record_header},
+    file_index::FileIndex,
+    scan::Scan,
+};
+use crate::{BagError, BagWarning};
+
+/// Indexes a file, by its summary if it has one, else by reading all of it once.
+pub(super) fn index(path: &Path) -> Result<(FileIndex, Vec<BagWarning>), BagError> {
+    let io = |source| BagError::io(path, source);
+    let mut file = File::open(path).map_err(io)?;
+    let size_bytes = file.metadata().map_err(io)?.len();
+    check_magic(&mut file, path, size_bytes)?;
+    let mut index = FileIndex::empty(path, size_bytes);
+    let mut warnings = Vec::new();
+    let mut scan = Scan::new(file, path, size_bytes);
+    match read_summary(&mut scan.file, size_bytes).map_err(io)? {
+        Ok(Some(summary)) => {
+            index.take_summary(&summary)?;
+            scan.outside_chunks(&mut index, &summary)?;
+        }
+        no_summary => {
+            let has_end = has_end_magic(&mut scan.file, size_bytes).map_err(io)?;
+            let outcome = scan.everything(&mut index)?;
+            if !has_end || !outcome.reached_end {
+                let lost_bytes = size_bytes.saturating_sub(outcome.end);
+                warnings.push(BagWarning::Truncated {
+                    file: path.to_owned(),
+                    lost_bytes,
+                });
+            } else if let Err(reason) = no_summary {
+                warnings.push(BagWarning::NoSummary {
+                    file: path.to_owned(),
+                    reason,
+                });
+            }
+        }
+    }
+    let mut all = scan.into_warnings();
+    all.append(&mut warnings);
+    Ok((index, all))
+}
+
+/// Tells a bag from other files.
+fn check_magic(file: &mut File, path: &Path, size_bytes: u64) -> Result<(), BagError> {
+    if size_bytes == 0 {
+        return Err(BagError::Empty {
+            path: path.to_owned(),
+            reason: "the file has 0 bytes",
+        });
+    }
+    let mut front = Vec::new();
+    file.take(16)
+        .read_to_end(&mut front)
+        .map_err(|source| BagError::io(path, source))?;
+    let not_a_bag = |reason: &str| {
+        Err(BagError::NotABag {
+            path: path.to_owned(),
+            reason: reason.to_owned(),
+        })
+    };
+    if front.starts_with(MAGIC) {
+        Ok(())
+    } else if front.starts_with(b"SQLite format 3") {
+        Err(BagError::Storage {
+            path: path.to_owned(),
+            storage: "sqlite3".to_owned(),
+        })
+    } else if front.starts_with(&[0x28, 0xb5, 0x2f, 0xfd]) {
+        Err(BagError::RosbagCompression {
+            path: path.to_owned(),
+            mode: "file".to_owned(),
+            format: "zstd".to_owned(),
+        })
+    } else if front.starts_with(b"#ROSBAG") {
+        not_a_bag("it is a ROS 1 bag; `rosbags-convert` makes a ROS 2 bag of it")
+    } else if MAGIC.starts_with(&front) {
+        not_a_bag("it ends within the first bytes of an MCAP file")
+    } else {
+        not_a_bag("expected an MCAP file or a directory with one")
+    }
+}
+
+fn has_end_magic(file: &mut BufReader<File>, size_bytes: u64) -> std::io::Result<bool> {
+    if size_bytes < 2 * MAGIC.len() as u64 {
+        return Ok(false);
+    }
+    file.seek(SeekFrom::Start(size_bytes - MAGIC.len() as u64))?;
+    let mut end = Vec::new();
+    file.read_to_end(&mut end)?;
+    Ok(end == MAGIC)
+}
+
+/// Whether the summary holds only what a summary may hold. The library reads every record that it finds there, an
+/// attachment or a whole chunk too, and trusts the lengths in them.
+fn check_summary_records(
+    file: &mut BufReader<File>,
+    size_bytes: u64,
+) -> std::io::Result<Result<(), String>> {
+    const FOOTER_BODY: u64 = 20;
+    const FOOTER: u64 = RECORD_HEADER_BYTES + FOOTER_BODY;
+    let Some(footer_at) = size_bytes.checked_sub(FOOTER + MAGIC.len() as u64) else {
+        return Ok(Ok(()));
+    };
+    file.seek(SeekFrom::Start(footer_at))?;
+    let mut footer = [0; FOOTER as usize];
+    file.read_exact(&mut footer)?;
+    let (header, body) = footer.split_at(RECORD_HEADER_BYTES as usize);
+    let is_footer = record_header(header) == Some((op::FOOTER, FOOTER_BODY));
+    let (true, Some(start)) = (is_footer, body.first_chunk().copied()) else {
+        return Ok(Ok(()));
+    };
+    let mut at = u64::from_le_bytes(start);
+    if at == 0 {
+        return Ok(Ok(()));
+    }
+    if at > footer_at {
+        return Ok(Err(format!("it begins at byte {at}, behind its end")));
+    }
+    file.seek(SeekFrom::Start(at))?;
+    while footer_at - at >= RECORD_HEADER_BYTES {
+        let mut header = [0; RECORD_HEADER_BYTES as usize];
+        file.read_exact(&mut header)?;
+        let Some((opcode, length)) = record_header(&header) else {
+            return Ok(Err(format!("it has no record at byte {at}")));
+        };
+        let belongs = matches!(
+            opcode,
+            op::SCHEMA
+                | op::CHANNEL
+                | op::CHUNK_INDEX
+                | op::ATTACHMENT_INDEX
+                | op::METADATA_INDEX
+                | op::STATISTICS
+                | op::SUMMARY_OFFSET
+        );
+        let room = footer_at - at - RECORD_HEADER_BYTES;
+        if !belongs || length > room.min(MAX_RECORD_BYTES) {
+            return Ok(Err(format!(
+                "the record at byte {at} (opcode {opcode}, {length} bytes) does not belong there"
+            )));
+        }
+        // Bounded by the file's size, so that it fits.
+        file.seek_relative(length as i64)?;
+        at += RECORD_HEADER_BYTES + length;
+    }
+    Ok(Ok(()))
+}
+
+/// The file's summary. None if it has none that says where the messages are; the inner error says why it is wrong.
+fn read_summary(
+    file: &mut BufReader<File>,
+    size_bytes: u64,
+) -> std::io::Result<Result<Option<Summary>, String>> {
+    if let Err(reason) = check_summary_records(file, size_bytes)? {
+        return Ok(Err(reason));
+    }
+    file.seek(SeekFrom::Start(0))?;
+    let options = SummaryReaderOptions::default()
+        .with_file_size(size_bytes)
+        // Bounds fit the address space of the 64-bit targets that ROS 2 has.
+        .with_record_length_limit(MAX_RECORD_BYTES as usize);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(SummaryReadEvent::ReadRequest(bytes)) => {
+                let read = file.read(reader.insert(bytes))?;
+                reader.notify_read(read);
+            }
+            Ok(SummaryReadEvent::SeekRequest(to)) => {
+                let position = file.seek(to)?;
+                reader.notify_seeked(position);
+            }
+            Err(error) => return Ok(Err(error.to_string())),
+        }
+    }
+    let Some(summary) = reader.finish() else {
+        return Ok(Ok(None));
+    };
+    let Some(stats) = &summary.stats else {
+        return Ok(Ok(None));
+    };
+    let indexed = summary.chunk_indexes.len() as u64;
+    if indexed != u64::from(stats.chunk_count) {
+        return Ok(Err(format!(
+            "it counts {} chunks and indexes {indexed}",
+            stats.chunk_count
+        )));
+    }
+    let mut ranges = Vec::with_capacity(summary.chunk_indexes.len());
+    for chunk in &summary.chunk_indexes {
+        let end = chunk
+            .chunk_start_offset
+            .checked_add(chunk.chunk_length)
+            .and_then(|end| end.checked_add(chunk.message_index_length))
+            .filter(|end| *end <= size_bytes && chunk.chunk_length <= MAX_RECORD_BYTES);
+        let Some(end) = end else {
+            return Ok(Err(format!(
+                "it puts a chunk at byte {}, which the file cannot hold",
+                chunk.chunk_start_offset
+            )));
+        };
+        ranges.push((chunk.chunk_start_offset, end));
+    }
+    ranges.sort_unstable();
+    let mut before = 0;
+    for (at, end) in ranges {
+        if at < before {
+            return Ok(Err(format!("it puts two chunks at byte {at}")));
+        }
+        before = end;
+    }
+    let described = summary.channels.len() as u64;
+    if described != u64::from(stats.channel_count) {
+        return Ok(Err(format!(
+            "it counts {} channels and describes {described}",
+            stats.channel_count
+        )));
+    }
+    let by_channel = stats
+        .channel_message_counts
+        .values()
+        .fold(0, |sum: u64, count| sum.saturating_add(*count));
+    if by_channel != stats.message_count {
+        return Ok(Err(format!(
+            "it counts {} messages, and {by_channel} by channel",
+            stats.message_count
+        )));
+    }
+    Ok(Ok(Some(summary)))
+}
