@@ -133,7 +133,7 @@ pub struct Plan {
     pub seed: u64,
     /// Stamp of the goal image that was planned for.
     pub goal_stamp: Time,
-    /// Planning time (node clock).
+    /// Planning time (wall time).
     pub time_taken: Duration,
     /// True where the deadline ended the search before its last iteration.
     pub deadline_cut: bool,

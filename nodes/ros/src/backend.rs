@@ -54,6 +54,8 @@ pub(crate) type Sink = Box<dyn FnMut(Result<Sample, String>) + Send>;
 pub(crate) enum Written {
     /// It is on its way, with this number.
     Sent(i64),
+    /// An answer whose client is not connected yet: it is sent as soon as it is, or dropped with a warning.
+    Held,
     /// The readers have not acknowledged enough: it was not taken.
     WindowFull,
 }

@@ -9,6 +9,7 @@
 //! - a participant's writers and readers are connected here, since rustdds does not do it on loopback;
 //! - the participant goes last, after its readers and writers, or the others never hear that it left.
 
+mod answers;
 mod codec;
 mod endpoint;
 mod local;
@@ -256,6 +257,7 @@ impl Backend for Dds {
             endpoint,
             node,
             &self.shared,
+            &self.runtime,
         )))
     }
 
@@ -384,6 +386,60 @@ mod tests {
             dds_type(&endpoint(Channel::Response)),
             "wm_msgs::srv::dds_::Reset_Response_"
         );
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_answer_waits_until_its_client_can_hear_it() {
+        const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
+        let environment = Environment {
+            domain_id: 100 + (std::process::id() % 20) as u16,
+            reach: crate::Reach::Localhost,
+        };
+        let join = || Dds::join(&environment, Handle::current()).unwrap();
+        let (server, client) = (join(), join());
+        let (calls, mut called) = tokio::sync::mpsc::unbounded_channel();
+        let sink = move |sample: Result<crate::backend::Sample, String>| {
+            calls.send(sample.unwrap().request.unwrap()).unwrap();
+        };
+        let _requests = server
+            .reader("/server", &endpoint(Channel::Request), Box::new(sink))
+            .unwrap();
+        let answers = server
+            .writer("/server", &endpoint(Channel::Response))
+            .unwrap();
+        let requests = client
+            .writer("/client", &endpoint(Channel::Request))
+            .unwrap();
+        let sample = bytes::Bytes::from_static(&[0, 1, 0, 0, 7, 0, 0, 0]);
+
+        let mut changes = client.changes();
+        while client.matched(&requests.id()) == 0 {
+            tokio::time::timeout(PATIENCE, changes.changed())
+                .await
+                .unwrap()
+                .unwrap();
+        }
+        requests.write(&sample, None).unwrap();
+        let request = tokio::time::timeout(PATIENCE, called.recv())
+            .await
+            .unwrap()
+            .unwrap();
+        // The client has no reader yet: an answer sent now would reach nobody.
+        let written = answers.write(&sample, Some(request)).unwrap();
+        assert_eq!(written, crate::backend::Written::Held);
+
+        let (heard, mut hears) = tokio::sync::mpsc::unbounded_channel();
+        let sink = move |sample: Result<crate::backend::Sample, String>| {
+            heard.send(sample.unwrap().bytes).unwrap();
+        };
+        let _answers = client
+            .reader("/client", &endpoint(Channel::Response), Box::new(sink))
+            .unwrap();
+        let answer = tokio::time::timeout(PATIENCE, hears.recv())
+            .await
+            .unwrap()
+            .unwrap();
+        assert_eq!(answer, sample);
     }
 
     #[test]

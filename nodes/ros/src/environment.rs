@@ -33,7 +33,7 @@ pub enum Reach {
 pub struct Environment {
     /// `ROS_DOMAIN_ID`, 0 to 232.
     pub domain_id: u16,
-    /// From `--interface`, `ROS_AUTOMATIC_DISCOVERY_RANGE` and `ROS_LOCALHOST_ONLY`, in this order.
+    /// From `--interface`; without it from `ROS_LOCALHOST_ONLY=1`, and else from `ROS_AUTOMATIC_DISCOVERY_RANGE`.
     pub reach: Reach,
 }
 

@@ -209,7 +209,7 @@ impl Parameters {
         let entries = lock(&self.entries);
         let mut ignored = Vec::new();
         for given in &self.overrides {
-            if entries.contains_key(&given.name) || given.name.starts_with("qos_overrides.") {
+            if entries.contains_key(&given.name) || is_qos_override(&given.name) {
                 continue;
             }
             if !given.is_shared {
@@ -391,6 +391,23 @@ impl<T: ParameterType> Parameter<T> {
             .get_typed(&self.name)
             .unwrap_or_else(|_| self.declared.clone())
     }
+}
+
+/// Whether a name is that of a QoS override, which is read where the endpoint is made:
+/// `qos_overrides.<topic>.<publisher|subscription>.<policy>`.
+fn is_qos_override(name: &str) -> bool {
+    let Some((rest, policy)) = name
+        .strip_prefix("qos_overrides.")
+        .and_then(|rest| rest.rsplit_once('.'))
+    else {
+        return false;
+    };
+    let endpoint = rest.rsplit_once('.');
+    endpoint.is_some_and(|(topic, endpoint)| {
+        topic.starts_with('/')
+            && matches!(endpoint, "publisher" | "subscription")
+            && matches!(policy, "reliability" | "durability" | "history" | "depth")
+    })
 }
 
 #[cfg(test)]

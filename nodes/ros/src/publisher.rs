@@ -66,7 +66,7 @@ impl RawPublisher {
         let inner = &*self.inner;
         self.warn_of_size(sample.len());
         match inner.writer.write(&sample, None)? {
-            Written::Sent(_) => inner.diagnostics.sent(&inner.topic),
+            Written::Sent(_) | Written::Held => inner.diagnostics.sent(&inner.topic),
             Written::WindowFull => self.drop_one(),
         }
         Ok(())

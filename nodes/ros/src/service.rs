@@ -84,7 +84,7 @@ pub(crate) fn answering_sink(
 
 fn send(writer: &dyn Writer, name: &str, answer: Vec<u8>, id: RequestId) -> Result<(), Error> {
     match writer.write(&answer.into(), Some(id))? {
-        Written::Sent(_) => Ok(()),
+        Written::Sent(_) | Written::Held => Ok(()),
         Written::WindowFull => Err(Error::middleware(
             format!("answer {name}"),
             "clients do not take their answers",
@@ -236,7 +236,7 @@ impl<S: wm_msgs::Service> Client<S> {
             let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
             let sequence = match self.writer.write(&request, None)? {
                 Written::Sent(sequence) => sequence,
-                Written::WindowFull => {
+                Written::Held | Written::WindowFull => {
                     return Err(Error::middleware(
                         format!("call {}", self.name),
                         "the server takes no calls",

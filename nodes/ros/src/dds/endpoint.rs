@@ -2,6 +2,7 @@
 
 use super::{
     Shared,
+    answers::WaitingRoom,
     codec::{HEADER_LEN, Raw},
     local::is_same_participant,
 };
@@ -21,53 +22,25 @@ use std::sync::Arc;
 use tokio::{runtime::Handle, task::AbortHandle};
 
 pub(super) struct DdsWriter {
+    core: Arc<WriterCore>,
+    waiting: WaitingRoom,
+    runtime: Handle,
+}
+
+/// What an answer that waits needs of its writer.
+struct WriterCore {
     writer: DataWriter<Bytes, Raw>,
     topic: String,
     shared: Arc<Shared>,
 }
 
-impl DdsWriter {
-    pub(super) fn new(
-        writer: DataWriter<Bytes, Raw>,
-        endpoint: &Endpoint,
-        node: &str,
-        shared: &Arc<Shared>,
-    ) -> Self {
-        let this = Self {
-            writer,
-            topic: endpoint.name.clone(),
-            shared: Arc::clone(shared),
-        };
-        shared.local.add_writer(this.id(), endpoint);
-        shared.nodes.add_endpoint(this.id(), node, endpoint, true);
-        shared.changed();
-        this
-    }
-}
-
-impl Writer for DdsWriter {
+impl WriterCore {
     fn id(&self) -> EndpointId {
         use rustdds::RTPSEntity as _;
         self.writer.guid().to_bytes()
     }
 
-    fn write(&self, sample: &Bytes, answers: Option<RequestId>) -> Result<Written, Error> {
-        match sample.get(..HEADER_LEN) {
-            Some([0x00, 0x01, ..]) => {}
-            header => {
-                let byte = |index| {
-                    header
-                        .and_then(|header| header.get(index))
-                        .copied()
-                        .unwrap_or(0xff)
-                };
-                let representation = u16::from_be_bytes([byte(0), byte(1)]);
-                return Err(Error::Representation {
-                    topic: self.topic.clone(),
-                    representation,
-                });
-            }
-        }
+    fn send(&self, sample: &Bytes, answers: Option<RequestId>) -> Result<Written, Error> {
         let related = answers.map(|request| SampleIdentity {
             writer_guid: GUID::from_bytes(request.client),
             sequence_number: SequenceNumber::from(request.sequence),
@@ -88,12 +61,98 @@ impl Writer for DdsWriter {
             Err(error) => Err(Error::middleware(format!("publish {}", self.topic), error)),
         }
     }
+}
+
+impl DdsWriter {
+    pub(super) fn new(
+        writer: DataWriter<Bytes, Raw>,
+        endpoint: &Endpoint,
+        node: &str,
+        shared: &Arc<Shared>,
+        runtime: &Handle,
+    ) -> Self {
+        let this = Self {
+            core: Arc::new(WriterCore {
+                writer,
+                topic: endpoint.name.clone(),
+                shared: Arc::clone(shared),
+            }),
+            waiting: WaitingRoom::default(),
+            runtime: runtime.clone(),
+        };
+        shared.local.add_writer(this.id(), endpoint);
+        shared.nodes.add_endpoint(this.id(), node, endpoint, true);
+        shared.changed();
+        this
+    }
+
+    /// Has an answer sent when its client is connected; false where too many wait already.
+    fn hold(&self, sample: &Bytes, request: RequestId) -> bool {
+        let Some(place) = self.waiting.enter() else {
+            return false;
+        };
+        let (core, id) = (Arc::downgrade(&self.core), self.id());
+        let (shared, sample) = (Arc::clone(&self.core.shared), sample.clone());
+        self.runtime.spawn(async move {
+            let _place = place;
+            let is_reached = shared.reached(&id, &request.client).await;
+            let Some(core) = core.upgrade() else { return };
+            let topic = &core.topic;
+            if !is_reached {
+                tracing::warn!("{topic}: a call is not answered: its client cannot be reached");
+                return;
+            }
+            match core.send(&sample, Some(request)) {
+                Ok(Written::WindowFull) => {
+                    tracing::warn!("{topic}: a call is not answered: clients do not take answers");
+                }
+                Ok(_) => {}
+                Err(error) => tracing::warn!("{topic}: a call is not answered: {error}"),
+            }
+        });
+        true
+    }
+}
+
+impl Writer for DdsWriter {
+    fn id(&self) -> EndpointId {
+        self.core.id()
+    }
+
+    fn write(&self, sample: &Bytes, answers: Option<RequestId>) -> Result<Written, Error> {
+        match sample.get(..HEADER_LEN) {
+            Some([0x00, 0x01, ..]) => {}
+            header => {
+                let byte = |index| {
+                    header
+                        .and_then(|header| header.get(index))
+                        .copied()
+                        .unwrap_or(0xff)
+                };
+                let representation = u16::from_be_bytes([byte(0), byte(1)]);
+                return Err(Error::Representation {
+                    topic: self.core.topic.clone(),
+                    representation,
+                });
+            }
+        }
+        if let Some(request) = answers
+            && !self.core.shared.reaches(&self.id(), &request.client)
+            && self.hold(sample, request)
+        {
+            return Ok(Written::Held);
+        }
+        self.core.send(sample, answers)
+    }
 
     fn acknowledged(&self) -> BoxFuture<'_, Result<(), Error>> {
         Box::pin(async move {
-            let wait = self.writer.async_wait_for_acknowledgments();
+            let wait = self.core.writer.async_wait_for_acknowledgments();
             wait.await.map(drop).map_err(|error| {
-                Error::middleware(format!("wait for the readers of {}", self.topic), error)
+                Error::middleware(
+                    format!("wait for the readers of {}", self.core.topic),
+                    error,
+                )
             })
         })
     }
@@ -101,7 +160,7 @@ impl Writer for DdsWriter {
 
 impl Drop for DdsWriter {
     fn drop(&mut self) {
-        self.shared.forget(&self.id());
+        self.core.shared.forget(&self.id());
     }
 }
 

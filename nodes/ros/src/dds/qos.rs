@@ -6,17 +6,15 @@ use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 /// Samples that a reliable writer keeps for readers that have not acknowledged them: what bounds its memory when a
 /// reader stops. A dead reader is dropped when its lease ends, 20 to 50 s, which at 10 Hz are 500 samples.
 pub(crate) const RELIABLE_WINDOW: usize = 512;
-/// Samples that a best-effort writer may have waiting for the socket: more than any burst of this suite.
-const BEST_EFFORT_BACKLOG: usize = 64;
 /// Samples that the middleware keeps of a topic until they are taken, which happens at once on a thread of its own.
 const READER_CACHE: usize = 64;
 
 pub(super) fn for_writer(qos: Qos) -> QosPolicies {
-    let bound = match qos.reliability {
-        Reliability::BestEffort => BEST_EFFORT_BACKLOG,
+    let least = match qos.reliability {
+        Reliability::BestEffort => 1,
         Reliability::Reliable => RELIABLE_WINDOW,
     };
-    profile(qos, bound.max(qos.depth))
+    profile(qos, qos.depth.max(least))
 }
 
 pub(super) fn for_reader(qos: Qos) -> QosPolicies {
