@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use crate::{
     Autoencoder, Error, LatentSpace, Result, Weights,
     actions::ActionEncoding,
-    transition::{ACTIONS_KEY, LATENT_SPACE_KEY, Transition},
+    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition},
 };
 
 /// Name of the embedded default.
@@ -34,7 +34,8 @@ pub enum Bundle {
 pub struct BundledTransition {
     /// The model.
     pub model: Transition,
-    /// Lower-case hex SHA-256 of its weights.
+    /// Lower-case hex SHA-256 of its weights and of all that says how they are used: configuration, action encoding,
+    /// latent space.
     pub hash: String,
     /// How physical actions become its actions.
     pub encoding: ActionEncoding,
@@ -87,9 +88,36 @@ impl Bundle {
             });
         }
         let encoding: ActionEncoding = weights.json(ACTIONS_KEY)?;
-        let hash = weights.sha256();
+        let hash = weights.identity(&[CONFIG_KEY, ACTIONS_KEY, LATENT_SPACE_KEY])?;
+        let file = weights.file().to_owned();
+        let model = Transition::from_weights(weights)?;
+        let config = model.config();
+        let disagrees = |key: &str, reason: String| Error::Metadata {
+            file: file.clone(),
+            key: key.to_owned(),
+            reason,
+        };
+        let latent = (config.latent_height, config.latent_width, config.channels);
+        if latent != space.shape() {
+            let reason = format!(
+                "latents of {latent:?}, expected {:?} of {space}",
+                space.shape()
+            );
+            return Err(disagrees(CONFIG_KEY, reason));
+        }
+        let (told, taken) = (
+            (encoding.action_dim, encoding.frame_skip),
+            (config.action_dim, config.frame_skip),
+        );
+        if told != taken {
+            let reason = format!(
+                "actions of {} values and {} frames, expected {} and {} of the configuration",
+                told.0, told.1, taken.0, taken.1
+            );
+            return Err(disagrees(ACTIONS_KEY, reason));
+        }
         Ok(BundledTransition {
-            model: Transition::from_weights(weights)?,
+            model,
             hash,
             encoding,
             space,

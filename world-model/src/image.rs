@@ -1,8 +1,9 @@
 //! Camera pictures to tensors and back.
 
 use candle_core::{DType, Device, Tensor};
-use fast_image_resize::images::{Image, ImageRef};
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::U8x3;
+use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
 use image::RgbImage;
 
 use crate::{Error, Result};
@@ -45,14 +46,17 @@ pub fn resize(rgb: &RgbImage, size: (usize, usize)) -> Result<RgbImage> {
             rgb.width()
         )));
     }
-    let source = ImageRef::new(rgb.width(), rgb.height(), rgb.as_raw(), PixelType::U8x3)
+    let source = TypedImageRef::<U8x3>::from_buffer(rgb.width(), rgb.height(), rgb.as_raw())
         .map_err(|e| fail(e.to_string()))?;
-    let mut target = Image::new(target_w, target_h, PixelType::U8x3);
+    let mut bytes = vec![0; h * w * 3];
+    let mut target = TypedImage::<U8x3>::from_buffer(target_w, target_h, &mut bytes)
+        .map_err(|e| fail(e.to_string()))?;
     let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
+    // Typed: the untyped call compiles every filter for every pixel type, a minute of build time.
     Resizer::new()
-        .resize(&source, &mut target, &options)
+        .resize_typed(&source, &mut target, &options)
         .map_err(|e| fail(e.to_string()))?;
-    RgbImage::from_raw(target_w, target_h, target.into_vec())
+    RgbImage::from_raw(target_w, target_h, bytes)
         .ok_or_else(|| fail(format!("{h}x{w} does not match the resized data")))
 }
 

@@ -134,6 +134,21 @@ impl Weights {
         hex(hash)
     }
 
+    /// SHA-256 (hexadecimal) over [`Weights::sha256`] and the metadata entries `keys`: two files of the same tensors that
+    /// say something else about them differ.
+    ///
+    /// # Errors
+    /// [`Error::Metadata`] if an entry is missing.
+    pub fn identity(&self, keys: &[&str]) -> Result<String> {
+        let mut hash = Sha256::new();
+        hash.update(self.sha256());
+        for key in keys {
+            let entry = self.require_metadata(key)?;
+            hash.update(format!("\n{key} {}\n{entry}", entry.len()));
+        }
+        Ok(hex(hash))
+    }
+
     /// A metadata entry.
     pub fn metadata(&self, key: &str) -> Option<&str> {
         self.header

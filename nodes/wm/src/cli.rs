@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::{bag, launch, node, report, train};
+use crate::{bag, eval, launch, node, report, train};
 use clap::{Parser, Subcommand};
 use std::path::Path;
 use std::process::ExitCode;
@@ -35,6 +35,9 @@ enum Subcommands {
     /// Train the models from bags
     #[command(subcommand)]
     Train(train::TrainCommand),
+    /// Measure models on bags that they were not trained on
+    #[command(subcommand)]
+    Eval(eval::EvalCommand),
     /// Score a recorded bag: its predictions against its frames
     Report(report::ReportCommand),
     #[command(flatten)]
@@ -99,6 +102,7 @@ impl Command {
             Subcommands::Bag(command) => command.run(self.ros_args),
             Subcommands::Sim(arguments) => arguments.run().map(|()| ExitCode::SUCCESS),
             Subcommands::Train(command) => command.run(),
+            Subcommands::Eval(command) => command.run(),
             Subcommands::Report(command) => command.run(),
             Subcommands::Node(command) => command.run(self.ros_args),
         }

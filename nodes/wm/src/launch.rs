@@ -67,14 +67,12 @@ fn describe(plan: &Plan) -> Result<String> {
             Program::Own => std::env::current_exe()?,
             Program::Path(path) => path.clone(),
         };
-        text.push_str(&format!(
-            "[{}] {}",
-            process.name,
-            quote(&program.to_string_lossy())
-        ));
-        for argument in &process.arguments {
+        text.push_str(&format!("[{}]", process.name));
+        let program = program.to_string_lossy().into_owned();
+        let words = process.prefix.iter().chain([&program]);
+        for word in words.chain(&process.arguments) {
             text.push(' ');
-            text.push_str(&quote(argument));
+            text.push_str(&quote(word));
         }
         text.push('\n');
     }

@@ -5,6 +5,7 @@
 
 mod bag;
 mod cli;
+mod eval;
 mod launch;
 mod node;
 mod output;

@@ -3,10 +3,7 @@
 use anyhow::Result;
 use clap::Subcommand;
 use std::process::ExitCode;
-use wm_training::{
-    autoencoder::TrainAutoencoderArgs,
-    transition::{EvaluateTransitionArgs, TrainTransitionArgs},
-};
+use wm_training::{autoencoder::TrainAutoencoderArgs, transition::TrainTransitionArgs};
 
 /// Trains a model.
 #[derive(Debug, Subcommand)]
@@ -15,8 +12,6 @@ pub enum TrainCommand {
     Autoencoder(TrainAutoencoderArgs),
     /// Train the transition model on the latents of a frozen encoder
     Transition(TrainTransitionArgs),
-    /// Measure a transition model on bags that it was not trained on
-    Evaluate(EvaluateTransitionArgs),
 }
 
 impl TrainCommand {
@@ -25,7 +20,6 @@ impl TrainCommand {
         match self {
             Self::Autoencoder(arguments) => arguments.run()?,
             Self::Transition(arguments) => arguments.run()?,
-            Self::Evaluate(arguments) => arguments.run()?,
         }
         Ok(ExitCode::SUCCESS)
     }

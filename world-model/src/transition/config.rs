@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::ops::HEAD_DIM_MULTIPLE;
-use crate::sampler::Sampler;
+use crate::sampler::settings::Sampler;
 use crate::{Error, Result};
 
 use super::parameters;
@@ -64,6 +64,13 @@ pub struct TransitionConfig {
     pub sampler: Sampler,
 }
 
+/// The time shift that the published checkpoints were trained and are sampled with (architecture.md, training):
+/// sqrt((256 / p^2) C / 4096); latents for which that is below 1 (SD3's) are not shifted.
+fn published_shift(patch: usize, channels: usize) -> f64 {
+    let ratio = 256.0 * channels as f64 / (patch * patch).max(1) as f64 / 4096.0;
+    ratio.sqrt().max(1.0)
+}
+
 impl TransitionConfig {
     /// A preset by name: "dit-s", "dit-b", "dit-l" (384, 768, 1024 wide; 12, 12, 24 deep; plain
     /// head, conventions of the published checkpoints), or "tiny", the embedded default's.
@@ -121,7 +128,10 @@ impl TransitionConfig {
                     context_tau: 0.0,
                 }
             } else {
-                Sampler::default()
+                Sampler {
+                    shift: published_shift(patch, channels),
+                    ..Sampler::default()
+                }
             },
         };
         config.validate()?;
@@ -253,6 +263,21 @@ mod tests {
                     "{name} {latent:?}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn published_presets_sample_with_the_shift_of_their_latent() {
+        for (latent, patch, expected) in [
+            ((32, 32, 16), 2, 1.0),
+            ((16, 16, 16), 1, 1.0),
+            ((16, 16, 32), 1, 2f64.sqrt()),
+            ((16, 16, 96), 1, 2.4495),
+            ((16, 16, 1024), 1, 8.0),
+            ((16, 16, 1152), 1, 8.4853),
+        ] {
+            let preset = TransitionConfig::preset("dit-s", latent, patch, 10).unwrap();
+            assert!((preset.sampler.shift - expected).abs() < 1e-4, "{latent:?}");
         }
     }
 

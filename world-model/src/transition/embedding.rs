@@ -3,11 +3,8 @@
 use candle_core::{D, Device, Tensor};
 
 use super::TransitionConfig;
-use super::parameters::{Linear, Tensors};
+use super::parameters::{FREQUENCIES, Linear, Tensors};
 use crate::{Result, ops};
-
-/// Frequencies of the noise level's sinusoid; it has a cosine and a sine of each.
-pub(super) const FREQUENCIES: usize = 128;
 
 /// Ratio of the highest frequency to that which follows the lowest.
 const FREQUENCY_RANGE: f64 = 10_000.0;

@@ -11,6 +11,9 @@ use sha2::{Digest, Sha256};
 use super::TransitionConfig;
 use crate::{Error, Result};
 
+/// Frequencies of the noise level's sinusoid; it has a cosine and a sine of each.
+pub(super) const FREQUENCIES: usize = 128;
+
 /// Values that training starts from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Initialisation {
@@ -114,7 +117,7 @@ pub(super) fn all(config: &TransitionConfig) -> Vec<Parameter> {
     linear(
         "timestep_mlp.0".into(),
         d,
-        super::embedding::FREQUENCIES * 2,
+        FREQUENCIES * 2,
         true,
         Normal(0.02),
     );

@@ -31,6 +31,22 @@ fn what_was_written_is_read() {
 }
 
 #[test]
+fn the_identity_covers_what_is_said_of_the_tensors() {
+    let with = |config: &str| {
+        let mut builder = WeightsBuilder::new();
+        builder.values("a", &[1], &[1.0], Precision::F32);
+        builder.metadata("config", config);
+        open(builder.to_bytes()).unwrap()
+    };
+    let (narrow, wide) = (with(r#"{"width":3}"#), with(r#"{"width":4}"#));
+    assert_eq!(narrow.sha256(), wide.sha256());
+    let identity = |weights: &Weights| weights.identity(&["config"]).unwrap();
+    assert_ne!(identity(&narrow), identity(&wide));
+    assert_eq!(identity(&narrow), identity(&with(r#"{"width":3}"#)));
+    assert!(narrow.identity(&["actions"]).is_err());
+}
+
+#[test]
 fn the_same_content_gives_the_same_bytes() {
     assert_eq!(file(), file());
 }

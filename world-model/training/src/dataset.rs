@@ -1,8 +1,8 @@
 //! Episodes of bags as training wants them: every frame decoded and resized once, in one memory-mapped file, beside the
 //! action taken at each frame.
 //!
-//! The cache is keyed by a digest of the bags (names, sizes, message counts) and of the picture size; a changed bag
-//! makes a new one. Memory stays at one episode a thread, however many there are.
+//! The cache is keyed by a digest of the bags' names and contents and of the picture size; a changed bag makes a new
+//! one. Memory stays at one episode a thread, however many there are.
 
 mod cache;
 mod episode;
@@ -178,15 +178,23 @@ fn digest(bags: &[PathBuf], size: (usize, usize)) -> Result<String, DatasetError
     let mut hash = Sha256::new();
     hash.update(format!("{}x{}\n", size.0, size.1));
     for bag in bags {
-        // The metadata holds message counts and times of the whole bag, and the name its place in the set.
-        let path = bag.join("metadata.yaml");
-        let metadata = std::fs::read(&path).map_err(|source| DatasetError::Io { path, source })?;
-        hash.update(
-            bag.file_name()
-                .map(|name| name.as_encoded_bytes())
-                .unwrap_or_default(),
-        );
-        hash.update(Sha256::digest(&metadata));
+        hash.update(bag.file_name().unwrap_or_default().as_encoded_bytes());
+        let io = |path: &Path| {
+            let path = path.to_owned();
+            move |source| DatasetError::Io { path, source }
+        };
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(bag).map_err(io(bag))? {
+            files.push(entry.map_err(io(bag))?.path());
+        }
+        files.sort();
+        for path in files.iter().filter(|path| path.is_file()) {
+            let mut contents = Sha256::new();
+            let mut file = std::fs::File::open(path).map_err(io(path))?;
+            std::io::copy(&mut file, &mut contents).map_err(io(path))?;
+            hash.update(path.file_name().unwrap_or_default().as_encoded_bytes());
+            hash.update(contents.finalize());
+        }
     }
     Ok(hash
         .finalize()

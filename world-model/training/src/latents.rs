@@ -14,6 +14,7 @@ use candle_core::{Device, Tensor};
 use half::f16;
 use indicatif::{ProgressBar, ProgressStyle};
 use memmap2::Mmap;
+use rayon::prelude::*;
 use wm_model::{Encoder, LatentSpace};
 
 use crate::dataset::{Dataset, Episode};
@@ -35,7 +36,11 @@ impl Latents {
     ///
     /// # Errors
     /// When a frame cannot be encoded, or the cache cannot be read or written.
-    pub fn open(dataset: &Dataset, encoder: &dyn Encoder, cache_dir: &Path) -> Result<Self> {
+    pub fn open(
+        dataset: &Dataset,
+        encoder: &(dyn Encoder + Sync),
+        cache_dir: &Path,
+    ) -> Result<Self> {
         let space = encoder.space().clone();
         let short = |digest: &str| digest.chars().take(16).collect::<String>();
         let name = format!("latents-{}-{}", short(dataset.digest()), short(&space.hash));
@@ -115,7 +120,7 @@ impl Latents {
     }
 }
 
-fn encode(dataset: &Dataset, encoder: &dyn Encoder, path: &Path) -> Result<()> {
+fn encode(dataset: &Dataset, encoder: &(dyn Encoder + Sync), path: &Path) -> Result<()> {
     let (height, width) = dataset.size();
     ensure!(
         encoder.input_size() == (height, width),
@@ -123,36 +128,57 @@ fn encode(dataset: &Dataset, encoder: &dyn Encoder, path: &Path) -> Result<()> {
         encoder.input_size()
     );
     let total = dataset.frame_count();
+    let elements = encoder.space().elements();
     let style = ProgressStyle::with_template("encoding {bar:40} {pos}/{len} frames, {eta} left")
         .unwrap_or_else(|_| ProgressStyle::default_bar());
     let progress = ProgressBar::new(total as u64).with_style(style);
     let partial = partial(path);
     let mut file =
         BufWriter::new(File::create(&partial).with_context(|| partial.display().to_string())?);
-    for first in (0..total).step_by(BATCH) {
-        let count = BATCH.min(total - first);
-        let mut pixels = Vec::with_capacity(count * height * width * 3);
-        for index in first..first + count {
-            let frame = dataset
-                .frame(index)
-                .with_context(|| format!("no frame {index}"))?;
-            pixels.extend(frame.iter().map(|value| f32::from(*value) / 255.0));
+    let firsts: Vec<usize> = (0..total).step_by(BATCH).collect();
+    // A batch a thread at a time: parallel, in order, and bounded in memory.
+    for group in firsts.chunks(rayon::current_num_threads()) {
+        let encoded = group
+            .par_iter()
+            .map(|first| encode_batch(dataset, encoder, *first, BATCH.min(total - first)))
+            .collect::<Result<Vec<_>>>()?;
+        for latents in encoded {
+            file.write_all(&latents)?;
+            progress.inc((latents.len() / size_of::<f16>() / elements) as u64);
         }
-        let images = Tensor::from_vec(pixels, (count, height, width, 3), &Device::Cpu)?;
-        let latents = encoder.encode(&images)?.flatten_all()?.to_vec1::<f32>()?;
-        for value in latents {
-            ensure!(
-                value.is_finite(),
-                "a latent of frames {first}.. is not finite"
-            );
-            file.write_all(&f16::from_f32(value).to_le_bytes())?;
-        }
-        progress.inc(count as u64);
     }
     file.flush()?;
     progress.finish_and_clear();
     // In one move, so that a file of this name is whole.
     fs::rename(&partial, path).with_context(|| path.display().to_string())
+}
+
+/// The latents of `count` frames from `first` on, as the cache holds them.
+fn encode_batch(
+    dataset: &Dataset,
+    encoder: &(dyn Encoder + Sync),
+    first: usize,
+    count: usize,
+) -> Result<Vec<u8>> {
+    let (height, width) = dataset.size();
+    let mut pixels = Vec::with_capacity(count * height * width * 3);
+    for index in first..first + count {
+        let frame = dataset
+            .frame(index)
+            .with_context(|| format!("no frame {index}"))?;
+        pixels.extend(frame.iter().map(|value| f32::from(*value) / 255.0));
+    }
+    let images = Tensor::from_vec(pixels, (count, height, width, 3), &Device::Cpu)?;
+    let latents = encoder.encode(&images)?.flatten_all()?.to_vec1::<f32>()?;
+    ensure!(
+        latents.iter().all(|value| value.is_finite()),
+        "a latent of the frames {first} to {} is not finite",
+        first + count - 1
+    );
+    Ok(latents
+        .into_iter()
+        .flat_map(|value| f16::from_f32(value).to_le_bytes())
+        .collect())
 }
 
 fn partial(path: &Path) -> PathBuf {

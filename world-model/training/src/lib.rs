@@ -7,4 +7,5 @@ pub mod dataset;
 pub mod latents;
 pub mod loss_curve;
 pub mod optimiser;
+pub mod squared_error;
 pub mod transition;

@@ -68,7 +68,10 @@ impl LossCurve {
             // Writing to a string cannot fail.
             let _ = writeln!(text, "{step},{loss}");
         }
-        std::fs::write(table(dir), text)?;
+        // In one move: half a table could not be resumed from.
+        let partial = table(dir).with_extension("partial");
+        std::fs::write(&partial, text)?;
+        std::fs::rename(&partial, table(dir))?;
         self.draw(&dir.join("loss.svg"), title)
             .map_err(|error| std::io::Error::other(format!("loss.svg: {error}")))
     }

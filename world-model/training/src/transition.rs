@@ -9,6 +9,7 @@ mod arguments;
 mod clips;
 mod evaluation;
 mod objective;
+mod pictures;
 mod workers;
 
 use std::{
@@ -20,7 +21,7 @@ use anyhow::{Context as _, Result, ensure};
 use candle_core::Var;
 use indicatif::{ProgressBar, ProgressStyle};
 use wm_model::{
-    Encoder, Weights,
+    Autoencoder, Encoder, Weights,
     actions::ActionEncoding,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
@@ -36,6 +37,7 @@ pub use arguments::{EvaluateTransitionArgs, TauDistribution, TrainTransitionArgs
 pub use clips::ClipSource;
 pub use evaluation::{ActionChange, Evaluation, recover_actions};
 pub use objective::Objective;
+pub use pictures::{PictureErrors, StepErrors};
 use workers::Workers;
 
 /// Model steps that are predicted in an evaluation.
@@ -50,9 +52,9 @@ impl TrainTransitionArgs {
     /// When data, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self) -> Result<()> {
         let encoder = self.encoder()?;
-        let train = self.latents(&self.bags, &*encoder)?;
+        let train = self.latents(&self.bags, &encoder)?;
         let held_out = match &self.held_out {
-            Some(bags) => Some(self.latents(bags, &*encoder)?),
+            Some(bags) => Some(self.latents(bags, &encoder)?),
             None => None,
         };
         let config = self.config(&train)?;
@@ -64,7 +66,7 @@ impl TrainTransitionArgs {
         self.train(config, &actions, &train, held_out.as_ref())
     }
 
-    fn latents(&self, bags: &Path, encoder: &dyn Encoder) -> Result<Latents> {
+    fn latents(&self, bags: &Path, encoder: &(dyn Encoder + Sync)) -> Result<Latents> {
         let cache = self.cache_dir();
         let dataset = Dataset::open(bags, &cache, encoder.input_size())?;
         Latents::open(&dataset, encoder, &cache)
@@ -139,6 +141,8 @@ impl TrainTransitionArgs {
             }
         }
         progress.finish();
+        // Also where the last step was taken by a run that ended before it could write.
+        self.write(&config, actions, train, &optimiser)?;
         println!("wrote {}", self.weights_file().display());
         Ok(())
     }
@@ -187,16 +191,16 @@ impl TrainTransitionArgs {
 }
 
 impl EvaluateTransitionArgs {
-    /// Prints latent errors against persistence for the true, the negated and no action, and how well planning recovers
-    /// actions.
+    /// Prints latent errors against persistence for the true, the negated, no and another window's action, the PSNR of
+    /// the decoded pictures against that of the last frame held, and how well planning recovers actions.
     ///
     /// # Errors
     /// When data or weights cannot be read.
     pub fn run(&self) -> Result<()> {
-        let encoder = self.encoder()?;
+        let autoencoder = Autoencoder::open(&self.autoencoder)?;
         let cache = self.cache_dir();
-        let dataset = Dataset::open(&self.bags, &cache, encoder.input_size())?;
-        let latents = Latents::open(&dataset, &*encoder, &cache)?;
+        let dataset = Dataset::open(&self.bags, &cache, autoencoder.input_size())?;
+        let latents = Latents::open(&dataset, &autoencoder, &cache)?;
         let weights = Weights::open(&self.weights)?;
         let actions: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let space: wm_model::LatentSpace = weights.json(LATENT_SPACE_KEY)?;
@@ -229,6 +233,10 @@ impl EvaluateTransitionArgs {
             let ratios = evaluation.ratios_with(&model, &sampler, ActionChange::None)?;
             println!("{:<16} {}", format!("{steps} steps"), table_row(&ratios));
         }
+        println!(
+            "{}",
+            PictureErrors::measure(&evaluation, &model, &autoencoder, &dataset)?
+        );
         if self.plans > 0 {
             println!(
                 "{}",

@@ -3,7 +3,7 @@ use image::RgbImage;
 use wm_model::{Autoencoder, Decoder as _, Encoder as _, image::to_rgb};
 
 use super::trainer::{TrainingError, pictures};
-use crate::dataset::Dataset;
+use crate::{dataset::Dataset, squared_error::SquaredError};
 
 /// How well an autoencoder gives back what it is shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,8 +39,8 @@ pub fn evaluate(
 ) -> Result<Reconstruction, TrainingError> {
     let stride = dataset.frame_count().div_ceil(frames.max(1)).max(1);
     let chosen: Vec<usize> = (0..dataset.frame_count()).step_by(stride).collect();
-    let mut all = Error::default();
-    let mut masked = Error::default();
+    let mut all = SquaredError::default();
+    let mut masked = SquaredError::default();
     let (mut sum, mut squares, mut latents) = (0.0, 0.0, 0usize);
     for chunk in chosen.chunks(16) {
         let pictures = pictures(dataset, chunk)?;
@@ -62,17 +62,17 @@ pub fn evaluate(
         let mut masks = masks.copied();
         for (a, b) in pixels {
             let error: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum();
-            all.add(error);
+            all.add_pixel(error);
             if masks.next().is_some_and(|class| class > 0) {
-                masked.add(error);
+                masked.add_pixel(error);
             }
         }
     }
     let count = latents.max(1) as f64;
     Ok(Reconstruction {
         frames: chosen.len(),
-        psnr: all.psnr(),
-        masked_psnr: (masked.pixels > 0).then(|| masked.psnr()),
+        psnr: all.psnr().unwrap_or(f64::INFINITY),
+        masked_psnr: masked.psnr(),
         latent_std: (squares / count - (sum / count).powi(2)).max(0.0).sqrt(),
     })
 }
@@ -97,21 +97,4 @@ pub fn picture(
     let across = Tensor::cat(&[frames, decoded, difference], 2)?;
     let (rows, height, width, _) = across.dims4()?;
     Ok(to_rgb(&across.reshape((rows * height, width, 3))?)?)
-}
-
-#[derive(Default)]
-struct Error {
-    sum: f64,
-    pixels: usize,
-}
-
-impl Error {
-    fn add(&mut self, error: f64) {
-        self.sum += error;
-        self.pixels += 1;
-    }
-
-    fn psnr(&self) -> f64 {
-        -10.0 * (self.sum / (3 * self.pixels.max(1)) as f64).log10()
-    }
 }

@@ -32,13 +32,20 @@ pub(super) fn decode(
         bag: bag.to_owned(),
         what,
     };
+    // A camera that publishes both sends each frame twice.
+    let has_frames = |name: &str| {
+        let mut topics = reader.topics().iter();
+        topics.any(|topic| &*topic.name == name && topic.message_count > 0)
+    };
+    let camera = if has_frames(COMPRESSED) {
+        COMPRESSED
+    } else {
+        RAW
+    };
     let mut frames: Vec<(i64, Vec<u8>)> = Vec::new();
     let mut masks = Vec::new();
     let mut actions: Vec<(i64, [f32; 7])> = Vec::new();
-    for message in reader
-        .messages()
-        .only_topics([COMPRESSED, RAW, MASK, ACTION])
-    {
+    for message in reader.messages().only_topics([camera, MASK, ACTION]) {
         let message = message.map_err(|source| DatasetError::Bag {
             bag: bag.to_owned(),
             source: Box::new(source),
@@ -92,32 +99,32 @@ fn align(frames: &[(i64, Vec<u8>)], actions: &[(i64, [f32; 7])]) -> Result<Vec<[
     if actions.is_empty() {
         return Err(format!("no actions: expected messages on {ACTION}"));
     }
-    let period = frames
-        .windows(2)
-        .map(|pair| match pair {
-            [(before, _), (after, _)] => after - before,
-            _ => i64::MAX,
-        })
-        .min()
-        .unwrap_or(i64::MAX);
-    if period <= 0 {
-        return Err("camera stamps do not rise".to_owned());
+    let mut gaps = Vec::with_capacity(frames.len());
+    for ((before, _), (after, _)) in frames.iter().zip(frames.iter().skip(1)) {
+        if after <= before {
+            return Err(format!(
+                "camera stamps do not rise: {after} ns follows {before} ns"
+            ));
+        }
+        gaps.push(after.abs_diff(*before));
     }
-    let tolerance = period / 2;
+    // The median: a jittery pair of frames says nothing of the rate.
+    gaps.sort_unstable();
+    let tolerance = gaps.get(gaps.len() / 2).map_or(u64::MAX, |gap| gap / 2);
     let last = frames.len() - 1;
     let mut aligned = Vec::with_capacity(frames.len());
     for (index, (stamp, _)) in frames.iter().enumerate() {
         let near = actions
             .iter()
             .min_by_key(|(at, _)| at.abs_diff(*stamp))
-            .filter(|(at, _)| at.abs_diff(*stamp) <= tolerance.unsigned_abs());
+            .filter(|(at, _)| at.abs_diff(*stamp) <= tolerance);
         match (near, aligned.last()) {
             (Some((_, values)), _) => aligned.push(*values),
             // After the last frame nothing need be done any more: some data sets record no action for it.
             (None, Some(before)) if index == last => aligned.push(*before),
             (None, _) => {
                 return Err(format!(
-                    "no action within half a period of the frame at {stamp} ns"
+                    "no message on {ACTION} within half a period of the frame at {stamp} ns"
                 ));
             }
         }

@@ -76,8 +76,8 @@ fn frames_masks_and_actions_keep_their_order_and_come_from_the_cache_again() {
     write_bag(&bags.join("episode_000001"), 4, &WHOLE);
     let cache = dir.path().join("cache");
     let first = Dataset::open(&bags, &cache, (16, 16)).unwrap();
-    // The cache alone serves the second: the bags' contents are gone, their metadata is not.
-    std::fs::remove_file(bags.join("episode_000000/episode_000000_0.mcap")).unwrap();
+    let caches = || std::fs::read_dir(&cache).unwrap().count();
+    assert_eq!(caches(), 1);
     for dataset in [first, Dataset::open(&bags, &cache, (16, 16)).unwrap()] {
         assert_eq!(dataset.frame_count(), 7);
         let second = &dataset.episodes()[1];
@@ -88,6 +88,15 @@ fn frames_masks_and_actions_keep_their_order_and_come_from_the_cache_again() {
         assert_eq!(dataset.mask(6).unwrap(), [3; 256]);
         assert!(dataset.frame(7).is_none());
     }
+    assert_eq!(caches(), 1, "the second was served from the cache");
+
+    // Other contents under the same names and metadata are another dataset.
+    let file = bags.join("episode_000000/episode_000000_0.mcap");
+    let mut bytes = std::fs::read(&file).unwrap();
+    bytes.push(0);
+    std::fs::write(&file, bytes).unwrap();
+    Dataset::open(&bags, &cache, (16, 16)).unwrap();
+    assert_eq!(caches(), 2);
 }
 
 #[test]

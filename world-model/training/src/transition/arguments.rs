@@ -1,10 +1,9 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 use wm_model::{
-    Encoder,
     autoencoder::Autoencoder,
     sampler::Sampler,
     transition::{ActionAlignment, Parametrisation, TransitionConfig},
@@ -59,41 +58,41 @@ pub struct TrainTransitionArgs {
     /// Side of a patch of the latent.
     #[arg(long, default_value_t = 2)]
     pub patch: usize,
-    /// Predict the velocity itself, as the published checkpoints do, instead of the change from the last frame.
+    /// Predict the velocity itself, as the published checkpoints and their presets do, not the change from the last frame.
     #[arg(long)]
     pub velocity: bool,
-    /// Feed an action with the frame that it starts from, as the published checkpoints do, instead of the one that it leads to.
+    /// Feed an action with the frame that it starts from, as the published checkpoints and their presets do, not the one that it leads to.
     #[arg(long)]
     pub action_with_frame: bool,
-    /// Euler steps that the weights file recommends.
-    #[arg(long, default_value_t = 1)]
-    pub sampling_steps: usize,
+    /// Euler steps that the weights file recommends, instead of the preset's.
+    #[arg(long)]
+    pub sampling_steps: Option<usize>,
     /// Steps of the optimiser.
-    #[arg(long, default_value_t = 3000)]
+    #[arg(long, default_value_t = 1400)]
     pub steps: u64,
     /// Clips a step.
-    #[arg(long, default_value_t = 16)]
+    #[arg(long, default_value_t = 8)]
     pub batch: usize,
     /// Clips that one thread takes at once.
     #[arg(long, default_value_t = 2)]
     pub micro_batch: usize,
     /// Highest learning rate.
-    #[arg(long, default_value_t = 1.5e-3)]
+    #[arg(long, default_value_t = 2e-3)]
     pub learning_rate: f64,
     /// Steps over which the learning rate rises.
-    #[arg(long, default_value_t = 100)]
+    #[arg(long, default_value_t = 60)]
     pub warm_up: u64,
     /// Last learning rate as a part of the highest.
     #[arg(long, default_value_t = 0.02)]
     pub final_rate: f64,
     /// Decay of the moving average of the weights.
-    #[arg(long, default_value_t = 0.995)]
+    #[arg(long, default_value_t = 0.99)]
     pub ema_decay: f64,
     /// How noise levels are drawn.
     #[arg(long, value_enum, default_value_t = TauDistribution::Uniform)]
     pub tau: TauDistribution,
     /// Time shift of the drawn noise levels.
-    #[arg(long, default_value_t = 3.0)]
+    #[arg(long, default_value_t = 16.0)]
     pub shift: f64,
     /// Standard deviation of the noise level that history frames are given.
     #[arg(long, default_value_t = 0.15)]
@@ -111,13 +110,13 @@ pub struct TrainTransitionArgs {
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
     /// Steps between checkpoints.
-    #[arg(long, default_value_t = 200)]
+    #[arg(long, default_value_t = 350)]
     pub save_every: u64,
 }
 
 impl TrainTransitionArgs {
-    pub(super) fn encoder(&self) -> Result<Box<dyn Encoder>> {
-        open_encoder(&self.autoencoder)
+    pub(super) fn encoder(&self) -> Result<Autoencoder> {
+        Ok(Autoencoder::open(&self.autoencoder)?)
     }
 
     pub(super) fn cache_dir(&self) -> PathBuf {
@@ -145,17 +144,16 @@ impl TrainTransitionArgs {
             parametrisation: if self.velocity {
                 Parametrisation::Velocity
             } else {
-                Parametrisation::Residual
+                preset.parametrisation
             },
             action_alignment: if self.action_with_frame {
                 ActionAlignment::WithFrame
             } else {
-                ActionAlignment::WithResult
+                preset.action_alignment
             },
             sampler: Sampler {
-                steps: self.sampling_steps,
-                shift: 1.0,
-                context_tau: 0.0,
+                steps: self.sampling_steps.unwrap_or(preset.sampler.steps),
+                ..preset.sampler
             },
             ..preset
         };
@@ -207,15 +205,7 @@ pub struct EvaluateTransitionArgs {
 }
 
 impl EvaluateTransitionArgs {
-    pub(super) fn encoder(&self) -> Result<Box<dyn Encoder>> {
-        open_encoder(&self.autoencoder)
-    }
-
     pub(super) fn cache_dir(&self) -> PathBuf {
         self.cache.clone().unwrap_or_else(std::env::temp_dir)
     }
-}
-
-fn open_encoder(path: &Path) -> Result<Box<dyn Encoder>> {
-    Ok(Box::new(Autoencoder::open(path)?))
 }

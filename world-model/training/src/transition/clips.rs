@@ -64,6 +64,11 @@ impl<'a> ClipSource<'a> {
         self.frames
     }
 
+    /// Index of a clip's first frame in the dataset.
+    pub(super) fn first_frame(&self, clip: Clip) -> usize {
+        self.latents.episodes()[clip.episode].first_frame + clip.start
+    }
+
     pub(super) fn shape(&self) -> (usize, usize, usize) {
         self.latents.space().shape()
     }

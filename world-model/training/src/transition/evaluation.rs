@@ -16,7 +16,7 @@ use super::ClipSource;
 use crate::latents::Latents;
 
 /// Observed frames that a prediction starts from.
-const CONTEXT: usize = 2;
+pub(super) const CONTEXT: usize = 2;
 /// Seed of the noise of all evaluated predictions.
 const SEED: u64 = 0;
 
@@ -46,6 +46,8 @@ impl fmt::Display for ActionChange {
 
 /// One window: observed frames and those to be predicted.
 struct Case {
+    /// Index of the first frame in the dataset.
+    first_frame: usize,
     /// (CONTEXT + K, h, w, C).
     frames: Tensor,
     /// (CONTEXT + K - 1, A).
@@ -57,6 +59,8 @@ struct Case {
 pub struct Evaluation {
     cases: Vec<Case>,
     horizon: usize,
+    /// Camera frames a model step.
+    frame_skip: usize,
 }
 
 impl Evaluation {
@@ -79,6 +83,7 @@ impl Evaluation {
             source.load(clip, &mut frames, &mut actions)?;
             let n = source.frames();
             Ok(Case {
+                first_frame: source.first_frame(clip),
                 frames: Tensor::from_vec(frames, (n, h, w, c), &Device::Cpu)?,
                 actions: Tensor::from_vec(actions, (n - 1, source.action_dim()), &Device::Cpu)?,
             })
@@ -86,6 +91,7 @@ impl Evaluation {
         Ok(Self {
             cases: cases.collect::<Result<_>>()?,
             horizon,
+            frame_skip: encoding.frame_skip,
         })
     }
 
@@ -144,25 +150,53 @@ impl Evaluation {
         sampler: &Sampler,
         change: ActionChange,
     ) -> Result<Vec<(f64, f64)>> {
-        let case = self.cases.get(index).context("no such window")?;
+        let case = self.case(index)?;
+        let last = case.frames.narrow(0, CONTEXT - 1, 1)?;
+        let predicted = self.predict(index, model, sampler, change)?;
+        predicted
+            .iter()
+            .enumerate()
+            .map(|(k, predicted)| {
+                let truth = case.frames.narrow(0, CONTEXT + k, 1)?;
+                Ok((squared(predicted, &truth)?, squared(&last, &truth)?))
+            })
+            .collect()
+    }
+
+    /// The predicted latents (1, h, w, C) of a window, step by step.
+    pub(super) fn predict(
+        &self,
+        index: usize,
+        model: &Transition,
+        sampler: &Sampler,
+        change: ActionChange,
+    ) -> Result<Vec<Tensor>> {
+        let case = self.case(index)?;
         let context = case.frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
         let past = case.actions.narrow(0, 0, CONTEXT - 1)?;
         let told = self.changed(index, change)?;
         let mut rollout = Rollout::new(model, sampler, &context, Some(&past), SEED)?;
-        let last = case.frames.narrow(0, CONTEXT - 1, 1)?;
         (0..self.horizon)
-            .map(|k| {
-                let predicted = rollout.next(&told.narrow(0, k, 1)?)?;
-                let truth = case.frames.narrow(0, CONTEXT + k, 1)?;
-                Ok((squared(&predicted, &truth)?, squared(&last, &truth)?))
-            })
+            .map(|k| Ok(rollout.next(&told.narrow(0, k, 1)?)?))
             .collect()
+    }
+
+    /// Where a window's frames are in the dataset, the observed ones first.
+    pub(super) fn frame_indices(&self, index: usize) -> Result<Vec<usize>> {
+        let first = self.case(index)?.first_frame;
+        Ok((0..CONTEXT + self.horizon)
+            .map(|i| first + i * self.frame_skip)
+            .collect())
+    }
+
+    fn case(&self, index: usize) -> Result<&Case> {
+        self.cases.get(index).context("no such window")
     }
 
     /// The actions (K, A) that the prediction of a window is told.
     fn changed(&self, index: usize, change: ActionChange) -> Result<Tensor> {
         let of = |index: usize| -> Result<Tensor> {
-            let case = self.cases.get(index).context("no such window")?;
+            let case = self.case(index)?;
             Ok(case.actions.narrow(0, CONTEXT - 1, self.horizon)?)
         };
         let own = of(index)?;
