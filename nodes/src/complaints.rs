@@ -8,13 +8,17 @@ use std::{
 
 use wm_ros::{Diagnostics, Level};
 
+/// Kinds of warnings that are told apart; texts hold what others send, and could be many.
+const KINDS: usize = 64;
+
 /// After a warning, how long more of its kind are only counted.
 const QUIET: Duration = Duration::from_secs(5);
 
 /// Counts drops by reason and warns of them.
 pub struct Complaints {
     diagnostics: Diagnostics,
-    last: BTreeMap<&'static str, (Instant, u64)>,
+    /// By what was said, without its numbers.
+    last: BTreeMap<String, (Instant, u64)>,
     waiting_for: Option<String>,
 }
 
@@ -37,16 +41,19 @@ impl Complaints {
     pub fn left_out_many(&mut self, reason: &'static str, number: u64, error: &dyn Display) {
         self.diagnostics.count_drops(reason, number);
         let now = Instant::now();
-        match self.last.get_mut(reason) {
+        let text = format!("{reason}: {error}");
+        let mut kind: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
+        if self.last.len() >= KINDS && !self.last.contains_key(&kind) {
+            reason.clone_into(&mut kind);
+        }
+        match self.last.get_mut(&kind) {
             Some((since, unsaid)) if now.duration_since(*since) < QUIET => *unsaid += number,
             earlier => {
                 match earlier.map_or(0, |(_, unsaid)| *unsaid) {
-                    0 => tracing::warn!("{reason}: {error}"),
-                    unsaid => tracing::warn!(
-                        "{reason}: {error} (and {unsaid} more since the last warning)"
-                    ),
+                    0 => tracing::warn!("{text}"),
+                    unsaid => tracing::warn!("{text} (and {unsaid} more since the last warning)"),
                 }
-                self.last.insert(reason, (now, 0));
+                self.last.insert(kind, (now, 0));
             }
         }
     }

@@ -3,6 +3,7 @@
 //! [`DecoderStep`] is the node without its wires. A picture has the stamp of its prediction: the time that is predicted.
 
 mod node;
+mod rollouts;
 mod step;
 
 pub use node::{NAME, body, run};

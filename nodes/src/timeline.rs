@@ -5,8 +5,8 @@
 //! of an observation and which actions lie between them, by stamps alone: there is no clock, and what arrives when
 //! makes no difference beyond what has arrived.
 //!
-//! Stamps are nanoseconds of the capture clock. A stamp far behind the newest one means that time jumped back (a bag
-//! that loops, a simulation that restarts): everything observed before is flushed.
+//! Stamps are nanoseconds of the capture clock. A frame far behind the newest one, or far ahead of it, means that time
+//! jumped (a bag that loops, a simulation that restarts, a camera that was away): everything observed before is flushed.
 
 mod actions;
 mod frames;
@@ -34,7 +34,7 @@ pub struct Timing {
     pub frame_skip: usize,
     /// How far a stamp may lie from where it is looked for \[ns\].
     pub tolerance_ns: i64,
-    /// How far back a stamp must lie to mean that time jumped, not that a message was late \[ns\].
+    /// How far a stamp must lie from the newest to mean that time jumped, not that a message was late or lost \[ns\].
     pub jump_ns: i64,
 }
 
@@ -64,7 +64,7 @@ impl Timing {
 /// What a frame or an action did to the timeline.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Arrival {
-    /// Time jumped back, and what was observed before is forgotten.
+    /// Time jumped, and what was observed before is forgotten.
     pub flushed: bool,
     /// Camera frames that are missing between this frame and the one before.
     pub missed_frames: u64,
@@ -75,13 +75,13 @@ pub struct Arrival {
 #[non_exhaustive]
 pub enum TimelineError {
     /// The same stamp again.
-    #[error("frame of {} has already come: left out", seconds(*.stamp_ns))]
+    #[error("frame of {} has already come: left out", seconds_of(*.stamp_ns))]
     Duplicate {
         /// Its stamp.
         stamp_ns: i64,
     },
     /// Older than the newest, by less than a jump of time.
-    #[error("{what} of {} came after that of {}: out of order, left out", seconds(*.stamp_ns), seconds(*.newest_ns))]
+    #[error("{what} of {} came after that of {}: out of order, left out", seconds_of(*.stamp_ns), seconds_of(*.newest_ns))]
     OutOfOrder {
         /// `frame` or `action chunk`.
         what: &'static str,
@@ -126,13 +126,13 @@ pub enum Wait {
         need: usize,
     },
     /// A frame that the context needs is missing.
-    #[error("the frame of {} is missing: a gap in the context", seconds(*.missing_ns))]
+    #[error("the frame of {} is missing: a gap in the context", seconds_of(*.missing_ns))]
     Gap {
         /// Where it should be.
         missing_ns: i64,
     },
     /// Nothing says what the robot does.
-    #[error("no action has come for {} or before", seconds(*.needed_ns))]
+    #[error("no action has come for {} or before", seconds_of(*.needed_ns))]
     NoAction {
         /// The moment whose action is needed.
         needed_ns: i64,
@@ -196,7 +196,13 @@ impl Timeline {
         let stamp_ns = stamp.to_nanos();
         let mut arrival = Arrival::default();
         if let Some(newest_ns) = self.frames.newest().map(|frame| frame.stamp_ns) {
-            if self.is_jump(stamp_ns, newest_ns) {
+            let is_ahead = stamp_ns > newest_ns.saturating_add(self.timing.jump_ns);
+            if is_ahead {
+                // Actions stay: the last one is held for as long as no other comes.
+                self.frames.clear();
+                self.epoch += 1;
+                arrival.flushed = true;
+            } else if self.is_jump(stamp_ns, newest_ns) {
                 self.flush_around(stamp_ns);
                 arrival.flushed = true;
             } else if stamp_ns == newest_ns {
@@ -259,11 +265,29 @@ impl Timeline {
         self.actions.set_chunk(chunk)
     }
 
+    /// Takes note that the node's clock jumped back to `now`; whether that flushed anything. What has already come by
+    /// the new time stays.
+    pub fn clock_jumped(&mut self, now: Time) -> bool {
+        let now_ns = now.to_nanos();
+        let newest = self.frames.newest().map(|frame| frame.stamp_ns);
+        let newest = newest.max(self.actions.newest_ns());
+        if !newest.is_some_and(|newest_ns| self.is_jump(now_ns, newest_ns)) {
+            return false;
+        }
+        self.flush_around(now_ns);
+        true
+    }
+
     /// Forgets everything.
     pub fn clear(&mut self) {
         self.frames.clear();
         self.actions.clear();
         self.epoch += 1;
+    }
+
+    /// The frame of the deltas of the newest action; empty where none has come.
+    pub fn base_frame(&self) -> Arc<str> {
+        self.actions.base_frame()
     }
 
     /// The newest frame.
@@ -326,7 +350,7 @@ impl Timeline {
         stamp_ns < newest_ns.saturating_sub(self.timing.jump_ns)
     }
 
-    /// Forgets what was observed before time jumped back to `stamp_ns`. Actions outrun frames, which pass through the
+    /// Forgets what was observed before time jumped to `stamp_ns`. Actions outrun frames, which pass through the
     /// encoder first: those around the new time belong to it and stay.
     fn flush_around(&mut self, stamp_ns: i64) {
         self.frames.clear();
@@ -336,9 +360,12 @@ impl Timeline {
 }
 
 /// A stamp as people read it.
-fn seconds(stamp_ns: i64) -> String {
-    let time = Time::from_nanos(stamp_ns);
-    format!("{}.{:09} s", time.sec, time.nanosec)
+pub fn seconds(stamp: Time) -> String {
+    format!("{}.{:09} s", stamp.sec, stamp.nanosec)
+}
+
+fn seconds_of(stamp_ns: i64) -> String {
+    seconds(Time::from_nanos(stamp_ns))
 }
 
 #[cfg(test)]

@@ -16,6 +16,12 @@ pub struct Transports {
 }
 
 impl Transports {
+    /// Both.
+    pub const BOTH: Self = Self {
+        raw: true,
+        compressed: true,
+    };
+
     /// By the value of a parameter: `raw`, `compressed` or `both`.
     ///
     /// # Errors
@@ -30,10 +36,7 @@ impl Transports {
                 raw: false,
                 compressed: true,
             },
-            "both" => Self {
-                raw: true,
-                compressed: true,
-            },
+            "both" => Self::BOTH,
             other => {
                 bail!("parameter image_transport is \"{other}\"; expected raw, compressed or both")
             }

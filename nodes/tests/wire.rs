@@ -322,7 +322,11 @@ fn four_nodes_predict_plan_and_survive_bad_input() {
             &format!("{model} -p horizon:={HORIZON} -p seed:=11"),
             wm_nodes::predictor::body,
         ),
-        Running::start("decoder", &model, wm_nodes::decoder::body),
+        Running::start(
+            "decoder",
+            &format!("{model} -p decode_period:=0.0"),
+            wm_nodes::decoder::body,
+        ),
         Running::start(
             "planner",
             &format!(

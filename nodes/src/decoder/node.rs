@@ -9,7 +9,7 @@ use anyhow::{Context as _, Result};
 use wm_msgs::wm_msgs::Prediction;
 use wm_ros::{Descriptor, Node, NodeArgs, Qos};
 
-use super::{DecoderStep, jpeg_message, raw_message};
+use super::{DecoderStep, jpeg_message, raw_message, rollouts::Rollouts};
 use crate::{complaints::Complaints, model_choice, transport::Transports, work::Work};
 
 /// The node's default name.
@@ -40,6 +40,14 @@ pub async fn body(node: Node) -> Result<()> {
     let quality = node.declare("jpeg_quality", 90_i64, descriptor)?;
     let descriptor = Descriptor::new("steps k that are decoded; empty: all");
     let steps = node.declare("steps", Vec::<i64>::new(), descriptor)?;
+    let descriptor = Descriptor::new(
+        "least time between two observations whose rollouts are decoded [s]; 0: all",
+    )
+    .floats(0.0, 3600.0)
+    .read_only();
+    let period = node.declare("decode_period", 0.4_f64, descriptor)?.get();
+    // The descriptor keeps it within an hour.
+    let mut rollouts = Rollouts::every((period * 1e9) as i64);
     node.seal_parameters()?;
 
     let decoder = tokio::task::spawn_blocking(move || model.decoder()).await??;
@@ -98,6 +106,9 @@ pub async fn body(node: Node) -> Result<()> {
             }
             received = predictions.recv() => {
                 let Some(received) = received else { return Ok(()) };
+                if !rollouts.choose(received.message.observed_stamp.to_nanos()) {
+                    continue;
+                }
                 let steps = steps.get();
                 if !steps.is_empty() && !steps.contains(&i64::from(received.message.step)) {
                     continue;
@@ -105,7 +116,7 @@ pub async fn body(node: Node) -> Result<()> {
                 // The descriptor keeps it within 1 to 100.
                 let quality = u8::try_from(quality.get()).unwrap_or(100);
                 if work.submit((received.message, quality)).is_some() {
-                    complaints.left_out("overload", &"decoding is slower than the predictions come; decode fewer steps");
+                    complaints.left_out("overload", &"decoding is slower than the predictions come; decode fewer steps or rollouts");
                 }
             }
         }

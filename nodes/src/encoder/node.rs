@@ -16,6 +16,7 @@ use crate::{
     complaints::Complaints,
     latent_message::LatentDtype,
     model_choice,
+    timeline::seconds,
     transport::{ImageSubscription, Transports},
     work::Work,
 };
@@ -58,7 +59,8 @@ pub async fn body(node: Node) -> Result<()> {
     let mut work = Work::new(WAITING, move |(frame, received): (CameraFrame, Instant)| {
         let step = step.lock().unwrap_or_else(PoisonError::into_inner);
         let started = Instant::now();
-        (step.encode(&frame), started.elapsed(), received)
+        let is_raw = matches!(frame, CameraFrame::Raw(_));
+        (step.encode(&frame), is_raw, started.elapsed(), received)
     });
 
     let diagnostics = node.diagnostics();
@@ -74,14 +76,18 @@ pub async fn body(node: Node) -> Result<()> {
         tokio::select! {
             biased;
             finished = work.finished() => {
-                let (latent, taken, received) = finished.context("the encoder's thread")?;
+                let (latent, is_raw, taken, received) = finished.context("the encoder's thread")?;
                 match latent {
                     Ok(latent) => {
                         latents.publish(&latent)?;
                         diagnostics.latency("encode").record(taken);
                         diagnostics.latency("image to latent").record(received.elapsed());
                     }
-                    Err(error) => complaints.left_out("bad_image", &error),
+                    Err(error) => {
+                        // the next frames may be good by the other transport
+                        repeats.distrust(is_raw);
+                        complaints.left_out("bad_image", &error);
+                    }
                 }
             }
             received = images.recv() => {
@@ -90,15 +96,17 @@ pub async fn body(node: Node) -> Result<()> {
                 match repeats.arrive(frame.header().stamp, matches!(frame, CameraFrame::Raw(_))) {
                     Arrival::New => {
                         if let Some((late, _)) = work.submit((frame, Instant::now())) {
-                            let stamp = late.header().stamp;
                             complaints.left_out("overload", &format_args!(
-                                "the frame of {}.{:09} s waited when a newer one came: encoding is slower than the camera",
-                                stamp.sec, stamp.nanosec,
+                                "the frame of {} waited when a newer one came: encoding is slower than the camera",
+                                seconds(late.header().stamp),
                             ));
                         }
                     }
                     Arrival::OtherTransport => {}
-                    Arrival::Duplicate => complaints.left_out("duplicate", &"a frame came twice"),
+                    Arrival::Duplicate => complaints.left_out(
+                        "duplicate",
+                        &format_args!("the frame of {} came twice", seconds(frame.header().stamp)),
+                    ),
                 }
             }
         }

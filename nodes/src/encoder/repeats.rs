@@ -13,6 +13,8 @@ const JUMP_NS: i64 = 1_000_000_000;
 #[derive(Debug, Default)]
 pub(super) struct Repeats {
     seen: VecDeque<(Time, bool)>,
+    /// The transport (whether the raw one) whose last frame could not be used: what it brought hides nothing.
+    distrusted: Option<bool>,
 }
 
 /// What an arrival is.
@@ -27,17 +29,22 @@ pub(super) enum Arrival {
 }
 
 impl Repeats {
+    /// Takes note that a frame of this transport could not be used.
+    pub(super) fn distrust(&mut self, is_raw: bool) {
+        self.distrusted = Some(is_raw);
+    }
+
     pub(super) fn arrive(&mut self, stamp: Time, is_raw: bool) -> Arrival {
         let newest = self.seen.iter().map(|(stamp, _)| *stamp).max();
         if newest.is_some_and(|newest| stamp.to_nanos() < newest.to_nanos() - JUMP_NS) {
             self.seen.clear();
         }
-        if let Some((_, was_raw)) = self.seen.iter().find(|(seen, _)| *seen == stamp) {
-            return if *was_raw == is_raw {
-                Arrival::Duplicate
-            } else {
-                Arrival::OtherTransport
-            };
+        let mut of_stamp = self.seen.iter().filter(|(seen, _)| *seen == stamp);
+        if of_stamp.clone().any(|(_, was_raw)| *was_raw == is_raw) {
+            return Arrival::Duplicate;
+        }
+        if of_stamp.any(|(_, was_raw)| self.distrusted != Some(*was_raw)) {
+            return Arrival::OtherTransport;
         }
         if self.seen.len() == REMEMBERED {
             self.seen.pop_front();
@@ -64,6 +71,19 @@ mod tests {
         assert_eq!(repeats.arrive(stamp(2), false), Arrival::New);
         assert_eq!(repeats.arrive(stamp(1), true), Arrival::OtherTransport);
         assert_eq!(repeats.arrive(stamp(2), false), Arrival::Duplicate);
+    }
+
+    #[test]
+    fn a_transport_that_cannot_be_used_does_not_hide_the_other() {
+        let mut repeats = Repeats::default();
+        assert_eq!(repeats.arrive(stamp(0), true), Arrival::New);
+        repeats.distrust(true);
+        assert_eq!(repeats.arrive(stamp(0), false), Arrival::New);
+        assert_eq!(repeats.arrive(stamp(1), true), Arrival::New);
+        assert_eq!(repeats.arrive(stamp(1), false), Arrival::New);
+        assert_eq!(repeats.arrive(stamp(1), false), Arrival::Duplicate);
+        assert_eq!(repeats.arrive(stamp(2), false), Arrival::New);
+        assert_eq!(repeats.arrive(stamp(2), true), Arrival::OtherTransport);
     }
 
     #[test]

@@ -119,24 +119,30 @@ pub enum Parameter {
     /// `name:` (nested names joined by dots) and `value:`.
     Value {
         /// The name.
-        name: String,
+        name: Template,
         /// The value.
         value: ParameterValue,
+        /// `type`: one of ROS 2's names, such as `float` or `list_of_str`.
+        wanted: Option<String>,
     },
 }
 
 /// The value of a parameter.
 #[derive(Clone, Debug)]
 pub enum ParameterValue {
-    /// As YAML gives it.
+    /// One value.
+    One(Scalar),
+    /// A list.
+    List(Vec<Scalar>),
+}
+
+/// A value that is no list.
+#[derive(Clone, Debug)]
+pub enum Scalar {
+    /// A number or a boolean, as YAML gives it.
     Literal(Value),
-    /// A text with substitutions, read as YAML once they are resolved; with `is_text` it stays a string.
-    Substituted {
-        /// The text.
-        template: Template,
-        /// `type: str`.
-        is_text: bool,
-    },
+    /// A text, which may have substitutions in it.
+    Text(Template),
 }
 
 /// The keys that `node` and `executable` share.
@@ -144,6 +150,8 @@ pub enum ParameterValue {
 pub struct ProcessKeys {
     /// `name`.
     pub name: Option<Template>,
+    /// `launch-prefix`: words before the command line, such as `nice -n 10`.
+    pub prefix: Option<Template>,
     /// `cwd`.
     pub working_directory: Option<Template>,
     /// `output`: `screen`, `log` or `both`.
@@ -268,12 +276,14 @@ mod tests {
         };
         let Parameter::Value {
             name,
-            value: ParameterValue::Literal(value),
+            value: ParameterValue::One(Scalar::Literal(value)),
+            ..
         } = &node.parameters[0]
         else {
             panic!("not a literal")
         };
-        assert_eq!((name.as_str(), value.as_i64()), ("a.b", Some(2)));
+        assert_eq!(name, &Template::plain("a.b".to_owned()));
+        assert_eq!(value.as_i64(), Some(2));
     }
 
     #[test]

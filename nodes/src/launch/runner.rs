@@ -207,9 +207,17 @@ impl Launch {
 }
 
 fn start(process: &Process) -> io::Result<Child> {
-    let mut command = match &process.program {
-        Program::Own => Command::new(std::env::current_exe()?),
-        Program::Path(path) => Command::new(path),
+    let program = match &process.program {
+        Program::Own => std::env::current_exe()?,
+        Program::Path(path) => path.clone(),
+    };
+    let mut command = match process.prefix.split_first() {
+        None => Command::new(program),
+        Some((first, rest)) => {
+            let mut command = Command::new(first);
+            command.args(rest).arg(program);
+            command
+        }
     };
     command
         .args(&process.arguments)

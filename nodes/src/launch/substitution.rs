@@ -124,6 +124,12 @@ impl Template {
         Ok(template)
     }
 
+    /// A text that stands for itself.
+    #[must_use]
+    pub fn plain(text: String) -> Self {
+        Self(vec![Fragment::Text(text)])
+    }
+
     /// Whether there is no substitution in it.
     #[must_use]
     pub fn is_plain(&self) -> bool {
@@ -254,8 +260,8 @@ fn call(
                 })
         }
         ("find-pkg-share" | "find-pkg-prefix", _) => Err(wrong("1")),
-        ("equals", [left, right]) => Ok((left == right).to_string()),
-        ("not-equals", [left, right]) => Ok((left != right).to_string()),
+        ("equals", [left, right]) => Ok(are_equal(left, right).to_string()),
+        ("not-equals", [left, right]) => Ok((!are_equal(left, right)).to_string()),
         ("not", [value]) => Ok((!parse_boolean(value)?).to_string()),
         ("and", [left, right]) => Ok((parse_boolean(left)? & parse_boolean(right)?).to_string()),
         ("or", [left, right]) => Ok((parse_boolean(left)? | parse_boolean(right)?).to_string()),
@@ -265,6 +271,19 @@ fn call(
             name: name.to_owned(),
         }),
     }
+}
+
+/// Equality as ROS 2's launch has it: of booleans (`true` and `1` alike), else of numbers, else of texts.
+fn are_equal(left: &str, right: &str) -> bool {
+    if let (Ok(left), Ok(right)) = (parse_boolean(left), parse_boolean(right)) {
+        return left == right;
+    }
+    if let (Ok(left), Ok(right)) = (left.trim().parse::<f64>(), right.trim().parse::<f64>()) {
+        // Python's math.isclose
+        let scale = left.abs().max(right.abs());
+        return left == right || (left - right).abs() <= 1e-9 * scale;
+    }
+    left == right
 }
 
 /// What ends the template that is being read.
@@ -428,6 +447,19 @@ mod tests {
         );
         assert_eq!(resolve("$(not $(equals $(var bag) x))").unwrap(), "true");
         assert_eq!(resolve(r"costs 5\$").unwrap(), "costs 5$");
+    }
+
+    #[test]
+    fn equality_is_of_values_before_it_is_of_texts() {
+        for (text, expected) in [
+            ("$(equals True 1)", "true"),
+            ("$(equals 1.0 1)", "true"),
+            ("$(equals 2.50 2.5)", "true"),
+            ("$(not-equals false 0)", "false"),
+            ("$(equals a A)", "false"),
+        ] {
+            assert_eq!(resolve(text).unwrap(), expected, "{text}");
+        }
     }
 
     #[test]

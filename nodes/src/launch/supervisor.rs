@@ -327,6 +327,7 @@ mod tests {
         Process {
             name: name.to_owned(),
             node: None,
+            prefix: Vec::new(),
             program: Program::Own,
             arguments: Vec::new(),
             environment: Vec::new(),

@@ -3,7 +3,6 @@
 use super::live_line::LiveLine;
 use crate::encoder::CameraFrame;
 use crate::{
-    image_message::{decode_compressed, decode_image},
     report::{Scorer, files::write_report, table::terminal_table},
     transport::{ImageSubscription, Transports},
 };
@@ -16,7 +15,6 @@ use tokio::time::MissedTickBehavior;
 use tracing::warn;
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
-    sensor_msgs::Image,
     wm_msgs::{Plan, Prediction, PredictionError},
 };
 use wm_ros::{Descriptor, Diagnostics, Node, NodeArgs, Qos, Received, Subscription};
@@ -64,12 +62,14 @@ struct Monitor {
     is_live: bool,
     output: PathBuf,
     diagnostics: Diagnostics,
+    /// The transport (whether the raw one) by which predicted pictures are taken: that of the first.
+    takes_raw: Option<bool>,
 }
 
 struct Inputs {
     camera: ImageSubscription,
     predicted: Subscription<Prediction>,
-    pictures: Subscription<Image>,
+    pictures: ImageSubscription,
     errors: Subscription<PredictionError>,
     plans: Subscription<Plan>,
     diagnostics: Subscription<DiagnosticArray>,
@@ -103,7 +103,7 @@ fn start(node: &Node) -> Result<(Monitor, Inputs)> {
     let inputs = Inputs {
         camera: ImageSubscription::new(node, &camera, transports, QOS)?,
         predicted: node.subscription("predicted", QOS)?,
-        pictures: node.subscription("predicted/image", QOS)?,
+        pictures: ImageSubscription::new(node, "predicted/image", Transports::BOTH, QOS)?,
         errors: node.subscription("prediction_error", QOS)?,
         plans: node.subscription("plan", QOS)?,
         diagnostics: node.subscription("/diagnostics", QOS)?,
@@ -114,6 +114,7 @@ fn start(node: &Node) -> Result<(Monitor, Inputs)> {
         is_live,
         output: PathBuf::from(output),
         diagnostics: node.diagnostics(),
+        takes_raw: None,
     };
     Ok((monitor, inputs))
 }
@@ -131,13 +132,7 @@ async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
                 Some(received) => monitor.prediction(&received),
                 None => break,
             },
-            Some(Received { message, received }) = inputs.pictures.recv() => {
-                let stamp_ns = message.header.stamp.to_nanos();
-                match decode_image(&message) {
-                    Ok(picture) => monitor.scorer.picture(stamp_ns, picture, received.to_nanos()),
-                    Err(problem) => monitor.left_out("predicted image", &problem),
-                }
-            }
+            Some(received) = inputs.pictures.recv() => monitor.picture(&received),
             Some(received) = inputs.errors.recv() => monitor.scorer.error(&received.message),
             Some(Received { message, .. }) = inputs.plans.recv() => {
                 monitor.line.plan(message.cost, message.time_taken.to_nanos());
@@ -154,15 +149,23 @@ async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
 
 impl Monitor {
     fn camera(&mut self, frame: &CameraFrame) {
-        let decoded = match frame {
-            CameraFrame::Raw(image) => decode_image(image).map(|rgb| (image.header.stamp, rgb)),
-            CameraFrame::Compressed(image) => {
-                decode_compressed(image).map(|rgb| (image.header.stamp, rgb))
-            }
-        };
-        match decoded {
-            Ok((stamp, rgb)) => self.frame(stamp.to_nanos(), rgb),
+        match frame.decode() {
+            Ok(rgb) => self.frame(frame.header().stamp.to_nanos(), rgb),
             Err(problem) => self.left_out("camera image", &problem),
+        }
+    }
+
+    /// A predicted picture may come raw and compressed: it counts once.
+    fn picture(&mut self, received: &Received<CameraFrame>) {
+        let Received { message, received } = received;
+        let is_raw = matches!(message, CameraFrame::Raw(_));
+        if *self.takes_raw.get_or_insert(is_raw) != is_raw {
+            return;
+        }
+        let stamp_ns = message.header().stamp.to_nanos();
+        match message.decode() {
+            Ok(picture) => self.scorer.picture(stamp_ns, picture, received.to_nanos()),
+            Err(problem) => self.left_out("predicted image", &problem),
         }
     }
 

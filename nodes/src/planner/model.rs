@@ -120,10 +120,7 @@ impl PlannerModel {
         let stamp_ns = observed.stamp_ns;
         let step_ns = request.timing.step_ns();
         // The frame of the deltas, as the robot names it.
-        let base = request.context.actions.iter().flatten().next_back();
-        let base = base
-            .map(|action| action.frame_id.to_string())
-            .unwrap_or_default();
+        let base = request.base_frame.to_string();
         let actions = found.actions.iter().enumerate().map(|(index, action)| {
             let header = Header {
                 // Horizons are a handful of steps.

@@ -8,7 +8,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use wm_model::planner::PlannedActions;
 use wm_msgs::{
-    builtin_interfaces::{Duration as RosDuration, Time},
+    builtin_interfaces::Duration as RosDuration,
     wm_msgs::{Action, ActionChunk, Latent, Plan, Reset, ResetResponse},
 };
 use wm_ros::{Node, NodeArgs, Publisher, Qos, Received};
@@ -21,7 +21,7 @@ use crate::{
     encoder::{CameraFrame, EncoderError, EncoderStep},
     latent_message::LatentDtype,
     model_choice,
-    timeline::{Arrival, Wait},
+    timeline::{Arrival, Wait, seconds},
     transport::{ImageSubscription, Transports},
     work::Work,
 };
@@ -147,11 +147,14 @@ impl Planner {
                     let seed = (!call.request.keep_seed).then_some(call.request.seed);
                     let message = self.step.reset(seed);
                     tracing::info!("reset: {message}");
-                    call.respond(&ResetResponse { success: true, message })?;
+                    if let Err(error) = call.respond(&ResetResponse { success: true, message }) {
+                        tracing::warn!("reset is not answered: {error}");
+                    }
                 }
                 Ok(()) = jumps.changed() => {
-                    self.step.flush();
-                    tracing::info!("/clock jumped back: history flushed");
+                    if self.step.clock_jumped(node.now()) {
+                        tracing::info!("/clock jumped back: history flushed");
+                    }
                 }
                 received = images.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
@@ -185,7 +188,7 @@ impl Planner {
         match taken {
             Ok(arrival) => {
                 if arrival.flushed {
-                    tracing::info!("time jumped back: history flushed");
+                    tracing::info!("time jumped: history flushed");
                 }
                 true
             }
@@ -199,7 +202,7 @@ impl Planner {
     fn goal(&mut self, goal: Result<Goal, EncoderError>) {
         match goal {
             Ok(goal) => {
-                tracing::info!("goal set: the image of {}", text(goal.stamp));
+                tracing::info!("goal set: the image of {}", seconds(goal.stamp));
                 self.step.set_goal(goal);
                 self.plan();
             }
@@ -219,7 +222,7 @@ impl Planner {
                         .left_out("overload", &"planning takes longer than plan_period");
                 }
             }
-            Err(PlanWait::Recent) => {}
+            Err(PlanWait::Recent) => self.complaints.working("planning"),
             Err(wait @ PlanWait::NoGoal) => self.complaints.waiting("goal", true, &wait),
             Err(PlanWait::History(wait @ Wait::NoFrame)) => {
                 self.complaints.waiting(
@@ -241,15 +244,20 @@ impl Planner {
                 // A search takes seconds: far below what 64 bits of nanoseconds hold.
                 plan.time_taken = RosDuration::from_nanos(taken.as_nanos() as i64);
                 self.diagnostics.latency("plan").record(taken);
-                self.plans.publish(&plan)?;
-                self.step.planned(&request, &actions);
+                if self.step.planned(&request, &actions) {
+                    self.plans.publish(&plan)?;
+                } else {
+                    self.complaints.left_out(
+                        "stale_plan",
+                        &format_args!(
+                            "the plan from {} came after a new goal, a reset or a jump of time",
+                            seconds(plan.header.stamp)
+                        ),
+                    );
+                }
             }
             Err(error) => self.complaints.left_out(error.reason(), &error),
         }
         Ok(())
     }
-}
-
-fn text(stamp: Time) -> String {
-    format!("{}.{:09} s", stamp.sec, stamp.nanosec)
 }

@@ -51,7 +51,7 @@ impl Parameters {
         let limit = |value: f64| if value > 0.0 { value } else { f64::INFINITY };
         let deadline = number(
             "deadline",
-            0.5,
+            1.5,
             0.0,
             3600.0,
             "time that a search may take [s]; 0: no limit",
@@ -104,7 +104,7 @@ impl Parameters {
             .min(64),
             plan_period: number(
                 "plan_period",
-                1.0,
+                2.0,
                 0.0,
                 3600.0,
                 "least time between two plans for one goal [s]",

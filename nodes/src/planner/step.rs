@@ -42,6 +42,8 @@ pub struct PlanRequest {
     pub epoch: u64,
     /// Context frames and the actions between them; the last frame is the observation.
     pub context: Context,
+    /// The frame of the actions' deltas, as the robot names it; empty where no action has come.
+    pub base_frame: Arc<str>,
     /// What to reach.
     pub goal: Goal,
     /// First mean of the search: the last plan for this goal, shifted by the model steps that have passed.
@@ -167,6 +169,7 @@ impl PlannerStep {
         self.seed = self.seed.wrapping_add(1);
         Ok(PlanRequest {
             epoch: self.timeline.epoch(),
+            base_frame: self.timeline.base_frame(),
             context,
             goal,
             start,
@@ -175,27 +178,28 @@ impl PlannerStep {
         })
     }
 
-    /// Takes note of what a request led to: the start of the next search. Ignored where time has jumped, or the goal
-    /// has changed, since.
-    pub fn planned(&mut self, request: &PlanRequest, actions: &PlannedActions) {
-        let observed_ns = request.context.frames.last().map(|frame| frame.stamp_ns);
-        let is_current =
-            request.epoch == self.timeline.epoch() && self.goal.as_ref() == Some(&request.goal);
-        match &mut self.last {
-            Some(last) if is_current && Some(last.observed_ns) == observed_ns => {
-                last.actions = Some(actions.clone());
-            }
-            _ => {}
+    /// Takes note of what a request led to: the start of the next search. False, and nothing is noted, where time has
+    /// jumped, or the goal has changed, since: the plan is stale.
+    #[must_use]
+    pub fn planned(&mut self, request: &PlanRequest, actions: &PlannedActions) -> bool {
+        if request.epoch != self.timeline.epoch() || self.goal.as_ref() != Some(&request.goal) {
+            return false;
         }
+        let observed_ns = request.context.frames.last().map(|frame| frame.stamp_ns);
+        if let Some(last) = &mut self.last
+            && Some(last.observed_ns) == observed_ns
+        {
+            last.actions = Some(actions.clone());
+        }
+        true
     }
 
     /// Forgets all history and the last plan, and takes a new seed where one is given. The goal stays: it is the user's.
     pub fn reset(&mut self, seed: Option<u64>) -> String {
         self.flush();
         if let Some(seed) = seed {
-            self.settings.seed = seed;
+            self.seed = seed;
         }
-        self.seed = self.settings.seed;
         let goal = if self.goal.is_some() {
             "kept the goal"
         } else {
@@ -207,10 +211,19 @@ impl PlannerStep {
         )
     }
 
-    /// Forgets all history: time jumped back.
-    pub fn flush(&mut self) {
+    /// Forgets all history.
+    fn flush(&mut self) {
         self.timeline.clear();
         self.last = None;
+    }
+
+    /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
+    pub fn clock_jumped(&mut self, now: Time) -> bool {
+        let has_flushed = self.timeline.clock_jumped(now);
+        if has_flushed {
+            self.last = None;
+        }
+        has_flushed
     }
 
     fn note(&mut self, arrival: Arrival) {

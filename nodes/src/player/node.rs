@@ -22,6 +22,10 @@ pub const NAME: &str = "player";
 /// How long the graph must not change before the first message, where others are waited for.
 const QUIET: Duration = Duration::from_millis(500);
 
+/// Time between two passes of restamped messages: longer than what the nodes take for a lost message, so that they see
+/// that another episode begins.
+const LOOP_PAUSE: Duration = Duration::from_millis(1500);
+
 /// Messages read ahead of their time. Those of a camera take about 200 KB each.
 const READ_AHEAD: usize = 64;
 
@@ -83,6 +87,8 @@ struct Player {
     published: u64,
     unreadable: u64,
     kept_stamps: BTreeMap<Arc<str>, u64>,
+    /// Messages that this middleware cannot send, by topic.
+    left_out: BTreeMap<Arc<str>, u64>,
 }
 
 impl Player {
@@ -110,6 +116,7 @@ impl Player {
             published: 0,
             unreadable: 0,
             kept_stamps: BTreeMap::new(),
+            left_out: BTreeMap::new(),
         })
     }
 
@@ -130,6 +137,9 @@ impl Player {
                 .await?;
             if !self.settings.is_looping || end_ns <= start_ns {
                 break;
+            }
+            if self.settings.is_restamping {
+                tokio::time::sleep(LOOP_PAUSE).await;
             }
             info!("beginning again");
         }
@@ -196,6 +206,8 @@ impl Player {
                 stamp_ns
             }
         };
+        // before what is of the new pass: nodes that follow it forget the old one first
+        self.publish_clock(schedule.bag_time_ns(Duration::ZERO))?;
         self.publish_goal(map)?;
         // before the first frame, which would find no chunk otherwise
         self.publish_chunk(0, map)?;
@@ -243,8 +255,18 @@ impl Player {
                 }
             }
         }
-        track.publisher.publish(data)?;
-        self.published += 1;
+        match track.publisher.publish(data) {
+            Ok(()) => self.published += 1,
+            // one recorder's odd sample is no reason to stop the others
+            Err(problem @ wm_ros::Error::Representation { .. }) => {
+                let left_out = self.left_out.entry(message.topic.clone()).or_default();
+                if *left_out == 0 {
+                    error!("{}: message left out: {problem}", message.topic);
+                }
+                *left_out += 1;
+            }
+            Err(problem) => return Err(problem.into()),
+        }
         Ok(())
     }
 
@@ -293,6 +315,10 @@ impl Player {
     /// Says what was lost, topic by topic.
     fn report(&self) -> Ending {
         let mut is_lost = self.unreadable > 0 || self.reader.truncated();
+        for (topic, messages) in &self.left_out {
+            warn!("{topic}: {messages} message(s) left out: not in a form that can be sent");
+            is_lost = true;
+        }
         for (topic, track) in &self.playlist.tracks {
             let dropped = track.publisher.dropped();
             if dropped > 0 {

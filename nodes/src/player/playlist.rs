@@ -60,6 +60,11 @@ impl Playlist {
             let qos = topic
                 .qos()
                 .map_or(Qos::reliable(10), |profile| offered(&profile));
+            // Services' events and actions' feedback are recorded too, with types that are no message of a package.
+            if !topic.type_name.contains("/msg/") {
+                warn!("{}: {} is not played", topic.name, topic.type_name);
+                continue;
+            }
             let publisher = node
                 .raw_publisher(&topic.name, &topic.type_name, qos)
                 .with_context(|| format!("topic {} of the bag", topic.name))?;
@@ -128,7 +133,10 @@ fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result
         .starting_at(start_ns)
         .flatten()
     {
-        actions.push(message.decode::<Action>()?);
+        match message.decode::<Action>() {
+            Ok(action) => actions.push(action),
+            Err(problem) => warn!("action left out of the chunks: {problem}"),
+        }
     }
     Ok(ActionChunks::new(actions, length)?)
 }

@@ -15,7 +15,11 @@ use wm_ros::{
 
 use super::{PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout};
 use crate::{
-    complaints::Complaints, latent_message::LatentDtype, model_choice, timeline::Wait, work::Work,
+    complaints::Complaints,
+    latent_message::LatentDtype,
+    model_choice,
+    timeline::{Wait, seconds},
+    work::Work,
 };
 
 /// The node's default name.
@@ -101,6 +105,8 @@ struct Predictor {
     shared: Shared,
     parameters: Parameters,
     work: Work<(RolloutRequest, Instant), Result<()>>,
+    /// Predictions given up that have been counted.
+    unscored: u64,
     complaints: Complaints,
 }
 
@@ -139,6 +145,7 @@ impl Predictor {
             shared,
             parameters,
             work,
+            unscored: 0,
             complaints,
         })
     }
@@ -163,17 +170,21 @@ impl Predictor {
                     let seed = (!call.request.keep_seed).then_some(call.request.seed);
                     let message = self.shared.step().reset(seed);
                     tracing::info!("reset: {message}");
-                    call.respond(&ResetResponse { success: true, message })?;
+                    if let Err(error) = call.respond(&ResetResponse { success: true, message }) {
+                        tracing::warn!("reset is not answered: {error}");
+                    }
                 }
                 Ok(()) = jumps.changed() => {
-                    self.shared.step().flush();
-                    tracing::info!("/clock jumped back: history flushed");
+                    let now = self.shared.clock.now();
+                    if self.shared.step().clock_jumped(now) {
+                        tracing::info!("/clock jumped back: history flushed");
+                    }
                 }
                 received = actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
                     let taken = self.shared.step().action(&received.message);
                     match taken {
-                        Ok(arrival) if arrival.flushed => tracing::info!("time jumped back: history flushed"),
+                        Ok(arrival) if arrival.flushed => tracing::info!("time jumped: history flushed"),
                         Ok(_) => {}
                         Err(error) => self.complaints.left_out(error.reason(), &error),
                     }
@@ -195,6 +206,7 @@ impl Predictor {
 
     fn latent(&mut self, Received { message, received }: Received<Latent>) -> Result<()> {
         let arrived = Instant::now();
+        let stamp = seconds(message.header.stamp);
         let horizon = self.parameters.horizon.get() as usize;
         let integration_steps = match self.parameters.integration_steps.get() {
             0 => self.shared.model.transition.config().sampler.steps,
@@ -216,13 +228,22 @@ impl Predictor {
         for error in &outcome.errors {
             self.shared.errors.publish(error)?;
         }
+        let unscored = self.shared.step().unscored();
+        if unscored > self.unscored {
+            self.complaints.left_out_many(
+                "unscored",
+                unscored - self.unscored,
+                &"more predictions wait for their moment than are kept: they get no error",
+            );
+            self.unscored = unscored;
+        }
         if outcome.arrival.flushed {
-            tracing::info!("time jumped back: history flushed");
+            tracing::info!("time jumped: history flushed");
         }
         if outcome.arrival.missed_frames > 0 {
             let text = format!(
-                "{} frames are missing before this one",
-                outcome.arrival.missed_frames
+                "{} frames are missing before that of {}",
+                outcome.arrival.missed_frames, stamp
             );
             self.complaints
                 .left_out_many("gap", outcome.arrival.missed_frames, &text);
@@ -233,7 +254,9 @@ impl Predictor {
                 if self.work.submit((request, arrived)).is_some() {
                     self.complaints.left_out(
                         "overload",
-                        &"a rollout takes longer than a frame: an observation is left out",
+                        &format_args!(
+                            "a rollout takes longer than a frame: the observation before that of {stamp} is left out"
+                        ),
                     );
                 }
             }

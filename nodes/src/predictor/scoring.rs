@@ -7,8 +7,8 @@ use wm_msgs::{builtin_interfaces::Time, std_msgs::Header, wm_msgs::PredictionErr
 
 use crate::timeline::Frame;
 
-/// Most predictions that wait for their moment: 64 rollouts of 16 steps.
-const MAX_PENDING: usize = 1024;
+/// Most predictions that wait for their moment, whatever the horizon.
+const MAX_PENDING: usize = 8192;
 
 /// A prediction to be compared with what is seen when its moment comes.
 #[derive(Clone, Debug)]
@@ -47,9 +47,23 @@ impl Pending {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scoring {
     pending: VecDeque<Pending>,
+    capacity: usize,
+    given_up: u64,
 }
 
 impl Scoring {
+    /// Makes room for the predictions of rollouts of `horizon` steps from every camera frame, `frame_skip` of which
+    /// make a step: step k waits while k * frame_skip frames come. Half as much again for frames that are lost.
+    pub(super) fn make_room(&mut self, horizon: usize, frame_skip: usize) {
+        let waiting = frame_skip * horizon * (horizon + 1) / 2 + horizon;
+        self.capacity = (waiting + waiting / 2).min(MAX_PENDING);
+    }
+
+    /// Predictions that were given up before their moment came, since too many waited.
+    pub(super) fn given_up(&self) -> u64 {
+        self.given_up
+    }
+
     /// Adds a prediction; `seen` is the frame of its moment where that came first.
     pub(super) fn add(
         &mut self,
@@ -59,8 +73,9 @@ impl Scoring {
         if let Some(seen) = seen {
             return Some(pending.score(seen));
         }
-        if self.pending.len() == MAX_PENDING {
+        while self.pending.len() >= self.capacity.max(1) {
             self.pending.pop_front();
+            self.given_up += 1;
         }
         self.pending.push_back(pending);
         None

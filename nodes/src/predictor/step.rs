@@ -55,12 +55,14 @@ pub struct PredictorStep {
 impl PredictorStep {
     /// A predictor that has seen nothing.
     pub fn new(settings: PredictorSettings, timing: Timing, space: LatentSpace) -> Self {
-        Self {
+        let mut step = Self {
             settings,
             space,
             timeline: Timeline::new(timing, settings.context_frames),
             scoring: Scoring::default(),
-        }
+        };
+        step.set(settings.horizon, settings.integration_steps);
+        step
     }
 
     /// Takes a latent, received at `received` by the node's clock.
@@ -141,15 +143,31 @@ impl PredictorStep {
         )
     }
 
-    /// Forgets all history: time jumped back.
-    pub fn flush(&mut self) {
+    /// Forgets all history.
+    fn flush(&mut self) {
         self.timeline.clear();
         self.scoring.clear();
+    }
+
+    /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
+    pub fn clock_jumped(&mut self, now: Time) -> bool {
+        let has_flushed = self.timeline.clock_jumped(now);
+        if has_flushed {
+            self.scoring.clear();
+        }
+        has_flushed
+    }
+
+    /// Predictions that were given up before their moment came, since too many waited.
+    pub fn unscored(&self) -> u64 {
+        self.scoring.given_up()
     }
 
     /// Settings of the next rollouts. The number of context frames is fixed when the state is made.
     pub fn set(&mut self, horizon: usize, integration_steps: usize) {
         self.settings.horizon = horizon;
+        let skip = self.timeline.timing().frame_skip;
+        self.scoring.make_room(horizon, skip);
         self.settings.integration_steps = integration_steps;
     }
 

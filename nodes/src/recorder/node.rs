@@ -33,6 +33,7 @@ type Losses = BTreeMap<Arc<str>, Arc<AtomicU64>>;
 pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
     let mut recording = None;
+    let mut losses = Losses::new();
     let result = wm_ros::run(
         NAME,
         crate::NAMESPACE,
@@ -40,25 +41,21 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
         async |node: Node| -> Result<()> {
             let (started, selection) = start(&node).await?;
             let queue = recording.insert(started).queue();
-            let losses = record(&node, &selection, &queue).await?;
-            for (topic, lost) in losses {
-                let messages = lost.load(Ordering::Relaxed);
-                if messages > 0
-                    && !queue.offer(Entry::Lost {
-                        topic: topic.clone(),
-                        messages,
-                    })?
-                {
-                    warn!("{topic}: {messages} message(s) lost");
-                }
-            }
-            Ok(())
+            record(&node, &selection, &queue, &mut losses).await
         },
     );
     // the bag is closed whatever happened, so that what was recorded can be read
     let Some(recording) = recording else {
         return result.map(|()| Ending::Complete);
     };
+    let queue = recording.queue();
+    for (topic, lost) in losses {
+        let messages = lost.load(Ordering::Relaxed);
+        if messages > 0 {
+            queue.put(Entry::Lost { topic, messages })?;
+        }
+    }
+    drop(queue);
     let summary = recording.finish()?;
     result?;
     println!(
@@ -117,11 +114,15 @@ async fn start(node: &Node) -> Result<(Recording, Selection)> {
     Ok((recording, Selection { topics, exclude }))
 }
 
-/// Records until the node's shutdown; what was lost.
-async fn record(node: &Node, selection: &Selection, queue: &Queue) -> Result<Losses> {
+/// Records until the node's shutdown; counts in `losses` what was lost.
+async fn record(
+    node: &Node,
+    selection: &Selection,
+    queue: &Queue,
+    losses: &mut Losses,
+) -> Result<()> {
     let prefixes = definitions::prefixes();
     let shutdown = node.shutdown();
-    let mut losses = Losses::new();
     let mut types: BTreeMap<String, String> = BTreeMap::new();
     let mut refused = BTreeSet::new();
     let mut topics = JoinSet::new();
@@ -148,7 +149,7 @@ async fn record(node: &Node, selection: &Selection, queue: &Queue) -> Result<Los
             types.insert(topic.name.clone(), topic.type_name.clone());
             let lost = Arc::new(AtomicU64::new(0));
             let name: Arc<str> = topic.name.as_str().into();
-            let subscription = subscribe(node, &topic, &name, queue, &prefixes)?;
+            let subscription = subscribe(node, &topic, &name, queue, &prefixes).await?;
             losses.insert(name.clone(), Arc::clone(&lost));
             topics.spawn(forward(subscription, name, queue.clone(), lost));
         }
@@ -164,10 +165,10 @@ async fn record(node: &Node, selection: &Selection, queue: &Queue) -> Result<Los
     while let Some(ended) = topics.join_next().await {
         ended??;
     }
-    Ok(losses)
+    Ok(())
 }
 
-fn subscribe(
+async fn subscribe(
     node: &Node,
     topic: &TopicInfo,
     name: &Arc<str>,
@@ -190,10 +191,8 @@ fn subscribe(
         schema,
         qos: profile(topic.publishers.first()),
     };
-    ensure!(
-        queue.offer(recorded)?,
-        "the disk is too slow to begin recording {name}"
-    );
+    let queue = queue.clone();
+    tokio::task::spawn_blocking(move || queue.put(recorded)).await??;
     Ok(node.raw_subscription(&topic.name, &topic.type_name, qos)?)
 }
 
@@ -221,7 +220,11 @@ async fn forward(
     queue: Queue,
     lost: Arc<AtomicU64>,
 ) -> Result<()> {
-    while let Some(received) = subscription.recv().await {
+    // after the shutdown, what still waits
+    while let Some(received) = match subscription.recv().await {
+        Some(received) => Some(received),
+        None => subscription.try_recv(),
+    } {
         let log_time_ns = u64::try_from(received.received.to_nanos()).unwrap_or(0);
         let entry = Entry::Message {
             topic: Arc::clone(&topic),
@@ -233,7 +236,10 @@ async fn forward(
         }
     }
     let (dropped, missing) = (subscription.dropped(), subscription.lost());
-    lost.fetch_add(dropped + missing, Ordering::Relaxed);
-    debug!("{topic}: {dropped} dropped in the subscription, {missing} never arrived");
+    let refused = subscription.undecodable();
+    lost.fetch_add(dropped + missing + refused, Ordering::Relaxed);
+    debug!(
+        "{topic}: {dropped} dropped in the subscription, {missing} never arrived, {refused} in no known form"
+    );
     Ok(())
 }

@@ -1,15 +1,22 @@
 //! The bag's thread: messages from a bounded queue into a [`BagWriter`].
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, anyhow, bail};
 use bytes::Bytes;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{
+    Arc, Mutex, PoisonError,
+    atomic::{AtomicUsize, Ordering},
+    mpsc,
+};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use wm_bag::{BagSummary, BagWriter, QosProfile, Schema, WriterOptions};
 
-/// Messages that may wait for the disk. Those of a camera take about 200 KB each.
+/// Messages that may wait for the disk.
 const QUEUE: usize = 256;
+
+/// Bytes of messages that may wait for the disk: forty raw 1080p pictures.
+const QUEUE_BYTES: usize = 256 << 20;
 
 /// A chunk is closed after this much time at the latest: what a killed recorder may lose.
 const CHUNK_TIME: Duration = Duration::from_secs(1);
@@ -35,15 +42,16 @@ pub(super) enum Entry {
 
 /// The bag's thread.
 pub(super) struct Recording {
-    queue: mpsc::SyncSender<Entry>,
+    queue: Queue,
     thread: JoinHandle<Result<BagSummary>>,
-    failure: Arc<Mutex<Option<String>>>,
 }
 
 /// The way to the bag's thread.
 #[derive(Clone)]
 pub(super) struct Queue {
     queue: mpsc::SyncSender<Entry>,
+    /// Bytes of the messages that wait.
+    waiting: Arc<AtomicUsize>,
     failure: Arc<Mutex<Option<String>>>,
 }
 
@@ -53,17 +61,44 @@ impl Queue {
     /// # Errors
     /// Where the bag can no longer be written (a full disk).
     pub fn offer(&self, entry: Entry) -> Result<bool> {
+        let bytes = entry.bytes();
+        if self.waiting.fetch_add(bytes, Ordering::Relaxed) > QUEUE_BYTES {
+            self.waiting.fetch_sub(bytes, Ordering::Relaxed);
+            return Ok(false);
+        }
         match self.queue.try_send(entry) {
             Ok(()) => Ok(true),
-            Err(mpsc::TrySendError::Full(_)) => Ok(false),
-            Err(mpsc::TrySendError::Disconnected(_)) => {
-                let failure = self
-                    .failure
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .clone();
-                bail!("the bag cannot be written: {}", failure.unwrap_or_default())
+            Err(mpsc::TrySendError::Full(_)) => {
+                self.waiting.fetch_sub(bytes, Ordering::Relaxed);
+                Ok(false)
             }
+            Err(mpsc::TrySendError::Disconnected(_)) => Err(self.failure()),
+        }
+    }
+
+    /// Hands an entry over, and waits until there is room: not for an async context.
+    ///
+    /// # Errors
+    /// As [`Self::offer`].
+    pub fn put(&self, entry: Entry) -> Result<()> {
+        self.waiting.fetch_add(entry.bytes(), Ordering::Relaxed);
+        self.queue.send(entry).map_err(|_| self.failure())
+    }
+
+    fn failure(&self) -> anyhow::Error {
+        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
+        anyhow!(
+            "the bag cannot be written: {}",
+            failure.as_deref().unwrap_or_default()
+        )
+    }
+}
+
+impl Entry {
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Message { data, .. } => data.len(),
+            Self::Topic { .. } | Self::Lost { .. } => 0,
         }
     }
 }
@@ -80,31 +115,27 @@ impl Recording {
         };
         let writer = BagWriter::create(folder, options)?;
         let (queue, entries) = mpsc::sync_channel(QUEUE);
-        let failure = Arc::new(Mutex::new(None));
-        let thread_failure = Arc::clone(&failure);
+        let queue = Queue {
+            queue,
+            waiting: Arc::default(),
+            failure: Arc::default(),
+        };
+        let (waiting, failure) = (Arc::clone(&queue.waiting), Arc::clone(&queue.failure));
         let thread = std::thread::Builder::new()
             .name("bag".to_owned())
             .spawn(move || {
-                let result = write(writer, &entries);
+                let result = write(writer, &entries, &waiting);
                 if let Err(error) = &result {
-                    *thread_failure
-                        .lock()
-                        .unwrap_or_else(PoisonError::into_inner) = Some(format!("{error:#}"));
+                    *failure.lock().unwrap_or_else(PoisonError::into_inner) =
+                        Some(format!("{error:#}"));
                 }
                 result
             })?;
-        Ok(Self {
-            queue,
-            thread,
-            failure,
-        })
+        Ok(Self { queue, thread })
     }
 
     pub fn queue(&self) -> Queue {
-        Queue {
-            queue: self.queue.clone(),
-            failure: Arc::clone(&self.failure),
-        }
+        self.queue.clone()
     }
 
     /// Closes the bag once every [`Queue`] is gone.
@@ -120,7 +151,11 @@ impl Recording {
     }
 }
 
-fn write(mut writer: BagWriter, entries: &mpsc::Receiver<Entry>) -> Result<BagSummary> {
+fn write(
+    mut writer: BagWriter,
+    entries: &mpsc::Receiver<Entry>,
+    waiting: &AtomicUsize,
+) -> Result<BagSummary> {
     let mut types = std::collections::HashMap::new();
     loop {
         // a chunk closes by the time of its messages; when none comes, it closes here
@@ -134,6 +169,7 @@ fn write(mut writer: BagWriter, entries: &mpsc::Receiver<Entry>) -> Result<BagSu
                 return writer.finish().context("closing the bag");
             }
         };
+        waiting.fetch_sub(entry.bytes(), Ordering::Relaxed);
         match entry {
             Entry::Topic {
                 name,
@@ -240,6 +276,24 @@ mod tests {
             (messages.len(), messages[0].log_time_ns, &messages[0].data),
             (1, 7, &data)
         );
+    }
+
+    #[test]
+    fn waiting_messages_are_bounded_in_bytes() {
+        let (queue, entries) = mpsc::sync_channel(QUEUE);
+        let queue = Queue {
+            queue,
+            waiting: Arc::default(),
+            failure: Arc::default(),
+        };
+        let large = || Entry::Message {
+            topic: "/camera".into(),
+            log_time_ns: 0,
+            data: Bytes::from_static(&[0; 64 << 20]),
+        };
+        let taken = (0..10).filter(|_| queue.offer(large()).unwrap()).count();
+        assert_eq!(taken, 5, "what exceeds the limit is the last that is taken");
+        assert_eq!(entries.iter().take(taken).count(), taken);
     }
 
     #[test]

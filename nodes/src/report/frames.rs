@@ -57,6 +57,7 @@ impl Frames {
 
     /// The frame nearest to a stamp, within the tolerance.
     pub fn nearest(&self, stamp_ns: i64, tolerance_ns: i64) -> Option<&Arc<RgbImage>> {
+        let tolerance_ns = tolerance_ns.max(0);
         let range = stamp_ns.saturating_sub(tolerance_ns)..=stamp_ns.saturating_add(tolerance_ns);
         let nearest = self
             .frames

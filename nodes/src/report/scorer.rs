@@ -29,8 +29,8 @@ const WAITING_LIMIT: usize = 512;
 /// Steps of a rollout that are told apart.
 const STEP_LIMIT: u32 = 64;
 
-/// A stamp this far behind the newest means that time jumped back \[ns\].
-const JUMP_NS: i64 = 1_000_000_000;
+/// A stamp this far from the newest means that time jumped \[ns\].
+const JUMP_NS: u64 = 1_000_000_000;
 
 /// What of a prediction its picture is matched by.
 #[derive(Clone, Copy, Debug)]
@@ -106,7 +106,7 @@ impl Scorer {
         if self
             .frames
             .newest_ns()
-            .is_some_and(|newest_ns| stamp_ns < newest_ns.saturating_sub(JUMP_NS))
+            .is_some_and(|newest_ns| stamp_ns.abs_diff(newest_ns) > JUMP_NS)
         {
             self.flush();
         }
@@ -130,13 +130,18 @@ impl Scorer {
 
     /// A prediction that arrived at `arrived_ns` (the clock of the stamps).
     pub fn prediction(&mut self, prediction: &Prediction, arrived_ns: i64) {
-        if prediction.step == 0 || prediction.step > STEP_LIMIT {
+        let period_ns = prediction.step_period.to_nanos();
+        if prediction.step == 0 || prediction.step > STEP_LIMIT || period_ns <= 0 {
+            *self
+                .drops
+                .entry(("report".to_owned(), "bad_prediction".to_owned()))
+                .or_default() += 1;
             return;
         }
         self.model.clone_from(&prediction.model);
         self.model_hash.clone_from(&prediction.model_hash);
         self.horizon = prediction.horizon.min(STEP_LIMIT);
-        self.period_ns = prediction.step_period.to_nanos();
+        self.period_ns = period_ns;
         let observed_ns = prediction.observed_stamp.to_nanos();
         self.steps.entry(prediction.step).or_default().prediction(
             prediction
@@ -319,7 +324,7 @@ impl Scorer {
         );
     }
 
-    /// Time jumped back: nothing that waits will be matched any more.
+    /// Time jumped: nothing that waits will be matched any more.
     fn flush(&mut self) {
         self.frames.clear();
         self.awaited.clear();

@@ -106,6 +106,11 @@ impl Actions {
         self.taken.last_key_value().map(|(stamp_ns, _)| *stamp_ns)
     }
 
+    pub(super) fn base_frame(&self) -> Arc<str> {
+        let newest = self.taken.last_key_value();
+        newest.map_or_else(|| "".into(), |(_, action)| Arc::clone(&action.frame_id))
+    }
+
     pub(super) fn chunk_stamp_ns(&self) -> Option<i64> {
         self.chunk.as_ref().map(|chunk| chunk.stamp_ns)
     }

@@ -219,6 +219,37 @@ fn chunks_that_say_nothing_are_refused_and_the_old_one_stays() {
 }
 
 #[test]
+fn time_jumping_ahead_flushes_frames_and_holds_the_last_action() {
+    let mut timeline = timeline(2);
+    for index in 0..3 {
+        timeline.action(&action(index, 1.0)).unwrap();
+        see(&mut timeline, index).unwrap();
+    }
+    let arrival = see(&mut timeline, 100).unwrap();
+    assert_eq!((arrival.flushed, arrival.missed_frames), (true, 0));
+    assert_eq!(timeline.epoch(), 1);
+    for index in 101..103 {
+        see(&mut timeline, index).unwrap();
+    }
+    assert_eq!(timeline.context().unwrap().frames.len(), 2);
+}
+
+#[test]
+fn a_clock_that_jumps_back_leaves_what_has_come_by_the_new_time() {
+    let mut timeline = timeline(2);
+    for index in 0..30 {
+        timeline.action(&action(index, 1.0)).unwrap();
+        see(&mut timeline, index).unwrap();
+    }
+    assert!(timeline.clock_jumped(Time::from_nanos(START)));
+    assert_eq!(timeline.context().unwrap_err(), Wait::NoFrame);
+    timeline.action(&action(0, 2.0)).unwrap();
+    see(&mut timeline, 0).unwrap();
+    assert!(!timeline.clock_jumped(Time::from_nanos(START)), "again");
+    assert!(timeline.newest().is_some());
+}
+
+#[test]
 fn time_jumping_back_flushes_whichever_stream_sees_it_first() {
     for action_first in [true, false] {
         let mut timeline = timeline(2);

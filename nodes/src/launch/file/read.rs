@@ -1,6 +1,6 @@
 //! The reader of a launch file's entries, one function an action.
 
-use super::{Action, ActionKind, Argument, Node, Parameter, ParameterValue, ProcessKeys};
+use super::{Action, ActionKind, Argument, Node, Parameter, ParameterValue, ProcessKeys, Scalar};
 use crate::launch::{
     entity::{Entity, describe},
     error::LaunchError,
@@ -243,6 +243,7 @@ fn read_parameter(
     } else {
         format!("{prefix}.{name}")
     };
+    let template = entity.parse("name", &name)?;
     let wanted_type = entity.text("type")?;
     if let Some(other) = wanted_type.filter(|name| !PARAMETER_TYPES.contains(name)) {
         let message = format!(
@@ -256,29 +257,17 @@ fn read_parameter(
     match (value, nested.is_empty()) {
         (Some(value), true) => {
             let value = match value {
-                Value::String(text) => {
-                    let template = entity.parse("value", text)?;
-                    // without a type, a string that has no substitution stays one, whatever it looks like
-                    let is_text = wanted_type.map_or(template.is_plain(), |name| name == "str");
-                    ParameterValue::Substituted { template, is_text }
+                Value::Sequence(items) => {
+                    let items = items.iter().map(|item| read_scalar(&entity, item));
+                    ParameterValue::List(items.collect::<Result<_, _>>()?)
                 }
-                Value::Bool(_) | Value::Number(_) => ParameterValue::Literal(value.clone()),
-                Value::Sequence(items)
-                    if items
-                        .iter()
-                        .all(|item| !item.is_mapping() && !item.is_sequence()) =>
-                {
-                    ParameterValue::Literal(value.clone())
-                }
-                other => {
-                    let message = format!(
-                        "key \"value\" must be a scalar or a list of scalars, got {}",
-                        describe(other)
-                    );
-                    return Err(entity.error(message));
-                }
+                scalar => ParameterValue::One(read_scalar(&entity, scalar)?),
             };
-            parameters.push(Parameter::Value { name, value });
+            parameters.push(Parameter::Value {
+                name: template,
+                value,
+                wanted: wanted_type.map(ToOwned::to_owned),
+            });
         }
         (None, false) if depth < DEPTH_LIMIT => {
             for child in nested {
@@ -292,6 +281,17 @@ fn read_parameter(
         }
     }
     entity.finish()
+}
+
+fn read_scalar(entity: &Entity<'_>, value: &Value) -> Result<Scalar, LaunchError> {
+    match value {
+        Value::String(text) => Ok(Scalar::Text(entity.parse("value", text)?)),
+        Value::Bool(_) | Value::Number(_) => Ok(Scalar::Literal(value.clone())),
+        other => Err(entity.error(format!(
+            "key \"value\" must be a scalar or a list of scalars, got {}",
+            describe(other)
+        ))),
+    }
 }
 
 fn read_pairs(
@@ -337,6 +337,7 @@ fn read_process(entity: &mut Entity<'_>) -> Result<ProcessKeys, LaunchError> {
     };
     Ok(ProcessKeys {
         name: entity.template("name")?,
+        prefix: entity.template("launch-prefix")?,
         working_directory: entity.template("cwd")?,
         output: entity.template("output")?,
         environment: read_pairs(entity, "env", "name", "value")?,

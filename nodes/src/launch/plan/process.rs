@@ -2,8 +2,9 @@
 
 use super::Site;
 use crate::launch::{
+    entity::describe,
     error::LaunchError,
-    file::{Node, Parameter, ParameterValue, ProcessKeys},
+    file::{Node, Parameter, ParameterValue, ProcessKeys, Scalar},
     substitution::Template,
 };
 use serde_yaml_ng::Value;
@@ -30,7 +31,8 @@ pub enum Program {
 pub enum Output {
     /// Both streams to the screen.
     Screen,
-    /// Standard error to the screen, standard output to the log only: ROS 2's default.
+    /// Standard error to the screen only: ROS 2's default, which writes standard output to a log file; this launcher
+    /// keeps none.
     Log,
 }
 
@@ -50,6 +52,8 @@ pub struct Process {
     pub name: String,
     /// The full name of the ROS node, where it is given.
     pub node: Option<String>,
+    /// A command, with arguments, that is given the program and its arguments to run; empty: none.
+    pub prefix: Vec<String>,
     /// What it runs.
     pub program: Program,
     /// Its arguments.
@@ -185,6 +189,14 @@ fn with_keys(
     Ok(Process {
         name: format!("{label}-{}", index + 1),
         node: None,
+        prefix: match &keys.prefix {
+            // As ROS 2 does, and other than in `args`: a variable may hold a whole prefix, or nothing.
+            Some(template) => {
+                let text = site.resolve("launch-prefix", template)?;
+                site.words("launch-prefix", &Template::plain(text))?
+            }
+            None => Vec::new(),
+        },
         program: Program::Own,
         arguments: Vec::new(),
         environment,
@@ -237,16 +249,40 @@ fn parameter_arguments(parameter: &Parameter, site: &Site<'_>) -> Result<[String
             }
             Ok(["--params-file".to_owned(), path])
         }
-        Parameter::Value { name, value } => {
-            let value = match value {
-                ParameterValue::Literal(value) => value.clone(),
-                ParameterValue::Substituted { template, is_text } => {
-                    let text = site.resolve(&format!("param {name}"), template)?;
-                    if *is_text {
-                        Value::String(text)
-                    } else {
-                        read_scalar(text)
-                    }
+        Parameter::Value {
+            name,
+            value,
+            wanted,
+        } => {
+            let name = site.resolve("param", name)?;
+            let typed = |scalar: &Scalar, wanted: Option<&str>| -> Result<Value, LaunchError> {
+                let value = resolve_scalar(&name, scalar, wanted, site)?;
+                check_type(value, wanted).map_err(|(wanted, value)| {
+                    site.error(format!(
+                        "parameter {name:?} is to be of type {wanted}, got {}",
+                        describe(&value)
+                    ))
+                })
+            };
+            let wanted = wanted.as_deref();
+            let item_type = wanted.and_then(|wanted| wanted.strip_prefix("list_of_"));
+            let value = match (value, item_type, wanted) {
+                (ParameterValue::List(items), Some(_), _)
+                | (ParameterValue::List(items), _, None) => {
+                    let items = items.iter().map(|item| typed(item, item_type));
+                    Value::Sequence(items.collect::<Result<_, _>>()?)
+                }
+                (ParameterValue::One(scalar), None, _) => typed(scalar, wanted)?,
+                (ParameterValue::List(_), None, Some(wanted)) => {
+                    return Err(site.error(format!(
+                        "parameter {name:?} is to be of type {wanted}, got a list"
+                    )));
+                }
+                (ParameterValue::One(_), Some(_), _) => {
+                    return Err(site.error(format!(
+                        "parameter {name:?} is to be of type {}, got a single value",
+                        wanted.unwrap_or_default()
+                    )));
                 }
             };
             let value = flow_yaml(&value)
@@ -256,8 +292,48 @@ fn parameter_arguments(parameter: &Parameter, site: &Site<'_>) -> Result<[String
     }
 }
 
+/// What a scalar stands for. Without a type, a text that has no substitution stays one, whatever it looks like.
+fn resolve_scalar(
+    name: &str,
+    scalar: &Scalar,
+    wanted: Option<&str>,
+    site: &Site<'_>,
+) -> Result<Value, LaunchError> {
+    match scalar {
+        Scalar::Literal(value) => Ok(value.clone()),
+        Scalar::Text(template) => {
+            let text = site.resolve(&format!("param {name}"), template)?;
+            let is_text = wanted.map_or(template.is_plain(), |wanted| wanted == "str");
+            Ok(match (is_text, wanted) {
+                (true, _) => Value::String(text),
+                // "2" is a number to who asks for a float; the literal 2 is not, to ROS 2's frontend either
+                (false, Some("float")) => match text.trim().parse::<f64>() {
+                    Ok(number) => Value::Number(number.into()),
+                    Err(_) => Value::String(text),
+                },
+                _ => read_text(text),
+            })
+        }
+    }
+}
+
+/// The value, where it is of the type asked for; else the type's name and the value.
+fn check_type(value: Value, wanted: Option<&str>) -> Result<Value, (String, Value)> {
+    let fits = match (wanted, &value) {
+        (Some("str"), value) => value.is_string(),
+        (Some("bool"), value) => value.is_bool(),
+        (Some("int"), value) => value.is_i64(),
+        (Some("float"), value) => value.is_f64(),
+        _ => true,
+    };
+    match wanted {
+        Some(wanted) if !fits => Err((wanted.to_owned(), value)),
+        _ => Ok(value),
+    }
+}
+
 /// What YAML makes of a resolved text, where that is a scalar or a list; else the text.
-fn read_scalar(text: String) -> Value {
+fn read_text(text: String) -> Value {
     match serde_yaml_ng::from_str(&text) {
         Ok(value @ (Value::Bool(_) | Value::Number(_) | Value::Sequence(_))) => value,
         _ => Value::String(text),

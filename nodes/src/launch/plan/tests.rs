@@ -63,6 +63,7 @@ launch:
     args: "--verbose 'two words'"
     ros_args: "--log-level info"
     on_exit: shutdown
+    launch-prefix: "nice -n 10"
     output: screen
     param:
     - {name: rate, value: "$(var rate)"}
@@ -70,6 +71,8 @@ launch:
     - {name: plain, value: "1.5"}
     - {name: whole, value: 2.0}
     - {name: list, value: [1, 2]}
+    - {name: words, value: ["$(var rate)", "$(var bag)"], type: list_of_str}
+    - {name: precise, value: "$(var rate)", type: float}
     - {name: bag, value: "$(var out)"}
     remap:
     - {from: /a, to: "/b/$(var rate)"}
@@ -79,6 +82,7 @@ launch:
     assert_eq!(process.name, "play-1");
     assert_eq!(process.node.as_deref(), Some("/wm/play"));
     assert!(process.ends_launch);
+    assert_eq!(process.prefix, ["nice", "-n", "10"]);
     assert_eq!(process.program, Program::Own);
     assert_eq!(process.output, Output::Screen);
     assert_eq!(process.respawn, None);
@@ -103,6 +107,10 @@ launch:
         "whole:=2.0",
         "-p",
         "list:=[1, 2]",
+        "-p",
+        "words:=[\"2\", \"/l/b\"]",
+        "-p",
+        "precise:=2.0",
         "-p",
         "bag:=\"out//l/b\"",
         "-r",

@@ -182,7 +182,7 @@ fn plans_are_a_period_apart_and_start_from_the_last_one_shifted() {
     let request = step.request().unwrap();
     assert_eq!((request.seed, &request.start), (5, &None));
     let (found, _) = model(settings()).plan(&request, &mut || false).unwrap();
-    step.planned(&request, &found);
+    assert!(step.planned(&request, &found));
     feed(&mut step, 3..=3);
     assert_eq!(step.request().unwrap_err(), PlanWait::Recent);
     feed(&mut step, 4..=4);
@@ -205,7 +205,7 @@ fn a_jump_and_a_reset_forget_the_history_but_not_the_goal() {
     let request = step.request().unwrap();
     let (found, _) = model(settings()).plan(&request, &mut || false).unwrap();
     feed(&mut step, 0..=2);
-    step.planned(&request, &found);
+    assert!(!step.planned(&request, &found), "it is stale");
     assert_eq!(
         step.request().unwrap().start,
         None,
@@ -220,4 +220,6 @@ fn a_jump_and_a_reset_forget_the_history_but_not_the_goal() {
     );
     feed(&mut step, 3..=5);
     assert_eq!(step.request().unwrap().seed, 70);
+    let said = step.reset(None);
+    assert!(said.contains("seed 71"), "the present one goes on: {said}");
 }

@@ -56,6 +56,20 @@ fn run(scorer: &mut Scorer, frames: i64, error: u8) {
 }
 
 #[test]
+fn a_prediction_without_a_period_is_counted_and_harms_nothing() {
+    let mut scorer = Scorer::default();
+    scorer.frame(0, grey(0));
+    let broken = Prediction {
+        step_period: Duration::from_nanos(-1_000),
+        ..prediction(0, 1, 1)
+    };
+    scorer.prediction(&broken, 2);
+    scorer.picture(STEP_NS, grey(0), 3);
+    scorer.picture(0, grey(0), 4);
+    assert_eq!(scorer.drop_count(), 1);
+}
+
+#[test]
 fn pictures_are_compared_with_the_frame_of_their_moment_and_the_baseline_with_it_too() {
     let mut scorer = Scorer::default();
     run(&mut scorer, 10, 2);
