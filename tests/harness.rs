@@ -5,9 +5,16 @@ use std::{
     os::unix::process::CommandExt as _,
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
-    sync::atomic::{AtomicU16, Ordering},
+    sync::{
+        Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU16, Ordering},
+    },
+    thread::JoinHandle,
     time::{Duration, Instant},
 };
+
+use rustix::process::Pid;
+pub use rustix::process::Signal;
 
 /// The binary under test.
 pub const WM: &str = env!("CARGO_BIN_EXE_wm");
@@ -45,6 +52,12 @@ fn in_domain(command: &mut Command, domain: u16) {
         .env_remove("ROS_STATIC_PEERS");
 }
 
+/// The right to run all nodes at once: two suites side by side are more than two processors can keep up with.
+pub fn whole_suite() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// The virtual environments that `tests/setup_ros2` made; `None` (with a plain message) where it was not run.
 pub fn peers() -> Option<PathBuf> {
     let dir = root().join(".venv");
@@ -71,47 +84,59 @@ pub fn rclpy(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command 
     command
 }
 
+/// Waits until `is_so`, at most `limit`.
+pub fn wait_until(what: &str, limit: Duration, is_so: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !is_so() {
+        assert!(start.elapsed() < limit, "{what}: not within {limit:?}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
 /// A started process, ended by its pid when the test lets go of it.
 pub struct Process {
     child: Child,
     name: String,
+    /// Reads stdout all the time: a process whose pipe is full stands still.
+    stdout: Option<JoinHandle<String>>,
 }
 
 impl Process {
-    /// Starts `command`; its stderr goes to the test's own, its stdout is kept for [`Self::finish`].
+    /// Starts `command`; its stderr goes to the test's own, its stdout to [`Self::finish`].
     pub fn start(mut command: Command) -> Self {
         let name = format!("{command:?}");
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         // A group of its own: what the process started ends with it.
         command.process_group(0);
-        let child = command
+        let mut child = command
             .spawn()
             .unwrap_or_else(|error| panic!("could not start {name}: {error}"));
-        Self { child, name }
-    }
-
-    /// The process id.
-    pub fn pid(&self) -> u32 {
-        self.child.id()
-    }
-
-    /// Sends `signal` (for example `INT`) to the process.
-    pub fn signal(&self, signal: &str) {
-        let status = Command::new("kill")
-            .args([&format!("-{signal}"), &self.pid().to_string()])
-            .status()
-            .expect("kill is part of every system");
-        assert!(status.success(), "could not send {signal} to {}", self.name);
-    }
-
-    /// Waits for the end of the process, at most `limit`; gives its exit status and the rest of its stdout.
-    pub fn finish(mut self, limit: Duration) -> (ExitStatus, String) {
-        let mut stdout = self.child.stdout.take().expect("stdout is piped");
+        let mut stdout = child.stdout.take().expect("stdout is piped");
         let reader = std::thread::spawn(move || {
             let mut text = String::new();
             let _ = stdout.read_to_string(&mut text);
             text
         });
+        Self {
+            child,
+            name,
+            stdout: Some(reader),
+        }
+    }
+
+    /// The process id.
+    fn pid(&self) -> Pid {
+        Pid::from_child(&self.child)
+    }
+
+    /// Sends `signal` to the process.
+    pub fn signal(&self, signal: Signal) {
+        rustix::process::kill_process(self.pid(), signal)
+            .unwrap_or_else(|error| panic!("could not send {signal:?} to {}: {error}", self.name));
+    }
+
+    /// Waits for the end of the process, at most `limit`; gives its exit status and its stdout.
+    pub fn finish(mut self, limit: Duration) -> (ExitStatus, String) {
         let start = Instant::now();
         let status = loop {
             if let Some(status) = self.child.try_wait().expect("the child is ours") {
@@ -124,6 +149,7 @@ impl Process {
             );
             std::thread::sleep(Duration::from_millis(20));
         };
+        let reader = self.stdout.take().expect("taken here only");
         (status, reader.join().expect("the reader does not panic"))
     }
 }
@@ -131,9 +157,7 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            let _ = Command::new("kill")
-                .args(["-KILL", &format!("-{}", self.child.id())])
-                .status();
+            let _ = rustix::process::kill_process_group(self.pid(), Signal::KILL);
             let _ = self.child.wait();
         }
     }

@@ -1,11 +1,14 @@
 //! The main job: one command replays the bundled bag through the nodes and leaves a report.
 
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
-use crate::harness::{Process, bundled_bag, fresh_domain, wm};
+use wm_bag::BagReader;
+
+use crate::harness::{Process, Signal, bundled_bag, fresh_domain, wait_until, whole_suite, wm};
 
 #[test]
 fn the_main_job_leaves_report_strip_and_bag() {
+    let _alone = whole_suite();
     let out = tempfile::tempdir().expect("a temporary directory");
     let launch = Process::start(wm(
         fresh_domain(),
@@ -49,6 +52,39 @@ fn the_main_job_leaves_report_strip_and_bag() {
     ] {
         assert!(text.contains(topic), "{topic} was not recorded: {text}");
     }
+}
+
+#[test]
+fn a_killed_recorder_loses_at_most_its_last_chunk() {
+    let domain = fresh_domain();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let recorded = dir.path().join("recorded");
+    let bag = bundled_bag();
+    let _player = Process::start(wm(
+        domain,
+        &["bag", "play", "--loop", &bag.to_string_lossy()],
+    ));
+    let recorder = Process::start(wm(
+        domain,
+        &["bag", "record", "-a", "-o", &recorded.to_string_lossy()],
+    ));
+    let file = recorded.join("recorded_0.mcap");
+    let size = || file.metadata().map_or(0, |metadata| metadata.len());
+    wait_until("chunks on the disk", Duration::from_secs(60), || {
+        size() > 100_000
+    });
+    let killed_at = SystemTime::now();
+    recorder.signal(Signal::KILL);
+    let (status, _) = recorder.finish(Duration::from_secs(10));
+    assert!(!status.success());
+
+    let reader = BagReader::open(&recorded).expect("what is left of the bag");
+    assert!(reader.message_count() > 0);
+    assert!(reader.messages().all(|message| message.is_ok()));
+    let end = SystemTime::UNIX_EPOCH + Duration::from_nanos(reader.end_ns());
+    let lost = killed_at.duration_since(end).unwrap_or_default();
+    // A chunk is closed after a second; the rest is what a busy machine takes.
+    assert!(lost < Duration::from_secs(4), "{lost:?} are lost");
 }
 
 #[test]
