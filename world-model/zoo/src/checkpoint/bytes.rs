@@ -1,0 +1,52 @@
+//! The bytes of a file, mapped or owned.
+
+use std::fs::File;
+use std::path::Path;
+
+use memmap2::Mmap;
+#[cfg(unix)]
+use memmap2::UncheckedAdvice;
+
+use crate::{Error, Result};
+
+/// A file's bytes.
+#[derive(Debug)]
+pub(super) enum Bytes {
+    Mapped(Mmap),
+    Owned(Vec<u8>),
+}
+
+impl Bytes {
+    pub(super) fn open(path: &Path) -> Result<Self> {
+        let file = File::open(path).map_err(|e| Error::io(path, e))?;
+        // SAFETY: the map is only read. Checkpoints are replaced by renaming a new file over the old one (as the
+        // writers of this project and the usual download tools do), not rewritten in place while they are in use.
+        let map = unsafe { Mmap::map(&file) }.map_err(|e| Error::io(path, e))?;
+        Ok(Self::Mapped(map))
+    }
+
+    pub(super) fn as_slice(&self) -> &[u8] {
+        match self {
+            Self::Mapped(map) => map,
+            Self::Owned(bytes) => bytes,
+        }
+    }
+
+    /// Tells the system that the bytes from `start` on were read for the last time for now, so that their pages no
+    /// longer count as this process's memory. They can be read again all the same.
+    pub(super) fn release(&self, start: usize, len: usize) {
+        #[cfg(unix)]
+        if let Self::Mapped(map) = self
+            && start.checked_add(len).is_some_and(|end| end <= map.len())
+        {
+            // SAFETY: the map is a read-only one of a file, never written to; pages that are dropped are read from
+            // the file again when they are next touched, with the same content.
+            let advised =
+                unsafe { map.unchecked_advise_range(UncheckedAdvice::DontNeed, start, len) };
+            // It is advice: a system that does not take it only keeps the pages for longer.
+            advised.ok();
+        }
+        #[cfg(not(unix))]
+        let _ = (start, len);
+    }
+}

@@ -1,0 +1,294 @@
+use std::io::{Cursor, Write as _};
+
+use safetensors::tensor::{Dtype, TensorView};
+use zip::CompressionMethod;
+use zip::write::SimpleFileOptions;
+
+use super::*;
+
+fn f32s(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+fn safetensors_of(tensors: &[(&str, Dtype, &[usize], Vec<u8>)]) -> Vec<u8> {
+    let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
+        (
+            *name,
+            TensorView::new(*dtype, shape.to_vec(), bytes).unwrap(),
+        )
+    });
+    safetensors::serialize(views, None).unwrap()
+}
+
+/// Writes the pickle of `torch.save`: what protocol 2 makes of the objects, without its memo.
+#[derive(Default)]
+struct Pickler(Vec<u8>);
+
+impl Pickler {
+    fn new() -> Self {
+        Self(vec![0x80, 2])
+    }
+
+    fn text(&mut self, text: &str) {
+        self.0.push(b'X');
+        self.0.extend((text.len() as u32).to_le_bytes());
+        self.0.extend(text.as_bytes());
+    }
+
+    fn global(&mut self, module: &str, name: &str) {
+        self.0.extend(format!("c{module}\n{name}\n").as_bytes());
+    }
+
+    fn int(&mut self, value: i32) {
+        self.0.push(b'J');
+        self.0.extend(value.to_le_bytes());
+    }
+
+    fn ints(&mut self, values: &[i32]) {
+        self.0.push(b'(');
+        values.iter().for_each(|value| self.int(*value));
+        self.0.push(b't');
+    }
+
+    fn tensor(&mut self, class: &str, storage: &str, offset: i32, shape: &[i32], strides: &[i32]) {
+        self.global("torch._utils", "_rebuild_tensor_v2");
+        self.0.extend(b"((");
+        self.text("storage");
+        self.global("torch", class);
+        self.text(storage);
+        self.text("cpu");
+        self.int(99);
+        self.0.extend(b"tQ");
+        self.int(offset);
+        self.ints(shape);
+        self.ints(strides);
+        self.0.push(0x89);
+        self.global("collections", "OrderedDict");
+        self.0.extend(b")RtR");
+    }
+
+    fn dict(&mut self, items: &[(&str, &dyn Fn(&mut Self))]) {
+        self.0.extend(b"}(");
+        for (key, value) in items {
+            self.text(key);
+            value(self);
+        }
+        self.0.push(b'u');
+    }
+
+    fn finish(mut self) -> Vec<u8> {
+        self.0.push(b'.');
+        self.0
+    }
+}
+
+fn torch_file(pickle: Vec<u8>, storages: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+    let mut add = |name: &str, bytes: &[u8]| {
+        archive
+            .start_file(format!("archive/{name}"), stored)
+            .unwrap();
+        archive.write_all(bytes).unwrap();
+    };
+    add("data.pkl", &pickle);
+    add("byteorder", b"little");
+    for (name, bytes) in storages {
+        add(&format!("data/{name}"), bytes);
+    }
+    archive.finish().unwrap().into_inner()
+}
+
+fn values(checkpoint: &Checkpoint, name: &str) -> Vec<f32> {
+    let tensor = checkpoint.tensor(name, DType::F32).unwrap();
+    tensor.flatten_all().unwrap().to_vec1().unwrap()
+}
+
+#[test]
+fn safetensors_of_every_float_format_are_read() {
+    let half = |v: f32| half::f16::from_f32(v).to_le_bytes().to_vec();
+    let brain = |v: f32| half::bf16::from_f32(v).to_le_bytes().to_vec();
+    let file = safetensors_of(&[
+        ("a", Dtype::F32, &[2], f32s(&[1.5, -2.0])),
+        ("b", Dtype::F16, &[1], half(0.25)),
+        ("c", Dtype::BF16, &[1], brain(-8.0)),
+        ("d", Dtype::F64, &[], 3.0f64.to_le_bytes().to_vec()),
+        ("count", Dtype::I64, &[1], 7i64.to_le_bytes().to_vec()),
+    ]);
+    let checkpoint = Checkpoint::from_bytes("test", file).unwrap();
+    assert_eq!(values(&checkpoint, "a"), [1.5, -2.0]);
+    assert_eq!(values(&checkpoint, "b"), [0.25]);
+    assert_eq!(values(&checkpoint, "c"), [-8.0]);
+    assert_eq!(values(&checkpoint, "d"), [3.0]);
+    assert_eq!(
+        checkpoint.float_names().collect::<Vec<_>>(),
+        ["a", "b", "c", "d"]
+    );
+    assert_eq!(checkpoint.parameters(), 5);
+    let rounded = checkpoint.tensor("a", DType::BF16).unwrap();
+    assert_eq!((rounded.dtype(), rounded.dims()), (DType::BF16, &[2][..]));
+    let error = checkpoint
+        .tensor("count", DType::F32)
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("count") && error.contains("I64"), "{error}");
+}
+
+#[test]
+fn a_torch_checkpoint_is_read_in_place() {
+    let mut pickle = Pickler::new();
+    pickle.dict(&[
+        ("model", &|p| {
+            p.dict(&[("w", &|p| p.tensor("FloatStorage", "0", 0, &[2, 3], &[3, 1]))])
+        }),
+        ("ema", &|p| {
+            p.dict(&[
+                ("module.w", &|p| {
+                    p.tensor("FloatStorage", "0", 6, &[3, 2], &[1, 3])
+                }),
+                ("module.n_averaged", &|p| {
+                    p.tensor("LongStorage", "1", 0, &[], &[])
+                }),
+            ]);
+        }),
+        ("step", &|p| p.int(1000)),
+        ("optimizer", &|p| {
+            p.dict(&[("state", &|p| {
+                p.dict(&[("0", &|p| p.tensor("FloatStorage", "0", 0, &[1], &[1]))]);
+            })]);
+        }),
+    ]);
+    let data: Vec<f32> = (0..12u8).map(f32::from).collect();
+    let storages = [("0", f32s(&data)), ("1", 5i64.to_le_bytes().to_vec())];
+    let file = torch_file(pickle.finish(), &storages);
+    let checkpoint = Checkpoint::from_bytes("test.pt", file).unwrap();
+    assert_eq!(checkpoint.parts(), ["ema", "model", "optimizer"]);
+
+    let ema = checkpoint.weights(Average::Ema);
+    assert_eq!(ema.names().collect::<Vec<_>>(), ["n_averaged", "w"]);
+    // Of a transposed view.
+    assert_eq!(values(&ema, "w"), [6.0, 9.0, 7.0, 10.0, 8.0, 11.0]);
+    let raw = checkpoint.weights(Average::Raw);
+    assert_eq!(values(&raw, "w"), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("out.safetensors");
+    let conversion = convert(&ema, &path).unwrap();
+    assert_eq!((conversion.tensors, conversion.parameters), (2, 6));
+    assert_eq!(conversion.bytes, std::fs::metadata(&path).unwrap().len());
+    let again = Checkpoint::open(&path).unwrap();
+    assert_eq!(values(&again, "w"), values(&ema, "w"));
+    assert_eq!(again.element("n_averaged"), Some(Element::I64));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn tensors_beyond_their_storage_are_refused() {
+    for (offset, shape, strides) in [
+        (0, [2, 3], [3, 1]),
+        (3, [1, 2], [2, 1]),
+        (0, [2, 2], [i32::MAX, 1]),
+        (-1, [1, 1], [1, 1]),
+        (0, [i32::MAX, i32::MAX], [0, 0]),
+    ] {
+        let mut pickle = Pickler::new();
+        pickle.dict(&[("w", &|p| {
+            p.tensor("FloatStorage", "0", offset, &shape, &strides)
+        })]);
+        let file = torch_file(pickle.finish(), &[("0", f32s(&[0.0; 4]))]);
+        let error = Checkpoint::from_bytes("bad.pt", file).unwrap_err();
+        assert!(matches!(error, Error::Corrupt { .. }), "{error}");
+    }
+}
+
+#[test]
+fn nothing_in_a_pickle_is_called() {
+    let mut pickle = Pickler::new();
+    pickle.dict(&[
+        ("evil", &|p| {
+            p.global("os", "system");
+            p.0.push(b'(');
+            p.text("touch /tmp/wm_zoo_was_here");
+            p.0.extend(b"tR");
+        }),
+        ("w", &|p| p.tensor("FloatStorage", "0", 0, &[1], &[1])),
+    ]);
+    let file = torch_file(pickle.finish(), &[("0", f32s(&[4.0]))]);
+    let checkpoint = Checkpoint::from_bytes("evil.pt", file).unwrap();
+    assert_eq!(checkpoint.names().collect::<Vec<_>>(), ["w"]);
+    assert!(!Path::new("/tmp/wm_zoo_was_here").exists());
+}
+
+#[test]
+fn modules_are_looked_into() {
+    let mut pickle = Pickler::new();
+    // As TorchScript and, within it, as Python pickles a module.
+    pickle.global("__torch__.net", "Net");
+    pickle.0.extend(b")\x81");
+    pickle.dict(&[
+        ("bias", &|p| p.tensor("FloatStorage", "0", 0, &[1], &[1])),
+        ("training", &|p| p.0.push(0x89)),
+        ("inner", &|p| {
+            p.global("net", "Layer");
+            p.0.extend(b")\x81");
+            let weight = |p: &mut Pickler| p.tensor("FloatStorage", "0", 1, &[1], &[1]);
+            p.dict(&[("_parameters", &|p| p.dict(&[("weight", &weight)]))]);
+            p.0.push(b'b');
+        }),
+    ]);
+    pickle.0.push(b'b');
+    let file = torch_file(pickle.finish(), &[("0", f32s(&[4.0, 5.0]))]);
+    let checkpoint = Checkpoint::from_bytes("net.jit", file).unwrap();
+    assert_eq!(
+        checkpoint.names().collect::<Vec<_>>(),
+        ["bias", "inner.weight"]
+    );
+    assert_eq!(values(&checkpoint, "inner.weight"), [5.0]);
+}
+
+#[test]
+fn values_that_are_not_finite_are_named() {
+    let file = safetensors_of(&[("a.weight", Dtype::F32, &[2], f32s(&[1.0, f32::NAN]))]);
+    let checkpoint = Checkpoint::from_bytes("test", file).unwrap();
+    let error = checkpoint
+        .tensor("a.weight", DType::F32)
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("a.weight"), "{error}");
+}
+
+#[test]
+fn other_files_are_told_from_checkpoints() {
+    let torch_of_old = vec![0x80, 2, 0x8a, 10, 0x6c];
+    let not_torch = torch_file(b"\x80\x02}.".to_vec(), &[]);
+    for (bytes, expected) in [
+        (torch_of_old, "1.6"),
+        (b"hello".to_vec(), "not safetensors"),
+        (not_torch, "no tensors"),
+        (b"PK\x03\x04".to_vec(), "damaged"),
+    ] {
+        let error = Checkpoint::from_bytes("x", bytes).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    let error = Checkpoint::open("/nonexistent/x.pt")
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("/nonexistent/x.pt"), "{error}");
+}
+
+#[test]
+fn a_part_that_is_not_there_is_named_with_those_that_are() {
+    let file = safetensors_of(&[
+        ("adapter.w", Dtype::F32, &[1], f32s(&[1.0])),
+        ("pixel_decoder.w", Dtype::F32, &[1], f32s(&[2.0])),
+    ]);
+    let checkpoint = Checkpoint::from_bytes("test", file).unwrap();
+    let part = checkpoint.require_part("pixel_decoder").unwrap();
+    assert_eq!(values(&part, "w"), [2.0]);
+    assert_eq!(
+        values(&checkpoint.first_part(&["x", "adapter"]), "w"),
+        [1.0]
+    );
+    let error = checkpoint.require_part("encoder").unwrap_err().to_string();
+    assert!(error.contains("adapter, pixel_decoder"), "{error}");
+}

@@ -1,0 +1,219 @@
+use wm_model::transition::TransitionConfig;
+
+use super::*;
+
+/// Asserts that a cost is (parameters in millions, GFLOPs), with the digits that architecture.md states.
+fn assert_cost(what: &str, cost: Cost, (millions, gflops): (f64, f64), gflops_within: f64) {
+    let found = cost.millions();
+    // 1x1 convolutions around a latent, 0.004 M at most, are not in architecture.md's figures.
+    assert!(
+        (found - millions).abs() < 0.005,
+        "{what}: {found} M, not {millions} M"
+    );
+    let found = cost.gflops();
+    assert!(
+        (found - gflops).abs() <= gflops_within,
+        "{what}: {found} GFLOPs, not {gflops}"
+    );
+}
+
+#[test]
+fn figures_are_those_of_the_architecture() {
+    // architecture.md section 1; the last digit may be rounded.
+    let sd3 = SdVaeConfig::sd3();
+    let va_vae = VaVaeConfig::f16d32();
+    let cosmos = CosmosConfig::ci16x16();
+    for (what, cost, expected) in [
+        ("SD3 encoder", sd3_encoder(&sd3), (34.274, 270.80)),
+        ("SD3 decoder", sd3_decoder(&sd3), (49.545, 620.15)),
+        ("VA-VAE encoder", va_vae_encoder(&va_vae), (28.413, 137.94)),
+        ("VA-VAE decoder", va_vae_decoder(&va_vae), (41.418, 252.19)),
+        ("Cosmos encoder", cosmos_encoder(&cosmos), (33.513, 47.60)),
+        ("Cosmos decoder", cosmos_decoder(&cosmos), (47.995, 101.74)),
+        (
+            "pixel decoder",
+            pixel_decoder(&PixelDecoderConfig::paper()),
+            (177.041, 428.280),
+        ),
+        (
+            "V-JEPA 2.1",
+            vjepa(&VjepaConfig::vit_large()),
+            (304.681, 154.62),
+        ),
+        (
+            "Web-DINO",
+            web_dino(&WebDinoConfig::vit_large()),
+            (303.655, 155.73),
+        ),
+        (
+            "SigLIP 2",
+            siglip2(&SiglipVisionConfig::so400m()),
+            (427.681, 211.85),
+        ),
+        (
+            "S-VAE 1024",
+            adapter(&SvaeConfig::paper(1024)),
+            (38.110, 10.570),
+        ),
+        (
+            "S-VAE 1152",
+            adapter(&SvaeConfig::paper(1152)),
+            (46.412, 12.797),
+        ),
+    ] {
+        assert_cost(what, cost.unwrap(), expected, 0.006);
+    }
+}
+
+#[test]
+fn transition_models_are_those_of_the_architecture() {
+    for (latent, patch, wide, expected) in [
+        ((32, 32, 16), 2, false, (910.082, 316.526)),
+        ((16, 16, 16), 1, false, (909.984, 316.501)),
+        ((16, 16, 32), 1, false, (910.016, 316.509)),
+        ((16, 16, 96), 1, false, (910.148, 316.543)),
+        ((16, 16, 1024), 1, true, (921.490, 318.652)),
+        ((16, 16, 1152), 1, true, (921.884, 318.787)),
+    ] {
+        let cost = transition::large(latent, patch, wide).unwrap();
+        assert_cost(&format!("DiT-L on {latent:?}"), cost, expected, 0.0006);
+        let preset = TransitionConfig::preset("dit-l", latent, patch, ACTIONS).unwrap();
+        let wide_head = wide.then_some(2048);
+        let counted = TransitionConfig {
+            wide_head,
+            ..preset
+        };
+        assert_eq!(cost.parameters, counted.parameter_count());
+    }
+}
+
+/// The paper's table "Architecture size and compute" (shared/spec/paper_arch_table.json): parameters in millions of
+/// encoder, adapter, DiT, decoder, then GFLOPs of the same and their sum.
+type PaperRow = (&'static str, [Option<f64>; 4], [Option<f64>; 4], f64);
+
+fn paper() -> Vec<PaperRow> {
+    let row = |name,
+               [enc, dit, dec]: [f64; 3],
+               [e, d, c]: [f64; 3],
+               adapter: Option<(f64, f64)>,
+               total| {
+        (
+            name,
+            [Some(enc), adapter.map(|a| a.0), Some(dit), Some(dec)],
+            [Some(e), adapter.map(|a| a.1), Some(d), Some(c)],
+            total,
+        )
+    };
+    let (small, large) = (Some((38.1, 10.6)), Some((46.4, 12.8)));
+    vec![
+        row(
+            "sd3-vae",
+            [34.3, 910.1, 49.5],
+            [270.8, 316.5, 620.2],
+            None,
+            1207.5,
+        ),
+        row(
+            "cosmos-ci16x16",
+            [33.5, 910.0, 48.0],
+            [47.6, 316.5, 101.7],
+            None,
+            465.9,
+        ),
+        row(
+            "va-vae",
+            [28.4, 910.0, 41.4],
+            [137.9, 316.5, 252.2],
+            None,
+            706.6,
+        ),
+        row(
+            "vjepa2.1-96",
+            [304.7, 910.1, 177.0],
+            [154.7, 316.5, 428.3],
+            small,
+            910.1,
+        ),
+        row(
+            "vjepa2.1",
+            [304.7, 921.5, 177.0],
+            [154.7, 318.7, 428.3],
+            None,
+            901.7,
+        ),
+        row(
+            "web-dino-96",
+            [303.7, 910.1, 177.0],
+            [155.8, 316.5, 428.3],
+            small,
+            911.2,
+        ),
+        row(
+            "web-dino",
+            [303.7, 921.5, 177.0],
+            [155.8, 318.7, 428.3],
+            None,
+            902.8,
+        ),
+        row(
+            "siglip2-96",
+            [427.7, 910.1, 177.0],
+            [211.9, 316.5, 428.3],
+            large,
+            969.5,
+        ),
+        row(
+            "siglip2",
+            [427.7, 921.9, 177.0],
+            [211.9, 318.8, 428.3],
+            None,
+            959.0,
+        ),
+    ]
+}
+
+#[test]
+fn every_row_agrees_with_the_paper() {
+    for (name, parameters, gflops, total) in paper() {
+        let figures = Row::count(name).unwrap().figures();
+        let close = |found: Option<f64>, expected: Option<f64>, within: f64| match (found, expected)
+        {
+            (Some(found), Some(expected)) => (found - expected).abs() <= within,
+            (None, None) => true,
+            _ => false,
+        };
+        let found = [
+            Some(figures.enc_params_m),
+            figures.adapter_params_m,
+            Some(figures.dit_params_m),
+            Some(figures.dec_params_m),
+        ];
+        for (found, expected) in found.into_iter().zip(parameters) {
+            assert!(close(found, expected, 0.1), "{name}: {figures:?}");
+        }
+        let found = [
+            Some(figures.enc_gflops),
+            figures.adapter_gflops,
+            Some(figures.dit_gflops),
+            Some(figures.dec_gflops),
+        ];
+        for (i, (found, expected)) in found.into_iter().zip(gflops).enumerate() {
+            // What the paper's counter adds for a ViT's norms is not in the conventions.
+            let is_vit = i == 0 && figures.enc_params_m > 100.0;
+            let within = if is_vit { 0.2 } else { 0.1 };
+            assert!(close(found, expected, within), "{name}: {figures:?}");
+        }
+        assert!(
+            (figures.total_gflops - total).abs() <= 0.2,
+            "{name}: {figures:?}"
+        );
+    }
+}
+
+#[test]
+fn all_rows_are_named() {
+    let names: Vec<&str> = paper().iter().map(|row| row.0).collect();
+    assert_eq!(names, Row::NAMES);
+    let message = Row::count("vae").unwrap_err().to_string();
+    assert!(message.contains("vjepa2.1-96"), "{message}");
+}

@@ -1,0 +1,372 @@
+//! The inverse dynamics model: which actions lie between consecutive latents.
+//!
+//! Paper: appendix "Inverse Dynamics Model (IDM)"; layer by layer in architecture.md section 6.
+//! 19.839 M parameters for features of 1024 and one action. It reads an encoder's native latents
+//! (those of the SD3 VAE as patches of 2x2), real or predicted, and probes whether actions can be
+//! recovered from them; one model per encoder and number k of actions.
+//!
+//! Latents lose their channels' scale (RMSNorm), are projected and given a temporal and a spatial
+//! embedding; k learned queries go in front; all tokens attend to all in pre-norm blocks, and each
+//! query's output becomes an action. There is no dropout here: it is for inference.
+//!
+//! Names: `input_proj.*` Linear, `temporal_embed` (k+1, hidden), `spatial_embed` (rows * columns,
+//! hidden), `cls` (k, hidden), `blocks.{i}.{norm1,norm2}.*`, `blocks.{i}.attn.{qkv,proj}.*`,
+//! `blocks.{i}.mlp.{fc1,fc2}.*`, `norm.*`, `head.{0,2}.*`.
+//!
+//! Configuration (JSON; all but the first two have defaults): `{"features": 1024, "horizon": 1,
+//! "patch": 1, "grid": [16, 16], "hidden": 512, "depth": 6, "heads": 8, "mlp": 2048, "actions": 7}`.
+
+use candle_core::{D, DType, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::Result;
+use crate::layers::{LayerNorm, Linear, rms_norm};
+use crate::loader::Loader;
+use crate::vit::sizes::{check_multiple, check_sizes, shape_error};
+use crate::vit::{Activation, Block, Mlp, Projections, SelfAttention};
+
+/// Epsilon of the input's RMSNorm, that of the transition model's.
+const RMS_NORM_EPS: f64 = 1e-6;
+/// Epsilon of every LayerNorm: PyTorch's default.
+const LAYER_NORM_EPS: f64 = 1e-5;
+
+/// Sizes of the inverse dynamics model.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IdmConfig {
+    /// Channels of the latents, before patching.
+    pub features: usize,
+    /// Number k of actions between k + 1 latents.
+    pub horizon: usize,
+    /// Side of the patches of the latent that become tokens: 2 for the SD3 VAE, otherwise 1.
+    #[serde(default = "one")]
+    pub patch: usize,
+    /// Rows and columns of tokens, after patching.
+    #[serde(default = "default_grid")]
+    pub grid: [usize; 2],
+    /// Width of the tokens.
+    #[serde(default = "default_hidden")]
+    pub hidden: usize,
+    /// Number of blocks.
+    #[serde(default = "default_depth")]
+    pub depth: usize,
+    /// Attention heads.
+    #[serde(default = "default_heads")]
+    pub heads: usize,
+    /// Hidden width of the feed-forward networks; four times `hidden` if it is not given.
+    #[serde(default)]
+    pub mlp: Option<usize>,
+    /// Components of an action.
+    #[serde(default = "default_actions")]
+    pub actions: usize,
+}
+
+fn one() -> usize {
+    1
+}
+
+fn default_grid() -> [usize; 2] {
+    [16, 16]
+}
+
+fn default_hidden() -> usize {
+    512
+}
+
+fn default_depth() -> usize {
+    6
+}
+
+fn default_heads() -> usize {
+    8
+}
+
+fn default_actions() -> usize {
+    7
+}
+
+impl IdmConfig {
+    /// The paper's, for latents of 16x16 tokens with this many channels.
+    pub fn paper(features: usize, horizon: usize) -> Self {
+        Self {
+            features,
+            horizon,
+            patch: one(),
+            grid: default_grid(),
+            hidden: default_hidden(),
+            depth: default_depth(),
+            heads: default_heads(),
+            mlp: None,
+            actions: default_actions(),
+        }
+    }
+
+    /// The paper's, for latents 32x32x16 of the SD3 VAE.
+    pub fn sd3(horizon: usize) -> Self {
+        Self {
+            patch: 2,
+            ..Self::paper(16, horizon)
+        }
+    }
+
+    /// Hidden width of the feed-forward networks.
+    pub fn mlp_width(&self) -> usize {
+        self.mlp.unwrap_or(4 * self.hidden)
+    }
+
+    fn validate(&self) -> Result<()> {
+        let [rows, columns] = self.grid;
+        check_sizes(&[
+            ("features", self.features),
+            ("horizon", self.horizon),
+            ("patch", self.patch),
+            ("grid", rows),
+            ("grid", columns),
+            ("hidden", self.hidden),
+            ("depth", self.depth),
+            ("heads", self.heads),
+            ("mlp", self.mlp.unwrap_or(1)),
+            ("actions", self.actions),
+        ])?;
+        check_multiple(("hidden", self.hidden), ("heads", self.heads))
+    }
+}
+
+/// The inverse dynamics model.
+#[derive(Clone, Debug)]
+pub struct Idm {
+    config: IdmConfig,
+    input: Linear,
+    /// (1, frames, 1, hidden).
+    temporal: Tensor,
+    /// (1, 1, tokens, hidden).
+    spatial: Tensor,
+    /// (1, horizon, hidden).
+    queries: Tensor,
+    blocks: Vec<Block>,
+    norm: LayerNorm,
+    head: [Linear; 2],
+}
+
+impl Idm {
+    /// Loads the model.
+    ///
+    /// # Errors
+    /// If the configuration cannot be built; tensors that are missing are told by
+    /// [`Loader::finish`].
+    pub fn load(config: &IdmConfig, loader: &Loader<'_>) -> Result<Self> {
+        config.validate()?;
+        let (width, frames) = (config.hidden, config.horizon + 1);
+        let [rows, columns] = config.grid;
+        let tokens = rows * columns;
+        let inputs = config.features * config.patch * config.patch;
+        let temporal = loader.tensor("temporal_embed", &[frames, width])?;
+        let spatial = loader.tensor("spatial_embed", &[tokens, width])?;
+        Ok(Self {
+            config: config.clone(),
+            input: loader.linear("input_proj", inputs, width)?,
+            temporal: temporal.reshape((1, frames, 1, width))?,
+            spatial: spatial.reshape((1, 1, tokens, width))?,
+            queries: loader
+                .tensor("cls", &[config.horizon, width])?
+                .unsqueeze(0)?,
+            blocks: (0..config.depth)
+                .map(|i| block(config, &loader.at(format!("blocks.{i}"))))
+                .collect::<Result<_>>()?,
+            norm: loader.layer_norm("norm", width, LAYER_NORM_EPS)?,
+            head: [
+                loader.linear("head.0", width, width)?,
+                loader.linear("head.2", width, config.actions)?,
+            ],
+        })
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &IdmConfig {
+        &self.config
+    }
+
+    /// Latents (B, horizon + 1, h, w, features) to the actions between them (B, horizon, actions),
+    /// f32, in the normalised units that the model was trained on.
+    ///
+    /// # Errors
+    /// If the latents have another shape.
+    pub fn forward(&self, latents: &Tensor) -> Result<Tensor> {
+        let latents = latents.to_device(self.queries.device())?;
+        let patches = self.patches(&latents.to_dtype(self.queries.dtype())?)?;
+        let (b, frames, tokens, _) = patches.dims4()?;
+        let (k, width) = (self.config.horizon, self.config.hidden);
+        let x = self
+            .input
+            .forward(&rms_norm(&patches, RMS_NORM_EPS)?)?
+            .broadcast_add(&self.temporal)?
+            .broadcast_add(&self.spatial)?
+            .reshape((b, frames * tokens, width))?;
+        let queries = self.queries.expand((b, k, width))?;
+        let mut x = Tensor::cat(&[&queries, &x], 1)?;
+        for block in &self.blocks {
+            x = block.forward(&x, None, None)?;
+        }
+        let answers = self.norm.forward(&x.narrow(1, 0, k)?.contiguous()?)?;
+        let [first, second] = &self.head;
+        let hidden = Activation::GeluExact.apply(&first.forward(&answers)?)?;
+        Ok(second.forward(&hidden)?.to_dtype(DType::F32)?)
+    }
+
+    /// (B, frames, h, w, C) to (B, frames, tokens, patch * patch * C), a patch's values in the
+    /// order row, column, channel.
+    fn patches(&self, latents: &Tensor) -> Result<Tensor> {
+        let c = &self.config;
+        let ([rows, columns], p, frames) = (c.grid, c.patch, c.horizon + 1);
+        let expected = [frames, rows * p, columns * p, c.features];
+        let b = match latents.dims() {
+            &[b, ..] if latents.dims().get(1..) == Some(&expected) => b,
+            _ => {
+                let [t, h, w, channels] = expected;
+                let expected = format!("(B, {t}, {h}, {w}, {channels})");
+                return Err(shape_error("the latents", expected, latents));
+            }
+        };
+        let split = latents
+            .reshape((b * frames * rows, p, columns, p * c.features))?
+            .transpose(1, 2)?
+            .contiguous()?;
+        Ok(split.reshape((b, frames, rows * columns, p * p * c.features))?)
+    }
+}
+
+fn block(config: &IdmConfig, loader: &Loader<'_>) -> Result<Block> {
+    let (width, mlp) = (config.hidden, config.mlp_width());
+    Ok(Block {
+        attention_norm: loader.layer_norm("norm1", width, LAYER_NORM_EPS)?,
+        attention: SelfAttention {
+            projections: Projections::Fused(loader.linear("attn.qkv", width, 3 * width)?),
+            out: loader.linear("attn.proj", width, width)?,
+            heads: config.heads,
+            engine: loader.engine(),
+        },
+        attention_scale: None,
+        mlp_norm: loader.layer_norm("norm2", width, LAYER_NORM_EPS)?,
+        mlp: Mlp::Plain {
+            first: loader.linear("mlp.fc1", width, mlp)?,
+            activation: Activation::GeluExact,
+            second: loader.linear("mlp.fc2", mlp, width)?,
+        },
+        mlp_scale: None,
+    })
+}
+
+/// Pearson's correlation of predicted and true actions, (samples, actions) each, for each of the
+/// first `components`, and their mean; the paper averages over the six continuous ones.
+///
+/// A component that does not vary has no correlation and counts as 0.
+///
+/// # Errors
+/// If the shapes differ.
+pub fn pearson(predicted: &Tensor, truth: &Tensor, components: usize) -> Result<(Vec<f64>, f64)> {
+    let (samples, actions) = predicted.dims2()?;
+    if truth.dims() != [samples, actions] || components == 0 || components > actions {
+        let expected = format!("({samples}, {actions}), of which {components} are compared");
+        return Err(shape_error("the true actions", expected, truth));
+    }
+    let centred = |x: &Tensor| -> Result<Tensor> {
+        let x = x.to_dtype(DType::F64)?.narrow(D::Minus1, 0, components)?;
+        Ok(x.broadcast_sub(&x.mean_keepdim(0)?)?)
+    };
+    let (predicted, truth) = (centred(predicted)?, centred(truth)?);
+    let sums = |x: &Tensor, y: &Tensor| -> Result<Vec<f64>> { Ok((x * y)?.sum(0)?.to_vec1()?) };
+    let scale = sums(&predicted, &predicted)?;
+    let scale = scale.into_iter().zip(sums(&truth, &truth)?);
+    let r: Vec<f64> = sums(&predicted, &truth)?
+        .into_iter()
+        .zip(scale)
+        .map(|(both, (x, y))| match (x * y).sqrt() {
+            0.0 => 0.0,
+            scale => both / scale,
+        })
+        .collect();
+    let mean = r.iter().sum::<f64>() / components as f64;
+    Ok((r, mean))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::Engine;
+    use candle_core::Device;
+
+    #[test]
+    fn the_papers_has_the_published_size() {
+        let loader = Loader::skeleton(Engine::Candle);
+        Idm::load(&IdmConfig::paper(1024, 1), &loader).unwrap();
+        assert_eq!(loader.parameters(), 19_838_983);
+        // Three more actions: three queries and three temporal embeddings.
+        let loader = Loader::skeleton(Engine::Candle);
+        Idm::load(&IdmConfig::paper(1024, 4), &loader).unwrap();
+        assert_eq!(loader.parameters(), 19_838_983 + 6 * 512);
+    }
+
+    fn small(patch: usize) -> IdmConfig {
+        IdmConfig {
+            patch,
+            grid: [2, 3],
+            hidden: 16,
+            depth: 2,
+            heads: 2,
+            actions: 5,
+            ..IdmConfig::paper(4, 3)
+        }
+    }
+
+    #[test]
+    fn a_small_one_has_the_shape_of_its_configuration() {
+        for patch in [1, 2] {
+            let loader = Loader::skeleton(Engine::Candle);
+            let model = Idm::load(&small(patch), &loader).unwrap();
+            let shape = (2, 4, 2 * patch, 3 * patch, 4);
+            let latents = Tensor::ones(shape, DType::F32, &Device::Cpu).unwrap();
+            assert_eq!(model.forward(&latents).unwrap().dims(), [2, 3, 5]);
+            let message = model.forward(&latents.narrow(1, 0, 3).unwrap());
+            let message = message.unwrap_err().to_string();
+            assert!(message.contains("(B, 4,"), "{message}");
+        }
+    }
+
+    #[test]
+    fn patches_are_in_the_order_row_column_channel() {
+        let config = IdmConfig {
+            features: 1,
+            horizon: 1,
+            grid: [1, 2],
+            ..small(2)
+        };
+        let model = Idm::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+        let values = Tensor::arange(0.0_f32, 16.0, &Device::Cpu).unwrap();
+        let patches = model.patches(&values.reshape((1, 2, 2, 4, 1)).unwrap());
+        let first = patches.unwrap().narrow(1, 0, 1).unwrap().flatten_all();
+        let first = first.unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(first, [0.0, 1.0, 4.0, 5.0, 2.0, 3.0, 6.0, 7.0]);
+    }
+
+    #[test]
+    fn a_configuration_may_be_short() {
+        let config: IdmConfig =
+            serde_json::from_str(r#"{"features": 1152, "horizon": 4}"#).unwrap();
+        assert_eq!(config, IdmConfig::paper(1152, 4));
+    }
+
+    #[test]
+    fn correlation_is_per_component() {
+        let on = &Device::Cpu;
+        let truth = Tensor::new(&[[1.0_f32, 1.0, 5.0], [2.0, 3.0, 5.0], [3.0, 2.0, 5.0]], on);
+        let predicted = Tensor::new(
+            &[[2.0_f32, -1.0, 1.0], [4.0, -3.0, 2.0], [6.0, -2.0, 9.0]],
+            on,
+        );
+        let (r, mean) = pearson(&predicted.unwrap(), &truth.unwrap(), 3).unwrap();
+        for (r, expected) in r.iter().zip([1.0, -1.0, 0.0]) {
+            assert!((r - expected).abs() < 1e-12);
+        }
+        assert!(mean.abs() < 1e-12);
+    }
+}

@@ -1,0 +1,298 @@
+//! Any of the models on tensors by name: what `wm model forward` and `wm model rollout` do.
+//!
+//! | kind | config (JSON) | input | output |
+//! |---|---|---|---|
+//! | `dit` | [`DitConfig`] | `x` (B,T,H,W,C), `tau` (B,T) in 0..1, `action` (B,T,A) | `velocity` (B,T,H,W,C) |
+//! | `web-dino` | Hugging Face's config.json (Dinov2) | `image` | `latent` |
+//! | `siglip2` | Hugging Face's config.json (Siglip) | `image` | `latent` |
+//! | `siglip2-text` | Hugging Face's config.json (Siglip) | `input_ids` (B,L), maybe `text_mask` (B,L) | `features` (B,L,D) |
+//! | `vjepa2.1` | [`VjepaConfig`](crate::vit::VjepaConfig) | `image` | `latent` |
+//! | `sd3-vae`, `sd3-vae-decoder` | diffusers' config.json (AutoencoderKL) | `image` or `latent` | `latent` or `image` |
+//! | `va-vae`, `va-vae-decoder` | [`VaVaeConfig`](crate::vae::VaVaeConfig) | the same | the same |
+//! | `cosmos-ci16x16`, `cosmos-ci16x16-decoder` | [`CosmosConfig`](crate::vae::CosmosConfig) | the same | the same |
+//! | `svae` | [`SvaeConfig`](crate::svae::SvaeConfig) | `features` (N,h,w,D), or `latent` to decode | `latent` (N,h,w,d), `features` |
+//! | `pixel` | [`PixelDecoderConfig`](crate::vae::PixelDecoderConfig) | `latent` | `image` |
+//! | `idm` | [`IdmConfig`](crate::idm::IdmConfig) | `latents` (B,k+1,h,w,D) | `actions` (B,k,7) |
+//! | `success-probe` | [`SuccessProbeConfig`](crate::success_probe::SuccessProbeConfig) | `latents` (B,T,h,w,D), `text` (B,L,D'), maybe `text_mask` (B,L) | `logit` (B) |
+//! | `efficientnet-lite0` | [`EfficientNetLite0Config`](crate::efficientnet_lite0::EfficientNetLite0Config) | `image` | `block_8` up to the configured block |
+//!
+//! An `image` is (N,H,W,3) in 0..1, a `latent` (N,h,w,D). Everything is f32 but `input_ids`, which are integers.
+
+mod dit;
+mod inputs;
+mod rollout;
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+
+use candle_core::{DType, Tensor};
+use serde::de::DeserializeOwned;
+
+pub(crate) use dit::build as build_dit;
+pub use dit::{DitConfig, Head};
+pub use rollout::{RolloutOptions, rollout};
+
+use crate::checkpoint::Average;
+use crate::efficientnet_lite0::{EfficientNetLite0, EfficientNetLite0Config};
+use crate::idm::Idm;
+use crate::success_probe::SuccessProbe;
+use crate::svae::Svae;
+use crate::vae::{
+    CosmosDecoder, CosmosEncoder, PixelDecoder, SdVaeDecoder, SdVaeEncoder, VaVaeDecoder,
+    VaVaeEncoder,
+};
+use crate::vit::{SiglipText, SiglipVision, Vjepa, WebDino};
+use crate::{Checkpoint, Engine, Error, Loader, Result};
+use inputs::Inputs;
+
+/// Tensors by name.
+pub type Tensors = BTreeMap<String, Tensor>;
+
+/// First of EfficientNet-Lite0's blocks that is given.
+const FIRST_BLOCK: usize = 8;
+
+/// A kind of model, as the command line names it; the [module](self) says what each takes and gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[expect(missing_docs, reason = "the module has a table of them")]
+pub enum Kind {
+    Dit,
+    WebDino,
+    Siglip2,
+    Siglip2Text,
+    Vjepa21,
+    Sd3Vae,
+    Sd3VaeDecoder,
+    VaVae,
+    VaVaeDecoder,
+    CosmosCi16x16,
+    CosmosCi16x16Decoder,
+    Svae,
+    Pixel,
+    Idm,
+    SuccessProbe,
+    EfficientNetLite0,
+}
+
+impl Kind {
+    /// All kinds.
+    pub const ALL: [Self; 16] = [
+        Self::Dit,
+        Self::WebDino,
+        Self::Siglip2,
+        Self::Siglip2Text,
+        Self::Vjepa21,
+        Self::Sd3Vae,
+        Self::Sd3VaeDecoder,
+        Self::VaVae,
+        Self::VaVaeDecoder,
+        Self::CosmosCi16x16,
+        Self::CosmosCi16x16Decoder,
+        Self::Svae,
+        Self::Pixel,
+        Self::Idm,
+        Self::SuccessProbe,
+        Self::EfficientNetLite0,
+    ];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Dit => "dit",
+            Self::WebDino => "web-dino",
+            Self::Siglip2 => "siglip2",
+            Self::Siglip2Text => "siglip2-text",
+            Self::Vjepa21 => "vjepa2.1",
+            Self::Sd3Vae => "sd3-vae",
+            Self::Sd3VaeDecoder => "sd3-vae-decoder",
+            Self::VaVae => "va-vae",
+            Self::VaVaeDecoder => "va-vae-decoder",
+            Self::CosmosCi16x16 => "cosmos-ci16x16",
+            Self::CosmosCi16x16Decoder => "cosmos-ci16x16-decoder",
+            Self::Svae => "svae",
+            Self::Pixel => "pixel",
+            Self::Idm => "idm",
+            Self::SuccessProbe => "success-probe",
+            Self::EfficientNetLite0 => "efficientnet-lite0",
+        }
+    }
+
+    /// The tensors of this kind of model in `checkpoint`, without what its authors wrapped around them.
+    pub fn weights(self, checkpoint: &Checkpoint, average: Average) -> Checkpoint {
+        // Whose checkpoint holds several networks, each under its own name.
+        let parts: &[&str] = match (self, average) {
+            (Self::Vjepa21, Average::Ema) => &["ema_encoder", "target_encoder", "encoder"],
+            (Self::Vjepa21, Average::Raw) => &["encoder"],
+            (Self::Svae, _) => &["adapter"],
+            (Self::Pixel, _) => &["pixel_decoder"],
+            _ => &[],
+        };
+        checkpoint
+            .weights(average)
+            .first_part(parts)
+            .weights(average)
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Kind {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|kind| kind.name() == name);
+        found.ok_or_else(|| {
+            let names = Self::ALL.map(Self::name).join(", ");
+            wm_model::Error::config("kind", format!("`{name}`, expected one of {names}")).into()
+        })
+    }
+}
+
+/// Runs a model of `kind` with the configuration `config` (JSON) and the weights of `checkpoint` (the averaged ones,
+/// if it has both) on `inputs`. Weights are rounded to `dtype`.
+///
+/// # Errors
+/// If the configuration is not valid, the checkpoint's tensors are not the model's, or an input is missing or has
+/// the wrong shape.
+pub fn forward(
+    kind: Kind,
+    config: &str,
+    checkpoint: &Checkpoint,
+    inputs: &Tensors,
+    engine: Engine,
+    dtype: DType,
+) -> Result<Tensors> {
+    let checkpoint = kind.weights(checkpoint, Average::Ema);
+    let source = Source {
+        config,
+        loader: Loader::new(&checkpoint, engine, dtype),
+    };
+    let inputs = Inputs::new(kind.name(), inputs);
+    let (image, latent) = (|| inputs.float("image"), || inputs.float("latent"));
+    let outputs = match kind {
+        Kind::Dit => {
+            let config: DitConfig = parse(config)?;
+            let model = dit::load(&config, &checkpoint, dtype)?;
+            let (x, tau) = (inputs.float("x")?, inputs.float("tau")?);
+            let velocity = model.forward(&x, &tau, &inputs.float("action")?)?;
+            vec![("velocity", velocity)]
+        }
+        Kind::WebDino => vec![("latent", source.load(WebDino::load)?.encode(&image()?)?)],
+        Kind::Siglip2 => vec![(
+            "latent",
+            source.load(SiglipVision::load)?.encode(&image()?)?,
+        )],
+        Kind::Siglip2Text => {
+            let model = source.load(SiglipText::load)?;
+            let mask = inputs.optional_float("text_mask")?;
+            let features = model.forward(&inputs.integers("input_ids")?, mask.as_ref())?;
+            vec![("features", features)]
+        }
+        Kind::Vjepa21 => vec![("latent", source.load(Vjepa::load)?.encode(&image()?)?)],
+        Kind::Sd3Vae => vec![(
+            "latent",
+            source.load(SdVaeEncoder::load)?.encode(&image()?)?,
+        )],
+        Kind::Sd3VaeDecoder => vec![(
+            "image",
+            source.load(SdVaeDecoder::load)?.decode(&latent()?)?,
+        )],
+        Kind::VaVae => vec![(
+            "latent",
+            source.load(VaVaeEncoder::load)?.encode(&image()?)?,
+        )],
+        Kind::VaVaeDecoder => vec![(
+            "image",
+            source.load(VaVaeDecoder::load)?.decode(&latent()?)?,
+        )],
+        Kind::CosmosCi16x16 => vec![(
+            "latent",
+            source.load(CosmosEncoder::load)?.encode(&image()?)?,
+        )],
+        Kind::CosmosCi16x16Decoder => vec![(
+            "image",
+            source.load(CosmosDecoder::load)?.decode(&latent()?)?,
+        )],
+        Kind::Svae => {
+            let model = source.load(Svae::load)?;
+            match inputs.optional_float("features")? {
+                Some(features) => {
+                    let latent = model.encode(&features)?;
+                    let features = model.decode(&latent)?;
+                    vec![("latent", latent), ("features", features)]
+                }
+                None => vec![("features", model.decode(&latent()?)?)],
+            }
+        }
+        Kind::Pixel => vec![(
+            "image",
+            source.load(PixelDecoder::load)?.decode(&latent()?)?,
+        )],
+        Kind::Idm => {
+            let model = source.load(Idm::load)?;
+            vec![("actions", model.forward(&inputs.float("latents")?)?)]
+        }
+        Kind::SuccessProbe => {
+            let model = source.load(SuccessProbe::load)?;
+            let (latents, text) = (inputs.float("latents")?, inputs.float("text")?);
+            let mask = inputs.optional_float("text_mask")?;
+            vec![("logit", model.forward(&latents, &text, mask.as_ref())?)]
+        }
+        Kind::EfficientNetLite0 => return efficientnet_lite0(config, &source.loader, &inputs),
+    };
+    Ok(owned(outputs))
+}
+
+/// A model's configuration and its weights.
+struct Source<'a> {
+    config: &'a str,
+    loader: Loader<'a>,
+}
+
+impl Source<'_> {
+    /// Loads a model, and checks that the tensors are its.
+    fn load<C: DeserializeOwned, M>(
+        &self,
+        load: impl FnOnce(&C, &Loader<'_>) -> Result<M>,
+    ) -> Result<M> {
+        let model = load(&parse(self.config)?, &self.loader)?;
+        self.loader.finish()?;
+        Ok(model)
+    }
+}
+
+/// A configuration from JSON.
+fn parse<C: DeserializeOwned>(config: &str) -> Result<C> {
+    serde_json::from_str(config).map_err(|error| Error::ConfigFile {
+        file: "the configuration".to_owned(),
+        reason: error.to_string(),
+    })
+}
+
+fn owned(outputs: Vec<(&str, Tensor)>) -> Tensors {
+    outputs
+        .into_iter()
+        .map(|(name, tensor)| (name.to_owned(), tensor))
+        .collect()
+}
+
+/// Every block from [`FIRST_BLOCK`] to the configured one, each by a network up to there: it is small.
+fn efficientnet_lite0(config: &str, loader: &Loader<'_>, inputs: &Inputs<'_>) -> Result<Tensors> {
+    let config: EfficientNetLite0Config = parse(config)?;
+    let image = inputs.float("image")?;
+    let mut outputs = Tensors::new();
+    // The last one first: it asks for all tensors there are to be. One that is too low is refused by the network.
+    for block in (FIRST_BLOCK.min(config.block)..=config.block).rev() {
+        let model = EfficientNetLite0::load(&EfficientNetLite0Config { block }, loader)?;
+        loader.finish()?;
+        outputs.insert(format!("block_{block}"), model.encode(&image)?);
+    }
+    Ok(outputs)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,122 @@
+//! The transition model from its published checkpoints.
+
+use candle_core::DType;
+use serde::{Deserialize, Serialize};
+use wm_model::sampler::Sampler;
+use wm_model::transition::{ActionAlignment, Parametrisation, Transition, TransitionConfig};
+
+use crate::{Checkpoint, Engine, Error, Loader, Result};
+
+/// Width of the wide head of all published models that have one (architecture.md section 1).
+const WIDE: usize = 2048;
+
+/// Which last layers a transition model has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Head {
+    /// Modulation and one product.
+    #[default]
+    Plain,
+    /// A wider layer before it, for native latents of many channels.
+    Wide,
+}
+
+/// Sizes of a transition model, architecture.md section 2. JSON example, DiT-L on V-JEPA 2.1's native latents:
+///
+/// ```json
+/// {"hidden": 1024, "depth": 24, "heads": 16, "channels": 1024, "patch": 1, "grid": [16, 16],
+///  "action_dim": 10, "max_frames": 10, "head": "wide", "wide_dim": 2048}
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DitConfig {
+    /// Width of a token.
+    pub hidden: usize,
+    /// Blocks, each of a spatial and a temporal sub-block.
+    pub depth: usize,
+    /// Attention heads.
+    pub heads: usize,
+    /// Channels of a latent.
+    pub channels: usize,
+    /// Side of a patch in latent places.
+    pub patch: usize,
+    /// Rows and columns of a latent, before patching.
+    pub grid: [usize; 2],
+    /// Values of an action.
+    pub action_dim: usize,
+    /// Frames that the model sees at most, the new one included.
+    #[serde(default = "default_max_frames")]
+    pub max_frames: usize,
+    /// The last layers.
+    #[serde(default)]
+    pub head: Head,
+    /// Width of the wide head, 2048 if absent; without meaning for the plain one.
+    #[serde(default)]
+    pub wide_dim: Option<usize>,
+}
+
+fn default_max_frames() -> usize {
+    10
+}
+
+impl DitConfig {
+    /// The configuration of [`Transition`], with the conventions of the published checkpoints.
+    ///
+    /// # Errors
+    /// If a model of these sizes cannot be built.
+    pub fn transition(&self) -> Result<TransitionConfig> {
+        let [latent_height, latent_width] = self.grid;
+        let config = TransitionConfig {
+            hidden: self.hidden,
+            depth: self.depth,
+            heads: self.heads,
+            patch: self.patch,
+            latent_height,
+            latent_width,
+            channels: self.channels,
+            action_dim: self.action_dim,
+            max_frames: self.max_frames,
+            wide_head: match self.head {
+                Head::Plain => None,
+                Head::Wide => Some(self.wide_dim.unwrap_or(WIDE)),
+            },
+            parametrisation: Parametrisation::Velocity,
+            action_alignment: ActionAlignment::WithFrame,
+            frame_skip: 2,
+            sampler: Sampler::default(),
+        };
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+/// Loads the model; its weights are rounded to `precision` and computed with as f32.
+///
+/// There is one implementation of it, [`wm_model::transition`], for whichever engine.
+pub(super) fn load(
+    config: &DitConfig,
+    checkpoint: &Checkpoint,
+    precision: DType,
+) -> Result<Transition> {
+    let loader = Loader::new(checkpoint, Engine::Cpu, precision);
+    let model = build(config, &loader)?;
+    loader.finish()?;
+    Ok(model)
+}
+
+/// Builds the model from the tensors of `loader`, which must be on the CPU and f32.
+pub(crate) fn build(config: &DitConfig, loader: &Loader<'_>) -> Result<Transition> {
+    Ok(Transition::build(config.transition()?, &mut |parameter| {
+        loader
+            .tensor(&parameter.name, &parameter.shape)
+            .map_err(into_model_error)
+    })?)
+}
+
+fn into_model_error(error: Error) -> wm_model::Error {
+    match error {
+        Error::Model(error) => error,
+        Error::Candle(error) => error.into(),
+        other => candle_core::Error::Msg(other.to_string()).into(),
+    }
+}

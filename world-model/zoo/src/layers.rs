@@ -1,0 +1,33 @@
+//! The layers that the models are made of, each with the engine that computes it.
+//!
+//! Channels are last: (N, H, W, C) for pictures, (.., width) for tokens. Layers come from a [`Loader`](crate::Loader),
+//! which knows their weights' names and shapes. A layer takes and gives tensors in the loader's
+//! [`dtype`](crate::Loader::dtype).
+
+mod activation;
+mod attention;
+mod conv2d;
+mod group_norm;
+mod host;
+mod layer_norm;
+mod linear;
+mod rms_norm;
+mod upsample;
+
+pub use activation::{gelu_exact, gelu_tanh, silu};
+pub use attention::attention;
+pub use conv2d::{Conv2d, ConvSpec, Padding};
+pub use group_norm::GroupNorm;
+pub use layer_norm::LayerNorm;
+pub use linear::Linear;
+pub use rms_norm::rms_norm;
+pub use upsample::upsample_nearest_2x;
+
+use candle_core::{DType, Tensor};
+
+use crate::Engine;
+
+/// Whether the kernels of [`wm_model::ops`] are to compute `x`, and can.
+pub(crate) fn takes_kernels(engine: Engine, x: &Tensor) -> bool {
+    engine == Engine::Cpu && x.dtype() == DType::F32 && x.device().is_cpu()
+}

@@ -1,0 +1,59 @@
+//! Attention.
+
+use candle_core::{D, DType, Tensor};
+
+use crate::{Engine, Result};
+
+/// softmax(scale q k^T + mask) v, for `q` (B, heads, Lq, D), `k` and `v` (B, heads, Lk, D): (B, heads, Lq, D).
+///
+/// `mask` is added to the scores and may be broadcast to (B, heads, Lq, Lk). The softmax is taken in f32; the result
+/// has the format of `q`. Both engines compute it in the same way until there is a kernel of its own.
+///
+/// # Errors
+/// If the shapes do not fit.
+pub fn attention(
+    _engine: Engine,
+    q: &Tensor,
+    k: &Tensor,
+    v: &Tensor,
+    scale: f64,
+    mask: Option<&Tensor>,
+) -> Result<Tensor> {
+    let q = (q.contiguous()? * scale)?;
+    let scores = q.matmul(&k.transpose(2, 3)?)?.to_dtype(DType::F32)?;
+    let scores = match mask {
+        Some(mask) => scores.broadcast_add(&mask.to_dtype(DType::F32)?)?,
+        None => scores,
+    };
+    // The largest score is subtracted so that no exponential overflows.
+    let powers = scores
+        .broadcast_sub(&scores.max_keepdim(D::Minus1)?)?
+        .exp()?;
+    let weights = powers.broadcast_div(&powers.sum_keepdim(D::Minus1)?)?;
+    Ok(weights.to_dtype(v.dtype())?.matmul(&v.contiguous()?)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn equal_keys_give_the_mean_of_the_values_that_are_not_masked() {
+        let q = Tensor::randn(0f32, 1.0, (2, 3, 4, 8), &Device::Cpu).unwrap();
+        let k = Tensor::ones((2, 3, 5, 8), DType::F32, &Device::Cpu).unwrap();
+        let v = Tensor::arange(0f32, 5.0, &Device::Cpu).unwrap();
+        let v = v.reshape((1, 1, 5, 1)).unwrap();
+        let v = v.broadcast_as((2, 3, 5, 8)).unwrap();
+        let mean = |mask: Option<&Tensor>| -> f32 {
+            let y = attention(Engine::Candle, &q, &k, &v, 0.3, mask).unwrap();
+            assert_eq!(y.dims(), [2, 3, 4, 8]);
+            y.mean_all().unwrap().to_scalar().unwrap()
+        };
+        assert!((mean(None) - 2.0).abs() < 1e-5);
+        let mask = [0f32, 0.0, f32::NEG_INFINITY, f32::NEG_INFINITY, 0.0];
+        let mask = Tensor::new(&mask, &Device::Cpu).unwrap();
+        let mask = mask.reshape((1, 1, 1, 5)).unwrap();
+        assert!((mean(Some(&mask)) - 5.0 / 3.0).abs() < 1e-5);
+    }
+}

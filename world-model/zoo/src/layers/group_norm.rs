@@ -1,0 +1,161 @@
+//! Group normalisation.
+
+use candle_core::{CpuStorage, CustomOp1, D, DType, Layout, Shape, Tensor};
+
+use super::{host, silu, takes_kernels};
+use crate::{Engine, Result};
+
+/// Mean 0 and variance 1 over all places of a group of neighbouring channels, then a learned scale and shift of each
+/// channel.
+#[derive(Clone, Debug)]
+pub struct GroupNorm {
+    /// (channels).
+    scale: Tensor,
+    /// (channels).
+    shift: Tensor,
+    groups: usize,
+    eps: f64,
+    engine: Engine,
+}
+
+impl GroupNorm {
+    /// `scale` and `shift` are (channels), of which `groups` must be a divisor; `eps` is added to the variance.
+    ///
+    /// # Errors
+    /// If it is none, or the shapes differ.
+    pub fn new(
+        (scale, shift): (Tensor, Tensor),
+        groups: usize,
+        eps: f64,
+        engine: Engine,
+    ) -> Result<Self> {
+        let channels = scale.dims1()?;
+        if shift.dims() != [channels] || groups == 0 || !channels.is_multiple_of(groups) {
+            return Err(wm_model::Error::Shape {
+                what: "scale and shift of a GroupNorm",
+                expected: format!("(channels) twice, a multiple of {groups}"),
+                found: vec![channels, shift.elem_count()],
+            }
+            .into());
+        }
+        Ok(Self {
+            scale,
+            shift,
+            groups,
+            eps,
+            engine,
+        })
+    }
+
+    /// `x` (N, H, W, C) to the same shape. Computed in f32, given back in the format of `x`.
+    ///
+    /// # Errors
+    /// If `x` has another number of channels.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let channels = self.scale.dim(0)?;
+        let (n, h, w, found) = x.dims4()?;
+        if found != channels {
+            return Err(wm_model::Error::Shape {
+                what: "the input of a GroupNorm",
+                expected: format!("(N, H, W, {channels})"),
+                found: x.dims().to_vec(),
+            }
+            .into());
+        }
+        if takes_kernels(self.engine, x) {
+            let kernel = Kernel {
+                scale: self.scale.to_vec1()?,
+                shift: self.shift.to_vec1()?,
+                groups: self.groups,
+                eps: self.eps,
+            };
+            return Ok(x.contiguous()?.apply_op1_no_bwd(&kernel)?);
+        }
+        // A row's mean first, then the mean of the rows: one running f32 sum over a large picture would round away
+        // more than the tolerance of the models' outputs.
+        let size = channels / self.groups;
+        let grouped = x
+            .to_dtype(DType::F32)?
+            .reshape((n, h, w, self.groups, size))?
+            .permute((0, 3, 1, 2, 4))?
+            .reshape((n, self.groups, h, w * size))?;
+        let mean = |x: &Tensor| x.mean_keepdim(D::Minus1)?.mean_keepdim(2);
+        let centred = grouped.broadcast_sub(&mean(&grouped)?)?;
+        let variance = mean(&centred.sqr()?)?;
+        let normed = centred
+            .broadcast_div(&(variance + self.eps)?.sqrt()?)?
+            .reshape((n, self.groups, h, w, size))?
+            .permute((0, 2, 3, 1, 4))?
+            .reshape((n, h, w, channels))?;
+        let scaled = normed
+            .broadcast_mul(&self.scale.to_dtype(DType::F32)?)?
+            .broadcast_add(&self.shift.to_dtype(DType::F32)?)?;
+        Ok(scaled.to_dtype(x.dtype())?)
+    }
+
+    /// As [`GroupNorm::forward`], and SiLU after it.
+    ///
+    /// # Errors
+    /// If `x` has another number of channels.
+    pub fn forward_silu(&self, x: &Tensor) -> Result<Tensor> {
+        silu(&self.forward(x)?)
+    }
+}
+
+/// [`wm_model::ops::group_norm`] on a copy of the input.
+struct Kernel {
+    scale: Vec<f32>,
+    shift: Vec<f32>,
+    groups: usize,
+    eps: f64,
+}
+
+impl CustomOp1 for Kernel {
+    fn name(&self) -> &'static str {
+        "group norm"
+    }
+
+    fn cpu_fwd(
+        &self,
+        storage: &CpuStorage,
+        layout: &Layout,
+    ) -> candle_core::Result<(CpuStorage, Shape)> {
+        let (_, h, w, _) = layout.shape().dims4()?;
+        let mut y = host::slice(storage, layout)?.to_vec();
+        let affine = (self.scale.as_slice(), self.shift.as_slice());
+        wm_model::ops::group_norm(&mut y, h * w, self.groups, affine, self.eps, false);
+        Ok((CpuStorage::F32(y), layout.shape().clone()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn both_engines_agree() {
+        let random = |shape: &[usize]| Tensor::randn(1f32, 2.0, shape, &Device::Cpu).unwrap();
+        let (scale, shift) = (random(&[12]), random(&[12]));
+        let x = random(&[2, 5, 7, 12]);
+        let [a, b] = [Engine::Candle, Engine::Cpu].map(|engine| {
+            let norm = GroupNorm::new((scale.clone(), shift.clone()), 4, 1e-6, engine).unwrap();
+            norm.forward(&x).unwrap()
+        });
+        let difference = (a - b).unwrap().abs().unwrap().max_all().unwrap();
+        assert!(difference.to_scalar::<f32>().unwrap() < 2e-5);
+    }
+
+    #[test]
+    fn every_group_of_a_picture_gets_mean_zero_and_variance_one() {
+        let ones = Tensor::ones(6, DType::F32, &Device::Cpu).unwrap();
+        let zeros = ones.zeros_like().unwrap();
+        let norm = GroupNorm::new((ones, zeros), 2, 0.0, Engine::Candle).unwrap();
+        let x = Tensor::randn(3f32, 2.0, (2, 4, 4, 6), &Device::Cpu).unwrap();
+        let y = norm.forward(&x).unwrap().narrow(3, 3, 3).unwrap();
+        let y = y.get(1).unwrap().flatten_all().unwrap();
+        let scalar = |x: Tensor| x.mean_all().unwrap().to_scalar::<f32>().unwrap();
+        assert!((scalar(y.sqr().unwrap()) - 1.0).abs() < 1e-4);
+        assert!(scalar(y).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,57 @@
+//! Layer normalisation.
+
+use candle_core::{D, DType, Tensor};
+
+use crate::Result;
+
+/// Mean 0 and variance 1 over the last dimension, then a learned scale and shift.
+#[derive(Clone, Debug)]
+pub struct LayerNorm {
+    /// (width).
+    scale: Tensor,
+    /// (width).
+    shift: Tensor,
+    eps: f64,
+}
+
+impl LayerNorm {
+    /// `scale` and `shift` are (width); `eps` is added to the variance.
+    pub fn new(scale: Tensor, shift: Tensor, eps: f64) -> Self {
+        Self { scale, shift, eps }
+    }
+
+    /// `x` (.., width) to the same shape. Computed in f32, given back in the format of `x`.
+    ///
+    /// # Errors
+    /// If `x` has another last dimension.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let wide = x.to_dtype(DType::F32)?;
+        let centred = wide.broadcast_sub(&wide.mean_keepdim(D::Minus1)?)?;
+        let variance = centred.sqr()?.mean_keepdim(D::Minus1)?;
+        let normed = centred.broadcast_div(&(variance + self.eps)?.sqrt()?)?;
+        let scaled = normed
+            .broadcast_mul(&self.scale.to_dtype(DType::F32)?)?
+            .broadcast_add(&self.shift.to_dtype(DType::F32)?)?;
+        Ok(scaled.to_dtype(x.dtype())?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn rows_get_mean_zero_and_variance_one_before_the_affine_map() {
+        let x = Tensor::new(&[[1f32, 2.0, 3.0, 6.0]], &Device::Cpu).unwrap();
+        let scale = Tensor::new(&[1f32, 1.0, 1.0, 2.0], &Device::Cpu).unwrap();
+        let shift = Tensor::new(&[0f32, 0.0, 5.0, 0.0], &Device::Cpu).unwrap();
+        let y = LayerNorm::new(scale, shift, 0.0).forward(&x).unwrap();
+        let y = y.to_vec2::<f32>().unwrap();
+        let deviation = 3.5f32.sqrt();
+        for (found, expected) in y[0].iter().zip([-2.0, -1.0, 0.0, 6.0]) {
+            let expected = expected / deviation + if expected == 0.0 { 5.0 } else { 0.0 };
+            assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+        }
+    }
+}

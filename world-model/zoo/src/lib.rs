@@ -1,0 +1,51 @@
+//! The model library: every architecture of the paper, loadable from the checkpoints that its authors published.
+//!
+//! | What | Module |
+//! |---|---|
+//! | Convolutional autoencoders, the pixel decoder | [`vae`] |
+//! | Vision transformers | [`vit`] |
+//! | The S-VAE adapter | [`svae`] |
+//! | Inverse dynamics, success probe | [`idm`], [`success_probe`] |
+//! | EfficientNet-Lite0 | [`efficientnet_lite0`] |
+//! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
+//!
+//! A [`Checkpoint`] is an open file of tensors, a [`Loader`] hands them to a model by their published names and tells
+//! of everything that does not fit, and an [`Engine`] says what computes. [`kinds`] runs any of the models on a file of
+//! tensors, [`cost`] counts parameters and operations.
+//!
+//! ```
+//! use wm_zoo::{Engine, Loader};
+//! use wm_zoo::vae::{PixelDecoder, PixelDecoderConfig};
+//!
+//! # fn main() -> wm_zoo::Result<()> {
+//! // Without weights: what a model would ask of a checkpoint.
+//! let loader = Loader::skeleton(Engine::Cpu);
+//! PixelDecoder::load(&PixelDecoderConfig::paper(), &loader)?;
+//! assert_eq!((loader.parameters() as f64 / 1e6).round(), 177.0);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! For inference only: nothing here trains. Not here either: sampling and planning (`wm_model`), files of other
+//! formats than safetensors and torch's, and downloads (`wm model fetch`).
+
+mod error;
+
+pub mod checkpoint;
+pub mod cost;
+pub mod engine;
+pub mod kinds;
+pub mod layers;
+pub mod loader;
+
+pub mod efficientnet_lite0;
+pub mod idm;
+pub mod success_probe;
+pub mod svae;
+pub mod vae;
+pub mod vit;
+
+pub use checkpoint::Checkpoint;
+pub use engine::Engine;
+pub use error::{Error, Misshapen, Result};
+pub use loader::Loader;

@@ -1,0 +1,277 @@
+//! Handing a checkpoint's tensors to a model.
+
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+use std::fmt::Display;
+use std::rc::Rc;
+
+use candle_core::{DType, Device, Tensor};
+
+use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear};
+use crate::{Checkpoint, Engine, Error, Misshapen, Result};
+
+/// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
+///
+/// Clones and descendants share one account of what was asked for. A tensor that is missing or has another shape is
+/// noted there and zeros are given in its place, so that [`Loader::finish`] can tell of everything at once: call it
+/// before the model is used.
+///
+/// On the CPU a loader for bf16 gives the rounded values as f32: there are no kernels for it yet, and candle widens
+/// them in every product. On other devices it gives bf16 tensors.
+#[derive(Clone, Debug)]
+pub struct Loader<'a> {
+    source: Option<&'a Checkpoint>,
+    /// Where in the tree, with a dot at the end; empty at the root.
+    prefix: String,
+    engine: Engine,
+    /// Format that values are rounded to.
+    precision: DType,
+    device: Device,
+    account: Rc<RefCell<Account>>,
+}
+
+/// A tensor that a model asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Requested {
+    /// Its name, from the root.
+    pub name: String,
+    /// Its shape.
+    pub shape: Vec<usize>,
+}
+
+impl Requested {
+    /// Number of its values.
+    pub fn count(&self) -> usize {
+        self.shape.iter().product()
+    }
+}
+
+/// What was asked for so far.
+#[derive(Debug, Default)]
+struct Account {
+    used: BTreeSet<String>,
+    /// What is in `used`, in order.
+    requested: Vec<Requested>,
+    ignored: Vec<String>,
+    missing: Vec<String>,
+    misshapen: Vec<Misshapen>,
+}
+
+impl<'a> Loader<'a> {
+    /// Gives `source`'s tensors, on the CPU, rounded to `precision`.
+    pub fn new(source: &'a Checkpoint, engine: Engine, precision: DType) -> Self {
+        Self::on(source, engine, precision, Device::Cpu)
+    }
+
+    /// Gives `source`'s tensors on `device`, rounded to `precision`.
+    pub fn on(source: &'a Checkpoint, engine: Engine, precision: DType, device: Device) -> Self {
+        Self {
+            source: Some(source),
+            prefix: String::new(),
+            engine,
+            precision,
+            device,
+            account: Rc::default(),
+        }
+    }
+
+    /// A loader without a checkpoint. Every tensor that is asked for is one zero, repeated, which takes no memory.
+    pub fn skeleton(engine: Engine) -> Loader<'static> {
+        Loader {
+            source: None,
+            prefix: String::new(),
+            engine,
+            precision: DType::F32,
+            device: Device::Cpu,
+            account: Rc::default(),
+        }
+    }
+
+    /// The place `name` below this one; `name` may have dots in it.
+    pub fn at(&self, name: impl Display) -> Self {
+        Self {
+            prefix: format!("{}{name}.", self.prefix),
+            ..self.clone()
+        }
+    }
+
+    /// What is to compute the model.
+    pub fn engine(&self) -> Engine {
+        self.engine
+    }
+
+    /// The format of the tensors that it gives, and that layers take and give.
+    pub fn dtype(&self) -> DType {
+        if self.device.is_cpu() {
+            DType::F32
+        } else {
+            self.precision
+        }
+    }
+
+    /// Where the tensors that it gives are.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Whether the checkpoint has a tensor `name` here. A skeleton has none.
+    pub fn has(&self, name: &str) -> bool {
+        self.source
+            .is_some_and(|source| source.contains(&self.path(name)))
+    }
+
+    /// Tensor `name`, which has to be of `shape`.
+    ///
+    /// # Errors
+    /// If its values cannot be read, or one is not finite. That it is missing or has another shape is told by
+    /// [`Loader::finish`].
+    pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
+        let path = self.path(name);
+        let mut account = self.account.borrow_mut();
+        // Twice the same tensor counts once: networks may share weights.
+        if account.used.insert(path.clone()) {
+            account.requested.push(Requested {
+                name: path.clone(),
+                shape: shape.to_vec(),
+            });
+        }
+        let Some(source) = self.source else {
+            return self.zeros(shape);
+        };
+        match source.shape(&path) {
+            Some(found) if found == shape => {
+                let tensor = source.tensor(&path, self.precision)?;
+                Ok(tensor.to_device(&self.device)?.to_dtype(self.dtype())?)
+            }
+            Some(found) => {
+                account.misshapen.push(Misshapen {
+                    name: path,
+                    expected: shape.to_vec(),
+                    found: found.to_vec(),
+                });
+                self.zeros(shape)
+            }
+            None => {
+                account.missing.push(format!("{path} {shape:?}"));
+                self.zeros(shape)
+            }
+        }
+    }
+
+    /// The Linear `name`: `name.weight` (outputs, inputs) and `name.bias` (outputs).
+    ///
+    /// # Errors
+    /// As [`Loader::tensor`].
+    pub fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+        let weight = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
+        let bias = self.tensor(&format!("{name}.bias"), &[outputs])?;
+        Linear::new(weight, Some(bias), self.engine)
+    }
+
+    /// The Linear `name` that has no bias.
+    ///
+    /// # Errors
+    /// As [`Loader::tensor`].
+    pub fn linear_no_bias(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+        let weight = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
+        Linear::new(weight, None, self.engine)
+    }
+
+    /// The layer normalisation `name`: `name.weight` and `name.bias` (width).
+    ///
+    /// # Errors
+    /// As [`Loader::tensor`].
+    pub fn layer_norm(&self, name: &str, width: usize, eps: f64) -> Result<LayerNorm> {
+        let scale = self.tensor(&format!("{name}.weight"), &[width])?;
+        let shift = self.tensor(&format!("{name}.bias"), &[width])?;
+        Ok(LayerNorm::new(scale, shift, eps))
+    }
+
+    /// The group normalisation `name`: `name.weight` and `name.bias` (channels).
+    ///
+    /// # Errors
+    /// As [`Loader::tensor`], or if `groups` does not divide `channels`.
+    pub fn group_norm(
+        &self,
+        name: &str,
+        groups: usize,
+        channels: usize,
+        eps: f64,
+    ) -> Result<GroupNorm> {
+        let scale = self.tensor(&format!("{name}.weight"), &[channels])?;
+        let shift = self.tensor(&format!("{name}.bias"), &[channels])?;
+        GroupNorm::new((scale, shift), groups, eps, self.engine)
+    }
+
+    /// The convolution `name`: `name.weight` (outputs, inputs, kernel, kernel) and `name.bias` (outputs).
+    ///
+    /// # Errors
+    /// As [`Loader::tensor`].
+    pub fn conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
+        let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
+        let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
+        Conv2d::new(spec, &weight, bias, self.engine)
+    }
+
+    /// Tensors here whose names start with `prefix` may be in the checkpoint without being used.
+    pub fn ignore(&self, prefix: &str) {
+        self.account.borrow_mut().ignored.push(self.path(prefix));
+    }
+
+    /// Checks that the model got what it asked for, and asked for everything there is. Integer tensors are buffers
+    /// (counters, positions) that nothing here needs: none is missed.
+    ///
+    /// # Errors
+    /// [`Error::Tensors`], with all that does not fit.
+    pub fn finish(&self) -> Result<()> {
+        let Some(source) = self.source else {
+            return Ok(());
+        };
+        let account = self.account.borrow();
+        let is_known = |name: &str| {
+            account.used.contains(name)
+                || account
+                    .ignored
+                    .iter()
+                    .any(|prefix| name.starts_with(prefix))
+        };
+        let unexpected: Vec<String> = source
+            .float_names()
+            .filter(|name| !is_known(name))
+            .map(str::to_owned)
+            .collect();
+        let (missing, misshapen) = (account.missing.clone(), account.misshapen.clone());
+        if missing.is_empty() && misshapen.is_empty() && unexpected.is_empty() {
+            return Ok(());
+        }
+        Err(Error::Tensors {
+            file: source.file().to_owned(),
+            missing,
+            misshapen,
+            unexpected,
+        })
+    }
+
+    /// How many values were asked for so far, by this loader, its clones and its descendants.
+    pub fn parameters(&self) -> usize {
+        let account = self.account.borrow();
+        account.requested.iter().map(Requested::count).sum()
+    }
+
+    /// All tensors that were asked for so far, each once, in order.
+    pub fn requested(&self) -> Vec<Requested> {
+        self.account.borrow().requested.clone()
+    }
+
+    fn path(&self, name: &str) -> String {
+        format!("{}{name}", self.prefix)
+    }
+
+    fn zeros(&self, shape: &[usize]) -> Result<Tensor> {
+        let zero = Tensor::zeros(1, self.dtype(), &self.device)?;
+        Ok(zero.broadcast_as(shape)?)
+    }
+}
+
+#[cfg(test)]
+mod tests;

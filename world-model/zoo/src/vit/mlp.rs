@@ -1,0 +1,100 @@
+//! The feed-forward half of a block.
+
+use candle_core::{D, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::Result;
+use crate::engine::Engine;
+use crate::layers::{Linear, gelu_exact, gelu_tanh, silu, takes_kernels};
+
+/// Activation function, by the names that Hugging Face configurations use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Activation {
+    /// x times the normal distribution function of x.
+    #[default]
+    #[serde(rename = "gelu")]
+    GeluExact,
+    /// The approximation of it with tanh.
+    #[serde(rename = "gelu_pytorch_tanh", alias = "gelu_new")]
+    GeluTanh,
+}
+
+impl Activation {
+    /// Applies it to every value.
+    pub(crate) fn apply(self, x: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::GeluExact => gelu_exact(x),
+            Self::GeluTanh => gelu_tanh(x),
+        }
+    }
+}
+
+/// A feed-forward network.
+#[derive(Clone, Debug)]
+pub(crate) enum Mlp {
+    /// Linear, activation, linear.
+    Plain {
+        first: Linear,
+        activation: Activation,
+        second: Linear,
+    },
+    /// Linear to twice the width, silu(first half) * second half, linear.
+    SwiGlu {
+        gate_and_value: Linear,
+        out: Linear,
+        engine: Engine,
+    },
+}
+
+impl Mlp {
+    /// (.., width) to (.., width).
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Plain {
+                first,
+                activation,
+                second,
+            } => second.forward(&activation.apply(&first.forward(x)?)?),
+            Self::SwiGlu {
+                gate_and_value,
+                out,
+                engine,
+            } => out.forward(&swiglu(&gate_and_value.forward(x)?, *engine)?),
+        }
+    }
+}
+
+/// silu(first half) * second half over the last dimension.
+fn swiglu(x: &Tensor, engine: Engine) -> Result<Tensor> {
+    if takes_kernels(engine, x) {
+        return Ok(wm_model::ops::swiglu(x)?);
+    }
+    let half = x.dim(D::Minus1)? / 2;
+    let gate = silu(&x.narrow(D::Minus1, 0, half)?.contiguous()?)?;
+    Ok((gate * x.narrow(D::Minus1, half, half)?)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn both_engines_gate_alike() {
+        let x = Tensor::randn(0.0_f32, 1.0, (2, 5, 14), &Device::Cpu).unwrap();
+        let difference = (swiglu(&x, Engine::Candle).unwrap() - swiglu(&x, Engine::Cpu).unwrap())
+            .unwrap()
+            .abs()
+            .unwrap();
+        assert!(difference.max_all().unwrap().to_scalar::<f32>().unwrap() < 1e-6);
+    }
+
+    #[test]
+    fn names_are_those_of_hugging_face() {
+        let parse = |name: &str| serde_json::from_str::<Activation>(name);
+        assert_eq!(parse("\"gelu\"").unwrap(), Activation::GeluExact);
+        let tanh = parse("\"gelu_pytorch_tanh\"").unwrap();
+        assert_eq!(tanh, Activation::GeluTanh);
+        assert!(parse("\"relu\"").unwrap_err().to_string().contains("relu"));
+    }
+}

@@ -1,0 +1,107 @@
+//! What each encoder does to a picture before its first layer.
+//!
+//! Pictures are (N, H, W, 3), f32 in 0..1. Facts from architecture.md section 3: Web-DINO and
+//! SigLIP 2 resize as `torch.nn.functional.interpolate(mode="bicubic")` does, without clamping what
+//! overshoots; V-JEPA 2.1 clamps to 0..1 and takes 256x256 as it is.
+
+use candle_core::{DType, Tensor};
+
+use super::resample::{AxisWeights, resample};
+use super::sizes::shape_error;
+use crate::Result;
+
+/// Mean and standard deviation per colour channel that pictures are normalised with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Normalisation {
+    /// Mean of red, green and blue.
+    pub mean: [f32; 3],
+    /// Standard deviation of red, green and blue.
+    pub std: [f32; 3],
+}
+
+impl Normalisation {
+    /// That of ImageNet: V-JEPA, DINO and EfficientNet.
+    pub const IMAGENET: Self = Self {
+        mean: [0.485, 0.456, 0.406],
+        std: [0.229, 0.224, 0.225],
+    };
+
+    /// 0..1 to -1..1: SigLIP.
+    pub const HALF: Self = Self {
+        mean: [0.5; 3],
+        std: [0.5; 3],
+    };
+
+    /// (x - mean) / std of `image` (N, H, W, 3).
+    ///
+    /// # Errors
+    /// If the picture has not three channels.
+    pub fn apply(&self, image: &Tensor) -> Result<Tensor> {
+        check(image)?;
+        let device = image.device();
+        let image = image.to_dtype(DType::F32)?;
+        let centred = image.broadcast_sub(&Tensor::new(&self.mean, device)?)?;
+        Ok(centred.broadcast_div(&Tensor::new(&self.std, device)?)?)
+    }
+}
+
+/// Resizes `image` (N, H, W, 3) to (N, size, size, 3) as PyTorch's bicubic interpolation does it
+/// (a = -0.75, half-pixel centres, borders repeated, no antialiasing, no clamping); a picture of
+/// that size is taken as it is.
+///
+/// # Errors
+/// If the picture is empty or has not three channels.
+pub fn resize_bicubic(image: &Tensor, size: usize) -> Result<Tensor> {
+    let (h, w) = check(image)?;
+    if (h, w) == (size, size) {
+        return Ok(image.to_dtype(DType::F32)?);
+    }
+    let rows = AxisWeights::bicubic(h, size);
+    let columns = AxisWeights::bicubic(w, size);
+    resample(image, &rows, &columns)
+}
+
+/// Height and width of a picture (N, H, W, 3) that is not empty.
+fn check(image: &Tensor) -> Result<(usize, usize)> {
+    match image.dims() {
+        &[n, h, w, 3] if n > 0 && h > 0 && w > 0 => Ok((h, w)),
+        _ => Err(shape_error("the image", "(N, H, W, 3), not empty", image)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Device;
+
+    #[test]
+    fn normalisation_is_per_channel() {
+        let image = Tensor::full(0.5_f32, (1, 1, 1, 3), &Device::Cpu).unwrap();
+        let values = |n: Normalisation| {
+            let normalised = n.apply(&image).unwrap().flatten_all().unwrap();
+            normalised.to_vec1::<f32>().unwrap()
+        };
+        assert_eq!(values(Normalisation::HALF), [0.0; 3]);
+        let expected = [0.015 / 0.229, 0.044 / 0.224, 0.094 / 0.225];
+        for (found, expected) in values(Normalisation::IMAGENET).iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_resized_picture_may_overshoot() {
+        let mut values = vec![0.0_f32; 16 * 16 * 3];
+        values[..8 * 16 * 3].fill(1.0);
+        let image = Tensor::from_vec(values, (1, 16, 16, 3), &Device::Cpu).unwrap();
+        let resized = resize_bicubic(&image, 14).unwrap();
+        let most = resized.max_all().unwrap().to_scalar::<f32>().unwrap();
+        assert!(most > 1.001, "an edge was clamped: {most}");
+    }
+
+    #[test]
+    fn a_picture_of_another_shape_is_named() {
+        let image = Tensor::zeros((1, 4, 4, 4), DType::F32, &Device::Cpu).unwrap();
+        let message = resize_bicubic(&image, 2).unwrap_err().to_string();
+        assert!(message.contains("[1, 4, 4, 4]"), "{message}");
+    }
+}

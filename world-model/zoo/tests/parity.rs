@@ -1,0 +1,222 @@
+//! Every kind of model against PyTorch: the fixtures of fixtures/generate.py, with both engines.
+
+#![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use candle_core::{DType, Device, Tensor};
+use wm_model::sampler::Sampler;
+use wm_zoo::kinds::{Kind, RolloutOptions, Tensors, forward, rollout};
+use wm_zoo::{Checkpoint, Engine};
+
+/// Number formats of the weights, each with the error allowed: norm of the difference over norm of
+/// PyTorch's f32 output, and largest difference over largest output. Both are the task's bounds;
+/// f32 leaves room for sums in another order, bf16 for its 8 bits.
+const PRECISIONS: [(DType, f64); 2] = [(DType::F32, 1e-4), (DType::BF16, 2e-2)];
+
+/// What a folder's name has between its kind and the variant of it.
+const VARIANT: &str = "--";
+
+/// Environment variables with the paths of weights that are not part of the repository. Fixtures of
+/// these kinds are passed over, with a word on it, where the variable is not set.
+const EXTERNAL_WEIGHTS: [(Kind, &str); 1] =
+    [(Kind::EfficientNetLite0, "WM_EFFICIENTNET_LITE0_WEIGHTS")];
+
+type Outcome<T> = Result<T, String>;
+
+/// One folder of fixtures.
+struct Fixture {
+    folder: PathBuf,
+}
+
+impl Fixture {
+    fn name(&self) -> &str {
+        self.folder.file_name().unwrap().to_str().unwrap()
+    }
+
+    fn kind(&self) -> &str {
+        let name = self.name();
+        name.split_once(VARIANT).map_or(name, |(kind, _)| kind)
+    }
+
+    fn text(&self, file: &str) -> Option<String> {
+        std::fs::read_to_string(self.folder.join(file)).ok()
+    }
+
+    fn tensors(&self, file: &str) -> Outcome<Tensors> {
+        let path = self.folder.join(file);
+        let tensors = candle_core::safetensors::load(path, &Device::Cpu).map_err(text)?;
+        Ok(tensors.into_iter().collect())
+    }
+
+    /// The weights; nothing if they are of those that are not part of the repository.
+    fn checkpoint(&self) -> Outcome<Option<Checkpoint>> {
+        let in_folder = ["weights.safetensors", "weights.pt"].map(|file| self.folder.join(file));
+        let kind: Kind = self.kind().parse().map_err(text)?;
+        let external = EXTERNAL_WEIGHTS.iter().find(|(of, _)| *of == kind);
+        let path = match (in_folder.into_iter().find(|path| path.exists()), external) {
+            (Some(path), _) => path,
+            (None, Some((_, variable))) => match std::env::var_os(variable) {
+                Some(path) => path.into(),
+                None => {
+                    eprintln!("{}: skipped, {variable} is not set", self.name());
+                    return Ok(None);
+                }
+            },
+            (None, None) => return Err("no weights".to_owned()),
+        };
+        Checkpoint::open(path).map(Some).map_err(text)
+    }
+
+    /// What `engine` makes of the input, by each way that has to give the same.
+    fn outputs(&self, engine: Engine, dtype: DType) -> Outcome<Vec<Tensors>> {
+        let Some(checkpoint) = self.checkpoint()? else {
+            return Ok(Vec::new());
+        };
+        let config = self.text("config.json").ok_or("no config.json")?;
+        let inputs = self.tensors("input.safetensors")?;
+        let Some(options) = self.text("options.json") else {
+            let kind: Kind = self.kind().parse().map_err(text)?;
+            let outputs = forward(kind, &config, &checkpoint, &inputs, engine, dtype);
+            return Ok(vec![outputs.map_err(text)?]);
+        };
+        let sampler: Sampler = serde_json::from_str(&options).map_err(text)?;
+        [true, false]
+            .into_iter()
+            .map(|cache| {
+                let sampler = sampler.clone();
+                let options = RolloutOptions { sampler, cache };
+                rollout(&config, &checkpoint, &inputs, &options, engine, dtype).map_err(text)
+            })
+            .collect()
+    }
+
+    /// Everything that differs from PyTorch, one line each; empty if nothing does.
+    fn faults(&self, (dtype, tolerance): (DType, f64)) -> Vec<String> {
+        let mut faults = Vec::new();
+        for engine in [Engine::Candle, Engine::Cpu] {
+            let compared = self.outputs(engine, dtype).and_then(|all| {
+                let expected = self.tensors("output.safetensors")?;
+                let found = all.iter().map(|found| compare(found, &expected));
+                found.collect::<Outcome<Vec<_>>>()
+            });
+            let label = format!("{} with {engine} in {dtype:?}", self.name());
+            match compared {
+                Ok(errors) => {
+                    for (output, error) in errors.iter().flatten() {
+                        println!("{label}: {output} {error}");
+                        if !error.is_within(tolerance) {
+                            faults.push(format!("{label}: {output} {error}"));
+                        }
+                    }
+                }
+                Err(reason) => faults.push(format!("{label}: {reason}")),
+            }
+        }
+        faults
+    }
+}
+
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+/// How far an output is from PyTorch's.
+struct RelativeError {
+    of_norm: f64,
+    of_largest: f64,
+}
+
+impl RelativeError {
+    fn between(found: &Tensor, expected: &Tensor) -> candle_core::Result<Self> {
+        let difference = (found.to_dtype(DType::F64)? - expected.to_dtype(DType::F64)?)?;
+        let expected = expected.to_dtype(DType::F64)?;
+        let norm = |x: &Tensor| x.sqr()?.sum_all()?.sqrt()?.to_scalar::<f64>();
+        let largest = |x: &Tensor| x.abs()?.max_all()?.to_scalar::<f64>();
+        Ok(Self {
+            of_norm: norm(&difference)? / norm(&expected)?,
+            of_largest: largest(&difference)? / largest(&expected)?,
+        })
+    }
+
+    /// False also where something is not a number.
+    fn is_within(&self, tolerance: f64) -> bool {
+        self.of_norm <= tolerance && self.of_largest <= tolerance
+    }
+}
+
+impl std::fmt::Display for RelativeError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "is off by {:.1e} of the norm, {:.1e} of the largest value",
+            self.of_norm, self.of_largest
+        )
+    }
+}
+
+/// The error of each output, by name; names, shapes and number formats have to agree.
+fn compare(found: &Tensors, expected: &Tensors) -> Outcome<Vec<(String, RelativeError)>> {
+    let signature = |tensors: &Tensors| -> Vec<String> {
+        let of = |(name, t): (&String, &Tensor)| format!("{name} {:?} {:?}", t.dims(), t.dtype());
+        tensors.iter().map(of).collect()
+    };
+    let (found_signature, expected_signature) = (signature(found), signature(expected));
+    if found_signature != expected_signature {
+        return Err(format!(
+            "gives {found_signature:?}, expected {expected_signature:?}"
+        ));
+    }
+    let pairs = found.iter().zip(expected.values());
+    pairs
+        .map(|((name, found), expected)| {
+            let error = RelativeError::between(found, expected).map_err(text)?;
+            Ok((name.clone(), error))
+        })
+        .collect()
+}
+
+fn fixtures() -> Vec<Fixture> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
+    let folders = std::fs::read_dir(root)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let mut folders: Vec<PathBuf> = folders.filter(|path| path.is_dir()).collect();
+    folders.sort();
+    folders
+        .into_iter()
+        .map(|folder| Fixture { folder })
+        .collect()
+}
+
+fn assert_parity(precision: (DType, f64)) {
+    let fixtures = fixtures();
+    let faults: Vec<String> = fixtures.iter().flat_map(|f| f.faults(precision)).collect();
+    let count = faults.len();
+    assert!(faults.is_empty(), "{count} faults:\n{}", faults.join("\n"));
+}
+
+#[test]
+fn every_kind_gives_what_pytorch_gives() {
+    assert_parity(PRECISIONS[0]);
+}
+
+#[test]
+fn every_kind_is_close_with_weights_of_half_the_size() {
+    assert_parity(PRECISIONS[1]);
+}
+
+#[test]
+fn every_kind_has_a_fixture_and_every_fixture_a_kind() {
+    let fixtures = fixtures();
+    let with_fixture: BTreeSet<&str> = fixtures.iter().map(Fixture::kind).collect();
+    let kinds: BTreeSet<&str> = Kind::ALL.iter().map(|kind| kind.name()).collect();
+    assert_eq!(with_fixture, kinds);
+    assert!(
+        fixtures
+            .iter()
+            .any(|fixture| fixture.text("options.json").is_some()),
+        "no rollout among the fixtures"
+    );
+}
