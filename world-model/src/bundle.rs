@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use crate::{
     Autoencoder, Error, LatentSpace, Result, Weights,
     actions::ActionEncoding,
-    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition},
+    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, PackedTransition, Transition},
 };
 
 /// Name of the embedded default.
@@ -33,7 +33,7 @@ pub enum Bundle {
 #[derive(Clone, Debug)]
 pub struct BundledTransition {
     /// The model.
-    pub model: Transition,
+    pub model: PackedTransition,
     /// Lower-case hex SHA-256 of its weights and of all that says how they are used: configuration, action encoding,
     /// latent space.
     pub hash: String,
@@ -90,7 +90,7 @@ impl Bundle {
         let encoding: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let hash = weights.identity(&[CONFIG_KEY, ACTIONS_KEY, LATENT_SPACE_KEY])?;
         let file = weights.file().to_owned();
-        let model = Transition::from_weights(weights)?;
+        let model = Transition::from_weights(weights)?.pack()?;
         let config = model.config();
         let disagrees = |key: &str, reason: String| Error::Metadata {
             file: file.clone(),

@@ -1,30 +1,46 @@
-//! Tensor operations that the stock library is slow at, each with its exact gradient.
+//! Tensor operations that the stock library is slow at.
 //!
-//! Activations are plain slices in NHWC order (image, row, column, channel); work is spread over
-//! the threads of rayon, and results do not depend on how many there are.
+//! Those for training take tensors and have exact gradients; those for inference
+//! ([`PackedLinear`], `block_attention`, `temporal_attention`) take plain slices, and weights that
+//! were packed once. Activations of convolutions are in NHWC order (image, row, column, channel).
+//! Work is spread over the threads of rayon, and results do not depend on how many there are.
 
+pub(crate) mod activation;
 mod attention;
-mod cached_attention;
+pub(crate) mod block_attention;
 mod conv;
-mod exponential;
-mod gated_residual;
+mod dense_attention;
+mod element;
+pub(crate) mod exponential;
+pub(crate) mod gated_residual;
 mod group_norm;
-mod host;
+pub(crate) mod host;
+mod kernel;
+mod layer_norm;
 mod linear;
-mod rms_norm_modulate;
+mod packed_linear;
+mod panels;
+pub(crate) mod rms_norm_modulate;
 mod rotary;
-mod simd;
-mod swiglu;
-mod vectorised;
+pub(crate) mod simd;
+mod softmax;
+pub(crate) mod swiglu;
+pub(crate) mod temporal_attention;
+pub(crate) mod vectorised;
 
+pub use activation::{gelu_exact, gelu_tanh, silu};
 pub use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
-pub use cached_attention::{FrameKeys, cached_attention};
 pub use conv::{
-    ConvShape, Epilogue, GridSize, conv2d, conv2d_input_gradient, conv2d_weight_gradient,
+    ConvShape, Epilogue, GridSize, PackedConv, conv2d, conv2d_input_gradient,
+    conv2d_weight_gradient,
 };
+pub use dense_attention::{AttentionShape, dense_attention};
+pub use element::PackedFormat;
 pub use gated_residual::gated_residual;
 pub use group_norm::group_norm;
+pub use layer_norm::layer_norm;
 pub use linear::linear;
+pub use packed_linear::PackedLinear;
 pub use rms_norm_modulate::rms_norm_modulate;
 pub use rotary::RotaryTable;
 pub use swiglu::swiglu;

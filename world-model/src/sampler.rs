@@ -15,6 +15,7 @@
 //! let model = Transition::random(config, 1)?;
 //! let observed = Tensor::zeros((1, 2, 8, 8, 4), DType::F32, &Device::Cpu)?;
 //! let between = Tensor::zeros((1, 7), DType::F32, &Device::Cpu)?;
+//! let model = model.pack()?;
 //! let sampler = &model.config().sampler;
 //! let mut rollout = Rollout::new(&model, sampler, &observed, Some(&between), 7)?;
 //! let action = Tensor::zeros((1, 7), DType::F32, &Device::Cpu)?;
@@ -28,22 +29,36 @@
 pub(crate) mod settings;
 mod window;
 
+use std::sync::Arc;
+
 use candle_core::{Device, Tensor};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::transition::Transition;
+use crate::transition::{NewFrame, PackedTransition};
 use crate::{Error, Result};
 pub use settings::{Sampler, shift_time};
-use window::Window;
+use window::{Batched, Window};
+
+/// What [`Rollout::next_given`] takes instead of what a prediction has by itself; by default nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Given<'a> {
+    /// Noise that the new frame starts from, (candidates, H, W, C), or (1, H, W, C) for all of them; else it comes
+    /// from the seed.
+    pub noise: Option<&'a Tensor>,
+    /// The action that leads on from the new frame, (candidates, A), or (1, A) for all of them. Under
+    /// [`ActionAlignment::WithFrame`](crate::transition::ActionAlignment::WithFrame) it is fed with the frame, which
+    /// else gets zeros; it has to be the action of the next step then. Otherwise it is not used.
+    pub own_action: Option<&'a Tensor>,
+}
 
 /// A prediction in progress.
 ///
 /// Equal seeds and inputs give equal bytes: the noise of step k depends on the seed and k only.
 #[derive(Clone, Debug)]
 pub struct Rollout<'m> {
-    model: &'m Transition,
+    model: &'m PackedTransition,
     sampler: Sampler,
     window: Window,
     seed: u64,
@@ -57,20 +72,20 @@ impl<'m> Rollout<'m> {
     /// Starts from observed latents `context` (1, T, H, W, C), oldest first, T at least 1.
     ///
     /// `actions` (T - 1, A) are those between them, row i leading from frame i to the next; with a
-    /// single frame there are none. Only the last `max_frames - 1` frames are used.
+    /// single frame there are none. Only the last `max_frames - 1` frames are used. Nothing is
+    /// computed yet.
     ///
     /// # Errors
     /// If shapes do not fit the model, or a value is not finite.
     pub fn new(
-        model: &'m Transition,
+        model: &'m PackedTransition,
         sampler: &Sampler,
         context: &Tensor,
         actions: Option<&Tensor>,
         seed: u64,
     ) -> Result<Self> {
         sampler.validate()?;
-        let mut window = Window::new(model, context, actions, sampler.context_tau)?;
-        window.prepare(model)?;
+        let window = Window::new(model.config(), context, actions, sampler.context_tau)?;
         Ok(Self {
             model,
             sampler: sampler.clone(),
@@ -81,8 +96,17 @@ impl<'m> Rollout<'m> {
         })
     }
 
+    /// Computes what the context contributes to predictions, as far as it does not depend on
+    /// actions to come. Predictions do so by themselves; this is for clones to share it.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn prepare(&mut self) -> Result<()> {
+        self.window.prepare(self.model)
+    }
+
     /// `n` candidates that go on from here side by side, each with actions of its own. They share
-    /// the context, computed once, and the noise of every step.
+    /// the context that was prepared, and the noise of every step.
     ///
     /// # Errors
     /// If `n` is 0, or this already is several candidates.
@@ -110,74 +134,91 @@ impl<'m> Rollout<'m> {
     // Not an iterator: each step needs an action, and can fail.
     #[allow(clippy::should_implement_trait)]
     pub fn next(&mut self, action: &Tensor) -> Result<Tensor> {
-        let expected = [self.candidates, self.model.config().action_dim];
-        if action.dims() != expected {
-            return Err(Error::Shape {
-                what: "the action",
-                expected: format!("{expected:?}"),
-                found: action.dims().to_vec(),
-            });
-        }
-        require_finite("the action", action)?;
-        self.window.push_action(action.clone());
-        self.window.make_room(self.model);
-        self.window.prepare(self.model)?;
-        let clean = self.integrate()?;
-        self.window.push_frame(clean.clone());
-        self.steps_taken += 1;
-        Ok(clean)
+        self.next_given(action, Given::default())
     }
 
-    /// Euler steps of the new frame.
-    fn integrate(&self) -> Result<Tensor> {
+    /// As [`Rollout::next`], with noise or the new frame's own action from outside: to compare with another
+    /// implementation, or where a whole sequence of actions is known.
+    ///
+    /// # Errors
+    /// If a shape does not fit, or a value is not finite.
+    pub fn next_given(&mut self, action: &Tensor, given: Given<'_>) -> Result<Tensor> {
+        let c = self.model.config();
+        let grid = [c.latent_height, c.latent_width, c.channels];
+        let actions = [c.action_dim];
+        let action = self.read("the action", action, &actions, false)?;
+        let noise = match given.noise {
+            Some(noise) => self.read("the noise", noise, &grid, true)?,
+            None => self.noise(),
+        };
+        let own = given
+            .own_action
+            .map(|own| self.read("the new frame's own action", own, &actions, true))
+            .transpose()?;
+        self.window.push_action(action);
+        self.window.make_room(c.max_frames);
+        let clean = self.integrate(noise, own)?;
+        let shape = (self.candidates, grid[0], grid[1], grid[2]);
+        let tensor = Tensor::from_slice(&clean.values, shape, &Device::Cpu)?;
+        self.window.push_frame(clean);
+        self.steps_taken += 1;
+        Ok(tensor)
+    }
+
+    /// The values of `tensor`, which is (candidates, rest..), or (1, rest..) if it may be `shared`.
+    fn read(
+        &self,
+        what: &'static str,
+        tensor: &Tensor,
+        rest: &[usize],
+        shared: bool,
+    ) -> Result<Batched> {
+        match tensor.dims() {
+            [n, found @ ..] if found == rest && (*n == self.candidates || (shared && *n == 1)) => {
+                Batched::read(what, tensor)
+            }
+            found => Err(Error::Shape {
+                what,
+                expected: format!("{:?}", [&[self.candidates], rest].concat()),
+                found: found.to_vec(),
+            }),
+        }
+    }
+
+    /// Euler steps of the new frame from `noise`.
+    fn integrate(&mut self, noise: Batched, own: Option<Batched>) -> Result<Batched> {
         let n = self.candidates;
-        let mut x = self.noise()?;
-        let previous = expand(&self.window.last_frame()?, n)?.unsqueeze(1)?;
-        let earlier = self.window.contexts();
-        let action = expand(&self.window.action_of_new_frame(self.model)?, n)?.unsqueeze(1)?;
+        let mut x = noise.expanded(n).to_vec();
+        let previous = self.window.last_frame()?.expanded(n);
+        let action = self.window.action_of_new_frame(self.model.config(), own);
+        let action = action.expanded(n);
         let levels = self.sampler.levels();
         for (from, to) in levels.iter().zip(levels.iter().skip(1)) {
-            let tau = Tensor::full(*from as f32, (n, 1), &Device::Cpu)?;
-            let (output, _) = self.model.output_after(&earlier, &x, &tau, &action)?;
-            let velocity = self.model.velocity(&output, &x, &tau, &previous)?;
-            x = (x - (velocity * (from - to))?)?;
+            let tau = vec![*from as f32; n];
+            let frame = NewFrame {
+                latents: &x,
+                tau: &tau,
+                action: &action,
+            };
+            let output = self.window.output_at(self.model, frame)?;
+            let parametrisation = self.model.config().parametrisation;
+            parametrisation.euler_step(&mut x, &output, &previous, (*from, *to));
         }
-        Ok(x.squeeze(1)?)
+        Ok(Batched {
+            batch: n,
+            values: x.into(),
+        })
     }
 
-    /// Noise of this step, the same for all candidates: (candidates, 1, H, W, C).
-    fn noise(&self) -> Result<Tensor> {
+    /// Noise of this step, the same for all candidates.
+    fn noise(&self) -> Batched {
         let c = self.model.config();
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(self.steps_taken as u64);
-        let values: Vec<f32> = (0..c.latent_height * c.latent_width * c.channels)
+        let values: Arc<[f32]> = (0..c.latent_height * c.latent_width * c.channels)
             .map(|_| StandardNormal.sample(&mut rng))
             .collect();
-        let shape = (1, c.latent_height, c.latent_width, c.channels);
-        let noise = Tensor::from_vec(values, shape, &Device::Cpu)?;
-        Ok(expand(&noise, self.candidates)?.unsqueeze(1)?)
-    }
-}
-
-/// Repeats a batch of 1 to one of `n`.
-fn expand(tensor: &Tensor, n: usize) -> Result<Tensor> {
-    if tensor.dim(0)? == n {
-        return Ok(tensor.clone());
-    }
-    let mut dims = tensor.dims().to_vec();
-    if let Some(first) = dims.first_mut() {
-        *first = n;
-    }
-    Ok(tensor.broadcast_as(dims)?.contiguous()?)
-}
-
-fn require_finite(what: &'static str, tensor: &Tensor) -> Result<()> {
-    // A sum is finite only if every value is, unless huge values overflow, which is no better.
-    let sum = tensor.abs()?.sum_all()?.to_scalar::<f32>()?;
-    if sum.is_finite() {
-        Ok(())
-    } else {
-        Err(Error::NotFinite { what })
+        Batched { batch: 1, values }
     }
 }
 

@@ -21,27 +21,30 @@
 //! # }
 //! ```
 //!
-//! It does not sample ([`crate::sampler`] does) and does not train (`wm_training` does, through
-//! [`Transition::build`] and [`Transition::output`]).
+//! [`Transition`] is made of tensors, for training (`wm_training`, through [`Transition::build`] and
+//! [`Transition::output`]) and as the reference; [`PackedTransition`] is the same model for inference
+//! on the CPU. Sampling is not done here ([`crate::sampler`] does it).
 
 mod block;
 mod config;
-mod context;
 mod embedding;
 mod head;
+mod packed;
 mod parameters;
+mod parametrisation;
 mod pattern;
 
 use std::sync::Arc;
 
-use candle_core::{DType, Tensor};
+use candle_core::Tensor;
 
-pub use config::{ActionAlignment, Parametrisation, TransitionConfig};
-pub use context::FrameContext;
+pub use config::{ActionAlignment, TransitionConfig};
+pub use packed::{FrameContext, NewFrame, PackedTransition, PassOutput};
 pub use parameters::{Initialisation, Parameter};
+pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
 
-use crate::ops::{AttentionPattern, Axis, RotaryTable};
+use crate::ops::{AttentionPattern, Axis, PackedFormat};
 use crate::{Error, Result, Weights};
 use block::Block;
 use embedding::{Embedding, Patches};
@@ -53,9 +56,6 @@ pub const CONFIG_KEY: &str = "config";
 pub const LATENT_SPACE_KEY: &str = "latent_space";
 /// Metadata entry with the [`ActionEncoding`](crate::actions::ActionEncoding), as JSON.
 pub const ACTIONS_KEY: &str = "actions";
-
-/// Noise levels are not taken below this where the residual parametrisation divides by them.
-const SMALLEST_TAU: f64 = 1e-3;
 
 /// The transition model. Clones share their tensors.
 #[derive(Clone, Debug)]
@@ -78,11 +78,11 @@ impl Transition {
     ) -> Result<Self> {
         config.validate()?;
         let mut tensors = parameters::Tensors::collect(&config, source)?;
-        let rotary = RotaryTable::grid(config.grid().0, config.grid().1, config.head_dim());
-        let spatial = AttentionPattern::new(Axis::Space, config.heads, rotary, |_, _| true)?;
+        let spatial =
+            AttentionPattern::new(Axis::Space, config.heads, config.rotary(), |_, _| true)?;
         let embedding = Embedding::new(&mut tensors)?;
         let blocks = (0..config.depth)
-            .map(|i| Block::new(i, &config, &mut tensors))
+            .map(|i| Block::new(i, &mut tensors))
             .collect::<Result<_>>()?;
         let head = Head::new(&config, &mut tensors)?;
         Ok(Self {
@@ -133,11 +133,7 @@ impl Transition {
     pub fn forward(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<Tensor> {
         let (_, frames) = tau.dims2()?;
         let output = self.output(x, tau, action, &TemporalPattern::causal(frames))?;
-        let previous = match frames {
-            1 => x.clone(),
-            _ => Tensor::cat(&[x.narrow(1, 0, 1)?, x.narrow(1, 0, frames - 1)?], 1)?,
-        };
-        self.velocity(&output, x, tau, &previous)
+        self.config.parametrisation.velocities(&output, x, tau)
     }
 
     /// What the network itself gives at every frame, before the parametrisation is applied:
@@ -152,7 +148,7 @@ impl Transition {
         action: &Tensor,
         pattern: &TemporalPattern,
     ) -> Result<Tensor> {
-        let (b, t) = self.check_input(x, tau, action)?;
+        let (b, t) = self.config.check_input(x, tau, action)?;
         if pattern.len() != t {
             return Err(Error::Shape {
                 what: "the latents",
@@ -173,65 +169,11 @@ impl Transition {
         Patches::into_grid(&out, (b, t), &self.config)
     }
 
-    /// The velocity that `output` of the network stands for at `x`, given the clean frame before
-    /// each (`previous`, as `x`).
+    /// The model ready for inference on the CPU, in f32.
     ///
     /// # Errors
-    /// If the shapes differ.
-    pub fn velocity(
-        &self,
-        output: &Tensor,
-        x: &Tensor,
-        tau: &Tensor,
-        previous: &Tensor,
-    ) -> Result<Tensor> {
-        match self.config.parametrisation {
-            Parametrisation::Velocity => Ok(output.clone()),
-            Parametrisation::Residual => {
-                let (b, t) = tau.dims2()?;
-                let tau = tau.clamp(SMALLEST_TAU, 1.0)?.reshape((b, t, 1, 1, 1))?;
-                let clean = previous.broadcast_add(output)?;
-                Ok((x - clean)?.broadcast_div(&tau)?)
-            }
-        }
-    }
-
-    /// Batch and frames of consistent inputs.
-    fn check_input(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<(usize, usize)> {
-        let c = &self.config;
-        let &[b, t, h, w, channels] = x.dims() else {
-            return Err(shape("the latents", "(B, T, H, W, C)", x));
-        };
-        if (h, w, channels) != (c.latent_height, c.latent_width, c.channels) {
-            let expected = format!(
-                "(B, T, {}, {}, {})",
-                c.latent_height, c.latent_width, c.channels
-            );
-            return Err(shape("the latents", &expected, x));
-        }
-        if tau.dims() != [b, t] {
-            return Err(shape("tau", &format!("({b}, {t})"), tau));
-        }
-        if action.dims() != [b, t, c.action_dim] {
-            let expected = format!("({b}, {t}, {})", c.action_dim);
-            return Err(shape("the actions", &expected, action));
-        }
-        for (what, tensor) in [("latents", x), ("tau", tau), ("actions", action)] {
-            if tensor.dtype() != DType::F32 {
-                return Err(Error::config(
-                    "dtype",
-                    format!("{what} are {:?}, expected F32", tensor.dtype()),
-                ));
-            }
-        }
-        Ok((b, t))
-    }
-}
-
-fn shape(what: &'static str, expected: &str, found: &Tensor) -> Error {
-    Error::Shape {
-        what,
-        expected: expected.to_owned(),
-        found: found.dims().to_vec(),
+    /// If its tensors cannot be read.
+    pub fn pack(&self) -> Result<PackedTransition> {
+        PackedTransition::new(self, PackedFormat::F32)
     }
 }

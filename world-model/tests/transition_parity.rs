@@ -8,10 +8,12 @@ use std::path::Path;
 use candle_core::{Device, Tensor};
 use serde_json::Value;
 use wm_model::Weights;
-use wm_model::transition::{Transition, TransitionConfig};
+use wm_model::ops::PackedFormat;
+use wm_model::transition::{PackedTransition, Transition, TransitionConfig};
 
 /// Difference allowed, as a part of the largest velocity.
 const TOLERANCE: f32 = 1e-4;
+const BF16_TOLERANCE: f32 = 2e-2;
 
 fn fixture() -> Weights {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/transition.safetensors");
@@ -45,6 +47,7 @@ fn config(case: &Value) -> TransitionConfig {
         depth: size("depth").unwrap(),
         heads: size("heads").unwrap(),
         wide_head: size("wide"),
+        views: size("views").unwrap_or(1),
         ..TransitionConfig::preset("dit-s", latent, size("patch").unwrap(), 10).unwrap()
     }
 }
@@ -54,7 +57,11 @@ fn velocities_are_those_of_pytorch() {
     let weights = fixture();
     let cases: Value = weights.json("cases").unwrap();
     let cases = cases.as_object().unwrap();
-    assert_eq!(cases.len(), 4, "plain and wide head, patch 1 and 2");
+    assert_eq!(
+        cases.len(),
+        5,
+        "plain and wide head, patch 1 and 2, several views"
+    );
     for (name, case) in cases {
         let config = config(case);
         let prefix = format!("{name}/");
@@ -74,13 +81,30 @@ fn velocities_are_those_of_pytorch() {
             "{name}: parameters that PyTorch has and we do not"
         );
         let input = |what: &str| tensor(&weights, &format!("{name}:{what}"));
-        let velocity = model
-            .forward(&input("x"), &input("tau"), &input("action"))
-            .unwrap();
+        let inputs = (&input("x"), &input("tau"), &input("action"));
+        let packed = |format| PackedTransition::new(&model, format).unwrap();
         let expected = input("velocity");
-        let difference = most(&(velocity - &expected).unwrap()) / most(&expected);
-        println!("{name}: {difference:.1e} of the largest velocity");
-        assert!(difference < TOLERANCE, "{name}: {difference}");
+        for (what, velocity, tolerance) in [
+            (
+                "tensors",
+                model.forward(inputs.0, inputs.1, inputs.2),
+                TOLERANCE,
+            ),
+            (
+                "packed",
+                packed(PackedFormat::F32).forward(inputs.0, inputs.1, inputs.2),
+                TOLERANCE,
+            ),
+            (
+                "packed in bf16",
+                packed(PackedFormat::Bf16).forward(inputs.0, inputs.1, inputs.2),
+                BF16_TOLERANCE,
+            ),
+        ] {
+            let difference = most(&(velocity.unwrap() - &expected).unwrap()) / most(&expected);
+            println!("{name}, {what}: {difference:.1e} of the largest velocity");
+            assert!(difference < tolerance, "{name}, {what}: {difference}");
+        }
     }
 }
 

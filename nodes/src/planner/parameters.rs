@@ -63,7 +63,7 @@ impl Parameters {
         )
         .read_only();
         Ok(Self {
-            population: count("population", 64, 2, "candidates an iteration")?,
+            population: count("population", 32, 2, "candidates an iteration")?,
             iterations: count("iterations", 3, 1, "iterations a plan")?,
             elites: count(
                 "elites",

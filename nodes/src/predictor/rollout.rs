@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use wm_model::{LatentSpace, actions::ActionEncoding, sampler::Rollout, transition::Transition};
+use wm_model::{
+    LatentSpace, actions::ActionEncoding, sampler::Rollout, transition::PackedTransition,
+};
 use wm_msgs::{
     builtin_interfaces::{Duration, Time},
     std_msgs::Header,
@@ -20,7 +22,7 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct PredictorModel {
     /// The transition model.
-    pub transition: Transition,
+    pub transition: PackedTransition,
     /// Its name.
     pub name: String,
     /// Lower-case hex SHA-256 of its weights and configuration.

@@ -1,9 +1,11 @@
 //! One half of an autoencoder: a chain of convolutions and residual blocks.
 
+use std::sync::OnceLock;
+
 use rand::Rng;
 use sha2::{Digest, Sha256};
 
-use crate::ops::{ConvShape, Epilogue, GridSize, conv2d, group_norm};
+use crate::ops::{ConvShape, Epilogue, GridSize, PackedConv, group_norm};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
 
@@ -47,6 +49,8 @@ pub struct Conv {
     pub weight: Vec<f32>,
     /// Bias, if it has one.
     pub bias: Option<Vec<f32>>,
+    /// Made when it is first run.
+    packed: OnceLock<PackedConv>,
 }
 
 /// The branch of a residual block.
@@ -211,6 +215,9 @@ impl Network {
 
     /// The convolutions in order, to change their weights.
     pub fn convs_mut(&mut self) -> &mut [Conv] {
+        for conv in &mut self.convs {
+            conv.packed.take();
+        }
         &mut self.convs
     }
 
@@ -340,12 +347,14 @@ impl Network {
                 *v = precision.round(*v);
             }
         };
-        for conv in &mut self.convs {
+        for conv in self.convs_mut() {
             round(&mut conv.weight);
             conv.bias.iter_mut().for_each(round);
         }
         for layer in &mut self.layers {
             if let Layer::Block(_, Some(branch)) = layer {
+                branch.widen.packed.take();
+                branch.narrow.packed.take();
                 round(&mut branch.widen.weight);
                 round(&mut branch.narrow.weight);
                 round(&mut branch.scale);
@@ -373,6 +382,7 @@ fn conv(
         opens_block: false,
         weight,
         bias,
+        packed: OnceLock::new(),
     })
 }
 
@@ -389,8 +399,14 @@ impl Conv {
             residual,
             relu: self.relu,
         };
-        let weights = (self.weight.as_slice(), self.bias.as_deref());
-        conv2d(&self.shape, weights, input, grid, epilogue, output)
+        let packed = match self.packed.get() {
+            Some(packed) => packed,
+            None => {
+                let packed = PackedConv::new(&self.shape, &self.weight, self.bias.as_deref())?;
+                self.packed.get_or_init(|| packed)
+            }
+        };
+        packed.run(input, grid, epilogue, output)
     }
 }
 

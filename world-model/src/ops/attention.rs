@@ -18,8 +18,8 @@ use super::rotary::RotaryTable;
 use super::vectorised::vectorised;
 use head::HeadKernel;
 
-/// Head dimensions are multiples of this: the width of the products' inner loop.
-pub const HEAD_DIM_MULTIPLE: usize = product::LANES;
+/// Head dimensions are multiples of this: pairs of channels, turned by two positions.
+pub const HEAD_DIM_MULTIPLE: usize = 4;
 
 /// Which tokens of (B, T, N) form a sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,7 +110,7 @@ impl Attention {
             Axis::Space => (n, (1, 1, n)),
             Axis::Time => (t, (n, n, t * n)),
         };
-        if width != 3 * d || length != self.0.rotary.len() {
+        if width != 3 * d || length != self.0.rotary.len() || t * n == 0 {
             candle_core::bail!(
                 "attention: {qkv:?} for {} heads of {} channels over {:?} of length {}",
                 self.0.heads,
@@ -210,3 +210,6 @@ vectorised! {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

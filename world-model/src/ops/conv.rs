@@ -7,14 +7,11 @@
 
 mod band;
 mod gradient;
-mod kernel;
-mod panels;
+mod packed;
 mod sweep;
 
-use panels::Panels;
-use sweep::{Output, Sweep};
-
 pub use gradient::{conv2d_input_gradient, conv2d_weight_gradient};
+pub use packed::PackedConv;
 
 use crate::{Error, Result};
 
@@ -134,7 +131,8 @@ pub struct Epilogue<'a> {
 }
 
 /// Convolves `input` (grid, input channels) to `output` (output grid, output channels), which is
-/// resized as needed; returns the output grid.
+/// resized as needed; returns the output grid. Weights that are used again are better packed once
+/// ([`PackedConv`]).
 ///
 /// # Errors
 /// If the shape makes no sense or a slice has the wrong length for it.
@@ -146,51 +144,7 @@ pub fn conv2d(
     epilogue: Epilogue<'_>,
     output: &mut Vec<f32>,
 ) -> Result<GridSize> {
-    shape.check()?;
-    check_length("convolution weights", weight, shape.weights())?;
-    check_length("convolution input", input, grid.pixels() * shape.inputs)?;
-    let target = shape.output(grid);
-    let length = target.pixels() * shape.outputs;
-    if let Some(bias) = bias {
-        check_length("convolution bias", bias, shape.outputs)?;
-    }
-    if let Some(residual) = epilogue.residual {
-        check_length("convolution residual", residual, length)?;
-    }
-    output.resize(length, 0.0);
-    let depth = shape.kernel * shape.kernel * shape.inputs;
-    let panels = Panels::pack(depth, shape.outputs, bias, |k, n| {
-        weight
-            .get(k * shape.outputs + n)
-            .copied()
-            .unwrap_or_default()
-    });
-    let pad = (shape.kernel / 2) as isize;
-    Sweep {
-        input,
-        grid,
-        channels: shape.inputs,
-        upsample: shape.upsample,
-        taps: (shape.kernel, shape.kernel),
-        stride: shape.stride,
-        pad: (pad, pad),
-        panels: &panels,
-        residual: epilogue.residual,
-        mask: None,
-        relu: epilogue.relu,
-    }
-    .run(
-        Output {
-            height: target.height,
-            width: target.width,
-            start: 0,
-            pixel_step: shape.outputs,
-            row_step: target.width * shape.outputs,
-            image_step: target.height * target.width * shape.outputs,
-        },
-        output,
-    );
-    Ok(target)
+    PackedConv::new(shape, weight, bias)?.run(input, grid, epilogue, output)
 }
 
 fn check_length(what: &'static str, slice: &[f32], expected: usize) -> Result<()> {

@@ -115,7 +115,8 @@ impl CustomOp3 for GatedResidual {
 }
 
 vectorised! {
-    fn forward_frame(out: &mut [f32], branch: &[f32], gate: &[f32]) {
+    /// Adds `gate` (d) times `branch` (rows, d) to `out` (rows, d).
+    pub(crate) fn forward_frame(out: &mut [f32], branch: &[f32], gate: &[f32]) {
         let d = gate.len();
         for (out, branch) in out.chunks_exact_mut(d).zip(branch.chunks_exact(d)) {
             for ((out, branch), gate) in out.iter_mut().zip(branch).zip(gate) {

@@ -124,7 +124,8 @@ impl CustomOp2 for RmsNormModulate {
 }
 
 vectorised! {
-    fn forward_frame(out: &mut [f32], x: &[f32], shift: &[f32], scale: &[f32]) {
+    /// `x` (rows, d) normalised, times 1 + `scale` (d), plus `shift` (d), to `out` (rows, d).
+    pub(crate) fn forward_frame(out: &mut [f32], x: &[f32], shift: &[f32], scale: &[f32]) {
         let d = scale.len();
         for (out, x) in out.chunks_exact_mut(d).zip(x.chunks_exact(d)) {
             let r = inverse_rms(x);

@@ -37,6 +37,33 @@ impl RotaryTable {
         Self { pairs, angles }
     }
 
+    /// Several views beside each other, each a grid of `width` columns, in row-major order over all of them: of the
+    /// channels' pairs a third, rounded up, turns with the row, as many with the column in the view, and the rest with
+    /// the view (22 + 22 + 20 channels of 64).
+    pub fn views(height: usize, width: usize, views: usize, head_dim: usize) -> Self {
+        let pairs = head_dim / 2;
+        let third = pairs.div_ceil(3);
+        let (by_place, by_view) = (frequencies(third), frequencies(pairs - 2 * third));
+        let angles = (0..height)
+            .flat_map(|row| {
+                (0..views * width).map(move |column| (row, column / width, column % width))
+            })
+            .flat_map(|(row, view, column)| {
+                let turned =
+                    |f: &[f64], p: usize| f.iter().map(|f| f * p as f64).collect::<Vec<_>>();
+                cos_sin(
+                    [
+                        turned(&by_place, row),
+                        turned(&by_place, column),
+                        turned(&by_view, view),
+                    ]
+                    .concat(),
+                )
+            })
+            .collect();
+        Self { pairs, angles }
+    }
+
     /// Number of positions.
     pub fn len(&self) -> usize {
         self.angles.len() / (2 * self.pairs)
@@ -124,10 +151,14 @@ pub(crate) fn normalise_and_rotate_backward(
 #[inline(always)]
 fn inverse_rms(x: &[f32]) -> f32 {
     let mut sums = [0.0_f32; 16];
-    for chunk in x.as_chunks::<16>().0 {
+    let (chunks, rest) = x.as_chunks::<16>();
+    for chunk in chunks {
         for (sum, x) in sums.iter_mut().zip(chunk) {
             *sum = x.mul_add(*x, *sum);
         }
+    }
+    for (sum, x) in sums.iter_mut().zip(rest) {
+        *sum = x.mul_add(*x, *sum);
     }
     1.0 / (sums.iter().sum::<f32>() / x.len() as f32 + f32::EPSILON).sqrt()
 }

@@ -14,6 +14,11 @@ pub(crate) trait Lanes: Copy {
     /// # Safety
     /// Sixteen f32 must be readable at `p`.
     unsafe fn load(p: *const f32) -> Self;
+    /// The f32 whose upper halves are at `p`, the lower ones being zero.
+    ///
+    /// # Safety
+    /// Sixteen u16 must be readable at `p`.
+    unsafe fn load_upper_halves(p: *const u16) -> Self;
     /// # Safety
     /// Sixteen f32 must be writable at `p`.
     unsafe fn store(self, p: *mut f32);
@@ -60,6 +65,25 @@ impl InstructionSet {
     }
 }
 
+/// Bytes that a cache fetches together.
+#[cfg(target_arch = "x86_64")]
+const CACHE_LINE: usize = 64;
+
+/// Asks for `values` to be brought into the second-level cache.
+pub(crate) fn prefetch<T>(values: &[T]) {
+    #[cfg(target_arch = "x86_64")]
+    for line in values.chunks(CACHE_LINE / size_of::<T>().max(1)) {
+        // SAFETY: every x86-64 has the instruction, and it never faults.
+        unsafe {
+            std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T1 }>(
+                line.as_ptr().cast(),
+            );
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = values;
+}
+
 /// The form that any processor has.
 #[derive(Clone, Copy)]
 pub(crate) struct Portable([f32; LANES]);
@@ -74,6 +98,13 @@ impl Lanes for Portable {
     unsafe fn load(p: *const f32) -> Self {
         // SAFETY: the caller vouches for sixteen f32; the read needs no alignment.
         Self(unsafe { p.cast::<[f32; LANES]>().read_unaligned() })
+    }
+
+    #[inline(always)]
+    unsafe fn load_upper_halves(p: *const u16) -> Self {
+        // SAFETY: the caller vouches for sixteen u16; the read needs no alignment.
+        let halves = unsafe { p.cast::<[u16; LANES]>().read_unaligned() };
+        Self(halves.map(|half| f32::from_bits(u32::from(half) << 16)))
     }
 
     #[inline(always)]
@@ -99,8 +130,10 @@ pub(crate) use x86::{Avx2, Avx512};
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use std::arch::x86_64::{
-        __m256, __m512, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_set1_ps, _mm256_storeu_ps,
-        _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_ps, _mm512_storeu_ps,
+        __m256, __m256i, __m512, _mm_loadu_si128, _mm256_castsi256_ps, _mm256_cvtepu16_epi32,
+        _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_loadu_si256, _mm256_set1_ps, _mm256_slli_epi32,
+        _mm256_storeu_ps, _mm512_castsi512_ps, _mm512_cvtepu16_epi32, _mm512_fmadd_ps,
+        _mm512_loadu_ps, _mm512_set1_ps, _mm512_slli_epi32, _mm512_storeu_ps,
     };
 
     use super::Lanes;
@@ -120,6 +153,15 @@ mod x86 {
         unsafe fn load(p: *const f32) -> Self {
             // SAFETY: as above, and the caller vouches for `p`.
             Self(unsafe { _mm512_loadu_ps(p) })
+        }
+
+        #[inline(always)]
+        unsafe fn load_upper_halves(p: *const u16) -> Self {
+            // SAFETY: as above, and the caller vouches for `p`.
+            Self(unsafe {
+                let halves = _mm256_loadu_si256(p.cast::<__m256i>());
+                _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(halves)))
+            })
         }
 
         #[inline(always)]
@@ -151,6 +193,18 @@ mod x86 {
         unsafe fn load(p: *const f32) -> Self {
             // SAFETY: as above, and the caller vouches for `p`.
             unsafe { Self(_mm256_loadu_ps(p), _mm256_loadu_ps(p.add(8))) }
+        }
+
+        #[inline(always)]
+        unsafe fn load_upper_halves(p: *const u16) -> Self {
+            // SAFETY: as above, and the caller vouches for `p`.
+            unsafe {
+                let widen = |p: *const u16| {
+                    let halves = _mm_loadu_si128(p.cast());
+                    _mm256_castsi256_ps(_mm256_slli_epi32::<16>(_mm256_cvtepu16_epi32(halves)))
+                };
+                Self(widen(p), widen(p.add(8)))
+            }
         }
 
         #[inline(always)]

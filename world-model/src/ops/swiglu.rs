@@ -57,7 +57,8 @@ impl CustomOp1 for Swiglu {
 }
 
 vectorised! {
-    fn forward_rows(out: &mut [f32], x: &[f32], h: usize) {
+    /// `x` (rows, 2 h) to `out` (rows, h).
+    pub(crate) fn forward_rows(out: &mut [f32], x: &[f32], h: usize) {
         for (out, x) in out.chunks_exact_mut(h).zip(x.chunks_exact(2 * h)) {
             let (a, b) = x.split_at(h);
             for ((out, a), b) in out.iter_mut().zip(a).zip(b) {

@@ -6,7 +6,7 @@ use super::Dynamics;
 use crate::{
     Result,
     sampler::{Rollout, Sampler},
-    transition::Transition,
+    transition::PackedTransition,
 };
 
 /// Rolls candidates out with the transition model, from one context whose keys and values are computed once, and with
@@ -24,13 +24,14 @@ impl<'m> TransitionDynamics<'m> {
     /// # Errors
     /// Where shapes do not fit the model, or a value is not finite.
     pub fn new(
-        model: &'m Transition,
+        model: &'m PackedTransition,
         sampler: &Sampler,
         context: &Tensor,
         actions: Option<&Tensor>,
         noise_seed: u64,
     ) -> Result<Self> {
-        let start = Rollout::new(model, sampler, context, actions, noise_seed)?;
+        let mut start = Rollout::new(model, sampler, context, actions, noise_seed)?;
+        start.prepare()?;
         Ok(Self {
             start,
             action_dim: model.config().action_dim,
@@ -62,17 +63,17 @@ mod tests {
     use super::*;
     use crate::{
         planner::{Cem, CemSettings, Target},
-        transition::TransitionConfig,
+        transition::{Transition, TransitionConfig},
     };
 
-    fn model() -> Transition {
+    fn model() -> PackedTransition {
         let config = TransitionConfig {
             hidden: 64,
             depth: 2,
             heads: 2,
             ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 10).unwrap()
         };
-        Transition::random(config, 3).unwrap()
+        Transition::random(config, 3).unwrap().pack().unwrap()
     }
 
     fn context() -> Tensor {

@@ -3,10 +3,13 @@ use std::sync::LazyLock;
 use candle_core::{D, Device, Tensor};
 
 use super::*;
-use crate::transition::{ActionAlignment, Parametrisation, TransitionConfig};
+use crate::transition::{ActionAlignment, Parametrisation, Transition, TransitionConfig};
 
 /// A small model whose window is full after two predictions from two frames.
-fn model(parametrisation: Parametrisation, action_alignment: ActionAlignment) -> Transition {
+fn model(
+    parametrisation: Parametrisation,
+    action_alignment: ActionAlignment,
+) -> (Transition, PackedTransition) {
     let config = TransitionConfig {
         hidden: 64,
         depth: 2,
@@ -16,12 +19,14 @@ fn model(parametrisation: Parametrisation, action_alignment: ActionAlignment) ->
         action_alignment,
         ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
     };
-    Transition::random(config, 5).unwrap()
+    let model = Transition::random(config, 5).unwrap();
+    let packed = model.pack().unwrap();
+    (model, packed)
 }
 
-static PLAIN: LazyLock<Transition> =
+static PLAIN: LazyLock<(Transition, PackedTransition)> =
     LazyLock::new(|| model(Parametrisation::Velocity, ActionAlignment::WithFrame));
-static TINY: LazyLock<Transition> =
+static TINY: LazyLock<(Transition, PackedTransition)> =
     LazyLock::new(|| model(Parametrisation::Residual, ActionAlignment::WithResult));
 
 fn random(shape: &[usize], seed: u64) -> Tensor {
@@ -92,7 +97,7 @@ fn uncached(
 
 #[test]
 fn cached_rollouts_equal_uncached_ones_also_when_the_window_slides() {
-    for (model, given) in [(&*PLAIN, 2), (&*TINY, 2), (&*TINY, 1), (&*PLAIN, 6)] {
+    for ((model, packed), given) in [(&*PLAIN, 2), (&*TINY, 2), (&*TINY, 1), (&*PLAIN, 6)] {
         let sampler = Sampler {
             steps: 2,
             shift: 2.0,
@@ -103,7 +108,7 @@ fn cached_rollouts_equal_uncached_ones_also_when_the_window_slides() {
         let actions = random(&[given - 1 + steps, 7], 2);
         let expected = uncached(model, &sampler, &context, &actions, steps, 9);
         let past = (given > 1).then(|| actions.narrow(0, 0, given - 1).unwrap());
-        let mut rollout = Rollout::new(model, &sampler, &context, past.as_ref(), 9).unwrap();
+        let mut rollout = Rollout::new(packed, &sampler, &context, past.as_ref(), 9).unwrap();
         for (k, expected) in expected.iter().enumerate() {
             let action = actions.narrow(0, given - 1 + k, 1).unwrap();
             let got = rollout.next(&action).unwrap();
@@ -118,11 +123,12 @@ fn cached_rollouts_equal_uncached_ones_also_when_the_window_slides() {
 
 #[test]
 fn candidates_are_what_they_would_be_alone() {
-    for model in [&*PLAIN, &*TINY] {
+    for (_, model) in [&*PLAIN, &*TINY] {
         let sampler = model.config().sampler.clone();
         let context = random(&[1, 2, 4, 4, 4], 1);
         let past = random(&[1, 7], 2);
-        let rollout = Rollout::new(model, &sampler, &context, Some(&past), 4).unwrap();
+        let mut rollout = Rollout::new(model, &sampler, &context, Some(&past), 4).unwrap();
+        rollout.prepare().unwrap();
         let mut together = rollout.candidates(3).unwrap();
         let mut alone: Vec<_> = (0..3).map(|_| rollout.clone()).collect();
         for step in 0..4 {
@@ -149,7 +155,7 @@ fn the_seed_decides_every_byte() {
             steps: 3,
             ..Sampler::default()
         };
-        let mut rollout = Rollout::new(&PLAIN, &sampler, &context, Some(&past), seed).unwrap();
+        let mut rollout = Rollout::new(&PLAIN.1, &sampler, &context, Some(&past), seed).unwrap();
         let frames: Vec<_> = (0..3)
             .map(|i| rollout.next(&random(&[1, 7], i)).unwrap())
             .collect();
@@ -175,7 +181,7 @@ fn what_does_not_fit_is_refused_by_name() {
     let sampler = Sampler::default();
     let context = random(&[1, 2, 4, 4, 4], 1);
     let refused = |context: &Tensor, past: Option<&Tensor>| {
-        let error = Rollout::new(&PLAIN, &sampler, context, past, 0).unwrap_err();
+        let error = Rollout::new(&PLAIN.1, &sampler, context, past, 0).unwrap_err();
         error.to_string()
     };
     assert!(refused(&context, None).starts_with("the actions of the context"));
@@ -184,7 +190,7 @@ fn what_does_not_fit_is_refused_by_name() {
     assert!(refused(&infinite, Some(&random(&[1, 7], 1))).contains("not finite"));
 
     let past = random(&[1, 7], 1);
-    let mut rollout = Rollout::new(&PLAIN, &sampler, &context, Some(&past), 0).unwrap();
+    let mut rollout = Rollout::new(&PLAIN.1, &sampler, &context, Some(&past), 0).unwrap();
     let message = rollout.next(&random(&[2, 7], 1)).unwrap_err().to_string();
     assert!(message.starts_with("the action has shape"), "{message}");
     assert!(rollout.candidates(0).is_err());

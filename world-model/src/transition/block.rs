@@ -4,14 +4,10 @@ use std::sync::Arc;
 
 use candle_core::Tensor;
 
-use super::TransitionConfig;
 use super::embedding::Condition;
 use super::parameters::{Linear, Tensors};
 use crate::Result;
-use crate::ops::{
-    self, AttentionPattern, FrameKeys, RotaryTable, cached_attention, gated_residual,
-    rms_norm_modulate, swiglu,
-};
+use crate::ops::{self, AttentionPattern, gated_residual, rms_norm_modulate, swiglu};
 
 /// Order of a sub-block's modulation: shift, scale and gate of the attention, then of the
 /// feed-forward network.
@@ -21,21 +17,15 @@ const FEED_FORWARD: [usize; 3] = [3, 4, 5];
 /// A spatial and a temporal sub-block.
 #[derive(Clone, Debug)]
 pub(super) struct Block {
-    spatial: SubBlock,
-    temporal: SubBlock,
-    heads: usize,
+    pub(super) spatial: SubBlock,
+    pub(super) temporal: SubBlock,
 }
 
 impl Block {
-    pub(super) fn new(
-        index: usize,
-        config: &TransitionConfig,
-        tensors: &mut Tensors,
-    ) -> Result<Self> {
+    pub(super) fn new(index: usize, tensors: &mut Tensors) -> Result<Self> {
         Ok(Self {
             spatial: SubBlock::new(&format!("blocks.{index}.s_block"), tensors)?,
             temporal: SubBlock::new(&format!("blocks.{index}.t_block"), tensors)?,
-            heads: config.heads,
         })
     }
 
@@ -52,42 +42,15 @@ impl Block {
         let attend = |qkv: &Tensor| Ok(ops::attention(qkv, temporal)?);
         self.temporal.forward(&tokens, condition, attend)
     }
-
-    /// One new frame, tokens (B, 1, N, d), after `earlier` frames; gives its own keys and values
-    /// too. `angles` has the frame's position only.
-    pub(super) fn forward_after(
-        &self,
-        tokens: &Tensor,
-        condition: &Condition,
-        spatial: &Arc<AttentionPattern>,
-        earlier: &[&FrameKeys],
-        angles: &RotaryTable,
-    ) -> Result<(Tensor, FrameKeys)> {
-        let attend = |qkv: &Tensor| Ok(ops::attention(qkv, spatial)?);
-        let tokens = self.spatial.forward(tokens, condition, attend)?;
-        let mut own = None;
-        let attend = |qkv: &Tensor| {
-            let (out, keys) = cached_attention(&qkv.squeeze(1)?, earlier, self.heads, angles)?;
-            own = Some(keys);
-            Ok(out.unsqueeze(1)?)
-        };
-        let tokens = self.temporal.forward(&tokens, condition, attend)?;
-        match own {
-            Some(own) => Ok((tokens, own)),
-            None => {
-                Err(candle_core::Error::Msg("the temporal attention did not run".into()).into())
-            }
-        }
-    }
 }
 
 #[derive(Clone, Debug)]
-struct SubBlock {
-    modulation: Linear,
-    qkv: Linear,
-    out: Linear,
-    up: Linear,
-    down: Linear,
+pub(super) struct SubBlock {
+    pub(super) modulation: Linear,
+    pub(super) qkv: Linear,
+    pub(super) out: Linear,
+    pub(super) up: Linear,
+    pub(super) down: Linear,
 }
 
 impl SubBlock {

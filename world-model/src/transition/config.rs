@@ -1,23 +1,13 @@
 //! What defines a transition model.
 
+use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 
-use crate::ops::HEAD_DIM_MULTIPLE;
+use crate::ops::{HEAD_DIM_MULTIPLE, RotaryTable};
 use crate::sampler::settings::Sampler;
 use crate::{Error, Result};
 
-use super::parameters;
-
-/// What the network's output stands for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Parametrisation {
-    /// The velocity itself, as in the published checkpoints.
-    Velocity,
-    /// The clean frame less the clean frame before it. An untrained model then predicts that
-    /// nothing changes, which small models learn from much faster.
-    Residual,
-}
+use super::{Parametrisation, parameters};
 
 /// Which action is fed with a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,6 +18,10 @@ pub enum ActionAlignment {
     WithFrame,
     /// The action that led to this frame. The first frame of a window gets zeros.
     WithResult,
+}
+
+fn one_view() -> usize {
+    1
 }
 
 /// Sizes and conventions of a transition model.
@@ -46,6 +40,9 @@ pub struct TransitionConfig {
     pub latent_height: usize,
     /// Columns of a latent.
     pub latent_width: usize,
+    /// Views beside each other, of which the columns are made; with several, positions have three axes.
+    #[serde(default = "one_view")]
+    pub views: usize,
     /// Channels of a latent, C.
     pub channels: usize,
     /// Values of an action, A.
@@ -72,6 +69,42 @@ fn published_shift(patch: usize, channels: usize) -> f64 {
 }
 
 impl TransitionConfig {
+    /// Batch and frames of consistent inputs.
+    pub(super) fn check_input(
+        &self,
+        x: &Tensor,
+        tau: &Tensor,
+        action: &Tensor,
+    ) -> Result<(usize, usize)> {
+        let c = self;
+        let &[b, t, h, w, channels] = x.dims() else {
+            return Err(shape("the latents", "(B, T, H, W, C)", x));
+        };
+        if (h, w, channels) != (c.latent_height, c.latent_width, c.channels) {
+            let expected = format!(
+                "(B, T, {}, {}, {})",
+                c.latent_height, c.latent_width, c.channels
+            );
+            return Err(shape("the latents", &expected, x));
+        }
+        if tau.dims() != [b, t] {
+            return Err(shape("tau", &format!("({b}, {t})"), tau));
+        }
+        if action.dims() != [b, t, c.action_dim] {
+            let expected = format!("({b}, {t}, {})", c.action_dim);
+            return Err(shape("the actions", &expected, action));
+        }
+        for (what, tensor) in [("latents", x), ("tau", tau), ("actions", action)] {
+            if tensor.dtype() != DType::F32 {
+                return Err(Error::config(
+                    "dtype",
+                    format!("{what} are {:?}, expected F32", tensor.dtype()),
+                ));
+            }
+        }
+        Ok((b, t))
+    }
+
     /// A preset by name: "dit-s", "dit-b", "dit-l" (384, 768, 1024 wide; 12, 12, 24 deep; plain
     /// head, conventions of the published checkpoints), or "tiny", the embedded default's.
     ///
@@ -106,6 +139,7 @@ impl TransitionConfig {
             patch,
             latent_height,
             latent_width,
+            views: 1,
             channels,
             action_dim,
             max_frames: 10,
@@ -149,6 +183,15 @@ impl TransitionConfig {
         (self.latent_height / patch, self.latent_width / patch)
     }
 
+    /// Angles of the tokens of a frame.
+    pub(super) fn rotary(&self) -> RotaryTable {
+        let ((rows, columns), dim) = (self.grid(), self.head_dim());
+        match self.views {
+            1 => RotaryTable::grid(rows, columns, dim),
+            views => RotaryTable::views(rows, columns / views.max(1), views, dim),
+        }
+    }
+
     /// Tokens of a frame.
     pub fn tokens(&self) -> usize {
         self.grid().0 * self.grid().1
@@ -184,6 +227,7 @@ impl TransitionConfig {
             ("patch", self.patch),
             ("latent_height", self.latent_height),
             ("latent_width", self.latent_width),
+            ("views", self.views),
             ("channels", self.channels),
             ("action_dim", self.action_dim),
             ("frame_skip", self.frame_skip),
@@ -201,6 +245,13 @@ impl TransitionConfig {
         if !(2..=1024).contains(&self.max_frames) {
             let reason = format!("{}, expected 2 to 1024", self.max_frames);
             return Err(Error::config("max_frames", reason));
+        }
+        if !self.latent_width.is_multiple_of(self.views * self.patch) {
+            let reason = format!(
+                "{}, expected a part of the {} columns that is a multiple of the patch, {}",
+                self.views, self.latent_width, self.patch
+            );
+            return Err(Error::config("views", reason));
         }
         let head = self.heads * HEAD_DIM_MULTIPLE;
         if !self.hidden.is_multiple_of(head) {
@@ -220,6 +271,14 @@ impl TransitionConfig {
             }
         }
         self.sampler.validate()
+    }
+}
+
+fn shape(what: &'static str, expected: &str, found: &Tensor) -> Error {
+    Error::Shape {
+        what,
+        expected: expected.to_owned(),
+        found: found.dims().to_vec(),
     }
 }
 

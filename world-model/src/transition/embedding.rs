@@ -25,12 +25,12 @@ pub(super) struct Condition {
 #[derive(Clone, Debug)]
 pub(super) struct Embedding {
     /// (d, C, p, p), as a convolution's.
-    patch_weight: Tensor,
-    patch_bias: Tensor,
-    time: [Linear; 2],
-    action: Linear,
+    pub(super) patch_weight: Tensor,
+    pub(super) patch_bias: Tensor,
+    pub(super) time: [Linear; 2],
+    pub(super) action: Linear,
     /// (1, FREQUENCIES).
-    frequencies: Tensor,
+    pub(super) frequencies: Tensor,
 }
 
 impl Embedding {

@@ -12,9 +12,9 @@ use crate::ops::rms_norm_modulate;
 #[derive(Clone, Debug)]
 pub(super) struct Head {
     /// The wide head's projection; the plain head has none.
-    wide: Option<Linear>,
-    modulation: Linear,
-    linear: Linear,
+    pub(super) wide: Option<Linear>,
+    pub(super) modulation: Linear,
+    pub(super) linear: Linear,
 }
 
 impl Head {

@@ -241,8 +241,8 @@ impl Tensors {
 /// y = x W^T + b.
 #[derive(Clone, Debug)]
 pub(super) struct Linear {
-    weight: Tensor,
-    bias: Option<Tensor>,
+    pub(super) weight: Tensor,
+    pub(super) bias: Option<Tensor>,
 }
 
 impl Linear {

@@ -130,7 +130,7 @@ impl TrainTransitionArgs {
                         QUICK_WINDOWS
                     };
                     let evaluation = Evaluation::new(held_out, actions, HORIZON, windows)?;
-                    let ratios = evaluation.ratios(&averaged, ActionChange::None)?;
+                    let ratios = evaluation.ratios(&averaged.pack()?, ActionChange::None)?;
                     let row = format!(
                         "step {done}, loss {:.4}, error / persistence at k = 1..{HORIZON}: {}",
                         curve.recent_mean(200),
@@ -205,7 +205,7 @@ impl EvaluateTransitionArgs {
         let actions: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let space: wm_model::LatentSpace = weights.json(LATENT_SPACE_KEY)?;
         space.require(latents.space())?;
-        let model = Transition::from_weights(weights)?;
+        let model = Transition::from_weights(weights)?.pack()?;
         let evaluation = Evaluation::new(&latents, &actions, HORIZON, self.windows)?;
         println!(
             "{} windows; squared latent error / persistence",

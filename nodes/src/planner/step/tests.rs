@@ -44,7 +44,7 @@ fn model(settings: CemSettings) -> PlannerModel {
         ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
     };
     let model = PredictorModel {
-        transition: Transition::random(config, 3).unwrap(),
+        transition: Transition::random(config, 3).unwrap().pack().unwrap(),
         name: "test".into(),
         hash: "beef".into(),
         space: space(),

@@ -38,7 +38,7 @@ fn model() -> PredictorModel {
         ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
     };
     PredictorModel {
-        transition: Transition::random(config, 3).unwrap(),
+        transition: Transition::random(config, 3).unwrap().pack().unwrap(),
         name: "test".into(),
         hash: "beef".into(),
         space: space(),

@@ -11,7 +11,10 @@ pub(super) struct HeadKernel<'a> {
     length: usize,
     /// The length rounded up to whole lanes.
     padded: usize,
+    /// Channels of a head.
     dim: usize,
+    /// The channels rounded up to whole lanes: the width of the buffers' rows. Those beyond stay 0.
+    wide: usize,
     scale: f32,
     query: Vec<f32>,
     key: Vec<f32>,
@@ -32,18 +35,20 @@ impl<'a> HeadKernel<'a> {
     pub(super) fn new(rotary: &'a RotaryTable, bias: &'a [f32]) -> Self {
         let (length, dim) = (rotary.len(), rotary.head_dim());
         let padded = length.next_multiple_of(LANES);
-        let tokens = || vec![0.0; length * dim];
+        let wide = dim.next_multiple_of(LANES);
+        let tokens = || vec![0.0; length * wide];
         Self {
             rotary,
             bias,
             length,
             padded,
             dim,
+            wide,
             scale: 1.0 / (dim as f32).sqrt(),
             query: tokens(),
             key: tokens(),
             value: tokens(),
-            across: vec![0.0; dim * padded],
+            across: vec![0.0; wide * padded],
             weights: vec![0.0; length * padded],
             turned: vec![0.0; padded * padded],
             out: tokens(),
@@ -68,7 +73,7 @@ impl<'a> HeadKernel<'a> {
         for i in 0..self.length {
             let row = &qkv[(sequence + i * stride) * 3 * d..][..3 * d];
             let angles = self.rotary.at(i);
-            let out = i * dim..(i + 1) * dim;
+            let out = i * self.wide..i * self.wide + dim;
             normalise_and_rotate(
                 &row[head * dim..][..dim],
                 angles,
@@ -93,8 +98,9 @@ impl<'a> HeadKernel<'a> {
         d: usize,
         head: usize,
     ) {
-        for (i, row) in self.out.chunks_exact(self.dim).enumerate() {
-            out[(sequence + i * stride) * d + head * self.dim..][..self.dim].copy_from_slice(row);
+        for (i, row) in self.out.chunks_exact(self.wide).enumerate() {
+            out[(sequence + i * stride) * d + head * self.dim..][..self.dim]
+                .copy_from_slice(&row[..self.dim]);
         }
     }
 
@@ -108,8 +114,10 @@ impl<'a> HeadKernel<'a> {
         d: usize,
         head: usize,
     ) {
-        for (i, row) in self.out.chunks_exact_mut(self.dim).enumerate() {
-            row.copy_from_slice(&grad[(sequence + i * stride) * d + head * self.dim..][..self.dim]);
+        for (i, row) in self.out.chunks_exact_mut(self.wide).enumerate() {
+            row[..self.dim].copy_from_slice(
+                &grad[(sequence + i * stride) * d + head * self.dim..][..self.dim],
+            );
         }
     }
 
@@ -130,7 +138,7 @@ impl<'a> HeadKernel<'a> {
             let row = &qkv[start..][..3 * d];
             let out = &mut out[start..][..3 * d];
             let angles = self.rotary.at(i);
-            let own = i * dim..(i + 1) * dim;
+            let own = i * self.wide..i * self.wide + dim;
             normalise_and_rotate_backward(
                 &row[head * dim..][..dim],
                 angles,
@@ -150,12 +158,12 @@ impl<'a> HeadKernel<'a> {
     /// The softmax of the scaled scores.
     #[inline(always)]
     fn weigh(&mut self) {
-        transpose(self.dim, &self.key, self.padded, &mut self.across);
+        transpose(self.wide, &self.key, self.padded, &mut self.across);
         product(
             self.padded,
-            self.dim,
+            self.wide,
             &self.query,
-            self.dim,
+            self.wide,
             &self.across,
             &mut self.weights,
         );
@@ -170,7 +178,7 @@ impl<'a> HeadKernel<'a> {
     pub(super) fn forward(&mut self) {
         self.weigh();
         product(
-            self.dim,
+            self.wide,
             self.length,
             &self.weights,
             self.padded,
@@ -185,19 +193,19 @@ impl<'a> HeadKernel<'a> {
         self.weigh();
         transpose(self.padded, &self.weights, self.padded, &mut self.turned);
         product(
-            self.dim,
+            self.wide,
             self.length,
             &self.turned[..self.length * self.padded],
             self.padded,
             &self.out,
             &mut self.grad_value,
         );
-        transpose(self.dim, &self.value, self.padded, &mut self.across);
+        transpose(self.wide, &self.value, self.padded, &mut self.across);
         product(
             self.padded,
-            self.dim,
+            self.wide,
             &self.out,
-            self.dim,
+            self.wide,
             &self.across,
             &mut self.grad_weights,
         );
@@ -206,7 +214,7 @@ impl<'a> HeadKernel<'a> {
             softmax_backward(grad, weights, self.scale);
         }
         product(
-            self.dim,
+            self.wide,
             self.length,
             &self.grad_weights,
             self.padded,
@@ -220,7 +228,7 @@ impl<'a> HeadKernel<'a> {
             &mut self.turned,
         );
         product(
-            self.dim,
+            self.wide,
             self.length,
             &self.turned[..self.length * self.padded],
             self.padded,

@@ -5,11 +5,11 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::band::Band;
-use super::kernel::Outer;
-use super::panels::Panels;
 use super::sweep::{Output, Sweep};
 use super::{ConvShape, GridSize, check_length};
 use crate::Result;
+use crate::ops::kernel::Outer;
+use crate::ops::panels::Panels;
 use crate::ops::simd::LANES;
 
 /// Parts into which the sum over images is split. It is fixed, and the parts are added in order,
@@ -100,7 +100,6 @@ fn sweep_back(
                 input: gradient,
                 grid: shape.output(grid),
                 channels: outputs,
-                upsample: false,
                 taps: (rows.len(), columns.len()),
                 stride: 1,
                 pad: (row_pad, column_pad),

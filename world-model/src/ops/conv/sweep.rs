@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::GridSize;
 use super::band::Band;
-use super::kernel::Row;
-use super::panels::Panels;
+use crate::ops::kernel::Row;
+use crate::ops::panels::Panels;
 use crate::ops::simd::LANES;
 
 thread_local! {
@@ -26,8 +26,6 @@ pub(super) struct Sweep<'a> {
     pub grid: GridSize,
     /// Channels of the input.
     pub channels: usize,
-    /// Whether the input is read doubled.
-    pub upsample: bool,
     /// Rows and columns of taps.
     pub taps: (usize, usize),
     /// Input pixels from one output to the next.
@@ -129,7 +127,7 @@ impl Sweep<'_> {
         };
         let band = Band {
             image: (self.grid.height, self.grid.width, self.channels),
-            upsample: self.upsample,
+            upsample: false,
             origin: ((first * self.stride) as isize - self.pad.0, -self.pad.1),
             size: (((count - 1) * self.stride + tap_rows).max(1), columns),
         };

@@ -9,7 +9,7 @@ use wm_model::{
     actions::ActionEncoding,
     planner::{Cem, CemSettings, Returned, Target, TransitionDynamics},
     sampler::{Rollout, Sampler},
-    transition::Transition,
+    transition::PackedTransition,
 };
 
 use super::ClipSource;
@@ -111,7 +111,7 @@ impl Evaluation {
     ///
     /// # Errors
     /// When the model does not fit the latents.
-    pub fn ratios(&self, model: &Transition, change: ActionChange) -> Result<Vec<f64>> {
+    pub fn ratios(&self, model: &PackedTransition, change: ActionChange) -> Result<Vec<f64>> {
         self.ratios_with(model, &model.config().sampler, change)
     }
 
@@ -122,7 +122,7 @@ impl Evaluation {
     /// When the model does not fit the latents.
     pub fn ratios_with(
         &self,
-        model: &Transition,
+        model: &PackedTransition,
         sampler: &Sampler,
         change: ActionChange,
     ) -> Result<Vec<f64>> {
@@ -146,7 +146,7 @@ impl Evaluation {
     fn errors(
         &self,
         index: usize,
-        model: &Transition,
+        model: &PackedTransition,
         sampler: &Sampler,
         change: ActionChange,
     ) -> Result<Vec<(f64, f64)>> {
@@ -167,7 +167,7 @@ impl Evaluation {
     pub(super) fn predict(
         &self,
         index: usize,
-        model: &Transition,
+        model: &PackedTransition,
         sampler: &Sampler,
         change: ActionChange,
     ) -> Result<Vec<Tensor>> {
@@ -262,7 +262,7 @@ impl fmt::Display for Recovery {
 /// # Errors
 /// When the model does not fit the latents.
 pub fn recover_actions(
-    model: &Transition,
+    model: &PackedTransition,
     encoding: &ActionEncoding,
     evaluation: &Evaluation,
     plans: usize,

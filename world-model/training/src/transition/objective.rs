@@ -220,7 +220,10 @@ impl Batch {
         let ones = self.tau.ones_like()?;
         let (output, x, _) = self.output(model, &self.history, &ones, past)?;
         let previous = self.previous(&self.history, past)?;
-        let velocity = model.velocity(&output, &x, &ones, &previous)?;
+        let velocity = model
+            .config()
+            .parametrisation
+            .velocity(&output, &x, &ones, &previous)?;
         let predicted = (x - velocity)?.detach();
         let kept = self.history.narrow(1, 0, past)?;
         let replaced = predicted.narrow(1, 0, self.history.dim(1)? - past)?;

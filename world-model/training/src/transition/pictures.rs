@@ -3,7 +3,7 @@ use std::fmt;
 use anyhow::{Context as _, Result};
 use candle_core::Tensor;
 use rayon::prelude::*;
-use wm_model::{Decoder, transition::Transition};
+use wm_model::{Decoder, transition::PackedTransition};
 
 use super::evaluation::{ActionChange, CONTEXT, Evaluation};
 use crate::{dataset::Dataset, squared_error::SquaredError};
@@ -34,7 +34,7 @@ impl PictureErrors {
     /// When model, decoder and dataset do not fit one another.
     pub fn measure(
         evaluation: &Evaluation,
-        model: &Transition,
+        model: &PackedTransition,
         decoder: &(dyn Decoder + Sync),
         dataset: &Dataset,
     ) -> Result<Self> {

@@ -142,6 +142,7 @@ fn it_learns_what_actions_do() {
             optimiser.step(&gradients, schedule.at(step)).unwrap();
         }
         let evaluation = Evaluation::new(&held_out, &encoding, 3, usize::MAX).unwrap();
+        let model = model.pack().unwrap();
         let ratio = |change| evaluation.ratios(&model, change).unwrap()[0];
         let (told, negated) = (ratio(ActionChange::None), ratio(ActionChange::Negated));
         println!("{parametrisation:?} {alignment:?}: {told:.3}, negated {negated:.3}");

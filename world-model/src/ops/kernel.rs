@@ -1,15 +1,17 @@
-//! The two inner loops of a convolution.
+//! The two inner loops of convolutions and matrix products.
 //!
-//! Both keep a tile of results in registers: [`Row`] sums over taps and input channels, and
-//! [`Outer`] sums over pixels for the gradient of the weights.
+//! Both keep a tile of results in registers: [`Row`] sums over taps and input channels (a matrix
+//! product is a convolution with one tap, its rows the pixels), and [`Outer`] sums over pixels for
+//! the gradient of the weights.
 
+use crate::ops::element::Element;
 #[cfg(target_arch = "x86_64")]
 use crate::ops::simd::{Avx2, Avx512};
 use crate::ops::simd::{InstructionSet, LANES, Lanes, Portable};
 
 /// One row of output pixels, for one panel of output channels.
 #[derive(Clone, Copy)]
-pub(super) struct Row {
+pub(crate) struct Row<T = f32> {
     /// Input of the first pixel's first tap.
     pub input: *const f32,
     /// From one output pixel's input to the next's.
@@ -21,7 +23,7 @@ pub(super) struct Row {
     /// Contiguous inputs (taps times channels) in a row of taps.
     pub run: usize,
     /// Weights, `tap_rows * run` rows of `vectors * LANES`.
-    pub panel: *const f32,
+    pub panel: *const T,
     /// Vectors of output channels in the panel.
     pub vectors: usize,
     /// Bias, `vectors * LANES` values.
@@ -30,7 +32,7 @@ pub(super) struct Row {
     pub pixels: usize,
     /// Output of the first pixel.
     pub output: *mut f32,
-    /// Added to the sum; laid out as the output. May be null.
+    /// Added to the sum; laid out as the output, and may be the output. May be null.
     pub residual: *const f32,
     /// Where it is not positive the output is zero; laid out as the output. May be null.
     pub mask: *const f32,
@@ -42,10 +44,10 @@ pub(super) struct Row {
     pub relu: bool,
 }
 
-impl Row {
+impl<T: Element> Row<T> {
     /// # Safety
     /// All pointers must be valid for what their comments say, and the processor must have `set`.
-    pub(super) unsafe fn run(&self, set: InstructionSet) {
+    pub(crate) unsafe fn run(&self, set: InstructionSet) {
         // SAFETY: the caller vouches for the pointers and the instruction set.
         unsafe {
             match set {
@@ -83,20 +85,19 @@ impl Row {
     unsafe fn tiles<L: Lanes, const M: usize, const N: usize>(&self) {
         // SAFETY: as for `run`; every tile lies within the row.
         unsafe {
-            if self.pixels < M {
-                for x in 0..self.pixels {
-                    self.tile::<L, 1, N>(x);
-                }
-                return;
-            }
             let mut x = 0;
             while x + M <= self.pixels {
                 self.tile::<L, M, N>(x);
                 x += M;
             }
-            if x < self.pixels {
-                // The last tile overlaps the one before: it writes some pixels again, the same.
-                self.tile::<L, M, N>(self.pixels - M);
+            // No tile overlaps another, so that the residual may be the output itself.
+            while x + 4 <= self.pixels {
+                self.tile::<L, 4, N>(x);
+                x += 4;
+            }
+            while x < self.pixels {
+                self.tile::<L, 1, N>(x);
+                x += 1;
             }
         }
     }
@@ -118,7 +119,7 @@ impl Row {
                 for _ in 0..self.run {
                     let mut w = [L::splat(0.0); N];
                     for (j, w) in w.iter_mut().enumerate() {
-                        *w = L::load(weights.add(j * LANES));
+                        *w = T::load(weights.add(j * LANES));
                     }
                     weights = weights.add(N * LANES);
                     for (i, sum) in sums.iter_mut().enumerate() {
@@ -197,7 +198,7 @@ impl Row {
 /// Adds to a matrix, for each pixel, the outer product of a run of inputs and a panel of output
 /// gradients.
 #[derive(Clone, Copy)]
-pub(super) struct Outer {
+pub(crate) struct Outer {
     /// Input of the first pixel.
     pub input: *const f32,
     /// From one pixel's input to the next's.
@@ -225,7 +226,7 @@ pub(super) struct Outer {
 impl Outer {
     /// # Safety
     /// All pointers must be valid for what their comments say, and the processor must have `set`.
-    pub(super) unsafe fn run(&self, set: InstructionSet) {
+    pub(crate) unsafe fn run(&self, set: InstructionSet) {
         // SAFETY: the caller vouches for the pointers and the instruction set.
         unsafe {
             match set {

@@ -1,9 +1,11 @@
 //! Weights in the order in which the kernels read them.
 
+use crate::ops::element::Element;
 use crate::ops::simd::{InstructionSet, LANES};
 
 /// A matrix (inputs x outputs), cut into panels of a few vectors of outputs, each panel contiguous.
-pub(super) struct Panels {
+#[derive(Clone, Debug)]
+pub(crate) struct Panels<T = f32> {
     /// Instruction set that the panels are cut for.
     pub set: InstructionSet,
     /// Vectors in each panel.
@@ -13,14 +15,14 @@ pub(super) struct Panels {
     /// Outputs of the matrix.
     pub outputs: usize,
     /// The panels one after the other, padded with zeros to whole vectors.
-    pub values: Vec<f32>,
+    pub values: Vec<T>,
     /// One value an output, padded with zeros.
     pub bias: Vec<f32>,
 }
 
-impl Panels {
+impl<T: Element> Panels<T> {
     /// Zeros for a matrix (depth x outputs).
-    pub(super) fn zeros(depth: usize, outputs: usize) -> Self {
+    pub(crate) fn zeros(depth: usize, outputs: usize) -> Self {
         let set = InstructionSet::detect();
         let vectors = outputs.div_ceil(LANES);
         // As equal as can be: six vectors are better as 3 + 3 than as 4 + 2.
@@ -33,13 +35,13 @@ impl Panels {
             widths,
             depth,
             outputs,
-            values: vec![0.0; depth * vectors * LANES],
+            values: vec![T::ZERO; depth * vectors * LANES],
             bias: vec![0.0; vectors * LANES],
         }
     }
 
     /// Packs the matrix whose rows `row(k)` gives, with `bias` (or zeros).
-    pub(super) fn pack(
+    pub(crate) fn pack(
         depth: usize,
         outputs: usize,
         bias: Option<&[f32]>,
@@ -62,7 +64,7 @@ impl Panels {
                 .enumerate()
             {
                 for (j, v) in row.iter_mut().enumerate().take(outputs - first) {
-                    *v = value(k, first + j);
+                    *v = T::from_f32(value(k, first + j));
                 }
             }
             start += depth * width;
@@ -72,7 +74,7 @@ impl Panels {
     }
 
     /// Writes the matrix back in row-major order.
-    pub(super) fn unpack(&self, matrix: &mut [f32]) {
+    pub(crate) fn unpack(&self, matrix: &mut [f32]) {
         let mut start = 0;
         let mut first = 0;
         for vectors in &self.widths {
@@ -85,7 +87,7 @@ impl Panels {
                 .zip(matrix.chunks_exact_mut(self.outputs))
             {
                 for (t, s) in target.iter_mut().skip(first).zip(source).take(count) {
-                    *t = *s;
+                    *t = s.to_f32();
                 }
             }
             start += self.depth * width;
@@ -94,7 +96,7 @@ impl Panels {
     }
 
     /// For each panel: its vectors, its first value and its first output.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (usize, usize, usize)> {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, usize, usize)> {
         self.widths.iter().scan((0, 0), |(start, first), &vectors| {
             let item = (vectors, *start, *first);
             *start += self.depth * vectors * LANES;

@@ -1,0 +1,79 @@
+use candle_core::Device;
+
+use super::*;
+
+/// Root-mean-square normalisation and rotation of one head's channels, as they are defined; `angle(pair)`.
+fn prepared(x: &[f32], angle: impl Fn(usize) -> f64) -> Vec<f64> {
+    let mean = x.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / x.len() as f64;
+    let r = 1.0 / (mean + f64::from(f32::EPSILON)).sqrt();
+    let mut out = Vec::new();
+    for (pair, x) in x.chunks(2).enumerate() {
+        let (a, b) = (f64::from(x[0]) * r, f64::from(x[1]) * r);
+        let (sin, cos) = angle(pair).sin_cos();
+        out.extend([a * cos - b * sin, a * sin + b * cos]);
+    }
+    out
+}
+
+/// One head over a grid, in the order of the definition.
+fn defined(
+    qkv: &[Vec<f32>],
+    (head, heads, dim): (usize, usize, usize),
+    width: usize,
+) -> Vec<Vec<f64>> {
+    let d = heads * dim;
+    let frequency = |i: usize| 10_000f64.powf(-(i as f64) / (dim / 4) as f64);
+    let part = |token: usize, start: usize| {
+        let (row, column) = (token / width, token % width);
+        let angle = |pair: usize| match pair.checked_sub(dim / 4) {
+            None => row as f64 * frequency(pair),
+            Some(pair) => column as f64 * frequency(pair),
+        };
+        prepared(&qkv[token][start + head * dim..][..dim], angle)
+    };
+    (0..qkv.len())
+        .map(|query| {
+            let q = part(query, 0);
+            let scores: Vec<f64> = (0..qkv.len())
+                .map(|key| {
+                    let dot: f64 = q.iter().zip(part(key, d)).map(|(q, k)| q * k).sum();
+                    (dot / (dim as f64).sqrt()).exp()
+                })
+                .collect();
+            let sum: f64 = scores.iter().sum();
+            (0..dim)
+                .map(|c| {
+                    let value = |token: usize| f64::from(qkv[token][2 * d + head * dim + c]);
+                    (0..qkv.len())
+                        .map(|key| scores[key] / sum * value(key))
+                        .sum()
+                })
+                .collect()
+        })
+        .collect()
+}
+
+#[test]
+fn heads_of_any_width_are_those_of_the_definition() {
+    let (rows, columns, heads) = (3, 4, 2);
+    for dim in [4, 8, 12, 16, 20, 64] {
+        let d = heads * dim;
+        let rotary = RotaryTable::grid(rows, columns, dim);
+        let pattern = AttentionPattern::new(Axis::Space, heads, rotary, |_, _| true).unwrap();
+        let shape = (1, 1, rows * columns, 3 * d);
+        let qkv = Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
+        let out = attention(&qkv, &Arc::new(pattern)).unwrap();
+        let rows = |x: &Tensor| x.squeeze(0).unwrap().squeeze(0).unwrap().to_vec2().unwrap();
+        let (qkv, out): (Vec<Vec<f32>>, Vec<Vec<f32>>) = (rows(&qkv), rows(&out));
+        for head in 0..heads {
+            for (out, expected) in out.iter().zip(defined(&qkv, (head, heads, dim), columns)) {
+                for (out, expected) in out[head * dim..].iter().zip(&expected) {
+                    assert!(
+                        (f64::from(*out) - expected).abs() < 1e-5,
+                        "dim {dim}, head {head}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! y = x W^T + b with weights that are packed once: the matrix product of inference.
+
+use std::sync::Arc;
+
+use half::bf16;
+use rayon::prelude::*;
+
+use super::element::{Element, PackedFormat};
+use super::kernel::Row;
+use super::panels::Panels;
+use super::simd::{LANES, prefetch};
+use crate::{Error, Result};
+
+/// Rows that one task handles: enough for a panel to be used often once it is there.
+const ROWS: usize = 64;
+
+/// A matrix and a bias in the order in which the kernel reads them. Clones share them.
+#[derive(Clone, Debug)]
+pub struct PackedLinear(Format);
+
+#[derive(Clone, Debug)]
+enum Format {
+    F32(Arc<Panels<f32>>),
+    Bf16(Arc<Panels<bf16>>),
+}
+
+impl PackedLinear {
+    /// Packs `weight` (outputs, inputs), row by row, and `bias` (outputs).
+    ///
+    /// # Errors
+    /// If a slice has another length.
+    pub fn new(
+        weight: &[f32],
+        bias: Option<&[f32]>,
+        (outputs, inputs): (usize, usize),
+        format: PackedFormat,
+    ) -> Result<Self> {
+        let check = |what, slice: &[f32], expected: usize| {
+            if slice.len() == expected {
+                return Ok(());
+            }
+            Err(Error::Shape {
+                what,
+                expected: format!("[{expected}]"),
+                found: vec![slice.len()],
+            })
+        };
+        check("the weight to be packed", weight, outputs * inputs)?;
+        if let Some(bias) = bias {
+            check("the bias to be packed", bias, outputs)?;
+        }
+        let value = |k: usize, n: usize| weight.get(n * inputs + k).copied().unwrap_or_default();
+        Ok(Self(match format {
+            PackedFormat::F32 => Format::F32(Arc::new(Panels::pack(inputs, outputs, bias, value))),
+            PackedFormat::Bf16 => {
+                Format::Bf16(Arc::new(Panels::pack(inputs, outputs, bias, value)))
+            }
+        }))
+    }
+
+    /// Values of a row of the input.
+    pub fn inputs(&self) -> usize {
+        match &self.0 {
+            Format::F32(panels) => panels.depth,
+            Format::Bf16(panels) => panels.depth,
+        }
+    }
+
+    /// Values of a row of the output.
+    pub fn outputs(&self) -> usize {
+        match &self.0 {
+            Format::F32(panels) => panels.outputs,
+            Format::Bf16(panels) => panels.outputs,
+        }
+    }
+
+    /// As [`Self::forward`], on all threads of the pool.
+    ///
+    /// # Panics
+    /// As [`Self::forward`].
+    pub fn forward_on_pool(&self, x: &[f32], y: &mut [f32]) {
+        let (inputs, outputs) = (self.inputs().max(1), self.outputs().max(1));
+        assert_eq!(x.len() / inputs, y.len() / outputs, "rows of a product");
+        y.par_chunks_mut(ROWS * outputs)
+            .zip(x.par_chunks(ROWS * inputs))
+            .for_each(|(y, x)| self.forward(x, y));
+    }
+
+    /// Writes the product of `x` (rows, inputs) to `y` (rows, outputs), on the calling thread.
+    ///
+    /// # Panics
+    /// If `x` is not whole rows, or `y` has another number of them.
+    pub fn forward(&self, x: &[f32], y: &mut [f32]) {
+        match &self.0 {
+            Format::F32(panels) => product(panels, x, y),
+            Format::Bf16(panels) => product(panels, x, y),
+        }
+    }
+}
+
+/// `y` (rows, outputs) = `x` (rows, depth) times a packed matrix, plus its bias.
+pub(super) fn product<T: Element>(panels: &Panels<T>, x: &[f32], y: &mut [f32]) {
+    let (inputs, outputs) = (panels.depth, panels.outputs);
+    let rows = x.len() / inputs.max(1);
+    // The kernel trusts these.
+    assert_eq!(x.len(), rows * inputs, "input of a product");
+    assert_eq!(y.len(), rows * outputs, "output of a product");
+    for (vectors, panel, first) in panels.iter() {
+        // All weights of a model do not fit into the caches that are near: the next panel comes
+        // while this one is computed with.
+        let next = panel + inputs * vectors * LANES;
+        let next = next..next + inputs * vectors * LANES;
+        if let Some(next) = panels.values.get(next) {
+            prefetch(next);
+        }
+        let row = Row {
+            input: x.as_ptr(),
+            input_step: inputs,
+            tap_pitch: 0,
+            tap_rows: 1,
+            run: inputs,
+            panel: panels.values.as_ptr().wrapping_add(panel),
+            vectors,
+            bias: panels.bias.as_ptr().wrapping_add(first),
+            pixels: rows,
+            output: y.as_mut_ptr().wrapping_add(first),
+            residual: std::ptr::null(),
+            mask: std::ptr::null(),
+            output_step: outputs,
+            channels: (outputs - first).min(vectors * LANES),
+            relu: false,
+        };
+        // SAFETY: the lengths were checked above, and those of the panels hold by construction; the
+        // panels were cut for an instruction set that was detected.
+        unsafe { row.run(panels.set) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_are_those_of_the_definition() {
+        for (rows, inputs, outputs) in [(1, 5, 3), (7, 16, 64), (64, 33, 100), (19, 128, 48)] {
+            let numbers = |count: usize, seed: usize| -> Vec<f32> {
+                (0..count)
+                    .map(|i| ((i * 7919 + seed) % 2003) as f32 / 1001.0 - 1.0)
+                    .collect()
+            };
+            let (x, w) = (numbers(rows * inputs, 1), numbers(outputs * inputs, 2));
+            let bias = numbers(outputs, 3);
+            for format in [PackedFormat::F32, PackedFormat::Bf16] {
+                let shape = (outputs, inputs);
+                let packed = PackedLinear::new(&w, Some(&bias), shape, format).unwrap();
+                let mut y = vec![f32::NAN; rows * outputs];
+                packed.forward(&x, &mut y);
+                // What the weights are as packed.
+                let w: Vec<f32> = w
+                    .iter()
+                    .map(|w| match format {
+                        PackedFormat::F32 => *w,
+                        PackedFormat::Bf16 => bf16::from_f32(*w).to_f32(),
+                    })
+                    .collect();
+                for (row, y) in y.chunks_exact(outputs).enumerate() {
+                    for (n, y) in y.iter().enumerate() {
+                        let sum: f32 = (0..inputs)
+                            .map(|k| x[row * inputs + k] * w[n * inputs + k])
+                            .sum();
+                        assert!((sum + bias[n] - y).abs() < 1e-4, "{format:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_weight_of_another_size_is_refused() {
+        let error = PackedLinear::new(&[0.0; 5], None, (2, 3), PackedFormat::F32).unwrap_err();
+        assert!(error.to_string().contains("[6]"), "{error}");
+    }
+}

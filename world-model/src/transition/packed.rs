@@ -1,0 +1,144 @@
+//! The transition model for inference on the CPU: weights packed once, and a pass over new frames
+//! that goes from barrier to barrier in blocks of tokens which stay in cache.
+//!
+//! Between two attentions within a frame everything is local to a token: normalisation, products,
+//! the attention over time (the same place in other frames), the feed-forward network. So a pass
+//! cuts every frame into blocks of tokens, and a task takes one block of all new frames from one
+//! spatial attention to the next; a model of n blocks has n barriers. A task's activations stay in
+//! its processor's cache, and all that it writes is its own, so there is nothing to lock.
+//!
+//! Temporal attention is causal, so what a frame contributes to later ones, its keys and values in
+//! every block, does not depend on them: it is computed once ([`FrameContext`]) and used in every
+//! integration step of every later frame, and shared by all candidates of a plan.
+
+mod condition;
+mod frame_context;
+mod head;
+mod pass;
+mod projection;
+mod sub_block;
+mod tasks;
+
+use std::sync::Arc;
+
+use candle_core::{DType, Device, Tensor};
+
+use super::{Transition, TransitionConfig};
+use crate::Result;
+use crate::ops::block_attention::TokenBlocks;
+use crate::ops::{PackedFormat, PackedLinear, RotaryTable};
+use condition::Condition;
+pub use frame_context::FrameContext;
+use head::Head;
+pub use pass::{NewFrame, PassOutput};
+use sub_block::SubBlock;
+
+/// The transition model, ready for inference. Clones share everything.
+#[derive(Clone, Debug)]
+pub struct PackedTransition {
+    config: Arc<TransitionConfig>,
+    layers: Arc<Layers>,
+}
+
+#[derive(Debug)]
+struct Layers {
+    blocks: TokenBlocks,
+    /// Angles of the tokens of a frame.
+    grid: RotaryTable,
+    /// Patches (p * p * C, values in the order row, column, channel) to tokens.
+    embedding: PackedLinear,
+    condition: Condition,
+    /// Spatial, temporal, spatial, ...
+    sub_blocks: Vec<SubBlock>,
+    head: Head,
+}
+
+impl PackedTransition {
+    /// Packs the weights of `model`, which is not needed afterwards.
+    ///
+    /// # Errors
+    /// If its tensors cannot be read.
+    pub fn new(model: &Transition, format: PackedFormat) -> Result<Self> {
+        let config = model.config.clone();
+        let (d, values) = (config.hidden, config.patch_values());
+        let (rows, columns) = config.grid();
+        // (d, C, p, p) to (d, p * p * C).
+        let patch = model.embedding.patch_weight.permute((0, 2, 3, 1))?;
+        let embedding = PackedLinear::new(
+            &numbers(&patch)?,
+            Some(&numbers(&model.embedding.patch_bias)?),
+            (d, values),
+            format,
+        )?;
+        let mut sub_blocks = Vec::with_capacity(2 * model.blocks.len());
+        for block in &model.blocks {
+            sub_blocks.push(SubBlock::new(&block.spatial, format)?);
+            sub_blocks.push(SubBlock::new(&block.temporal, format)?);
+        }
+        let layers = Layers {
+            blocks: TokenBlocks::new(rows * columns, config.heads, config.head_dim()),
+            grid: config.rotary(),
+            embedding,
+            condition: Condition::new(&model.embedding, format)?,
+            sub_blocks,
+            head: Head::new(&model.head, format)?,
+        };
+        Ok(Self {
+            config,
+            layers: Arc::new(layers),
+        })
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &TransitionConfig {
+        &self.config
+    }
+
+    /// The velocity at every frame, as [`Transition::forward`] gives it.
+    ///
+    /// # Errors
+    /// If the shapes do not fit the configuration.
+    pub fn forward(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<Tensor> {
+        let (batch, times) = self.config.check_input(x, tau, action)?;
+        let parts = (0..times)
+            .map(|t| {
+                let frame = |tensor: &Tensor| numbers(&tensor.narrow(1, t, 1)?);
+                Ok((frame(x)?, frame(tau)?, frame(action)?))
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let frames: Vec<NewFrame<'_>> = parts
+            .iter()
+            .map(|(latents, tau, action)| NewFrame {
+                latents,
+                tau,
+                action,
+            })
+            .collect();
+        let c = &self.config;
+        let shape = (batch, c.latent_height, c.latent_width, c.channels);
+        let outputs = self
+            .pass_of_any_length(&[], &frames, 0, 0)?
+            .outputs
+            .into_iter()
+            .map(|output| Tensor::from_vec(output, shape, &Device::Cpu))
+            .collect::<candle_core::Result<Vec<_>>>()?;
+        let output = Tensor::stack(&outputs, 1)?;
+        c.parametrisation.velocities(&output, x, tau)
+    }
+}
+
+/// A tensor's values in row-major order.
+fn numbers(tensor: &Tensor) -> Result<Vec<f32>> {
+    let tensor = tensor.to_device(&Device::Cpu)?.to_dtype(DType::F32)?;
+    Ok(tensor.flatten_all()?.to_vec1()?)
+}
+
+/// Packs a Linear.
+fn packed(linear: &super::parameters::Linear, format: PackedFormat) -> Result<PackedLinear> {
+    let bias = linear.bias.as_ref().map(numbers).transpose()?;
+    let shape = linear.weight.dims2()?;
+    PackedLinear::new(&numbers(&linear.weight)?, bias.as_deref(), shape, format)
+}
+
+#[cfg(test)]
+mod tests;

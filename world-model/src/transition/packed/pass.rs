@@ -1,0 +1,492 @@
+//! One pass of the network over new frames.
+
+use std::cell::RefCell;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::condition::{Conditions, product};
+use super::frame_context::{FrameContext, Kept};
+use super::projection::{Projection, TaskProjection};
+use super::sub_block::{Scratch, SubBlock, sized};
+use super::tasks::{Tasks, chunk};
+use super::{Layers, PackedTransition};
+use crate::ops::RotaryTable;
+use crate::ops::temporal_attention::{FrameRows, attend_rows, split_rows};
+use crate::{Error, Result};
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// A frame that a pass computes, for a batch of B candidates.
+#[derive(Clone, Copy, Debug)]
+pub struct NewFrame<'a> {
+    /// (B, H, W, C).
+    pub latents: &'a [f32],
+    /// Noise levels (B), 0..1.
+    pub tau: &'a [f32],
+    /// What is fed with the frame (B, A).
+    pub action: &'a [f32],
+}
+
+/// What a pass gives.
+#[derive(Clone, Debug)]
+pub struct PassOutput {
+    /// The first frames' contexts, as many as were asked for.
+    pub contexts: Vec<FrameContext>,
+    /// The network's output at the frames that it was asked for, (B, H, W, C) each.
+    pub outputs: Vec<Vec<f32>>,
+}
+
+impl PackedTransition {
+    /// Computes `frames`, in order, after the `earlier` ones, which are at positions 0, 1, ..; each
+    /// frame sees itself and all before it. Contexts are given of the first `keep` frames, the
+    /// network's output of those from `first_output` on.
+    ///
+    /// An earlier frame was computed for the same batch, or for a batch of 1, which is then shared.
+    ///
+    /// # Errors
+    /// If sizes do not fit the model or each other, or there are more frames than a window has.
+    pub fn pass(
+        &self,
+        earlier: &[&FrameContext],
+        frames: &[NewFrame<'_>],
+        keep: usize,
+        first_output: usize,
+    ) -> Result<PassOutput> {
+        let places = self.config.max_frames.saturating_sub(earlier.len());
+        if frames.is_empty() || frames.len() > places {
+            return Err(Error::Shape {
+                what: "the new frames",
+                expected: format!(
+                    "1 to {places} after {} of {}",
+                    earlier.len(),
+                    self.config.max_frames
+                ),
+                found: vec![frames.len()],
+            });
+        }
+        self.pass_of_any_length(earlier, frames, keep, first_output)
+    }
+
+    /// As [`Self::pass`], also beyond the window that the model was trained for.
+    pub(super) fn pass_of_any_length(
+        &self,
+        earlier: &[&FrameContext],
+        frames: &[NewFrame<'_>],
+        keep: usize,
+        first_output: usize,
+    ) -> Result<PassOutput> {
+        let batch = self.check(earlier, frames)?;
+        let pass = Pass::new(self, earlier, frames, batch, keep, first_output);
+        // One hand-over to the pool, not one at every barrier.
+        Ok(rayon::scope(|_| pass.run(frames)))
+    }
+
+    /// The batch of consistent inputs.
+    fn check(&self, earlier: &[&FrameContext], frames: &[NewFrame<'_>]) -> Result<usize> {
+        let c = &self.config;
+        let latent = c.latent_height * c.latent_width * c.channels;
+        let batch = frames.first().map_or(0, |frame| frame.tau.len());
+        let shape = |what, expected, found| Error::Shape {
+            what,
+            expected,
+            found,
+        };
+        if batch == 0 {
+            return Err(shape(
+                "the new frames",
+                "a batch of 1 or more".into(),
+                vec![0],
+            ));
+        }
+        for frame in frames {
+            let found = [frame.latents.len(), frame.tau.len(), frame.action.len()];
+            let expected = [batch * latent, batch, batch * c.action_dim];
+            if found != expected {
+                let expected = format!("{expected:?} values: latents, noise levels, actions");
+                return Err(shape("a new frame", expected, found.to_vec()));
+            }
+        }
+        for context in earlier {
+            let kept = &context.kept;
+            let blocks = &self.layers.blocks;
+            let chunk = (kept.frames * blocks.block() * blocks.width()).max(1);
+            let size = kept.batch * blocks.count() * chunk;
+            if (kept.batch != 1 && kept.batch != batch)
+                || kept.layers.len() != c.depth
+                || kept
+                    .layers
+                    .first()
+                    .is_none_or(|(keys, _)| keys.len() != size)
+            {
+                let expected = format!("one of this model, for a batch of 1 or {batch}");
+                return Err(shape(
+                    "an earlier frame's context",
+                    expected,
+                    vec![kept.batch],
+                ));
+            }
+        }
+        Ok(batch)
+    }
+}
+
+struct Pass<'a> {
+    model: &'a PackedTransition,
+    earlier: &'a [&'a FrameContext],
+    tasks: Tasks,
+    keep: usize,
+    first_output: usize,
+    conditions: Conditions,
+    /// Of every new frame: its position in time.
+    angles: Vec<RotaryTable>,
+}
+
+impl<'a> Pass<'a> {
+    fn new(
+        model: &'a PackedTransition,
+        earlier: &'a [&'a FrameContext],
+        frames: &[NewFrame<'_>],
+        batch: usize,
+        keep: usize,
+        first_output: usize,
+    ) -> Self {
+        let c = &model.config;
+        let tasks = Tasks {
+            blocks: model.layers.blocks,
+            batch,
+            times: frames.len(),
+            tokens: c.grid().0 * c.grid().1,
+        };
+        let (mut tau, mut action) = (Vec::new(), Vec::new());
+        for b in 0..batch {
+            for frame in frames {
+                tau.extend(frame.tau.get(b));
+                action.extend_from_slice(chunk(frame.action, c.action_dim, b));
+            }
+        }
+        let angles = (0..frames.len())
+            .map(|t| RotaryTable::sequence(&[earlier.len() + t], c.head_dim()))
+            .collect();
+        Self {
+            model,
+            earlier,
+            tasks,
+            keep: keep.min(frames.len()),
+            first_output: first_output.min(frames.len()),
+            conditions: model.layers.condition.at(&tau, &action),
+            angles,
+        }
+    }
+
+    fn layers(&self) -> &'a Layers {
+        &self.model.layers
+    }
+
+    fn run(&self, frames: &[NewFrame<'_>]) -> PassOutput {
+        let (layers, tasks, d) = (self.layers(), &self.tasks, self.model.config.hidden);
+        let modulations: Vec<Vec<f32>> = layers
+            .sub_blocks
+            .par_iter()
+            .map(|s| product(&s.modulation, &self.conditions.activated, tasks.frames()))
+            .collect();
+        let mut xs = vec![0.0; tasks.count() * tasks.rows() * d];
+        let (mut current, mut next) = (Projection::new(tasks), Projection::new(tasks));
+        let depth = self.model.config.depth;
+        let mut kept = Kept::new(depth, tasks, self.keep, d);
+
+        let mut pairs = layers
+            .sub_blocks
+            .chunks_exact(2)
+            .zip(modulations.chunks_exact(2));
+        let mut pair = pairs.next();
+        if let Some(([spatial, _], [modulation, _])) = pair {
+            xs.par_chunks_mut(tasks.rows() * d)
+                .zip(current.parts(tasks))
+                .enumerate()
+                .for_each(|(task, (x, projection))| {
+                    SCRATCH.with_borrow_mut(|scratch| {
+                        let x = self.embed(task, frames, x, scratch);
+                        self.project(task, spatial, modulation, x, projection, scratch);
+                    });
+                });
+        }
+        let mut index = 0;
+        while let Some(([spatial, temporal], [by_space, by_time])) = pair {
+            pair = pairs.next();
+            let layer = Layer {
+                index,
+                spatial: (spatial, by_space),
+                temporal: (temporal, by_time),
+            };
+            let (mut keys, mut values) = match kept.layers.get_mut(index) {
+                Some((keys, values)) => (std::mem::take(keys), std::mem::take(values)),
+                None => break,
+            };
+            xs.par_chunks_mut(tasks.rows() * d)
+                .zip(next.parts(tasks))
+                .zip(keys.par_chunks_mut(kept.chunk))
+                .zip(values.par_chunks_mut(kept.chunk))
+                .enumerate()
+                .for_each(|(task, (((x, projection), keys), values))| {
+                    SCRATCH.with_borrow_mut(|scratch| {
+                        let x = self.used(task, x);
+                        self.attend_in_space(task, &current, scratch);
+                        let (sub_block, modulation) = layer.spatial;
+                        sub_block.finish(x, self.modulation(task, modulation, 0), scratch);
+                        self.attend_in_time(task, &layer, x, (keys, values), scratch);
+                        if let Some(([spatial, _], [modulation, _])) = pair {
+                            self.project(task, spatial, modulation, x, projection, scratch);
+                        }
+                    });
+                });
+            if let Some(layer) = kept.layers.get_mut(index) {
+                *layer = (keys, values);
+            }
+            std::mem::swap(&mut current, &mut next);
+            index += 1;
+        }
+        let outputs = if self.first_output < tasks.times {
+            let first = self.first_output;
+            let patches = layers.head.forward(&xs, tasks, first, &self.conditions);
+            self.assemble(&patches)
+        } else {
+            Vec::new()
+        };
+        let kept = Arc::new(kept);
+        let context = |index| FrameContext {
+            kept: kept.clone(),
+            index,
+        };
+        PassOutput {
+            contexts: (0..self.keep).map(context).collect(),
+            outputs,
+        }
+    }
+
+    /// The rows of a task's chunk that are in use.
+    fn used<'x>(&self, task: usize, x: &'x mut [f32]) -> &'x mut [f32] {
+        let rows = self.tasks.times * self.tasks.tokens_of(task);
+        x.get_mut(..rows * self.model.config.hidden)
+            .unwrap_or_default()
+    }
+
+    /// A task's part of a sub-block's modulation, from frame `first` on.
+    fn modulation<'m>(&self, task: usize, modulation: &'m [f32], first: usize) -> &'m [f32] {
+        let width = modulation.len() / self.tasks.frames().max(1);
+        let (from, to) = (
+            self.tasks.frame(task, first),
+            self.tasks.frame(task, self.tasks.times),
+        );
+        modulation.get(from * width..to * width).unwrap_or_default()
+    }
+
+    /// Patches of a task, as tokens in `x`.
+    fn embed<'x>(
+        &self,
+        task: usize,
+        frames: &[NewFrame<'_>],
+        x: &'x mut [f32],
+        scratch: &mut Scratch,
+    ) -> &'x mut [f32] {
+        let c = &self.model.config;
+        let latent = c.latent_height * c.latent_width * c.channels;
+        let x = self.used(task, x);
+        let tokens = self.tasks.tokens_of(task);
+        let rows = self.tasks.times * tokens;
+        let patches = sized(&mut scratch.normed, rows * c.patch_values());
+        let blocks = self.tasks.blocks.count();
+        let mut targets = patches.chunks_exact_mut(c.patch * c.channels);
+        for frame in frames {
+            let latents = chunk(frame.latents, latent, task / blocks);
+            for token in 0..tokens {
+                let token = task % blocks * self.tasks.blocks.block() + token;
+                for run in patch_rows(c, token) {
+                    if let (Some(target), Some(source)) = (targets.next(), latents.get(run)) {
+                        target.copy_from_slice(source);
+                    }
+                }
+            }
+        }
+        self.layers().embedding.forward(patches, x);
+        x
+    }
+
+    /// Queries, keys and values of a spatial attention, of a task's tokens `x`.
+    fn project(
+        &self,
+        task: usize,
+        sub_block: &SubBlock,
+        modulation: &[f32],
+        x: &[f32],
+        projection: TaskProjection<'_>,
+        scratch: &mut Scratch,
+    ) {
+        let (blocks, tokens) = (&self.tasks.blocks, self.tasks.tokens_of(task));
+        sub_block.project(x, self.modulation(task, modulation, 0), scratch);
+        let size = tokens * blocks.width();
+        let queries = projection.queries.chunks_exact_mut(size);
+        let keys = projection.keys.chunks_exact_mut(blocks.key_values());
+        let values = projection.values.chunks_exact_mut(blocks.value_values());
+        let frames = scratch.qkv.chunks_exact(3 * size).take(self.tasks.times);
+        for (qkv, (queries, (keys, values))) in frames.zip(queries.zip(keys.zip(values))) {
+            let block = task % blocks.count();
+            blocks.pack(block, qkv, &self.layers().grid, queries, (keys, values));
+        }
+    }
+
+    /// Attention within every frame, to `scratch.attended`.
+    fn attend_in_space(&self, task: usize, projection: &Projection, scratch: &mut Scratch) {
+        let (blocks, times) = (&self.tasks.blocks, self.tasks.times);
+        let size = self.tasks.tokens_of(task) * blocks.width();
+        let queries = projection.queries(&self.tasks, task);
+        let attended = sized(&mut scratch.attended, times * size);
+        let scores = sized(&mut scratch.scores, blocks.score_values());
+        let first = task / blocks.count() * blocks.count();
+        let frames = queries
+            .chunks_exact(size)
+            .zip(attended.chunks_exact_mut(size));
+        for (t, (queries, out)) in frames.enumerate() {
+            let packed = |other: usize| projection.packed(&self.tasks, first + other, t);
+            blocks.attend(queries, packed, scores, out);
+        }
+    }
+
+    /// The temporal sub-block. After the last block only frames that give an output go on.
+    fn attend_in_time(
+        &self,
+        task: usize,
+        layer: &Layer<'_>,
+        x: &mut [f32],
+        (kept_keys, kept_values): (&mut [f32], &mut [f32]),
+        scratch: &mut Scratch,
+    ) {
+        let (d, dim) = (self.model.config.hidden, self.model.config.head_dim());
+        let times = self.tasks.times;
+        let size = self.tasks.tokens_of(task) * d;
+        let first = if layer.index + 1 == self.model.config.depth {
+            self.first_output
+        } else {
+            0
+        };
+        let (sub_block, modulation) = layer.temporal;
+        sub_block.project(x, self.modulation(task, modulation, 0), scratch);
+        let dropped = times - self.keep;
+        let Scratch {
+            qkv,
+            queries,
+            keys,
+            values,
+            attended,
+            ..
+        } = scratch;
+        let queries = sized(queries, times * size);
+        let (keys, values) = (sized(keys, dropped * size), sized(values, dropped * size));
+        {
+            let parts = queries
+                .chunks_exact_mut(size)
+                .zip(
+                    kept_keys
+                        .chunks_exact_mut(size)
+                        .take(self.keep)
+                        .chain(keys.chunks_exact_mut(size)),
+                )
+                .zip(
+                    kept_values
+                        .chunks_exact_mut(size)
+                        .take(self.keep)
+                        .chain(values.chunks_exact_mut(size)),
+                )
+                .zip(qkv.chunks_exact(3 * size))
+                .zip(&self.angles);
+            for ((((queries, keys), values), qkv), angles) in parts {
+                split_rows(queries, keys, values, qkv, d, angles);
+            }
+        }
+        let blocks = self.tasks.blocks.count();
+        let mut frames: Vec<FrameRows<'_>> = self
+            .earlier
+            .iter()
+            .filter_map(|context| {
+                let shared = context.kept.batch == 1;
+                let task = if shared { task % blocks } else { task };
+                context.kept.rows(layer.index, task, context.index, size)
+            })
+            .collect();
+        let before = frames.len();
+        let own_keys = kept_keys
+            .chunks_exact(size)
+            .take(self.keep)
+            .chain(keys.chunks_exact(size));
+        let own_values = kept_values
+            .chunks_exact(size)
+            .take(self.keep)
+            .chain(values.chunks_exact(size));
+        frames.extend(own_keys.zip(own_values));
+        let mut weights = vec![0.0; frames.len()];
+        let attended = sized(attended, (times - first) * size);
+        let rows = queries.chunks_exact(size).enumerate().skip(first);
+        for ((t, queries), out) in rows.zip(attended.chunks_exact_mut(size)) {
+            let seen = before + t + 1;
+            if let (Some(frames), Some(weights)) = (frames.get(..seen), weights.get_mut(..seen)) {
+                attend_rows(out, queries, frames, weights, d, dim);
+            }
+        }
+        drop(frames);
+        if let Some(x) = x.get_mut(first * size..) {
+            sub_block.finish(x, self.modulation(task, modulation, first), scratch);
+        }
+    }
+
+    /// From patches, task by task, to whole frames.
+    fn assemble(&self, patches: &[f32]) -> Vec<Vec<f32>> {
+        let c = &self.model.config;
+        let latent = c.latent_height * c.latent_width * c.channels;
+        let frames = self.tasks.times - self.first_output;
+        let mut outputs = vec![vec![0.0; self.tasks.batch * latent]; frames];
+        let chunk_size = self.tasks.rows() * c.patch_values();
+        let blocks = self.tasks.blocks.count();
+        for (task, patches) in patches.chunks_exact(chunk_size).enumerate() {
+            let tokens = self.tasks.tokens_of(task);
+            let mut runs = patches.chunks_exact(c.patch * c.channels);
+            let start = task / blocks * latent;
+            for output in &mut outputs {
+                let Some(output) = output.get_mut(start..start + latent) else {
+                    continue;
+                };
+                for token in 0..tokens {
+                    let token = task % blocks * self.tasks.blocks.block() + token;
+                    for run in patch_rows(c, token) {
+                        if let (Some(target), Some(source)) = (output.get_mut(run), runs.next()) {
+                            target.copy_from_slice(source);
+                        }
+                    }
+                }
+            }
+        }
+        outputs
+    }
+}
+
+/// One block in a pass: its sub-blocks and their modulations.
+struct Layer<'a> {
+    index: usize,
+    spatial: (&'a SubBlock, &'a [f32]),
+    temporal: (&'a SubBlock, &'a [f32]),
+}
+
+/// Where the rows of a token's patch lie in a latent.
+fn patch_rows(
+    c: &crate::transition::TransitionConfig,
+    token: usize,
+) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
+    let (p, channels, width) = (c.patch, c.channels, c.latent_width);
+    let columns = c.grid().1.max(1);
+    let (row, column) = (token / columns, token % columns);
+    (0..p).map(move |y| {
+        let start = ((row * p + y) * width + column * p) * channels;
+        start..start + p * channels
+    })
+}
