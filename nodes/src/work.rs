@@ -43,6 +43,11 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
         dropped
     }
 
+    /// Jobs that wait.
+    pub fn waiting(&self) -> usize {
+        self.waiting.len()
+    }
+
     /// The result of the running job, when it is there; never, while there is none. Cancel safe.
     ///
     /// # Errors

@@ -9,7 +9,10 @@ use anyhow::{Context as _, Result};
 use wm_msgs::wm_msgs::Prediction;
 use wm_ros::{Descriptor, Node, NodeArgs, Qos};
 
-use super::{DecoderStep, jpeg_message, raw_message, rollouts::Rollouts};
+use super::{
+    DecoderStep, jpeg_message, raw_message,
+    rollouts::{Choice, Rollouts},
+};
 use crate::{complaints::Complaints, model_choice, transport::Transports, work::Work};
 
 /// The node's default name.
@@ -17,6 +20,10 @@ pub const NAME: &str = "decoder";
 
 /// Predictions that may wait: two rollouts of eight, since they come faster than one by one.
 const WAITING: usize = 16;
+/// Pictures of the rollout before that may wait when a new one begins: a hiccup is no reason to leave it out.
+const UNFINISHED: usize = WAITING / 4;
+const OVERLOAD: &str =
+    "decoding is slower than the predictions come; decode fewer steps or rollouts";
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
@@ -45,7 +52,7 @@ pub async fn body(node: Node) -> Result<()> {
     )
     .floats(0.0, 3600.0)
     .read_only();
-    let period = node.declare("decode_period", 0.4_f64, descriptor)?.get();
+    let period = node.declare("decode_period", 0.6_f64, descriptor)?.get();
     // The descriptor keeps it within an hour.
     let mut rollouts = Rollouts::every((period * 1e9) as i64);
     node.seal_parameters()?;
@@ -106,8 +113,14 @@ pub async fn body(node: Node) -> Result<()> {
             }
             received = predictions.recv() => {
                 let Some(received) = received else { return Ok(()) };
-                if !rollouts.choose(received.message.observed_stamp.to_nanos()) {
-                    continue;
+                let observed_ns = received.message.observed_stamp.to_nanos();
+                match rollouts.choose(observed_ns, work.waiting() > UNFINISHED) {
+                    Choice::Decode => {}
+                    Choice::Skip => continue,
+                    Choice::Overload => {
+                        complaints.left_out("overload", &OVERLOAD);
+                        continue;
+                    }
                 }
                 let steps = steps.get();
                 if !steps.is_empty() && !steps.contains(&i64::from(received.message.step)) {
@@ -116,7 +129,7 @@ pub async fn body(node: Node) -> Result<()> {
                 // The descriptor keeps it within 1 to 100.
                 let quality = u8::try_from(quality.get()).unwrap_or(100);
                 if work.submit((received.message, quality)).is_some() {
-                    complaints.left_out("overload", &"decoding is slower than the predictions come; decode fewer steps or rollouts");
+                    complaints.left_out("overload", &OVERLOAD);
                 }
             }
         }

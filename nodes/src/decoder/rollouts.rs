@@ -5,31 +5,57 @@
 #[derive(Debug)]
 pub(super) struct Rollouts {
     period_ns: i64,
-    chosen_ns: Option<i64>,
+    /// The newest observation, and what becomes of its rollout.
+    newest: Option<(i64, Choice)>,
+    /// The last observation whose rollout was decoded.
+    decoded_ns: Option<i64>,
 }
 
 /// How much earlier than a period after the last an observation may be \[ns\].
 const JITTER_NS: i64 = 50_000_000;
 
+/// What becomes of a prediction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Choice {
+    /// Its picture is made.
+    Decode,
+    /// Its rollout is not due.
+    Skip,
+    /// Its rollout was due when the pictures of the one before were not made yet.
+    Overload,
+}
+
 impl Rollouts {
     pub(super) fn every(period_ns: i64) -> Self {
         Self {
             period_ns,
-            chosen_ns: None,
+            newest: None,
+            decoded_ns: None,
         }
     }
 
-    /// Whether a prediction from this observation is decoded.
-    pub(super) fn choose(&mut self, observed_ns: i64) -> bool {
-        let is_due = self.chosen_ns.is_none_or(|chosen_ns| {
-            let since_ns = observed_ns.saturating_sub(chosen_ns);
+    /// What becomes of a prediction from this observation. `is_behind` tells whether pictures wait to be made: then no
+    /// new rollout is begun, since half a rollout, late, is worth less than a whole one left out.
+    pub(super) fn choose(&mut self, observed_ns: i64, is_behind: bool) -> Choice {
+        match self.newest {
+            Some((newest_ns, choice)) if newest_ns == observed_ns => return choice,
+            _ => {}
+        }
+        let is_due = self.decoded_ns.is_none_or(|decoded_ns| {
+            let since_ns = observed_ns.saturating_sub(decoded_ns);
             // before it: time has jumped
             since_ns < 0 || since_ns > self.period_ns - JITTER_NS.min(self.period_ns / 4)
         });
-        if is_due {
-            self.chosen_ns = Some(observed_ns);
+        let choice = match (is_due, is_behind) {
+            (false, _) => Choice::Skip,
+            (true, true) => Choice::Overload,
+            (true, false) => Choice::Decode,
+        };
+        if choice == Choice::Decode {
+            self.decoded_ns = Some(observed_ns);
         }
-        is_due || self.chosen_ns == Some(observed_ns)
+        self.newest = Some((observed_ns, choice));
+        choice
     }
 }
 
@@ -41,23 +67,38 @@ mod tests {
 
     #[test]
     fn every_step_of_every_second_observation_is_decoded() {
+        use Choice::{Decode, Skip};
         let mut rollouts = Rollouts::every(2 * FRAME);
         let jitter = [0, -9_000_000, 9_000_000, -9_000_000, 0, 9_000_000];
-        let chosen: Vec<bool> = (0..6)
+        let chosen: Vec<Choice> = (0..6)
             .zip(jitter)
             .flat_map(|(frame, jitter)| {
                 let observed_ns = frame * FRAME + jitter;
-                [rollouts.choose(observed_ns), rollouts.choose(observed_ns)]
+                // while its first picture is made the rest of the rollout waits
+                [
+                    rollouts.choose(observed_ns, false),
+                    rollouts.choose(observed_ns, true),
+                ]
             })
             .collect();
-        let expected = [true, true, false, false];
-        assert_eq!(chosen, expected.repeat(3));
-        assert!(rollouts.choose(-10 * FRAME), "time jumped back");
+        assert_eq!(chosen, [Decode, Decode, Skip, Skip].repeat(3));
+        assert_eq!(rollouts.choose(-10 * FRAME, false), Decode, "time jumped");
     }
 
     #[test]
     fn without_a_period_all_are_decoded() {
         let mut rollouts = Rollouts::every(0);
-        assert!((0..5).all(|frame| rollouts.choose(frame * FRAME)));
+        assert!((0..5).all(|frame| rollouts.choose(frame * FRAME, false) == Choice::Decode));
+    }
+
+    #[test]
+    fn a_rollout_that_comes_too_early_is_left_out_whole() {
+        use Choice::{Decode, Overload};
+        let mut rollouts = Rollouts::every(2 * FRAME);
+        assert_eq!(rollouts.choose(0, false), Decode);
+        // the queue has room again by its second step, but its first is gone
+        assert_eq!(rollouts.choose(2 * FRAME, true), Overload);
+        assert_eq!(rollouts.choose(2 * FRAME, false), Overload);
+        assert_eq!(rollouts.choose(3 * FRAME, false), Decode);
     }
 }

@@ -165,17 +165,23 @@ impl Scorer {
 
     /// The picture of a prediction for the moment `stamp_ns`, arrived at `arrived_ns`.
     ///
-    /// Predictions of several observations may be of one moment, and a picture carries the moment only. Pictures come
-    /// in the order of their predictions, within a model step: the oldest such prediction it is, else the newest.
+    /// Predictions of several observations are of one moment, and a picture carries the moment only. Such predictions
+    /// come a model step apart, and a picture within a model step of its prediction: the oldest that came so recently
+    /// it is. One that came later is not scored, since its step k would be a guess.
     pub fn picture(&mut self, stamp_ns: i64, picture: RgbImage, arrived_ns: i64) {
-        let of_moment = |awaited: &Awaited| awaited.stamp_ns == stamp_ns;
-        let is_fresh =
-            |awaited: &Awaited| arrived_ns.saturating_sub(awaited.arrived_ns) <= awaited.period_ns;
-        let found = self
-            .awaited
-            .iter()
-            .position(|awaited| of_moment(awaited) && is_fresh(awaited));
-        let Some(index) = found.or_else(|| self.awaited.iter().rposition(of_moment)) else {
+        let is_its = |awaited: &Awaited| {
+            awaited.stamp_ns == stamp_ns
+                && arrived_ns.saturating_sub(awaited.arrived_ns) <= awaited.period_ns
+        };
+        let Some(index) = self.awaited.iter().position(is_its) else {
+            if self
+                .awaited
+                .iter()
+                .any(|awaited| awaited.stamp_ns == stamp_ns)
+            {
+                let late = ("report".to_owned(), "late_picture".to_owned());
+                *self.drops.entry(late).or_default() += 1;
+            }
             return;
         };
         let Some(prediction) = self.awaited.remove(index) else {

@@ -122,6 +122,17 @@ fn a_dropped_picture_is_not_replaced_by_that_of_another_observation() {
 }
 
 #[test]
+fn a_picture_later_than_a_model_step_is_counted_and_not_guessed_at() {
+    let mut scorer = Scorer::default();
+    scorer.frame(0, grey(100));
+    scorer.prediction(&prediction(0, 1, 1), 10_000_000);
+    scorer.picture(STEP_NS, grey(100), 11_000_000 + STEP_NS);
+    scorer.frame(STEP_NS, grey(100));
+    let report = scorer.report("test");
+    assert_eq!((report.steps[0].compared, scorer.drop_count()), (0, 1));
+}
+
+#[test]
 fn the_rollout_with_the_most_motion_is_shown() {
     let mut scorer = Scorer::default();
     // still, then a jump at frame 6
