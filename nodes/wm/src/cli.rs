@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::{bag, eval, launch, node, report, train};
+use crate::{bag, eval, launch, model, node, report, train};
 use clap::{Parser, Subcommand};
 use std::path::Path;
 use std::process::ExitCode;
@@ -38,6 +38,9 @@ enum Subcommands {
     /// Measure models on bags that they were not trained on
     #[command(subcommand)]
     Eval(eval::EvalCommand),
+    /// Check, convert and run published models of other sizes
+    #[command(subcommand)]
+    Model(model::ModelCommand),
     /// Score a recorded bag: its predictions against its frames
     Report(report::ReportCommand),
     #[command(flatten)]
@@ -103,6 +106,7 @@ impl Command {
             Subcommands::Sim(arguments) => arguments.run().map(|()| ExitCode::SUCCESS),
             Subcommands::Train(command) => command.run(),
             Subcommands::Eval(command) => command.run(),
+            Subcommands::Model(command) => command.run(),
             Subcommands::Report(command) => command.run(),
             Subcommands::Node(command) => command.run(self.ros_args),
         }

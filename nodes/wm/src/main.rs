@@ -7,6 +7,7 @@ mod bag;
 mod cli;
 mod eval;
 mod launch;
+mod model;
 mod node;
 mod output;
 mod report;

@@ -26,6 +26,7 @@
 mod bytes;
 mod convert;
 mod element;
+mod entry;
 mod index;
 mod names;
 mod pickle;
@@ -44,7 +45,7 @@ pub use convert::{Conversion, convert};
 pub use element::Element;
 
 use bytes::Bytes;
-use index::Entry;
+use entry::Entry;
 
 use crate::{Error, Result};
 

@@ -7,7 +7,8 @@
 //! Blocks of 1x1 expansion, depthwise convolution and 1x1 projection, each with a BatchNorm (eps
 //! 1e-3), which is folded into the weights when they are loaded; ReLU6 behind all but the
 //! projection; no squeeze-and-excite; TensorFlow's "SAME" padding, which puts the odd pixel at the
-//! bottom and the right; a residual where stride is 1 and the shape stays.
+//! bottom and the right; a residual where stride is 1 and the shape stays. In bf16 only the 1x1
+//! convolutions are rounded.
 //!
 //! Names: `_conv_stem.weight`, `_bn0.*`, `_blocks.{i}.{_expand_conv,_depthwise_conv,
 //! _project_conv}.weight`, `_blocks.{i}.{_bn0,_bn1,_bn2}.*`; what lies behind the last block is
@@ -17,6 +18,7 @@
 
 mod convolution;
 mod depthwise;
+mod window;
 
 use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};

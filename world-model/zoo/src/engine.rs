@@ -10,7 +10,8 @@ use wm_model::Error;
 pub enum Engine {
     /// Plain candle operations: any device, the reference.
     Candle,
-    /// The kernels of [`wm_model::ops`]: f32 on the CPU. A layer that has no such kernel takes candle's operations.
+    /// The kernels of [`wm_model::ops`] on weights that are packed once, on the CPU: f32 sums, weights of f32 or bf16. A
+    /// layer that has no such kernel takes candle's operations.
     #[default]
     Cpu,
 }

@@ -19,12 +19,12 @@ pub enum Error {
     Candle(#[from] candle_core::Error),
 
     /// A file could not be read or written.
-    #[error("{path}: {source}", path = .path.display())]
+    #[error("{path}: {reason}", path = .path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
+        /// What the system said. No source, since the message has it.
+        reason: std::io::Error,
     },
 
     /// The file is neither safetensors nor a torch checkpoint, or is damaged.
@@ -99,10 +99,10 @@ impl fmt::Display for Misshapen {
 
 impl Error {
     /// An input/output error of `path`.
-    pub(crate) fn io(path: impl Into<PathBuf>, source: std::io::Error) -> Self {
+    pub(crate) fn io(path: impl Into<PathBuf>, reason: std::io::Error) -> Self {
         Self::Io {
             path: path.into(),
-            source,
+            reason,
         }
     }
 }

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::Result;
 use crate::layers::{LayerNorm, Linear, rms_norm};
 use crate::loader::Loader;
-use crate::vit::sizes::{check_multiple, check_sizes, shape_error};
+use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 use crate::vit::{Activation, Block, Mlp, Projections, SelfAttention};
 
 /// Epsilon of the input's RMSNorm, that of the transition model's.
@@ -123,11 +123,11 @@ impl IdmConfig {
             ("grid", rows),
             ("grid", columns),
             ("hidden", self.hidden),
-            ("depth", self.depth),
             ("heads", self.heads),
             ("mlp", self.mlp.unwrap_or(1)),
             ("actions", self.actions),
         ])?;
+        check_counts(&[("depth", self.depth)])?;
         check_multiple(("hidden", self.hidden), ("heads", self.heads))
     }
 }
@@ -209,7 +209,7 @@ impl Idm {
         }
         let answers = self.norm.forward(&x.narrow(1, 0, k)?.contiguous()?)?;
         let [first, second] = &self.head;
-        let hidden = Activation::GeluExact.apply(&first.forward(&answers)?)?;
+        let hidden = Activation::GeluExact.apply(first.engine(), &first.forward(&answers)?)?;
         Ok(second.forward(&hidden)?.to_dtype(DType::F32)?)
     }
 

@@ -14,7 +14,7 @@
 //! | `pixel` | [`PixelDecoderConfig`](crate::vae::PixelDecoderConfig) | `latent` | `image` |
 //! | `idm` | [`IdmConfig`](crate::idm::IdmConfig) | `latents` (B,k+1,h,w,D) | `actions` (B,k,7) |
 //! | `success-probe` | [`SuccessProbeConfig`](crate::success_probe::SuccessProbeConfig) | `latents` (B,T,h,w,D), `text` (B,L,D'), maybe `text_mask` (B,L) | `logit` (B) |
-//! | `efficientnet-lite0` | [`EfficientNetLite0Config`](crate::efficientnet_lite0::EfficientNetLite0Config) | `image` | `block_8` up to the configured block |
+//! | `efficientnet-lite0` | [`EfficientNetLite0Config`] | `image` | `block_8` up to the configured block |
 //!
 //! An `image` is (N,H,W,3) in 0..1, a `latent` (N,h,w,D). Everything is f32 but `input_ids`, which are integers.
 
@@ -44,7 +44,7 @@ use crate::vae::{
 };
 use crate::vit::{SiglipText, SiglipVision, Vjepa, WebDino};
 use crate::{Checkpoint, Engine, Error, Loader, Result};
-use inputs::Inputs;
+use inputs::{Inputs, is_finite};
 
 /// Tensors by name.
 pub type Tensors = BTreeMap<String, Tensor>;
@@ -153,11 +153,11 @@ impl FromStr for Kind {
 }
 
 /// Runs a model of `kind` with the configuration `config` (JSON) and the weights of `checkpoint` (the averaged ones,
-/// if it has both) on `inputs`. Weights are rounded to `dtype`.
+/// if it has both) on `inputs`. Weights are rounded to `dtype`, as [`Loader`] does it.
 ///
 /// # Errors
-/// If the configuration is not valid, the checkpoint's tensors are not the model's, or an input is missing or has
-/// the wrong shape.
+/// If the configuration is not valid, the checkpoint's tensors are not the model's, an input is missing, empty, not
+/// finite or of another shape, or an output would not be finite.
 pub fn forward(
     kind: Kind,
     config: &str,
@@ -176,9 +176,9 @@ pub fn forward(
     let outputs = match kind {
         Kind::Dit => {
             let config: DitConfig = parse(config)?;
-            let model = dit::load(&config, &checkpoint, dtype)?;
-            let (x, tau) = (inputs.float("x")?, inputs.float("tau")?);
-            let velocity = model.forward(&x, &tau, &inputs.float("action")?)?;
+            let model = dit::load(&config, &checkpoint, engine, dtype)?;
+            let (x, tau) = (inputs.float("x")?, inputs.unit("tau")?);
+            let velocity = model.velocity(&x, &tau, &inputs.float("action")?)?;
             vec![("velocity", velocity)]
         }
         Kind::WebDino => vec![("latent", source.load(WebDino::load)?.encode(&image()?)?)],
@@ -242,9 +242,11 @@ pub fn forward(
             let mask = inputs.optional_float("text_mask")?;
             vec![("logit", model.forward(&latents, &text, mask.as_ref())?)]
         }
-        Kind::EfficientNetLite0 => return efficientnet_lite0(config, &source.loader, &inputs),
+        Kind::EfficientNetLite0 => {
+            return finite(efficientnet_lite0(config, &source.loader, &inputs)?);
+        }
     };
-    Ok(owned(outputs))
+    finite(owned(outputs))
 }
 
 /// A model's configuration and its weights.
@@ -278,6 +280,18 @@ fn owned(outputs: Vec<(&str, Tensor)>) -> Tensors {
         .into_iter()
         .map(|(name, tensor)| (name.to_owned(), tensor))
         .collect()
+}
+
+/// Passes outputs on whose values are all finite. Weights that do not belong together, or an epsilon that does not fit
+/// them, can lead beyond what f32 holds.
+fn finite(outputs: Tensors) -> Result<Tensors> {
+    for (name, tensor) in &outputs {
+        if !is_finite(tensor)? {
+            let reason = format!("`{name}` comes out with a value that is not finite");
+            return Err(wm_model::Error::config("output", reason).into());
+        }
+    }
+    Ok(outputs)
 }
 
 /// Every block from [`FIRST_BLOCK`] to the configured one, each by a network up to there: it is small.

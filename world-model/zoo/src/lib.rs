@@ -30,6 +30,7 @@
 //! formats than safetensors and torch's, and downloads (`wm model fetch`).
 
 mod error;
+mod sizes;
 
 pub mod checkpoint;
 pub mod cost;

@@ -6,8 +6,9 @@ use std::fmt::Display;
 use std::rc::Rc;
 
 use candle_core::{DType, Device, Tensor};
+use wm_model::ops::PackedFormat;
 
-use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear};
+use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear, packed_format};
 use crate::{Checkpoint, Engine, Error, Misshapen, Result};
 
 /// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
@@ -16,8 +17,10 @@ use crate::{Checkpoint, Engine, Error, Misshapen, Result};
 /// noted there and zeros are given in its place, so that [`Loader::finish`] can tell of everything at once: call it
 /// before the model is used.
 ///
-/// On the CPU a loader for bf16 gives the rounded values as f32: there are no kernels for it yet, and candle widens
-/// them in every product. On other devices it gives bf16 tensors.
+/// On the CPU a loader for bf16 gives the rounded values as f32, which the engine packs as bf16 again where that halves
+/// the memory that is read; sums and activations are f32. Vectors (biases, scales, statistics) are not rounded there:
+/// they are a hundredth of the values, and each is off in all places of an output alike. On other devices it gives bf16
+/// tensors.
 #[derive(Clone, Debug)]
 pub struct Loader<'a> {
     source: Option<&'a Checkpoint>,
@@ -95,6 +98,14 @@ impl<'a> Loader<'a> {
         }
     }
 
+    /// The same place, for tensors that are to keep the values of the checkpoint: given as f32, not rounded.
+    pub fn unrounded(&self) -> Self {
+        Self {
+            precision: DType::F32,
+            ..self.clone()
+        }
+    }
+
     /// What is to compute the model.
     pub fn engine(&self) -> Engine {
         self.engine
@@ -107,6 +118,11 @@ impl<'a> Loader<'a> {
         } else {
             self.precision
         }
+    }
+
+    /// What weights that it gives are packed in.
+    pub(crate) fn format(&self) -> PackedFormat {
+        packed_format(self.precision)
     }
 
     /// Where the tensors that it gives are.
@@ -140,7 +156,7 @@ impl<'a> Loader<'a> {
         };
         match source.shape(&path) {
             Some(found) if found == shape => {
-                let tensor = source.tensor(&path, self.precision)?;
+                let tensor = source.tensor(&path, self.precision_of(shape))?;
                 Ok(tensor.to_device(&self.device)?.to_dtype(self.dtype())?)
             }
             Some(found) => {
@@ -165,7 +181,7 @@ impl<'a> Loader<'a> {
     pub fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
         let weight = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
         let bias = self.tensor(&format!("{name}.bias"), &[outputs])?;
-        Linear::new(weight, Some(bias), self.engine)
+        Linear::new(weight, Some(bias), self.engine, self.format())
     }
 
     /// The Linear `name` that has no bias.
@@ -174,7 +190,7 @@ impl<'a> Loader<'a> {
     /// As [`Loader::tensor`].
     pub fn linear_no_bias(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
         let weight = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
-        Linear::new(weight, None, self.engine)
+        Linear::new(weight, None, self.engine, self.format())
     }
 
     /// The layer normalisation `name`: `name.weight` and `name.bias` (width).
@@ -184,7 +200,7 @@ impl<'a> Loader<'a> {
     pub fn layer_norm(&self, name: &str, width: usize, eps: f64) -> Result<LayerNorm> {
         let scale = self.tensor(&format!("{name}.weight"), &[width])?;
         let shift = self.tensor(&format!("{name}.bias"), &[width])?;
-        Ok(LayerNorm::new(scale, shift, eps))
+        Ok(LayerNorm::new(scale, shift, eps, self.engine))
     }
 
     /// The group normalisation `name`: `name.weight` and `name.bias` (channels).
@@ -210,7 +226,17 @@ impl<'a> Loader<'a> {
     pub fn conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
         let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
         let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
-        Conv2d::new(spec, &weight, bias, self.engine)
+        Conv2d::new(spec, &weight, bias, self.engine, self.format())
+    }
+
+    /// As [`Loader::conv2d`], of a picture that is first doubled in both directions ([`Conv2d::doubling`]).
+    ///
+    /// # Errors
+    /// As [`Loader::tensor`].
+    pub fn doubling_conv2d(&self, name: &str, spec: ConvSpec) -> Result<Conv2d> {
+        let weight = self.tensor(&format!("{name}.weight"), &spec.weight_shape())?;
+        let bias = self.tensor(&format!("{name}.bias"), &[spec.outputs])?;
+        Conv2d::doubling(spec, &weight, bias, self.engine, self.format())
     }
 
     /// Tensors here whose names start with `prefix` may be in the checkpoint without being used.
@@ -261,6 +287,15 @@ impl<'a> Loader<'a> {
     /// All tensors that were asked for so far, each once, in order.
     pub fn requested(&self) -> Vec<Requested> {
         self.account.borrow().requested.clone()
+    }
+
+    /// Format that the values of a tensor of this shape are rounded to.
+    fn precision_of(&self, shape: &[usize]) -> DType {
+        if self.device.is_cpu() && shape.len() < 2 {
+            DType::F32
+        } else {
+            self.precision
+        }
     }
 
     fn path(&self, name: &str) -> String {

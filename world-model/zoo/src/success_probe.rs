@@ -34,9 +34,9 @@ pub use config::SuccessProbeConfig;
 use crate::Result;
 use crate::layers::Linear;
 use crate::loader::Loader;
+use crate::sizes::shape_error;
 use crate::vit::resample::{AxisWeights, resample};
 use crate::vit::siglip_text::additive_mask;
-use crate::vit::sizes::shape_error;
 use block::ProbeBlock;
 use norm::RmsNorm;
 

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::Result;
 use crate::layers::{LayerNorm, Linear};
 use crate::loader::Loader;
-use crate::vit::sizes::{check_multiple, check_sizes, shape_error};
+use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 use crate::vit::{Activation, Block, Mlp, Projections, SelfAttention};
 
 /// Epsilon of the LayerNorms in the blocks.
@@ -64,9 +64,9 @@ impl SvaeConfig {
             ("features", self.features),
             ("latent", self.latent),
             ("heads", self.heads),
-            ("layers", self.layers),
             ("ffn", self.ffn),
         ])?;
+        check_counts(&[("layers", self.layers)])?;
         check_multiple(("features", self.features), ("heads", self.heads))
     }
 }

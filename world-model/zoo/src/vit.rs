@@ -19,7 +19,6 @@ mod rotary;
 mod self_attention;
 pub mod siglip;
 pub mod siglip_text;
-pub(crate) mod sizes;
 pub mod vjepa;
 pub mod web_dino;
 

@@ -1,6 +1,7 @@
 //! The bytes of a file, mapped or owned.
 
 use std::fs::File;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use memmap2::Mmap;
@@ -19,6 +20,10 @@ pub(super) enum Bytes {
 impl Bytes {
     pub(super) fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, e))?;
+        // What the system says of a folder that is mapped does not help anybody.
+        if file.metadata().is_ok_and(|metadata| metadata.is_dir()) {
+            return Err(Error::io(path, ErrorKind::IsADirectory.into()));
+        }
         // SAFETY: the map is only read. Checkpoints are replaced by renaming a new file over the old one (as the
         // writers of this project and the usual download tools do), not rewritten in place while they are in use.
         let map = unsafe { Mmap::map(&file) }.map_err(|e| Error::io(path, e))?;

@@ -7,12 +7,16 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::bytes::Bytes;
-use super::index::Entry;
+use super::entry::Entry;
 use super::{Checkpoint, values};
 use crate::{Error, Result};
 
 /// Bytes that are written before the pages they came from are given back.
 const CHUNK: usize = 16 << 20;
+
+/// Tensors may share their values, as tied weights and an average that has not started do; written, each has its own.
+/// What grows by more than this is made to fill a disk.
+const MOST_SHARED: usize = 8;
 
 /// What was written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,9 +33,10 @@ pub struct Conversion {
 /// is complete. Takes little memory, however large the checkpoint is.
 ///
 /// # Errors
-/// If the file cannot be written.
+/// If the file cannot be written, or would be many times as large as the checkpoint.
 pub fn convert(checkpoint: &Checkpoint, path: impl AsRef<Path>) -> Result<Conversion> {
     let path = path.as_ref();
+    check_size(checkpoint)?;
     let partial = path.with_extension("partial");
     let written = write(checkpoint, &partial).and_then(|conversion| {
         fs::rename(&partial, path)?;
@@ -41,6 +46,24 @@ pub fn convert(checkpoint: &Checkpoint, path: impl AsRef<Path>) -> Result<Conver
         // What is left of it is of no use to anybody; the error of interest is the first one.
         fs::remove_file(&partial).ok();
         Error::io(path, error)
+    })
+}
+
+/// Checks that the tensors are not many times what the checkpoint holds.
+fn check_size(checkpoint: &Checkpoint) -> Result<()> {
+    let entries = checkpoint.entries.values();
+    let bytes = entries.fold(0usize, |bytes, entry| {
+        bytes.saturating_add(entry.count().saturating_mul(entry.element.size()))
+    });
+    let file = checkpoint.bytes.as_slice().len();
+    if bytes <= file.saturating_mul(MOST_SHARED) {
+        return Ok(());
+    }
+    Err(Error::Corrupt {
+        file: checkpoint.file().to_owned(),
+        reason: format!(
+            "its tensors have {bytes} bytes in a file of {file}: they are the same values over and over"
+        ),
     })
 }
 

@@ -2,17 +2,25 @@
 //!
 //! A pickle is a program for a small stack machine. This reads the instructions that Python's pickler writes
 //! (protocols 2 to 5, `Lib/pickle.py`) into a table of values. Where Python would import something or call it, the
-//! table has its name and its arguments: nothing is ever executed.
+//! table has its name and its arguments: nothing is ever executed. A pickle that would import what attacks by pickles
+//! are made with is refused all the same, by that name.
 //!
 //! (candle's own reader copies whatever the pickle's memo refers to, so that a dictionary that is used twice comes out
 //! empty the second time and a few bytes can ask for any amount of memory, and it panics on malformed tensors; here
 //! values refer to each other by number.)
 
+mod attack;
 mod reader;
 
 use std::collections::HashMap;
+use std::fmt;
 
+use attack::is_attack;
 use reader::Reader;
+
+/// A pickle of more instructions than this describes no checkpoint, where a tensor takes about forty: it would only
+/// fill the memory.
+const MAX_INSTRUCTIONS: usize = 8_000_000;
 
 /// Number of a value in the table.
 pub(super) type Id = usize;
@@ -45,6 +53,24 @@ pub(super) enum Value<'a> {
     Persistent(Id),
 }
 
+/// What kind of value it is, for errors: its content may be as long as the file.
+impl fmt::Display for Value<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::None => "None",
+            Self::Bool(_) => "a truth value",
+            Self::Int(_) => "an integer",
+            Self::Opaque => "a number or bytes",
+            Self::Text(_) => "a text",
+            Self::Sequence(_) => "a sequence",
+            Self::Dict(_) => "a dictionary",
+            Self::Global { .. } => "a class or function",
+            Self::Call { .. } => "an object",
+            Self::Persistent(_) => "a storage",
+        })
+    }
+}
+
 /// A pickle that was read.
 #[derive(Debug)]
 pub(super) struct Pickle<'a> {
@@ -57,7 +83,7 @@ impl<'a> Pickle<'a> {
     pub(super) fn parse(bytes: &'a [u8]) -> Result<Self, String> {
         let mut machine = Machine::default();
         let mut reader = Reader::new(bytes);
-        loop {
+        for _ in 0..MAX_INSTRUCTIONS {
             let at = reader.position();
             let code = reader.byte()?;
             if code == b'.' {
@@ -71,6 +97,7 @@ impl<'a> Pickle<'a> {
                 .step(code, &mut reader)
                 .map_err(|reason| format!("byte {at}: {reason}"))?;
         }
+        Err(format!("more than {MAX_INSTRUCTIONS} instructions"))
     }
 
     /// The pickled object.
@@ -157,7 +184,7 @@ impl<'a> Machine<'a> {
             Some(Value::Sequence(sequence)) => sequence.extend(items),
             // An object that is filled like a list: what it holds is not needed.
             Some(Value::Call { .. }) => {}
-            other => return Err(format!("items for {other:?}")),
+            other => return Err(format!("items for {}", named(other.as_deref()))),
         }
         Ok(())
     }
@@ -172,7 +199,7 @@ impl<'a> Machine<'a> {
         match self.values.get_mut(top) {
             Some(Value::Dict(dict)) => dict.extend(pairs.iter().map(|[key, value]| (*key, *value))),
             Some(Value::Call { .. }) => {}
-            other => return Err(format!("items for {other:?}")),
+            other => return Err(format!("items for {}", named(other.as_deref()))),
         }
         Ok(())
     }
@@ -201,7 +228,7 @@ impl<'a> Machine<'a> {
     fn text(&self, id: Id) -> Result<&'a str, String> {
         match self.values.get(id) {
             Some(Value::Text(text)) => Ok(text),
-            other => Err(format!("{other:?} where a name is expected")),
+            other => Err(format!("{} where a name is expected", named(other))),
         }
     }
 
@@ -295,12 +322,12 @@ impl<'a> Machine<'a> {
             // GLOBAL, STACK_GLOBAL.
             b'c' => {
                 let (module, name) = (reader.line()?, reader.line()?);
-                self.push(Value::Global { module, name });
+                self.push_global(module, name)?;
             }
             0x93 => {
                 let (name, module) = (self.pop()?, self.pop()?);
                 let (module, name) = (self.text(module)?, self.text(name)?);
-                self.push(Value::Global { module, name });
+                self.push_global(module, name)?;
             }
             // REDUCE and NEWOBJ; NEWOBJ_EX has keyword arguments, too.
             b'R' | 0x81 => self.call()?,
@@ -333,6 +360,17 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
+    fn push_global(&mut self, module: &'a str, name: &'a str) -> Result<(), String> {
+        if is_attack(module, name) {
+            return Err(format!(
+                "it imports {module}.{name}, which no checkpoint needs: where Python loads this file, it may do \
+                 anything there; it is refused"
+            ));
+        }
+        self.push(Value::Global { module, name });
+        Ok(())
+    }
+
     fn push_text(&mut self, bytes: &'a [u8]) -> Result<(), String> {
         let text = std::str::from_utf8(bytes).map_err(|e| e.to_string())?;
         self.push(Value::Text(text));
@@ -341,6 +379,14 @@ impl<'a> Machine<'a> {
 
     fn push_opaque(&mut self, _bytes: &'a [u8]) {
         self.push(Value::Opaque);
+    }
+}
+
+/// The kind of a value, if there is one.
+fn named<'v>(value: Option<&'v Value<'v>>) -> &'v dyn fmt::Display {
+    match value {
+        Some(value) => value,
+        None => &"nothing",
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use safetensors::SafeTensors;
 
 use super::Element;
-use super::index::Entry;
+use super::entry::Entry;
 
 /// All tensors of a kind that is known; others are passed over.
 pub(super) fn index(bytes: &[u8]) -> Result<BTreeMap<String, Entry>, String> {

@@ -9,11 +9,14 @@ use super::pickle::{Id, Pickle, Value};
 /// Dictionaries nested deeper than this are not looked into.
 const MAX_DEPTH: usize = 12;
 
-/// More values than this are no checkpoint's, but a pickle's that refers to itself.
-const MAX_VISITS: usize = 1_000_000;
+/// More objects than this are no checkpoint's, but a pickle's that refers to itself.
+const MAX_VISITS: usize = 250_000;
+
+/// As many items are looked at in all of them: a long list that is there many times takes as many looks.
+const MAX_ITEMS: usize = 16_000_000;
 
 /// Longest path of keys to a tensor, in bytes.
-const MAX_PATH: usize = 4096;
+const MAX_PATH: usize = 1024;
 
 /// What a module keeps its tensors and its parts in, which is not part of their names.
 const IN_MODULES: [&str; 3] = ["_parameters", "_buffers", "_modules"];
@@ -37,49 +40,19 @@ pub(super) struct Stored<'a> {
 /// All tensors in dictionaries and lists, and in the modules of TorchScript or of a pickled network, named by the path
 /// of keys to them. Tensors of a kind that is not known (sparse, quantised) are passed over.
 pub(super) fn tensors<'a>(pickle: &Pickle<'a>) -> Result<Vec<(String, Stored<'a>)>, String> {
+    let mut walk = Walk {
+        pickle,
+        todo: vec![(String::new(), pickle.root(), 0)],
+        visits: 0,
+        items: 0,
+    };
     let mut found = Vec::new();
-    let mut visits = 0;
-    let mut todo = vec![(String::new(), pickle.root(), 0)];
-    while let Some((path, id, depth)) = todo.pop() {
-        visits += 1;
-        if visits > MAX_VISITS {
-            return Err(format!(
-                "more than {MAX_VISITS} objects: it refers to itself"
-            ));
-        }
-        if path.len() > MAX_PATH {
-            return Err(format!(
-                "a path of {} bytes, expected at most {MAX_PATH}",
-                path.len()
-            ));
-        }
-        let mut descend = |name: &str, id: Id| {
-            let holds_more = matches!(
-                pickle.get(id),
-                Value::Dict(_) | Value::Sequence(_) | Value::Call { .. }
-            );
-            if holds_more && depth < MAX_DEPTH {
-                let path = match path.as_str() {
-                    path if IN_MODULES.contains(&name) => path.to_owned(),
-                    "" => name.to_owned(),
-                    path => format!("{path}.{name}"),
-                };
-                todo.push((path, id, depth + 1));
-            }
-        };
+    while let Some((path, id, depth)) = walk.todo.pop() {
         match pickle.get(id) {
-            Value::Dict(items) => {
-                for (key, value) in items {
-                    match pickle.get(*key) {
-                        Value::Text(name) => descend(name, *value),
-                        Value::Int(name) => descend(&name.to_string(), *value),
-                        _ => {}
-                    }
-                }
-            }
+            Value::Dict(items) => walk.descend_into(&path, depth, items)?,
             Value::Sequence(items) => {
                 for (i, value) in items.iter().enumerate() {
-                    descend(&i.to_string(), *value);
+                    walk.descend(&path, depth, &i.to_string(), *value)?;
                 }
             }
             Value::Call { state, .. } => {
@@ -88,17 +61,70 @@ pub(super) fn tensors<'a>(pickle: &Pickle<'a>) -> Result<Vec<(String, Stored<'a>
                 } else if let Some(state) = state
                     && let Value::Dict(items) = pickle.get(*state)
                 {
-                    for (key, value) in items {
-                        if let Value::Text(name) = pickle.get(*key) {
-                            descend(name, *value);
-                        }
-                    }
+                    walk.descend_into(&path, depth, items)?;
                 }
             }
             _ => {}
         }
     }
     Ok(found)
+}
+
+/// A walk through all that a pickled object holds, within bounds.
+struct Walk<'p, 'a> {
+    pickle: &'p Pickle<'a>,
+    /// What is still to be looked at: its path, what it is, and how deep it lies.
+    todo: Vec<(String, Id, usize)>,
+    visits: usize,
+    items: usize,
+}
+
+impl Walk<'_, '_> {
+    /// Has the values of a dictionary looked at, those whose keys are texts or numbers.
+    fn descend_into(&mut self, path: &str, depth: usize, items: &[(Id, Id)]) -> Result<(), String> {
+        for (key, value) in items {
+            match self.pickle.get(*key) {
+                Value::Text(name) => self.descend(path, depth, name, *value)?,
+                Value::Int(name) => self.descend(path, depth, &name.to_string(), *value)?,
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Has the value `name` of what lies at `path` looked at, if there can be tensors in it.
+    fn descend(&mut self, path: &str, depth: usize, name: &str, id: Id) -> Result<(), String> {
+        self.items += 1;
+        if self.items > MAX_ITEMS {
+            return Err(format!("more than {MAX_ITEMS} items: it refers to itself"));
+        }
+        let holds_more = matches!(
+            self.pickle.get(id),
+            Value::Dict(_) | Value::Sequence(_) | Value::Call { .. }
+        );
+        if !holds_more || depth >= MAX_DEPTH {
+            return Ok(());
+        }
+        self.visits += 1;
+        if self.visits > MAX_VISITS {
+            return Err(format!(
+                "more than {MAX_VISITS} objects: it refers to itself"
+            ));
+        }
+        let length = path.len() + 1 + name.len();
+        if length > MAX_PATH {
+            return Err(format!(
+                "a path of {length} bytes, expected at most {MAX_PATH}"
+            ));
+        }
+        let path = match path {
+            path if IN_MODULES.contains(&name) => path.to_owned(),
+            "" => name.to_owned(),
+            path => format!("{path}.{name}"),
+        };
+        self.todo.push((path, id, depth + 1));
+        Ok(())
+    }
 }
 
 /// The tensor that a call makes, if it makes one.
@@ -185,7 +211,7 @@ fn rebuilt<'a>(pickle: &Pickle<'a>, items: &[Id]) -> Result<Option<Stored<'a>>, 
 fn sequence<'p>(pickle: &'p Pickle<'_>, id: Id) -> Result<&'p [Id], String> {
     match pickle.get(id) {
         Value::Sequence(items) => Ok(items),
-        other => Err(format!("{other:?} where a tuple is expected")),
+        other => Err(format!("{other} where a tuple is expected")),
     }
 }
 
@@ -196,7 +222,7 @@ fn sizes(pickle: &Pickle<'_>, id: Id) -> Result<Vec<usize>, String> {
 
 fn size(pickle: &Pickle<'_>, id: Id) -> Result<usize, String> {
     let Value::Int(value) = pickle.get(id) else {
-        return Err(format!("{:?} where a size is expected", pickle.get(id)));
+        return Err(format!("{} where a size is expected", pickle.get(id)));
     };
     usize::try_from(*value).map_err(|_| format!("a size of {value}"))
 }

@@ -20,6 +20,9 @@ fn safetensors_of(tensors: &[(&str, Dtype, &[usize], Vec<u8>)]) -> Vec<u8> {
     safetensors::serialize(views, None).unwrap()
 }
 
+/// Writes a value.
+type Written<'a> = &'a dyn Fn(&mut Pickler);
+
 /// Writes the pickle of `torch.save`: what protocol 2 makes of the objects, without its memo.
 #[derive(Default)]
 struct Pickler(Vec<u8>);
@@ -67,7 +70,7 @@ impl Pickler {
         self.0.extend(b")RtR");
     }
 
-    fn dict(&mut self, items: &[(&str, &dyn Fn(&mut Self))]) {
+    fn dict(&mut self, items: &[(&str, Written<'_>)]) {
         self.0.extend(b"}(");
         for (key, value) in items {
             self.text(key);
@@ -139,15 +142,15 @@ fn a_torch_checkpoint_is_read_in_place() {
     let mut pickle = Pickler::new();
     pickle.dict(&[
         ("model", &|p| {
-            p.dict(&[("w", &|p| p.tensor("FloatStorage", "0", 0, &[2, 3], &[3, 1]))])
+            p.dict(&[("w", &|p| p.tensor("FloatStorage", "0", 0, &[2, 3], &[3, 1]))]);
         }),
         ("ema", &|p| {
             p.dict(&[
                 ("module.w", &|p| {
-                    p.tensor("FloatStorage", "0", 6, &[3, 2], &[1, 3])
+                    p.tensor("FloatStorage", "0", 6, &[3, 2], &[1, 3]);
                 }),
                 ("module.n_averaged", &|p| {
-                    p.tensor("LongStorage", "1", 0, &[], &[])
+                    p.tensor("LongStorage", "1", 0, &[], &[]);
                 }),
             ]);
         }),
@@ -193,7 +196,7 @@ fn tensors_beyond_their_storage_are_refused() {
     ] {
         let mut pickle = Pickler::new();
         pickle.dict(&[("w", &|p| {
-            p.tensor("FloatStorage", "0", offset, &shape, &strides)
+            p.tensor("FloatStorage", "0", offset, &shape, &strides);
         })]);
         let file = torch_file(pickle.finish(), &[("0", f32s(&[0.0; 4]))]);
         let error = Checkpoint::from_bytes("bad.pt", file).unwrap_err();
@@ -201,22 +204,74 @@ fn tensors_beyond_their_storage_are_refused() {
     }
 }
 
-#[test]
-fn nothing_in_a_pickle_is_called() {
+/// A checkpoint with a tensor `w` and an object that Python would make by calling `module.name` with `argument`.
+fn calling(module: &str, name: &str, argument: &str) -> Vec<u8> {
     let mut pickle = Pickler::new();
     pickle.dict(&[
-        ("evil", &|p| {
-            p.global("os", "system");
+        ("other", &|p| {
+            p.global(module, name);
             p.0.push(b'(');
-            p.text("touch /tmp/wm_zoo_was_here");
+            p.text(argument);
             p.0.extend(b"tR");
         }),
         ("w", &|p| p.tensor("FloatStorage", "0", 0, &[1], &[1])),
     ]);
-    let file = torch_file(pickle.finish(), &[("0", f32s(&[4.0]))]);
-    let checkpoint = Checkpoint::from_bytes("evil.pt", file).unwrap();
+    torch_file(pickle.finish(), &[("0", f32s(&[4.0]))])
+}
+
+#[test]
+fn nothing_in_a_pickle_is_called() {
+    let folder = tempfile::tempdir().unwrap();
+    let trace = folder.path().join("was_here");
+    let command = format!("touch {}", trace.display());
+    let file = calling("training.tools", "run", &command);
+    let checkpoint = Checkpoint::from_bytes("odd.pt", file).unwrap();
     assert_eq!(checkpoint.names().collect::<Vec<_>>(), ["w"]);
-    assert!(!Path::new("/tmp/wm_zoo_was_here").exists());
+    assert!(!trace.exists());
+}
+
+#[test]
+fn an_attack_on_python_is_named() {
+    for (module, name) in [("posix", "system"), ("builtins", "eval")] {
+        let error = Checkpoint::from_bytes("evil.pt", calling(module, name, "touch x"));
+        let message = error.unwrap_err().to_string();
+        let what = format!("{module}.{name}");
+        assert!(
+            message.contains("evil.pt") && message.contains(&what),
+            "{message}"
+        );
+    }
+}
+
+#[test]
+fn a_pickle_that_only_fills_the_memory_is_refused() {
+    let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let small = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
+    archive.start_file("archive/data.pkl", small).unwrap();
+    archive.write_all(&[0x80, 2]).unwrap();
+    archive.write_all(&vec![b')'; 20_000_000]).unwrap();
+    let file = archive.finish().unwrap().into_inner();
+    assert!(file.len() < 100_000);
+    let message = Checkpoint::from_bytes("bomb.pt", file).unwrap_err();
+    assert!(message.to_string().contains("instructions"), "{message}");
+}
+
+#[test]
+fn tensors_that_are_many_times_their_file_are_not_written() {
+    let mut pickle = Pickler::new();
+    let names: Vec<String> = (0..20).map(|i| format!("w{i}")).collect();
+    let whole = |p: &mut Pickler| p.tensor("FloatStorage", "0", 0, &[4096], &[1]);
+    let items: Vec<(&str, Written<'_>)> = names
+        .iter()
+        .map(|name| (name.as_str(), &whole as Written<'_>))
+        .collect();
+    pickle.dict(&items);
+    let file = torch_file(pickle.finish(), &[("0", f32s(&[1.0; 4096]))]);
+    let checkpoint = Checkpoint::from_bytes("shared.pt", file).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let message = convert(&checkpoint, folder.path().join("out")).unwrap_err();
+    assert!(message.to_string().contains("shared.pt"), "{message}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
 #[test]

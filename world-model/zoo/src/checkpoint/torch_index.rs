@@ -10,12 +10,12 @@ use std::io::{Cursor, Read as _};
 
 use zip::{CompressionMethod, ZipArchive};
 
-use super::index::Entry;
+use super::entry::Entry;
 use super::pickle;
 use super::state_dict::{self, Stored};
 
 /// A pickle larger than this describes no checkpoint: it has about a hundred bytes for each tensor.
-const MAX_PICKLE: u64 = 256 << 20;
+const MAX_PICKLE: u64 = 64 << 20;
 
 /// All tensors of the file, by the path of keys to them.
 pub(super) fn index(bytes: &[u8]) -> Result<BTreeMap<String, Entry>, String> {
@@ -86,7 +86,9 @@ fn place(
 ) -> Result<Entry, String> {
     let name = format!("{root}data/{}", tensor.storage);
     let Some((start, end)) = regions.get(&name) else {
-        return Err(format!("its storage {name} is not in the archive"));
+        return Err(format!(
+            "its storage {name} is not in the archive, or is compressed there"
+        ));
     };
     let first = tensor
         .offset

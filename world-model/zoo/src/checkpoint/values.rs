@@ -5,7 +5,7 @@ use half::{bf16, f16};
 
 use super::Element;
 use super::bytes::Bytes;
-use super::index::Entry;
+use super::entry::Entry;
 use crate::{Error, Result};
 
 /// Bytes that are read before their pages are given back: a whole embedding table can be a gigabyte.

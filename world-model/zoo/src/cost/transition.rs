@@ -26,6 +26,7 @@ pub fn transition(config: &DitConfig) -> Result<Cost> {
 pub(super) fn large(latent: (usize, usize, usize), patch: usize, wide: bool) -> Result<Cost> {
     let preset = TransitionConfig::preset("dit-l", latent, patch, ACTIONS)?;
     transition(&DitConfig {
+        views: 1,
         hidden: preset.hidden,
         depth: preset.depth,
         heads: preset.heads,

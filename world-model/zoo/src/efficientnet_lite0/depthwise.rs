@@ -7,7 +7,7 @@
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::convolution::Window;
+use super::window::Window;
 
 /// A depthwise convolution of (N, H, W, C).
 pub(super) struct DepthwiseKernel {

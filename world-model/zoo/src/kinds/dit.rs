@@ -1,10 +1,13 @@
 //! The transition model from its published checkpoints.
 
-use candle_core::DType;
+use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 use wm_model::sampler::Sampler;
-use wm_model::transition::{ActionAlignment, Parametrisation, Transition, TransitionConfig};
+use wm_model::transition::{
+    ActionAlignment, PackedTransition, Parametrisation, Transition, TransitionConfig,
+};
 
+use crate::layers::packed_format;
 use crate::{Checkpoint, Engine, Error, Loader, Result};
 
 /// Width of the wide head of all published models that have one (architecture.md section 1).
@@ -42,6 +45,10 @@ pub struct DitConfig {
     pub patch: usize,
     /// Rows and columns of a latent, before patching.
     pub grid: [usize; 2],
+    /// Camera views that lie beside each other in a latent, 1 if absent; with several, positions have three axes (row,
+    /// column in the view, view).
+    #[serde(default = "one_view")]
+    pub views: usize,
     /// Values of an action.
     pub action_dim: usize,
     /// Frames that the model sees at most, the new one included.
@@ -53,6 +60,10 @@ pub struct DitConfig {
     /// Width of the wide head, 2048 if absent; without meaning for the plain one.
     #[serde(default)]
     pub wide_dim: Option<usize>,
+}
+
+fn one_view() -> usize {
+    1
 }
 
 fn default_max_frames() -> usize {
@@ -73,6 +84,7 @@ impl DitConfig {
             patch: self.patch,
             latent_height,
             latent_width,
+            views: self.views,
             channels: self.channels,
             action_dim: self.action_dim,
             max_frames: self.max_frames,
@@ -90,18 +102,45 @@ impl DitConfig {
     }
 }
 
-/// Loads the model; its weights are rounded to `precision` and computed with as f32.
-///
-/// There is one implementation of it, [`wm_model::transition`], for whichever engine.
+/// The model on the engine that computes it.
+pub(super) enum Model {
+    /// On tensors, the reference.
+    Candle(Transition),
+    /// On packed weights.
+    Cpu(PackedTransition),
+}
+
+impl Model {
+    pub(super) fn config(&self) -> &TransitionConfig {
+        match self {
+            Self::Candle(model) => model.config(),
+            Self::Cpu(model) => model.config(),
+        }
+    }
+
+    /// The velocity at every frame, [`Transition::forward`].
+    pub(super) fn velocity(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<Tensor> {
+        Ok(match self {
+            Self::Candle(model) => model.forward(x, tau, action)?,
+            Self::Cpu(model) => model.forward(x, tau, action)?,
+        })
+    }
+}
+
+/// Loads the model; its weights are rounded to `precision`.
 pub(super) fn load(
     config: &DitConfig,
     checkpoint: &Checkpoint,
+    engine: Engine,
     precision: DType,
-) -> Result<Transition> {
-    let loader = Loader::new(checkpoint, Engine::Cpu, precision);
+) -> Result<Model> {
+    let loader = Loader::new(checkpoint, engine, precision);
     let model = build(config, &loader)?;
     loader.finish()?;
-    Ok(model)
+    Ok(match engine {
+        Engine::Candle => Model::Candle(model),
+        Engine::Cpu => Model::Cpu(PackedTransition::new(&model, packed_format(precision))?),
+    })
 }
 
 /// Builds the model from the tensors of `loader`, which must be on the CPU and f32.

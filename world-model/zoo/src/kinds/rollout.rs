@@ -2,10 +2,11 @@
 
 use candle_core::{DType, Device, Tensor};
 use wm_model::sampler::{Given, Rollout, Sampler};
-use wm_model::transition::Transition;
+use wm_model::transition::PackedTransition;
 
+use super::dit::Model;
 use super::inputs::Inputs;
-use super::{DitConfig, Kind, Tensors, dit, owned, parse};
+use super::{DitConfig, Kind, Tensors, dit, finite, owned, parse};
 use crate::checkpoint::Average;
 use crate::{Checkpoint, Engine, Result};
 
@@ -31,19 +32,19 @@ pub fn rollout(
     checkpoint: &Checkpoint,
     inputs: &Tensors,
     options: &RolloutOptions,
-    _engine: Engine,
+    engine: Engine,
     dtype: DType,
 ) -> Result<Tensors> {
     options.sampler.validate()?;
     let config: DitConfig = parse(config)?;
     let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
-    let model = dit::load(&config, &checkpoint, dtype)?;
+    let model = dit::load(&config, &checkpoint, engine, dtype)?;
     let inputs = Clips::new(&model, &Inputs::new("dit", inputs))?;
-    let predicted = match options.cache {
-        true => inputs.predict_cached(&model, &options.sampler)?,
-        false => inputs.predict_plainly(&model, &options.sampler)?,
+    let predicted = match &model {
+        Model::Cpu(model) if options.cache => inputs.predict_cached(model, &options.sampler)?,
+        _ => inputs.predict_plainly(&model, &options.sampler)?,
     };
-    Ok(owned(vec![("predicted", predicted)]))
+    finite(owned(vec![("predicted", predicted)]))
 }
 
 /// Checked inputs.
@@ -60,7 +61,7 @@ struct Clips {
 }
 
 impl Clips {
-    fn new(model: &Transition, inputs: &Inputs<'_>) -> Result<Self> {
+    fn new(model: &Model, inputs: &Inputs<'_>) -> Result<Self> {
         let c = model.config();
         let (context, actions) = (inputs.float("context")?, inputs.float("actions")?);
         let noise = inputs.float("noise")?;
@@ -100,7 +101,7 @@ impl Clips {
     }
 
     /// With the sampler's cache, one clip after the other.
-    fn predict_cached(&self, model: &Transition, sampler: &Sampler) -> Result<Tensor> {
+    fn predict_cached(&self, model: &PackedTransition, sampler: &Sampler) -> Result<Tensor> {
         let clips: Vec<Tensor> = (0..self.batch)
             .map(|clip| {
                 let actions = self.actions.get(clip)?;
@@ -129,7 +130,7 @@ impl Clips {
     }
 
     /// As it is defined: every Euler step computes the whole window.
-    fn predict_plainly(&self, model: &Transition, sampler: &Sampler) -> Result<Tensor> {
+    fn predict_plainly(&self, model: &Model, sampler: &Sampler) -> Result<Tensor> {
         let levels = sampler.levels();
         let mut frames = self.context.clone();
         for k in 0..self.predicted {
@@ -146,7 +147,7 @@ impl Clips {
                 }
                 let tau = Tensor::from_vec(tau, (1, end - start), &Device::Cpu)?;
                 let tau = tau.broadcast_as((self.batch, end - start))?.contiguous()?;
-                let velocity = model.forward(&window, &tau, &actions)?;
+                let velocity = model.velocity(&window, &tau, &actions)?;
                 let velocity = velocity.narrow(1, end - 1 - start, 1)?;
                 x = (x - (velocity * (from - to))?)?;
             }

@@ -144,6 +144,49 @@ fn what_is_missing_is_named() {
 }
 
 #[test]
+fn an_input_that_cannot_be_computed_with_is_named() {
+    let checkpoint = checkpoint("");
+    let good = tensors(&[
+        ("x", random(&[2, 3, 4, 6, 4])),
+        ("tau", Tensor::full(0.5f32, (2, 3), &Device::Cpu).unwrap()),
+        ("action", random(&[2, 3, 5])),
+    ]);
+    let zeros = |shape: &[usize]| Tensor::zeros(shape, DType::F32, &Device::Cpu).unwrap();
+    let nan = (random(&[2, 3, 5]) * f64::NAN).unwrap();
+    for (name, tensor, expected) in [
+        (
+            "x",
+            zeros(&[2, 0, 4, 6, 4]),
+            "`x` of shape [2, 0, 4, 6, 4] is empty",
+        ),
+        ("action", nan, "`action` holds a value that is not finite"),
+        (
+            "tau",
+            (zeros(&[2, 3]) + 500.0).unwrap(),
+            "`tau` has a value 500, expected 0 to 1",
+        ),
+        (
+            "x",
+            zeros(&[2, 3, 4, 6, 3]),
+            "[2, 3, 4, 6, 3], expected (B, T, 4, 6, 4)",
+        ),
+    ] {
+        let mut inputs = good.clone();
+        inputs.insert(name.to_owned(), tensor);
+        let out = forward(
+            Kind::Dit,
+            CONFIG,
+            &checkpoint,
+            &inputs,
+            Engine::Cpu,
+            DType::F32,
+        );
+        let message = out.unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
 fn the_plain_head_takes_any_wide_dim() {
     for wide in ["", r#", "wide_dim": null"#, r#", "wide_dim": 7"#] {
         let json = format!(

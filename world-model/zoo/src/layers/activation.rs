@@ -1,14 +1,19 @@
 //! Activation functions.
 
 use candle_core::Tensor;
+use wm_model::ops;
 
-use crate::Result;
+use super::{host, takes_kernels};
+use crate::{Engine, Result};
 
 /// x times the normal distribution function of x: `torch.nn.GELU()`.
 ///
 /// # Errors
 /// If the values are not floating-point numbers.
-pub fn gelu_exact(x: &Tensor) -> Result<Tensor> {
+pub fn gelu_exact(engine: Engine, x: &Tensor) -> Result<Tensor> {
+    if takes_kernels(engine, x) {
+        return host::changed(x, ops::gelu_exact);
+    }
     Ok(x.gelu_erf()?)
 }
 
@@ -16,7 +21,10 @@ pub fn gelu_exact(x: &Tensor) -> Result<Tensor> {
 ///
 /// # Errors
 /// If the values are not floating-point numbers.
-pub fn gelu_tanh(x: &Tensor) -> Result<Tensor> {
+pub fn gelu_tanh(engine: Engine, x: &Tensor) -> Result<Tensor> {
+    if takes_kernels(engine, x) {
+        return host::changed(x, ops::gelu_tanh);
+    }
     Ok(x.gelu()?)
 }
 
@@ -24,6 +32,9 @@ pub fn gelu_tanh(x: &Tensor) -> Result<Tensor> {
 ///
 /// # Errors
 /// If the values are not floating-point numbers.
-pub fn silu(x: &Tensor) -> Result<Tensor> {
+pub fn silu(engine: Engine, x: &Tensor) -> Result<Tensor> {
+    if takes_kernels(engine, x) {
+        return host::changed(x, ops::silu);
+    }
     Ok(x.silu()?)
 }

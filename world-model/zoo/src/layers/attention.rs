@@ -1,24 +1,30 @@
 //! Attention.
 
 use candle_core::{D, DType, Tensor};
+use wm_model::ops::{AttentionShape, dense_attention};
 
+use super::host::with_values;
+use super::takes_kernels;
 use crate::{Engine, Result};
 
 /// softmax(scale q k^T + mask) v, for `q` (B, heads, Lq, D), `k` and `v` (B, heads, Lk, D): (B, heads, Lq, D).
 ///
 /// `mask` is added to the scores and may be broadcast to (B, heads, Lq, Lk). The softmax is taken in f32; the result
-/// has the format of `q`. Both engines compute it in the same way until there is a kernel of its own.
+/// has the format of `q`.
 ///
 /// # Errors
 /// If the shapes do not fit.
 pub fn attention(
-    _engine: Engine,
+    engine: Engine,
     q: &Tensor,
     k: &Tensor,
     v: &Tensor,
     scale: f64,
     mask: Option<&Tensor>,
 ) -> Result<Tensor> {
+    if takes_kernels(engine, q) {
+        return on_kernel(q, k, v, scale, mask);
+    }
     let q = (q.contiguous()? * scale)?;
     let scores = q.matmul(&k.transpose(2, 3)?)?.to_dtype(DType::F32)?;
     let scores = match mask {
@@ -33,6 +39,48 @@ pub fn attention(
     Ok(weights.to_dtype(v.dtype())?.matmul(&v.contiguous()?)?)
 }
 
+fn on_kernel(
+    q: &Tensor,
+    k: &Tensor,
+    v: &Tensor,
+    scale: f64,
+    mask: Option<&Tensor>,
+) -> Result<Tensor> {
+    let (b, heads, queries, dim) = q.dims4()?;
+    let keys = k.dim(2)?;
+    for (what, tensor) in [("keys", k), ("values", v)] {
+        if tensor.dims() != [b, heads, keys, dim] {
+            return Err(wm_model::Error::Shape {
+                what: "the keys or values of an attention",
+                expected: format!("{what} ({b}, {heads}, {keys}, {dim})"),
+                found: tensor.dims().to_vec(),
+            }
+            .into());
+        }
+    }
+    let shape = AttentionShape {
+        heads: b * heads,
+        queries,
+        keys,
+        dim,
+    };
+    let mask: Option<Vec<f32>> = mask
+        .map(|mask| {
+            let mask = mask.to_dtype(DType::F32)?;
+            let whole = mask.broadcast_as((b, heads, queries, keys))?;
+            whole.flatten_all()?.to_vec1()
+        })
+        .transpose()?;
+    let out = with_values(q, |q| {
+        with_values(k, |k| {
+            with_values(v, |v| {
+                dense_attention(shape, (q, k, v), scale as f32, mask.as_deref())
+            })
+        })
+    })???;
+    Ok(Tensor::from_vec(out, q.shape(), q.device())?)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -45,15 +93,17 @@ mod tests {
         let v = Tensor::arange(0f32, 5.0, &Device::Cpu).unwrap();
         let v = v.reshape((1, 1, 5, 1)).unwrap();
         let v = v.broadcast_as((2, 3, 5, 8)).unwrap();
-        let mean = |mask: Option<&Tensor>| -> f32 {
-            let y = attention(Engine::Candle, &q, &k, &v, 0.3, mask).unwrap();
+        let mean = |engine: Engine, mask: Option<&Tensor>| -> f32 {
+            let y = attention(engine, &q, &k, &v, 0.3, mask).unwrap();
             assert_eq!(y.dims(), [2, 3, 4, 8]);
             y.mean_all().unwrap().to_scalar().unwrap()
         };
-        assert!((mean(None) - 2.0).abs() < 1e-5);
         let mask = [0f32, 0.0, f32::NEG_INFINITY, f32::NEG_INFINITY, 0.0];
         let mask = Tensor::new(&mask, &Device::Cpu).unwrap();
         let mask = mask.reshape((1, 1, 1, 5)).unwrap();
-        assert!((mean(Some(&mask)) - 5.0 / 3.0).abs() < 1e-5);
+        for engine in [Engine::Candle, Engine::Cpu] {
+            assert!((mean(engine, None) - 2.0).abs() < 1e-5);
+            assert!((mean(engine, Some(&mask)) - 5.0 / 3.0).abs() < 1e-5);
+        }
     }
 }

@@ -1,9 +1,9 @@
 //! Two-dimensional convolution.
 
-use candle_core::{CpuStorage, CustomOp2, Layout, Shape, Tensor};
-use wm_model::ops::{self, ConvShape, Epilogue, GridSize};
+use candle_core::Tensor;
+use wm_model::ops::{ConvShape, Epilogue, GridSize, PackedConv, PackedFormat};
 
-use super::{Linear, host, takes_kernels};
+use super::{Linear, host, takes_kernels, upsample_nearest_2x};
 use crate::{Engine, Result};
 
 /// Rows and columns of zeros around a picture.
@@ -111,15 +111,16 @@ pub struct Conv2d {
     weights: Weights,
     /// (outputs).
     bias: Tensor,
-    engine: Engine,
+    /// Whether the input is doubled first.
+    doubles: bool,
 }
 
 #[derive(Clone, Debug)]
 enum Weights {
     /// A product at every place.
     Pointwise(Linear),
-    /// (kernel row, kernel column, inputs, outputs), for the kernel.
-    Packed(Tensor, Plan),
+    /// For the kernel.
+    Packed(PackedConv, Plan),
     /// (outputs, inputs, kernel row, kernel column), as in checkpoints.
     Plain(Tensor),
 }
@@ -129,8 +130,41 @@ impl Conv2d {
     ///
     /// # Errors
     /// If the shapes are not those of `spec`, or its stride is 0.
-    pub fn new(spec: ConvSpec, weight: &Tensor, bias: Tensor, engine: Engine) -> Result<Self> {
-        if weight.dims() != spec.weight_shape() || bias.dims() != [spec.outputs] || spec.stride == 0
+    pub fn new(
+        spec: ConvSpec,
+        weight: &Tensor,
+        bias: Tensor,
+        engine: Engine,
+        format: PackedFormat,
+    ) -> Result<Self> {
+        Self::build((spec, false), weight, bias, engine, format)
+    }
+
+    /// A convolution of a picture that is first doubled in both directions by nearest neighbour.
+    ///
+    /// # Errors
+    /// As [`Conv2d::new`], or if its stride is not 1.
+    pub fn doubling(
+        spec: ConvSpec,
+        weight: &Tensor,
+        bias: Tensor,
+        engine: Engine,
+        format: PackedFormat,
+    ) -> Result<Self> {
+        Self::build((spec, true), weight, bias, engine, format)
+    }
+
+    fn build(
+        (spec, doubles): (ConvSpec, bool),
+        weight: &Tensor,
+        bias: Tensor,
+        engine: Engine,
+        format: PackedFormat,
+    ) -> Result<Self> {
+        if weight.dims() != spec.weight_shape()
+            || bias.dims() != [spec.outputs]
+            || spec.stride == 0
+            || (doubles && spec.stride != 1)
         {
             return Err(wm_model::Error::Shape {
                 what: "the weight of a convolution",
@@ -139,20 +173,29 @@ impl Conv2d {
             }
             .into());
         }
-        let pointwise = spec.kernel == 1 && spec.stride == 1 && spec.padding == Padding::NONE;
-        let on_kernels = takes_kernels(engine, weight);
+        let pointwise =
+            !doubles && spec.kernel == 1 && spec.stride == 1 && spec.padding == Padding::NONE;
+        // A skeleton's weights are one repeated zero, and stay so: it is for counting.
+        let on_kernels = takes_kernels(engine, weight) && !host::is_repeated(weight);
         let weights = match spec.plan() {
             _ if pointwise => {
-                let weight = weight.reshape((spec.outputs, spec.inputs))?;
-                Weights::Pointwise(Linear::new(weight, Some(bias.clone()), engine)?)
+                // Not reshaped, which would write a skeleton's repeated zero out.
+                let weight = weight.squeeze(3)?.squeeze(2)?;
+                Weights::Pointwise(Linear::new(weight, Some(bias.clone()), engine, format)?)
             }
             Some(plan) if on_kernels => {
-                let mut weight = weight.permute((2, 3, 1, 0))?;
-                // A skeleton's weights are one repeated zero, and stay so: it is for counting.
-                if weight.stride().iter().any(|stride| *stride != 0) {
-                    weight = weight.contiguous()?;
-                }
-                Weights::Packed(weight, plan)
+                let shape = ConvShape {
+                    inputs: spec.inputs,
+                    outputs: spec.outputs,
+                    kernel: spec.kernel,
+                    stride: spec.stride,
+                    upsample: doubles,
+                };
+                let bias: Vec<f32> = bias.to_vec1()?;
+                let packed = host::with_values(&weight.permute((2, 3, 1, 0))?, |weight| {
+                    PackedConv::new(&shape, weight, Some(&bias))
+                })??;
+                Weights::Packed(packed, plan)
             }
             _ => Weights::Plain(weight.clone()),
         };
@@ -160,7 +203,7 @@ impl Conv2d {
             spec,
             weights,
             bias,
-            engine,
+            doubles,
         })
     }
 
@@ -193,34 +236,29 @@ impl Conv2d {
         }
         match &self.weights {
             Weights::Pointwise(linear) => linear.forward(x),
-            Weights::Packed(weight, plan) if takes_kernels(self.engine, x) => {
-                self.on_kernel(x, weight, *plan)
-            }
-            // Weights are packed only in the format that kernels take.
-            Weights::Packed(weight, _) => {
-                let weight = weight.permute((3, 2, 0, 1))?;
-                self.on_candle(x, &weight.to_dtype(x.dtype())?.contiguous()?)
+            Weights::Packed(packed, plan) => self.on_kernel(x, packed, *plan),
+            Weights::Plain(weight) if self.doubles => {
+                self.on_candle(&upsample_nearest_2x(x)?, &weight.contiguous()?)
             }
             Weights::Plain(weight) => self.on_candle(x, &weight.contiguous()?),
         }
     }
 
-    fn on_kernel(&self, x: &Tensor, weight: &Tensor, plan: Plan) -> Result<Tensor> {
+    fn on_kernel(&self, x: &Tensor, packed: &PackedConv, plan: Plan) -> Result<Tensor> {
         let x = match plan {
             Plan::Direct => x.contiguous()?,
             Plan::Shifted => x.pad_with_zeros(1, 1, 0)?.pad_with_zeros(2, 1, 0)?,
         };
-        let kernel = Kernel {
-            shape: ConvShape {
-                inputs: self.spec.inputs,
-                outputs: self.spec.outputs,
-                kernel: self.spec.kernel,
-                stride: self.spec.stride,
-                upsample: false,
-            },
-            bias: self.bias.to_vec1()?,
+        let (images, height, width, _) = x.dims4()?;
+        let grid = GridSize {
+            images,
+            height,
+            width,
         };
-        let y = x.apply_op2_no_bwd(&weight.contiguous()?, &kernel)?;
+        let mut y = Vec::new();
+        let size = host::with_values(&x, |x| packed.run(x, grid, Epilogue::default(), &mut y))??;
+        let shape = (size.images, size.height, size.width, self.spec.outputs);
+        let y = Tensor::from_vec(y, shape, x.device())?;
         if plan == Plan::Direct {
             return Ok(y);
         }
@@ -248,40 +286,6 @@ impl Conv2d {
     }
 }
 
-/// [`wm_model::ops::conv2d`].
-struct Kernel {
-    shape: ConvShape,
-    bias: Vec<f32>,
-}
-
-impl CustomOp2 for Kernel {
-    fn name(&self) -> &'static str {
-        "conv2d"
-    }
-
-    fn cpu_fwd(
-        &self,
-        s1: &CpuStorage,
-        l1: &Layout,
-        s2: &CpuStorage,
-        l2: &Layout,
-    ) -> candle_core::Result<(CpuStorage, Shape)> {
-        let (images, height, width, _) = l1.shape().dims4()?;
-        let grid = GridSize {
-            images,
-            height,
-            width,
-        };
-        let (x, weight) = (host::slice(s1, l1)?, host::slice(s2, l2)?);
-        let mut y = Vec::new();
-        let weights = (weight, Some(self.bias.as_slice()));
-        let size = ops::conv2d(&self.shape, weights, x, grid, Epilogue::default(), &mut y)
-            .map_err(|error| candle_core::Error::Msg(error.to_string()))?;
-        let shape = (size.images, size.height, size.width, self.shape.outputs);
-        Ok((CpuStorage::F32(y), Shape::from(shape)))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -296,7 +300,7 @@ mod tests {
         let bias = random(&[spec.outputs]);
         let x = random(&[2, size.0, size.1, spec.inputs]);
         [Engine::Candle, Engine::Cpu].map(|engine| {
-            let conv = Conv2d::new(spec, &weight, bias.clone(), engine).unwrap();
+            let conv = Conv2d::new(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
             conv.forward(&x).unwrap()
         })
     }
@@ -330,6 +334,27 @@ mod tests {
     }
 
     #[test]
+    fn both_engines_agree_on_a_doubled_picture() {
+        let spec = ConvSpec {
+            inputs: 3,
+            outputs: 5,
+            kernel: 3,
+            stride: 1,
+            padding: Padding::same(3),
+        };
+        let (weight, bias) = (random(&spec.weight_shape()), random(&[5]));
+        let x = random(&[2, 5, 4, 3]);
+        let [a, b] = [Engine::Candle, Engine::Cpu].map(|engine| {
+            let conv =
+                Conv2d::doubling(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
+            conv.forward(&x).unwrap()
+        });
+        assert_eq!(a.dims(), [2, 10, 8, 5]);
+        let difference = (a - b).unwrap().abs().unwrap().max_all().unwrap();
+        assert!(difference.to_scalar::<f32>().unwrap() < 1e-4);
+    }
+
+    #[test]
     fn the_lower_right_border_is_pytorchs() {
         // A kernel that takes the pixel below and to the right of the centre of its 3x3 places.
         let spec = ConvSpec {
@@ -346,7 +371,7 @@ mod tests {
         let x = Tensor::arange(0f32, 16.0, &Device::Cpu).unwrap();
         let x = x.reshape((1, 4, 4, 1)).unwrap();
         for engine in [Engine::Candle, Engine::Cpu] {
-            let conv = Conv2d::new(spec, &weight, bias.clone(), engine).unwrap();
+            let conv = Conv2d::new(spec, &weight, bias.clone(), engine, PackedFormat::F32).unwrap();
             let y = conv.forward(&x).unwrap().flatten_all().unwrap();
             assert_eq!(y.to_vec1::<f32>().unwrap(), [10.0, 0.0, 0.0, 0.0]);
         }

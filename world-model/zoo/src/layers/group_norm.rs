@@ -1,6 +1,7 @@
 //! Group normalisation.
 
-use candle_core::{CpuStorage, CustomOp1, D, DType, Layout, Shape, Tensor};
+use candle_core::{D, DType, Tensor};
+use wm_model::ops;
 
 use super::{host, silu, takes_kernels};
 use crate::{Engine, Result};
@@ -63,13 +64,10 @@ impl GroupNorm {
             .into());
         }
         if takes_kernels(self.engine, x) {
-            let kernel = Kernel {
-                scale: self.scale.to_vec1()?,
-                shift: self.shift.to_vec1()?,
-                groups: self.groups,
-                eps: self.eps,
-            };
-            return Ok(x.contiguous()?.apply_op1_no_bwd(&kernel)?);
+            let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
+            return host::changed(x, |x| {
+                ops::group_norm(x, h * w, self.groups, (&scale, &shift), self.eps, false);
+            });
         }
         // A row's mean first, then the mean of the rows: one running f32 sum over a large picture would round away
         // more than the tolerance of the models' outputs.
@@ -98,33 +96,7 @@ impl GroupNorm {
     /// # Errors
     /// If `x` has another number of channels.
     pub fn forward_silu(&self, x: &Tensor) -> Result<Tensor> {
-        silu(&self.forward(x)?)
-    }
-}
-
-/// [`wm_model::ops::group_norm`] on a copy of the input.
-struct Kernel {
-    scale: Vec<f32>,
-    shift: Vec<f32>,
-    groups: usize,
-    eps: f64,
-}
-
-impl CustomOp1 for Kernel {
-    fn name(&self) -> &'static str {
-        "group norm"
-    }
-
-    fn cpu_fwd(
-        &self,
-        storage: &CpuStorage,
-        layout: &Layout,
-    ) -> candle_core::Result<(CpuStorage, Shape)> {
-        let (_, h, w, _) = layout.shape().dims4()?;
-        let mut y = host::slice(storage, layout)?.to_vec();
-        let affine = (self.scale.as_slice(), self.shift.as_slice());
-        wm_model::ops::group_norm(&mut y, h * w, self.groups, affine, self.eps, false);
-        Ok((CpuStorage::F32(y), layout.shape().clone()))
+        silu(self.engine, &self.forward(x)?)
     }
 }
 

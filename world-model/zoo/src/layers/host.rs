@@ -1,18 +1,39 @@
-//! The values of CPU tensors as plain slices, for kernels.
+//! Tensors as plain slices, for the kernels.
 
-use candle_core::{CpuStorage, Layout, Result};
+use candle_core::{Storage, Tensor};
 
-/// The f32 values of an operand, which must be contiguous.
-///
-/// # Errors
-/// If the layout has gaps or the values are not f32.
-pub(crate) fn slice<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
-    let values = storage.as_slice::<f32>()?;
-    let within = layout
+use crate::Result;
+
+/// What `read` makes of the values of `x`, a tensor of f32 on the CPU.
+pub(crate) fn with_values<R>(x: &Tensor, read: impl FnOnce(&[f32]) -> R) -> Result<R> {
+    let x = x.contiguous()?;
+    let (storage, layout) = x.storage_and_layout();
+    let values = match &*storage {
+        Storage::Cpu(storage) => storage.as_slice::<f32>()?,
+        _ => return Err(not_here(&x)),
+    };
+    match layout
         .contiguous_offsets()
-        .and_then(|(start, end)| values.get(start..end));
-    match within {
-        Some(values) => Ok(values),
-        None => candle_core::bail!("operand of shape {:?} is not contiguous", layout.shape()),
+        .and_then(|(start, end)| values.get(start..end))
+    {
+        Some(values) => Ok(read(values)),
+        None => Err(not_here(&x)),
     }
+}
+
+/// A tensor of the shape of `x`, with the values of `x` after `change`.
+pub(crate) fn changed(x: &Tensor, change: impl FnOnce(&mut [f32])) -> Result<Tensor> {
+    let mut values = with_values(x, <[f32]>::to_vec)?;
+    change(&mut values);
+    Ok(Tensor::from_vec(values, x.shape(), x.device())?)
+}
+
+/// Whether all values are one in memory: a skeleton's.
+pub(crate) fn is_repeated(x: &Tensor) -> bool {
+    x.elem_count() > 1 && x.stride().iter().all(|stride| *stride == 0)
+}
+
+fn not_here(x: &Tensor) -> crate::Error {
+    let message = format!("a kernel for f32 on the CPU was given {x:?}");
+    candle_core::Error::Msg(message).into()
 }

@@ -1,8 +1,10 @@
 //! Layer normalisation.
 
 use candle_core::{D, DType, Tensor};
+use wm_model::ops;
 
-use crate::Result;
+use super::{host, takes_kernels};
+use crate::{Engine, Result};
 
 /// Mean 0 and variance 1 over the last dimension, then a learned scale and shift.
 #[derive(Clone, Debug)]
@@ -12,12 +14,18 @@ pub struct LayerNorm {
     /// (width).
     shift: Tensor,
     eps: f64,
+    engine: Engine,
 }
 
 impl LayerNorm {
     /// `scale` and `shift` are (width); `eps` is added to the variance.
-    pub fn new(scale: Tensor, shift: Tensor, eps: f64) -> Self {
-        Self { scale, shift, eps }
+    pub fn new(scale: Tensor, shift: Tensor, eps: f64, engine: Engine) -> Self {
+        Self {
+            scale,
+            shift,
+            eps,
+            engine,
+        }
     }
 
     /// `x` (.., width) to the same shape. Computed in f32, given back in the format of `x`.
@@ -25,6 +33,12 @@ impl LayerNorm {
     /// # Errors
     /// If `x` has another last dimension.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        if takes_kernels(self.engine, x) && x.dim(D::Minus1)? == self.scale.dim(0)? {
+            let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
+            return host::changed(x, |x| {
+                ops::layer_norm(x, (&scale, &shift), self.eps as f32);
+            });
+        }
         let wide = x.to_dtype(DType::F32)?;
         let centred = wide.broadcast_sub(&wide.mean_keepdim(D::Minus1)?)?;
         let variance = centred.sqr()?.mean_keepdim(D::Minus1)?;
@@ -46,12 +60,14 @@ mod tests {
         let x = Tensor::new(&[[1f32, 2.0, 3.0, 6.0]], &Device::Cpu).unwrap();
         let scale = Tensor::new(&[1f32, 1.0, 1.0, 2.0], &Device::Cpu).unwrap();
         let shift = Tensor::new(&[0f32, 0.0, 5.0, 0.0], &Device::Cpu).unwrap();
-        let y = LayerNorm::new(scale, shift, 0.0).forward(&x).unwrap();
-        let y = y.to_vec2::<f32>().unwrap();
-        let deviation = 3.5f32.sqrt();
-        for (found, expected) in y[0].iter().zip([-2.0, -1.0, 0.0, 6.0]) {
-            let expected = expected / deviation + if expected == 0.0 { 5.0 } else { 0.0 };
-            assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+        for engine in [Engine::Candle, Engine::Cpu] {
+            let norm = LayerNorm::new(scale.clone(), shift.clone(), 0.0, engine);
+            let y = norm.forward(&x).unwrap().to_vec2::<f32>().unwrap();
+            let deviation = 3.5f32.sqrt();
+            for (found, expected) in y[0].iter().zip([-2.0, -1.0, 0.0, 6.0]) {
+                let expected = expected / deviation + if expected == 0.0 { 5.0 } else { 0.0 };
+                assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+            }
         }
     }
 }

@@ -1,27 +1,39 @@
 //! y = x W^T + b.
 
 use candle_core::{D, Tensor};
+use wm_model::ops::{PackedFormat, PackedLinear};
 
-use super::takes_kernels;
+use super::{host, takes_kernels};
 use crate::{Engine, Result};
 
 /// A matrix product with an optional bias.
 #[derive(Clone, Debug)]
 pub struct Linear {
-    /// (outputs, inputs), contiguous.
-    weight: Tensor,
-    /// (outputs).
-    bias: Option<Tensor>,
+    weights: Weights,
+    outputs: usize,
     engine: Engine,
 }
 
+#[derive(Clone, Debug)]
+enum Weights {
+    /// For the kernels.
+    Packed(PackedLinear),
+    /// (outputs, inputs), and the bias (outputs).
+    Plain(Tensor, Option<Tensor>),
+}
+
 impl Linear {
-    /// `weight` is (outputs, inputs), `bias` (outputs).
+    /// `weight` is (outputs, inputs), `bias` (outputs). For the kernels they are packed in `format`.
     ///
     /// # Errors
     /// If the weight is no matrix, or the bias does not fit it.
-    pub fn new(weight: Tensor, bias: Option<Tensor>, engine: Engine) -> Result<Self> {
-        let (outputs, _) = weight.dims2()?;
+    pub fn new(
+        weight: Tensor,
+        bias: Option<Tensor>,
+        engine: Engine,
+        format: PackedFormat,
+    ) -> Result<Self> {
+        let (outputs, inputs) = weight.dims2()?;
         if let Some(bias) = &bias
             && bias.dims() != [outputs]
         {
@@ -32,11 +44,26 @@ impl Linear {
             }
             .into());
         }
+        // A skeleton's weights are one repeated zero, and stay so: it is for counting.
+        let weights = if takes_kernels(engine, &weight) && !host::is_repeated(&weight) {
+            let bias: Option<Vec<f32>> = bias.map(|bias| bias.to_vec1()).transpose()?;
+            let shape = (outputs, inputs);
+            Weights::Packed(host::with_values(&weight, |weight| {
+                PackedLinear::new(weight, bias.as_deref(), shape, format)
+            })??)
+        } else {
+            Weights::Plain(weight, bias)
+        };
         Ok(Self {
-            weight,
-            bias,
+            weights,
+            outputs,
             engine,
         })
+    }
+
+    /// What computes it.
+    pub(crate) fn engine(&self) -> Engine {
+        self.engine
     }
 
     /// `x` (.., inputs) to (.., outputs).
@@ -44,23 +71,38 @@ impl Linear {
     /// # Errors
     /// If `x` has another last dimension or number format.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        if takes_kernels(self.engine, x) {
-            let weight = self.weight.contiguous()?;
-            let bias = self.bias.as_ref().map(Tensor::contiguous).transpose()?;
-            return Ok(wm_model::ops::linear(x, &weight, bias.as_ref())?);
-        }
         let inputs = x.dim(D::Minus1)?;
         let mut dims = x.dims().to_vec();
         if let Some(last) = dims.last_mut() {
-            *last = self.weight.dim(0)?;
+            *last = self.outputs;
         }
-        // As one product of two matrices: candle would run a batch of small ones, copying the weight for each.
-        let rows = x.reshape(((), inputs))?;
-        let mut y = rows.matmul(&self.weight.t()?)?;
-        if let Some(bias) = &self.bias {
-            y = y.broadcast_add(bias)?;
+        match &self.weights {
+            Weights::Packed(packed) => {
+                if inputs != packed.inputs() {
+                    return Err(wm_model::Error::Shape {
+                        what: "the input of a Linear",
+                        expected: format!("(.., {})", packed.inputs()),
+                        found: x.dims().to_vec(),
+                    }
+                    .into());
+                }
+                let y = host::with_values(x, |x| {
+                    let mut y = vec![0.0; x.len() / inputs.max(1) * self.outputs];
+                    packed.forward_on_pool(x, &mut y);
+                    y
+                })?;
+                Ok(Tensor::from_vec(y, dims, x.device())?)
+            }
+            Weights::Plain(weight, bias) => {
+                // As one product of two matrices: candle would run a batch of small ones, copying the weight for each.
+                let rows = x.reshape(((), inputs))?;
+                let mut y = rows.matmul(&weight.t()?)?;
+                if let Some(bias) = bias {
+                    y = y.broadcast_add(bias)?;
+                }
+                Ok(y.reshape(dims)?)
+            }
         }
-        Ok(y.reshape(dims)?)
     }
 }
 
@@ -76,7 +118,8 @@ mod tests {
         let x = random(&[2, 3, 4, 5]);
         for bias in [Some(bias), None] {
             let [a, b] = [Engine::Candle, Engine::Cpu].map(|engine| {
-                let linear = Linear::new(weight.clone(), bias.clone(), engine).unwrap();
+                let linear =
+                    Linear::new(weight.clone(), bias.clone(), engine, PackedFormat::F32).unwrap();
                 linear.forward(&x).unwrap()
             });
             assert_eq!(a.dims(), [2, 3, 4, 7]);
@@ -89,7 +132,13 @@ mod tests {
     fn a_bias_of_another_length_is_named() {
         let zeros = |shape: &[usize]| Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu);
         let bias = zeros(&[4]).unwrap();
-        let error = Linear::new(zeros(&[3, 2]).unwrap(), Some(bias), Engine::Cpu).unwrap_err();
+        let error = Linear::new(
+            zeros(&[3, 2]).unwrap(),
+            Some(bias),
+            Engine::Cpu,
+            PackedFormat::F32,
+        )
+        .unwrap_err();
         assert!(error.to_string().contains("[4]"), "{error}");
     }
 }

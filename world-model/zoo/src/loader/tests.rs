@@ -88,14 +88,20 @@ fn a_skeleton_gives_whatever_is_asked_for() {
 }
 
 #[test]
-fn sixteen_bits_are_rounded_to_and_computed_with_in_32() {
-    let source = checkpoint(&[("w", &[300])]);
+fn matrices_are_rounded_to_sixteen_bits_and_computed_with_in_32() {
+    let source = checkpoint(&[("w", &[2, 150]), ("b", &[300])]);
     for engine in [Engine::Candle, Engine::Cpu] {
         let loader = Loader::new(&source, engine, DType::BF16);
-        let w = loader.tensor("w", &[300]).unwrap();
-        assert_eq!((loader.dtype(), w.dtype()), (DType::F32, DType::F32));
-        let w = w.to_vec1::<f32>().unwrap();
+        let values = |loader: &Loader<'_>, name: &str, shape: &[usize]| {
+            let tensor = loader.tensor(name, shape).unwrap();
+            assert_eq!((loader.dtype(), tensor.dtype()), (DType::F32, DType::F32));
+            let values = tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            (values[255], values[257])
+        };
         // Eight bits of mantissa: 257 lies between 256 and 258.
-        assert_eq!((w[255], w[257]), (255.0, 256.0));
+        assert_eq!(values(&loader, "w", &[2, 150]), (255.0, 256.0));
+        assert_eq!(values(&loader, "b", &[300]), (255.0, 257.0));
+        let unrounded = loader.unrounded();
+        assert_eq!(values(&unrounded, "w", &[2, 150]), (255.0, 257.0));
     }
 }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::Result;
-use crate::vit::sizes::{check_multiple, check_sizes};
+use crate::sizes::{check_counts, check_multiple, check_sizes};
 
 /// Sizes of the success probe.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -83,10 +83,10 @@ impl SuccessProbeConfig {
             ("text_features", self.text_features),
             ("pool", self.pool),
             ("hidden", self.hidden),
-            ("depth", self.depth),
             ("heads", self.heads),
             ("ffn", self.ffn),
         ])?;
+        check_counts(&[("depth", self.depth)])?;
         check_multiple(("hidden", self.hidden), ("heads", self.heads))
     }
 }

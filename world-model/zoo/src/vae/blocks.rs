@@ -6,7 +6,7 @@
 use candle_core::Tensor;
 
 use super::naming::Naming;
-use crate::layers::{Conv2d, ConvSpec, GroupNorm, Linear, Padding, attention, upsample_nearest_2x};
+use crate::layers::{Conv2d, ConvSpec, GroupNorm, Linear, Padding, attention};
 use crate::{Engine, Loader, Result};
 
 /// Added to the variance in every group normalisation.
@@ -247,11 +247,13 @@ pub(super) struct Upsample(Conv2d);
 impl Upsample {
     pub(super) fn load(family: Family, channels: usize, loader: &Loader<'_>) -> Result<Self> {
         let spec = conv(channels, channels, 3);
-        Ok(Self(loader.conv2d(family.naming.upsample(), spec)?))
+        Ok(Self(
+            loader.doubling_conv2d(family.naming.upsample(), spec)?,
+        ))
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.0.forward(&upsample_nearest_2x(x)?)
+        self.0.forward(x)
     }
 }
 

@@ -16,6 +16,7 @@ use super::naming::Naming;
 use super::seam::{check_grid, config_error, to_signed, to_unit, widths};
 use super::tower::{DownTower, Plan, UpTower};
 use crate::layers::Conv2d;
+use crate::sizes::check_sizes;
 use crate::{Loader, Result};
 
 /// Channels of an image.
@@ -82,9 +83,7 @@ impl CosmosConfig {
     }
 
     fn plan(&self) -> Result<Plan> {
-        if self.latent == 0 {
-            return Err(config_error("latent", "0: expected at least 1"));
-        }
+        check_sizes(&[("latent", self.latent)])?;
         let patch_levels = self.haar_levels()? as usize;
         if !self.compression.is_power_of_two() || self.compression < self.patch {
             return Err(config_error(

@@ -14,6 +14,7 @@ use super::blocks::{Family, Level, Middle, Output, Upsample, conv};
 use super::naming::Naming;
 use super::seam::{check_grid, check_widths, config_error, widths};
 use crate::layers::Conv2d;
+use crate::sizes::{check_counts, check_sizes};
 use crate::{Loader, Result};
 
 /// Channels of an image.
@@ -73,12 +74,8 @@ impl PixelDecoderConfig {
         let widths = self.widths();
         check_widths("multipliers", &widths, GROUPS, 1)?;
         check_widths("heads", widths.get(..1).unwrap_or(&[]), GROUPS, self.heads)?;
-        for (field, value) in [("latent", self.latent), ("res_blocks", self.res_blocks)] {
-            if value == 0 {
-                return Err(config_error(field, "0: expected at least 1"));
-            }
-        }
-        Ok(())
+        check_sizes(&[("latent", self.latent)])?;
+        check_counts(&[("res_blocks", self.res_blocks)])
     }
 }
 

@@ -24,6 +24,7 @@ use super::naming::Naming;
 use super::seam::{check_grid, config_error, to_signed, to_unit};
 use super::tower::{DownTower, Plan, UpTower};
 use crate::layers::Conv2d;
+use crate::sizes::check_sizes;
 use crate::{Loader, Result};
 
 /// The only kind of encoder level that is known here.
@@ -153,9 +154,11 @@ impl SdVaeConfig {
                 format!("{}: expected silu", self.act_fn),
             ));
         }
-        if self.latent_channels == 0 {
-            return Err(config_error("latent_channels", "0: expected at least 1"));
-        }
+        check_sizes(&[
+            ("in_channels", self.in_channels),
+            ("out_channels", self.out_channels),
+            ("latent_channels", self.latent_channels),
+        ])?;
         Ok(Plan {
             family: Family {
                 naming: Naming::Diffusers,

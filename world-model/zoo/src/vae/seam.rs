@@ -2,6 +2,7 @@
 
 use candle_core::{DType, Tensor};
 
+use crate::sizes::check_sizes;
 use crate::{Error, Result};
 
 /// Checks that `x` is a batch of grids (N, h, w, `channels`) whose sides are multiples of `step`.
@@ -47,13 +48,9 @@ pub(super) fn check_widths(
     if widths.is_empty() {
         return Err(config_error(field, "no level, expected at least one"));
     }
+    check_sizes(&[("groups", groups), ("heads", heads)])?;
     for width in widths {
-        if *width == 0 || groups == 0 || heads == 0 {
-            return Err(config_error(
-                field,
-                format!("{width} channels in {groups} groups and {heads} heads: expected no 0"),
-            ));
-        }
+        check_sizes(&[(field, *width)])?;
         for (divisor, name) in [(groups.min(*width), "groups"), (heads, "heads")] {
             if !width.is_multiple_of(divisor) {
                 return Err(config_error(

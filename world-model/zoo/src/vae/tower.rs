@@ -8,6 +8,7 @@ use candle_core::Tensor;
 use super::blocks::{Downsample, Family, Level, Middle, Output, Upsample, conv};
 use super::seam::{check_widths, config_error};
 use crate::layers::Conv2d;
+use crate::sizes::check_counts;
 use crate::{Loader, Result};
 
 /// More levels than this are a mistake: the image would shrink by 2^16.
@@ -52,6 +53,7 @@ impl Plan {
                 ),
             ));
         }
+        check_counts(&[("residual blocks", self.res_blocks)])?;
         let Family { groups, heads, .. } = self.family;
         check_widths(self.widths_field, &self.widths, groups, heads)?;
         check_widths(self.widths_field, &[self.stem], groups, 1)

@@ -12,9 +12,10 @@ use serde::{Deserialize, Serialize};
 
 use super::blocks::{Family, conv};
 use super::naming::Naming;
-use super::seam::{check_grid, config_error, to_signed, to_unit, widths};
+use super::seam::{check_grid, to_signed, to_unit, widths};
 use super::tower::{DownTower, Plan, UpTower};
 use crate::layers::Conv2d;
+use crate::sizes::check_sizes;
 use crate::{Loader, Result};
 
 /// Channels of an image.
@@ -68,9 +69,7 @@ impl VaVaeConfig {
     }
 
     fn plan(&self) -> Result<Plan> {
-        if self.latent == 0 {
-            return Err(config_error("latent", "0: expected at least 1"));
-        }
+        check_sizes(&[("latent", self.latent)])?;
         let levels = self.multipliers.len();
         let mut attending = Vec::new();
         let mut side = self.resolution;

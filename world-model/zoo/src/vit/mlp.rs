@@ -21,10 +21,10 @@ pub enum Activation {
 
 impl Activation {
     /// Applies it to every value.
-    pub(crate) fn apply(self, x: &Tensor) -> Result<Tensor> {
+    pub(crate) fn apply(self, engine: Engine, x: &Tensor) -> Result<Tensor> {
         match self {
-            Self::GeluExact => gelu_exact(x),
-            Self::GeluTanh => gelu_tanh(x),
+            Self::GeluExact => gelu_exact(engine, x),
+            Self::GeluTanh => gelu_tanh(engine, x),
         }
     }
 }
@@ -54,7 +54,7 @@ impl Mlp {
                 first,
                 activation,
                 second,
-            } => second.forward(&activation.apply(&first.forward(x)?)?),
+            } => second.forward(&activation.apply(first.engine(), &first.forward(x)?)?),
             Self::SwiGlu {
                 gate_and_value,
                 out,
@@ -70,7 +70,7 @@ fn swiglu(x: &Tensor, engine: Engine) -> Result<Tensor> {
         return Ok(wm_model::ops::swiglu(x)?);
     }
     let half = x.dim(D::Minus1)? / 2;
-    let gate = silu(&x.narrow(D::Minus1, 0, half)?.contiguous()?)?;
+    let gate = silu(engine, &x.narrow(D::Minus1, 0, half)?.contiguous()?)?;
     Ok((gate * x.narrow(D::Minus1, half, half)?)?)
 }
 

@@ -2,10 +2,10 @@
 
 use candle_core::{DType, Device, Tensor};
 
-use super::sizes::shape_error;
 use crate::Result;
 use crate::layers::Linear;
 use crate::loader::Loader;
+use crate::sizes::shape_error;
 
 /// The convolution whose kernel is its stride, as a product of patches and filters.
 #[derive(Clone, Debug)]
@@ -40,7 +40,7 @@ impl PatchEmbedding {
             patch,
             dtype: weight.dtype(),
             device: weight.device().clone(),
-            filters: Linear::new(weight, Some(bias), loader.engine())?,
+            filters: Linear::new(weight, Some(bias), loader.engine(), loader.format())?,
         })
     }
 

@@ -7,8 +7,8 @@
 use candle_core::{DType, Tensor};
 
 use super::resample::{AxisWeights, resample};
-use super::sizes::shape_error;
 use crate::Result;
+use crate::sizes::shape_error;
 
 /// Mean and standard deviation per colour channel that pictures are normalised with.
 #[derive(Clone, Copy, Debug, PartialEq)]

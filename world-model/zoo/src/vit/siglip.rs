@@ -14,10 +14,10 @@ use candle_core::{DType, Tensor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::preprocess::{Normalisation, resize_bicubic};
-use super::sizes::{check_multiple, check_sizes};
 use super::{Activation, Block, Mlp, PatchEmbedding, Projections, SelfAttention};
 use crate::Result;
 use crate::loader::Loader;
+use crate::sizes::{check_counts, check_multiple, check_sizes};
 
 /// Sizes of the vision tower, with the names and the defaults of Hugging Face's
 /// `SiglipVisionConfig`.
@@ -110,11 +110,11 @@ impl SiglipVisionConfig {
         check_sizes(&[
             ("hidden_size", self.hidden_size),
             ("intermediate_size", self.intermediate_size),
-            ("num_hidden_layers", self.num_hidden_layers),
             ("num_attention_heads", self.num_attention_heads),
             ("image_size", self.image_size),
             ("patch_size", self.patch_size),
         ])?;
+        check_counts(&[("num_hidden_layers", self.num_hidden_layers)])?;
         if self.num_channels != 3 {
             let reason = format!("{}, expected 3", self.num_channels);
             return Err(wm_model::Error::config("num_channels", reason).into());

@@ -13,11 +13,11 @@ use candle_core::{DType, Tensor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::siglip::{LayerSizes, layers, nested, tower};
-use super::sizes::{check_multiple, check_sizes, shape_error};
 use super::{Activation, Block};
 use crate::Result;
 use crate::layers::{LayerNorm, Linear};
 use crate::loader::Loader;
+use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 
 /// Sizes of the text tower, with the names and the defaults of Hugging Face's `SiglipTextConfig`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,11 +91,11 @@ impl SiglipTextConfig {
             ("vocab_size", self.vocab_size),
             ("hidden_size", self.hidden_size),
             ("intermediate_size", self.intermediate_size),
-            ("num_hidden_layers", self.num_hidden_layers),
             ("num_attention_heads", self.num_attention_heads),
             ("max_position_embeddings", self.max_position_embeddings),
             ("projection_size", self.projection_size.unwrap_or(1)),
         ])?;
+        check_counts(&[("num_hidden_layers", self.num_hidden_layers)])?;
         check_multiple(
             ("hidden_size", self.hidden_size),
             ("num_attention_heads", self.num_attention_heads),
@@ -173,6 +173,7 @@ impl SiglipText {
             }
         };
         let ids = ids.to_device(self.tokens.device())?.flatten_all()?;
+        self.check_vocabulary(&ids)?;
         let embedded = self
             .tokens
             .contiguous()?
@@ -187,6 +188,19 @@ impl SiglipText {
             x = block.forward(&x, mask.as_ref(), None)?;
         }
         Ok(self.norm.forward(&x)?.to_dtype(DType::F32)?)
+    }
+
+    /// Checks that every token of `ids` (n) is in the vocabulary.
+    fn check_vocabulary(&self, ids: &Tensor) -> Result<()> {
+        let ids = ids.to_dtype(DType::I64)?.to_vec1::<i64>()?;
+        let known = |id: &i64| usize::try_from(*id).is_ok_and(|id| id < self.config.vocab_size);
+        match ids.iter().find(|id| !known(id)) {
+            None => Ok(()),
+            Some(id) => {
+                let reason = format!("token {id}, expected 0 to {}", self.config.vocab_size - 1);
+                Err(wm_model::Error::config("input_ids", reason).into())
+            }
+        }
     }
 
     /// The pooled feature of texts: `features` (B, L, hidden) of [`SiglipText::forward`], padded to
@@ -269,6 +283,16 @@ mod tests {
         let ids = Tensor::zeros((1, 9), DType::U32, &Device::Cpu).unwrap();
         let message = model.forward(&ids, None).unwrap_err().to_string();
         assert!(message.contains("from 1 to 8"), "{message}");
+    }
+
+    #[test]
+    fn a_token_beyond_the_vocabulary_is_named() {
+        let model = SiglipText::load(&small(), &Loader::skeleton(Engine::Candle)).unwrap();
+        for id in [20_i64, -1] {
+            let ids = Tensor::new(&[[1, id]], &Device::Cpu).unwrap();
+            let message = model.forward(&ids, None).unwrap_err().to_string();
+            assert!(message.contains(&format!("token {id}")), "{message}");
+        }
     }
 
     #[test]

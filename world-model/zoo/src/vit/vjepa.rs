@@ -21,11 +21,11 @@ use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::preprocess::{Normalisation, resize_bicubic};
-use super::sizes::{check_multiple, check_sizes};
 use super::{Activation, Block, Mlp, PatchEmbedding, Projections, Rotary, SelfAttention};
 use crate::Result;
 use crate::layers::LayerNorm;
 use crate::loader::Loader;
+use crate::sizes::{check_counts, check_multiple, check_sizes};
 
 /// Epsilon of every LayerNorm.
 const LAYER_NORM_EPS: f64 = 1e-6;
@@ -104,14 +104,13 @@ impl VjepaConfig {
     fn validate(&self) -> Result<()> {
         check_sizes(&[
             ("hidden", self.hidden),
-            ("depth", self.depth),
             ("heads", self.heads),
             ("patch", self.patch),
             ("image_size", self.image_size),
             ("mlp", self.mlp.unwrap_or(1)),
             ("tubelet", self.tubelet),
-            ("output_norms", self.output_norms),
         ])?;
+        check_counts(&[("depth", self.depth), ("output_norms", self.output_norms)])?;
         check_multiple(("hidden", self.hidden), ("heads", self.heads))?;
         check_multiple(("image_size", self.image_size), ("patch", self.patch))
     }

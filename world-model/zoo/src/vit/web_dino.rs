@@ -13,11 +13,11 @@ use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::preprocess::{Normalisation, resize_bicubic};
-use super::sizes::{check_multiple, check_sizes};
 use super::{Activation, Block, Mlp, PatchEmbedding, Projections, SelfAttention};
 use crate::Result;
 use crate::layers::LayerNorm;
 use crate::loader::Loader;
+use crate::sizes::{check_counts, check_multiple, check_sizes};
 
 /// Sizes of the encoder, with the names and the defaults of Hugging Face's `Dinov2Config`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -100,12 +100,12 @@ impl WebDinoConfig {
     fn validate(&self) -> Result<()> {
         check_sizes(&[
             ("hidden_size", self.hidden_size),
-            ("num_hidden_layers", self.num_hidden_layers),
             ("num_attention_heads", self.num_attention_heads),
             ("mlp_ratio", self.mlp_width()),
             ("image_size", self.image_size),
             ("patch_size", self.patch_size),
         ])?;
+        check_counts(&[("num_hidden_layers", self.num_hidden_layers)])?;
         if self.num_channels != 3 {
             let reason = format!("{}, expected 3", self.num_channels);
             return Err(wm_model::Error::config("num_channels", reason).into());

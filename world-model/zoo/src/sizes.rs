@@ -5,6 +5,9 @@ use crate::Result;
 /// Sizes above this are refused, so that products of sizes cannot overflow.
 const LARGEST: usize = 1 << 20;
 
+/// More layers than this are refused, so that a slip of the pen does not become a list of millions of missing tensors.
+const MOST_LAYERS: usize = 1 << 12;
+
 /// Checks that every size can be built.
 ///
 /// # Errors
@@ -13,6 +16,20 @@ pub(crate) fn check_sizes(fields: &[(&'static str, usize)]) -> Result<()> {
     for (field, value) in fields {
         if *value == 0 || *value > LARGEST {
             let reason = format!("{value}, expected 1 to {LARGEST}");
+            return Err(wm_model::Error::config(field, reason).into());
+        }
+    }
+    Ok(())
+}
+
+/// Checks that every number of layers is one that a network could have.
+///
+/// # Errors
+/// With the first field that is zero or absurdly large.
+pub(crate) fn check_counts(fields: &[(&'static str, usize)]) -> Result<()> {
+    for (field, value) in fields {
+        if *value == 0 || *value > MOST_LAYERS {
+            let reason = format!("{value}, expected 1 to {MOST_LAYERS}");
             return Err(wm_model::Error::config(field, reason).into());
         }
     }

@@ -1,0 +1,41 @@
+//! `wm model`: the model library from the command line.
+
+mod convert;
+mod fetch;
+mod forward;
+mod info;
+mod rollout;
+mod running;
+
+use anyhow::Result;
+use clap::Subcommand;
+use std::process::ExitCode;
+
+/// The model library.
+#[derive(Debug, Subcommand)]
+pub enum ModelCommand {
+    /// Parameters and operations of the paper's systems, counted from the models as they are built
+    Info(info::InfoCommand),
+    /// Run a model on the tensors of a file
+    Forward(forward::ForwardCommand),
+    /// Predict frames with a transition model
+    Rollout(rollout::RolloutCommand),
+    /// Write a torch checkpoint as safetensors
+    Convert(convert::ConvertCommand),
+    /// Download a published model
+    Fetch(fetch::FetchCommand),
+}
+
+impl ModelCommand {
+    /// Runs it.
+    pub fn run(self) -> Result<ExitCode> {
+        match self {
+            Self::Info(command) => command.run()?,
+            Self::Forward(command) => command.run()?,
+            Self::Rollout(command) => command.run()?,
+            Self::Convert(command) => command.run()?,
+            Self::Fetch(command) => command.run()?,
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}

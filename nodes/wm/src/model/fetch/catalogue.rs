@@ -1,0 +1,153 @@
+//! Which published models there are, and where.
+
+use anyhow::Result;
+use wm_zoo::vae::{CosmosConfig, VaVaeConfig};
+use wm_zoo::vit::VjepaConfig;
+
+/// Where a model's files are.
+#[derive(Debug)]
+enum Place {
+    /// A repository on Hugging Face.
+    HuggingFace(&'static str),
+    /// A folder of a web server.
+    Web {
+        folder: &'static str,
+        /// Where people read about it.
+        page: &'static str,
+    },
+}
+
+/// What configures it.
+#[derive(Debug)]
+enum Config {
+    /// One of its files.
+    Published,
+    /// Our preset; the authors publish none.
+    Vjepa21,
+    VaVae,
+    Cosmos,
+}
+
+/// A published model.
+#[derive(Debug)]
+pub struct Model {
+    /// Its name here.
+    pub name: &'static str,
+    place: Place,
+    /// Paths in the repository or the folder.
+    pub files: &'static [&'static str],
+    config: Config,
+    /// Whether a licence has to be accepted first.
+    #[cfg_attr(
+        not(feature = "fetch"),
+        expect(dead_code, reason = "only for downloads")
+    )]
+    pub gated: bool,
+}
+
+/// All that are known. The system's own checkpoints (DiT, S-VAE, pixel decoder) are published nowhere yet.
+pub const MODELS: &[Model] = &[
+    Model {
+        name: "sd3-vae",
+        place: Place::HuggingFace("stabilityai/stable-diffusion-3-medium-diffusers"),
+        files: &["vae/config.json", "vae/diffusion_pytorch_model.safetensors"],
+        config: Config::Published,
+        gated: true,
+    },
+    Model {
+        name: "va-vae",
+        place: Place::HuggingFace("hustvl/vavae-imagenet256-f16d32-dinov2"),
+        files: &["vavae-imagenet256-f16d32-dinov2.pt"],
+        config: Config::VaVae,
+        gated: false,
+    },
+    Model {
+        name: "cosmos-ci16x16",
+        place: Place::HuggingFace("nvidia/Cosmos-0.1-Tokenizer-CI16x16"),
+        files: &["encoder.jit", "decoder.jit"],
+        config: Config::Cosmos,
+        gated: false,
+    },
+    Model {
+        name: "vjepa2.1",
+        place: Place::Web {
+            folder: "https://dl.fbaipublicfiles.com/vjepa2",
+            page: "https://github.com/facebookresearch/vjepa2",
+        },
+        files: &["vjepa2_1_vitl_dist_vitG_384.pt"],
+        config: Config::Vjepa21,
+        gated: false,
+    },
+    Model {
+        name: "web-dino",
+        place: Place::HuggingFace("facebook/webssl-dino300m-full2b-224"),
+        files: &["config.json", "model.safetensors"],
+        config: Config::Published,
+        gated: false,
+    },
+    Model {
+        name: "siglip2",
+        place: Place::HuggingFace("google/siglip2-so400m-patch14-224"),
+        files: &["config.json", "model.safetensors"],
+        config: Config::Published,
+        gated: false,
+    },
+];
+
+impl Model {
+    /// Address of one of its files.
+    pub fn url(&self, file: &str, revision: &str) -> String {
+        match self.place {
+            Place::HuggingFace(repository) => {
+                format!("https://huggingface.co/{repository}/resolve/{revision}/{file}")
+            }
+            Place::Web { folder, .. } => format!("{folder}/{file}"),
+        }
+    }
+
+    /// Where people read about it, and accept its licence.
+    #[cfg_attr(
+        not(any(feature = "fetch", test)),
+        expect(dead_code, reason = "only for downloads")
+    )]
+    pub fn page(&self) -> String {
+        match self.place {
+            Place::HuggingFace(repository) => format!("https://huggingface.co/{repository}"),
+            Place::Web { page, .. } => page.to_owned(),
+        }
+    }
+
+    /// The configuration to write beside its files, if it has none of its own.
+    pub fn config(&self) -> Result<Option<String>> {
+        let json = match self.config {
+            Config::Published => return Ok(None),
+            Config::Vjepa21 => serde_json::to_string_pretty(&VjepaConfig::vit_large())?,
+            Config::VaVae => serde_json::to_string_pretty(&VaVaeConfig::f16d32())?,
+            Config::Cosmos => serde_json::to_string_pretty(&CosmosConfig::ci16x16())?,
+        };
+        Ok(Some(json + "\n"))
+    }
+}
+
+/// The models' names in a sentence.
+pub fn names() -> String {
+    let names: Vec<&str> = MODELS.iter().map(|model| model.name).collect();
+    format!("Models: {}", names.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_model_has_an_address_a_page_and_a_configuration() {
+        for model in MODELS {
+            for file in model.files {
+                assert!(model.url(file, "main").starts_with("https://"), "{model:?}");
+            }
+            assert!(model.page().starts_with("https://"), "{model:?}");
+            let published = model.files.iter().any(|file| file.ends_with("config.json"));
+            assert!(published != model.config().unwrap().is_some(), "{model:?}");
+        }
+    }
+}

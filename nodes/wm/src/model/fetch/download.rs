@@ -1,0 +1,254 @@
+//! Downloads that can be resumed and are checked.
+
+use anyhow::{Context as _, Result, bail, ensure};
+use indicatif::{ProgressBar, ProgressStyle};
+use sha2::{Digest as _, Sha256};
+use std::fmt::Write as _;
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use ureq::http::{HeaderMap, Response};
+use ureq::{Agent, Body};
+
+/// How long a server may take to answer.
+const ANSWER_WITHIN: Duration = Duration::from_secs(30);
+/// Bytes read at once.
+const CHUNK: usize = 1 << 20;
+/// A file larger than this is no model that could be used here, and fills the disk.
+const MAX_BYTES: u64 = 64 << 30;
+
+/// Where Hugging Face states the hash of a large file: on the answer that redirects to it.
+const LINKED_ETAG: &str = "x-linked-etag";
+
+/// A client for downloads.
+pub struct Client {
+    agent: Agent,
+    /// For Hugging Face; not sent on to where it redirects.
+    token: Option<String>,
+}
+
+/// What was downloaded.
+#[derive(Debug)]
+pub struct Fetched {
+    /// Hexadecimal SHA-256 of the file.
+    pub sha256: String,
+}
+
+impl Client {
+    /// A client that shows `token` to Hugging Face.
+    pub fn new(token: Option<String>) -> Self {
+        let config = Agent::config_builder()
+            .https_only(true)
+            // What a status means is told here.
+            .http_status_as_error(false)
+            .timeout_connect(Some(ANSWER_WITHIN))
+            .timeout_recv_response(Some(ANSWER_WITHIN))
+            .build();
+        Self {
+            agent: config.into(),
+            token,
+        }
+    }
+
+    /// Downloads `url` to `path`, going on from `path` with `.part` at its end if that is there. A file that is there
+    /// and complete is only checked.
+    pub fn fetch(&self, url: &str, path: &Path) -> Result<Fetched> {
+        let expected = self.expected_sha256(url)?;
+        if path.exists() {
+            let sha256 = hex(&hash_file(path)?.0);
+            if expected.as_ref().is_none_or(|expected| *expected == sha256) {
+                return Ok(Fetched { sha256 });
+            }
+            bail!(
+                "{} is there, but another file: SHA-256 {sha256}, expected {}; move it away",
+                path.display(),
+                expected.unwrap_or_default()
+            );
+        }
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        }
+        let mut part = path.as_os_str().to_owned();
+        part.push(".part");
+        let part = PathBuf::from(part);
+        let sha256 = self.receive(url, &part)?;
+        if let Some(expected) = expected
+            && expected != sha256
+        {
+            // Going on from wrong bytes would never end.
+            fs::remove_file(&part).with_context(|| part.display().to_string())?;
+            bail!("damaged on the way: SHA-256 {sha256}, expected {expected}; it was removed");
+        }
+        fs::rename(&part, path).with_context(|| path.display().to_string())?;
+        Ok(Fetched { sha256 })
+    }
+
+    /// The hash that the server states, if it states one.
+    fn expected_sha256(&self, url: &str) -> Result<Option<String>> {
+        let mut request = self.agent.head(url);
+        if let Some(token) = &self.token {
+            request = request.header("Authorization", format!("Bearer {token}"));
+        }
+        let answer = request.config().max_redirects(0).build().call();
+        let answer = answer.context("no answer: is there a network?")?;
+        if !answer.status().is_redirection() {
+            check_status(&answer)?;
+        }
+        Ok(linked_sha256(answer.headers()))
+    }
+
+    /// Receives what `part` lacks; gives the hash of the whole.
+    fn receive(&self, url: &str, part: &Path) -> Result<String> {
+        let (mut hash, mut have) = match part.exists() {
+            true => hash_file(part)?,
+            false => (Sha256::new(), 0),
+        };
+        let mut request = self.agent.get(url);
+        if let Some(token) = &self.token {
+            request = request.header("Authorization", format!("Bearer {token}"));
+        }
+        if have > 0 {
+            request = request.header("Range", format!("bytes={have}-"));
+        }
+        let mut answer = request.call().context("no answer: is there a network?")?;
+        // 416: nothing lies behind what is there, as after a download that was interrupted before it was renamed.
+        if answer.status() == 416 && have > 0 {
+            return Ok(hex(&hash));
+        }
+        check_status(&answer)?;
+        let resumes = answer.status() == 206;
+        if !resumes {
+            (hash, have) = (Sha256::new(), 0);
+        }
+        let rest = answer.body().content_length();
+        let total = rest.map(|rest| rest + have);
+        ensure!(
+            total.is_none_or(|total| total <= MAX_BYTES),
+            "{} bytes, expected at most {MAX_BYTES}",
+            total.unwrap_or_default()
+        );
+        let mut file = OpenOptions::new()
+            .create(true)
+            .write(true)
+            .append(resumes)
+            .truncate(!resumes)
+            .open(part)
+            .with_context(|| part.display().to_string())?;
+        let bar = progress(part, total, have);
+        let mut reader = answer.body_mut().with_config().limit(MAX_BYTES).reader();
+        let mut chunk = vec![0; CHUNK];
+        loop {
+            let count = reader.read(&mut chunk).with_context(|| {
+                format!("interrupted after {have} bytes; run the command again to go on")
+            })?;
+            let Some(received) = chunk.get(..count).filter(|received| !received.is_empty()) else {
+                break;
+            };
+            hash.update(received);
+            file.write_all(received)
+                .with_context(|| part.display().to_string())?;
+            have += count as u64;
+            bar.set_position(have);
+        }
+        bar.finish_and_clear();
+        file.sync_all()
+            .with_context(|| part.display().to_string())?;
+        if let Some(total) = total {
+            ensure!(
+                have == total,
+                "the server sent {have} of {total} bytes; run the command again to go on"
+            );
+        }
+        Ok(hex(&hash))
+    }
+}
+
+fn check_status(answer: &Response<Body>) -> Result<()> {
+    let status = answer.status();
+    match status.as_u16() {
+        200..=299 => Ok(()),
+        401 | 403 => bail!("access denied ({status})"),
+        404 => bail!("there is no such file ({status})"),
+        _ => bail!("the server answers {status}"),
+    }
+}
+
+/// The SHA-256 in Hugging Face's header; small files have another kind of hash there.
+fn linked_sha256(headers: &HeaderMap) -> Option<String> {
+    let value = headers.get(LINKED_ETAG)?.to_str().ok()?;
+    let value = value.trim_start_matches("W/").trim_matches('"');
+    let is_sha256 = value.len() == 64 && value.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_sha256.then(|| value.to_ascii_lowercase())
+}
+
+/// Hash and length of a file.
+fn hash_file(path: &Path) -> Result<(Sha256, u64)> {
+    let mut file = File::open(path).with_context(|| path.display().to_string())?;
+    let mut hash = Sha256::new();
+    let length = std::io::copy(&mut file, &mut hash).with_context(|| path.display().to_string())?;
+    Ok((hash, length))
+}
+
+fn hex(hash: &Sha256) -> String {
+    let mut text = String::new();
+    for byte in hash.clone().finalize() {
+        // Writing to a string does not fail.
+        write!(text, "{byte:02x}").ok();
+    }
+    text
+}
+
+fn progress(part: &Path, total: Option<u64>, have: u64) -> ProgressBar {
+    let bar = match total {
+        Some(total) => ProgressBar::new(total),
+        None => ProgressBar::no_length(),
+    };
+    let style = "{msg} {bytes}/{total_bytes} {wide_bar} {bytes_per_sec} {eta}";
+    // The default style, should the template not be understood, shows less, and that is all.
+    let style =
+        ProgressStyle::with_template(style).unwrap_or_else(|_| ProgressStyle::default_bar());
+    bar.set_style(style);
+    let name = part.file_stem().unwrap_or_default().to_string_lossy();
+    bar.set_message(name.into_owned());
+    bar.with_position(have)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(etag: &str) -> HeaderMap {
+        let mut headers = HeaderMap::new();
+        headers.insert(LINKED_ETAG, etag.parse().unwrap());
+        headers
+    }
+
+    #[test]
+    fn only_a_sha256_is_taken_for_one() {
+        let sha = "0123456789abcdef".repeat(4);
+        assert_eq!(
+            linked_sha256(&headers(&format!("\"{sha}\""))),
+            Some(sha.clone())
+        );
+        assert_eq!(
+            linked_sha256(&headers(&format!("W/\"{}\"", sha.to_uppercase()))),
+            Some(sha)
+        );
+        assert_eq!(
+            linked_sha256(&headers("\"da39a3ee5e6b4b0d3255bfef95601890afd80709\"")),
+            None
+        );
+        assert_eq!(linked_sha256(&HeaderMap::new()), None);
+    }
+
+    #[test]
+    fn files_are_hashed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("abc");
+        fs::write(&path, "abc").unwrap();
+        let (hash, length) = hash_file(&path).unwrap();
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!((hex(&hash).as_str(), length), (expected, 3));
+    }
+}

@@ -1,0 +1,107 @@
+//! `wm model info`.
+
+use crate::output::print;
+use anyhow::Result;
+use clap::Args;
+use serde_json::{Map, json};
+use std::fmt::Write as _;
+use wm_zoo::cost::Row;
+
+/// Counts parameters and operations.
+#[derive(Args, Debug)]
+pub struct InfoCommand {
+    /// Only this system, a row of the table
+    #[arg(value_name = "NAME")]
+    name: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl InfoCommand {
+    /// Runs it.
+    pub fn run(self) -> Result<()> {
+        let names = match &self.name {
+            Some(name) => vec![name.as_str()],
+            None => Row::NAMES.to_vec(),
+        };
+        let rows = names
+            .into_iter()
+            .map(Row::count)
+            .collect::<wm_zoo::Result<Vec<_>>>()?;
+        if self.json {
+            let mut by_name = Map::new();
+            for row in rows {
+                by_name.insert(row.name.to_owned(), serde_json::to_value(row.figures())?);
+            }
+            let rows = json!({ "rows": by_name });
+            print(format_args!("{}\n", serde_json::to_string_pretty(&rows)?))
+        } else {
+            print(table(&rows)?)
+        }
+    }
+}
+
+/// The table for people.
+fn table(rows: &[Row]) -> Result<String> {
+    let mut text = String::new();
+    let part = "parameters [M]";
+    let operations = "GFLOPs for one 256x256 frame (multiply-add = 2)";
+    writeln!(text, "{:<16}{part:<36}{operations}", "")?;
+    write!(text, "{:<16}", "")?;
+    for column in ["encoder", "adapter", "DiT-L", "decoder"] {
+        write!(text, "{column:>8} ")?;
+    }
+    for column in ["encoder", "adapter", "DiT-L", "decoder", "total"] {
+        write!(text, "{column:>8} ")?;
+    }
+    writeln!(text)?;
+    for row in rows {
+        let f = row.figures();
+        let figures = [
+            Some(f.enc_params_m),
+            f.adapter_params_m,
+            Some(f.dit_params_m),
+            Some(f.dec_params_m),
+            Some(f.enc_gflops),
+            f.adapter_gflops,
+            Some(f.dit_gflops),
+            Some(f.dec_gflops),
+            Some(f.total_gflops),
+        ];
+        write!(text, "{:<16}", row.name)?;
+        for figure in figures {
+            match figure {
+                Some(figure) => write!(text, "{figure:>8.1} ")?,
+                None => write!(text, "{:>8} ", "-")?,
+            }
+        }
+        writeln!(text)?;
+    }
+    Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_has_all_its_figures() {
+        let text = table(&[Row::count("cosmos-ci16x16").unwrap()]).unwrap();
+        let last = text.lines().last().unwrap();
+        let words: Vec<&str> = last.split_whitespace().collect();
+        let expected = [
+            "cosmos-ci16x16",
+            "33.5",
+            "-",
+            "910.0",
+            "48.0",
+            "47.6",
+            "-",
+            "316.5",
+            "101.7",
+            "465.8",
+        ];
+        assert_eq!(words, expected);
+    }
+}

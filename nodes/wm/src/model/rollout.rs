@@ -1,0 +1,66 @@
+//! `wm model rollout`.
+
+use super::running::RunningArgs;
+use anyhow::{Context as _, Result, ensure};
+use clap::Args;
+use wm_model::sampler::Sampler;
+use wm_zoo::kinds::{self, Kind, RolloutOptions};
+
+/// What goes in and comes out.
+const TENSORS: &str = "\
+Input: context (B,T,H,W,C), T observed latents (2 in the paper); actions (B,T+K,A), number i being fed with frame i
+and leading on from it; noise (B,K,H,W,C). Output: predicted (B,K,H,W,C). The configuration is that of
+`wm model forward --kind dit`.";
+
+/// Predicts frames.
+#[derive(Args, Debug)]
+#[command(after_help = TENSORS)]
+pub struct RolloutCommand {
+    /// What the model is: there is only one kind that predicts
+    #[arg(long, default_value_t = Kind::Dit)]
+    kind: Kind,
+    #[command(flatten)]
+    running: RunningArgs,
+    /// Euler steps a frame
+    #[arg(long, default_value_t = Sampler::default().steps)]
+    steps: usize,
+    /// Time shift gamma; 1 is none
+    #[arg(long, default_value_t = Sampler::default().shift)]
+    shift: f64,
+    /// Noise level that context frames are said to have
+    #[arg(long, default_value_t = Sampler::default().context_tau)]
+    context_tau: f64,
+    /// Compute the whole window in every Euler step, as the reference does, instead of reusing what clean frames give
+    #[arg(long)]
+    no_cache: bool,
+}
+
+impl RolloutCommand {
+    /// Runs it.
+    pub fn run(self) -> Result<()> {
+        ensure!(
+            self.kind == Kind::Dit,
+            "kind {} predicts no frames, only dit does",
+            self.kind
+        );
+        let files = self.running.read(self.kind)?;
+        let options = RolloutOptions {
+            sampler: Sampler {
+                steps: self.steps,
+                shift: self.shift,
+                context_tau: self.context_tau,
+            },
+            cache: !self.no_cache,
+        };
+        let outputs = kinds::rollout(
+            &files.config,
+            &files.checkpoint,
+            &files.inputs,
+            &options,
+            self.running.engine,
+            self.running.dtype,
+        )
+        .context("rollout")?;
+        self.running.write(outputs)
+    }
+}
