@@ -1,7 +1,9 @@
 #!/usr/bin/env python3
-"""The transition model against PyTorch on the same machine: one velocity of a new frame after nine cached ones.
+"""The transition model against PyTorch on the same machine: one velocity of a new frame after nine cached ones, and a
+predicted frame, ten Euler steps in a full window of ten, ours with its exact cache against the reference's loop, which
+computes the window in every step.
 
-usage: benches/transition.py [--rounds N] [--runs N] [--presets P ...]
+usage: benches/transition.py [--rounds N] [--runs N] [--presets P ...] [--frames P ...]
 
 Runs both in turns, round by round, on all threads of each, and prints a Markdown table: medians over all runs, and the
 ratio of ours to PyTorch's, the median over rounds (below 1: ours is faster). Needs torch (the pinned version is in
@@ -22,6 +24,7 @@ import torch.nn.functional as F
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 CACHED = 9
+EULER_STEPS = 10
 # preset, hidden, depth, heads; latents of SD3's encoder
 LATENT, PATCH = (32, 32, 16), 2
 SIZES = {"dit-s": (384, 12, 6), "dit-b": (768, 12, 12), "dit-l": (1024, 24, 16)}
@@ -99,6 +102,26 @@ class Cached:
         return head.linear(self.module.modulated(tokens, shift, scale))
 
 
+class Loop:
+    """The reference's frame: every Euler step computes the whole window."""
+
+    def __init__(self, preset, dtype):
+        hidden, depth, heads = SIZES[preset]
+        height, width, channels = LATENT
+        self.model = reference().Transition(hidden, depth, heads, PATCH, channels, None).to(dtype).eval()
+        self.window = torch.randn(1, CACHED + 1, height, width, channels).to(dtype)
+        self.action = torch.randn(1, CACHED + 1, 10).to(dtype)
+
+    @torch.inference_mode()
+    def step(self):
+        window = self.window.clone()
+        for step in range(EULER_STEPS):
+            tau = torch.full((1, CACHED + 1), 0.01)
+            tau[:, -1] = 1 - step / EULER_STEPS
+            velocity = self.model(window, tau.to(window.dtype), self.action)
+            window[:, -1] -= velocity[:, -1] / EULER_STEPS
+
+
 def theirs(model, runs):
     model.step()
     times = []
@@ -109,9 +132,9 @@ def theirs(model, runs):
     return times
 
 
-def ours(preset, number_format, runs):
+def ours(what, preset, number_format, runs):
     binary = ROOT / "target/release/examples/transition_speed"
-    arguments = [preset, *LATENT, PATCH, number_format, CACHED, runs + 1]
+    arguments = [what, preset, *LATENT, PATCH, number_format, runs + 1]
     result = subprocess.run([binary, *map(str, arguments)], check=True, capture_output=True, text=True)
     return [float(line) for line in result.stdout.split()][1:]
 
@@ -128,27 +151,32 @@ def main():
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--runs", type=int, default=6)
     parser.add_argument("--presets", nargs="+", default=["dit-s", "dit-b"], choices=SIZES)
+    parser.add_argument("--frames", nargs="*", default=["dit-s"], choices=SIZES, help="presets of predicted frames")
     arguments = parser.parse_args()
     cores = len(os.sched_getaffinity(0))
     torch.set_num_threads(cores)
     print(f"{processor()}, {cores} cores, {datetime.date.today()}, torch {torch.__version__},")
     print(f"{arguments.rounds} rounds of {arguments.runs} runs\n")
-    print("| model | format | ours p50 ms | PyTorch p50 ms | ratio (least to most of the rounds) |")
-    print("|---|---|---|---|---|")
-    for preset in arguments.presets:
-        for name, dtype in [("f32", torch.float32), ("bf16", torch.bfloat16)]:
-            model = Cached(preset, dtype)
-            ours_all, theirs_all, ratios = [], [], []
-            for _ in range(arguments.rounds):
-                a, b = ours(preset, name, arguments.runs), theirs(model, arguments.runs)
-                ours_all += a
-                theirs_all += b
-                ratios.append(statistics.median(a) / statistics.median(b))
-            print(
-                f"| {preset} | {name} | {statistics.median(ours_all):.1f} | {statistics.median(theirs_all):.1f} | "
-                f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}) |",
-                flush=True,
-            )
+    print("| what | model | format | ours p50 ms | PyTorch p50 ms | ratio (least to most of the rounds) |")
+    print("|---|---|---|---|---|---|")
+    formats = [("f32", torch.float32), ("bf16", torch.bfloat16)]
+    cases = [("velocity", preset, *of, Cached) for preset in arguments.presets for of in formats]
+    cases += [("frame", preset, *formats[0], Loop) for preset in arguments.frames]
+    for what, preset, name, dtype, peer in cases:
+        model = peer(preset, dtype)
+        # A frame of the reference takes a hundred times as long as a velocity.
+        rounds, runs = (arguments.rounds, arguments.runs) if what == "velocity" else (2, 1)
+        ours_all, theirs_all, ratios = [], [], []
+        for _ in range(rounds):
+            a, b = ours(what, preset, name, runs), theirs(model, runs)
+            ours_all += a
+            theirs_all += b
+            ratios.append(statistics.median(a) / statistics.median(b))
+        print(
+            f"| {what} | {preset} | {name} | {statistics.median(ours_all):.1f} | {statistics.median(theirs_all):.1f} | "
+            f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}) |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use candle_core::{DType, Device, Tensor};
 use wm_model::ops::{
-    ConvShape, Epilogue, GridSize, conv2d, conv2d_input_gradient, conv2d_weight_gradient,
+    ConvShape, Epilogue, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
 };
 use wm_model::{Autoencoder, AutoencoderConfig, Decoder as _, Encoder as _, Result};
 
@@ -39,8 +39,8 @@ fn convolution(name: &str, shape: ConvShape, size: usize) -> Result<()> {
         residual: None,
         relu: true,
     };
-    let forward =
-        best(|| conv2d(&shape, (&weight, None), &input, grid, epilogue, &mut output).map(drop))?;
+    let packed = PackedConv::new(&shape, &weight, None)?;
+    let forward = best(|| packed.run(&input, grid, epilogue, &mut output).map(drop))?;
     let backward = best(|| {
         conv2d_input_gradient(
             &shape,

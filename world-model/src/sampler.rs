@@ -36,7 +36,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::transition::{NewFrame, PackedTransition};
+use crate::transition::PackedTransition;
 use crate::{Error, Result};
 pub use settings::{Sampler, shift_time};
 use window::{Batched, Window};
@@ -179,7 +179,11 @@ impl<'m> Rollout<'m> {
             }
             found => Err(Error::Shape {
                 what,
-                expected: format!("{:?}", [&[self.candidates], rest].concat()),
+                expected: format!(
+                    "{:?}{}",
+                    [&[self.candidates], rest].concat(),
+                    if shared { ", or for a batch of 1" } else { "" }
+                ),
                 found: found.to_vec(),
             }),
         }
@@ -193,14 +197,12 @@ impl<'m> Rollout<'m> {
         let action = self.window.action_of_new_frame(self.model.config(), own);
         let action = action.expanded(n);
         let levels = self.sampler.levels();
+        let taus: Vec<Vec<f32>> = levels.iter().map(|tau| vec![*tau as f32; n]).collect();
+        // The last level is the clean frame's, which nothing is computed at.
+        let steps = taus.get(..self.sampler.steps).unwrap_or(&taus);
+        let mut passes = self.window.passes(self.model, steps, &action)?;
         for (from, to) in levels.iter().zip(levels.iter().skip(1)) {
-            let tau = vec![*from as f32; n];
-            let frame = NewFrame {
-                latents: &x,
-                tau: &tau,
-                action: &action,
-            };
-            let output = self.window.output_at(self.model, frame)?;
+            let output = passes.next(&x)?;
             let parametrisation = self.model.config().parametrisation;
             parametrisation.euler_step(&mut x, &output, &previous, (*from, *to));
         }

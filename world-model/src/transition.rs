@@ -38,7 +38,8 @@ use std::sync::Arc;
 
 use candle_core::Tensor;
 
-pub use config::{ActionAlignment, TransitionConfig};
+pub use config::{ActionAlignment, TransitionConfig, published_shift};
+pub(crate) use packed::Modulation;
 pub use packed::{FrameContext, NewFrame, PackedTransition, PassOutput};
 pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;

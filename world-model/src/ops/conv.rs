@@ -130,23 +130,6 @@ pub struct Epilogue<'a> {
     pub relu: bool,
 }
 
-/// Convolves `input` (grid, input channels) to `output` (output grid, output channels), which is
-/// resized as needed; returns the output grid. Weights that are used again are better packed once
-/// ([`PackedConv`]).
-///
-/// # Errors
-/// If the shape makes no sense or a slice has the wrong length for it.
-pub fn conv2d(
-    shape: &ConvShape,
-    (weight, bias): (&[f32], Option<&[f32]>),
-    input: &[f32],
-    grid: GridSize,
-    epilogue: Epilogue<'_>,
-    output: &mut Vec<f32>,
-) -> Result<GridSize> {
-    PackedConv::new(shape, weight, bias)?.run(input, grid, epilogue, output)
-}
-
 fn check_length(what: &'static str, slice: &[f32], expected: usize) -> Result<()> {
     if slice.len() == expected {
         return Ok(());

@@ -9,8 +9,15 @@ const ROWS: usize = 32;
 
 /// Normalises every row of `x` (rows, width) in place to mean 0 and variance 1 (`eps` is added to
 /// it), then scales and shifts each column by `scale` and `shift` (width).
+///
+/// # Panics
+/// If `x` is not whole rows, or the widths differ.
 pub fn layer_norm(x: &mut [f32], (scale, shift): (&[f32], &[f32]), eps: f32) {
-    let width = scale.len().max(1);
+    let width = scale.len();
+    assert!(
+        width > 0 && shift.len() == width && x.len().is_multiple_of(width),
+        "rows, scale and shift of a normalisation"
+    );
     x.par_chunks_mut(ROWS * width)
         .for_each(|rows| normalise_rows(rows, scale, shift, eps));
 }

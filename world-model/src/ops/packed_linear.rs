@@ -45,7 +45,8 @@ impl PackedLinear {
                 found: vec![slice.len()],
             })
         };
-        check("the weight to be packed", weight, outputs * inputs)?;
+        let count = outputs.saturating_mul(inputs);
+        check("the weight to be packed", weight, count)?;
         if let Some(bias) = bias {
             check("the bias to be packed", bias, outputs)?;
         }

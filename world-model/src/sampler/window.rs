@@ -6,9 +6,12 @@ use std::sync::Arc;
 use candle_core::Tensor;
 
 use crate::transition::{
-    ActionAlignment, FrameContext, NewFrame, PackedTransition, TransitionConfig,
+    ActionAlignment, FrameContext, Modulation, PackedTransition, TransitionConfig,
 };
 use crate::{Error, Result};
+
+/// Euler steps whose modulation is computed together at most: it is larger than a frame's latent.
+const STEPS_TOGETHER: usize = 16;
 
 /// Frames that are computed together at most: more would only make the working set larger.
 const TOGETHER: usize = 3;
@@ -129,65 +132,33 @@ impl Window {
 
     /// Computes the contexts of all frames whose action is known.
     pub(super) fn prepare(&mut self, model: &PackedTransition) -> Result<()> {
-        self.compute(model, 0, None).map(drop)
+        self.prepare_but(model, 0)
     }
 
-    /// The network's output at `frame`, which follows all others. Contexts that are still missing
-    /// are computed in the same pass.
-    pub(super) fn output_at(
-        &mut self,
-        model: &PackedTransition,
-        frame: NewFrame<'_>,
-    ) -> Result<Vec<f32>> {
-        // The last pass has a place for the new frame.
-        self.compute(model, 1, Some(frame))?
-            .ok_or_else(|| Error::config("max_frames", "no frame could be computed"))
-    }
-
-    /// Computes missing contexts, [`TOGETHER`] frames a pass, of which the last one leaves so many
-    /// places for `frame`.
-    fn compute(
-        &mut self,
-        model: &PackedTransition,
-        places: usize,
-        frame: Option<NewFrame<'_>>,
-    ) -> Result<Option<Vec<f32>>> {
+    /// Computes contexts until at most `rest` are missing, [`TOGETHER`] frames a pass.
+    fn prepare_but(&mut self, model: &PackedTransition, rest: usize) -> Result<()> {
         loop {
-            let pending = self.pending(model.config());
-            let now = pending.len().min(TOGETHER - places.min(TOGETHER - 1));
-            let is_last = now == pending.len();
-            let frame = frame.filter(|_| is_last);
-            if now == 0 && frame.is_none() {
-                return Ok(None);
+            let mut pending = self.pending(model.config());
+            if pending.len() <= rest {
+                return Ok(());
             }
-            let pending = pending.get(..now).unwrap_or_default();
-            let batch = frame.map_or(1, |frame| frame.tau.len());
-            let batch = pending
-                .iter()
-                .flat_map(|(x, action)| [x.batch, action.batch])
-                .chain(self.contexts.iter().map(FrameContext::batch))
-                .fold(batch, usize::max);
-            let tau = vec![self.tau; batch];
-            let expanded: Vec<_> = pending
-                .iter()
-                .map(|(x, action)| (x.expanded(batch), action.expanded(batch)))
-                .collect();
-            let mut frames: Vec<NewFrame<'_>> = expanded
-                .iter()
-                .map(|(latents, action)| NewFrame {
-                    latents,
-                    tau: &tau,
-                    action,
-                })
-                .collect();
-            frames.extend(frame);
-            let earlier: Vec<&FrameContext> = self.contexts.iter().collect();
-            let mut pass = model.pass(&earlier, &frames, now, now)?;
-            self.contexts.append(&mut pass.contexts);
-            if is_last {
-                return Ok(pass.outputs.pop());
-            }
+            pending.truncate(TOGETHER);
+            let mut passes = Passes::new(self, model, pending, &[], &[])?;
+            passes.contexts_only()?;
         }
+    }
+
+    /// The passes that give the network's output at a new frame for each of the Euler steps' noise levels (B), all with
+    /// one action (B, A). Contexts that are still missing are computed in the first of them.
+    pub(super) fn passes<'w>(
+        &'w mut self,
+        model: &'w PackedTransition,
+        taus: &'w [Vec<f32>],
+        action: &'w [f32],
+    ) -> Result<Passes<'w>> {
+        self.prepare_but(model, TOGETHER - 1)?;
+        let pending = self.pending(model.config());
+        Passes::new(self, model, pending, taus, action)
     }
 
     /// The frames whose contexts are missing and can be computed, with what is fed with each.
@@ -238,5 +209,88 @@ fn no_action(c: &TransitionConfig) -> Batched {
     Batched {
         batch: 1,
         values: vec![0.0; c.action_dim].into(),
+    }
+}
+
+/// Passes that share what modulates their layers.
+pub(super) struct Passes<'w> {
+    window: &'w mut Window,
+    model: &'w PackedTransition,
+    modulation: Modulation,
+    /// Latents of the frames whose contexts are missing; theirs are the first entries of the modulation.
+    pending: Vec<Arc<[f32]>>,
+    /// Entry of the next Euler step.
+    entry: usize,
+    /// Noise levels of the Euler steps that the modulation does not have yet.
+    taus: &'w [Vec<f32>],
+    action: &'w [f32],
+}
+
+impl<'w> Passes<'w> {
+    fn new(
+        window: &'w mut Window,
+        model: &'w PackedTransition,
+        pending: Vec<(Batched, Batched)>,
+        taus: &'w [Vec<f32>],
+        action: &'w [f32],
+    ) -> Result<Self> {
+        let batch = pending
+            .iter()
+            .flat_map(|(x, action)| [x.batch, action.batch])
+            .chain(window.contexts.iter().map(FrameContext::batch))
+            .chain(taus.iter().map(Vec::len))
+            .fold(1, usize::max);
+        let tau = vec![window.tau; batch];
+        let actions: Vec<_> = pending.iter().map(|(_, a)| a.expanded(batch)).collect();
+        let mut entries: Vec<(&[f32], &[f32])> = actions
+            .iter()
+            .map(|action| (tau.as_slice(), &**action))
+            .collect();
+        let (now, later) = taus.split_at(taus.len().min(STEPS_TOGETHER));
+        entries.extend(now.iter().map(|tau| (tau.as_slice(), action)));
+        Ok(Self {
+            modulation: model.modulate(&entries)?,
+            entry: pending.len(),
+            pending: pending.iter().map(|(x, _)| x.expanded(batch)).collect(),
+            window,
+            model,
+            taus: later,
+            action,
+        })
+    }
+
+    /// The contexts that are missing, alone.
+    fn contexts_only(&mut self) -> Result<()> {
+        self.pass(None).map(drop)
+    }
+
+    /// The network's output at the new frame `x` (B, H, W, C) in the next Euler step.
+    pub(super) fn next(&mut self, x: &[f32]) -> Result<Vec<f32>> {
+        if self.entry == self.modulation.entries() {
+            let (now, later) = self.taus.split_at(self.taus.len().min(STEPS_TOGETHER));
+            let steps: Vec<_> = now
+                .iter()
+                .map(|tau| (tau.as_slice(), self.action))
+                .collect();
+            self.modulation = self.model.modulate(&steps)?;
+            (self.entry, self.taus) = (0, later);
+        }
+        self.pass(Some(x))?
+            .ok_or_else(|| Error::config("steps", "no frame was computed"))
+    }
+
+    fn pass(&mut self, x: Option<&[f32]>) -> Result<Option<Vec<f32>>> {
+        let pending = std::mem::take(&mut self.pending);
+        let mut frames: Vec<(&[f32], usize)> =
+            pending.iter().enumerate().map(|(i, x)| (&**x, i)).collect();
+        frames.extend(x.map(|x| (x, self.entry)));
+        self.entry += 1;
+        let earlier: Vec<&FrameContext> = self.window.contexts.iter().collect();
+        let keep = pending.len();
+        let mut output =
+            self.model
+                .pass_modulated(&earlier, &frames, &self.modulation, keep, keep)?;
+        self.window.contexts.append(&mut output.contexts);
+        Ok(output.outputs.pop())
     }
 }

@@ -20,6 +20,10 @@ pub enum ActionAlignment {
     WithResult,
 }
 
+/// Patches of a frame at most. A reference attends with a number for each pair of them, and a configuration must not
+/// decide how much memory that is.
+const MOST_TOKENS: usize = 1 << 12;
+
 fn one_view() -> usize {
     1
 }
@@ -63,7 +67,7 @@ pub struct TransitionConfig {
 
 /// The time shift that the published checkpoints were trained and are sampled with (architecture.md, training):
 /// sqrt((256 / p^2) C / 4096); latents for which that is below 1 (SD3's) are not shifted.
-fn published_shift(patch: usize, channels: usize) -> f64 {
+pub fn published_shift(patch: usize, channels: usize) -> f64 {
     let ratio = 256.0 * channels as f64 / (patch * patch).max(1) as f64 / 4096.0;
     ratio.sqrt().max(1.0)
 }
@@ -234,7 +238,7 @@ impl TransitionConfig {
             ("wide_head", self.wide_head.unwrap_or(1)),
         ];
         for (field, value) in positive {
-            // A bound, so that products of sizes cannot overflow.
+            // A bound, so that products of few sizes cannot overflow.
             if value == 0 || value > 1 << 16 {
                 return Err(Error::config(
                     field,
@@ -246,7 +250,24 @@ impl TransitionConfig {
             let reason = format!("{}, expected 2 to 1024", self.max_frames);
             return Err(Error::config("max_frames", reason));
         }
-        if !self.latent_width.is_multiple_of(self.views * self.patch) {
+        let tokens =
+            self.latent_height.div_ceil(self.patch) * self.latent_width.div_ceil(self.patch);
+        if tokens > MOST_TOKENS {
+            let reason = format!("{tokens} patches a frame, expected at most {MOST_TOKENS}");
+            return Err(Error::config("latent_height", reason));
+        }
+        let values = (self.patch * self.patch).checked_mul(self.channels);
+        if values.is_none_or(|values| values > 1 << 20) {
+            let reason = format!(
+                "{} x {} x {} values a patch",
+                self.patch, self.patch, self.channels
+            );
+            return Err(Error::config(
+                "channels",
+                format!("{reason}, expected at most 2^20"),
+            ));
+        }
+        if self.views > 1 && !self.latent_width.is_multiple_of(self.views * self.patch) {
             let reason = format!(
                 "{}, expected a part of the {} columns that is a multiple of the patch, {}",
                 self.views, self.latent_width, self.patch

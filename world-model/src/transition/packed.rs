@@ -14,6 +14,7 @@
 mod condition;
 mod frame_context;
 mod head;
+mod modulation;
 mod pass;
 mod projection;
 mod sub_block;
@@ -30,6 +31,7 @@ use crate::ops::{PackedFormat, PackedLinear, RotaryTable};
 use condition::Condition;
 pub use frame_context::FrameContext;
 use head::Head;
+pub(crate) use modulation::Modulation;
 pub use pass::{NewFrame, PassOutput};
 use sub_block::SubBlock;
 

@@ -19,7 +19,7 @@ const PARTS: usize = 8;
 /// Pixels that a tile of the weight gradient sums over before it goes back to memory.
 const PIXELS_A_PASS: usize = 64;
 
-/// Gradient by the input of [`super::conv2d`], given the `gradient` by its output.
+/// Gradient by the input of [`super::PackedConv::run`], given the `gradient` by its output.
 ///
 /// `grid` is the size of the convolution's input. `residual` (of the input's shape) is added, and
 /// where `mask` (the same shape) is not positive the result becomes zero: with the convolution's
@@ -179,7 +179,7 @@ fn pool(
         });
 }
 
-/// Gradients by the weights and the bias of [`super::conv2d`], given the `gradient` by its output
+/// Gradients by the weights and the bias of [`super::PackedConv::run`], given the `gradient` by its output
 /// (after the ReLU, if there was one); both are overwritten.
 ///
 /// # Errors

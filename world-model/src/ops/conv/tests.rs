@@ -10,6 +10,17 @@ fn random(count: usize, seed: u64) -> Vec<f32> {
 }
 
 /// Shapes with odd sizes, partial vectors, several panels, both strides and upsampling.
+fn conv2d(
+    shape: &ConvShape,
+    (weight, bias): (&[f32], Option<&[f32]>),
+    input: &[f32],
+    grid: GridSize,
+    epilogue: Epilogue<'_>,
+    output: &mut Vec<f32>,
+) -> Result<GridSize> {
+    PackedConv::new(shape, weight, bias)?.run(input, grid, epilogue, output)
+}
+
 fn cases() -> Vec<(ConvShape, GridSize)> {
     let grid = |images, height, width| GridSize {
         images,
@@ -35,6 +46,8 @@ fn cases() -> Vec<(ConvShape, GridSize)> {
         (conv(4, 4, 1, 2, false), grid(1, 5, 4)),
         (conv(2, 18, 5, 2, false), grid(1, 9, 6)),
         (conv(2, 3, 5, 1, false), grid(1, 1, 1)),
+        (conv(3, 5, 5, 1, true), grid(1, 4, 3)),
+        (conv(3, 5, 1, 1, true), grid(2, 3, 4)),
     ]
 }
 

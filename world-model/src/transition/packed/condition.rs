@@ -14,7 +14,7 @@ pub(super) struct Condition {
     action: PackedLinear,
 }
 
-/// What modulates the layers at each frame; rows are frames.
+/// Noise levels and actions as embeddings; rows are frames.
 pub(super) struct Conditions {
     /// Time embedding alone (frames, d).
     pub(super) time: Vec<f32>,

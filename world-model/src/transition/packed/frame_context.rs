@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::Layers;
 use super::tasks::Tasks;
 use crate::ops::temporal_attention::FrameRows;
 
@@ -23,8 +24,9 @@ impl FrameContext {
 /// Keys and values of frames that were computed together.
 #[derive(Debug)]
 pub(super) struct Kept {
+    /// The model that computed them.
+    pub(super) model: Arc<Layers>,
     pub(super) batch: usize,
-    pub(super) frames: usize,
     /// Block by block: keys and values, task by task (frames, tokens, d), in chunks of
     /// `chunk` values.
     pub(super) layers: Vec<(Vec<f32>, Vec<f32>)>,
@@ -32,12 +34,12 @@ pub(super) struct Kept {
 }
 
 impl Kept {
-    pub(super) fn new(depth: usize, tasks: &Tasks, frames: usize, d: usize) -> Self {
-        let chunk = (frames * tasks.blocks.block() * d).max(1);
+    pub(super) fn new(model: Arc<Layers>, depth: usize, tasks: &Tasks, frames: usize) -> Self {
+        let chunk = (frames * tasks.blocks.block() * tasks.blocks.width()).max(1);
         let zeros = || vec![0.0; tasks.count() * chunk];
         Self {
+            model,
             batch: tasks.batch,
-            frames,
             layers: (0..depth).map(|_| (zeros(), zeros())).collect(),
             chunk,
         }

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::condition::{Conditions, product};
+use super::condition::product;
+use super::modulation::Modulation;
 use super::packed;
 use super::sub_block::part;
 use super::tasks::Tasks;
@@ -33,6 +34,11 @@ impl Head {
         })
     }
 
+    /// What makes the plain head's modulation, which depends on noise level and action only.
+    pub(super) fn plain_modulation(&self) -> Option<&PackedLinear> {
+        self.wide.is_none().then_some(&self.modulation)
+    }
+
     /// Patches of the frames from `first` on, task by task (frames, tokens, p * p * C), each in a
     /// chunk of `tasks.rows()` rows, of the tokens `xs` of all frames.
     pub(super) fn forward(
@@ -40,18 +46,20 @@ impl Head {
         xs: &[f32],
         tasks: &Tasks,
         first: usize,
-        conditions: &Conditions,
+        modulation: &Modulation,
+        entries: &[usize],
     ) -> Vec<f32> {
         match &self.wide {
             None => {
-                let modulation = product(&self.modulation, &conditions.activated, tasks.frames());
-                self.patches(xs, tasks, first, &modulation)
+                let plain = modulation.head.as_deref().unwrap_or_default();
+                self.patches(xs, tasks, first, &modulation.gathered(plain, entries))
             }
             Some(wide) => {
                 // The wide head is conditioned on the noise level here, and from then on only on
                 // what it made of the frame.
-                let xs = widen(wide, xs, tasks, &conditions.time);
-                let mut means = frame_means(&xs, tasks, wide.outputs());
+                let time = modulation.gathered(&modulation.time, entries);
+                let xs = widen(wide, xs, tasks, first, &time);
+                let mut means = frame_means(&xs, tasks, first, wide.outputs());
                 silu(&mut means);
                 let modulation = product(&self.modulation, &means, tasks.frames());
                 self.patches(&xs, tasks, first, &modulation)
@@ -85,8 +93,8 @@ impl Head {
     }
 }
 
-/// The projection of silu(tokens + time embedding), laid out as `xs`.
-fn widen(wide: &PackedLinear, xs: &[f32], tasks: &Tasks, time: &[f32]) -> Vec<f32> {
+/// The projection of silu(tokens + time embedding) of the frames from `first` on, laid out as `xs`.
+fn widen(wide: &PackedLinear, xs: &[f32], tasks: &Tasks, first: usize, time: &[f32]) -> Vec<f32> {
     let (d, width) = (wide.inputs(), wide.outputs());
     let mut out = vec![0.0; tasks.count() * tasks.rows() * width];
     out.par_chunks_mut(tasks.rows() * width)
@@ -96,7 +104,7 @@ fn widen(wide: &PackedLinear, xs: &[f32], tasks: &Tasks, time: &[f32]) -> Vec<f3
             let tokens = tasks.tokens_of(task);
             let frames = xs.chunks_exact(tokens * d).take(tasks.times());
             let outs = out.chunks_exact_mut(tokens * width);
-            for (t, (x, out)) in frames.zip(outs).enumerate() {
+            for (t, (x, out)) in frames.zip(outs).enumerate().skip(first) {
                 let time = part(time, d, tasks.frame(task, t)).unwrap_or_default();
                 let mut timed = x.to_vec();
                 for row in timed.chunks_exact_mut(d) {
@@ -111,13 +119,13 @@ fn widen(wide: &PackedLinear, xs: &[f32], tasks: &Tasks, time: &[f32]) -> Vec<f3
     out
 }
 
-/// The mean of every frame's tokens (frames, width).
-fn frame_means(xs: &[f32], tasks: &Tasks, width: usize) -> Vec<f32> {
+/// The mean of every frame's tokens (frames, width), from frame `first` of a task on.
+fn frame_means(xs: &[f32], tasks: &Tasks, first: usize, width: usize) -> Vec<f32> {
     let mut means = vec![0.0; tasks.frames() * width];
     for (task, xs) in xs.chunks_exact(tasks.rows() * width).enumerate() {
         let tokens = tasks.tokens_of(task);
         let frames = xs.chunks_exact(tokens * width).take(tasks.times());
-        for (t, x) in frames.enumerate() {
+        for (t, x) in frames.enumerate().skip(first) {
             let frame = tasks.frame(task, t);
             let mean = means.get_mut(frame * width..(frame + 1) * width);
             let mean = mean.unwrap_or_default();

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::condition::{Conditions, product};
 use super::frame_context::{FrameContext, Kept};
+use super::modulation::Modulation;
 use super::projection::{Projection, TaskProjection};
 use super::sub_block::{Scratch, SubBlock, sized};
 use super::tasks::{Tasks, chunk};
@@ -78,58 +78,70 @@ impl PackedTransition {
         keep: usize,
         first_output: usize,
     ) -> Result<PassOutput> {
-        let batch = self.check(earlier, frames)?;
-        let pass = Pass::new(self, earlier, frames, batch, keep, first_output);
+        let modulation = self.modulate_frames(frames)?;
+        let latents: Vec<_> = frames
+            .iter()
+            .enumerate()
+            .map(|(i, f)| (f.latents, i))
+            .collect();
+        self.pass_modulated(earlier, &latents, &modulation, keep, first_output)
+    }
+
+    /// As [`Self::pass`], of at least one frame and without a limit to how many: for the latents of frames and the
+    /// entries of `modulation`, this model's, that are theirs. A modulation can serve several passes, the Euler steps of
+    /// a frame above all.
+    pub(crate) fn pass_modulated(
+        &self,
+        earlier: &[&FrameContext],
+        frames: &[(&[f32], usize)],
+        modulation: &Modulation,
+        keep: usize,
+        first_output: usize,
+    ) -> Result<PassOutput> {
+        self.check(earlier, frames, modulation)?;
+        let pass = Pass::new(self, earlier, frames, modulation, (keep, first_output));
         // One hand-over to the pool, not one at every barrier.
         Ok(rayon::scope(|_| pass.run(frames)))
     }
 
-    /// The batch of consistent inputs.
-    fn check(&self, earlier: &[&FrameContext], frames: &[NewFrame<'_>]) -> Result<usize> {
-        let c = &self.config;
+    fn check(
+        &self,
+        earlier: &[&FrameContext],
+        frames: &[(&[f32], usize)],
+        modulation: &Modulation,
+    ) -> Result<()> {
+        let (c, batch) = (&self.config, modulation.batch);
         let latent = c.latent_height * c.latent_width * c.channels;
-        let batch = frames.first().map_or(0, |frame| frame.tau.len());
-        let shape = |what, expected, found| Error::Shape {
-            what,
-            expected,
-            found,
+        let shape = |what, expected, found| {
+            Err(Error::Shape {
+                what,
+                expected,
+                found,
+            })
         };
-        if batch == 0 {
-            return Err(shape(
-                "the new frames",
-                "a batch of 1 or more".into(),
-                vec![0],
-            ));
-        }
-        for frame in frames {
-            let found = [frame.latents.len(), frame.tau.len(), frame.action.len()];
-            let expected = [batch * latent, batch, batch * c.action_dim];
-            if found != expected {
-                let expected = format!("{expected:?} values: latents, noise levels, actions");
-                return Err(shape("a new frame", expected, found.to_vec()));
+        for (latents, entry) in frames {
+            if latents.len() != batch * latent || *entry >= modulation.entries {
+                let expected = format!(
+                    "{} values, and one of {} entries of the modulation",
+                    batch * latent,
+                    modulation.entries
+                );
+                return shape("a new frame", expected, vec![latents.len(), *entry]);
             }
         }
         for context in earlier {
-            let kept = &context.kept;
-            let blocks = &self.layers.blocks;
-            let chunk = (kept.frames * blocks.block() * blocks.width()).max(1);
-            let size = kept.batch * blocks.count() * chunk;
-            if (kept.batch != 1 && kept.batch != batch)
-                || kept.layers.len() != c.depth
-                || kept
-                    .layers
-                    .first()
-                    .is_none_or(|(keys, _)| keys.len() != size)
+            if !Arc::ptr_eq(&context.kept.model, &self.layers)
+                || ![1, batch].contains(&context.batch())
             {
                 let expected = format!("one of this model, for a batch of 1 or {batch}");
-                return Err(shape(
+                return shape(
                     "an earlier frame's context",
                     expected,
-                    vec![kept.batch],
-                ));
+                    vec![context.batch()],
+                );
             }
         }
-        Ok(batch)
+        Ok(())
     }
 }
 
@@ -139,8 +151,9 @@ struct Pass<'a> {
     tasks: Tasks,
     keep: usize,
     first_output: usize,
-    conditions: Conditions,
-    /// Of every new frame: its position in time.
+    modulation: &'a Modulation,
+    /// Of every new frame: its entry of the modulation, and its position in time.
+    entries: Vec<usize>,
     angles: Vec<RotaryTable>,
 }
 
@@ -148,25 +161,17 @@ impl<'a> Pass<'a> {
     fn new(
         model: &'a PackedTransition,
         earlier: &'a [&'a FrameContext],
-        frames: &[NewFrame<'_>],
-        batch: usize,
-        keep: usize,
-        first_output: usize,
+        frames: &[(&[f32], usize)],
+        modulation: &'a Modulation,
+        (keep, first_output): (usize, usize),
     ) -> Self {
         let c = &model.config;
         let tasks = Tasks {
             blocks: model.layers.blocks,
-            batch,
+            batch: modulation.batch,
             times: frames.len(),
             tokens: c.grid().0 * c.grid().1,
         };
-        let (mut tau, mut action) = (Vec::new(), Vec::new());
-        for b in 0..batch {
-            for frame in frames {
-                tau.extend(frame.tau.get(b));
-                action.extend_from_slice(chunk(frame.action, c.action_dim, b));
-            }
-        }
         let angles = (0..frames.len())
             .map(|t| RotaryTable::sequence(&[earlier.len() + t], c.head_dim()))
             .collect();
@@ -176,7 +181,8 @@ impl<'a> Pass<'a> {
             tasks,
             keep: keep.min(frames.len()),
             first_output: first_output.min(frames.len()),
-            conditions: model.layers.condition.at(&tau, &action),
+            modulation,
+            entries: frames.iter().map(|(_, entry)| *entry).collect(),
             angles,
         }
     }
@@ -185,17 +191,16 @@ impl<'a> Pass<'a> {
         &self.model.layers
     }
 
-    fn run(&self, frames: &[NewFrame<'_>]) -> PassOutput {
+    fn run(&self, frames: &[(&[f32], usize)]) -> PassOutput {
         let (layers, tasks, d) = (self.layers(), &self.tasks, self.model.config.hidden);
-        let modulations: Vec<Vec<f32>> = layers
-            .sub_blocks
-            .par_iter()
-            .map(|s| product(&s.modulation, &self.conditions.activated, tasks.frames()))
+        let sub_blocks = self.modulation.sub_blocks.iter();
+        let modulations: Vec<Vec<f32>> = sub_blocks
+            .map(|values| self.modulation.gathered(values, &self.entries))
             .collect();
         let mut xs = vec![0.0; tasks.count() * tasks.rows() * d];
         let (mut current, mut next) = (Projection::new(tasks), Projection::new(tasks));
         let depth = self.model.config.depth;
-        let mut kept = Kept::new(depth, tasks, self.keep, d);
+        let mut kept = Kept::new(self.model.layers.clone(), depth, tasks, self.keep);
 
         let mut pairs = layers
             .sub_blocks
@@ -250,7 +255,8 @@ impl<'a> Pass<'a> {
         }
         let outputs = if self.first_output < tasks.times {
             let first = self.first_output;
-            let patches = layers.head.forward(&xs, tasks, first, &self.conditions);
+            let head = &layers.head;
+            let patches = head.forward(&xs, tasks, first, self.modulation, &self.entries);
             self.assemble(&patches)
         } else {
             Vec::new()
@@ -287,7 +293,7 @@ impl<'a> Pass<'a> {
     fn embed<'x>(
         &self,
         task: usize,
-        frames: &[NewFrame<'_>],
+        frames: &[(&[f32], usize)],
         x: &'x mut [f32],
         scratch: &mut Scratch,
     ) -> &'x mut [f32] {
@@ -299,8 +305,8 @@ impl<'a> Pass<'a> {
         let patches = sized(&mut scratch.normed, rows * c.patch_values());
         let blocks = self.tasks.blocks.count();
         let mut targets = patches.chunks_exact_mut(c.patch * c.channels);
-        for frame in frames {
-            let latents = chunk(frame.latents, latent, task / blocks);
+        for (latents, _) in frames {
+            let latents = chunk(latents, latent, task / blocks);
             for token in 0..tokens {
                 let token = task % blocks * self.tasks.blocks.block() + token;
                 for run in patch_rows(c, token) {

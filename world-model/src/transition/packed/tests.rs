@@ -61,6 +61,13 @@ fn passes_in_any_cut_equal_the_reference() {
     let tiny = |grid: (usize, usize, usize), patch| {
         TransitionConfig::preset("tiny", grid, patch, 7).unwrap()
     };
+    // Heads of 4, 12, 24 and 72 channels.
+    let narrow = |hidden| TransitionConfig {
+        hidden,
+        heads: 2,
+        depth: 2,
+        ..tiny((6, 6, 4), 2)
+    };
     let wide = TransitionConfig {
         wide_head: Some(96),
         ..tiny((8, 8, 4), 2)
@@ -72,6 +79,10 @@ fn passes_in_any_cut_equal_the_reference() {
         (tiny((10, 12, 4), 2), 2),
         (tiny((13, 11, 3), 1), 1),
         (wide, 2),
+        (narrow(8), 1),
+        (narrow(24), 2),
+        (narrow(48), 1),
+        (narrow(144), 1),
     ];
     for (config, batch) in cases {
         for cut in [&[1, 1, 1][..], &[3], &[2, 3], &[1, 4, 1]] {
@@ -83,9 +94,10 @@ fn passes_in_any_cut_equal_the_reference() {
 
 #[test]
 fn a_shared_context_is_that_of_every_candidate() {
-    let config = TransitionConfig::preset("tiny", (8, 8, 4), 2, 7).unwrap();
+    // Several blocks of tokens, the last one not full.
+    let config = TransitionConfig::preset("tiny", (13, 11, 3), 1, 7).unwrap();
     let packed = Transition::random(config, 4).unwrap().pack().unwrap();
-    let latents = values(&random((1, 8, 8, 4)));
+    let latents = values(&random((1, 13, 11, 3)));
     let zeros = [0.0; 14];
     let first = NewFrame {
         latents: &latents,
@@ -93,7 +105,7 @@ fn a_shared_context_is_that_of_every_candidate() {
         action: &zeros[..7],
     };
     let context = packed.pass(&[], &[first], 1, 1).unwrap().contexts;
-    let both = values(&random((2, 8, 8, 4)));
+    let both = values(&random((2, 13, 11, 3)));
     let next = |latents, tau, action| {
         let frame = NewFrame {
             latents,
@@ -111,6 +123,37 @@ fn a_shared_context_is_that_of_every_candidate() {
     let (a, b) = both.split_at(both.len() / 2);
     let alone = [next(a, &[1.0], &zeros[..7]), next(b, &[1.0], &zeros[..7])].concat();
     assert_eq!(together, alone);
+}
+
+#[test]
+fn a_pass_may_keep_some_frames_and_give_others() {
+    let config = TransitionConfig::preset("tiny", (6, 6, 4), 2, 7).unwrap();
+    let packed = Transition::random(config, 4).unwrap().pack().unwrap();
+    let latents: Vec<_> = (0..3).map(|_| values(&random((1, 6, 6, 4)))).collect();
+    let frames: Vec<_> = latents
+        .iter()
+        .map(|latents| NewFrame {
+            latents,
+            tau: &[0.3],
+            action: &[0.5; 7],
+        })
+        .collect();
+    let whole = packed.pass(&[], &frames, 3, 0).unwrap();
+    for (keep, first) in [(1, 1), (1, 2), (2, 1), (0, 2), (3, 3)] {
+        let part = packed.pass(&[], &frames, keep, first).unwrap();
+        assert_eq!(part.contexts.len(), keep);
+        assert_eq!(part.outputs, whole.outputs[first..]);
+        let earlier: Vec<_> = part.contexts.iter().collect();
+        let rest = packed.pass(&earlier, &frames[keep..], 0, 0);
+        if keep < 3 {
+            assert_eq!(rest.unwrap().outputs, whole.outputs[keep..]);
+        }
+    }
+    let other = TransitionConfig::preset("tiny", (6, 6, 4), 2, 7).unwrap();
+    let other = Transition::random(other, 4).unwrap().pack().unwrap();
+    let earlier: Vec<_> = whole.contexts.iter().collect();
+    let message = other.pass(&earlier, &frames, 0, 0).unwrap_err().to_string();
+    assert!(message.contains("one of this model"), "{message}");
 }
 
 #[test]

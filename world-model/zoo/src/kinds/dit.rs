@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use wm_model::sampler::Sampler;
 use wm_model::transition::{
     ActionAlignment, PackedTransition, Parametrisation, Transition, TransitionConfig,
+    published_shift,
 };
 
 use crate::layers::packed_format;
@@ -95,7 +96,10 @@ impl DitConfig {
             parametrisation: Parametrisation::Velocity,
             action_alignment: ActionAlignment::WithFrame,
             frame_skip: 2,
-            sampler: Sampler::default(),
+            sampler: Sampler {
+                shift: published_shift(self.patch, self.channels),
+                ..Sampler::default()
+            },
         };
         config.validate()?;
         Ok(config)

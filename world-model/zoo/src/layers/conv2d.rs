@@ -161,17 +161,25 @@ impl Conv2d {
         engine: Engine,
         format: PackedFormat,
     ) -> Result<Self> {
-        if weight.dims() != spec.weight_shape()
-            || bias.dims() != [spec.outputs]
-            || spec.stride == 0
-            || (doubles && spec.stride != 1)
-        {
-            return Err(wm_model::Error::Shape {
-                what: "the weight of a convolution",
-                expected: format!("{:?}", spec.weight_shape()),
-                found: weight.dims().to_vec(),
-            }
-            .into());
+        let shape = |what, expected: String, found: &Tensor| wm_model::Error::Shape {
+            what,
+            expected,
+            found: found.dims().to_vec(),
+        };
+        if weight.dims() != spec.weight_shape() {
+            let expected = format!("{:?}", spec.weight_shape());
+            return Err(shape("the weight of a convolution", expected, weight).into());
+        }
+        if bias.dims() != [spec.outputs] {
+            let expected = format!("[{}]", spec.outputs);
+            return Err(shape("the bias of a convolution", expected, &bias).into());
+        }
+        if spec.stride == 0 || (doubles && spec.stride != 1) {
+            let reason = format!(
+                "{}, expected at least 1, and 1 of a doubled picture",
+                spec.stride
+            );
+            return Err(wm_model::Error::config("stride", reason).into());
         }
         let pointwise =
             !doubles && spec.kernel == 1 && spec.stride == 1 && spec.padding == Padding::NONE;
