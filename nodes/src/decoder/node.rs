@@ -113,6 +113,10 @@ pub async fn body(node: Node) -> Result<()> {
             }
             received = predictions.recv() => {
                 let Some(received) = received else { return Ok(()) };
+                let steps = steps.get();
+                if !steps.is_empty() && !steps.contains(&i64::from(received.message.step)) {
+                    continue;
+                }
                 let observed_ns = received.message.observed_stamp.to_nanos();
                 match rollouts.choose(observed_ns, work.waiting() > UNFINISHED) {
                     Choice::Decode => {}
@@ -121,10 +125,6 @@ pub async fn body(node: Node) -> Result<()> {
                         complaints.left_out("overload", &OVERLOAD);
                         continue;
                     }
-                }
-                let steps = steps.get();
-                if !steps.is_empty() && !steps.contains(&i64::from(received.message.step)) {
-                    continue;
                 }
                 // The descriptor keeps it within 1 to 100.
                 let quality = u8::try_from(quality.get()).unwrap_or(100);

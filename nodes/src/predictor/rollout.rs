@@ -67,7 +67,7 @@ pub struct PredictedStep {
     pub prediction: Prediction,
 }
 
-/// A rollout under way: an iterator over its steps. The context's keys and values are computed once, at the start.
+/// A rollout under way: an iterator over its steps. The context's keys and values are computed once, with the first step.
 pub struct RunningRollout<'m> {
     model: &'m PredictorModel,
     request: RolloutRequest,

@@ -26,6 +26,9 @@ pub const PSNR_CAP_DB: f64 = 60.0;
 /// Predictions that wait for their picture, and pictures that wait for their frame.
 const WAITING_LIMIT: usize = 512;
 
+/// Rollouts of which it is known that they have pictures: more than are decoded within one.
+const PICTURED_LIMIT: usize = 64;
+
 /// Steps of a rollout that are told apart.
 const STEP_LIMIT: u32 = 64;
 
@@ -59,6 +62,8 @@ pub struct Scorer {
     frame_distances: u64,
     awaited: VecDeque<Awaited>,
     waiting: VecDeque<Waiting>,
+    /// The last observations whose rollouts had a picture.
+    pictured: VecDeque<i64>,
     steps: BTreeMap<u32, StepScore>,
     rollouts: Rollouts,
     model: String,
@@ -83,6 +88,7 @@ impl Default for Scorer {
             frame_distances: 0,
             awaited: VecDeque::new(),
             waiting: VecDeque::new(),
+            pictured: VecDeque::new(),
             steps: BTreeMap::new(),
             rollouts: Rollouts::default(),
             model: String::new(),
@@ -166,14 +172,20 @@ impl Scorer {
     /// The picture of a prediction for the moment `stamp_ns`, arrived at `arrived_ns`.
     ///
     /// Predictions of several observations are of one moment, and a picture carries the moment only. Such predictions
-    /// come a model step apart, and a picture within a model step of its prediction: the oldest that came so recently
-    /// it is. One that came later is not scored, since its step k would be a guess.
+    /// come a model step apart, a picture within a model step of its prediction, and a rollout's pictures one after the
+    /// other: it is of the rollout that had pictures before, else of the newest. A picture that came later than a model
+    /// step is not scored, since its step k would be a guess.
     pub fn picture(&mut self, stamp_ns: i64, picture: RgbImage, arrived_ns: i64) {
         let is_its = |awaited: &Awaited| {
             awaited.stamp_ns == stamp_ns
                 && arrived_ns.saturating_sub(awaited.arrived_ns) <= awaited.period_ns
         };
-        let Some(index) = self.awaited.iter().position(is_its) else {
+        let fresh = || self.awaited.iter().enumerate().filter(|(_, a)| is_its(a));
+        let is_pictured = |a: &Awaited| self.pictured.contains(&a.observed_ns);
+        let found = fresh()
+            .find(|(_, awaited)| is_pictured(awaited))
+            .or_else(|| fresh().min_by_key(|(_, awaited)| awaited.step));
+        let Some((index, _)) = found else {
             if self
                 .awaited
                 .iter()
@@ -187,6 +199,12 @@ impl Scorer {
         let Some(prediction) = self.awaited.remove(index) else {
             return;
         };
+        if !self.pictured.contains(&prediction.observed_ns) {
+            if self.pictured.len() == PICTURED_LIMIT {
+                self.pictured.pop_front();
+            }
+            self.pictured.push_back(prediction.observed_ns);
+        }
         self.frames.set_size(&picture);
         self.compare_or_wait(Waiting {
             prediction,
@@ -335,6 +353,7 @@ impl Scorer {
         self.frames.clear();
         self.awaited.clear();
         self.waiting.clear();
+        self.pictured.clear();
         self.rollouts.flush();
     }
 }

@@ -122,6 +122,28 @@ fn a_dropped_picture_is_not_replaced_by_that_of_another_observation() {
 }
 
 #[test]
+fn a_rollout_that_was_left_out_gets_no_pictures_of_the_next() {
+    let mut scorer = Scorer::default();
+    for frame in 0..3 {
+        scorer.frame(frame * FRAME_NS, grey(100));
+    }
+    // Not decoded, and late; then one that is decoded: its first picture is of the same moment.
+    scorer.prediction(&prediction(0, 2, 1), 160_000_000);
+    scorer.prediction(&prediction(STEP_NS, 1, 1), STEP_NS + 50_000_000);
+    scorer.picture(2 * STEP_NS, grey(100), STEP_NS + 90_000_000);
+    // A rollout that had a picture gets the next one, although a newer prediction is of that moment.
+    scorer.prediction(&prediction(STEP_NS, 2, 1), STEP_NS + 160_000_000);
+    scorer.prediction(&prediction(2 * STEP_NS, 1, 1), 2 * STEP_NS + 50_000_000);
+    scorer.picture(3 * STEP_NS, grey(100), 2 * STEP_NS + 90_000_000);
+    for frame in 3..7 {
+        scorer.frame(frame * FRAME_NS, grey(100));
+    }
+    let report = scorer.report("test");
+    let compared: Vec<_> = report.steps.iter().map(|step| step.compared).collect();
+    assert_eq!(compared, [1, 1]);
+}
+
+#[test]
 fn a_picture_later_than_a_model_step_is_counted_and_not_guessed_at() {
     let mut scorer = Scorer::default();
     scorer.frame(0, grey(100));

@@ -4,7 +4,7 @@ use super::running::RunningArgs;
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use wm_model::sampler::Sampler;
-use wm_zoo::kinds::{self, Kind, RolloutOptions};
+use wm_zoo::kinds::{self, DitConfig, Kind, RolloutOptions};
 
 /// What goes in and comes out.
 const TENSORS: &str = "\
@@ -24,9 +24,9 @@ pub struct RolloutCommand {
     /// Euler steps a frame
     #[arg(long, default_value_t = Sampler::default().steps)]
     steps: usize,
-    /// Time shift gamma; 1 is none
-    #[arg(long, default_value_t = Sampler::default().shift)]
-    shift: f64,
+    /// Time shift gamma; 1 is none [default: what models of such latents were trained with]
+    #[arg(long)]
+    shift: Option<f64>,
     /// Noise level that context frames are said to have
     #[arg(long, default_value_t = Sampler::default().context_tau)]
     context_tau: f64,
@@ -44,10 +44,12 @@ impl RolloutCommand {
             self.kind
         );
         let files = self.running.read(self.kind)?;
+        let config: DitConfig = serde_json::from_str(&files.config).context("the configuration")?;
+        let published = config.transition()?.sampler.shift;
         let options = RolloutOptions {
             sampler: Sampler {
                 steps: self.steps,
-                shift: self.shift,
+                shift: self.shift.unwrap_or(published),
                 context_tau: self.context_tau,
             },
             cache: !self.no_cache,
