@@ -54,6 +54,9 @@ impl BagTopics {
             plans: "/wm/plan".to_owned(),
             diagnostics: "/diagnostics".to_owned(),
         };
+        if reader.message_count() == 0 {
+            bail!("the bag has no message that can be read");
+        }
         for needed in [&topics.camera, &topics.predicted] {
             if reader.topic(needed).is_none() {
                 let names: Vec<&str> = reader
@@ -80,7 +83,7 @@ pub type Unreadable = BTreeMap<String, (u64, String)>;
 /// Where it cannot be read, or has no camera or no predictions. Single messages that cannot be read are counted.
 pub fn score_bag(path: &Path) -> Result<(Scorer, Unreadable)> {
     let reader = BagReader::open(path).with_context(|| format!("bag {}", path.display()))?;
-    let topics = BagTopics::of(&reader)?;
+    let topics = BagTopics::of(&reader).with_context(|| format!("bag {}", path.display()))?;
     let mut scorer = Scorer::default();
     let mut unreadable = Unreadable::new();
     for message in reader.messages() {

@@ -23,7 +23,7 @@ use crate::Result;
 use crate::layers::{LayerNorm, Linear, rms_norm};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
-use crate::vit::{Activation, Block, Mlp, Projections, SelfAttention};
+use crate::vit::{Activation, Block};
 
 /// Epsilon of the input's RMSNorm, that of the transition model's.
 const RMS_NORM_EPS: f64 = 1e-6;
@@ -236,24 +236,8 @@ impl Idm {
 }
 
 fn block(config: &IdmConfig, loader: &Loader<'_>) -> Result<Block> {
-    let (width, mlp) = (config.hidden, config.mlp_width());
-    Ok(Block {
-        attention_norm: loader.layer_norm("norm1", width, LAYER_NORM_EPS)?,
-        attention: SelfAttention {
-            projections: Projections::Fused(loader.linear("attn.qkv", width, 3 * width)?),
-            out: loader.linear("attn.proj", width, width)?,
-            heads: config.heads,
-            engine: loader.engine(),
-        },
-        attention_scale: None,
-        mlp_norm: loader.layer_norm("norm2", width, LAYER_NORM_EPS)?,
-        mlp: Mlp::Plain {
-            first: loader.linear("mlp.fc1", width, mlp)?,
-            activation: Activation::GeluExact,
-            second: loader.linear("mlp.fc2", mlp, width)?,
-        },
-        mlp_scale: None,
-    })
+    let sizes = (config.hidden, config.heads, config.mlp_width());
+    Block::load_timm(loader, sizes, LAYER_NORM_EPS)
 }
 
 /// Pearson's correlation of predicted and true actions, (samples, actions) each, for each of the

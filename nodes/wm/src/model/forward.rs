@@ -9,15 +9,17 @@ use wm_zoo::kinds::{self, Kind};
 const KINDS: &str = "\
 Kinds, their configurations and tensors (image: N,256,256,3 in 0..1; latent: N,h,w,D):
   dit                      {hidden, depth, heads, channels, patch, grid [h,w] before patching, action_dim, max_frames,
-                           head \"plain\"|\"wide\", wide_dim}; x (B,T,H,W,C), tau (B,T) in 0..1, action (B,T,A)
+                           head \"plain\"|\"wide\", wide_dim, [views]}; x (B,T,H,W,C), tau (B,T) in 0..1, action (B,T,A)
                            -> velocity (B,T,H,W,C)
   web-dino                 Hugging Face config.json (Dinov2); image -> latent
   siglip2                  Hugging Face config.json (Siglip); image -> latent
   siglip2-text             Hugging Face config.json (Siglip); input_ids (B,L), [text_mask (B,L)] -> features (B,L,D)
   vjepa2.1                 {hidden, depth, heads, patch, [image_size, mlp, tubelet, output_norms]}; image -> latent
   sd3-vae[-decoder]        diffusers config.json (AutoencoderKL), [apply_scaling]; image -> latent, latent -> image
-  va-vae[-decoder]         {channels, multipliers, res_blocks, latent, resolution, attention_resolutions, [groups]}
-  cosmos-ci16x16[-decoder] {channels, multipliers, res_blocks, latent, patch, compression, [groups]}
+  va-vae[-decoder]         {channels, multipliers, res_blocks, latent, resolution, attention_resolutions, [groups]};
+                           image -> latent, latent -> image
+  cosmos-ci16x16[-decoder] {channels, multipliers, res_blocks, latent, patch, compression, [groups]};
+                           image -> latent, latent -> image
   svae                     {features, latent, heads, layers, ffn}; features (N,h,w,D) -> latent, features;
                            latent alone -> features
   pixel                    {latent, base, multipliers, res_blocks, heads}; latent -> image

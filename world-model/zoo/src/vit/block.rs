@@ -2,9 +2,10 @@
 
 use candle_core::Tensor;
 
-use super::{Mlp, Rotary, SelfAttention};
+use super::{Activation, Mlp, Projections, Rotary, SelfAttention};
 use crate::Result;
 use crate::layers::LayerNorm;
+use crate::loader::Loader;
 
 /// x += scale * attention(norm(x)); x += scale * mlp(norm(x)), the scales being optional.
 #[derive(Clone, Debug)]
@@ -20,6 +21,33 @@ pub(crate) struct Block {
 }
 
 impl Block {
+    /// A block in the names and the form of timm: one product for queries, keys and values, exact GELU, no LayerScale.
+    /// Sizes are the width, the number of heads and the width of the feed-forward network; `eps` is that of both
+    /// normalisations.
+    pub(crate) fn load_timm(
+        loader: &Loader<'_>,
+        (width, heads, mlp): (usize, usize, usize),
+        eps: f64,
+    ) -> Result<Self> {
+        Ok(Self {
+            attention_norm: loader.layer_norm("norm1", width, eps)?,
+            attention: SelfAttention {
+                projections: Projections::Fused(loader.linear("attn.qkv", width, 3 * width)?),
+                out: loader.linear("attn.proj", width, width)?,
+                heads,
+                engine: loader.engine(),
+            },
+            attention_scale: None,
+            mlp_norm: loader.layer_norm("norm2", width, eps)?,
+            mlp: Mlp::Plain {
+                first: loader.linear("mlp.fc1", width, mlp)?,
+                activation: Activation::GeluExact,
+                second: loader.linear("mlp.fc2", mlp, width)?,
+            },
+            mlp_scale: None,
+        })
+    }
+
     /// `x` (B, L, width); `mask` as in [`SelfAttention::forward`].
     pub(crate) fn forward(
         &self,

@@ -21,7 +21,7 @@ use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::preprocess::{Normalisation, resize_bicubic};
-use super::{Activation, Block, Mlp, PatchEmbedding, Projections, Rotary, SelfAttention};
+use super::{Block, PatchEmbedding, Rotary};
 use crate::Result;
 use crate::layers::LayerNorm;
 use crate::loader::Loader;
@@ -213,24 +213,8 @@ fn rotary(config: &VjepaConfig, dtype: DType, device: &Device) -> Result<Rotary>
 }
 
 fn block(config: &VjepaConfig, loader: &Loader<'_>) -> Result<Block> {
-    let (width, mlp) = (config.hidden, config.mlp_width());
-    Ok(Block {
-        attention_norm: loader.layer_norm("norm1", width, LAYER_NORM_EPS)?,
-        attention: SelfAttention {
-            projections: Projections::Fused(loader.linear("attn.qkv", width, 3 * width)?),
-            out: loader.linear("attn.proj", width, width)?,
-            heads: config.heads,
-            engine: loader.engine(),
-        },
-        attention_scale: None,
-        mlp_norm: loader.layer_norm("norm2", width, LAYER_NORM_EPS)?,
-        mlp: Mlp::Plain {
-            first: loader.linear("mlp.fc1", width, mlp)?,
-            activation: Activation::GeluExact,
-            second: loader.linear("mlp.fc2", mlp, width)?,
-        },
-        mlp_scale: None,
-    })
+    let sizes = (config.hidden, config.heads, config.mlp_width());
+    Block::load_timm(loader, sizes, LAYER_NORM_EPS)
 }
 
 #[cfg(test)]
