@@ -230,7 +230,7 @@ mod tests {
             .write("/note", &std_msgs::String::default(), 1)
             .unwrap();
         writer.finish().unwrap();
-        let error = score_bag(&bag).unwrap_err().to_string();
+        let error = format!("{:#}", score_bag(&bag).unwrap_err());
         assert!(
             error.contains("/camera/image_raw") && error.contains("/note"),
             "{error}"
