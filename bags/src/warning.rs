@@ -50,6 +50,17 @@ pub enum BagWarning {
     },
 }
 
+impl BagWarning {
+    /// Whether messages that were in the bag cannot be read any more.
+    #[must_use]
+    pub fn is_loss(&self) -> bool {
+        matches!(
+            self,
+            Self::Truncated { .. } | Self::Damaged { .. } | Self::MoreDamaged { .. }
+        )
+    }
+}
+
 impl fmt::Display for BagWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

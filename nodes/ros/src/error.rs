@@ -68,6 +68,16 @@ pub enum Error {
 }
 
 impl Error {
+    /// Whether what the user gave, arguments or parameters, is wrong, as opposed to what then failed.
+    #[must_use]
+    pub fn is_usage(&self) -> bool {
+        match self {
+            Self::Args(_) => true,
+            Self::Parameter(problem) => problem.is_usage(),
+            _ => false,
+        }
+    }
+
     pub(crate) fn middleware(action: impl Into<String>, reason: impl std::fmt::Display) -> Self {
         Self::Middleware {
             action: action.into(),

@@ -92,6 +92,16 @@ pub enum ParameterError {
     },
 }
 
+impl ParameterError {
+    /// Whether a value was given, when the node was started, that it cannot take.
+    pub(crate) fn is_usage(&self) -> bool {
+        matches!(
+            self,
+            Self::Undeclared { .. } | Self::WrongType { .. } | Self::OutOfRange { .. }
+        )
+    }
+}
+
 fn from(origin: &str) -> String {
     if origin.is_empty() {
         String::new()

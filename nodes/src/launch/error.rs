@@ -69,4 +69,23 @@ pub enum LaunchError {
         /// What the file declares.
         declared: Vec<String>,
     },
+    /// An argument that the command line gives twice.
+    #[error("launch argument {name:?} is given twice, first as {first:?}")]
+    RepeatedArgument {
+        /// The argument.
+        name: String,
+        /// Its first value.
+        first: String,
+    },
+}
+
+impl LaunchError {
+    /// Whether the command line is wrong, as opposed to the launch file.
+    #[must_use]
+    pub fn is_usage(&self) -> bool {
+        matches!(
+            self,
+            Self::UnknownArgument { .. } | Self::RepeatedArgument { .. }
+        )
+    }
 }

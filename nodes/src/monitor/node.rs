@@ -28,7 +28,7 @@ const QOS: Qos = Qos::best_effort(64);
 /// How often the live line is renewed.
 const LIVE_PERIOD: Duration = Duration::from_millis(500);
 
-/// Runs the monitor until a signal, then writes the report.
+/// Runs the monitor until a signal, then writes the report, if there is anything to report of.
 ///
 /// # Errors
 /// Names what is wrong with arguments or parameters, or the file that cannot be written.
@@ -47,6 +47,11 @@ pub fn run(args: &NodeArgs) -> Result<()> {
     )?;
     // after the node has left the graph, so that nothing hurries the writing
     if let Some(Monitor { scorer, output, .. }) = monitor {
+        // as where the player found no bag: a table of nothing would hide why
+        if scorer.is_empty() {
+            warn!("no report: no frame, prediction or plan was seen");
+            return Ok(());
+        }
         let (report, files) = write_report(&scorer, "live", &output)?;
         print!("{}", terminal_table(&report));
         for file in files {

@@ -2,7 +2,7 @@
 
 use super::{Settings, playlist::Playlist, restamp::restamp, schedule::Schedule};
 use crate::ending::Ending;
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -66,8 +66,7 @@ async fn play(node: &Node) -> Result<Ending> {
 }
 
 fn open(node: &Node, settings: &Settings) -> Result<(BagReader, Playlist)> {
-    let reader = BagReader::open(&settings.bag)
-        .with_context(|| format!("bag {}", settings.bag.display()))?;
+    let reader = BagReader::open(&settings.bag)?;
     for warning in reader.warnings() {
         warn!("{warning}");
     }

@@ -82,7 +82,7 @@ pub type Unreadable = BTreeMap<String, (u64, String)>;
 /// # Errors
 /// Where it cannot be read, or has no camera or no predictions. Single messages that cannot be read are counted.
 pub fn score_bag(path: &Path) -> Result<(Scorer, Unreadable)> {
-    let reader = BagReader::open(path).with_context(|| format!("bag {}", path.display()))?;
+    let reader = BagReader::open(path)?;
     let topics = BagTopics::of(&reader).with_context(|| format!("bag {}", path.display()))?;
     let mut scorer = Scorer::default();
     let mut unreadable = Unreadable::new();
@@ -235,5 +235,11 @@ mod tests {
             error.contains("/camera/image_raw") && error.contains("/note"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn a_bag_that_is_not_there_is_named_once() {
+        let error = format!("{:#}", score_bag(Path::new("/no/such/bag")).unwrap_err());
+        assert_eq!(error, "no bag at /no/such/bag: no such file or directory");
     }
 }

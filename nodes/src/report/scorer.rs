@@ -253,6 +253,12 @@ impl Scorer {
         }
     }
 
+    /// Whether nothing was seen so far that a report tells of.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.frame_count == 0 && self.steps.is_empty() && self.plans == 0
+    }
+
     /// Camera frames seen so far.
     #[must_use]
     pub fn frame_count(&self) -> u64 {

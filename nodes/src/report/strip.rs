@@ -14,12 +14,18 @@ const LEAST_SIDE: u32 = 96;
 /// The difference is shown this much stronger than it is: errors of a few levels could not be seen.
 const DIFFERENCE_GAIN: u16 = 2;
 
+/// What the rows of figures at the foot are.
+const LEGEND: [&str; 2] = [
+    "PSNR: of predicted against real",
+    "held: the same of the last observed frame held still, as if nothing moved",
+];
+
 const BACKGROUND: Rgb<u8> = Rgb([24, 24, 28]);
 const BLANK: Rgb<u8> = Rgb([40, 40, 46]);
 const INK: Rgb<u8> = Rgb([230, 230, 230]);
 
 /// Rows real, predicted, difference; columns the observation and every step, with the PSNR of the prediction and of
-/// the observation held still. `period_s` is the time of a step.
+/// the observation held still, and what these are. `period_s` is the time of a step.
 #[must_use]
 pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let scale = LEAST_SIDE.div_ceil(rollout.observed.width().max(1)).max(1);
@@ -34,9 +40,16 @@ pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let line = CHARACTER + GAP / 2;
     // a rollout has at most some 64 steps
     let columns = rollout.steps.len() as u32 + 1;
+    let strip_width = left + columns * (cell_width + GAP);
+    let legend: Vec<String> = LEGEND
+        .iter()
+        .flat_map(|text| wrapped(text, strip_width - 2 * GAP))
+        .collect();
+    // a legend has at most some ten lines
+    let foot_lines = 2 + legend.len() as u32;
     let size = (
-        left + columns * (cell_width + GAP),
-        top + 3 * (cell_height + GAP) + 2 * line + GAP,
+        strip_width,
+        top + 3 * (cell_height + GAP) + foot_lines * line + 2 * GAP,
     );
     let mut strip = RgbImage::from_pixel(size.0, size.1, BACKGROUND);
     let row_top = |row: u32| top + row * (cell_height + GAP);
@@ -46,6 +59,9 @@ pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let foot = row_top(3);
     write(&mut strip, "PSNR", GAP, foot, INK);
     write(&mut strip, "held", GAP, foot + line, INK);
+    for (row, text) in (2..).zip(&legend) {
+        write(&mut strip, text, GAP, foot + GAP + row * line, INK);
+    }
 
     let blank = RgbImage::from_pixel(cell_width, cell_height, BLANK);
     let mut paste = |picture: &RgbImage, x: u32, row: u32| {
@@ -84,6 +100,21 @@ pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
         }
     }
     strip
+}
+
+/// The words of `text` in lines that are no wider than `limit` \[px\], but for a word that is itself wider.
+fn wrapped(text: &str, limit: u32) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        match lines.last_mut() {
+            Some(line) if width(line) + width(word) + CHARACTER <= limit => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }
 
 /// The difference of every channel, made stronger.
@@ -127,5 +158,16 @@ mod tests {
         assert_eq!([centre(1, 1), centre(2, 1)], [110, 150]);
         assert_eq!([centre(1, 2), centre(2, 2)], [20, 60]);
         assert_eq!(strip.width(), left + 3 * (128 + GAP));
+        // below the rows of figures, what they are
+        let legend_top = top + 3 * (128 + GAP) + 2 * (CHARACTER + GAP / 2);
+        let has_ink = |y| (0..strip.width()).any(|x| *strip.get_pixel(x, y) == INK);
+        assert!((legend_top..strip.height()).any(has_ink));
+        assert!(!(strip.height() - GAP..strip.height()).any(has_ink));
+    }
+
+    #[test]
+    fn a_narrow_strip_has_its_legend_in_more_lines() {
+        assert_eq!(wrapped("one two three", 8 * 7), ["one two", "three"]);
+        assert_eq!(wrapped("one two three", 8), ["one", "two", "three"]);
     }
 }

@@ -9,8 +9,9 @@ use anyhow::Result;
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wm_bag::BagReader;
+use wm_bag::{BagReader, BagWarning};
 use wm_import::{ImportOptions, import_bridge};
+use wm_nodes::ending::Ending;
 
 /// Bags.
 #[derive(Debug, Subcommand)]
@@ -63,8 +64,10 @@ impl BagCommand {
             Self::Play(command) => command.run(ros_args),
             Self::Record(command) => command.run(ros_args),
             Self::Info { bag } => {
-                print(format_args!("{}\n", BagReader::open(&bag)?.summary()))?;
-                Ok(ExitCode::SUCCESS)
+                let summary = BagReader::open(&bag)?.summary();
+                print(format_args!("{summary}\n"))?;
+                let is_lost = summary.warnings.iter().any(BagWarning::is_loss);
+                Ok(Ending::lost_if(is_lost).into())
             }
             Self::Import(ImportCommand::Bridge(command)) => {
                 let defaults = ImportOptions::default();

@@ -113,13 +113,11 @@ impl Command {
     }
 }
 
-/// 2 where the user's arguments are wrong, else 1.
+/// 2 where the user's arguments are wrong, a node's parameters among them, else 1.
 pub fn failure_code(error: &anyhow::Error) -> ExitCode {
     let is_usage = error.is::<ArgsError>()
-        || matches!(
-            error.downcast_ref(),
-            Some(LaunchError::UnknownArgument { .. })
-        );
+        || error.downcast_ref().is_some_and(wm_ros::Error::is_usage)
+        || error.downcast_ref().is_some_and(LaunchError::is_usage);
     ExitCode::from(if is_usage { 2 } else { 1 })
 }
 

@@ -1,12 +1,12 @@
 //! `wm launch`.
 
 use crate::output::print;
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
 use clap::Args;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wm_nodes::launch::{self, Plan, System, plan::Program, runner};
+use wm_nodes::launch::{self, LaunchError, Plan, System, plan::Program, runner};
 
 /// Starts the nodes of a launch file.
 #[derive(Args, Debug)]
@@ -42,7 +42,7 @@ impl LaunchCommand {
         let mut arguments = BTreeMap::new();
         for (name, value) in self.arguments {
             if let Some(first) = arguments.insert(name.clone(), value) {
-                bail!("launch argument {name:?} is given twice, first as {first:?}");
+                return Err(LaunchError::RepeatedArgument { name, first }.into());
             }
         }
         let plan = Plan::resolve(&file, &arguments, &System)?;

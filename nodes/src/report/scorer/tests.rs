@@ -260,3 +260,12 @@ fn latent_errors_plans_and_drops_are_summed() {
     );
     assert_eq!(report.drops.len(), 1);
 }
+
+#[test]
+fn a_scorer_is_empty_until_something_is_seen() {
+    let mut scorer = Scorer::default();
+    scorer.diagnostics(&DiagnosticArray::default());
+    assert!(scorer.is_empty());
+    scorer.frame(0, RgbImage::new(8, 8));
+    assert!(!scorer.is_empty());
+}

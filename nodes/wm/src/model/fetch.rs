@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 /// Downloads a published model from where its authors put it, with a configuration beside it.
 ///
-/// An interrupted download goes on where it was. What Hugging Face states a SHA-256 of is checked against it.
+/// An interrupted download goes on where it was, if the server still has the same file. What Hugging Face states a SHA-256 of is checked against it.
 #[derive(Args, Debug)]
 #[command(after_help = catalogue::names())]
 pub struct FetchCommand {

@@ -48,14 +48,10 @@ fn table(rows: &[Row]) -> Result<String> {
     let part = "parameters [M]";
     let operations = "GFLOPs for one 256x256 frame (multiply-add = 2)";
     writeln!(text, "{:<16}{part:<36}{operations}", "")?;
-    write!(text, "{:<16}", "")?;
-    for column in ["encoder", "adapter", "DiT-L", "decoder"] {
-        write!(text, "{column:>8} ")?;
-    }
-    for column in ["encoder", "adapter", "DiT-L", "decoder", "total"] {
-        write!(text, "{column:>8} ")?;
-    }
-    writeln!(text)?;
+    let columns = [
+        "encoder", "adapter", "DiT-L", "decoder", "encoder", "adapter", "DiT-L", "decoder", "total",
+    ];
+    writeln!(text, "{:<16}{}", "", cells(columns.map(str::to_owned)))?;
     for row in rows {
         let f = row.figures();
         let figures = [
@@ -69,16 +65,18 @@ fn table(rows: &[Row]) -> Result<String> {
             Some(f.dec_gflops),
             Some(f.total_gflops),
         ];
-        write!(text, "{:<16}", row.name)?;
-        for figure in figures {
-            match figure {
-                Some(figure) => write!(text, "{figure:>8.1} ")?,
-                None => write!(text, "{:>8} ", "-")?,
-            }
-        }
-        writeln!(text)?;
+        let figures = figures.map(|figure| match figure {
+            Some(figure) => format!("{figure:.1}"),
+            None => "-".to_owned(),
+        });
+        writeln!(text, "{:<16}{}", row.name, cells(figures))?;
     }
     Ok(text)
+}
+
+/// Cells of one width beside each other.
+fn cells(texts: [String; 9]) -> String {
+    texts.map(|text| format!("{text:>8}")).join(" ")
 }
 
 #[cfg(test)]
@@ -103,5 +101,6 @@ mod tests {
             "465.8",
         ];
         assert_eq!(words, expected);
+        assert!(text.lines().all(|line| line == line.trim_end()), "{text}");
     }
 }

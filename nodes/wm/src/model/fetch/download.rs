@@ -1,14 +1,25 @@
 //! Downloads that can be resumed and are checked.
+//!
+//! A download goes on only where the server confirms, by the entity tag, that it is still the same file; the hash, where
+//! the server states one, has the last word.
+
+mod part;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
+use part::{Part, Start, strong_etag};
 use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
-use ureq::http::{HeaderMap, Response};
+use ureq::config::ConfigBuilder;
+use ureq::http::{
+    HeaderMap, Response, StatusCode,
+    header::{CONTENT_RANGE, ETAG},
+};
+use ureq::typestate::AgentScope;
 use ureq::{Agent, Body};
 
 /// How long a server may take to answer.
@@ -38,21 +49,14 @@ pub struct Fetched {
 impl Client {
     /// A client that shows `token` to Hugging Face.
     pub fn new(token: Option<String>) -> Self {
-        let config = Agent::config_builder()
-            .https_only(true)
-            // What a status means is told here.
-            .http_status_as_error(false)
-            .timeout_connect(Some(ANSWER_WITHIN))
-            .timeout_recv_response(Some(ANSWER_WITHIN))
-            .build();
         Self {
-            agent: config.into(),
+            agent: settings().https_only(true).build().into(),
             token,
         }
     }
 
-    /// Downloads `url` to `path`, going on from `path` with `.part` at its end if that is there. A file that is there
-    /// and complete is only checked.
+    /// Downloads `url` to `path`, going on from [`Part`] if that is there and the server still has the same file. A file
+    /// that is there and complete is only checked.
     pub fn fetch(&self, url: &str, path: &Path) -> Result<Fetched> {
         let expected = self.expected_sha256(url)?;
         if path.exists() {
@@ -69,18 +73,16 @@ impl Client {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         }
-        let mut part = path.as_os_str().to_owned();
-        part.push(".part");
-        let part = PathBuf::from(part);
+        let part = Part::of(path);
         let sha256 = self.receive(url, &part)?;
         if let Some(expected) = expected
             && expected != sha256
         {
             // Going on from wrong bytes would never end.
-            fs::remove_file(&part).with_context(|| part.display().to_string())?;
+            part.discard()?;
             bail!("damaged on the way: SHA-256 {sha256}, expected {expected}; it was removed");
         }
-        fs::rename(&part, path).with_context(|| path.display().to_string())?;
+        part.finish(path)?;
         Ok(Fetched { sha256 })
     }
 
@@ -98,29 +100,45 @@ impl Client {
         Ok(linked_sha256(answer.headers()))
     }
 
-    /// Receives what `part` lacks; gives the hash of the whole.
-    fn receive(&self, url: &str, part: &Path) -> Result<String> {
-        let (mut hash, mut have) = match part.exists() {
-            true => hash_file(part)?,
-            false => (Sha256::new(), 0),
-        };
+    /// Asks for the file, or for what lies behind `start`, as long as it is of the same version.
+    fn get(&self, url: &str, start: &Start) -> Result<Response<Body>> {
         let mut request = self.agent.get(url);
         if let Some(token) = &self.token {
             request = request.header("Authorization", format!("Bearer {token}"));
         }
-        if have > 0 {
-            request = request.header("Range", format!("bytes={have}-"));
+        if start.have > 0 {
+            request = request
+                .header("Range", format!("bytes={}-", start.have))
+                .header("If-Range", &start.etag);
         }
-        let mut answer = request.call().context("no answer: is there a network?")?;
-        // 416: nothing lies behind what is there, as after a download that was interrupted before it was renamed.
-        if answer.status() == 416 && have > 0 {
-            return Ok(hex(&hash));
+        request.call().context("no answer: is there a network?")
+    }
+
+    /// Receives what `part` lacks; gives the hash of the whole.
+    fn receive(&self, url: &str, part: &Part) -> Result<String> {
+        let mut start = part.start()?;
+        let mut answer = self.get(url, &start)?;
+        if start.have > 0 {
+            match Resumption::of(&answer, &start) {
+                Resumption::Rest => {}
+                Resumption::Complete => return Ok(hex(&start.hash)),
+                Resumption::Whole => start = Start::default(),
+                Resumption::Unfit => {
+                    start = Start::default();
+                    answer = self.get(url, &start)?;
+                }
+            }
         }
         check_status(&answer)?;
-        let resumes = answer.status() == 206;
-        if !resumes {
-            (hash, have) = (Sha256::new(), 0);
-        }
+        let Start {
+            mut hash, mut have, ..
+        } = start;
+        // What was not asked for in part has to come whole.
+        ensure!(
+            have > 0 || answer.status() == StatusCode::OK,
+            "the server answers {}",
+            answer.status()
+        );
         let rest = answer.body().content_length();
         let total = rest.map(|rest| rest + have);
         ensure!(
@@ -128,13 +146,11 @@ impl Client {
             "{} bytes, expected at most {MAX_BYTES}",
             total.unwrap_or_default()
         );
-        let mut file = OpenOptions::new()
-            .create(true)
-            .write(true)
-            .append(resumes)
-            .truncate(!resumes)
-            .open(part)
-            .with_context(|| part.display().to_string())?;
+        let mut file = match have {
+            0 => part.begin(strong_etag(answer.headers()))?,
+            _ => part.go_on()?,
+        };
+        let part = part.path();
         let bar = progress(part, total, have);
         let mut reader = answer.body_mut().with_config().limit(MAX_BYTES).reader();
         let mut chunk = vec![0; CHUNK];
@@ -161,6 +177,52 @@ impl Client {
             );
         }
         Ok(hex(&hash))
+    }
+}
+
+fn settings() -> ConfigBuilder<AgentScope> {
+    Agent::config_builder()
+        // What a status means is told here.
+        .http_status_as_error(false)
+        .timeout_connect(Some(ANSWER_WITHIN))
+        .timeout_recv_response(Some(ANSWER_WITHIN))
+}
+
+/// What the answer to a request for the rest of a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Resumption {
+    /// The rest.
+    Rest,
+    /// Nothing: the file ends here, as after a download that was interrupted before its file was renamed.
+    Complete,
+    /// The whole file, since it is another one by now or the server sends no parts; or an error.
+    Whole,
+    /// Another part, or a part of another file.
+    Unfit,
+}
+
+impl Resumption {
+    fn of(answer: &Response<Body>, start: &Start) -> Self {
+        let headers = answer.headers();
+        let is_same = headers
+            .get(ETAG)
+            .is_none_or(|etag| etag.as_bytes() == start.etag.as_bytes());
+        let range = headers.get(CONTENT_RANGE);
+        let range = range.and_then(|range| range.to_str().ok()?.strip_prefix("bytes "));
+        // `FIRST-LAST/LENGTH`, or `*/LENGTH` where nothing lies in the range: RFC 9110, section 14.4.
+        let (first, length) = match range.and_then(|range| range.split_once('/')) {
+            Some((range, length)) => (range.split('-').next(), length.parse().ok()),
+            None => (None, None),
+        };
+        let begins_here = first.and_then(|first| first.parse().ok()) == Some(start.have);
+        match answer.status() {
+            StatusCode::PARTIAL_CONTENT if is_same && begins_here => Self::Rest,
+            StatusCode::RANGE_NOT_SATISFIABLE if is_same && length == Some(start.have) => {
+                Self::Complete
+            }
+            StatusCode::PARTIAL_CONTENT | StatusCode::RANGE_NOT_SATISFIABLE => Self::Unfit,
+            _ => Self::Whole,
+        }
     }
 }
 
@@ -215,40 +277,4 @@ fn progress(part: &Path, total: Option<u64>, have: u64) -> ProgressBar {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn headers(etag: &str) -> HeaderMap {
-        let mut headers = HeaderMap::new();
-        headers.insert(LINKED_ETAG, etag.parse().unwrap());
-        headers
-    }
-
-    #[test]
-    fn only_a_sha256_is_taken_for_one() {
-        let sha = "0123456789abcdef".repeat(4);
-        assert_eq!(
-            linked_sha256(&headers(&format!("\"{sha}\""))),
-            Some(sha.clone())
-        );
-        assert_eq!(
-            linked_sha256(&headers(&format!("W/\"{}\"", sha.to_uppercase()))),
-            Some(sha)
-        );
-        assert_eq!(
-            linked_sha256(&headers("\"da39a3ee5e6b4b0d3255bfef95601890afd80709\"")),
-            None
-        );
-        assert_eq!(linked_sha256(&HeaderMap::new()), None);
-    }
-
-    #[test]
-    fn files_are_hashed() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("abc");
-        fs::write(&path, "abc").unwrap();
-        let (hash, length) = hash_file(&path).unwrap();
-        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!((hex(&hash).as_str(), length), (expected, 3));
-    }
-}
+mod tests;

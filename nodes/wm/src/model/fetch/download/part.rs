@@ -1,0 +1,131 @@
+//! What is there of an unfinished download.
+
+use anyhow::{Context as _, Result};
+use sha2::Sha256;
+use std::fs::{self, File, OpenOptions};
+use std::io::{ErrorKind, Read as _, Write as _};
+use std::path::{Path, PathBuf};
+use ureq::http::{HeaderMap, header::ETAG};
+
+/// A longer entity tag is not kept: servers send some 70 bytes.
+const MAX_ETAG_BYTES: u64 = 1024;
+
+/// The bytes received so far, in `FILE.part`, and beside them in `FILE.part.etag` the entity tag of what they are a part
+/// of, where the server gave one. Bytes without a tag may be of any version of the file and are not gone on from.
+pub(super) struct Part {
+    path: PathBuf,
+    etag: PathBuf,
+}
+
+/// Where a download begins.
+#[derive(Default)]
+pub(super) struct Start {
+    /// Hash of the bytes that are there.
+    pub hash: Sha256,
+    /// How many they are.
+    pub have: u64,
+    /// The entity tag of the file that they are of; there is one where there are bytes.
+    pub etag: String,
+}
+
+impl Part {
+    /// The part of the file at `path`.
+    pub(super) fn of(path: &Path) -> Self {
+        let with = |ending: &str| {
+            let mut name = path.as_os_str().to_owned();
+            name.push(ending);
+            PathBuf::from(name)
+        };
+        Self {
+            path: with(".part"),
+            etag: with(".part.etag"),
+        }
+    }
+
+    /// The file of the bytes.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What can be gone on from.
+    pub(super) fn start(&self) -> Result<Start> {
+        let Some(etag) = self.read_etag()?.filter(|etag| is_strong(etag)) else {
+            return Ok(Start::default());
+        };
+        if !self.path.exists() {
+            return Ok(Start::default());
+        }
+        let (hash, have) = super::hash_file(&self.path)?;
+        Ok(Start { hash, have, etag })
+    }
+
+    fn read_etag(&self) -> Result<Option<String>> {
+        let file = match File::open(&self.etag) {
+            Ok(file) => file,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error).with_context(|| self.etag.display().to_string()),
+        };
+        let mut etag = Vec::new();
+        file.take(MAX_ETAG_BYTES)
+            .read_to_end(&mut etag)
+            .with_context(|| self.etag.display().to_string())?;
+        Ok(String::from_utf8(etag).ok())
+    }
+
+    /// Begins anew, with a file of this entity tag.
+    pub(super) fn begin(&self, etag: Option<&str>) -> Result<File> {
+        let context = || self.path.display().to_string();
+        let mut options = OpenOptions::new();
+        options.create(true).write(true).truncate(true);
+        let file = options.open(&self.path).with_context(context)?;
+        // The old bytes have to be gone before the new tag is there.
+        file.sync_all().with_context(context)?;
+        match etag {
+            Some(etag) => File::create(&self.etag)
+                .and_then(|mut file| file.write_all(etag.as_bytes()))
+                .with_context(|| self.etag.display().to_string())?,
+            None => remove(&self.etag)?,
+        }
+        Ok(file)
+    }
+
+    /// Goes on behind the bytes that are there.
+    pub(super) fn go_on(&self) -> Result<File> {
+        let file = OpenOptions::new().append(true).open(&self.path);
+        file.with_context(|| self.path.display().to_string())
+    }
+
+    /// Removes it.
+    pub(super) fn discard(&self) -> Result<()> {
+        remove(&self.path)?;
+        remove(&self.etag)
+    }
+
+    /// Makes it the file at `path`, now that it is whole.
+    pub(super) fn finish(&self, path: &Path) -> Result<()> {
+        fs::rename(&self.path, path).with_context(|| path.display().to_string())?;
+        remove(&self.etag)
+    }
+}
+
+/// The entity tag by which a later request can ask for the rest of the same file.
+pub(super) fn strong_etag(headers: &HeaderMap) -> Option<&str> {
+    let etag = headers.get(ETAG)?.to_str().ok()?;
+    is_strong(etag).then_some(etag)
+}
+
+/// A weak tag (`W/"..."`) does not promise the same bytes: RFC 9110, section 13.1.5.
+fn is_strong(etag: &str) -> bool {
+    let is_visible = etag.bytes().all(|byte| byte.is_ascii_graphic());
+    let is_quoted = etag.len() > 2 && etag.starts_with('"') && etag.ends_with('"');
+    is_quoted && is_visible && etag.len() as u64 <= MAX_ETAG_BYTES
+}
+
+fn remove(path: &Path) -> Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            Err(error).with_context(|| path.display().to_string())
+        }
+        _ => Ok(()),
+    }
+}

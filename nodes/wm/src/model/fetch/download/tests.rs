@@ -1,0 +1,194 @@
+use super::*;
+use std::io::{BufRead as _, BufReader};
+use std::net::TcpListener;
+use std::sync::{Arc, Mutex};
+
+fn headers(etag: &str) -> HeaderMap {
+    let mut headers = HeaderMap::new();
+    headers.insert(LINKED_ETAG, etag.parse().unwrap());
+    headers
+}
+
+#[test]
+fn only_a_sha256_is_taken_for_one() {
+    let sha = "0123456789abcdef".repeat(4);
+    assert_eq!(
+        linked_sha256(&headers(&format!("\"{sha}\""))),
+        Some(sha.clone())
+    );
+    assert_eq!(
+        linked_sha256(&headers(&format!("W/\"{}\"", sha.to_uppercase()))),
+        Some(sha)
+    );
+    assert_eq!(
+        linked_sha256(&headers("\"da39a3ee5e6b4b0d3255bfef95601890afd80709\"")),
+        None
+    );
+    assert_eq!(linked_sha256(&HeaderMap::new()), None);
+}
+
+#[test]
+fn files_are_hashed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("abc");
+    fs::write(&path, "abc").unwrap();
+    let (hash, length) = hash_file(&path).unwrap();
+    let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+    assert_eq!((hex(&hash).as_str(), length), (expected, 3));
+}
+
+/// A server on loopback that gives its answers one after the other, and every HEAD the same one.
+struct Server {
+    url: String,
+    /// The headers of the requests for the file, in lower case.
+    requests: Arc<Mutex<Vec<String>>>,
+}
+
+impl Server {
+    fn start(head: String, answers: Vec<String>) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("http://{}/model", listener.local_addr().unwrap());
+        let requests = Arc::new(Mutex::new(Vec::new()));
+        let seen = requests.clone();
+        std::thread::spawn(move || {
+            let mut answers = answers.into_iter();
+            for stream in listener.incoming() {
+                let mut stream = stream.unwrap();
+                let mut lines = BufReader::new(&stream).lines();
+                let lines = std::iter::from_fn(|| lines.next()?.ok());
+                let request: Vec<String> = lines.take_while(|line| !line.is_empty()).collect();
+                let request = request.join("\n").to_lowercase();
+                let answer = if request.starts_with("head") {
+                    head.clone()
+                } else {
+                    seen.lock().unwrap().push(request);
+                    answers
+                        .next()
+                        .unwrap_or_else(|| answer("500 Too Much", "", ""))
+                };
+                stream.write_all(answer.as_bytes()).unwrap();
+            }
+        });
+        Self { url, requests }
+    }
+
+    fn fetch(&self, path: &Path) -> Result<Fetched> {
+        let agent = settings().proxy(None).build().into();
+        Client { agent, token: None }.fetch(&self.url, path)
+    }
+
+    fn request(&self, number: usize) -> String {
+        self.requests.lock().unwrap()[number].clone()
+    }
+}
+
+fn answer(status: &str, headers: &str, body: &str) -> String {
+    cut_off(status, headers, body, body.len())
+}
+
+/// An answer of which only the beginning comes.
+fn cut_off(status: &str, headers: &str, beginning: &str, length: usize) -> String {
+    format!(
+        "HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{beginning}"
+    )
+}
+
+fn sha256(text: &str) -> String {
+    hex(&Sha256::new().chain_update(text))
+}
+
+/// A download of `the old file`, cut off after seven bytes, and then another one of `answers`: the file and the headers
+/// of the requests after the first.
+fn resumed(head: &str, first: &str, answers: &[String]) -> (Result<String>, Vec<String>) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model");
+    let mut all = vec![cut_off("200 OK", first, "the old", 12)];
+    all.extend_from_slice(answers);
+    let server = Server::start(answer("200 OK", head, ""), all);
+    let error = server.fetch(&path).unwrap_err();
+    assert!(format!("{error:#}").contains("after 7 bytes"), "{error:#}");
+    let fetched = server.fetch(&path).map(|fetched| {
+        let text = fs::read_to_string(&path).unwrap();
+        assert_eq!(fetched.sha256, sha256(&text));
+        text
+    });
+    let left: Vec<_> = fs::read_dir(folder.path()).unwrap().collect();
+    assert_eq!(left.len(), usize::from(fetched.is_ok()), "{left:?}");
+    let requests = (1..=answers.len()).map(|number| server.request(number));
+    (fetched, requests.collect())
+}
+
+const OLD: &str = "ETag: \"old\"\r\n";
+const NEW: &str = "ETag: \"new\"\r\n";
+
+#[test]
+fn an_interrupted_download_goes_on_where_it_was() {
+    let rest = format!("{OLD}Content-Range: bytes 7-11/12\r\n");
+    let rest = answer("206 Partial Content", &rest, " file");
+    let (file, requests) = resumed("", OLD, &[rest]);
+    assert_eq!(file.unwrap(), "the old file");
+    assert!(requests[0].contains("range: bytes=7-"), "{requests:?}");
+    assert!(requests[0].contains("if-range: \"old\""), "{requests:?}");
+}
+
+#[test]
+fn a_file_that_changed_is_taken_from_its_beginning() {
+    let whole = answer("200 OK", NEW, "the new file");
+    let (file, _) = resumed("", OLD, &[whole]);
+    assert_eq!(file.unwrap(), "the new file");
+}
+
+#[test]
+fn another_part_than_the_one_that_is_missing_is_not_taken() {
+    let part = |headers: &str| answer("206 Partial Content", headers, " file");
+    for unfit in [
+        part(&format!("{NEW}Content-Range: bytes 7-11/12\r\n")),
+        part(&format!("{OLD}Content-Range: bytes 0-4/12\r\n")),
+        part(OLD),
+        answer(
+            "416 Range Not Satisfiable",
+            "Content-Range: bytes */5\r\n",
+            "",
+        ),
+    ] {
+        let (file, requests) = resumed("", OLD, &[unfit, answer("200 OK", NEW, "the new file")]);
+        assert_eq!(file.unwrap(), "the new file");
+        assert!(!requests[1].contains("range"), "{requests:?}");
+    }
+}
+
+#[test]
+fn without_a_strong_entity_tag_nothing_is_gone_on_from() {
+    for first in ["", "ETag: W/\"old\"\r\n"] {
+        let (file, requests) = resumed("", first, &[answer("200 OK", first, "the old file")]);
+        assert_eq!(file.unwrap(), "the old file");
+        assert!(!requests[0].contains("range"), "{requests:?}");
+    }
+}
+
+#[test]
+fn the_stated_hash_has_the_last_word() {
+    let head = format!("{LINKED_ETAG}: \"{}\"\r\n", sha256("the old file"));
+    let rest = format!("{OLD}Content-Range: bytes 7-11/12\r\n");
+    let good = answer("206 Partial Content", &rest, " file");
+    assert_eq!(resumed(&head, OLD, &[good]).0.unwrap(), "the old file");
+    let bad = answer("206 Partial Content", &rest, " fire");
+    let error = resumed(&head, OLD, &[bad]).0.unwrap_err().to_string();
+    assert!(error.contains("damaged on the way"), "{error}");
+}
+
+#[test]
+fn what_is_whole_already_is_only_renamed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model");
+    let part = Part::of(&path);
+    part.begin(Some("\"old\""))
+        .unwrap()
+        .write_all(b"all")
+        .unwrap();
+    let end = format!("{OLD}Content-Range: bytes */3\r\n");
+    let end = answer("416 Range Not Satisfiable", &end, "");
+    let server = Server::start(answer("200 OK", "", ""), vec![end]);
+    assert_eq!(server.fetch(&path).unwrap().sha256, sha256("all"));
+    assert_eq!(fs::read_to_string(&path).unwrap(), "all");
+}
