@@ -1,6 +1,7 @@
 //! Tensor operations that the stock library is slow at.
 //!
-//! Those for training take tensors and have exact gradients; those for inference
+//! Those for training take tensors and have exact gradients, and a plain [`Form`] of stock operations
+//! for other devices than the CPU and for reference; those for inference
 //! ([`PackedLinear`], `block_attention`, `temporal_attention`) take plain slices, and weights that
 //! were packed once. Activations of convolutions are in NHWC order (image, row, column, channel).
 //! Work is spread over the threads of rayon, and results do not depend on how many there are.
@@ -12,6 +13,7 @@ mod conv;
 mod dense_attention;
 mod element;
 pub(crate) mod exponential;
+mod form;
 pub(crate) mod gated_residual;
 mod group_norm;
 pub(crate) mod host;
@@ -20,6 +22,7 @@ mod layer_norm;
 mod linear;
 mod packed_linear;
 mod panels;
+mod reduction;
 pub(crate) mod rms_norm_modulate;
 mod rotary;
 pub(crate) mod simd;
@@ -33,10 +36,11 @@ pub use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
 pub use conv::{
     ConvShape, Epilogue, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
 };
-pub use dense_attention::{AttentionShape, dense_attention};
+pub use dense_attention::{AttentionShape, ScoreMask, dense_attention};
 pub use element::PackedFormat;
+pub use form::Form;
 pub use gated_residual::gated_residual;
-pub use group_norm::group_norm;
+pub use group_norm::{Activation, group_norm};
 pub use layer_norm::layer_norm;
 pub use linear::linear;
 pub use packed_linear::PackedLinear;

@@ -22,8 +22,9 @@
 //! ```
 //!
 //! [`Transition`] is made of tensors, for training (`wm_training`, through [`Transition::build`] and
-//! [`Transition::output`]) and as the reference; [`PackedTransition`] is the same model for inference
-//! on the CPU. Sampling is not done here ([`crate::sampler`] does it).
+//! [`Transition::output`]), for other devices than the CPU, and as the reference
+//! ([`Transition::plain`]); [`PackedTransition`] is the same model for inference on the CPU.
+//! Sampling is not done here ([`crate::sampler`] does it).
 
 mod block;
 mod config;
@@ -36,7 +37,7 @@ mod pattern;
 
 use std::sync::Arc;
 
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 
 pub use config::{ActionAlignment, TransitionConfig, published_shift};
 pub(crate) use packed::Modulation;
@@ -45,7 +46,7 @@ pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
 
-use crate::ops::{AttentionPattern, Axis, PackedFormat};
+use crate::ops::{AttentionPattern, Axis, Form, PackedFormat};
 use crate::{Error, Result, Weights};
 use block::Block;
 use embedding::{Embedding, Patches};
@@ -66,13 +67,16 @@ pub struct Transition {
     blocks: Vec<Block>,
     head: Head,
     spatial: Arc<AttentionPattern>,
+    form: Form,
 }
 
 impl Transition {
-    /// Builds the model from tensors that `source` supplies by name and shape.
+    /// Builds the model from tensors that `source` supplies by name and shape. It computes on the device that they are
+    /// on. Kernels on the CPU take f32; the plain form takes parameters of 16 bits too, and multiplies in their format:
+    /// everything but products is f32.
     ///
     /// # Errors
-    /// If the configuration cannot be built, or `source` fails.
+    /// If the configuration cannot be built, `source` fails, or it supplies tensors of several devices or formats.
     pub fn build(
         config: TransitionConfig,
         source: &mut dyn FnMut(&Parameter) -> Result<Tensor>,
@@ -92,7 +96,22 @@ impl Transition {
             blocks,
             head,
             spatial: Arc::new(spatial),
+            form: Form::default(),
         })
+    }
+
+    /// The same model on stock operations instead of kernels, as it is on every device but the CPU anyway.
+    #[must_use]
+    pub fn plain(self) -> Self {
+        Self {
+            form: Form::Plain,
+            ..self
+        }
+    }
+
+    /// Where it computes; inputs have to be there.
+    pub fn device(&self) -> &Device {
+        self.embedding.device()
     }
 
     /// Reads a model whose configuration is in the file's metadata.
@@ -130,7 +149,7 @@ impl Transition {
     /// its own.
     ///
     /// # Errors
-    /// If the shapes do not fit the configuration.
+    /// If the shapes do not fit the configuration, or an input is on another device.
     pub fn forward(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<Tensor> {
         let (_, frames) = tau.dims2()?;
         let output = self.output(x, tau, action, &TemporalPattern::causal(frames))?;
@@ -141,7 +160,7 @@ impl Transition {
     /// (B, T, H, W, C). Shapes as in [`Transition::forward`].
     ///
     /// # Errors
-    /// If the shapes do not fit the configuration or the pattern.
+    /// If the shapes do not fit the configuration or the pattern, or an input is on another device.
     pub fn output(
         &self,
         x: &Tensor,
@@ -150,6 +169,7 @@ impl Transition {
         pattern: &TemporalPattern,
     ) -> Result<Tensor> {
         let (b, t) = self.config.check_input(x, tau, action)?;
+        self.check_device(x, tau, action)?;
         if pattern.len() != t {
             return Err(Error::Shape {
                 what: "the latents",
@@ -157,17 +177,30 @@ impl Transition {
                 found: x.dims().to_vec(),
             });
         }
+        let form = self.form;
         let temporal = Arc::new(pattern.attention(self.config.heads, self.config.head_dim())?);
         let patches = Patches::of(x, self.config.patch)?;
-        let mut tokens = self.embedding.tokens(&patches)?;
-        let condition = self
-            .embedding
-            .condition(&tau.flatten_all()?, &action.flatten_to(1)?)?;
+        let mut tokens = self.embedding.tokens(form, &patches)?;
+        let condition =
+            self.embedding
+                .condition(form, &tau.flatten_all()?, &action.flatten_to(1)?)?;
         for block in &self.blocks {
-            tokens = block.forward(&tokens, &condition, &self.spatial, &temporal)?;
+            tokens = block.forward(form, &tokens, &condition, &self.spatial, &temporal)?;
         }
-        let out = self.head.forward(&tokens, &condition)?;
+        let out = self.head.forward(form, &tokens, &condition)?;
         Patches::into_grid(&out, (b, t), &self.config)
+    }
+
+    fn check_device(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<()> {
+        let device = self.device();
+        for (what, tensor) in [("latents", x), ("tau", tau), ("actions", action)] {
+            if !tensor.device().same_device(device) {
+                let (found, expected) = (tensor.device().location(), device.location());
+                let reason = format!("{what} are on {found:?}, expected {expected:?}");
+                return Err(Error::config("device", reason));
+            }
+        }
+        Ok(())
     }
 
     /// The model ready for inference on the CPU, in f32.
@@ -178,3 +211,6 @@ impl Transition {
         PackedTransition::new(self, PackedFormat::F32)
     }
 }
+
+#[cfg(test)]
+mod tests;

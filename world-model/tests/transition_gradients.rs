@@ -1,5 +1,5 @@
 //! Every operation that the transition model trains through, its gradient against finite
-//! differences.
+//! differences, in both forms.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,8 +10,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use wm_model::ops::{
-    AttentionPattern, Axis, RotaryTable, attention, gated_residual, linear, rms_norm_modulate,
-    swiglu,
+    AttentionPattern, Axis, Form, RotaryTable, attention, gated_residual, linear,
+    rms_norm_modulate, swiglu,
 };
 
 fn random(shape: &[usize], seed: u64) -> Tensor {
@@ -26,9 +26,24 @@ fn values(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
+/// Checks both forms of an operation.
+fn check(
+    name: &str,
+    shapes: &[&[usize]],
+    f: impl Fn(Form, &[Tensor]) -> candle_core::Result<Tensor>,
+) {
+    for form in [Form::Kernel, Form::Plain] {
+        check_form(&format!("{name}, {form:?}"), shapes, |t| f(form, t));
+    }
+}
+
 /// Compares the gradient of a random linear function of `f`'s result, for every input, with
 /// central differences at every 7th value.
-fn check(name: &str, shapes: &[&[usize]], f: impl Fn(&[Tensor]) -> candle_core::Result<Tensor>) {
+fn check_form(
+    name: &str,
+    shapes: &[&[usize]],
+    f: impl Fn(&[Tensor]) -> candle_core::Result<Tensor>,
+) {
     let inputs: Vec<Var> = shapes
         .iter()
         .enumerate()
@@ -78,19 +93,21 @@ fn check(name: &str, shapes: &[&[usize]], f: impl Fn(&[Tensor]) -> candle_core::
 
 #[test]
 fn linear_has_its_gradient() {
-    check("linear", &[&[2, 5, 16], &[9, 16], &[9]], |t| {
-        linear(&t[0], &t[1], Some(&t[2]))
+    check("linear", &[&[2, 5, 16], &[9, 16], &[9]], |form, t| {
+        linear(form, &t[0], &t[1], Some(&t[2]))
     });
-    check("linear without bias", &[&[3, 16], &[9, 16]], |t| {
-        linear(&t[0], &t[1], None)
+    check("linear without bias", &[&[3, 16], &[9, 16]], |form, t| {
+        linear(form, &t[0], &t[1], None)
     });
 }
 
 #[test]
 fn rms_norm_modulate_has_its_gradient() {
-    check("rms_norm_modulate", &[&[1, 2, 3, 24], &[2, 72]], |t| {
-        rms_norm_modulate(&t[0], &t[1], 2, 0)
-    });
+    check(
+        "rms_norm_modulate",
+        &[&[1, 2, 3, 24], &[2, 72]],
+        |form, t| rms_norm_modulate(form, &t[0], &t[1], 2, 0),
+    );
 }
 
 #[test]
@@ -98,13 +115,13 @@ fn gated_residual_has_its_gradient() {
     check(
         "gated_residual",
         &[&[1, 2, 3, 16], &[1, 2, 3, 16], &[2, 48]],
-        |t| gated_residual(&t[0], &t[1], &t[2], 1),
+        |form, t| gated_residual(form, &t[0], &t[1], &t[2], 1),
     );
 }
 
 #[test]
 fn swiglu_has_its_gradient() {
-    check("swiglu", &[&[3, 40]], |t| swiglu(&t[0]));
+    check("swiglu", &[&[3, 40]], |form, t| swiglu(form, &t[0]));
 }
 
 #[test]
@@ -112,8 +129,8 @@ fn spatial_attention_has_its_gradient() {
     let rotary = RotaryTable::grid(2, 3, 16);
     let pattern = AttentionPattern::new(Axis::Space, 2, rotary, |_, _| true).unwrap();
     let pattern = Arc::new(pattern);
-    check("spatial attention", &[&[1, 2, 6, 96]], |t| {
-        attention(&t[0], &pattern)
+    check("spatial attention", &[&[1, 2, 6, 96]], |form, t| {
+        attention(form, &t[0], &pattern)
     });
 }
 
@@ -123,7 +140,7 @@ fn temporal_attention_has_its_gradient() {
     let visible = |query: usize, key: usize| key <= query && key != 1;
     let visible = move |query: usize, key: usize| query == key || visible(query, key);
     let pattern = Arc::new(AttentionPattern::new(Axis::Time, 2, rotary, visible).unwrap());
-    check("temporal attention", &[&[2, 4, 3, 96]], |t| {
-        attention(&t[0], &pattern)
+    check("temporal attention", &[&[2, 4, 3, 96]], |form, t| {
+        attention(form, &t[0], &pattern)
     });
 }

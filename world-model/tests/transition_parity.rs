@@ -91,6 +91,11 @@ fn velocities_are_those_of_pytorch() {
                 TOLERANCE,
             ),
             (
+                "plain tensors",
+                model.clone().plain().forward(inputs.0, inputs.1, inputs.2),
+                TOLERANCE,
+            ),
+            (
                 "packed",
                 packed(PackedFormat::F32).forward(inputs.0, inputs.1, inputs.2),
                 TOLERANCE,

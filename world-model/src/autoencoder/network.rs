@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use rand::Rng;
 use sha2::{Digest, Sha256};
 
-use crate::ops::{ConvShape, Epilogue, GridSize, PackedConv, group_norm};
+use crate::ops::{Activation, ConvShape, Epilogue, GridSize, PackedConv, group_norm};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
 
@@ -440,7 +440,14 @@ impl Branch {
         self.widen.run(x, grid, None, &mut wide)?;
         let affine = (self.scale.as_slice(), self.shift.as_slice());
         let pixels = grid.height * grid.width;
-        group_norm(&mut wide, pixels, BRANCH_GROUPS, affine, BRANCH_EPS, true);
+        group_norm(
+            &mut wide,
+            pixels,
+            BRANCH_GROUPS,
+            affine,
+            BRANCH_EPS,
+            Activation::Relu,
+        );
         let mut sum = Vec::new();
         self.narrow.run(&wide, grid, Some(x), &mut sum)?;
         *x = sum;

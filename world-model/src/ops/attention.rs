@@ -8,13 +8,14 @@
 mod head;
 mod product;
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use candle_core::{CpuStorage, CustomOp1, D, Device, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
+use super::Form;
 use super::host::{host, slice};
-use super::rotary::RotaryTable;
+use super::rotary::{RotaryTable, normalise_and_rotate_plain};
 use super::vectorised::vectorised;
 use head::HeadKernel;
 
@@ -38,6 +39,16 @@ pub struct AttentionPattern {
     rotary: RotaryTable,
     /// Added to the scores: 0 where the key is visible, -inf where not; (length, padded length).
     bias: Vec<f32>,
+    tables: OnceLock<Tables>,
+}
+
+/// What the plain form computes with, on the device of the first tensor that it is given.
+#[derive(Clone, Debug)]
+struct Tables {
+    /// Cosines and sines, each (length, pairs).
+    rotary: (Tensor, Tensor),
+    /// The scores' bias, (length, length); none where every query sees every key.
+    bias: Option<Tensor>,
 }
 
 impl AttentionPattern {
@@ -59,9 +70,9 @@ impl AttentionPattern {
             );
         }
         let length = rotary.len();
-        let padded = length.next_multiple_of(product::LANES);
+        let padded = padded(length);
         let mut bias = vec![f32::NEG_INFINITY; length * padded];
-        for (query, row) in bias.chunks_exact_mut(padded.max(1)).enumerate() {
+        for (query, row) in bias.chunks_exact_mut(padded).enumerate() {
             let mut any = false;
             for (key, bias) in row.iter_mut().take(length).enumerate() {
                 if visible(query, key) {
@@ -78,16 +89,45 @@ impl AttentionPattern {
             heads,
             rotary,
             bias,
+            tables: OnceLock::new(),
         })
     }
+
+    /// Kept, so that a pattern's tables go to a device once.
+    fn tables(&self, device: &Device) -> Result<&Tables> {
+        if let Some(tables) = self.tables.get() {
+            return Ok(tables);
+        }
+        let length = self.rotary.len();
+        let rows = self.bias.chunks_exact(padded(length));
+        let bias = rows.flat_map(|row| row.iter().copied().take(length));
+        let bias = match bias.clone().all(|bias| bias == 0.0) {
+            true => None,
+            false => {
+                let shape = (length, length);
+                Some(Tensor::from_vec(bias.collect(), shape, device)?)
+            }
+        };
+        let rotary = self.rotary.tensors(device)?;
+        Ok(self.tables.get_or_init(|| Tables { rotary, bias }))
+    }
+}
+
+/// Width of the bias's rows: the length rounded up to whole lanes.
+fn padded(length: usize) -> usize {
+    length.next_multiple_of(product::LANES).max(product::LANES)
 }
 
 /// Attention of `qkv` (B, T, N, 3 d), rows q | k | v, each head-major: (B, T, N, d).
 ///
 /// # Errors
 /// If the shape does not fit the pattern.
-pub fn attention(qkv: &Tensor, pattern: &Arc<AttentionPattern>) -> Result<Tensor> {
-    qkv.contiguous()?.apply_op1(Attention(pattern.clone()))
+pub fn attention(form: Form, qkv: &Tensor, pattern: &Arc<AttentionPattern>) -> Result<Tensor> {
+    let op = Attention(pattern.clone());
+    match form.takes_kernel(qkv) {
+        true => qkv.contiguous()?.apply_op1(op),
+        false => op.plain(qkv),
+    }
 }
 
 struct Attention(Arc<AttentionPattern>);
@@ -126,6 +166,42 @@ impl Attention {
             rows,
             d,
         })
+    }
+
+    fn plain(&self, qkv: &Tensor) -> Result<Tensor> {
+        let Group { d, .. } = self.group(qkv.shape())?;
+        let (b, t, n, _) = qkv.dims4()?;
+        let (heads, dim) = (self.0.heads, self.0.rotary.head_dim());
+        let tables = self.0.tables(qkv.device())?;
+        let parts = qkv.reshape((b, t, n, 3, heads, dim))?;
+        // To (3, B, the other axis, heads, length, dim).
+        let parts = match self.0.axis {
+            Axis::Space => parts.permute((3, 0, 1, 4, 2, 5))?,
+            Axis::Time => parts.permute((3, 0, 2, 4, 1, 5))?,
+        };
+        let part = |i: usize| parts.get(i)?.flatten_to(2)?.contiguous();
+        let query = normalise_and_rotate_plain(&part(0)?, &tables.rotary)?;
+        let key = normalise_and_rotate_plain(&part(1)?, &tables.rotary)?;
+        let scores = (query.matmul(&key.t()?)? / (dim as f64).sqrt())?;
+        let scores = match &tables.bias {
+            Some(bias) => scores.broadcast_add(bias)?,
+            None => scores,
+        };
+        // Less the largest score, so that no exponential overflows; the softmax is the same for whatever is subtracted,
+        // and has no gradient by it.
+        let most = scores.max_keepdim(D::Minus1)?.detach();
+        let powers = scores.broadcast_sub(&most)?.exp()?;
+        let weights = powers.broadcast_div(&powers.sum_keepdim(D::Minus1)?)?;
+        let out = weights.matmul(&part(2)?)?;
+        let out = match self.0.axis {
+            Axis::Space => out
+                .reshape((b, t, heads, n, dim))?
+                .permute((0, 1, 3, 2, 4))?,
+            Axis::Time => out
+                .reshape((b, n, heads, t, dim))?
+                .permute((0, 3, 1, 2, 4))?,
+        };
+        out.reshape((b, t, n, d))
     }
 
     fn kernel(&self) -> HeadKernel<'_> {

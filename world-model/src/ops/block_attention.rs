@@ -7,19 +7,13 @@
 
 use super::kernel::Row;
 use super::rotary::{RotaryTable, normalise_and_rotate};
-use super::simd::{InstructionSet, LANES};
+use super::simd::{InstructionSet, LANES, NO_BIAS};
 use super::softmax::softmax_rows;
 use super::vectorised::vectorised;
 
 /// Tokens of a block at most: enough rows for a packed weight to be read rarely, few enough for the
 /// block's activations to stay in a second-level cache.
 const MOST_TOKENS: usize = 64;
-
-/// No panel of keys is wider.
-const MOST_VECTORS: usize = 4;
-
-/// Bias of the products, which have none.
-static ZEROS: [f32; MOST_VECTORS * LANES] = [0.0; MOST_VECTORS * LANES];
 
 /// How a frame's tokens are cut into blocks, and the sizes of what is packed of each.
 #[derive(Clone, Copy, Debug)]
@@ -136,7 +130,7 @@ impl TokenBlocks {
             run,
             panel: std::ptr::null(),
             vectors,
-            bias: ZEROS.as_ptr(),
+            bias: NO_BIAS.as_ptr(),
             pixels: rows,
             output: std::ptr::null_mut(),
             residual: std::ptr::null(),

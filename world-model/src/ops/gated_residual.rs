@@ -3,6 +3,7 @@
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
+use super::Form;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
 
@@ -12,16 +13,18 @@ use super::vectorised::vectorised;
 /// # Errors
 /// If the shapes do not fit.
 pub fn gated_residual(
+    form: Form,
     x: &Tensor,
     branch: &Tensor,
     modulation: &Tensor,
     gate: usize,
 ) -> Result<Tensor> {
-    x.contiguous()?.apply_op3(
-        &branch.contiguous()?,
-        &modulation.contiguous()?,
-        GatedResidual { gate },
-    )
+    let op = GatedResidual { gate };
+    if form.takes_kernel(x) {
+        let (branch, modulation) = (branch.contiguous()?, modulation.contiguous()?);
+        return x.contiguous()?.apply_op3(&branch, &modulation, op);
+    }
+    op.plain(x, branch, modulation)
 }
 
 struct GatedResidual {
@@ -29,6 +32,14 @@ struct GatedResidual {
 }
 
 impl GatedResidual {
+    fn plain(&self, x: &Tensor, branch: &Tensor, modulation: &Tensor) -> Result<Tensor> {
+        let (d, _, _) = self.sizes(x.shape(), branch.shape(), modulation.shape())?;
+        let frames = modulation.dim(0)?;
+        let gate = modulation.narrow(1, self.gate * d, d)?.unsqueeze(1)?;
+        let gated = branch.reshape((frames, (), d))?.broadcast_mul(&gate)?;
+        x + gated.reshape(x.shape())?
+    }
+
     /// Width of a token and of a frame's modulation, number of values in a frame.
     fn sizes(
         &self,
@@ -144,5 +155,25 @@ vectorised! {
                 *grad_gate = g.mul_add(*branch, *grad_gate);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::form::tests::{check_refused, check_same, random};
+    use super::*;
+
+    #[test]
+    fn the_kernel_is_the_plain_form() {
+        let (x, branch) = (random(&[2, 3, 5, 12], 1), random(&[2, 3, 5, 12], 2));
+        let modulation = random(&[6, 36], 3);
+        for gate in 0..3 {
+            check_same("gated_residual", |form| {
+                gated_residual(form, &x, &branch, &modulation, gate)
+            });
+        }
+        check_refused("with a modulation of [6, 36]", |form| {
+            gated_residual(form, &x, &branch, &modulation, 3)
+        });
     }
 }

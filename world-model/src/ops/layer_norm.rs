@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::reduction::sum_of;
 use super::vectorised::vectorised;
 
 /// Rows that one task handles.
@@ -26,28 +27,14 @@ vectorised! {
     fn normalise_rows(rows: &mut [f32], scale: &[f32], shift: &[f32], eps: f32) {
         let width = scale.len();
         for row in rows.chunks_exact_mut(width) {
-            let mean = sum(row, |x| x) / width as f32;
-            let variance = sum(row, |x| (x - mean) * (x - mean)) / width as f32;
+            let mean = sum_of(row, |x| x) / width as f32;
+            let variance = sum_of(row, |x| (x - mean) * (x - mean)) / width as f32;
             let factor = 1.0 / (variance + eps).sqrt();
             for ((x, scale), shift) in row.iter_mut().zip(scale).zip(shift) {
                 *x = ((*x - mean) * factor).mul_add(*scale, *shift);
             }
         }
     }
-}
-
-/// The sum of `f` of all values, in sixteen partial sums: a single one would be a chain of
-/// dependent additions.
-#[inline(always)]
-fn sum(row: &[f32], f: impl Fn(f32) -> f32) -> f32 {
-    let mut sums = [0.0_f32; 16];
-    let (chunks, rest) = row.as_chunks::<16>();
-    for chunk in chunks {
-        for (sum, x) in sums.iter_mut().zip(chunk) {
-            *sum += f(*x);
-        }
-    }
-    sums.iter().sum::<f32>() + rest.iter().map(|x| f(*x)).sum::<f32>()
 }
 
 #[cfg(test)]

@@ -6,14 +6,20 @@
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor};
 use gemm::Parallelism;
 
+use super::Form;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
 
 /// `x` (.., in) times the transpose of `weight` (out, in) plus `bias` (out): (.., out).
 ///
+/// The kernel takes f32. The plain form takes any weight, multiplies in its number format, and gives that of `x`.
+///
 /// # Errors
 /// If the shapes do not fit.
-pub fn linear(x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
+pub fn linear(form: Form, x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
+    if !form.takes_kernel(x) {
+        return Linear::plain(x, weight, bias);
+    }
     let x = x.contiguous()?;
     match bias {
         Some(bias) => x.apply_op3(weight, bias, Linear),
@@ -24,22 +30,39 @@ pub fn linear(x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tens
 struct Linear;
 
 impl Linear {
+    /// Shape of the result, for shapes of the input and of the weight.
+    fn shape(x: &Shape, weight: &Shape) -> Result<Shape> {
+        let (n, k) = weight.dims2()?;
+        let mut dims = x.dims().to_vec();
+        match dims.last_mut() {
+            Some(last) if *last == k => *last = n,
+            _ => {
+                candle_core::bail!("linear: input of shape {x:?} for a weight of shape {weight:?}")
+            }
+        }
+        Ok(dims.into())
+    }
+
+    fn plain(x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
+        let shape = Self::shape(x.shape(), weight.shape())?;
+        // As one product of two matrices: for a batch of them the weight would be copied for each.
+        let rows = x.reshape(((), weight.dim(1)?))?;
+        let y = rows.to_dtype(weight.dtype())?.matmul(&weight.t()?)?;
+        let y = y.to_dtype(x.dtype())?;
+        let y = match bias {
+            Some(bias) => y.broadcast_add(&bias.to_dtype(x.dtype())?)?,
+            None => y,
+        };
+        y.reshape(shape)
+    }
+
     fn forward(
         x: (&CpuStorage, &Layout),
         weight: (&CpuStorage, &Layout),
         bias: Option<&[f32]>,
     ) -> Result<(CpuStorage, Shape)> {
         let (n, k) = weight.1.shape().dims2()?;
-        let mut dims = x.1.dims().to_vec();
-        match dims.last_mut() {
-            Some(last) if *last == k => *last = n,
-            _ => candle_core::bail!(
-                "linear: input of shape {:?} for a weight of shape {:?}",
-                x.1.shape(),
-                weight.1.shape()
-            ),
-        }
-        let shape = Shape::from(dims);
+        let shape = Self::shape(x.1.shape(), weight.1.shape())?;
         let (x, weight) = (slice(x.0, x.1)?, slice(weight.0, weight.1)?);
         let m = x.len() / k.max(1);
         let mut y = Vec::with_capacity(m * n);
@@ -250,4 +273,25 @@ fn multiply(
         );
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::form::tests::{check_refused, check_same, random};
+    use super::*;
+
+    #[test]
+    fn the_kernel_is_the_plain_form() {
+        let (weight, bias) = (random(&[9, 16], 1), random(&[9], 2));
+        for shape in [&[2, 3, 5, 16][..], &[7, 16]] {
+            let x = random(shape, 3);
+            for bias in [None, Some(&bias)] {
+                check_same("linear", |form| linear(form, &x, &weight, bias));
+            }
+        }
+        let x = random(&[3, 15], 4);
+        check_refused("[3, 15] for a weight of shape [9, 16]", |form| {
+            linear(form, &x, &weight, None)
+        });
+    }
 }

@@ -11,8 +11,9 @@ use super::panels::Panels;
 use super::simd::{LANES, prefetch};
 use crate::{Error, Result};
 
-/// Rows that one task handles: enough for a panel to be used often once it is there.
-const ROWS: usize = 64;
+/// Rows that one task handles at most: enough for a panel to be used often once it is there, few enough for them to stay
+/// in a second-level cache.
+const ROWS: usize = 160;
 
 /// A matrix and a bias in the order in which the kernel reads them. Clones share them.
 #[derive(Clone, Debug)]
@@ -82,8 +83,13 @@ impl PackedLinear {
     pub fn forward_on_pool(&self, x: &[f32], y: &mut [f32]) {
         let (inputs, outputs) = (self.inputs().max(1), self.outputs().max(1));
         assert_eq!(x.len() / inputs, y.len() / outputs, "rows of a product");
-        y.par_chunks_mut(ROWS * outputs)
-            .zip(x.par_chunks(ROWS * inputs))
+        // Equal shares: one task of a few rows more would read all weights for these alone.
+        let rows = y.len() / outputs;
+        let threads = rayon::current_num_threads();
+        let tasks = threads * rows.div_ceil(threads * ROWS);
+        let share = rows.div_ceil(tasks.max(1)).max(1);
+        y.par_chunks_mut(share * outputs)
+            .zip(x.par_chunks(share * inputs))
             .for_each(|(y, x)| self.forward(x, y));
     }
 

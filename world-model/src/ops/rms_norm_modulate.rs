@@ -1,9 +1,11 @@
 //! Root-mean-square normalisation without affine parameters, then a shift and a scale per frame.
 
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use candle_core::{CpuStorage, CustomOp2, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
+use super::Form;
 use super::host::{host, slice};
+use super::reduction::dot;
 use super::vectorised::vectorised;
 
 const EPSILON: f32 = 1e-6;
@@ -16,13 +18,17 @@ const EPSILON: f32 = 1e-6;
 /// # Errors
 /// If the shapes do not fit.
 pub fn rms_norm_modulate(
+    form: Form,
     x: &Tensor,
     modulation: &Tensor,
     shift: usize,
     scale: usize,
 ) -> Result<Tensor> {
-    x.contiguous()?
-        .apply_op2(&modulation.contiguous()?, RmsNormModulate { shift, scale })
+    let op = RmsNormModulate { shift, scale };
+    if form.takes_kernel(x) {
+        return x.contiguous()?.apply_op2(&modulation.contiguous()?, op);
+    }
+    op.plain(x, modulation)
 }
 
 struct RmsNormModulate {
@@ -31,6 +37,18 @@ struct RmsNormModulate {
 }
 
 impl RmsNormModulate {
+    fn plain(&self, x: &Tensor, modulation: &Tensor) -> Result<Tensor> {
+        let (d, _, _) = self.sizes(x.shape(), modulation.shape())?;
+        let frames = modulation.dim(0)?;
+        let chunk = |number: usize| modulation.narrow(1, number * d, d)?.unsqueeze(1);
+        let rows = x.reshape((frames, (), d))?;
+        let mean_square = rows.sqr()?.mean_keepdim(D::Minus1)?;
+        let normed = rows.broadcast_div(&(mean_square + f64::from(EPSILON))?.sqrt()?)?;
+        let scaled = normed.broadcast_mul(&(chunk(self.scale)? + 1.0)?)?;
+        let shifted = scaled.broadcast_add(&chunk(self.shift)?)?;
+        shifted.reshape(x.shape())
+    }
+
     /// Width of a token and of a frame's modulation, number of values in a frame.
     fn sizes(&self, x: &Shape, modulation: &Shape) -> Result<(usize, usize, usize)> {
         let (frames, width) = modulation.dims2()?;
@@ -47,16 +65,7 @@ impl RmsNormModulate {
 /// 1 / root mean square.
 #[inline(always)]
 fn inverse_rms(row: &[f32]) -> f32 {
-    // Sixteen partial sums: a single one would be a chain of dependent additions.
-    let mut sums = [0.0_f32; 16];
-    let (chunks, rest) = row.as_chunks::<16>();
-    for chunk in chunks {
-        for (sum, x) in sums.iter_mut().zip(chunk) {
-            *sum = x.mul_add(*x, *sum);
-        }
-    }
-    let total: f32 = sums.iter().sum::<f32>() + rest.iter().map(|x| x * x).sum::<f32>();
-    1.0 / (total / row.len() as f32 + EPSILON).sqrt()
+    1.0 / (dot(row, row) / row.len() as f32 + EPSILON).sqrt()
 }
 
 impl CustomOp2 for RmsNormModulate {
@@ -165,26 +174,37 @@ fn backward_row(
     grad_scale: &mut [f32],
 ) {
     let r = inverse_rms(x);
-    let d = x.len();
-    let mut sums = [0.0_f32; 16];
-    let whole = d - d % 16;
-    for i in (0..whole).step_by(16) {
-        let (x, g, s) = (&x[i..][..16], &g[i..][..16], &scale[i..][..16]);
-        for lane in 0..16 {
-            sums[lane] += g[lane] * (1.0 + s[lane]) * x[lane];
-        }
-    }
-    let mut dot: f32 = sums.iter().sum();
-    for i in whole..d {
-        dot += g[i] * (1.0 + scale[i]) * x[i];
+    for ((h, g), scale) in grad_x.iter_mut().zip(g).zip(scale) {
+        *h = g * (1.0 + scale);
     }
     // mean(h n) r, to be multiplied by n r = x r^2 / r.
-    let factor = dot * r * r * r / d as f32;
-    let inputs = x.iter().zip(g).zip(scale);
+    let factor = dot(grad_x, x) * r * r * r / x.len() as f32;
+    let inputs = x.iter().zip(g);
     let outputs = grad_x.iter_mut().zip(grad_shift).zip(grad_scale);
-    for (((x, g), scale), ((grad_x, grad_shift), grad_scale)) in inputs.zip(outputs) {
-        *grad_x = g * (1.0 + scale) * r - x * factor;
+    for ((x, g), ((grad_x, grad_shift), grad_scale)) in inputs.zip(outputs) {
+        *grad_x = *grad_x * r - x * factor;
         *grad_shift += g;
         *grad_scale += g * x * r;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::form::tests::{check_refused, check_same, random};
+    use super::*;
+
+    #[test]
+    fn the_kernel_is_the_plain_form() {
+        for d in [4, 16, 24] {
+            let (x, modulation) = (random(&[2, 3, 5, d], 1), random(&[6, 3 * d], 2));
+            for (shift, scale) in [(0, 1), (2, 0)] {
+                check_same("rms_norm_modulate", |form| {
+                    rms_norm_modulate(form, &x, &modulation, shift, scale)
+                });
+            }
+            check_refused("with a modulation of", |form| {
+                rms_norm_modulate(form, &x, &modulation, 0, 3)
+            });
+        }
     }
 }

@@ -1,5 +1,9 @@
 //! Rotary position embedding: angles per position for the pairs of adjacent channels (2j, 2j + 1).
 
+use candle_core::{D, Device, Result, Tensor};
+
+use super::reduction::dot;
+
 /// Base of the geometric series of frequencies.
 const BASE: f64 = 10_000.0;
 
@@ -79,6 +83,14 @@ impl RotaryTable {
         2 * self.pairs
     }
 
+    /// Cosines and sines on `device`, each (positions, pairs).
+    pub(crate) fn tensors(&self, device: &Device) -> Result<(Tensor, Tensor)> {
+        let shape = (self.len(), 2, self.pairs);
+        let angles = Tensor::from_slice(&self.angles, shape, device)?;
+        let part = |i: usize| angles.narrow(1, i, 1)?.squeeze(1)?.contiguous();
+        Ok((part(0)?, part(1)?))
+    }
+
     /// Cosines and sines of one position, one of each per pair.
     #[inline(always)]
     pub(crate) fn at(&self, position: usize) -> (&[f32], &[f32]) {
@@ -118,6 +130,27 @@ pub(crate) fn normalise_and_rotate(x: &[f32], (cos, sin): (&[f32], &[f32]), out:
     }
 }
 
+/// As [`normalise_and_rotate`], of `x` (.., positions, head dimension) by angles (positions, pairs), in the same order
+/// of channels.
+pub(crate) fn normalise_and_rotate_plain(
+    x: &Tensor,
+    (cos, sin): &(Tensor, Tensor),
+) -> Result<Tensor> {
+    let mean_square = x.sqr()?.mean_keepdim(D::Minus1)?;
+    let normed = x.broadcast_div(&(mean_square + f64::from(f32::EPSILON))?.sqrt()?)?;
+    let mut pairs = x.dims().to_vec();
+    if let Some(last) = pairs.last_mut() {
+        *last /= 2;
+    }
+    pairs.push(2);
+    let pairs = normed.reshape(pairs)?;
+    let half = |i: usize| pairs.narrow(D::Minus1, i, 1)?.squeeze(D::Minus1);
+    let (a, b) = (half(0)?, half(1)?);
+    let first = (a.broadcast_mul(cos)? - b.broadcast_mul(sin)?)?;
+    let second = (a.broadcast_mul(sin)? + b.broadcast_mul(cos)?)?;
+    Tensor::cat(&[first, second], D::Minus1)
+}
+
 /// Gradient of [`normalise_and_rotate`]: `grad` is that of its output, in its order of channels;
 /// the gradient of `x` is written to `out`.
 #[inline(always)]
@@ -140,8 +173,7 @@ pub(crate) fn normalise_and_rotate_backward(
         *b = second * cos - first * sin;
     }
     // With n = x r: the gradient is r (h - n mean(h n)), h being what is now in `out`.
-    let dot: f32 = out.iter().zip(x).map(|(h, x)| h * x).sum();
-    let factor = dot * r * r * r / x.len() as f32;
+    let factor = dot(out, x) * r * r * r / x.len() as f32;
     for (out, x) in out.iter_mut().zip(x) {
         *out = *out * r - x * factor;
     }
@@ -150,15 +182,5 @@ pub(crate) fn normalise_and_rotate_backward(
 /// 1 / root mean square, with the machine epsilon of the number format against division by zero.
 #[inline(always)]
 fn inverse_rms(x: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; 16];
-    let (chunks, rest) = x.as_chunks::<16>();
-    for chunk in chunks {
-        for (sum, x) in sums.iter_mut().zip(chunk) {
-            *sum = x.mul_add(*x, *sum);
-        }
-    }
-    for (sum, x) in sums.iter_mut().zip(rest) {
-        *sum = x.mul_add(*x, *sum);
-    }
-    1.0 / (sums.iter().sum::<f32>() / x.len() as f32 + f32::EPSILON).sqrt()
+    1.0 / (dot(x, x) / x.len() as f32 + f32::EPSILON).sqrt()
 }

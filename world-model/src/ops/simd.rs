@@ -59,11 +59,17 @@ impl InstructionSet {
     pub(crate) fn tile_vectors(self) -> usize {
         match self {
             #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => 4,
+            Self::Avx512 => MOST_VECTORS,
             _ => 1,
         }
     }
 }
+
+/// No panel is wider, under any instruction set.
+const MOST_VECTORS: usize = 4;
+
+/// A panel's bias for sums that have none.
+pub(crate) static NO_BIAS: [f32; MOST_VECTORS * LANES] = [0.0; MOST_VECTORS * LANES];
 
 /// Bytes that a cache fetches together.
 #[cfg(target_arch = "x86_64")]

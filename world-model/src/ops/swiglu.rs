@@ -1,8 +1,9 @@
 //! The gated activation of the feed-forward networks.
 
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use candle_core::{CpuStorage, CustomOp1, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
+use super::Form;
 use super::exponential::sigmoid;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
@@ -14,8 +15,21 @@ const ROWS: usize = 64;
 ///
 /// # Errors
 /// If the last dimension is odd.
-pub fn swiglu(x: &Tensor) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(Swiglu)
+pub fn swiglu(form: Form, x: &Tensor) -> Result<Tensor> {
+    if form.takes_kernel(x) {
+        return x.contiguous()?.apply_op1(Swiglu);
+    }
+    let h = half(x.shape())?;
+    let (gate, value) = (x.narrow(D::Minus1, 0, h)?, x.narrow(D::Minus1, h, h)?);
+    gate.silu()? * value
+}
+
+/// Half the last dimension.
+fn half(shape: &Shape) -> Result<usize> {
+    match shape.dims().last() {
+        Some(last) if *last > 0 && last.is_multiple_of(2) => Ok(last / 2),
+        _ => candle_core::bail!("swiglu: cannot halve {shape:?}"),
+    }
 }
 
 struct Swiglu;
@@ -26,14 +40,11 @@ impl CustomOp1 for Swiglu {
     }
 
     fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let h = half(layout.shape())?;
         let mut dims = layout.dims().to_vec();
-        let h = match dims.last_mut() {
-            Some(last) if *last > 0 && *last % 2 == 0 => {
-                *last /= 2;
-                *last
-            }
-            _ => candle_core::bail!("swiglu: cannot halve {:?}", layout.shape()),
-        };
+        if let Some(last) = dims.last_mut() {
+            *last = h;
+        }
         let x = slice(storage, layout)?;
         let mut out = vec![0.0; x.len() / 2];
         out.par_chunks_mut(ROWS * h)
@@ -44,7 +55,7 @@ impl CustomOp1 for Swiglu {
 
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let grad = grad.contiguous()?;
-        let h = grad.dim(candle_core::D::Minus1)?;
+        let h = grad.dim(D::Minus1)?;
         let (hx, hg) = (host(x), host(&grad));
         let (vx, vg) = (hx.values()?, hg.values()?);
         let mut out = vec![0.0; vx.len()];
@@ -82,5 +93,21 @@ vectorised! {
                 *grad_b = g * silu;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::form::tests::{check_refused, check_same, random};
+    use super::*;
+
+    #[test]
+    fn the_kernel_is_the_plain_form() {
+        for shape in [&[2, 3, 40][..], &[70, 6], &[2]] {
+            let x = random(shape, 1);
+            check_same("swiglu", |form| swiglu(form, &x));
+        }
+        let odd = random(&[2, 7], 2);
+        check_refused("cannot halve [2, 7]", |form| swiglu(form, &odd));
     }
 }

@@ -4,6 +4,7 @@
 //! A handful of keys a token: one vectorised pass over tokens and heads beats products of matrices.
 
 use super::exponential::exp;
+use super::reduction::dot;
 use super::rotary::{RotaryTable, normalise_and_rotate};
 use super::vectorised::vectorised;
 
@@ -70,19 +71,7 @@ vectorised! {
     }
 }
 
-#[inline(always)]
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; 16];
-    let ((a, rest_a), (b, rest_b)) = (a.as_chunks::<16>(), b.as_chunks::<16>());
-    for (a, b) in a.iter().zip(b) {
-        for lane in 0..16 {
-            sums[lane] = a[lane].mul_add(b[lane], sums[lane]);
-        }
-    }
-    let rest: f32 = rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum();
-    sums.iter().sum::<f32>() + rest
-}
-
+/// Softmax in place, for so few weights that lanes would stay empty.
 #[inline(always)]
 fn softmax(weights: &mut [f32]) {
     let most = weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);

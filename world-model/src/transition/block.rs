@@ -7,7 +7,7 @@ use candle_core::Tensor;
 use super::embedding::Condition;
 use super::parameters::{Linear, Tensors};
 use crate::Result;
-use crate::ops::{self, AttentionPattern, gated_residual, rms_norm_modulate, swiglu};
+use crate::ops::{self, AttentionPattern, Form, gated_residual, rms_norm_modulate, swiglu};
 
 /// Order of a sub-block's modulation: shift, scale and gate of the attention, then of the
 /// feed-forward network.
@@ -32,15 +32,16 @@ impl Block {
     /// Tokens (B, T, N, d).
     pub(super) fn forward(
         &self,
+        form: Form,
         tokens: &Tensor,
         condition: &Condition,
         spatial: &Arc<AttentionPattern>,
         temporal: &Arc<AttentionPattern>,
     ) -> Result<Tensor> {
-        let attend = |qkv: &Tensor| Ok(ops::attention(qkv, spatial)?);
-        let tokens = self.spatial.forward(tokens, condition, attend)?;
-        let attend = |qkv: &Tensor| Ok(ops::attention(qkv, temporal)?);
-        self.temporal.forward(&tokens, condition, attend)
+        let attend = |qkv: &Tensor| Ok(ops::attention(form, qkv, spatial)?);
+        let tokens = self.spatial.forward(form, tokens, condition, attend)?;
+        let attend = |qkv: &Tensor| Ok(ops::attention(form, qkv, temporal)?);
+        self.temporal.forward(form, &tokens, condition, attend)
     }
 }
 
@@ -66,18 +67,22 @@ impl SubBlock {
 
     fn forward(
         &self,
+        form: Form,
         x: &Tensor,
         condition: &Condition,
         attend: impl FnOnce(&Tensor) -> Result<Tensor>,
     ) -> Result<Tensor> {
-        let modulation = self.modulation.forward(&condition.activated)?;
+        let modulation = self.modulation.forward(form, &condition.activated)?;
         let [shift, scale, gate] = ATTENTION;
-        let normed = rms_norm_modulate(x, &modulation, shift, scale)?;
-        let attended = self.out.forward(&attend(&self.qkv.forward(&normed)?)?)?;
-        let x = gated_residual(x, &attended, &modulation, gate)?;
+        let normed = rms_norm_modulate(form, x, &modulation, shift, scale)?;
+        let attended = self
+            .out
+            .forward(form, &attend(&self.qkv.forward(form, &normed)?)?)?;
+        let x = gated_residual(form, x, &attended, &modulation, gate)?;
         let [shift, scale, gate] = FEED_FORWARD;
-        let normed = rms_norm_modulate(&x, &modulation, shift, scale)?;
-        let fed = self.down.forward(&swiglu(&self.up.forward(&normed)?)?)?;
-        Ok(gated_residual(&x, &fed, &modulation, gate)?)
+        let normed = rms_norm_modulate(form, &x, &modulation, shift, scale)?;
+        let fed = swiglu(form, &self.up.forward(form, &normed)?)?;
+        let fed = self.down.forward(form, &fed)?;
+        Ok(gated_residual(form, &x, &fed, &modulation, gate)?)
     }
 }

@@ -4,7 +4,8 @@ use candle_core::{D, Device, Tensor};
 
 use super::TransitionConfig;
 use super::parameters::{FREQUENCIES, Linear, Tensors};
-use crate::{Result, ops};
+use crate::Result;
+use crate::ops::{self, Form};
 
 /// Ratio of the highest frequency to that which follows the lowest.
 const FREQUENCY_RANGE: f64 = 10_000.0;
@@ -41,23 +42,31 @@ impl Embedding {
                 (exponent.exp() * TAU_SCALE) as f32
             })
             .collect();
+        let patch_weight = tensors.take("x_proj.weight")?;
+        let shape = (1, FREQUENCIES);
         Ok(Self {
-            patch_weight: tensors.take("x_proj.weight")?,
+            frequencies: Tensor::from_vec(frequencies, shape, patch_weight.device())?,
+            patch_weight,
             patch_bias: tensors.take("x_proj.bias")?,
             time: [
                 tensors.linear("timestep_mlp.0")?,
                 tensors.linear("timestep_mlp.2")?,
             ],
             action: tensors.linear("action_embedder")?,
-            frequencies: Tensor::from_vec(frequencies, (1, FREQUENCIES), &Device::Cpu)?,
         })
     }
 
+    /// Where the parameters are.
+    pub(super) fn device(&self) -> &Device {
+        self.patch_weight.device()
+    }
+
     /// Patches (.., p * p * C) to tokens (.., d).
-    pub(super) fn tokens(&self, patches: &Tensor) -> Result<Tensor> {
+    pub(super) fn tokens(&self, form: Form, patches: &Tensor) -> Result<Tensor> {
         // The patches' values are in the order row, column, channel.
         let weight = self.patch_weight.permute((0, 2, 3, 1))?.flatten_from(1)?;
         Ok(ops::linear(
+            form,
             patches,
             &weight.contiguous()?,
             Some(&self.patch_bias),
@@ -65,12 +74,14 @@ impl Embedding {
     }
 
     /// `tau` (frames) and `action` (frames, A).
-    pub(super) fn condition(&self, tau: &Tensor, action: &Tensor) -> Result<Condition> {
+    pub(super) fn condition(&self, form: Form, tau: &Tensor, action: &Tensor) -> Result<Condition> {
         let angles = tau.unsqueeze(1)?.broadcast_mul(&self.frequencies)?;
         let waves = Tensor::cat(&[angles.cos()?, angles.sin()?], D::Minus1)?;
         let [first, second] = &self.time;
-        let time = second.forward(&first.forward(&waves)?.silu()?)?;
-        let activated = (&time + self.action.forward(action)?)?.silu()?;
+        let hidden = first.forward(form, &waves)?;
+        let time = second.forward(form, &hidden.silu()?)?;
+        let action = self.action.forward(form, action)?;
+        let activated = (&time + action)?.silu()?;
         Ok(Condition { time, activated })
     }
 }

@@ -6,7 +6,7 @@ use super::TransitionConfig;
 use super::embedding::Condition;
 use super::parameters::{Linear, Tensors};
 use crate::Result;
-use crate::ops::rms_norm_modulate;
+use crate::ops::{Form, rms_norm_modulate};
 
 /// The last layers.
 #[derive(Clone, Debug)]
@@ -31,7 +31,12 @@ impl Head {
     }
 
     /// Tokens (B, T, N, d) to patches (B, T, N, p * p * C).
-    pub(super) fn forward(&self, tokens: &Tensor, condition: &Condition) -> Result<Tensor> {
+    pub(super) fn forward(
+        &self,
+        form: Form,
+        tokens: &Tensor,
+        condition: &Condition,
+    ) -> Result<Tensor> {
         let (b, t, n, d) = tokens.dims4()?;
         let (tokens, activated) = match &self.wide {
             None => (tokens.clone(), condition.activated.clone()),
@@ -40,13 +45,13 @@ impl Head {
                 // what it made of the frame.
                 let frames = tokens.reshape((b * t, n, d))?;
                 let timed = frames.broadcast_add(&condition.time.unsqueeze(1)?)?;
-                let wide = project.forward(&timed.silu()?)?;
+                let wide = project.forward(form, &timed.silu()?)?;
                 let mean = wide.mean(1)?;
                 (wide, mean.silu()?)
             }
         };
-        let modulation = self.modulation.forward(&activated)?;
-        let normed = rms_norm_modulate(&tokens, &modulation, 0, 1)?;
-        Ok(self.linear.forward(&normed)?.reshape((b, t, n, ()))?)
+        let modulation = self.modulation.forward(form, &activated)?;
+        let normed = rms_norm_modulate(form, &tokens, &modulation, 0, 1)?;
+        Ok(self.linear.forward(form, &normed)?.reshape((b, t, n, ()))?)
     }
 }

@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Device, Tensor};
+use candle_core::{DType, Device, Tensor};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
 use super::TransitionConfig;
+use crate::ops::{self, Form};
 use crate::{Error, Result};
 
 /// Frequencies of the noise level's sinusoid; it has a cosine and a sine of each.
@@ -191,14 +192,27 @@ pub(super) fn all(config: &TransitionConfig) -> Vec<Parameter> {
 pub(super) struct Tensors(BTreeMap<String, Tensor>);
 
 impl Tensors {
-    /// Asks `source` for every parameter.
+    /// Asks `source` for every parameter; all have to be on one device and in one number format.
     pub(super) fn collect(
         config: &TransitionConfig,
         source: &mut dyn FnMut(&Parameter) -> Result<Tensor>,
     ) -> Result<Self> {
         let mut tensors = BTreeMap::new();
+        let mut first: Option<(Device, DType)> = None;
         for parameter in all(config) {
             let tensor = source(&parameter)?;
+            let (device, dtype) =
+                first.get_or_insert_with(|| (tensor.device().clone(), tensor.dtype()));
+            if !tensor.device().same_device(device) || tensor.dtype() != *dtype {
+                let reason = format!(
+                    "`{}` is {:?} on {:?}, expected {dtype:?} on {:?} as the parameters before it",
+                    parameter.name,
+                    tensor.dtype(),
+                    tensor.device().location(),
+                    device.location()
+                );
+                return Err(Error::config("parameters", reason));
+            }
             if tensor.dims() != parameter.shape {
                 return Err(Error::TensorShape {
                     file: "the source of the weights".into(),
@@ -246,7 +260,7 @@ pub(super) struct Linear {
 }
 
 impl Linear {
-    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        Ok(crate::ops::linear(x, &self.weight, self.bias.as_ref())?)
+    pub(super) fn forward(&self, form: Form, x: &Tensor) -> Result<Tensor> {
+        Ok(ops::linear(form, x, &self.weight, self.bias.as_ref())?)
     }
 }

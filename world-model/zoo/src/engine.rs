@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use wm_model::Error;
+use wm_model::ops::Form;
 
 /// What computes a model's layers. Both give the same numbers, to rounding.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,6 +23,16 @@ impl Engine {
         match self {
             Self::Candle => "candle",
             Self::Cpu => "cpu",
+        }
+    }
+}
+
+impl Engine {
+    /// How it computes the operations of [`wm_model::ops`] that have two forms.
+    pub(crate) fn form(self) -> Form {
+        match self {
+            Self::Candle => Form::Plain,
+            Self::Cpu => Form::Kernel,
         }
     }
 }

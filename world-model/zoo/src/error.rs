@@ -3,6 +3,9 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use crate::Engine;
+use crate::device::DeviceName;
+
 /// Result with the error of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
@@ -63,6 +66,26 @@ pub enum Error {
         misshapen: Vec<Misshapen>,
         /// What the file has and the model does not know.
         unexpected: Vec<String>,
+    },
+
+    /// A device cannot be used.
+    #[error("device {device}: {reason}")]
+    Device {
+        /// Which one.
+        device: DeviceName,
+        /// Why not.
+        reason: String,
+    },
+
+    /// An engine does not compute on a device.
+    #[error(
+        "engine {engine} does not compute on {device}, expected engine candle (--engine candle)"
+    )]
+    EngineDevice {
+        /// The engine.
+        engine: Engine,
+        /// Where it was to compute.
+        device: String,
     },
 
     /// A file with a configuration is not valid.

@@ -14,43 +14,33 @@
 //! | `pixel` | [`PixelDecoderConfig`](crate::vae::PixelDecoderConfig) | `latent` | `image` |
 //! | `idm` | [`IdmConfig`](crate::idm::IdmConfig) | `latents` (B,k+1,h,w,D) | `actions` (B,k,7) |
 //! | `success-probe` | [`SuccessProbeConfig`](crate::success_probe::SuccessProbeConfig) | `latents` (B,T,h,w,D), `text` (B,L,D'), maybe `text_mask` (B,L) | `logit` (B) |
-//! | `efficientnet-lite0` | [`EfficientNetLite0Config`] | `image` | `block_8` up to the configured block |
+//! | `efficientnet-lite0` | [`EfficientNetLite0Config`](crate::efficientnet_lite0::EfficientNetLite0Config) | `image` | `block_8` up to the configured block |
 //!
 //! An `image` is (N,H,W,3) in 0..1, a `latent` (N,h,w,D). Everything is f32 but `input_ids`, which are integers.
 
 mod dit;
 mod inputs;
+mod loaded;
 mod rollout;
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-use candle_core::{DType, Tensor};
+use candle_core::{Device, Tensor};
 use serde::de::DeserializeOwned;
 
 pub(crate) use dit::build as build_dit;
 pub use dit::{DitConfig, Head};
+pub use loaded::Loaded;
 pub use rollout::{RolloutOptions, rollout};
 
 use crate::checkpoint::Average;
-use crate::efficientnet_lite0::{EfficientNetLite0, EfficientNetLite0Config};
-use crate::idm::Idm;
-use crate::success_probe::SuccessProbe;
-use crate::svae::Svae;
-use crate::vae::{
-    CosmosDecoder, CosmosEncoder, PixelDecoder, SdVaeDecoder, SdVaeEncoder, VaVaeDecoder,
-    VaVaeEncoder,
-};
-use crate::vit::{SiglipText, SiglipVision, Vjepa, WebDino};
-use crate::{Checkpoint, Engine, Error, Loader, Result};
-use inputs::{Inputs, is_finite};
+use crate::{Checkpoint, Compute, Error, Result};
+use inputs::is_finite;
 
 /// Tensors by name.
 pub type Tensors = BTreeMap<String, Tensor>;
-
-/// First of EfficientNet-Lite0's blocks that is given.
-const FIRST_BLOCK: usize = 8;
 
 /// A kind of model, as the command line names it; the [module](self) says what each takes and gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -153,118 +143,18 @@ impl FromStr for Kind {
 }
 
 /// Runs a model of `kind` with the configuration `config` (JSON) and the weights of `checkpoint` (the averaged ones,
-/// if it has both) on `inputs`. Weights are rounded to `dtype`, as [`Loader`] does it.
+/// if it has both) on `inputs`. Weights and inputs go to the device of `compute`; outputs are on the CPU.
 ///
 /// # Errors
-/// If the configuration is not valid, the checkpoint's tensors are not the model's, an input is missing, empty, not
-/// finite or of another shape, or an output would not be finite.
+/// As [`Loaded::new`] and [`Loaded::run`].
 pub fn forward(
     kind: Kind,
     config: &str,
     checkpoint: &Checkpoint,
     inputs: &Tensors,
-    engine: Engine,
-    dtype: DType,
+    compute: &Compute,
 ) -> Result<Tensors> {
-    let checkpoint = kind.weights(checkpoint, Average::Ema);
-    let source = Source {
-        config,
-        loader: Loader::new(&checkpoint, engine, dtype),
-    };
-    let inputs = Inputs::new(kind.name(), inputs);
-    let (image, latent) = (|| inputs.float("image"), || inputs.float("latent"));
-    let outputs = match kind {
-        Kind::Dit => {
-            let config: DitConfig = parse(config)?;
-            let model = dit::load(&config, &checkpoint, engine, dtype)?;
-            let (x, tau) = (inputs.float("x")?, inputs.unit("tau")?);
-            let velocity = model.velocity(&x, &tau, &inputs.float("action")?)?;
-            vec![("velocity", velocity)]
-        }
-        Kind::WebDino => vec![("latent", source.load(WebDino::load)?.encode(&image()?)?)],
-        Kind::Siglip2 => vec![(
-            "latent",
-            source.load(SiglipVision::load)?.encode(&image()?)?,
-        )],
-        Kind::Siglip2Text => {
-            let model = source.load(SiglipText::load)?;
-            let mask = inputs.optional_float("text_mask")?;
-            let features = model.forward(&inputs.integers("input_ids")?, mask.as_ref())?;
-            vec![("features", features)]
-        }
-        Kind::Vjepa21 => vec![("latent", source.load(Vjepa::load)?.encode(&image()?)?)],
-        Kind::Sd3Vae => vec![(
-            "latent",
-            source.load(SdVaeEncoder::load)?.encode(&image()?)?,
-        )],
-        Kind::Sd3VaeDecoder => vec![(
-            "image",
-            source.load(SdVaeDecoder::load)?.decode(&latent()?)?,
-        )],
-        Kind::VaVae => vec![(
-            "latent",
-            source.load(VaVaeEncoder::load)?.encode(&image()?)?,
-        )],
-        Kind::VaVaeDecoder => vec![(
-            "image",
-            source.load(VaVaeDecoder::load)?.decode(&latent()?)?,
-        )],
-        Kind::CosmosCi16x16 => vec![(
-            "latent",
-            source.load(CosmosEncoder::load)?.encode(&image()?)?,
-        )],
-        Kind::CosmosCi16x16Decoder => vec![(
-            "image",
-            source.load(CosmosDecoder::load)?.decode(&latent()?)?,
-        )],
-        Kind::Svae => {
-            let model = source.load(Svae::load)?;
-            match inputs.optional_float("features")? {
-                Some(features) => {
-                    let latent = model.encode(&features)?;
-                    let features = model.decode(&latent)?;
-                    vec![("latent", latent), ("features", features)]
-                }
-                None => vec![("features", model.decode(&latent()?)?)],
-            }
-        }
-        Kind::Pixel => vec![(
-            "image",
-            source.load(PixelDecoder::load)?.decode(&latent()?)?,
-        )],
-        Kind::Idm => {
-            let model = source.load(Idm::load)?;
-            vec![("actions", model.forward(&inputs.float("latents")?)?)]
-        }
-        Kind::SuccessProbe => {
-            let model = source.load(SuccessProbe::load)?;
-            let (latents, text) = (inputs.float("latents")?, inputs.float("text")?);
-            let mask = inputs.optional_float("text_mask")?;
-            vec![("logit", model.forward(&latents, &text, mask.as_ref())?)]
-        }
-        Kind::EfficientNetLite0 => {
-            return finite(efficientnet_lite0(config, &source.loader, &inputs)?);
-        }
-    };
-    finite(owned(outputs))
-}
-
-/// A model's configuration and its weights.
-struct Source<'a> {
-    config: &'a str,
-    loader: Loader<'a>,
-}
-
-impl Source<'_> {
-    /// Loads a model, and checks that the tensors are its.
-    fn load<C: DeserializeOwned, M>(
-        &self,
-        load: impl FnOnce(&C, &Loader<'_>) -> Result<M>,
-    ) -> Result<M> {
-        let model = load(&parse(self.config)?, &self.loader)?;
-        self.loader.finish()?;
-        Ok(model)
-    }
+    Loaded::new(kind, config, checkpoint, compute)?.run(inputs)
 }
 
 /// A configuration from JSON.
@@ -282,30 +172,20 @@ fn owned(outputs: Vec<(&str, Tensor)>) -> Tensors {
         .collect()
 }
 
-/// Passes outputs on whose values are all finite. Weights that do not belong together, or an epsilon that does not fit
+/// Passes outputs on whose values are all finite, and brings them to the CPU. Weights that do not belong together, or an epsilon that does not fit
 /// them, can lead beyond what f32 holds.
 fn finite(outputs: Tensors) -> Result<Tensors> {
-    for (name, tensor) in &outputs {
-        if !is_finite(tensor)? {
-            let reason = format!("`{name}` comes out with a value that is not finite");
-            return Err(wm_model::Error::config("output", reason).into());
-        }
-    }
-    Ok(outputs)
-}
-
-/// Every block from [`FIRST_BLOCK`] to the configured one, each by a network up to there: it is small.
-fn efficientnet_lite0(config: &str, loader: &Loader<'_>, inputs: &Inputs<'_>) -> Result<Tensors> {
-    let config: EfficientNetLite0Config = parse(config)?;
-    let image = inputs.float("image")?;
-    let mut outputs = Tensors::new();
-    // The last one first: it asks for all tensors there are to be. One that is too low is refused by the network.
-    for block in (FIRST_BLOCK.min(config.block)..=config.block).rev() {
-        let model = EfficientNetLite0::load(&EfficientNetLite0Config { block }, loader)?;
-        loader.finish()?;
-        outputs.insert(format!("block_{block}"), model.encode(&image)?);
-    }
-    Ok(outputs)
+    outputs
+        .into_iter()
+        .map(|(name, tensor)| {
+            let tensor = tensor.to_device(&Device::Cpu)?;
+            if !is_finite(&tensor)? {
+                let reason = format!("`{name}` comes out with a value that is not finite");
+                return Err(wm_model::Error::config("output", reason).into());
+            }
+            Ok((name, tensor))
+        })
+        .collect()
 }
 
 #[cfg(test)]

@@ -10,8 +10,8 @@
 //! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
 //!
 //! A [`Checkpoint`] is an open file of tensors, a [`Loader`] hands them to a model by their published names and tells
-//! of everything that does not fit, and an [`Engine`] says what computes. [`kinds`] runs any of the models on a file of
-//! tensors, [`cost`] counts parameters and operations.
+//! of everything that does not fit, and a [`Compute`] says what computes, and where. [`kinds`] runs any of the models on
+//! a file of tensors, [`cost`] counts parameters and operations.
 //!
 //! ```
 //! use wm_zoo::{Engine, Loader};
@@ -33,7 +33,9 @@ mod error;
 mod sizes;
 
 pub mod checkpoint;
+pub mod compute;
 pub mod cost;
+pub mod device;
 pub mod engine;
 pub mod kinds;
 pub mod layers;
@@ -47,6 +49,8 @@ pub mod vae;
 pub mod vit;
 
 pub use checkpoint::Checkpoint;
+pub use compute::Compute;
+pub use device::DeviceName;
 pub use engine::Engine;
 pub use error::{Error, Misshapen, Result};
 pub use loader::Loader;

@@ -9,7 +9,7 @@ use candle_core::{DType, Device, Tensor};
 use wm_model::ops::PackedFormat;
 
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear, packed_format};
-use crate::{Checkpoint, Engine, Error, Misshapen, Result};
+use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Result};
 
 /// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
 ///
@@ -63,17 +63,17 @@ struct Account {
 impl<'a> Loader<'a> {
     /// Gives `source`'s tensors, on the CPU, rounded to `precision`.
     pub fn new(source: &'a Checkpoint, engine: Engine, precision: DType) -> Self {
-        Self::on(source, engine, precision, Device::Cpu)
+        Self::on(source, &Compute::on_cpu(engine, precision))
     }
 
-    /// Gives `source`'s tensors on `device`, rounded to `precision`.
-    pub fn on(source: &'a Checkpoint, engine: Engine, precision: DType, device: Device) -> Self {
+    /// Gives `source`'s tensors on the device of `compute`, rounded to its precision.
+    pub fn on(source: &'a Checkpoint, compute: &Compute) -> Self {
         Self {
             source: Some(source),
             prefix: String::new(),
-            engine,
-            precision,
-            device,
+            engine: compute.engine(),
+            precision: compute.precision(),
+            device: compute.device().clone(),
             account: Rc::default(),
         }
     }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use candle_core::{DType, Device, Tensor};
 use wm_model::sampler::Sampler;
 use wm_zoo::kinds::{Kind, RolloutOptions, Tensors, forward, rollout};
-use wm_zoo::{Checkpoint, Engine};
+use wm_zoo::{Checkpoint, Compute, Engine};
 
 /// Number formats of the weights, each with the error allowed: norm of the difference over norm of
 /// PyTorch's f32 output, and largest difference over largest output. Both are the task's bounds;
@@ -76,9 +76,10 @@ impl Fixture {
         };
         let config = self.text("config.json").ok_or("no config.json")?;
         let inputs = self.tensors("input.safetensors")?;
+        let compute = Compute::on_cpu(engine, dtype);
         let Some(options) = self.text("options.json") else {
             let kind: Kind = self.kind().parse().map_err(text)?;
-            let outputs = forward(kind, &config, &checkpoint, &inputs, engine, dtype);
+            let outputs = forward(kind, &config, &checkpoint, &inputs, &compute);
             return Ok(vec![outputs.map_err(text)?]);
         };
         let sampler: Sampler = serde_json::from_str(&options).map_err(text)?;
@@ -87,7 +88,7 @@ impl Fixture {
             .map(|cache| {
                 let sampler = sampler.clone();
                 let options = RolloutOptions { sampler, cache };
-                rollout(&config, &checkpoint, &inputs, &options, engine, dtype).map_err(text)
+                rollout(&config, &checkpoint, &inputs, &options, &compute).map_err(text)
             })
             .collect()
     }

@@ -49,8 +49,7 @@ impl ForwardCommand {
             &files.config,
             &files.checkpoint,
             &files.inputs,
-            self.running.engine,
-            self.running.dtype,
+            &files.compute,
         )
         .with_context(|| format!("{}", self.kind))?;
         self.running.write(outputs)

@@ -59,8 +59,7 @@ impl RolloutCommand {
             &files.checkpoint,
             &files.inputs,
             &options,
-            self.running.engine,
-            self.running.dtype,
+            &files.compute,
         )
         .context("rollout")?;
         self.running.write(outputs)

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use wm_zoo::checkpoint::Average;
 use wm_zoo::kinds::{Kind, Tensors};
-use wm_zoo::{Checkpoint, Engine};
+use wm_zoo::{Checkpoint, Compute, DeviceName, Engine};
 
 /// Files and engine of a model.
 #[derive(Args, Debug)]
@@ -27,16 +27,19 @@ pub struct RunningArgs {
     output: PathBuf,
     /// What computes: `cpu`, our kernels, or `candle`, the reference
     #[arg(long, default_value_t = Engine::Cpu)]
-    pub engine: Engine,
+    engine: Engine,
+    /// Where it computes: `cpu`, `cuda` or `cuda:N`, an NVIDIA GPU, with `--engine candle`
+    #[arg(long, default_value_t = DeviceName::Cpu)]
+    device: DeviceName,
     /// Number format of the weights: f32 or bf16
     #[arg(long, default_value = "f32", value_parser = parse_dtype)]
-    pub dtype: DType,
+    dtype: DType,
     /// Take the weights as the optimiser left them where the checkpoint has their moving average, too
     #[arg(long)]
     raw: bool,
 }
 
-/// A model's files, read.
+/// A model's files, read, and what computes it.
 pub struct Files {
     /// The configuration, JSON.
     pub config: String,
@@ -44,11 +47,14 @@ pub struct Files {
     pub checkpoint: Checkpoint,
     /// The input.
     pub inputs: Tensors,
+    /// Engine, device and number format.
+    pub compute: Compute,
 }
 
 impl RunningArgs {
-    /// Reads the files of a model of `kind`.
+    /// Opens the device and reads the files of a model of `kind`.
     pub fn read(&self, kind: Kind) -> Result<Files> {
+        let compute = Compute::new(self.engine, self.device.open()?, self.dtype)?;
         let config = std::fs::read_to_string(&self.config)
             .with_context(|| self.config.display().to_string())?;
         let mut checkpoint = Checkpoint::open(&self.weights)?;
@@ -61,6 +67,7 @@ impl RunningArgs {
             config,
             checkpoint,
             inputs: inputs.into_iter().collect(),
+            compute,
         })
     }
 
@@ -81,4 +88,42 @@ fn parse_dtype(name: &str) -> Result<DType> {
         "bf16" => DType::BF16,
         _ => bail!("`{name}`, expected f32 or bf16"),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Cli {
+        #[command(flatten)]
+        running: RunningArgs,
+    }
+
+    fn parse(device: &str) -> Result<RunningArgs, clap::Error> {
+        let files = ["--config=c", "--weights=w", "--input=i", "--output=o"];
+        let cli = Cli::try_parse_from(["wm"].into_iter().chain(files).chain(["--device", device]))?;
+        Ok(cli.running)
+    }
+
+    #[test]
+    fn a_device_that_is_none_is_wrong_usage() {
+        let message = parse("gpu").unwrap_err().to_string();
+        assert!(
+            message.contains("expected cpu, cuda or cuda:N"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    #[cfg(not(feature = "cuda"))]
+    fn a_device_that_was_not_built_is_refused_before_anything_is_read() {
+        let error = parse("cuda:1").unwrap().read(Kind::Dit).err().unwrap();
+        let message = error.to_string();
+        assert!(
+            message.contains("cuda:1") && message.contains("--features cuda"),
+            "{message}"
+        );
+    }
 }

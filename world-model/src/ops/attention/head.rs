@@ -2,6 +2,7 @@
 
 use super::product::{LANES, product, transpose};
 use crate::ops::exponential::exp;
+use crate::ops::reduction::{dot, largest, replace_and_sum};
 use crate::ops::rotary::{RotaryTable, normalise_and_rotate, normalise_and_rotate_backward};
 
 /// Buffers for one head; rows are tokens.
@@ -241,56 +242,29 @@ impl<'a> HeadKernel<'a> {
 /// Softmax of `scale` * `row` + `bias` in place.
 #[inline(always)]
 fn softmax(row: &mut [f32], bias: &[f32], scale: f32) {
-    let (row, _) = row.as_chunks_mut::<LANES>();
-    let (bias, _) = bias.as_chunks::<LANES>();
-    let mut most = [f32::NEG_INFINITY; LANES];
-    for (row, bias) in row.iter_mut().zip(bias) {
-        for lane in 0..LANES {
-            row[lane] = row[lane].mul_add(scale, bias[lane]);
-            most[lane] = if row[lane] > most[lane] {
-                row[lane]
-            } else {
-                most[lane]
-            };
-        }
+    for (score, bias) in row.iter_mut().zip(bias) {
+        *score = score.mul_add(scale, *bias);
     }
-    let most = most.into_iter().fold(f32::NEG_INFINITY, f32::max);
-    let mut sums = [0.0_f32; LANES];
-    for (row, bias) in row.iter_mut().zip(bias) {
-        for lane in 0..LANES {
-            // Masked entries must be exactly 0, which `exp` of -inf is not quite.
-            let e = if bias[lane] == 0.0 {
-                exp(row[lane] - most)
-            } else {
-                0.0
-            };
-            row[lane] = e;
-            sums[lane] += e;
+    let most = largest(row);
+    let sum = replace_and_sum(row, |score| {
+        // Masked entries must be exactly 0, which `exp` of -inf is not quite.
+        if score == f32::NEG_INFINITY {
+            0.0
+        } else {
+            exp(score - most)
         }
-    }
-    let inverse = 1.0 / sums.iter().sum::<f32>();
-    for row in row {
-        for value in row {
-            *value *= inverse;
-        }
+    });
+    let inverse = 1.0 / sum;
+    for weight in row {
+        *weight *= inverse;
     }
 }
 
 /// Turns the gradient of the softmax's result into that of the unscaled scores.
 #[inline(always)]
 fn softmax_backward(grad: &mut [f32], weights: &[f32], scale: f32) {
-    let (grad, _) = grad.as_chunks_mut::<LANES>();
-    let (weights, _) = weights.as_chunks::<LANES>();
-    let mut sums = [0.0_f32; LANES];
-    for (grad, weights) in grad.iter().zip(weights) {
-        for lane in 0..LANES {
-            sums[lane] = grad[lane].mul_add(weights[lane], sums[lane]);
-        }
-    }
-    let dot: f32 = sums.iter().sum();
-    for (grad, weights) in grad.iter_mut().zip(weights) {
-        for lane in 0..LANES {
-            grad[lane] = weights[lane] * (grad[lane] - dot) * scale;
-        }
+    let mean = dot(grad, weights);
+    for (grad, weight) in grad.iter_mut().zip(weights) {
+        *grad = weight * (*grad - mean) * scale;
     }
 }

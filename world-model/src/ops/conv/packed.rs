@@ -2,14 +2,16 @@
 
 use super::sweep::{Output, Sweep};
 use super::{ConvShape, Epilogue, GridSize, check_length};
-use crate::Result;
 use crate::ops::panels::Panels;
+use crate::{Error, Result};
 
 /// A convolution with packed weights.
 #[derive(Clone, Debug)]
 pub struct PackedConv {
     shape: ConvShape,
     parts: Vec<Part>,
+    /// Whether the border is one row below and one column on the right only.
+    borders_lower_right: bool,
 }
 
 /// A convolution of the input as it is in memory that gives some of the outputs.
@@ -74,7 +76,42 @@ impl PackedConv {
         Ok(Self {
             shape: *shape,
             parts,
+            borders_lower_right: false,
         })
+    }
+
+    /// As [`PackedConv::new`] of a 3x3 convolution with stride 2 whose border is one row below and one column on the
+    /// right, as latent diffusion's autoencoders halve a picture; odd sizes are rounded down.
+    ///
+    /// # Errors
+    /// As [`PackedConv::new`], or if it is no such convolution.
+    pub fn halving_lower_right(
+        shape: &ConvShape,
+        weight: &[f32],
+        bias: Option<&[f32]>,
+    ) -> Result<Self> {
+        if *shape != ConvShape::down(shape.inputs, shape.outputs) {
+            let reason = format!("{shape:?}, expected a 3x3 kernel with stride 2");
+            return Err(Error::config("convolution", reason));
+        }
+        let mut packed = Self::new(shape, weight, bias)?;
+        for part in &mut packed.parts {
+            part.pad = (0, 0);
+        }
+        packed.borders_lower_right = true;
+        Ok(packed)
+    }
+
+    /// Size of the output for an input of size `grid`.
+    fn output(&self, grid: GridSize) -> GridSize {
+        if self.borders_lower_right {
+            return GridSize {
+                images: grid.images,
+                height: grid.height / 2,
+                width: grid.width / 2,
+            };
+        }
+        self.shape.output(grid)
     }
 
     /// Convolves `input` (grid, input channels) to `output` (output grid, output channels), which
@@ -91,7 +128,7 @@ impl PackedConv {
     ) -> Result<GridSize> {
         let shape = &self.shape;
         check_length("convolution input", input, grid.pixels() * shape.inputs)?;
-        let target = shape.output(grid);
+        let target = self.output(grid);
         let length = target.pixels() * shape.outputs;
         if let Some(residual) = epilogue.residual {
             check_length("convolution residual", residual, length)?;

@@ -8,7 +8,7 @@ use super::GridSize;
 use super::band::Band;
 use crate::ops::kernel::Row;
 use crate::ops::panels::Panels;
-use crate::ops::simd::LANES;
+use crate::ops::simd::{LANES, NO_BIAS};
 
 thread_local! {
     /// Band of input rows that the thread works on.
@@ -17,6 +17,10 @@ thread_local! {
 
 /// Bytes that a band should have at most, so that it stays in a second-level cache.
 const BAND_BYTES: usize = 192 * 1024;
+
+/// Bytes of weights that are used for a whole band before the next ones are read: few enough to stay in a second-level
+/// cache beside the band. A panel of a wide layer is larger than that cache.
+const WEIGHT_BYTES: usize = 128 * 1024;
 
 /// A convolution in the form that the kernel runs.
 pub(super) struct Sweep<'a> {
@@ -134,35 +138,114 @@ impl Sweep<'_> {
         band.copy(source, buffer);
         let pitch = columns * self.channels;
         let start = out.start + image * out.image_step;
+        let run = tap_columns * self.channels;
         for (vectors, panel, channel) in self.panels.iter() {
-            for row in 0..count {
-                let at = start + (first + row) * out.row_step + channel;
-                let same = |slice: Option<&[f32]>| {
-                    slice.map_or(std::ptr::null(), |s| s.as_ptr().wrapping_add(at))
-                };
-                let kernel = Row {
-                    input: buffer.as_ptr().wrapping_add(row * self.stride * pitch),
-                    input_step: self.stride * self.channels,
-                    tap_pitch: pitch,
-                    tap_rows,
-                    run: tap_columns * self.channels,
-                    panel: self.panels.values.as_ptr().wrapping_add(panel),
-                    vectors,
-                    bias: self.panels.bias.as_ptr().wrapping_add(channel),
-                    pixels: out.width,
-                    output: target.at(at),
-                    residual: same(self.residual),
-                    mask: same(self.mask),
-                    output_step: out.pixel_step,
-                    channels: (self.panels.outputs - channel).min(vectors * LANES),
-                    relu: self.relu,
-                };
-                // SAFETY: the band buffer has a row of taps for each output row and `columns`
-                // pixels in each; the panels have `depth` rows; `run` checked the output's length,
-                // and residual and mask are as long; no other task writes these rows; the panels
-                // were cut for an instruction set that was detected.
-                unsafe { kernel.run(self.panels.set) };
+            let most = (WEIGHT_BYTES / (vectors * LANES * size_of::<f32>())).max(1);
+            let parts = Part::all((tap_rows, run), most);
+            for (number, part) in parts.iter().enumerate() {
+                let (is_first, is_last) = (number == 0, number + 1 == parts.len());
+                for row in 0..count {
+                    let at = start + (first + row) * out.row_step + channel;
+                    let same = |slice: Option<&[f32]>| {
+                        slice.map_or(std::ptr::null(), |s| s.as_ptr().wrapping_add(at))
+                    };
+                    let input = (row * self.stride + part.tap_row) * pitch + part.start;
+                    let weights = (part.tap_row * run + part.start) * vectors * LANES;
+                    let kernel = Row {
+                        input: buffer.as_ptr().wrapping_add(input),
+                        input_step: self.stride * self.channels,
+                        tap_pitch: pitch,
+                        tap_rows: part.tap_rows,
+                        run: part.run,
+                        panel: self.panels.values.as_ptr().wrapping_add(panel + weights),
+                        vectors,
+                        bias: if is_first {
+                            self.panels.bias.as_ptr().wrapping_add(channel)
+                        } else {
+                            NO_BIAS.as_ptr()
+                        },
+                        pixels: out.width,
+                        output: target.at(at),
+                        residual: if is_first {
+                            same(self.residual)
+                        } else {
+                            target.at(at).cast_const()
+                        },
+                        mask: if is_last {
+                            same(self.mask)
+                        } else {
+                            std::ptr::null()
+                        },
+                        output_step: out.pixel_step,
+                        channels: (self.panels.outputs - channel).min(vectors * LANES),
+                        relu: self.relu && is_last,
+                    };
+                    // SAFETY: the band buffer has a row of taps for each output row and `columns`
+                    // pixels in each; the panels have `depth` rows, of which the parts are disjoint;
+                    // `run` checked the output's length, and residual and mask are as long; no other
+                    // task writes these rows; the panels were cut for an instruction set that was
+                    // detected, and no panel is wider than `NO_BIAS`.
+                    unsafe { kernel.run(self.panels.set) };
+                }
             }
+        }
+    }
+}
+
+/// Taps and channels that are summed before the next ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Part {
+    /// The first row of taps, and how many.
+    tap_row: usize,
+    tap_rows: usize,
+    /// The first value in a row of taps, and how many.
+    start: usize,
+    run: usize,
+}
+
+impl Part {
+    /// Cuts `tap_rows` rows of `run` values into parts of about `most` values: whole rows of taps, or pieces of one.
+    fn all((tap_rows, run): (usize, usize), most: usize) -> Vec<Self> {
+        if tap_rows * run <= most {
+            return vec![Self {
+                tap_row: 0,
+                tap_rows,
+                start: 0,
+                run,
+            }];
+        }
+        let pieces = run.div_ceil(most);
+        let rows = (0..tap_rows).flat_map(|tap_row| {
+            (0..pieces).map(move |i| {
+                let (start, end) = (run * i / pieces, run * (i + 1) / pieces);
+                Self {
+                    tap_row,
+                    tap_rows: 1,
+                    start,
+                    run: end - start,
+                }
+            })
+        });
+        rows.collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_cover_every_tap_and_channel_once() {
+        for (taps, most) in [((3, 9), 27), ((3, 9), 26), ((3, 9), 4), ((1, 5), 2)] {
+            let mut seen = vec![0; taps.0 * taps.1];
+            for part in Part::all(taps, most) {
+                for row in part.tap_row..part.tap_row + part.tap_rows {
+                    for at in part.start..part.start + part.run {
+                        seen[row * taps.1 + at] += 1;
+                    }
+                }
+            }
+            assert!(seen.iter().all(|count| *count == 1), "{taps:?} {most}");
         }
     }
 }

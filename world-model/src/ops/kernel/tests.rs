@@ -129,3 +129,18 @@ fn outer_products_are_added() {
         }
     }
 }
+
+#[test]
+fn single_pixels_are_few() {
+    for (pixels, most, expected) in [
+        (32, 6, 4),
+        (64, 6, 10),
+        (30, 6, 5),
+        (33, 6, 4),
+        (3, 6, 0),
+        (20, 16, 1),
+        (0, 6, 0),
+    ] {
+        assert_eq!(whole_tiles(pixels, most), expected, "{pixels} by {most}");
+    }
+}

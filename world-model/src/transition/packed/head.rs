@@ -75,7 +75,7 @@ impl Head {
             .enumerate()
             .for_each_init(Vec::new, |normed: &mut Vec<f32>, (task, (out, xs))| {
                 let tokens = tasks.tokens_of(task);
-                let frames = xs.chunks_exact(tokens * width).take(tasks.times());
+                let frames = xs.chunks_exact(tokens * width).take(tasks.times);
                 let outs = out.chunks_exact_mut(tokens * values);
                 for ((t, x), out) in frames.enumerate().skip(first).zip(outs) {
                     normed.resize(x.len(), 0.0);
@@ -102,7 +102,7 @@ fn widen(wide: &PackedLinear, xs: &[f32], tasks: &Tasks, first: usize, time: &[f
         .enumerate()
         .for_each(|(task, (out, xs))| {
             let tokens = tasks.tokens_of(task);
-            let frames = xs.chunks_exact(tokens * d).take(tasks.times());
+            let frames = xs.chunks_exact(tokens * d).take(tasks.times);
             let outs = out.chunks_exact_mut(tokens * width);
             for (t, (x, out)) in frames.zip(outs).enumerate().skip(first) {
                 let time = part(time, d, tasks.frame(task, t)).unwrap_or_default();
@@ -124,7 +124,7 @@ fn frame_means(xs: &[f32], tasks: &Tasks, first: usize, width: usize) -> Vec<f32
     let mut means = vec![0.0; tasks.frames() * width];
     for (task, xs) in xs.chunks_exact(tasks.rows() * width).enumerate() {
         let tokens = tasks.tokens_of(task);
-        let frames = xs.chunks_exact(tokens * width).take(tasks.times());
+        let frames = xs.chunks_exact(tokens * width).take(tasks.times);
         for (t, x) in frames.enumerate().skip(first) {
             let frame = tasks.frame(task, t);
             let mean = means.get_mut(frame * width..(frame + 1) * width);
@@ -137,7 +137,7 @@ fn frame_means(xs: &[f32], tasks: &Tasks, first: usize, width: usize) -> Vec<f32
         }
     }
     for mean in &mut means {
-        *mean /= tasks.tokens() as f32;
+        *mean /= tasks.tokens as f32;
     }
     means
 }

@@ -6,19 +6,17 @@ use crate::ops::block_attention::TokenBlocks;
 /// frames. Buffers are task by task, frame by frame, token by token.
 pub(super) struct Tasks {
     pub(super) blocks: TokenBlocks,
+    /// Candidates.
     pub(super) batch: usize,
+    /// New frames of a candidate.
     pub(super) times: usize,
+    /// Tokens of a frame.
     pub(super) tokens: usize,
 }
 
 impl Tasks {
     pub(super) fn count(&self) -> usize {
         self.batch * self.blocks.count()
-    }
-
-    /// New frames of a candidate.
-    pub(super) fn times(&self) -> usize {
-        self.times
     }
 
     /// New frames of all candidates; the t-th of candidate b is number b * times + t.
@@ -29,11 +27,6 @@ impl Tasks {
     /// The number of a task's t-th frame.
     pub(super) fn frame(&self, task: usize, t: usize) -> usize {
         task / self.blocks.count() * self.times + t
-    }
-
-    /// Tokens of a frame.
-    pub(super) fn tokens(&self) -> usize {
-        self.tokens
     }
 
     /// Tokens of a task's block.

@@ -8,8 +8,10 @@ use wm_model::transition::{
     published_shift,
 };
 
+use super::Kind;
+use crate::checkpoint::Average;
 use crate::layers::packed_format;
-use crate::{Checkpoint, Engine, Error, Loader, Result};
+use crate::{Checkpoint, Compute, Engine, Error, Loader, Result};
 
 /// Width of the wide head of all published models that have one (architecture.md section 1).
 const WIDE: usize = 2048;
@@ -104,11 +106,24 @@ impl DitConfig {
         config.validate()?;
         Ok(config)
     }
+
+    /// The model with the weights of `checkpoint` (the averaged ones, if it has both), packed for inference on the CPU
+    /// in `dtype`, f32 or bf16: what [`Rollout`](wm_model::sampler::Rollout) and the planner run on.
+    ///
+    /// # Errors
+    /// If a model of these sizes cannot be built, or the checkpoint's tensors are not the model's.
+    pub fn load(&self, checkpoint: &Checkpoint, dtype: DType) -> Result<PackedTransition> {
+        let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
+        let loader = Loader::new(&checkpoint, Engine::Cpu, dtype);
+        let model = build(self, &loader)?;
+        loader.finish()?;
+        Ok(PackedTransition::new(&model, packed_format(dtype))?)
+    }
 }
 
 /// The model on the engine that computes it.
 pub(super) enum Model {
-    /// On tensors, the reference.
+    /// On stock operations and any device, the reference.
     Candle(Transition),
     /// On packed weights.
     Cpu(PackedTransition),
@@ -131,23 +146,23 @@ impl Model {
     }
 }
 
-/// Loads the model; its weights are rounded to `precision`.
+/// Loads the model.
 pub(super) fn load(
     config: &DitConfig,
     checkpoint: &Checkpoint,
-    engine: Engine,
-    precision: DType,
+    compute: &Compute,
 ) -> Result<Model> {
-    let loader = Loader::new(checkpoint, engine, precision);
+    if compute.engine() == Engine::Cpu {
+        return config.load(checkpoint, compute.precision()).map(Model::Cpu);
+    }
+    let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
+    let loader = Loader::on(&checkpoint, compute);
     let model = build(config, &loader)?;
     loader.finish()?;
-    Ok(match engine {
-        Engine::Candle => Model::Candle(model),
-        Engine::Cpu => Model::Cpu(PackedTransition::new(&model, packed_format(precision))?),
-    })
+    Ok(Model::Candle(model.plain()))
 }
 
-/// Builds the model from the tensors of `loader`, which must be on the CPU and f32.
+/// Builds the model from the tensors of `loader`.
 pub(crate) fn build(config: &DitConfig, loader: &Loader<'_>) -> Result<Transition> {
     Ok(Transition::build(config.transition()?, &mut |parameter| {
         loader

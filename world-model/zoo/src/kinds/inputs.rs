@@ -1,20 +1,25 @@
 //! Input tensors by name.
 
-use candle_core::{DType, Tensor};
+use candle_core::{DType, Device, Tensor};
 
 use super::Tensors;
 use crate::{Error, Result};
 
-/// The tensors that a model is given.
+/// The tensors that a model is given. They are checked where they are, and then moved to the model's device.
 pub(super) struct Inputs<'a> {
     /// Of which model, for errors.
     kind: &'static str,
     tensors: &'a Tensors,
+    device: &'a Device,
 }
 
 impl<'a> Inputs<'a> {
-    pub(super) fn new(kind: &'static str, tensors: &'a Tensors) -> Self {
-        Self { kind, tensors }
+    pub(super) fn new(kind: &'static str, tensors: &'a Tensors, device: &'a Device) -> Self {
+        Self {
+            kind,
+            tensors,
+            device,
+        }
     }
 
     /// The tensor `name` as f32, checked to have values, all of them finite.
@@ -24,6 +29,12 @@ impl<'a> Inputs<'a> {
 
     /// As [`Inputs::float`], if there is such a tensor.
     pub(super) fn optional_float(&self, name: &str) -> Result<Option<Tensor>> {
+        let tensor = self.checked(name)?;
+        Ok(tensor.map(|x| x.to_device(self.device)).transpose()?)
+    }
+
+    /// As [`Inputs::optional_float`], where the tensor is.
+    fn checked(&self, name: &str) -> Result<Option<Tensor>> {
         let Some(tensor) = self.tensors.get(name) else {
             return Ok(None);
         };
@@ -37,7 +48,7 @@ impl<'a> Inputs<'a> {
 
     /// As [`Inputs::float`], with values from 0 to 1.
     pub(super) fn unit(&self, name: &str) -> Result<Tensor> {
-        let tensor = self.float(name)?;
+        let tensor = self.checked(name)?.ok_or_else(|| self.missing(name))?;
         let values = tensor.flatten_all()?;
         for end in [values.min(0)?, values.max(0)?] {
             let value = end.to_scalar::<f32>()?;
@@ -47,7 +58,7 @@ impl<'a> Inputs<'a> {
                 )));
             }
         }
-        Ok(tensor)
+        Ok(tensor.to_device(self.device)?)
     }
 
     /// The tensor `name`, which must hold integers, as 64-bit ones.
@@ -58,7 +69,8 @@ impl<'a> Inputs<'a> {
             let reason = format!("`{name}` is {:?}, expected integers", tensor.dtype());
             return Err(input(reason));
         }
-        Ok(tensor.to_dtype(DType::I64)?.contiguous()?)
+        let tensor = tensor.to_dtype(DType::I64)?.contiguous()?;
+        Ok(tensor.to_device(self.device)?)
     }
 
     fn missing(&self, name: &str) -> Error {

@@ -1,14 +1,14 @@
 //! Predicting many frames, one after the other.
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::Tensor;
 use wm_model::sampler::{Given, Rollout, Sampler};
 use wm_model::transition::PackedTransition;
 
 use super::dit::Model;
 use super::inputs::Inputs;
-use super::{DitConfig, Kind, Tensors, dit, finite, owned, parse};
-use crate::checkpoint::Average;
-use crate::{Checkpoint, Engine, Result};
+use super::{DitConfig, Tensors, dit, finite, owned, parse};
+use crate::sizes::shape_error;
+use crate::{Checkpoint, Compute, Result};
 
 /// How frames are sampled.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,8 +22,8 @@ pub struct RolloutOptions {
 
 /// Predicts frames with a transition model: `context` (B,T,H,W,C) observed latents, `actions` (B,T+K,A) of which
 /// number i is fed with frame i and leads on from it, `noise` (B,K,H,W,C) that the predicted frames start from; gives
-/// `predicted` (B,K,H,W,C). Configuration, weights and `dtype` are as for [`forward`](super::forward) of
-/// [`Kind::Dit`].
+/// `predicted` (B,K,H,W,C). Configuration, weights and `compute` are as for [`forward`](super::forward) of
+/// [`Kind::Dit`](super::Kind::Dit).
 ///
 /// # Errors
 /// As [`forward`](super::forward), or if the options are not valid.
@@ -32,14 +32,12 @@ pub fn rollout(
     checkpoint: &Checkpoint,
     inputs: &Tensors,
     options: &RolloutOptions,
-    engine: Engine,
-    dtype: DType,
+    compute: &Compute,
 ) -> Result<Tensors> {
     options.sampler.validate()?;
     let config: DitConfig = parse(config)?;
-    let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
-    let model = dit::load(&config, &checkpoint, engine, dtype)?;
-    let inputs = Clips::new(&model, &Inputs::new("dit", inputs))?;
+    let model = dit::load(&config, checkpoint, compute)?;
+    let inputs = Clips::new(&model, &Inputs::new("dit", inputs, compute.device()))?;
     let predicted = match &model {
         Model::Cpu(model) if options.cache => inputs.predict_cached(model, &options.sampler)?,
         _ => inputs.predict_plainly(&model, &options.sampler)?,
@@ -67,10 +65,10 @@ impl Clips {
         let noise = inputs.float("noise")?;
         let frame = [c.latent_height, c.latent_width, c.channels];
         let &[batch, observed, ..] = context.dims() else {
-            return Err(shape("the context", "(B, T, H, W, C)", &context));
+            return Err(shape_error("the context", "(B, T, H, W, C)", &context));
         };
         let &[_, predicted, ..] = noise.dims() else {
-            return Err(shape("the noise", "(B, K, H, W, C)", &noise));
+            return Err(shape_error("the noise", "(B, K, H, W, C)", &noise));
         };
         let with_frame = |first: [usize; 2]| [&first, frame.as_slice()].concat();
         for (what, tensor, expected) in [
@@ -83,11 +81,8 @@ impl Clips {
             ),
         ] {
             if tensor.dims() != expected || tensor.elem_count() == 0 {
-                return Err(shape(
-                    what,
-                    &format!("{expected:?}, none of them 0"),
-                    tensor,
-                ));
+                let expected = format!("{expected:?}, none of them 0");
+                return Err(shape_error(what, expected, tensor));
             }
         }
         Ok(Self {
@@ -145,7 +140,7 @@ impl Clips {
                 if let Some(last) = tau.last_mut() {
                     *last = *from as f32;
                 }
-                let tau = Tensor::from_vec(tau, (1, end - start), &Device::Cpu)?;
+                let tau = Tensor::from_vec(tau, (1, end - start), x.device())?;
                 let tau = tau.broadcast_as((self.batch, end - start))?.contiguous()?;
                 let velocity = model.velocity(&window, &tau, &actions)?;
                 let velocity = velocity.narrow(1, end - 1 - start, 1)?;
@@ -157,13 +152,4 @@ impl Clips {
             .narrow(1, self.observed, self.predicted)?
             .contiguous()?)
     }
-}
-
-fn shape(what: &'static str, expected: &str, found: &Tensor) -> crate::Error {
-    wm_model::Error::Shape {
-        what,
-        expected: expected.to_owned(),
-        found: found.dims().to_vec(),
-    }
-    .into()
 }

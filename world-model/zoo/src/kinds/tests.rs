@@ -1,9 +1,10 @@
-use candle_core::Device;
+use candle_core::{DType, Device};
 use safetensors::tensor::{Dtype, TensorView};
 use wm_model::sampler::Sampler;
 use wm_model::transition::Transition;
 
 use super::*;
+use crate::Engine;
 
 const CONFIG: &str = r#"{"hidden": 32, "depth": 2, "heads": 2, "channels": 4, "patch": 2, "grid": [4, 6],
     "action_dim": 5, "max_frames": 4, "head": "wide", "wide_dim": 48}"#;
@@ -72,8 +73,7 @@ fn a_transition_model_is_found_in_its_wrappers() {
             CONFIG,
             checkpoint,
             &inputs,
-            Engine::Cpu,
-            DType::F32,
+            &Compute::on_cpu(Engine::Cpu, DType::F32),
         )
         .unwrap()
     };
@@ -107,8 +107,7 @@ fn a_rollout_with_the_cache_equals_the_definition() {
                 &checkpoint,
                 &inputs,
                 &options,
-                Engine::Cpu,
-                DType::F32,
+                &Compute::on_cpu(Engine::Cpu, DType::F32),
             );
             out.unwrap()["predicted"].clone()
         };
@@ -123,7 +122,13 @@ fn what_is_missing_is_named() {
     let checkpoint = checkpoint("");
     let inputs = tensors(&[("x", random(&[1, 1, 4, 6, 4]))]);
     let run = |config: &str, kind| {
-        let out = forward(kind, config, &checkpoint, &inputs, Engine::Cpu, DType::F32);
+        let out = forward(
+            kind,
+            config,
+            &checkpoint,
+            &inputs,
+            &Compute::on_cpu(Engine::Cpu, DType::F32),
+        );
         out.unwrap_err().to_string()
     };
     let message = run(CONFIG, Kind::Dit);
@@ -178,8 +183,7 @@ fn an_input_that_cannot_be_computed_with_is_named() {
             CONFIG,
             &checkpoint,
             &inputs,
-            Engine::Cpu,
-            DType::F32,
+            &Compute::on_cpu(Engine::Cpu, DType::F32),
         );
         let message = out.unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");

@@ -1,10 +1,11 @@
 //! Attention.
 
 use candle_core::{D, DType, Tensor};
-use wm_model::ops::{AttentionShape, dense_attention};
+use wm_model::ops::{AttentionShape, ScoreMask, dense_attention};
 
 use super::host::with_values;
 use super::takes_kernels;
+use crate::sizes::shape_error;
 use crate::{Engine, Result};
 
 /// softmax(scale q k^T + mask) v, for `q` (B, heads, Lq, D), `k` and `v` (B, heads, Lk, D): (B, heads, Lq, D).
@@ -50,35 +51,50 @@ fn on_kernel(
     let keys = k.dim(2)?;
     for (what, tensor) in [("keys", k), ("values", v)] {
         if tensor.dims() != [b, heads, keys, dim] {
-            return Err(wm_model::Error::Shape {
-                what: "the keys or values of an attention",
-                expected: format!("{what} ({b}, {heads}, {keys}, {dim})"),
-                found: tensor.dims().to_vec(),
-            }
-            .into());
+            let expected = format!("{what} ({b}, {heads}, {keys}, {dim})");
+            return Err(shape_error(
+                "the keys or values of an attention",
+                expected,
+                tensor,
+            ));
         }
     }
     let shape = AttentionShape {
-        heads: b * heads,
+        batch: b,
+        heads,
         queries,
         keys,
         dim,
     };
-    let mask: Option<Vec<f32>> = mask
-        .map(|mask| {
-            let mask = mask.to_dtype(DType::F32)?;
-            let whole = mask.broadcast_as((b, heads, queries, keys))?;
-            whole.flatten_all()?.to_vec1()
-        })
-        .transpose()?;
+    let mask = mask.map(|mask| keys_whole(mask, shape)).transpose()?;
+    let mask = mask.as_ref().map(|(values, sizes)| ScoreMask {
+        values,
+        sizes: *sizes,
+    });
     let out = with_values(q, |q| {
         with_values(k, |k| {
-            with_values(v, |v| {
-                dense_attention(shape, (q, k, v), scale as f32, mask.as_deref())
-            })
+            with_values(v, |v| dense_attention(shape, (q, k, v), scale as f32, mask))
         })
     })???;
     Ok(Tensor::from_vec(out, q.shape(), q.device())?)
+}
+
+/// The values of a mask, with a value for every key and not repeated otherwise, and how many batch entries, heads and
+/// queries they are for.
+fn keys_whole(mask: &Tensor, shape: AttentionShape) -> Result<(Vec<f32>, [usize; 3])> {
+    let whole = [shape.batch, shape.heads, shape.queries, shape.keys];
+    let mut sizes = [1; 4];
+    let own = sizes.iter_mut().rev().zip(mask.dims().iter().rev());
+    own.for_each(|(size, own)| *size = *own);
+    let fits = |(size, of): (&usize, usize)| *size == 1 || *size == of;
+    if mask.rank() > sizes.len() || !sizes.iter().zip(whole).all(fits) {
+        let expected = format!("what can be broadcast to {whole:?}");
+        return Err(shape_error("the mask of an attention", expected, mask));
+    }
+    let [batch, heads, queries, _] = sizes;
+    let mask = mask.to_dtype(DType::F32)?.reshape(&sizes)?;
+    let mask = mask.broadcast_as((batch, heads, queries, shape.keys))?;
+    Ok((mask.flatten_all()?.to_vec1()?, [batch, heads, queries]))
 }
 
 #[cfg(test)]
@@ -105,5 +121,39 @@ mod tests {
             assert!((mean(engine, None) - 2.0).abs() < 1e-5);
             assert!((mean(engine, Some(&mask)) - 5.0 / 3.0).abs() < 1e-5);
         }
+    }
+
+    #[test]
+    fn both_engines_broadcast_every_mask_alike() {
+        let normal = |dims: [usize; 4]| Tensor::randn(0f32, 1.0, &dims, &Device::Cpu).unwrap();
+        let (q, k, v) = (
+            normal([2, 3, 4, 8]),
+            normal([2, 3, 5, 8]),
+            normal([2, 3, 5, 8]),
+        );
+        let run = |engine: Engine, mask: &Tensor| {
+            attention(engine, &q, &k, &v, 0.3, Some(mask)).map(|y| {
+                let values: Vec<f32> = y.flatten_all().unwrap().to_vec1().unwrap();
+                values
+            })
+        };
+        for dims in [
+            vec![2, 3, 4, 5],
+            vec![2, 1, 1, 5],
+            vec![1, 3, 4, 1],
+            vec![4, 5],
+        ] {
+            let mask = Tensor::randn(0f32, 2.0, dims.as_slice(), &Device::Cpu).unwrap();
+            let (found, expected) = (run(Engine::Cpu, &mask), run(Engine::Candle, &mask));
+            for (found, expected) in found.unwrap().iter().zip(expected.unwrap()) {
+                assert!((found - expected).abs() < 1e-5, "{dims:?}");
+            }
+        }
+        let mask = Tensor::zeros((3, 1, 1, 5), DType::F32, &Device::Cpu).unwrap();
+        let error = run(Engine::Cpu, &mask).unwrap_err().to_string();
+        assert!(
+            error.contains("mask") && error.contains("[3, 1, 1, 5]"),
+            "{error}"
+        );
     }
 }

@@ -87,7 +87,7 @@ impl ConvSpec {
                 return Some(Plan::Direct);
             }
             if (self.kernel, self.stride) == (3, 2) && self.padding == Padding::BOTTOM_RIGHT {
-                return Some(Plan::Shifted);
+                return Some(Plan::LowerRight);
             }
         }
         None
@@ -99,9 +99,8 @@ impl ConvSpec {
 enum Plan {
     /// Just what the kernel does.
     Direct,
-    /// Border on the lower right only: with one more row above and one more column on the left, each output but the
-    /// first of a row or column is what is wanted.
-    Shifted,
+    /// Border on the lower right only.
+    LowerRight,
 }
 
 /// A convolution (cross-correlation, as PyTorch's) with bias.
@@ -120,7 +119,7 @@ enum Weights {
     /// A product at every place.
     Pointwise(Linear),
     /// For the kernel.
-    Packed(PackedConv, Plan),
+    Packed(PackedConv),
     /// (outputs, inputs, kernel row, kernel column), as in checkpoints.
     Plain(Tensor),
 }
@@ -200,10 +199,14 @@ impl Conv2d {
                     upsample: doubles,
                 };
                 let bias: Vec<f32> = bias.to_vec1()?;
+                let pack = match plan {
+                    Plan::Direct => PackedConv::new,
+                    Plan::LowerRight => PackedConv::halving_lower_right,
+                };
                 let packed = host::with_values(&weight.permute((2, 3, 1, 0))?, |weight| {
-                    PackedConv::new(&shape, weight, Some(&bias))
+                    pack(&shape, weight, Some(&bias))
                 })??;
-                Weights::Packed(packed, plan)
+                Weights::Packed(packed)
             }
             _ => Weights::Plain(weight.clone()),
         };
@@ -220,6 +223,30 @@ impl Conv2d {
     /// # Errors
     /// If `x` has another number of channels or number format.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        self.check(x)?;
+        match &self.weights {
+            Weights::Pointwise(linear) => linear.forward(x),
+            Weights::Packed(packed) => self.on_kernel(x, packed, None),
+            Weights::Plain(weight) if self.doubles => {
+                self.on_candle(&upsample_nearest_2x(x)?, &weight.contiguous()?)
+            }
+            Weights::Plain(weight) => self.on_candle(x, &weight.contiguous()?),
+        }
+    }
+
+    /// As [`Conv2d::forward`], plus `residual`, which has the shape of the result.
+    ///
+    /// # Errors
+    /// If `x` has another number of channels or number format, or `residual` another shape.
+    pub fn forward_adding(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+        self.check(x)?;
+        match &self.weights {
+            Weights::Packed(packed) => self.on_kernel(x, packed, Some(residual)),
+            _ => Ok((residual + self.forward(x)?)?),
+        }
+    }
+
+    fn check(&self, x: &Tensor) -> Result<()> {
         let (_, height, width, channels) = x.dims4()?;
         let Padding {
             top,
@@ -242,21 +269,15 @@ impl Conv2d {
             }
             .into());
         }
-        match &self.weights {
-            Weights::Pointwise(linear) => linear.forward(x),
-            Weights::Packed(packed, plan) => self.on_kernel(x, packed, *plan),
-            Weights::Plain(weight) if self.doubles => {
-                self.on_candle(&upsample_nearest_2x(x)?, &weight.contiguous()?)
-            }
-            Weights::Plain(weight) => self.on_candle(x, &weight.contiguous()?),
-        }
+        Ok(())
     }
 
-    fn on_kernel(&self, x: &Tensor, packed: &PackedConv, plan: Plan) -> Result<Tensor> {
-        let x = match plan {
-            Plan::Direct => x.contiguous()?,
-            Plan::Shifted => x.pad_with_zeros(1, 1, 0)?.pad_with_zeros(2, 1, 0)?,
-        };
+    fn on_kernel(
+        &self,
+        x: &Tensor,
+        packed: &PackedConv,
+        residual: Option<&Tensor>,
+    ) -> Result<Tensor> {
         let (images, height, width, _) = x.dims4()?;
         let grid = GridSize {
             images,
@@ -264,15 +285,19 @@ impl Conv2d {
             width,
         };
         let mut y = Vec::new();
-        let size = host::with_values(&x, |x| packed.run(x, grid, Epilogue::default(), &mut y))??;
+        let mut run = |residual: Option<&[f32]>| {
+            let epilogue = Epilogue {
+                residual,
+                relu: false,
+            };
+            host::with_values(x, |x| packed.run(x, grid, epilogue, &mut y))
+        };
+        let size = match residual {
+            Some(residual) => host::with_values(residual, |residual| run(Some(residual)))?,
+            None => run(None),
+        }??;
         let shape = (size.images, size.height, size.width, self.spec.outputs);
-        let y = Tensor::from_vec(y, shape, x.device())?;
-        if plan == Plan::Direct {
-            return Ok(y);
-        }
-        let (_, rows, columns, _) = y.dims4()?;
-        let y = y.narrow(1, 1, rows - 1)?.narrow(2, 1, columns - 1)?;
-        Ok(y.contiguous()?)
+        Ok(Tensor::from_vec(y, shape, x.device())?)
     }
 
     fn on_candle(&self, x: &Tensor, weight: &Tensor) -> Result<Tensor> {

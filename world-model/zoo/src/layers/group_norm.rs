@@ -3,7 +3,7 @@
 use candle_core::{D, DType, Tensor};
 use wm_model::ops;
 
-use super::{host, silu, takes_kernels};
+use super::{host, takes_kernels};
 use crate::{Engine, Result};
 
 /// Mean 0 and variance 1 over all places of a group of neighbouring channels, then a learned scale and shift of each
@@ -53,22 +53,49 @@ impl GroupNorm {
     /// # Errors
     /// If `x` has another number of channels.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        self.check(x)?;
+        if takes_kernels(self.engine, x) {
+            return self.on_kernel(x, ops::Activation::None);
+        }
+        self.on_candle(x)
+    }
+
+    /// As [`GroupNorm::forward`], and SiLU after it.
+    ///
+    /// # Errors
+    /// If `x` has another number of channels.
+    pub fn forward_silu(&self, x: &Tensor) -> Result<Tensor> {
+        self.check(x)?;
+        if takes_kernels(self.engine, x) {
+            return self.on_kernel(x, ops::Activation::Silu);
+        }
+        Ok(self.on_candle(x)?.silu()?)
+    }
+
+    fn check(&self, x: &Tensor) -> Result<()> {
         let channels = self.scale.dim(0)?;
-        let (n, h, w, found) = x.dims4()?;
-        if found != channels {
-            return Err(wm_model::Error::Shape {
+        match x.dims4() {
+            Ok((_, _, _, found)) if found == channels => Ok(()),
+            _ => Err(wm_model::Error::Shape {
                 what: "the input of a GroupNorm",
                 expected: format!("(N, H, W, {channels})"),
                 found: x.dims().to_vec(),
             }
-            .into());
+            .into()),
         }
-        if takes_kernels(self.engine, x) {
-            let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
-            return host::changed(x, |x| {
-                ops::group_norm(x, h * w, self.groups, (&scale, &shift), self.eps, false);
-            });
-        }
+    }
+
+    fn on_kernel(&self, x: &Tensor, activation: ops::Activation) -> Result<Tensor> {
+        let (_, h, w, _) = x.dims4()?;
+        let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
+        let affine = (scale.as_slice(), shift.as_slice());
+        host::changed(x, |x| {
+            ops::group_norm(x, h * w, self.groups, affine, self.eps, activation);
+        })
+    }
+
+    fn on_candle(&self, x: &Tensor) -> Result<Tensor> {
+        let (n, h, w, channels) = x.dims4()?;
         // A row's mean first, then the mean of the rows: one running f32 sum over a large picture would round away
         // more than the tolerance of the models' outputs.
         let size = channels / self.groups;
@@ -89,14 +116,6 @@ impl GroupNorm {
             .broadcast_mul(&self.scale.to_dtype(DType::F32)?)?
             .broadcast_add(&self.shift.to_dtype(DType::F32)?)?;
         Ok(scaled.to_dtype(x.dtype())?)
-    }
-
-    /// As [`GroupNorm::forward`], and SiLU after it.
-    ///
-    /// # Errors
-    /// If `x` has another number of channels.
-    pub fn forward_silu(&self, x: &Tensor) -> Result<Tensor> {
-        silu(self.engine, &self.forward(x)?)
     }
 }
 

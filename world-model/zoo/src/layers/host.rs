@@ -2,7 +2,12 @@
 
 use candle_core::{Storage, Tensor};
 
+use rayon::prelude::*;
+
 use crate::Result;
+
+/// Values that one task copies at least.
+const COPIED: usize = 64 * 1024;
 
 /// What `read` makes of the values of `x`, a tensor of f32 on the CPU.
 pub(crate) fn with_values<R>(x: &Tensor, read: impl FnOnce(&[f32]) -> R) -> Result<R> {
@@ -23,7 +28,10 @@ pub(crate) fn with_values<R>(x: &Tensor, read: impl FnOnce(&[f32]) -> R) -> Resu
 
 /// A tensor of the shape of `x`, with the values of `x` after `change`.
 pub(crate) fn changed(x: &Tensor, change: impl FnOnce(&mut [f32])) -> Result<Tensor> {
-    let mut values = with_values(x, <[f32]>::to_vec)?;
+    let mut values: Vec<f32> = with_values(x, |x| {
+        // By all threads: a large activation takes as long to copy as to change.
+        x.par_iter().copied().with_min_len(COPIED).collect()
+    })?;
     change(&mut values);
     Ok(Tensor::from_vec(values, x.shape(), x.device())?)
 }

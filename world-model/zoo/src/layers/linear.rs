@@ -1,7 +1,7 @@
 //! y = x W^T + b.
 
 use candle_core::{D, Tensor};
-use wm_model::ops::{PackedFormat, PackedLinear};
+use wm_model::ops::{self, Form, PackedFormat, PackedLinear};
 
 use super::{host, takes_kernels};
 use crate::{Engine, Result};
@@ -69,15 +69,15 @@ impl Linear {
     /// `x` (.., inputs) to (.., outputs).
     ///
     /// # Errors
-    /// If `x` has another last dimension or number format.
+    /// If `x` has another last dimension, or for the kernels another number format than f32.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let inputs = x.dim(D::Minus1)?;
-        let mut dims = x.dims().to_vec();
-        if let Some(last) = dims.last_mut() {
-            *last = self.outputs;
-        }
         match &self.weights {
             Weights::Packed(packed) => {
+                let inputs = x.dim(D::Minus1)?;
+                let mut dims = x.dims().to_vec();
+                if let Some(last) = dims.last_mut() {
+                    *last = self.outputs;
+                }
                 if inputs != packed.inputs() {
                     return Err(wm_model::Error::Shape {
                         what: "the input of a Linear",
@@ -93,15 +93,7 @@ impl Linear {
                 })?;
                 Ok(Tensor::from_vec(y, dims, x.device())?)
             }
-            Weights::Plain(weight, bias) => {
-                // As one product of two matrices: candle would run a batch of small ones, copying the weight for each.
-                let rows = x.reshape(((), inputs))?;
-                let mut y = rows.matmul(&weight.t()?)?;
-                if let Some(bias) = bias {
-                    y = y.broadcast_add(bias)?;
-                }
-                Ok(y.reshape(dims)?)
-            }
+            Weights::Plain(weight, bias) => Ok(ops::linear(Form::Plain, x, weight, bias.as_ref())?),
         }
     }
 }

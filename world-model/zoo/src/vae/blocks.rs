@@ -62,11 +62,11 @@ impl ResBlock {
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let hidden = self.conv1.forward(&self.norm1.forward_silu(x)?)?;
-        let hidden = self.conv2.forward(&self.norm2.forward_silu(&hidden)?)?;
-        Ok(match &self.shortcut {
-            Some(shortcut) => (shortcut.forward(x)? + hidden)?,
-            None => (x + hidden)?,
-        })
+        let hidden = self.norm2.forward_silu(&hidden)?;
+        match &self.shortcut {
+            Some(shortcut) => self.conv2.forward_adding(&hidden, &shortcut.forward(x)?),
+            None => self.conv2.forward_adding(&hidden, x),
+        }
     }
 }
 

@@ -1,11 +1,12 @@
 //! The feed-forward half of a block.
 
-use candle_core::{D, Tensor};
+use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
+use wm_model::ops::swiglu;
 
 use crate::Result;
 use crate::engine::Engine;
-use crate::layers::{Linear, gelu_exact, gelu_tanh, silu, takes_kernels};
+use crate::layers::{Linear, gelu_exact, gelu_tanh};
 
 /// Activation function, by the names that Hugging Face configurations use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -59,35 +60,14 @@ impl Mlp {
                 gate_and_value,
                 out,
                 engine,
-            } => out.forward(&swiglu(&gate_and_value.forward(x)?, *engine)?),
+            } => out.forward(&swiglu(engine.form(), &gate_and_value.forward(x)?)?),
         }
     }
-}
-
-/// silu(first half) * second half over the last dimension.
-fn swiglu(x: &Tensor, engine: Engine) -> Result<Tensor> {
-    if takes_kernels(engine, x) {
-        return Ok(wm_model::ops::swiglu(x)?);
-    }
-    let half = x.dim(D::Minus1)? / 2;
-    let gate = silu(engine, &x.narrow(D::Minus1, 0, half)?.contiguous()?)?;
-    Ok((gate * x.narrow(D::Minus1, half, half)?)?)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::Device;
-
-    #[test]
-    fn both_engines_gate_alike() {
-        let x = Tensor::randn(0.0_f32, 1.0, (2, 5, 14), &Device::Cpu).unwrap();
-        let difference = (swiglu(&x, Engine::Candle).unwrap() - swiglu(&x, Engine::Cpu).unwrap())
-            .unwrap()
-            .abs()
-            .unwrap();
-        assert!(difference.max_all().unwrap().to_scalar::<f32>().unwrap() < 1e-6);
-    }
 
     #[test]
     fn names_are_those_of_hugging_face() {

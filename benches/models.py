@@ -1,0 +1,443 @@
+#!/usr/bin/env python3
+"""The models' engine against PyTorch on the same machine, with the same weights and inputs.
+
+usage: benches/models.py [--rounds N] [--seconds S] [--no-compile] [CASE ...]
+
+Builds `world-model/zoo/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
+folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
+all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
+ours is faster), and how far our output is from PyTorch's in f32 (relative, Euclidean). Needs cargo, a C++ compiler, and
+what world-model/zoo/fixtures/requirements.txt names.
+
+Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames of which keys and values are
+cached, by both. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
+reference's loop without. plan-dit-s: the same for 64 candidates after two frames. vit-l, sd3-encode, sd3-decode, pixel:
+one picture of 256 x 256. Last, load: time and memory to load a model of 300 M parameters.
+"""
+
+import argparse
+import contextlib
+import copy
+import datetime
+import json
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+import torch
+import torch.nn.functional as F
+from diffusers import AutoencoderKL
+from safetensors.torch import load_file, save_file
+from transformers import Dinov2Config, Dinov2Model
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "world-model/zoo/fixtures"))
+
+import generate  # noqa: E402
+from reference import dit, pixel_decoder, vjepa  # noqa: E402
+
+FORMATS = {"f32": torch.float32, "bf16": torch.bfloat16}
+DIT_S = dit.DIT_L_SD3 | dict(hidden=384, depth=12, heads=6)
+EULER_STEPS, CONTEXT_TAU = 10, 0.01
+
+
+class Case:
+    """One model and an input. `step` computes in PyTorch what `ours` names in model_speed.rs."""
+
+    ours = output = None
+    formats = tuple(FORMATS)
+    is_long = False
+
+    def __init__(self):
+        torch.manual_seed(1)
+        self.config, self.model, self.inputs = self.build()
+
+    def at(self, dtype):
+        """A copy of the case in another number format."""
+        other = copy.copy(self)
+        other.model = copy.deepcopy(self.model).to(dtype)
+        other.inputs = {name: value.to(dtype) for name, value in self.inputs.items()}
+        other.ready()
+        return other
+
+    def ready(self):
+        """What does not belong to the time of a step."""
+
+    def weights(self):
+        """By the names of a published checkpoint."""
+        return self.model.state_dict()
+
+    def compiled(self):
+        other = copy.copy(self)
+        other.step = torch.compile(self.step)
+        return other
+
+
+class Velocity(Case):
+    """The reference's layers run for one new frame, whose temporal attention sees cached keys and values."""
+
+    ours, output, cached = "velocity", "velocity", 9
+
+    def __init__(self, config):
+        self.config = config
+        super().__init__()
+
+    def build(self):
+        return self.config, generate.randomised(dit.dit(**self.config)), generate.dit_input(self.config, 1, 10)
+
+    def ready(self):
+        c, self.module = self.config, dit.transition_module()
+        self.spatial, self.temporal = self.spatial_block, self.temporal_block
+        dtype = self.inputs["x"].dtype
+        rows, columns = (side // c["patch"] for side in c["grid"])
+        self.heads, self.dim = c["heads"], c["hidden"] // c["heads"]
+        row, column = torch.arange(rows).repeat_interleave(columns), torch.arange(columns).repeat(rows)
+        angles = self.module.axis_angles
+        turn = lambda a: (a.cos().to(dtype), a.sin().to(dtype))
+        # As a careful user would: what does not change is computed once.
+        self.space = turn(torch.cat((angles(row, self.dim // 2), angles(column, self.dim // 2)), -1))
+        self.times = [turn(angles(torch.tensor([t]), self.dim)) for t in range(self.cached + 1)]
+        self.frequencies = torch.exp(-torch.log(torch.tensor(10000.0)) * torch.arange(128) / 128)
+        empty = torch.empty(rows * columns, self.heads, 0, self.dim, dtype=dtype)
+        self.cache = [(empty, empty)] * c["depth"]
+        for t in range(self.cached):
+            self.cache = self.frame(t)[1]
+
+    def turned(self, x, angles):
+        x = F.rms_norm(x, (self.dim,), eps=torch.finfo(x.dtype).eps)
+        a, b = x[..., 0::2], x[..., 1::2]
+        cos, sin = angles
+        return torch.stack((a * cos - b * sin, a * sin + b * cos), -1).flatten(-2)
+
+    def qkv(self, block, x, modulation):
+        shift, scale = modulation[:2]
+        qkv = block.attn.qkv_proj(self.module.modulated(x, shift, scale))
+        return qkv.view(x.shape[0], 3, self.heads, self.dim).unbind(1)
+
+    def rest(self, block, x, attended, modulation):
+        _, _, gate1, shift2, scale2, gate2 = modulation
+        x = x + gate1 * block.attn.out_proj(attended)
+        return x + gate2 * block.ffwd(self.module.modulated(x, shift2, scale2))
+
+    def spatial_block(self, block, x, condition):
+        modulation = block.adaLN_modulation(condition).chunk(6, -1)
+        q, k, v = (t.transpose(0, 1)[None] for t in self.qkv(block, x, modulation))
+        out = F.scaled_dot_product_attention(self.turned(q, self.space), self.turned(k, self.space), v)
+        return self.rest(block, x, out[0].transpose(0, 1).flatten(1), modulation)
+
+    def temporal_block(self, block, x, condition, angles, keys, values):
+        modulation = block.adaLN_modulation(condition).chunk(6, -1)
+        q, k, v = (t.unsqueeze(2) for t in self.qkv(block, x, modulation))
+        keys, values = torch.cat((keys, self.turned(k, angles)), 2), torch.cat((values, v), 2)
+        out = F.scaled_dot_product_attention(self.turned(q, angles), keys, values)
+        return self.rest(block, x, out.flatten(1), modulation), (keys, values)
+
+    def frame(self, t):
+        """The velocity of frame `t` after the cached ones, and the cache with it."""
+        model, cache = self.model, []
+        x, tau, action = (self.inputs[name][:, t] for name in ("x", "tau", "action"))
+        tokens = model.x_proj(x.permute(0, 3, 1, 2)).flatten(2).transpose(1, 2)[0]
+        waves = (tau.float() * 1000)[:, None] * self.frequencies
+        time = model.timestep_mlp(torch.cat((waves.cos(), waves.sin()), -1).to(x.dtype))
+        condition = time + model.action_embedder(action)
+        for block, (keys, values) in zip(model.blocks, self.cache):
+            tokens = self.spatial(block.s_block, tokens, condition)
+            tokens, entry = self.temporal(block.t_block, tokens, condition, self.times[t], keys, values)
+            cache.append(entry)
+        head = model.final_layer
+        shift, scale = head.adaLN_modulation(condition).chunk(2, -1)
+        patches = head.linear(self.module.modulated(tokens, shift, scale))
+        (h, w), p = self.config["grid"], self.config["patch"]
+        grid = patches.view(h // p, w // p, p, p, -1).transpose(1, 2)
+        return grid.reshape(1, 1, h, w, -1), cache
+
+    def step(self):
+        return self.frame(self.cached)[0]
+
+    def compiled(self):
+        # One block, which all of the model share: the whole would take minutes to compile.
+        other = copy.copy(self)
+        other.spatial, other.temporal = torch.compile(self.spatial_block), torch.compile(self.temporal_block)
+        return other
+
+
+class Frame(Case):
+    """The reference's loop: every Euler step computes the whole window of every candidate."""
+
+    ours, output = "frame", "predicted"
+    # In f32 only: the loop takes minutes in PyTorch's bf16 where the processor has no such arithmetic.
+    formats = ("f32",)
+    # Of the reference: more at once only need more memory.
+    batch = 8
+
+    def __init__(self, observed, candidates):
+        self.observed, self.candidates = observed, candidates
+        # Minutes a run: once is enough, and compiling would save little of it.
+        self.is_long = candidates > 1
+        super().__init__()
+
+    def build(self):
+        model = generate.randomised(dit.dit(**DIT_S))
+        # A small velocity, as of a trained model: else errors grow over the Euler steps, and nothing can be compared.
+        model.final_layer.linear.weight.data *= 0.25
+        frame = (*DIT_S["grid"], DIT_S["channels"])
+        actions = torch.randn(1, self.observed + 1, 10).repeat(self.candidates, 1, 1)
+        actions[:, -2] = torch.randn(self.candidates, 10)
+        inputs = dict(
+            context=torch.randn(1, self.observed, *frame), actions=actions, noise=torch.randn(1, 1, *frame)
+        )
+        return DIT_S, model, inputs
+
+    def step(self):
+        inputs, frames = self.inputs, []
+        # That of models of such latents, `published_shift`.
+        shift = max(1, (256 * DIT_S["channels"] / DIT_S["patch"] ** 2 / 4096) ** 0.5)
+        for actions in inputs["actions"].split(self.batch):
+            context, noise = (inputs[name].expand(len(actions), -1, -1, -1, -1) for name in ("context", "noise"))
+            options = dict(max_frames=10, steps=EULER_STEPS, shift=shift, context_tau=CONTEXT_TAU)
+            frames.append(dit.rollout(self.model, context, actions, noise, **options))
+        return torch.cat(frames)
+
+    def compiled(self):
+        other = copy.copy(self)
+        other.model = copy.deepcopy(self.model)
+        for block in other.model.blocks:
+            block.compile()
+        return other
+
+
+class VitL(Case):
+    ours, output = "web-dino", "latent"
+
+    def build(self):
+        model = Dinov2Model(
+            Dinov2Config(
+                hidden_size=1024, num_hidden_layers=24, num_attention_heads=16, mlp_ratio=4, image_size=224,
+                patch_size=14, use_swiglu_ffn=False, layer_norm_eps=1e-6,
+            )
+        )
+        config, self.published = generate.saved(generate.randomised(model))
+        return config, model, dict(image=generate.pictures(1, 256, 256))
+
+    def weights(self):
+        return self.published
+
+    def step(self):
+        image = generate.resized(generate.channels_first(self.inputs["image"]), 224)
+        mean, std = (torch.tensor(v, dtype=image.dtype).view(3, 1, 1) for v in (vjepa.MEAN, vjepa.STD))
+        return self.model((image - mean) / std).last_hidden_state[:, 1:].unflatten(1, (16, 16))
+
+
+class Convolutional(Case):
+    """Channels last in PyTorch, too: it is faster so."""
+
+    def ready(self):
+        self.model.to(memory_format=torch.channels_last)
+
+
+class Sd3(Convolutional):
+    def build(self):
+        options = dict(generate.SD3, widths=[128, 256, 512, 512], norm_num_groups=32, latent_channels=16)
+        widths = options.pop("widths")
+        model = AutoencoderKL(
+            block_out_channels=widths, down_block_types=["DownEncoderBlock2D"] * 4,
+            up_block_types=["UpDecoderBlock2D"] * 4, **options,
+        )
+        self.shift, self.scale = options["shift_factor"], options["scaling_factor"]
+        generate.randomised(model)
+        return dict(model.config), model, self.input()
+
+
+class Sd3Encoder(Sd3):
+    ours, output = "sd3-vae", "latent"
+
+    def input(self):
+        return dict(image=generate.pictures(1, 256, 256))
+
+    def step(self):
+        mean = self.model.encode(generate.to_signed(self.inputs["image"])).latent_dist.mean
+        return generate.channels_last((mean - self.shift) * self.scale)
+
+
+class Sd3Decoder(Sd3):
+    ours, output = "sd3-vae-decoder", "image"
+
+    def input(self):
+        return dict(latent=torch.randn(1, 32, 32, 16))
+
+    def step(self):
+        latent = generate.channels_first(self.inputs["latent"]) / self.scale + self.shift
+        return generate.to_unit(self.model.decode(latent).sample)
+
+
+class Pixel(Convolutional):
+    ours, output = "pixel", "image"
+
+    def build(self):
+        config = pixel_decoder.PUBLISHED
+        model = generate.randomised(pixel_decoder.PixelDecoder(**config))
+        return config, model, dict(latent=torch.randn(1, 16, 16, config["latent"]))
+
+    def step(self):
+        return generate.channels_last(self.model(generate.channels_first(self.inputs["latent"])))
+
+
+CASES = {
+    "velocity-dit-s": lambda: Velocity(DIT_S),
+    "velocity-dit-l": lambda: Velocity(dit.DIT_L_SD3),
+    "frame-dit-s": lambda: Frame(9, 1),
+    "plan-dit-s": lambda: Frame(2, 64),
+    "vit-l": VitL,
+    "sd3-encode": Sd3Encoder,
+    "sd3-decode": Sd3Decoder,
+    "pixel": Pixel,
+}
+
+
+def write(case, folder):
+    (folder / "config.json").write_text(json.dumps(case.config))
+    for name, tensors in dict(weights=case.weights(), input=case.inputs).items():
+        save_file({key: value.contiguous() for key, value in tensors.items()}, folder / f"{name}.safetensors")
+
+
+def ours(what, folder, number_format, runs, warm=1):
+    """The lines of model_speed, by their names; its first run fills caches and is left out, unless `warm` is 0."""
+    binary = ROOT / "target/release/examples/model_speed"
+    arguments = [binary, what, folder, number_format, str(runs + warm if runs else 0)]
+    # As the program `wm` sets them for itself.
+    environment = os.environ | dict(CANDLE_NUM_THREADS="1", MIMALLOC_PURGE_DELAY="1000")
+    result = subprocess.run(arguments, check=True, capture_output=True, text=True, env=environment)
+    lines = {}
+    for line in result.stdout.splitlines():
+        name, number = line.split()
+        lines.setdefault(name, []).append(float(number))
+    return lines | dict(run_ms=lines.get("run_ms", [])[warm:])
+
+
+def timed(step, runs):
+    times = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        step()
+        times.append((time.perf_counter() - start) * 1e3)
+    return times
+
+
+def first_run(case):
+    """The output, and the milliseconds of a run: the second, for the first one compiles and fills caches."""
+    start = time.perf_counter()
+    output = case.step()
+    return output, (time.perf_counter() - start) * 1e3 if case.is_long else timed(case.step, 1)[0]
+
+
+def compare(name, case, folder, arguments):
+    reference = None
+    for number_format in case.formats:
+        at = case.at(FORMATS[number_format])
+        peers = dict(eager=at)
+        if not arguments.no_compile and not case.is_long:
+            peers["compile"] = at.compiled()
+        firsts = {peer: first_run(of) for peer, of in peers.items()}
+        if reference is None:
+            reference = firsts["eager"][0].float()
+        slowest = max(ms for _, ms in firsts.values()) / 1e3
+        runs = max(1, min(10, int(arguments.seconds / slowest)))
+        rounds = 1 if slowest > arguments.seconds else arguments.rounds
+        if case.is_long:
+            rounds = runs = 1
+        all_ours, theirs, ratios = [], {peer: [] for peer in peers}, []
+        for _ in range(rounds):
+            a = ours(case.ours, folder, number_format, runs, warm=not case.is_long)["run_ms"]
+            b = {peer: [firsts[peer][1]] if case.is_long else timed(of.step, runs) for peer, of in peers.items()}
+            all_ours += a
+            for peer, times in b.items():
+                theirs[peer] += times
+            ratios.append(statistics.median(a) / min(map(statistics.median, b.values())))
+        output = load_file(folder / "output.safetensors")[case.output].float()
+        difference = ((output - reference).norm() / reference.norm()).item()
+        medians = [statistics.median(theirs[peer]) if peer in theirs else None for peer in ("eager", "compile")]
+        cells = [f"{m:.1f}" if m else "-" for m in (statistics.median(all_ours), *medians)]
+        ratio = f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+        row = [name, number_format, *cells, ratio, f"{difference:.1e}", f"{rounds} x {runs}"]
+        print("| " + " | ".join(row) + " |", flush=True)
+
+
+# PyTorch maps the file: what it has loaded is there when the values have been read once.
+LOAD = """
+import pathlib, sys, time, torch
+from transformers import Dinov2Model
+def resident():
+    lines = pathlib.Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:")) / 1024
+before, start = resident(), time.perf_counter()
+model = Dinov2Model.from_pretrained(sys.argv[1], dtype=getattr(torch, sys.argv[2]))
+total = sum(p.sum().item() for p in model.parameters())
+print((time.perf_counter() - start) * 1e3, resident() - before)
+"""
+
+
+def load(folder, rounds):
+    case = VitL()
+    write(case, folder)
+    case.model.save_pretrained(folder / "transformers")
+    weights = (folder / "weights.safetensors").stat().st_size / 2**20
+    print(f"\nLoading ViT-L, a file of {weights:.0f} MiB (f32); memory without what the process needed before:\n")
+    print("| weights as | ours ms | PyTorch ms | ratio | ours at most MiB | PyTorch after it MiB |")
+    print("|---|---|---|---|---|---|")
+    for number_format, dtype in dict(f32="float32", bf16="bfloat16").items():
+        a, b = [], []
+        for _ in range(rounds):
+            lines = ours("web-dino", folder, number_format, 0)
+            a.append((lines["load_ms"][0], lines["peak_mib"][0]))
+            command = [sys.executable, "-c", LOAD, folder / "transformers", dtype]
+            result = subprocess.run(command, check=True, capture_output=True, text=True)
+            b.append(tuple(map(float, result.stdout.split())))
+        (ms, peak), (their_ms, their_peak) = ([statistics.median(column) for column in zip(*runs)] for runs in (a, b))
+        cells = [number_format, f"{ms:.0f}", f"{their_ms:.0f}", f"{ms / their_ms:.2f}", f"{peak:.0f}", f"{their_peak:.0f}"]
+        print("| " + " | ".join(cells) + " |", flush=True)
+
+
+def processor():
+    with contextlib.suppress(OSError):
+        for line in pathlib.Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return "unknown processor"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", nargs="*", metavar="CASE", default=[*CASES, "load"])
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=15, help="how long one peer's runs of a round may take, about")
+    parser.add_argument("--no-compile", action="store_true", help="leave torch.compile out")
+    arguments = parser.parse_args()
+    if unknown := set(arguments.cases) - {*CASES, "load"}:
+        parser.error(f"no such case: {', '.join(sorted(unknown))}; there are: {', '.join([*CASES, 'load'])}")
+    build = ["cargo", "build", "--release", "-p", "wm_zoo", "--example", "model_speed"]
+    subprocess.run(build, cwd=ROOT, check=True)
+    cores = len(os.sched_getaffinity(0))
+    torch.set_num_threads(cores)
+    torch.set_grad_enabled(False)
+    flags = "AVX-512" if torch.cpu._is_avx512_supported() else "AVX2" if torch.cpu._is_avx2_supported() else "baseline"
+    print(f"{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}\n")
+    print("| case | format | ours p50 ms | eager p50 ms | compile p50 ms | ratio to the faster | difference | runs |")
+    print("|---|---|---|---|---|---|---|---|")
+    for name in arguments.cases:
+        if name == "load":
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            folder, case = pathlib.Path(folder), CASES[name]()
+            write(case, folder)
+            compare(name, case, folder, arguments)
+    if "load" in arguments.cases:
+        with tempfile.TemporaryDirectory() as folder:
+            load(pathlib.Path(folder), arguments.rounds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+//! A model of any kind, loaded once and run on any number of inputs.
+
+use candle_core::{Device, Tensor};
+use serde::de::DeserializeOwned;
+
+use super::inputs::Inputs;
+use super::{DitConfig, Kind, Tensors, dit, finite, owned, parse};
+use crate::checkpoint::Average;
+use crate::efficientnet_lite0::{EfficientNetLite0, EfficientNetLite0Config};
+use crate::idm::Idm;
+use crate::success_probe::SuccessProbe;
+use crate::svae::Svae;
+use crate::vae::{
+    CosmosDecoder, CosmosEncoder, PixelDecoder, SdVaeDecoder, SdVaeEncoder, VaVaeDecoder,
+    VaVaeEncoder,
+};
+use crate::vit::{SiglipText, SiglipVision, Vjepa, WebDino};
+use crate::{Checkpoint, Compute, Loader, Result};
+
+/// First of EfficientNet-Lite0's blocks that is given.
+const FIRST_BLOCK: usize = 8;
+
+/// What a loaded model makes of its inputs.
+type Run = Box<dyn Fn(&Inputs<'_>) -> Result<Tensors> + Send + Sync>;
+
+/// A model of some [`Kind`]; the [module](super) says what each takes and gives.
+pub struct Loaded {
+    kind: Kind,
+    device: Device,
+    run: Run,
+}
+
+impl Loaded {
+    /// Loads a model of `kind` with the configuration `config` (JSON) and the weights of `checkpoint` (the averaged
+    /// ones, if it has both), which go to the device of `compute`, rounded to its number format.
+    ///
+    /// # Errors
+    /// If the configuration is not valid, or the checkpoint's tensors are not the model's.
+    pub fn new(
+        kind: Kind,
+        config: &str,
+        checkpoint: &Checkpoint,
+        compute: &Compute,
+    ) -> Result<Self> {
+        let checkpoint = kind.weights(checkpoint, Average::Ema);
+        let source = Source {
+            config,
+            loader: Loader::on(&checkpoint, compute),
+        };
+        let run = match kind {
+            Kind::Dit => {
+                let config: DitConfig = parse(config)?;
+                let model = dit::load(&config, &checkpoint, compute)?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    let (x, tau) = (inputs.float("x")?, inputs.unit("tau")?);
+                    let velocity = model.velocity(&x, &tau, &inputs.float("action")?)?;
+                    Ok(owned(vec![("velocity", velocity)]))
+                })
+            }
+            Kind::WebDino => encoder(source.load(WebDino::load)?, WebDino::encode),
+            Kind::Siglip2 => encoder(source.load(SiglipVision::load)?, SiglipVision::encode),
+            Kind::Siglip2Text => {
+                let model = source.load(SiglipText::load)?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    let mask = inputs.optional_float("text_mask")?;
+                    let features = model.forward(&inputs.integers("input_ids")?, mask.as_ref())?;
+                    Ok(owned(vec![("features", features)]))
+                })
+            }
+            Kind::Vjepa21 => encoder(source.load(Vjepa::load)?, Vjepa::encode),
+            Kind::Sd3Vae => encoder(source.load(SdVaeEncoder::load)?, SdVaeEncoder::encode),
+            Kind::Sd3VaeDecoder => decoder(source.load(SdVaeDecoder::load)?, SdVaeDecoder::decode),
+            Kind::VaVae => encoder(source.load(VaVaeEncoder::load)?, VaVaeEncoder::encode),
+            Kind::VaVaeDecoder => decoder(source.load(VaVaeDecoder::load)?, VaVaeDecoder::decode),
+            Kind::CosmosCi16x16 => {
+                encoder(source.load(CosmosEncoder::load)?, CosmosEncoder::encode)
+            }
+            Kind::CosmosCi16x16Decoder => {
+                decoder(source.load(CosmosDecoder::load)?, CosmosDecoder::decode)
+            }
+            Kind::Svae => {
+                let model = source.load(Svae::load)?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    Ok(owned(match inputs.optional_float("features")? {
+                        Some(features) => {
+                            let latent = model.encode(&features)?;
+                            let features = model.decode(&latent)?;
+                            vec![("latent", latent), ("features", features)]
+                        }
+                        None => vec![("features", model.decode(&inputs.float("latent")?)?)],
+                    }))
+                })
+            }
+            Kind::Pixel => decoder(source.load(PixelDecoder::load)?, PixelDecoder::decode),
+            Kind::Idm => {
+                let model = source.load(Idm::load)?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    let actions = model.forward(&inputs.float("latents")?)?;
+                    Ok(owned(vec![("actions", actions)]))
+                })
+            }
+            Kind::SuccessProbe => {
+                let model = source.load(SuccessProbe::load)?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    let (latents, text) = (inputs.float("latents")?, inputs.float("text")?);
+                    let mask = inputs.optional_float("text_mask")?;
+                    let logit = model.forward(&latents, &text, mask.as_ref())?;
+                    Ok(owned(vec![("logit", logit)]))
+                })
+            }
+            Kind::EfficientNetLite0 => efficientnet_lite0(&source)?,
+        };
+        Ok(Self {
+            kind,
+            device: compute.device().clone(),
+            run,
+        })
+    }
+
+    /// Runs it on `inputs`, which go to its device; the outputs are on the CPU.
+    ///
+    /// # Errors
+    /// If an input is missing, empty, not finite or of another shape, or an output would not be finite.
+    pub fn run(&self, inputs: &Tensors) -> Result<Tensors> {
+        finite((self.run)(&Inputs::new(
+            self.kind.name(),
+            inputs,
+            &self.device,
+        ))?)
+    }
+}
+
+fn encoder<M: Send + Sync + 'static>(model: M, encode: fn(&M, &Tensor) -> Result<Tensor>) -> Run {
+    Box::new(move |inputs| {
+        let latent = encode(&model, &inputs.float("image")?)?;
+        Ok(owned(vec![("latent", latent)]))
+    })
+}
+
+fn decoder<M: Send + Sync + 'static>(model: M, decode: fn(&M, &Tensor) -> Result<Tensor>) -> Run {
+    Box::new(move |inputs| {
+        let image = decode(&model, &inputs.float("latent")?)?;
+        Ok(owned(vec![("image", image)]))
+    })
+}
+
+/// Every block from [`FIRST_BLOCK`] to the configured one, each by a network up to there: it is small.
+fn efficientnet_lite0(source: &Source<'_>) -> Result<Run> {
+    let config: EfficientNetLite0Config = parse(source.config)?;
+    // The last one first: it asks for all tensors there are to be. One that is too low is refused by the network.
+    let models = (FIRST_BLOCK.min(config.block)..=config.block)
+        .rev()
+        .map(|block| {
+            let model =
+                EfficientNetLite0::load(&EfficientNetLite0Config { block }, &source.loader)?;
+            source.loader.finish()?;
+            Ok((format!("block_{block}"), model))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    Ok(Box::new(move |inputs| {
+        let image = inputs.float("image")?;
+        let encode =
+            |(name, model): &(String, EfficientNetLite0)| Ok((name.clone(), model.encode(&image)?));
+        models.iter().map(encode).collect()
+    }))
+}
+
+/// A model's configuration and its weights.
+struct Source<'a> {
+    config: &'a str,
+    loader: Loader<'a>,
+}
+
+impl Source<'_> {
+    /// Loads a model, and checks that the tensors are its.
+    fn load<C: DeserializeOwned, M>(
+        &self,
+        load: impl FnOnce(&C, &Loader<'_>) -> Result<M>,
+    ) -> Result<M> {
+        let model = load(&parse(self.config)?, &self.loader)?;
+        self.loader.finish()?;
+        Ok(model)
+    }
+}
