@@ -20,9 +20,13 @@
 pub mod cdr;
 mod message;
 mod packages;
+mod type_description;
 
 pub use message::{Message, Service};
 pub use packages::{
-    builtin_interfaces, diagnostic_msgs, geometry_msgs, rosgraph_msgs, sensor_msgs, std_msgs,
-    wm_msgs,
+    builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rcl_interfaces,
+    rosbag2_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, wm_msgs,
+};
+pub use type_description::{
+    DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash,
 };

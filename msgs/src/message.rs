@@ -23,8 +23,17 @@ pub trait Service: 'static {
     const PACKAGE: &'static str;
     /// The type's name within the package, for example `Reset`.
     const NAME: &'static str;
+    /// The text of the `.srv` file.
+    const DEFINITION: &'static str;
     /// What a client sends.
     type Request: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
     /// What the server answers.
     type Response: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
+    /// ROS names (`package/msg/Type`) and texts of every type that [`Self::DEFINITION`] names, transitively, each once.
+    fn dependencies() -> Vec<(&'static str, &'static str)>;
+
+    /// The ROS name of the type, `package/srv/Type`.
+    fn ros_name() -> String {
+        format!("{}/srv/{}", Self::PACKAGE, Self::NAME)
+    }
 }

@@ -126,7 +126,7 @@ proptest! {
 
     #[test]
     fn chunks_survive_padding(header in header(), actions in prop::collection::vec(action(), 0..9), padding in 0usize..4) {
-        let chunk = ActionChunk { header, period: Duration::from_nanos(200_000_000), actions };
+        let chunk = ActionChunk { header, period: Duration::from_nanos(200_000_000), actions, ..ActionChunk::default() };
         let mut bytes = cdr::to_bytes(&chunk).unwrap();
         bytes.extend(vec![0; padding]);
         prop_assert_eq!(cdr::from_bytes::<ActionChunk>(&bytes).unwrap(), chunk);

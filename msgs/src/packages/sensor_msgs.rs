@@ -1,4 +1,4 @@
-//! Package `sensor_msgs`: camera images.
+//! Package `sensor_msgs`: camera images, joints.
 
 use super::std_msgs::Header;
 use serde::{Deserialize, Serialize};
@@ -35,6 +35,21 @@ pub struct CompressedImage {
     pub data: Vec<u8>,
 }
 
+/// The state of joints. Each list is as long as `name`, or empty where it is not known.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct JointState {
+    /// `stamp`: when the joints were measured.
+    pub header: Header,
+    /// The joints' names.
+    pub name: Vec<String>,
+    /// Angles or lengths \[rad or m\].
+    pub position: Vec<f64>,
+    /// Their rates \[rad/s or m/s\].
+    pub velocity: Vec<f64>,
+    /// Torques or forces \[Nm or N\].
+    pub effort: Vec<f64>,
+}
+
 message!(
     Image,
     "sensor_msgs",
@@ -45,5 +60,11 @@ message!(
     CompressedImage,
     "sensor_msgs",
     "std_msgs/Header header\nstring format\nuint8[] data\n",
+    [Header]
+);
+message!(
+    JointState,
+    "sensor_msgs",
+    "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
     [Header]
 );

@@ -1,7 +1,8 @@
-//! Package `wm_msgs`: latents, actions, predicted steps, their errors, and plans.
+//! Package `wm_msgs`: latents, actions, predicted steps, their errors, plans, and policies in the loop.
 
 use super::{
     builtin_interfaces::{Duration, Time},
+    sensor_msgs::CompressedImage,
     std_msgs::Header,
 };
 use serde::{Deserialize, Serialize};
@@ -62,6 +63,74 @@ pub struct ActionChunk {
     pub period: Duration,
     /// In order; each header's stamp is the chunk's stamp + index x `period`.
     pub actions: Vec<Action>,
+    /// When the policy saw and computed; all zero where there is no policy.
+    pub timing: Timing,
+}
+
+/// When somebody saw what a message answers to, and when it was worked on. A stamp of zero: not known.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Timing {
+    /// Capture time of the newest image that was used.
+    pub capture: Time,
+    /// When that image was received (clock of the sender of the message).
+    pub receive: Time,
+    /// When the computation began (the same clock).
+    pub start: Time,
+    /// When it ended (the same clock).
+    pub end: Time,
+}
+
+/// Chunks of which a policy would take one: what each would do is predicted side by side before any is executed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ActionCandidates {
+    /// `stamp`: capture time of the image that the policy answers to; `frame_id`: the frame of the deltas.
+    pub header: Header,
+    /// Name of the policy.
+    pub policy: String,
+    /// The candidates; an [`Assessment`] names them by their index.
+    pub chunks: Vec<ActionChunk>,
+}
+
+/// What one candidate chunk would do, as the world model predicts it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CandidateAssessment {
+    /// Of the candidate in [`ActionCandidates::chunks`].
+    pub index: u32,
+    /// Mean squared latent error to the goal after the last step; NaN where no goal is known.
+    pub cost: f32,
+    /// The same error after each step; empty where no goal is known.
+    pub step_costs: Vec<f32>,
+    /// Of the success probe, 0 to 1; NaN where no probe is loaded.
+    pub success_probability: f32,
+    /// The predicted latent after the last step; its stamp is the predicted moment.
+    pub latent: Latent,
+}
+
+/// What the candidates of a policy would do, for a supervisor to choose from or to veto.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Assessment {
+    /// `stamp`: capture time of the last observed frame; `frame_id`: the camera's optical frame.
+    pub header: Header,
+    /// As in [`ActionCandidates`].
+    pub policy: String,
+    /// Stamp of the [`ActionCandidates`].
+    pub candidates_stamp: Time,
+    /// One for each candidate, in their order.
+    pub candidates: Vec<CandidateAssessment>,
+    /// Index of the candidate of least cost; -1 where no goal is known.
+    pub best: i32,
+    /// Model steps that were predicted, the same for all candidates.
+    pub horizon: u32,
+    /// Time of one model step.
+    pub step_period: Duration,
+    /// Name of the transition model.
+    pub model: String,
+    /// Lower-case hex SHA-256 of its weights and configuration.
+    pub model_hash: String,
+    /// Seed of the sampler's noise, which all candidates share.
+    pub seed: u64,
+    /// Capture of the observed frame, receipt of the candidates, start and end of the prediction.
+    pub timing: Timing,
 }
 
 /// One predicted step. A rollout is `horizon` messages of the same `observed_stamp`, sent as each is ready.
@@ -139,6 +208,109 @@ pub struct Plan {
     pub deadline_cut: bool,
 }
 
+/// What the camera sees, or is predicted to see, in an episode of the env.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EnvObservation {
+    /// The episode's name.
+    pub episode_id: String,
+    /// Steps of the episode so far; 0: the first frame, as the world model sees it.
+    pub step: u32,
+    /// JPEG; its stamp is the episode's time.
+    pub image: CompressedImage,
+}
+
+/// Service: begin an episode within the world model.
+#[derive(Clone, Copy, Debug)]
+pub struct EnvReset;
+
+/// What a client of [`EnvReset`] sends. At most one of `bag`, `image` and `topic` is set; where none is, the env's
+/// parameters say where to begin.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EnvResetRequest {
+    /// Name of the episode and of its bag; empty: the env names it.
+    pub episode_id: String,
+    /// Bag (folder or `.mcap`) that the first frame comes from, with the frames and actions just before it.
+    pub bag: String,
+    /// From the bag's first frame to the episode's \[s\].
+    pub bag_offset: f64,
+    /// File of the first frame, PNG or JPEG.
+    pub image: String,
+    /// Camera topic whose next image, raw or compressed, is the first frame.
+    pub topic: String,
+    /// What the policy is to do; empty: the bag's, else the env's parameter.
+    pub instruction: String,
+    /// Seed of the episode's noise: the same start, actions and seed give the same images.
+    pub seed: u64,
+    /// Steps after which the episode is truncated; 0: the env's parameter.
+    pub max_steps: u32,
+}
+
+/// What a server of [`EnvReset`] answers.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EnvResetResponse {
+    /// Whether the episode has begun.
+    pub success: bool,
+    /// Why not.
+    pub message: String,
+    /// The episode's name.
+    pub episode_id: String,
+    /// The instruction in force.
+    pub instruction: String,
+    /// Time of one step of the env: one model step.
+    pub step_period: Duration,
+    /// Camera-rate actions that one step takes.
+    pub actions_per_step: u32,
+    /// The episode's begin: stamp of its first [`EnvObservation`].
+    pub stamp: Time,
+}
+
+/// Service: take actions within an episode. Calls for several episodes that wait at the same time are computed as one
+/// batch.
+#[derive(Clone, Copy, Debug)]
+pub struct EnvStep;
+
+/// What a client of [`EnvStep`] sends.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EnvStepRequest {
+    /// The episode's name.
+    pub episode_id: String,
+    /// One, or a chunk, at the camera's rate; a step takes `actions_per_step` of them, the last one is held.
+    pub actions: Vec<Action>,
+    /// End the episode after these actions (there may be none) and finish its bag.
+    pub close: bool,
+    /// With `close`, for the bag: [`UNKNOWN`](Self::UNKNOWN), [`SUCCESS`](Self::SUCCESS) or
+    /// [`FAILURE`](Self::FAILURE).
+    pub outcome: u8,
+}
+
+impl EnvStepRequest {
+    /// Nobody can say whether the task was done.
+    pub const UNKNOWN: u8 = 0;
+    /// The task was done.
+    pub const SUCCESS: u8 = 1;
+    /// The task was not done.
+    pub const FAILURE: u8 = 2;
+}
+
+/// What a server of [`EnvStep`] answers.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EnvStepResponse {
+    /// Whether all actions were taken.
+    pub success: bool,
+    /// Why not.
+    pub message: String,
+    /// Of the newest [`EnvObservation`].
+    pub stamp: Time,
+    /// Steps of the episode so far.
+    pub steps: u32,
+    /// The episode has its `max_steps`, or was closed: it takes no more actions.
+    pub truncated: bool,
+    /// The episode's bag; empty where none is recorded, and until it is finished.
+    pub bag: String,
+    /// Capture of the last observation before, receipt of the call, start and end of the step.
+    pub timing: Timing,
+}
+
 /// Service: forget the observed history and any plan.
 #[derive(Clone, Copy, Debug)]
 pub struct Reset;
@@ -161,13 +333,30 @@ pub struct ResetResponse {
     pub message: String,
 }
 
-impl crate::Service for Reset {
-    const PACKAGE: &'static str = "wm_msgs";
-    const NAME: &'static str = "Reset";
-    type Request = ResetRequest;
-    type Response = ResetResponse;
-}
-
+service!(
+    Reset,
+    "wm_msgs",
+    include_str!("../../srv/Reset.srv"),
+    ResetRequest,
+    ResetResponse,
+    []
+);
+service!(
+    EnvReset,
+    "wm_msgs",
+    include_str!("../../srv/EnvReset.srv"),
+    EnvResetRequest,
+    EnvResetResponse,
+    [Duration, Time]
+);
+service!(
+    EnvStep,
+    "wm_msgs",
+    include_str!("../../srv/EnvStep.srv"),
+    EnvStepRequest,
+    EnvStepResponse,
+    [Action, Time, Timing]
+);
 message!(
     LatentSpace,
     "wm_msgs",
@@ -190,7 +379,37 @@ message!(
     ActionChunk,
     "wm_msgs",
     include_str!("../../msg/ActionChunk.msg"),
-    [Header, Duration, Action]
+    [Header, Duration, Action, Timing]
+);
+message!(
+    EnvObservation,
+    "wm_msgs",
+    include_str!("../../msg/EnvObservation.msg"),
+    [CompressedImage]
+);
+message!(
+    Timing,
+    "wm_msgs",
+    include_str!("../../msg/Timing.msg"),
+    [Time]
+);
+message!(
+    ActionCandidates,
+    "wm_msgs",
+    include_str!("../../msg/ActionCandidates.msg"),
+    [Header, ActionChunk]
+);
+message!(
+    CandidateAssessment,
+    "wm_msgs",
+    include_str!("../../msg/CandidateAssessment.msg"),
+    [Latent]
+);
+message!(
+    Assessment,
+    "wm_msgs",
+    include_str!("../../msg/Assessment.msg"),
+    [Header, Time, Duration, CandidateAssessment, Timing]
 );
 message!(
     Prediction,

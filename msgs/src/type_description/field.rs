@@ -1,0 +1,137 @@
+/// The number of a nested type (`type_description_interfaces/msg/FieldType`).
+const NESTED: u8 = 1;
+const UINT8: u8 = 3;
+/// What bounded strings add to their number: 17 to 21, 18 to 22.
+const BOUNDED_STRING: u8 = 4;
+/// What arrays, bounded and unbounded sequences add to the number of their element.
+const ARRAY: u8 = 48;
+const BOUNDED_SEQUENCE: u8 = 96;
+const UNBOUNDED_SEQUENCE: u8 = 144;
+
+/// Types without parts by their name in `.msg` text. `char` is what rosidl makes of it: an unsigned byte.
+const PRIMITIVES: [(&str, u8); 15] = [
+    ("int8", 2),
+    ("uint8", UINT8),
+    ("int16", 4),
+    ("uint16", 5),
+    ("int32", 6),
+    ("uint32", 7),
+    ("int64", 8),
+    ("uint64", 9),
+    ("float32", 10),
+    ("float64", 11),
+    ("char", UINT8),
+    ("bool", 15),
+    ("byte", 16),
+    ("string", 17),
+    ("wstring", 18),
+];
+
+/// One field of a type.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Field {
+    /// Its name.
+    pub name: String,
+    /// Its type.
+    pub field_type: FieldType,
+}
+
+/// The type of a field, in the terms of `type_description_interfaces/msg/FieldType`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FieldType {
+    /// Which type, and whether it is an array or a sequence of it.
+    pub type_id: u8,
+    /// Length of an array, limit of a bounded sequence, else 0.
+    pub capacity: u64,
+    /// Limit of a bounded string \[byte\], else 0.
+    pub string_capacity: u64,
+    /// The message type that it is made of, `package/msg/Type`.
+    pub nested: Option<String>,
+}
+
+impl Field {
+    /// A field of a nested type.
+    pub(super) fn nested(name: &str, type_name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            field_type: FieldType {
+                type_id: NESTED,
+                capacity: 0,
+                string_capacity: 0,
+                nested: Some(type_name.to_owned()),
+            },
+        }
+    }
+
+    /// A sequence of at most `capacity` such.
+    pub(super) fn at_most(mut self, capacity: u64) -> Self {
+        self.field_type.type_id += BOUNDED_SEQUENCE;
+        self.field_type.capacity = capacity;
+        self
+    }
+
+    /// What rosidl gives a type without fields, since IDL has no empty structs.
+    pub(super) fn placeholder() -> Self {
+        Self {
+            name: "structure_needs_at_least_one_member".to_owned(),
+            field_type: FieldType {
+                type_id: UINT8,
+                capacity: 0,
+                string_capacity: 0,
+                nested: None,
+            },
+        }
+    }
+}
+
+impl FieldType {
+    /// Reads a type as `.msg` text has it, `string<=9[<=3]` for example; a message type without a package is of
+    /// `package`. None for what is no type.
+    pub(super) fn parse(package: &str, text: &str) -> Option<Self> {
+        let (element, offset, capacity) = match text.strip_suffix(']') {
+            None => (text, 0, 0),
+            Some(text) => {
+                let (element, size) = text.rsplit_once('[')?;
+                match (size, size.strip_prefix("<=")) {
+                    ("", _) => (element, UNBOUNDED_SEQUENCE, 0),
+                    (_, Some(limit)) => (element, BOUNDED_SEQUENCE, limit.parse().ok()?),
+                    (length, None) => (element, ARRAY, length.parse().ok()?),
+                }
+            }
+        };
+        let (element, string_capacity) = match element.split_once("<=") {
+            Some((string @ ("string" | "wstring"), limit)) => (string, limit.parse().ok()?),
+            Some(_) => return None,
+            None => (element, 0),
+        };
+        let primitive = PRIMITIVES.iter().find(|(name, _)| *name == element);
+        let (type_id, nested) = match primitive {
+            Some((_, type_id)) if string_capacity > 0 => (type_id + BOUNDED_STRING, None),
+            Some((_, type_id)) => (*type_id, None),
+            None => (NESTED, Some(nested_name(package, element)?)),
+        };
+        Some(Self {
+            type_id: type_id + offset,
+            capacity,
+            string_capacity,
+            nested,
+        })
+    }
+}
+
+fn nested_name(package: &str, text: &str) -> Option<String> {
+    let (package, name) = match text.split('/').collect::<Vec<_>>()[..] {
+        [name] => (package, name),
+        [package, name] | [package, "msg", name] => (package, name),
+        _ => return None,
+    };
+    let is_type = name.starts_with(|c: char| c.is_ascii_uppercase());
+    (is_type && is_identifier(name) && is_identifier(package))
+        .then(|| format!("{package}/msg/{name}"))
+}
+
+/// Whether `text` may be the name of a package, type or field: it stands in the JSON without escapes.
+pub(super) fn is_identifier(text: &str) -> bool {
+    text.starts_with(|c: char| c.is_ascii_alphabetic())
+        && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+}

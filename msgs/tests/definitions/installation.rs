@@ -1,0 +1,42 @@
+//! A ROS installation: that of `AMENT_PREFIX_PATH`, or the one that `tests/setup_ros2` made.
+
+use std::path::{Path, PathBuf};
+
+pub struct Installation {
+    prefixes: Vec<PathBuf>,
+}
+
+impl Installation {
+    /// None, with a plain message, where there is none.
+    pub fn find() -> Option<Self> {
+        let made = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.venv/ros2"));
+        let prefixes: Vec<PathBuf> = match std::env::var_os("AMENT_PREFIX_PATH") {
+            Some(path) => std::env::split_paths(&path).collect(),
+            None => vec![made.to_owned(), made.join("ws/install")],
+        };
+        if prefixes.iter().any(|prefix| prefix.join("share").is_dir()) {
+            return Some(Self { prefixes });
+        }
+        eprintln!(
+            "skipped: no ROS 2 on AMENT_PREFIX_PATH or under .venv; run tests/setup_ros2 (tests/run does)"
+        );
+        assert!(
+            std::env::var_os("CI").is_none(),
+            "what is held against a ROS 2 may not be skipped in CI"
+        );
+        None
+    }
+
+    /// The file of a type, `package/msg/Type` or `package/srv/Type`; none, with a plain message, where there is none.
+    pub fn read(&self, ros_name: &str, extension: &str) -> Option<String> {
+        let file = format!("share/{ros_name}.{extension}");
+        let found = self
+            .prefixes
+            .iter()
+            .find_map(|prefix| std::fs::read_to_string(prefix.join(&file)).ok());
+        if found.is_none() {
+            eprintln!("skipped {ros_name}: no prefix has {file}");
+        }
+        found
+    }
+}
