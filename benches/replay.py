@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""The end-to-end benchmark: the four nodes idle, then the main job at the bag's real rate.
+"""The end-to-end benchmark: the four nodes idle, then the main job at the bag's real rate, by turns with a process for
+each node and with one for all four.
 
 usage: benches/replay.py [--runs N] [--idle-seconds S] [--domain D] [--wm PATH]
 
-Prints a Markdown table: machine, date, n; camera stamp to prediction per step (p50/p95/p99), drops by reason; CPU and
-resident memory of each node, idle and at work. Needs `cargo build --release` and Linux's /proc, nothing else.
+Prints Markdown tables: machine, date, n; camera stamp to prediction per step (p50/p95/p99), drops by reason; CPU and
+resident memory of each process, idle and at work. Needs `cargo build --release` and Linux's /proc, nothing else.
 """
 
 import argparse
@@ -20,6 +21,8 @@ import time
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 NODES = ["encoder", "predictor", "decoder", "planner"]
+# The subcommand that runs them in one process.
+TOGETHER = "run"
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -70,34 +73,55 @@ def usage(pids, seconds):
 
 
 def idle(wm, env, seconds):
-    started = {
-        name: subprocess.Popen([wm, name], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        for name in NODES
-    }
-    time.sleep(5)  # loading the weights and discovery are not idling
-    try:
-        return usage({name: process.pid for name, process in started.items()}, seconds)
-    finally:
-        for process in started.values():
-            process.send_signal(signal.SIGINT)
-        for process in started.values():
-            process.wait(timeout=10)
+    found = {}
+    for commands in ({name: [name] for name in NODES}, {TOGETHER: [TOGETHER, *NODES]}):
+        started = {
+            name: subprocess.Popen([wm, *command], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            for name, command in commands.items()
+        }
+        time.sleep(5)  # loading the weights and discovery are not idling
+        try:
+            found |= usage({name: process.pid for name, process in started.items()}, seconds)
+        finally:
+            for process in started.values():
+                process.send_signal(signal.SIGINT)
+            for process in started.values():
+                process.wait(timeout=10)
+    return found
 
 
-def replay(wm, env, out):
+def replay(wm, env, out, one_process):
     launch = subprocess.Popen(
-        [wm, "launch", str(ROOT / "launch-configs/replay.launch.yaml"), f"output:={out}"],
+        [
+            wm,
+            "launch",
+            str(ROOT / "launch-configs/replay.launch.yaml"),
+            f"output:={out}",
+            f"one_process:={str(one_process).lower()}",
+        ],
         cwd=ROOT,
         env=env,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
     time.sleep(4)
-    pids = {name: pid for name, pid in children(launch.pid).items() if name in NODES}
+    pids = {name: pid for name, pid in children(launch.pid).items() if name in (*NODES, TOGETHER)}
     work = usage(pids, 4)
     if launch.wait(timeout=120) != 0:
         raise SystemExit(f"the replay ended with {launch.returncode}")
     return json.loads((out / "report.json").read_text()), work
+
+
+def print_latencies(reports):
+    print("| step k | n | capture to received: p50 ms | p95 ms | p99 ms |")
+    print("|---|---|---|---|---|")
+    for index, _ in enumerate(reports[0]["steps"]):
+        latencies = [report["steps"][index]["received_latency"] for report in reports]
+        # The worst of the runs for each quantile: what a user may meet.
+        worst = [max(latency[q] for latency in latencies) for q in ("p50_ms", "p95_ms", "p99_ms")]
+        n = sum(latency["n"] for latency in latencies)
+        print(f"| {index + 1} | {n} | " + " | ".join(f"{value:.1f}" for value in worst) + " |")
+    print("\ndrops in each run:", [report["drops"] for report in reports], "\n")
 
 
 def main():
@@ -111,24 +135,21 @@ def main():
 
     print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {arguments.runs} runs of the bundled bag\n")
     resting = idle(arguments.wm, env, arguments.idle_seconds)
-    reports, work = [], {}
+    reports, work = {False: [], True: []}, {}
     with tempfile.TemporaryDirectory() as directory:
         for run in range(arguments.runs):
-            report, work = replay(arguments.wm, env, pathlib.Path(directory) / str(run))
-            reports.append(report)
+            for one_process, of_kind in reports.items():
+                out = pathlib.Path(directory) / f"{run}-{one_process}"
+                report, usages = replay(arguments.wm, env, out, one_process)
+                of_kind.append(report)
+                work |= usages
 
-    print("| step k | n | capture to received: p50 ms | p95 ms | p99 ms |")
+    for one_process, of_kind in reports.items():
+        print("One process for all four nodes:\n" if one_process else "A process a node:\n")
+        print_latencies(of_kind)
+    print("| process | idle CPU % | idle MiB | at work CPU % | at work MiB |")
     print("|---|---|---|---|---|")
-    for index, _ in enumerate(reports[0]["steps"]):
-        latencies = [report["steps"][index]["received_latency"] for report in reports]
-        # The worst of the runs for each quantile: what a user may meet.
-        worst = [max(latency[q] for latency in latencies) for q in ("p50_ms", "p95_ms", "p99_ms")]
-        n = sum(latency["n"] for latency in latencies)
-        print(f"| {index + 1} | {n} | " + " | ".join(f"{value:.1f}" for value in worst) + " |")
-    print("\ndrops in each run:", [report["drops"] for report in reports], "\n")
-    print("| node | idle CPU % | idle MiB | at work CPU % | at work MiB |")
-    print("|---|---|---|---|---|")
-    for name in NODES:
+    for name in (*NODES, TOGETHER):
         at_work = work.get(name, (float("nan"), float("nan")))
         print(f"| {name} | {resting[name][0]:.1f} | {resting[name][1]:.0f} | {at_work[0]:.0f} | {at_work[1]:.0f} |")
 

@@ -7,7 +7,7 @@ mod tape;
 
 pub use config::AutoencoderConfig;
 pub use network::{Conv, Network};
-pub use normalisation::Normalisation;
+pub use normalisation::{MEAN, Normalisation, STD};
 pub use tape::{NetworkGradient, Tape};
 
 use std::path::Path;
@@ -318,7 +318,7 @@ fn space(
     let mut hash = Sha256::new();
     hash.update(format!("{height}x{width}x{}\n", config.latent_channels));
     encoder.hash(&mut hash);
-    normalisation.hash(&mut hash);
+    normalisation.add_to(&mut hash);
     LatentSpace {
         name: config.name.clone(),
         hash: hex(hash),

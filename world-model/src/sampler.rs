@@ -53,6 +53,16 @@ pub struct Given<'a> {
     pub own_action: Option<&'a Tensor>,
 }
 
+/// Where the noise of a prediction comes from: that of its step k is number `first_step` + k of `seed`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Noise {
+    /// The seed.
+    pub seed: u64,
+    /// Predictions that were made from this seed before: a rollout that is taken up again goes on as if it had never
+    /// been interrupted.
+    pub first_step: usize,
+}
+
 /// A prediction in progress.
 ///
 /// Equal seeds and inputs give equal bytes: the noise of step k depends on the seed and k only.
@@ -61,7 +71,8 @@ pub struct Rollout<'m> {
     model: &'m PackedTransition,
     sampler: Sampler,
     window: Window,
-    seed: u64,
+    /// Of all candidates, or of each row of a batch.
+    noise: Arc<[Noise]>,
     /// Predictions made so far.
     steps_taken: usize,
     /// Candidates that are predicted side by side.
@@ -84,15 +95,47 @@ impl<'m> Rollout<'m> {
         actions: Option<&Tensor>,
         seed: u64,
     ) -> Result<Self> {
+        if !matches!(context.dims(), [1, ..]) {
+            return Err(Error::Shape {
+                what: "the context",
+                expected: "(1, T, H, W, C), T >= 1".into(),
+                found: context.dims().to_vec(),
+            });
+        }
+        let actions = actions.map(|actions| actions.unsqueeze(0)).transpose()?;
+        let noise = Noise {
+            seed,
+            first_step: 0,
+        };
+        Self::batch(model, sampler, context, actions.as_ref(), &[noise])
+    }
+
+    /// Starts B rollouts that go on side by side, each from a context, actions and noise of its own: `context`
+    /// (B, T, H, W, C) and `actions` (B, T - 1, A), else as [`Rollout::new`]. Each row is computed as it would be alone.
+    ///
+    /// # Errors
+    /// If shapes do not fit the model or the number of `noise`s, or a value is not finite.
+    pub fn batch(
+        model: &'m PackedTransition,
+        sampler: &Sampler,
+        context: &Tensor,
+        actions: Option<&Tensor>,
+        noise: &[Noise],
+    ) -> Result<Self> {
         sampler.validate()?;
         let window = Window::new(model.config(), context, actions, sampler.context_tau)?;
+        let candidates = context.dim(0)?;
+        if noise.len() != candidates {
+            let reason = format!("{} for a batch of {candidates}", noise.len());
+            return Err(Error::config("noise", reason));
+        }
         Ok(Self {
             model,
             sampler: sampler.clone(),
             window,
-            seed,
+            noise: noise.into(),
             steps_taken: 0,
-            candidates: 1,
+            candidates,
         })
     }
 
@@ -212,15 +255,20 @@ impl<'m> Rollout<'m> {
         })
     }
 
-    /// Noise of this step, the same for all candidates.
+    /// Noise of this step: the same for all candidates, or that of each row.
     fn noise(&self) -> Batched {
         let c = self.model.config();
-        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        rng.set_stream(self.steps_taken as u64);
-        let values: Arc<[f32]> = (0..c.latent_height * c.latent_width * c.channels)
-            .map(|_| StandardNormal.sample(&mut rng))
-            .collect();
-        Batched { batch: 1, values }
+        let len = c.latent_height * c.latent_width * c.channels;
+        let mut values = Vec::with_capacity(self.noise.len() * len);
+        for noise in self.noise.iter() {
+            let mut rng = ChaCha8Rng::seed_from_u64(noise.seed);
+            rng.set_stream((noise.first_step + self.steps_taken) as u64);
+            values.extend((0..len).map(|_| -> f32 { StandardNormal.sample(&mut rng) }));
+        }
+        Batched {
+            batch: self.noise.len(),
+            values: values.into(),
+        }
     }
 }
 

@@ -5,8 +5,10 @@ use sha2::{Digest, Sha256};
 use crate::weights::{Precision, WeightsBuilder};
 use crate::{Error, Result, Weights};
 
-pub(super) const MEAN: &str = "latent_mean";
-const STD: &str = "latent_std";
+/// Tensor of the means in a weights file.
+pub const MEAN: &str = "latent_mean";
+/// Tensor of the standard deviations in a weights file.
+pub const STD: &str = "latent_std";
 
 /// Mean and standard deviation of each channel over the training data.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +59,11 @@ impl Normalisation {
         Ok(normalisation)
     }
 
-    pub(super) fn check(&self, channels: usize) -> Result<()> {
+    /// Checks that there are one mean and one positive standard deviation for each of `channels`.
+    ///
+    /// # Errors
+    /// [`Error::Config`] says what is wrong.
+    pub fn check(&self, channels: usize) -> Result<()> {
         if self.mean.len() != channels || self.std.len() != channels {
             return Err(Error::config(
                 "normalisation",
@@ -67,6 +73,10 @@ impl Normalisation {
                     self.std.len()
                 ),
             ));
+        }
+        if let Some(c) = self.mean.iter().position(|v| !v.is_finite()) {
+            let reason = format!("channel {c} is not finite: {:?}", self.mean.get(c));
+            return Err(Error::config(MEAN, reason));
         }
         match self.std.iter().position(|v| !v.is_normal() || *v < 0.0) {
             None => Ok(()),
@@ -91,14 +101,15 @@ impl Normalisation {
         builder.values(STD, &[self.std.len()], &self.std, Precision::F32);
     }
 
-    pub(super) fn hash(&self, hash: &mut Sha256) {
+    /// Adds means and standard deviations to a hash.
+    pub fn add_to(&self, hash: &mut Sha256) {
         for v in self.mean.iter().chain(&self.std) {
             hash.update(v.to_le_bytes());
         }
     }
 
     /// Normalises `latents` (channels last) in place.
-    pub(super) fn apply(&self, latents: &mut [f32]) {
+    pub fn apply(&self, latents: &mut [f32]) {
         for place in latents.chunks_exact_mut(self.mean.len().max(1)) {
             for ((v, mean), std) in place.iter_mut().zip(&self.mean).zip(&self.std) {
                 *v = (*v - mean) / std;
@@ -107,7 +118,7 @@ impl Normalisation {
     }
 
     /// The inverse of [`Normalisation::apply`].
-    pub(super) fn undo(&self, latents: &mut [f32]) {
+    pub fn undo(&self, latents: &mut [f32]) {
         for place in latents.chunks_exact_mut(self.mean.len().max(1)) {
             for ((v, mean), std) in place.iter_mut().zip(&self.mean).zip(&self.std) {
                 *v = *v * std + mean;

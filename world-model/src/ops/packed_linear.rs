@@ -51,11 +51,14 @@ impl PackedLinear {
         if let Some(bias) = bias {
             check("the bias to be packed", bias, outputs)?;
         }
-        let value = |k: usize, n: usize| weight.get(n * inputs + k).copied().unwrap_or_default();
         Ok(Self(match format {
-            PackedFormat::F32 => Format::F32(Arc::new(Panels::pack(inputs, outputs, bias, value))),
+            PackedFormat::F32 => {
+                let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
+                Format::F32(Arc::new(panels))
+            }
             PackedFormat::Bf16 => {
-                Format::Bf16(Arc::new(Panels::pack(inputs, outputs, bias, value)))
+                let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
+                Format::Bf16(Arc::new(panels))
             }
         }))
     }

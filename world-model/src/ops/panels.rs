@@ -1,7 +1,13 @@
 //! Weights in the order in which the kernels read them.
 
+use rayon::prelude::*;
+
 use crate::ops::element::Element;
 use crate::ops::simd::{InstructionSet, LANES};
+
+/// Inputs that a block of a transposition takes from each output: a cache line of f32, so that the lines that it reads
+/// and writes stay in a first-level cache.
+const BLOCK: usize = 16;
 
 /// A matrix (inputs x outputs), cut into panels of a few vectors of outputs, each panel contiguous.
 #[derive(Clone, Debug)]
@@ -40,19 +46,48 @@ impl<T: Element> Panels<T> {
         }
     }
 
-    /// Packs the matrix whose rows `row(k)` gives, with `bias` (or zeros).
+    /// Zeros for a matrix (depth x outputs), with `bias` (or zeros).
+    fn with_bias(depth: usize, outputs: usize, bias: Option<&[f32]>) -> Self {
+        let mut panels = Self::zeros(depth, outputs);
+        for (target, b) in panels.bias.iter_mut().zip(bias.unwrap_or_default()) {
+            *target = *b;
+        }
+        panels
+    }
+
+    /// Packs the transpose of `matrix` (outputs x depth), with `bias` (or zeros), on all threads of the pool.
+    pub(crate) fn pack_transposed(
+        depth: usize,
+        outputs: usize,
+        bias: Option<&[f32]>,
+        matrix: &[f32],
+    ) -> Self {
+        let mut panels = Self::with_bias(depth, outputs, bias);
+        let places: Vec<(usize, usize, usize)> = panels.iter().collect();
+        let mut rest = panels.values.as_mut_slice();
+        let mut parts = Vec::with_capacity(places.len());
+        for (vectors, _, first) in places {
+            let width = vectors * LANES;
+            let (panel, after) = rest.split_at_mut(depth * width);
+            rest = after;
+            let end = outputs.min(first + width);
+            let rows = matrix.get(first * depth..end * depth).unwrap_or_default();
+            parts.push((width, panel, rows));
+        }
+        parts
+            .into_par_iter()
+            .for_each(|(width, panel, rows)| transpose(depth, width, panel, rows));
+        panels
+    }
+
+    /// Packs the matrix whose values `value(k, output)` gives, with `bias` (or zeros).
     pub(crate) fn pack(
         depth: usize,
         outputs: usize,
         bias: Option<&[f32]>,
         mut value: impl FnMut(usize, usize) -> f32,
     ) -> Self {
-        let mut panels = Self::zeros(depth, outputs);
-        if let Some(bias) = bias {
-            for (target, b) in panels.bias.iter_mut().zip(bias) {
-                *target = *b;
-            }
-        }
+        let mut panels = Self::with_bias(depth, outputs, bias);
         let mut start = 0;
         let mut first = 0;
         for vectors in panels.widths.clone() {
@@ -103,5 +138,35 @@ impl<T: Element> Panels<T> {
             *first += vectors * LANES;
             Some(item)
         })
+    }
+}
+
+/// Writes the transpose of `rows` (at most `width`, of `depth` values each) to `panel` (depth x width).
+fn transpose<T: Element>(depth: usize, width: usize, panel: &mut [T], rows: &[f32]) {
+    for (block, panel) in panel.chunks_mut(BLOCK * width).enumerate() {
+        for (j, row) in rows.chunks_exact(depth.max(1)).enumerate() {
+            let row = row.get(block * BLOCK..).unwrap_or_default();
+            for (target, value) in panel.iter_mut().skip(j).step_by(width).zip(row) {
+                *target = T::from_f32(*value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_packed_transpose_is_the_transpose_packed() {
+        for (depth, outputs) in [(1, 1), (5, 3), (16, 64), (33, 100), (40, 49)] {
+            let matrix: Vec<f32> = (0..outputs * depth).map(|i| i as f32 + 1.0).collect();
+            let bias: Vec<f32> = (0..outputs).map(|i| -(i as f32)).collect();
+            let value = |k: usize, n: usize| matrix[n * depth + k];
+            let expected = Panels::<f32>::pack(depth, outputs, Some(&bias), value);
+            let packed = Panels::<f32>::pack_transposed(depth, outputs, Some(&bias), &matrix);
+            assert_eq!(packed.values, expected.values, "{depth} x {outputs}");
+            assert_eq!(packed.bias, expected.bias);
+        }
     }
 }

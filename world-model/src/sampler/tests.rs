@@ -206,3 +206,44 @@ fn what_does_not_fit_is_refused_by_name() {
             .starts_with("steps")
     );
 }
+
+/// Three rollouts of unlike pasts, seeds and ages, side by side and each alone, whose window slides meanwhile; and one
+/// that is taken up again from its last frames.
+#[test]
+fn rows_of_a_batch_are_computed_as_if_alone() {
+    for (_, model) in [&*PLAIN, &*TINY] {
+        let sampler = &model.config().sampler;
+        let context = random(&[3, 2, 4, 4, 4], 1);
+        let past = random(&[3, 1, 7], 2);
+        let actions = random(&[5, 3, 7], 3);
+        let noise = [(4, 0), (4, 7), (5, 0)].map(|(seed, first_step)| Noise { seed, first_step });
+        let mut together = Rollout::batch(model, sampler, &context, Some(&past), &noise).unwrap();
+        let mut alone: Vec<Rollout<'_>> = (0..3)
+            .map(|row| {
+                let context = context.narrow(0, row, 1).unwrap();
+                let past = past.narrow(0, row, 1).unwrap();
+                Rollout::batch(model, sampler, &context, Some(&past), &noise[row..=row]).unwrap()
+            })
+            .collect();
+        for step in 0..5 {
+            let action = actions.get(step).unwrap();
+            let rows = together.next(&action).unwrap();
+            for (row, alone) in alone.iter_mut().enumerate() {
+                let action = action.narrow(0, row, 1).unwrap().contiguous().unwrap();
+                let own = alone.next(&action).unwrap();
+                assert_eq!(
+                    most(&rows.narrow(0, row, 1).unwrap(), &own),
+                    0.0,
+                    "row {row}, step {step}"
+                );
+            }
+        }
+        let error = Rollout::batch(model, sampler, &context, Some(&past), &noise[..2]);
+        assert!(
+            error
+                .unwrap_err()
+                .to_string()
+                .contains("2 for a batch of 3")
+        );
+    }
+}

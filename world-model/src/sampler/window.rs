@@ -62,6 +62,7 @@ pub(super) struct Window {
 }
 
 impl Window {
+    /// Observed latents `context` (B, T, H, W, C) and the `actions` (B, T - 1, A) between them.
     pub(super) fn new(
         c: &TransitionConfig,
         context: &Tensor,
@@ -69,21 +70,21 @@ impl Window {
         tau: f64,
     ) -> Result<Self> {
         let grid = [c.latent_height, c.latent_width, c.channels];
-        let t = match context.dims() {
-            [1, t, rest @ ..] if *t > 0 && rest == grid => *t,
+        let (b, t) = match context.dims() {
+            [b, t, rest @ ..] if *b > 0 && *t > 0 && rest == grid => (*b, *t),
             _ => {
                 return Err(Error::Shape {
                     what: "the context",
-                    expected: format!("(1, T, {}, {}, {}), T >= 1", grid[0], grid[1], grid[2]),
+                    expected: format!("(B, T, {}, {}, {}), T >= 1", grid[0], grid[1], grid[2]),
                     found: context.dims().to_vec(),
                 });
             }
         };
-        let found = actions.map_or(vec![0, c.action_dim], |a| a.dims().to_vec());
-        if found != [t - 1, c.action_dim] {
+        let found = actions.map_or(vec![b, 0, c.action_dim], |a| a.dims().to_vec());
+        if found != [b, t - 1, c.action_dim] {
             return Err(Error::Shape {
                 what: "the actions of the context",
-                expected: format!("({}, {})", t - 1, c.action_dim),
+                expected: format!("({b}, {}, {})", t - 1, c.action_dim),
                 found,
             });
         }
@@ -102,7 +103,7 @@ impl Window {
         }
         if let Some(actions) = actions {
             for i in first..t - 1 {
-                let action = actions.narrow(0, i, 1)?;
+                let action = actions.narrow(1, i, 1)?.squeeze(1)?;
                 let action = Batched::read("the actions of the context", &action)?;
                 window.actions.push_back(action);
             }

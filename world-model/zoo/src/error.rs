@@ -88,6 +88,17 @@ pub enum Error {
         device: String,
     },
 
+    /// A part of a model folder cannot be used.
+    #[error("{file}: {role}: {reason}")]
+    Part {
+        /// The folder's `model.json`.
+        file: String,
+        /// Which part: `encoder`, `adapter`, ...
+        role: &'static str,
+        /// Why not. No source, since the message has it.
+        reason: Box<Error>,
+    },
+
     /// A file with a configuration is not valid.
     #[error("{file}: {reason}")]
     ConfigFile {
@@ -126,6 +137,17 @@ impl Error {
         Self::Io {
             path: path.into(),
             reason,
+        }
+    }
+}
+
+/// For what [`wm_model`] asks of encoders, decoders and sources of tensors.
+impl From<Error> for wm_model::Error {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Model(error) => error,
+            Error::Candle(error) => error.into(),
+            other => candle_core::Error::Msg(other.to_string()).into(),
         }
     }
 }

@@ -30,8 +30,8 @@ use std::str::FromStr;
 use candle_core::{Device, Tensor};
 use serde::de::DeserializeOwned;
 
-pub(crate) use dit::build as build_dit;
 pub use dit::{DitConfig, Head};
+pub(crate) use dit::{build as build_dit, build_transition};
 pub use loaded::Loaded;
 pub use rollout::{RolloutOptions, rollout};
 
@@ -158,7 +158,7 @@ pub fn forward(
 }
 
 /// A configuration from JSON.
-fn parse<C: DeserializeOwned>(config: &str) -> Result<C> {
+pub(crate) fn parse<C: DeserializeOwned>(config: &str) -> Result<C> {
     serde_json::from_str(config).map_err(|error| Error::ConfigFile {
         file: "the configuration".to_owned(),
         reason: error.to_string(),

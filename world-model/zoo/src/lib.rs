@@ -7,6 +7,7 @@
 //! | The S-VAE adapter | [`svae`] |
 //! | Inverse dynamics, success probe | [`idm`], [`success_probe`] |
 //! | EfficientNet-Lite0 | [`efficientnet_lite0`] |
+//! | A whole world model of these, for the nodes | [`folder`] |
 //! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
 //!
 //! A [`Checkpoint`] is an open file of tensors, a [`Loader`] hands them to a model by their published names and tells
@@ -31,12 +32,14 @@
 
 mod error;
 mod sizes;
+mod world_model;
 
 pub mod checkpoint;
 pub mod compute;
 pub mod cost;
 pub mod device;
 pub mod engine;
+pub mod folder;
 pub mod kinds;
 pub mod layers;
 pub mod loader;
@@ -53,4 +56,6 @@ pub use compute::Compute;
 pub use device::DeviceName;
 pub use engine::Engine;
 pub use error::{Error, Misshapen, Result};
+pub use folder::ModelFolder;
 pub use loader::Loader;
+pub use world_model::WorldModel;

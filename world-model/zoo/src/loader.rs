@@ -30,6 +30,8 @@ pub struct Loader<'a> {
     /// Format that values are rounded to.
     precision: DType,
     device: Device,
+    /// Whether values are read from `source`, or only names and shapes.
+    reads: bool,
     account: Rc<RefCell<Account>>,
 }
 
@@ -74,7 +76,17 @@ impl<'a> Loader<'a> {
             engine: compute.engine(),
             precision: compute.precision(),
             device: compute.device().clone(),
+            reads: true,
             account: Rc::default(),
+        }
+    }
+
+    /// Looks at names and shapes of `source`'s tensors and gives zeros, as a [`Loader::skeleton`] does: what a model asks
+    /// of this checkpoint, and by [`Loader::finish`] whether it is there, without reading a value.
+    pub fn survey(source: &'a Checkpoint) -> Self {
+        Self {
+            reads: false,
+            ..Self::new(source, Engine::Candle, DType::F32)
         }
     }
 
@@ -86,6 +98,7 @@ impl<'a> Loader<'a> {
             engine,
             precision: DType::F32,
             device: Device::Cpu,
+            reads: false,
             account: Rc::default(),
         }
     }
@@ -155,6 +168,7 @@ impl<'a> Loader<'a> {
             return self.zeros(shape);
         };
         match source.shape(&path) {
+            Some(found) if found == shape && !self.reads => self.zeros(shape),
             Some(found) if found == shape => {
                 let tensor = source.tensor(&path, self.precision_of(shape))?;
                 Ok(tensor.to_device(&self.device)?.to_dtype(self.dtype())?)

@@ -11,7 +11,7 @@ use wm_model::transition::{
 use super::Kind;
 use crate::checkpoint::Average;
 use crate::layers::packed_format;
-use crate::{Checkpoint, Compute, Engine, Error, Loader, Result};
+use crate::{Checkpoint, Compute, Engine, Loader, Result};
 
 /// Width of the wide head of all published models that have one (architecture.md section 1).
 const WIDE: usize = 2048;
@@ -164,17 +164,15 @@ pub(super) fn load(
 
 /// Builds the model from the tensors of `loader`.
 pub(crate) fn build(config: &DitConfig, loader: &Loader<'_>) -> Result<Transition> {
-    Ok(Transition::build(config.transition()?, &mut |parameter| {
-        loader
-            .tensor(&parameter.name, &parameter.shape)
-            .map_err(into_model_error)
-    })?)
+    build_transition(config.transition()?, loader)
 }
 
-fn into_model_error(error: Error) -> wm_model::Error {
-    match error {
-        Error::Model(error) => error,
-        Error::Candle(error) => error.into(),
-        other => candle_core::Error::Msg(other.to_string()).into(),
-    }
+/// As [`build`], with conventions of one's own.
+pub(crate) fn build_transition(
+    config: TransitionConfig,
+    loader: &Loader<'_>,
+) -> Result<Transition> {
+    Ok(Transition::build(config, &mut |parameter| {
+        Ok(loader.tensor(&parameter.name, &parameter.shape)?)
+    })?)
 }

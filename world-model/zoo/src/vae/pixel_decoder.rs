@@ -56,6 +56,15 @@ impl PixelDecoderConfig {
         }
     }
 
+    /// Pixels along the side of one latent place.
+    ///
+    /// # Errors
+    /// If the configuration makes no sense.
+    pub fn upsampling(&self) -> Result<usize> {
+        self.check()?;
+        Ok(1 << self.multipliers.len().saturating_sub(1))
+    }
+
     /// Channels at each level in running order, coarsest first.
     fn widths(&self) -> Vec<usize> {
         let mut widths = widths(self.base, &self.multipliers);

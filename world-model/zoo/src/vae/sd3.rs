@@ -135,6 +135,14 @@ impl SdVaeConfig {
         Ok(Some((scale, shift)))
     }
 
+    /// Pixels along the side of one latent place.
+    ///
+    /// # Errors
+    /// If the configuration makes no sense.
+    pub fn downsampling(&self) -> Result<usize> {
+        Ok(self.plan()?.downsampling())
+    }
+
     fn plan(&self) -> Result<Plan> {
         let levels = self.block_out_channels.len();
         for (field, kinds, known) in [

@@ -68,6 +68,14 @@ impl VaVaeConfig {
         }
     }
 
+    /// Pixels along the side of one latent place.
+    ///
+    /// # Errors
+    /// If the configuration makes no sense.
+    pub fn downsampling(&self) -> Result<usize> {
+        Ok(self.plan()?.downsampling())
+    }
+
     fn plan(&self) -> Result<Plan> {
         check_sizes(&[("latent", self.latent)])?;
         let levels = self.multipliers.len();

@@ -1,0 +1,481 @@
+//! A world model as a folder of published checkpoints: `model.json` says what is in it and how it fits together.
+//!
+//! ```json
+//! {
+//!   "name": "web-dino-96",
+//!   "encoder": {"kind": "web-dino", "config": "web-dino/config.json", "weights": "web-dino/model.safetensors"},
+//!   "adapter": {"kind": "svae", "weights": "svae.pt",
+//!               "config": {"features": 1024, "latent": 96, "heads": 16, "layers": 3, "ffn": 1024}},
+//!   "normalisation": "stats.safetensors",
+//!   "decoder": {"kind": "pixel", "weights": "svae.pt",
+//!               "config": {"latent": 96, "base": 160, "multipliers": [1, 1, 2, 4, 8], "res_blocks": 2, "heads": 4}},
+//!   "transition": {
+//!     "config": {"hidden": 384, "depth": 12, "heads": 6, "channels": 96, "patch": 1, "grid": [16, 16], "action_dim": 10},
+//!     "weights": "dit-s.pt",
+//!     "actions": {"frame_skip": 2},
+//!     "sampler": {"steps": 10, "shift": 2.449, "context_tau": 0.01}
+//!   }
+//! }
+//! ```
+//!
+//! [`Description`] has every field. Names of files are relative to the folder; a `config` is an object or the name of a
+//! JSON file. A transition with several `views` has as many pictures, and latents, beside each other along the width.
+//!
+//! Opening a folder reads names and shapes of all tensors, and refuses what does not fit together before a value is
+//! read. The hash of the latent space is over encoder and adapter (kind, configuration, every tensor that they ask for,
+//! as f32), normalisation, picture size, views and number format: not over file formats, nor what else a file holds.
+//!
+//! Computes on the CPU, with the engine [`Cpu`](crate::Engine::Cpu).
+
+mod decoder;
+mod description;
+mod encoder;
+mod random;
+mod source;
+mod summary;
+mod views;
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use sha2::{Digest as _, Sha256};
+use wm_model::actions::ActionEncoding;
+use wm_model::autoencoder::{MEAN, Normalisation, STD};
+use wm_model::bundle::BundledTransition;
+use wm_model::transition::{PackedTransition, TransitionConfig};
+use wm_model::{Decoder, Encoder, LatentSpace};
+
+pub use description::{
+    Configuration, DecoderPart, Description, Part, Precision, Statistics, TransitionPart,
+};
+pub use random::write_random_weights;
+pub use summary::{PartSummary, Summary};
+
+use crate::kinds::{DitConfig, Kind, build_transition, parse};
+use crate::layers::packed_format;
+use crate::loader::Requested;
+use crate::svae::{Svae, SvaeConfig};
+use crate::{Checkpoint, Error, Result};
+use decoder::{DecoderConfig, FolderDecoder};
+use encoder::{EncoderConfig, FolderEncoder, canonical};
+use source::Source;
+
+/// Name of the description in a folder.
+pub const FILE: &str = "model.json";
+
+/// A part's files, what they hold, and what the model asks of them.
+#[derive(Clone, Debug)]
+struct Opened<C> {
+    source: Source,
+    config: C,
+    tensors: Vec<Requested>,
+}
+
+/// A transition's configuration in both forms, and the actions that it takes.
+#[derive(Clone, Debug)]
+struct Dynamics {
+    dit: DitConfig,
+    config: TransitionConfig,
+    encoding: ActionEncoding,
+}
+
+/// The decoder, and the adapter in front of it.
+#[derive(Clone, Debug)]
+struct Pictures {
+    decoder: Opened<DecoderConfig>,
+    adapter: Option<Opened<SvaeConfig>>,
+}
+
+/// An open model folder, checked as a whole; values are read when a part is asked for.
+#[derive(Debug)]
+pub struct ModelFolder {
+    description: Description,
+    encoder: Opened<EncoderConfig>,
+    adapter: Option<Opened<SvaeConfig>>,
+    normalisation: Normalisation,
+    pictures: Option<Pictures>,
+    transition: Opened<Dynamics>,
+    /// Rows, columns and channels of a latent, all views together.
+    latent: [usize; 3],
+    /// Computed once: it takes reading the encoder's values.
+    space: OnceLock<LatentSpace>,
+}
+
+impl ModelFolder {
+    /// Whether `folder` is a model of this form.
+    pub fn is_one(folder: &Path) -> bool {
+        folder.join(FILE).is_file()
+    }
+
+    /// Opens a folder.
+    ///
+    /// # Errors
+    /// If a file is missing or not valid, a part's tensors are not those of its configuration, or parts do not fit
+    /// together: both are named then.
+    pub fn open(folder: impl Into<PathBuf>) -> Result<Self> {
+        let folder: PathBuf = folder.into();
+        let path = folder.join(FILE);
+        let file = path.display().to_string();
+        let description = Description::read(&path)?;
+        let in_part = |role| {
+            let file = file.clone();
+            move |error| Error::Part {
+                file,
+                role,
+                reason: Box::new(error),
+            }
+        };
+
+        let encoder = open_encoder(&description, &folder).map_err(in_part("encoder"))?;
+        let adapter = open_adapter(description.adapter.as_ref(), &folder, "adapter")
+            .map_err(in_part("adapter"))?;
+        let transition = open_transition(&description, &folder).map_err(in_part("transition"))?;
+        let pictures = open_decoder(&description, &folder).map_err(in_part("decoder"))?;
+
+        let features = encoder
+            .config
+            .features(description.image)
+            .map_err(in_part("encoder"))?;
+        let views = transition.config.dit.views;
+        let latent = latent(features, adapter.as_ref(), views)
+            .and_then(|latent| {
+                check_transition(&description, latent, &transition.config)?;
+                if let Some(pictures) = &pictures {
+                    check_decoder(&description, latent, pictures)?;
+                }
+                Ok(latent)
+            })
+            .map_err(|reason| Error::ConfigFile {
+                file: file.clone(),
+                reason,
+            })?;
+        let [_, _, channels] = latent;
+        let normalisation =
+            statistics(&description, &folder, channels).map_err(in_part("normalisation"))?;
+        Ok(Self {
+            description,
+            encoder,
+            adapter,
+            normalisation,
+            pictures,
+            transition,
+            latent,
+            space: OnceLock::new(),
+        })
+    }
+
+    /// What its `model.json` says.
+    pub fn description(&self) -> &Description {
+        &self.description
+    }
+
+    /// The space of its latents; the first call reads the values of encoder and adapter, to hash them.
+    ///
+    /// # Errors
+    /// If a value is not finite.
+    pub fn space(&self) -> Result<LatentSpace> {
+        if let Some(space) = self.space.get() {
+            return Ok(space.clone());
+        }
+        let mut hash = Sha256::new();
+        let [height, width, channels] = self.latent;
+        let settings = (
+            self.latent,
+            self.description.image,
+            self.transition.config.dit.views,
+            self.description.dtype,
+        );
+        hash.update(format!("{}\n", canonical(&settings)));
+        hash.update(format!("{}\n", self.encoder.config.canonical()));
+        self.encoder.source.hash(&self.encoder.tensors, &mut hash)?;
+        if let Some(adapter) = &self.adapter {
+            hash.update(format!("{}\n", canonical(&adapter.config)));
+            adapter.source.hash(&adapter.tensors, &mut hash)?;
+        }
+        self.normalisation.add_to(&mut hash);
+        let space = LatentSpace {
+            name: self.description.name.clone(),
+            hash: format!("{:x}", hash.finalize()),
+            height,
+            width,
+            channels,
+        };
+        Ok(self.space.get_or_init(|| space).clone())
+    }
+
+    /// Loads encoder and adapter.
+    ///
+    /// # Errors
+    /// If a value is not finite.
+    pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
+        let dtype = self.description.dtype.dtype();
+        Ok(Box::new(FolderEncoder {
+            network: self
+                .encoder
+                .source
+                .load(dtype, |loader| self.encoder.config.load(loader))?,
+            adapter: self.load_adapter(self.adapter.as_ref())?,
+            normalisation: self.normalisation.clone(),
+            image: self.description.image,
+            views: self.transition.config.dit.views,
+            space: self.space()?,
+        }))
+    }
+
+    /// Loads the decoder; `None` where the model has none.
+    ///
+    /// # Errors
+    /// If a value is not finite.
+    pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
+        let Some(Pictures { decoder, adapter }) = &self.pictures else {
+            return Ok(None);
+        };
+        let dtype = self.description.dtype.dtype();
+        Ok(Some(Box::new(FolderDecoder {
+            network: decoder
+                .source
+                .load(dtype, |loader| decoder.config.load(loader))?,
+            adapter: self.load_adapter(adapter.as_ref())?,
+            normalisation: self.normalisation.clone(),
+            upsampling: decoder.config.upsampling()?,
+            views: self.transition.config.dit.views,
+            space: self.space()?,
+        })))
+    }
+
+    /// Loads the transition model.
+    ///
+    /// # Errors
+    /// If a value is not finite.
+    pub fn transition(&self) -> Result<BundledTransition> {
+        let Dynamics {
+            config, encoding, ..
+        } = &self.transition.config;
+        let space = self.space()?;
+        let dtype = self.description.dtype.dtype();
+        let model = self
+            .transition
+            .source
+            .load(dtype, |loader| build_transition(config.clone(), loader))?;
+        let mut hash = Sha256::new();
+        let settings = (config, encoding, &space, self.description.dtype);
+        hash.update(format!("{}\n", canonical(&settings)));
+        self.transition
+            .source
+            .hash(&self.transition.tensors, &mut hash)?;
+        Ok(BundledTransition {
+            model: PackedTransition::new(&model, packed_format(dtype))?,
+            hash: format!("{:x}", hash.finalize()),
+            encoding: encoding.clone(),
+            space,
+        })
+    }
+
+    fn load_adapter(&self, adapter: Option<&Opened<SvaeConfig>>) -> Result<Option<Svae>> {
+        let Some(Opened { source, config, .. }) = adapter else {
+            return Ok(None);
+        };
+        let dtype = self.description.dtype.dtype();
+        source
+            .load(dtype, |loader| Svae::load(config, loader))
+            .map(Some)
+    }
+}
+
+fn open_encoder(description: &Description, folder: &Path) -> Result<Opened<EncoderConfig>> {
+    let source = Source::open("encoder", &description.encoder, folder)?;
+    let config = EncoderConfig::parse(source.kind, &source.config)?;
+    let tensors = source.survey(|loader| config.load(loader))?;
+    Ok(Opened {
+        source,
+        config,
+        tensors,
+    })
+}
+
+fn open_adapter(
+    part: Option<&Part>,
+    folder: &Path,
+    role: &'static str,
+) -> Result<Option<Opened<SvaeConfig>>> {
+    let Some(part) = part else { return Ok(None) };
+    let source = Source::open(role, part, folder)?;
+    if source.kind != Kind::Svae {
+        let reason = format!("`{}` is no adapter, expected svae", source.kind);
+        return Err(wm_model::Error::config("kind", reason).into());
+    }
+    let config: SvaeConfig = parse(&source.config)?;
+    let tensors = source.survey(|loader| Svae::load(&config, loader))?;
+    Ok(Some(Opened {
+        source,
+        config,
+        tensors,
+    }))
+}
+
+fn open_transition(description: &Description, folder: &Path) -> Result<Opened<Dynamics>> {
+    let part = &description.transition;
+    let source = Source::open("transition", &part.part(), folder)?;
+    let dit: DitConfig = parse(&source.config)?;
+    let mut actions = part.actions.clone();
+    actions
+        .entry("action_dim")
+        .or_insert_with(|| dit.action_dim.into());
+    let encoding: ActionEncoding = parse(&serde_json::Value::Object(actions).to_string())?;
+    let wrong = |reason: String| wm_model::Error::config("actions", reason);
+    encoding
+        .validate()
+        .map_err(|error| wrong(error.to_string()))?;
+    if encoding.action_dim != dit.action_dim {
+        let reason = format!(
+            "action_dim {}, expected {} of the configuration",
+            encoding.action_dim, dit.action_dim
+        );
+        return Err(wrong(reason).into());
+    }
+    let published = dit.transition()?;
+    let config = TransitionConfig {
+        frame_skip: encoding.frame_skip,
+        parametrisation: part.parametrisation,
+        action_alignment: part.action_alignment,
+        sampler: part.sampler.clone().unwrap_or(published.sampler.clone()),
+        ..published
+    };
+    config.validate()?;
+    let tensors = source.survey(|loader| build_transition(config.clone(), loader))?;
+    Ok(Opened {
+        source,
+        config: Dynamics {
+            dit,
+            config,
+            encoding,
+        },
+        tensors,
+    })
+}
+
+fn open_decoder(description: &Description, folder: &Path) -> Result<Option<Pictures>> {
+    let Some(part) = &description.decoder else {
+        return Ok(None);
+    };
+    let source = Source::open("decoder", &part.part(), folder)?;
+    let config = DecoderConfig::parse(source.kind, &source.config)?;
+    let tensors = source.survey(|loader| config.load(loader))?;
+    Ok(Some(Pictures {
+        decoder: Opened {
+            source,
+            config,
+            tensors,
+        },
+        adapter: open_adapter(part.adapter.as_ref(), folder, "the decoder's adapter")?,
+    }))
+}
+
+/// Rows, columns and channels of the latent of all views.
+fn latent(
+    [rows, columns, width]: [usize; 3],
+    adapter: Option<&Opened<SvaeConfig>>,
+    views: usize,
+) -> Result<[usize; 3], String> {
+    let channels = match adapter {
+        None => width,
+        Some(adapter) if adapter.config.features == width => adapter.config.latent,
+        Some(adapter) => {
+            return Err(format!(
+                "the adapter takes features of {} channels, the encoder gives {width}",
+                adapter.config.features
+            ));
+        }
+    };
+    Ok([rows, columns * views, channels])
+}
+
+fn check_transition(
+    description: &Description,
+    latent: [usize; 3],
+    transition: &Dynamics,
+) -> Result<(), String> {
+    let config = &transition.config;
+    let taken = [config.latent_height, config.latent_width, config.channels];
+    if taken == latent {
+        return Ok(());
+    }
+    Err(format!(
+        "the transition takes latents of {}, {} gives {}",
+        sides(taken),
+        giver(description, config.views),
+        sides(latent)
+    ))
+}
+
+fn check_decoder(
+    description: &Description,
+    [_, _, channels]: [usize; 3],
+    Pictures { decoder, adapter }: &Pictures,
+) -> Result<(), String> {
+    let mut given = (giver(description, 1), channels);
+    if let Some(adapter) = adapter {
+        if adapter.config.features != channels {
+            return Err(format!(
+                "the decoder's adapter takes latents of {} channels, {} gives {channels}",
+                adapter.config.features, given.0
+            ));
+        }
+        given = ("the decoder's adapter".to_owned(), adapter.config.latent);
+    }
+    let taken = decoder.config.channels();
+    if taken == given.1 {
+        return Ok(());
+    }
+    Err(format!(
+        "the decoder {} takes latents of {taken} channels, {} gives {}",
+        decoder.source.kind, given.0, given.1
+    ))
+}
+
+/// What makes the latents, in words.
+fn giver(description: &Description, views: usize) -> String {
+    let [height, width] = description.image;
+    let through = match &description.adapter {
+        Some(_) => "with the adapter",
+        None => "without an adapter",
+    };
+    let of = match views {
+        1 => String::new(),
+        views => format!("{views} views of "),
+    };
+    format!(
+        "the encoder {} {through} on {of}{height}x{width}",
+        description.encoder.kind
+    )
+}
+
+fn sides([height, width, channels]: [usize; 3]) -> String {
+    format!("{height}x{width}x{channels}")
+}
+
+fn statistics(description: &Description, folder: &Path, channels: usize) -> Result<Normalisation> {
+    let normalisation = match &description.normalisation {
+        None => return Ok(Normalisation::identity(channels)),
+        Some(Statistics::Values { mean, std }) => Normalisation {
+            mean: mean.clone(),
+            std: std.clone(),
+        },
+        Some(Statistics::File(name)) => {
+            let checkpoint = Checkpoint::open(folder.join(name))?;
+            let values = |name| -> Result<Vec<f32>> {
+                let tensor = checkpoint.tensor(name, candle_core::DType::F32)?;
+                Ok(tensor.flatten_all()?.to_vec1()?)
+            };
+            Normalisation {
+                mean: values(MEAN)?,
+                std: values(STD)?,
+            }
+        }
+    };
+    normalisation.check(channels)?;
+    Ok(normalisation)
+}
+
+#[cfg(test)]
+mod tests;

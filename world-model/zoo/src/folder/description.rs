@@ -1,0 +1,209 @@
+//! What a `model.json` says.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use wm_model::sampler::Sampler;
+use wm_model::transition::{ActionAlignment, Parametrisation};
+
+use crate::kinds::Kind;
+use crate::{Error, Result};
+
+/// Side of the paper's frames in pixels.
+const FRAME_SIDE: usize = 256;
+
+/// A world model as data: the content of a `model.json` (the [module](super) has an example).
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Description {
+    /// Name of the latent space, for people; nodes name it where they refuse another.
+    pub name: String,
+    /// Height and width in pixels that a camera picture of one view is resized to before it is encoded; 256x256, as in
+    /// the paper, if absent. Vision transformers resize further, to the size of their own configuration.
+    #[serde(default = "paper_image")]
+    pub image: [usize; 2],
+    /// Number format of all weights, which halves their memory where it is `bf16`.
+    #[serde(default)]
+    pub dtype: Precision,
+    /// Pictures to latents: `web-dino`, `siglip2`, `vjepa2.1`, `sd3-vae`, `va-vae` or `cosmos-ci16x16`.
+    pub encoder: Part,
+    /// The S-VAE that takes the encoder's features to a compact latent.
+    #[serde(default)]
+    pub adapter: Option<Part>,
+    /// Mean and standard deviation of each channel of the latent (behind the adapter); latents stay as they are where it
+    /// is absent.
+    #[serde(default)]
+    pub normalisation: Option<Statistics>,
+    /// Latents to pictures; a model without one predicts and plans all the same.
+    #[serde(default)]
+    pub decoder: Option<DecoderPart>,
+    /// The next latent from the last ones and an action.
+    pub transition: TransitionPart,
+}
+
+/// A network of the model.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Part {
+    /// Its kind, as `wm model forward` names it.
+    pub kind: String,
+    /// Its configuration.
+    pub config: Configuration,
+    /// Its checkpoint, safetensors or a torch file, relative to the folder.
+    pub weights: String,
+}
+
+/// A decoder, and what it takes instead of the latents themselves.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DecoderPart {
+    /// Its kind, as `wm model forward` names it.
+    pub kind: String,
+    /// Its configuration.
+    pub config: Configuration,
+    /// Its checkpoint, safetensors or a torch file, relative to the folder.
+    pub weights: String,
+    /// An S-VAE through which latents go first: native latents to a pixel decoder of compact ones.
+    #[serde(default)]
+    pub adapter: Option<Part>,
+}
+
+/// A transition model and the conventions that its checkpoint does not state.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TransitionPart {
+    /// A [`DitConfig`](crate::kinds::DitConfig).
+    pub config: Configuration,
+    /// Its checkpoint, relative to the folder.
+    pub weights: String,
+    /// An [`ActionEncoding`](wm_model::actions::ActionEncoding), whose `action_dim` is that of the configuration where
+    /// it is absent; the reference's for Bridge V2 if the whole is.
+    #[serde(default)]
+    pub actions: serde_json::Map<String, serde_json::Value>,
+    /// How to sample; ten steps with the published time shift if absent.
+    #[serde(default)]
+    pub sampler: Option<Sampler>,
+    /// What the network's output stands for.
+    #[serde(default = "velocity")]
+    pub parametrisation: Parametrisation,
+    /// Which action is fed with a frame.
+    #[serde(default = "with_frame")]
+    pub action_alignment: ActionAlignment,
+}
+
+/// A configuration: an object, or the name of a JSON file, relative to the folder.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected a configuration as an object, or the name of a JSON file"
+)]
+pub enum Configuration {
+    /// In a file of its own.
+    File(String),
+    /// In place.
+    Object(serde_json::Map<String, serde_json::Value>),
+}
+
+/// Mean and standard deviation of each channel.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected {\"mean\": [..], \"std\": [..]}, or the name of a file of tensors"
+)]
+pub enum Statistics {
+    /// A checkpoint with the tensors `latent_mean` and `latent_std`, relative to the folder.
+    File(String),
+    /// In place.
+    Values {
+        /// Mean of each channel.
+        mean: Vec<f32>,
+        /// Standard deviation of each channel.
+        std: Vec<f32>,
+    },
+}
+
+/// Number format of weights.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// 32-bit floats.
+    #[default]
+    F32,
+    /// bfloat16: half the memory, sums are f32 all the same.
+    Bf16,
+}
+
+impl Precision {
+    /// The format of tensors.
+    pub fn dtype(self) -> candle_core::DType {
+        match self {
+            Self::F32 => candle_core::DType::F32,
+            Self::Bf16 => candle_core::DType::BF16,
+        }
+    }
+}
+
+impl Description {
+    /// Reads a `model.json`.
+    ///
+    /// # Errors
+    /// If there is none, or it is not valid.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = read(path)?;
+        serde_json::from_str(&text).map_err(|error| Error::ConfigFile {
+            file: path.display().to_string(),
+            reason: error.to_string(),
+        })
+    }
+}
+
+impl Configuration {
+    /// The configuration as JSON.
+    ///
+    /// # Errors
+    /// If its file cannot be read.
+    pub fn text(&self, folder: &Path) -> Result<String> {
+        match self {
+            Self::File(name) => read(&folder.join(name)),
+            Self::Object(object) => Ok(serde_json::Value::Object(object.clone()).to_string()),
+        }
+    }
+}
+
+impl DecoderPart {
+    /// The decoder alone.
+    pub fn part(&self) -> Part {
+        Part {
+            kind: self.kind.clone(),
+            config: self.config.clone(),
+            weights: self.weights.clone(),
+        }
+    }
+}
+
+impl TransitionPart {
+    /// The network alone.
+    pub fn part(&self) -> Part {
+        Part {
+            kind: Kind::Dit.name().to_owned(),
+            config: self.config.clone(),
+            weights: self.weights.clone(),
+        }
+    }
+}
+
+fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).map_err(|error| Error::io(path, error))
+}
+
+fn paper_image() -> [usize; 2] {
+    [FRAME_SIDE; 2]
+}
+
+fn velocity() -> Parametrisation {
+    Parametrisation::Velocity
+}
+
+fn with_frame() -> ActionAlignment {
+    ActionAlignment::WithFrame
+}

@@ -1,0 +1,80 @@
+//! A part of a model: its kind, its configuration and its checkpoint.
+
+use std::path::Path;
+
+use candle_core::DType;
+use sha2::{Digest as _, Sha256};
+
+use super::Part;
+use crate::checkpoint::Average;
+use crate::kinds::Kind;
+use crate::loader::Requested;
+use crate::{Checkpoint, Engine, Loader, Result};
+
+/// A part's files, open; its values are still to be read.
+#[derive(Clone, Debug)]
+pub(super) struct Source {
+    /// What the part is for the model: `encoder`, `adapter`, ...
+    pub(super) role: &'static str,
+    pub(super) kind: Kind,
+    /// JSON.
+    pub(super) config: String,
+    /// The network's tensors.
+    checkpoint: Checkpoint,
+}
+
+impl Source {
+    pub(super) fn open(role: &'static str, part: &Part, folder: &Path) -> Result<Self> {
+        let kind: Kind = part.kind.parse()?;
+        let checkpoint = Checkpoint::open(folder.join(&part.weights))?;
+        Ok(Self {
+            role,
+            kind,
+            config: part.config.text(folder)?,
+            checkpoint: kind.weights(&checkpoint, Average::Ema),
+        })
+    }
+
+    /// Has a model built without its values: what it asks for, if the checkpoint has just that.
+    pub(super) fn survey<M>(
+        &self,
+        load: impl FnOnce(&Loader<'_>) -> Result<M>,
+    ) -> Result<Vec<Requested>> {
+        let loader = Loader::survey(&self.checkpoint);
+        load(&loader)?;
+        loader.finish()?;
+        Ok(loader.requested())
+    }
+
+    /// Has a model built from its values, rounded to `precision`.
+    pub(super) fn load<M>(
+        &self,
+        precision: DType,
+        load: impl FnOnce(&Loader<'_>) -> Result<M>,
+    ) -> Result<M> {
+        let loader = Loader::new(&self.checkpoint, Engine::Cpu, precision);
+        let model = load(&loader)?;
+        loader.finish()?;
+        Ok(model)
+    }
+
+    /// Adds name, shape and values of the tensors that a model asked for, in order: the same for every file and number
+    /// format that holds the same values.
+    pub(super) fn hash(&self, tensors: &[Requested], hash: &mut Sha256) -> Result<()> {
+        hash.update(format!("{} {}\n", self.role, self.kind));
+        let mut bytes = Vec::new();
+        for Requested { name, shape } in tensors {
+            let values = self.checkpoint.tensor(name, DType::F32)?.flatten_all()?;
+            bytes.clear();
+            bytes.extend(
+                values
+                    .to_vec1::<f32>()?
+                    .iter()
+                    .flat_map(|v| v.to_le_bytes()),
+            );
+            hash.update(format!("{name} {shape:?}\n"));
+            hash.update(&bytes);
+        }
+        Ok(())
+    }
+}

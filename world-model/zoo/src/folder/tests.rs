@@ -1,0 +1,287 @@
+use candle_core::{DType, Device, Tensor};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+use wm_model::sampler::Rollout;
+
+use super::*;
+use crate::WorldModel;
+
+/// Web-DINO of one layer on 28x28, an S-VAE, a pixel decoder and a DiT: latents of 4x4x6.
+fn adapted() -> Value {
+    json!({
+        "name": "small-6",
+        "image": [32, 32],
+        "encoder": {"kind": "web-dino", "weights": "encoder.safetensors", "config": {
+            "hidden_size": 48, "num_hidden_layers": 1, "num_attention_heads": 4, "image_size": 28, "patch_size": 7}},
+        "adapter": {"kind": "svae", "weights": "svae.safetensors", "config": {
+            "features": 48, "latent": 6, "heads": 4, "layers": 1, "ffn": 16}},
+        "normalisation": {"mean": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "std": [1.0, 2.0, 1.0, 2.0, 1.0, 2.0]},
+        "decoder": {"kind": "pixel", "weights": "svae.safetensors", "config": {
+            "latent": 6, "base": 32, "multipliers": [1, 1], "res_blocks": 1, "heads": 2}},
+        "transition": {
+            "config": {"hidden": 32, "depth": 1, "heads": 2, "channels": 6, "patch": 1, "grid": [4, 4], "action_dim": 10},
+            "weights": "dit.safetensors",
+            "actions": {"frame_skip": 3},
+            "sampler": {"steps": 2, "shift": 1.5, "context_tau": 0.01}
+        }
+    })
+}
+
+/// The same without adapter: native latents of 4x4x48, decoded through the adapter.
+fn native() -> Value {
+    let mut model = adapted();
+    model["name"] = json!("small-48");
+    model["decoder"]["adapter"] = model["adapter"].take();
+    model["normalisation"] = Value::Null;
+    model["transition"]["config"]["channels"] = json!(48);
+    model
+}
+
+fn folder(model: &Value) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
+    write_random_weights(folder.path(), 7).unwrap();
+    folder
+}
+
+fn refused(model: &Value) -> String {
+    let folder = folder(model);
+    ModelFolder::open(folder.path()).unwrap_err().to_string()
+}
+
+fn space_of(folder: &TempDir, model: &Value) -> LatentSpace {
+    std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
+    ModelFolder::open(folder.path()).unwrap().space().unwrap()
+}
+
+#[test]
+fn a_folder_encodes_predicts_and_decodes_in_one_space() {
+    for (model, latent) in [(adapted(), (4, 4, 6)), (native(), (4, 4, 48))] {
+        let folder = folder(&model);
+        let model = WorldModel::open(&folder.path().to_string_lossy()).unwrap();
+        let encoder = model.encoder().unwrap();
+        assert_eq!(encoder.space().shape(), latent);
+        assert_eq!(encoder.input_size(), (32, 32));
+        let images = Tensor::rand(0f32, 1.0, (2, 32, 32, 3), &Device::Cpu).unwrap();
+        let latents = encoder.encode(&images).unwrap();
+        assert_eq!(latents.dims(), [2, latent.0, latent.1, latent.2]);
+
+        let transition = model.transition().unwrap();
+        assert_eq!(&transition.space, encoder.space());
+        let config = transition.model.config();
+        assert_eq!(
+            (
+                config.frame_skip,
+                config.sampler.steps,
+                config.sampler.shift
+            ),
+            (3, 2, 1.5)
+        );
+        assert_eq!(transition.encoding.action_dim, 10);
+        let between = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
+        let context = latents.unsqueeze(0).unwrap();
+        let sampler = &config.sampler;
+        let mut rollout =
+            Rollout::new(&transition.model, sampler, &context, Some(&between), 1).unwrap();
+        let next = rollout.next(&between).unwrap();
+
+        let decoder = model.decoder().unwrap().unwrap();
+        assert_eq!(decoder.space(), encoder.space());
+        assert_eq!(decoder.output_size(), (8, 8));
+        assert_eq!(decoder.decode(&next).unwrap().dims(), [1, 8, 8, 3]);
+    }
+}
+
+#[test]
+fn decoding_undoes_the_normalisation() {
+    let (with, mut without) = (adapted(), adapted());
+    without["normalisation"] = Value::Null;
+    let open = |model| {
+        let folder = folder(model);
+        let model = ModelFolder::open(folder.path()).unwrap();
+        (model.encoder().unwrap(), model.decoder().unwrap().unwrap())
+    };
+    let ((encoder, decoder), (plain_encoder, plain_decoder)) = (open(&with), open(&without));
+    let image = Tensor::rand(0f32, 1.0, (1, 32, 32, 3), &Device::Cpu).unwrap();
+    let (latent, plain) = (
+        encoder.encode(&image).unwrap(),
+        plain_encoder.encode(&image).unwrap(),
+    );
+    let channel = |x: &Tensor, c| x.get(0).unwrap().to_vec3::<f32>().unwrap()[1][2][c];
+    assert!((channel(&latent, 3) - (channel(&plain, 3) - 0.4) / 2.0).abs() < 1e-5);
+    let difference = (decoder.decode(&latent).unwrap() - plain_decoder.decode(&plain).unwrap())
+        .unwrap()
+        .abs()
+        .unwrap()
+        .max_all()
+        .unwrap();
+    assert!(difference.to_scalar::<f32>().unwrap() < 1e-4);
+}
+
+#[test]
+fn the_space_is_that_of_encoder_adapter_and_normalisation() {
+    let model = adapted();
+    let folder = folder(&model);
+    let space = space_of(&folder, &model);
+    assert_eq!((space.name.as_str(), space.hash.len()), ("small-6", 64));
+
+    // Neither what decodes nor what predicts is part of it, nor whether a default is written out.
+    let mut same = model.clone();
+    same["decoder"] = Value::Null;
+    same["transition"]["sampler"]["steps"] = json!(5);
+    same["encoder"]["config"]["qkv_bias"] = json!(true);
+    assert_eq!(space_of(&folder, &same), space);
+
+    let mut other = model.clone();
+    other["normalisation"]["mean"][2] = json!(0.31);
+    assert_ne!(space_of(&folder, &other).hash, space.hash);
+    let mut other = model.clone();
+    other["dtype"] = json!("bf16");
+    assert_ne!(space_of(&folder, &other).hash, space.hash);
+    let mut other = model.clone();
+    other["encoder"]["config"]["layer_norm_eps"] = json!(1e-5);
+    assert_ne!(space_of(&folder, &other).hash, space.hash);
+
+    let svae = folder.path().join("svae.safetensors");
+    std::fs::remove_file(&svae).unwrap();
+    write_random_weights(folder.path(), 8).unwrap();
+    assert_ne!(space_of(&folder, &model).hash, space.hash);
+    std::fs::remove_file(&svae).unwrap();
+    write_random_weights(folder.path(), 7).unwrap();
+    assert_eq!(space_of(&folder, &model), space);
+}
+
+#[test]
+fn views_lie_beside_each_other() {
+    let mut model = adapted();
+    model["transition"]["config"]["views"] = json!(2);
+    model["transition"]["config"]["grid"] = json!([4, 8]);
+    let folder = folder(&model);
+    let model = ModelFolder::open(folder.path()).unwrap();
+    let encoder = model.encoder().unwrap();
+    assert_eq!(encoder.input_size(), (32, 64));
+    assert_eq!(encoder.space().shape(), (4, 8, 6));
+    let image = Tensor::rand(0f32, 1.0, (1, 32, 64, 3), &Device::Cpu).unwrap();
+    let latent = encoder.encode(&image).unwrap();
+    // Each view is encoded as if it were alone.
+    let swapped = |x: &Tensor, half| {
+        let halves = [
+            x.narrow(2, half, half).unwrap(),
+            x.narrow(2, 0, half).unwrap(),
+        ];
+        Tensor::cat(&halves, 2).unwrap()
+    };
+    let of_swapped = encoder.encode(&swapped(&image, 32)).unwrap();
+    let difference = (swapped(&latent, 4) - of_swapped).unwrap().abs().unwrap();
+    let most = difference.max_all().unwrap().to_scalar::<f32>().unwrap();
+    assert!(most < 1e-5, "{most}");
+    let decoder = model.decoder().unwrap().unwrap();
+    assert_eq!(decoder.decode(&latent).unwrap().dims(), [1, 8, 16, 3]);
+}
+
+#[test]
+fn parts_that_do_not_fit_are_named_on_both_sides() {
+    let mut model = adapted();
+    model["transition"]["config"]["channels"] = json!(7);
+    let message = refused(&model);
+    for part in [
+        "model.json",
+        "the transition takes latents of 4x4x7",
+        "web-dino with the adapter on 32x32 gives 4x4x6",
+    ] {
+        assert!(message.contains(part), "{message}");
+    }
+
+    let mut model = native();
+    model["transition"]["config"]["grid"] = json!([4, 6]);
+    let message = refused(&model);
+    assert!(
+        message.contains("of 4x6x48") && message.contains("gives 4x4x48"),
+        "{message}"
+    );
+
+    let mut model = adapted();
+    model["adapter"]["config"]["features"] = json!(52);
+    let message = refused(&model);
+    assert!(
+        message.contains("takes features of 52 channels, the encoder gives 48"),
+        "{message}"
+    );
+
+    let mut model = native();
+    model["decoder"]["adapter"] = Value::Null;
+    let message = refused(&model);
+    assert!(
+        message.contains("the decoder pixel takes latents of 6 channels")
+            && message.contains("without an adapter on 32x32 gives 48"),
+        "{message}"
+    );
+}
+
+#[test]
+fn what_is_wrong_in_a_part_is_named_with_the_part() {
+    let cases = [
+        (
+            ("encoder", "kind"),
+            json!("pixel"),
+            "encoder: kind: `pixel` is no encoder",
+        ),
+        (
+            ("adapter", "kind"),
+            json!("dit"),
+            "adapter: kind: `dit` is no adapter",
+        ),
+        (("encoder", "config"), json!("none.json"), "none.json"),
+        (
+            ("transition", "actions"),
+            json!({"action_dim": 7}),
+            "transition: actions: action_dim 7, expected 10",
+        ),
+        (
+            ("transition", "actions"),
+            json!({"frame_skip": 0}),
+            "frame_skip must be at least 1",
+        ),
+        (
+            ("normalisation", "std"),
+            json!([1.0]),
+            "normalisation: normalisation: 6 means and 1",
+        ),
+    ];
+    for ((part, field), value, expected) in cases {
+        let folder = folder(&adapted());
+        let mut model = adapted();
+        model[part][field] = value;
+        std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
+        let message = ModelFolder::open(folder.path()).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+
+    let folder = folder(&adapted());
+    std::fs::remove_file(folder.path().join("dit.safetensors")).unwrap();
+    let message = ModelFolder::open(folder.path()).unwrap_err().to_string();
+    assert!(
+        message.contains("transition: ") && message.contains("dit.safetensors"),
+        "{message}"
+    );
+
+    // Weights of another size: every tensor is named before a value is read.
+    let mut model = adapted();
+    model["encoder"]["config"]["num_hidden_layers"] = json!(2);
+    std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
+    let message = ModelFolder::open(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("encoder.layer.1.attention"), "{message}");
+}
+
+#[test]
+fn a_model_need_not_decode() {
+    let mut model = adapted();
+    model["decoder"] = Value::Null;
+    let folder = folder(&model);
+    let model = ModelFolder::open(folder.path()).unwrap();
+    assert!(model.decoder().unwrap().is_none());
+    let summary = model.summary().unwrap();
+    let roles: Vec<_> = summary.parts.iter().map(|part| part.role).collect();
+    assert_eq!(roles, ["encoder", "adapter", "transition"]);
+    assert_eq!((summary.latent, summary.frame_skip), ([4, 4, 6], 3));
+}
