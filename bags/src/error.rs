@@ -153,6 +153,41 @@ pub enum BagError {
         /// Bytes that were given.
         len: usize,
     },
+    /// A topic that is not there.
+    #[error("{path} has no topic {topic}; it has {}", topics.join(", "))]
+    NoTopic {
+        /// The bag.
+        path: PathBuf,
+        /// The topic that was asked for.
+        topic: String,
+        /// Those that are there.
+        topics: Vec<String>,
+    },
+    /// Text that is no regular expression.
+    #[error("expected a regular expression of topic names, got {text:?}: {reason}")]
+    TopicRegex {
+        /// The text.
+        text: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A time in which a bag has nothing.
+    #[error(
+        "{path} has nothing from {start_ns} ns to before {end_ns} ns: its messages are from {bag_start_ns} ns to \
+         {bag_end_ns} ns since the epoch"
+    )]
+    NothingBetween {
+        /// The bag.
+        path: PathBuf,
+        /// The start that was asked for, in ns since the epoch.
+        start_ns: u64,
+        /// The end that was asked for, in ns since the epoch.
+        end_ns: u64,
+        /// Log time of the bag's first message, in ns since the epoch.
+        bag_start_ns: u64,
+        /// Log time of the bag's last message, in ns since the epoch.
+        bag_end_ns: u64,
+    },
     /// A QoS profile that cannot be understood.
     #[error("offered_qos_profiles: {0}")]
     Qos(String),

@@ -2,7 +2,8 @@
 //!
 //! A bag is a directory with `metadata.yaml` and one or more `.mcap` files (profile `ros2`, messages in CDR,
 //! schemas in `ros2msg` with their dependencies). The reader also takes a lone `.mcap`, a bag whose recorder was
-//! killed (no `metadata.yaml`, no footer), and files without chunks or without a summary.
+//! killed (no `metadata.yaml`, no footer), and files without chunks or without a summary. [`recover`] makes a sound bag
+//! of such a one, [`cut`](fn@cut) a shorter one.
 //!
 //! ```
 //! use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};
@@ -32,27 +33,37 @@
 //! - Any bytes in a file give messages or an error, never a panic; every length is held against a named limit.
 //!
 //! # What it does not do
-//! sqlite3 bags, the file and message compression of rosbag2 (chunk compression of MCAP is read), splitting of
-//! bags, attachments. No ROS and no clock: playing and recording live in the nodes.
+//! sqlite3 bags, the file and message compression of rosbag2 (chunk compression of MCAP is read), attachments. No ROS
+//! and no clock: playing and recording live in the nodes.
 
+mod cut;
 mod error;
 mod metadata;
 mod qos;
 mod reader;
+mod recover;
 mod schema;
 mod summary;
 mod topic;
+mod topic_filter;
 mod warning;
 mod writer;
 
+pub use cut::{Cut, CutEnd, CutStart, cut};
 pub use error::BagError;
 pub use qos::{Durability, QosProfile, Reliability};
 pub use reader::{BagMessage, BagReader, Messages};
+pub use recover::{Loss, Losses, Recovery, recover};
 pub use schema::{Schema, SchemaEncoding, type_schema};
 pub use summary::{BagSummary, TopicSummary};
 pub use topic::TopicInfo;
+pub use topic_filter::TopicFilter;
 pub use warning::BagWarning;
-pub use writer::{BagWriter, Compression, WriterOptions};
+pub use writer::{BagWriter, Compression, StoragePreset, WriterOptions};
 
 /// The only encoding of messages in a ROS 2 bag that this crate reads and writes, as MCAP and rosbag2 name it.
 pub(crate) const CDR: &str = "cdr";
+
+/// Keys of a channel's metadata in the file, as `rosbag2_storage_mcap` writes them.
+pub(crate) const QOS_KEY: &str = "offered_qos_profiles";
+pub(crate) const TYPE_HASH_KEY: &str = "topic_type_hash";

@@ -87,29 +87,37 @@ pub(crate) struct FileInformation {
 }
 
 impl Metadata {
-    /// A bag of one MCAP file.
-    pub fn of_file(
-        file: &Path,
-        starting_time: SinceEpoch,
-        duration: Nanoseconds,
-        message_count: u64,
-    ) -> Self {
+    /// A bag of these MCAP files.
+    pub fn of_files(files: Vec<FileInformation>) -> Self {
+        // A file without a message has no time.
+        let spans = files.iter().filter(|file| file.message_count > 0);
+        let start = spans
+            .clone()
+            .map(|file| file.starting_time.nanoseconds_since_epoch)
+            .min()
+            .unwrap_or(0);
+        let end = spans
+            .map(|file| {
+                let start = file.starting_time.nanoseconds_since_epoch;
+                start.saturating_add(file.duration.nanoseconds)
+            })
+            .max()
+            .unwrap_or(start);
         Self {
             version: VERSION,
             storage_identifier: "mcap".to_owned(),
-            duration,
-            starting_time,
-            message_count,
+            duration: Nanoseconds {
+                nanoseconds: end.saturating_sub(start),
+            },
+            starting_time: SinceEpoch {
+                nanoseconds_since_epoch: start,
+            },
+            message_count: files.iter().map(|file| file.message_count).sum(),
             topics_with_message_count: Vec::new(),
             compression_format: String::new(),
             compression_mode: String::new(),
-            relative_file_paths: vec![file.to_owned()],
-            files: vec![FileInformation {
-                path: file.to_owned(),
-                starting_time,
-                duration,
-                message_count,
-            }],
+            relative_file_paths: files.iter().map(|file| file.path.clone()).collect(),
+            files,
             custom_data: None,
             ros_distro: String::new(),
         }
@@ -161,13 +169,24 @@ mod tests {
     #[test]
     fn metadata_survives_the_file() {
         let dir = tempfile::tempdir().unwrap();
-        let mut written = Metadata::of_file(
-            Path::new("bag_0.mcap"),
-            SinceEpoch {
-                nanoseconds_since_epoch: 1_700_000_000_000_000_000,
+        let file = |number: u64, start: i64| FileInformation {
+            path: format!("bag_{number}.mcap").into(),
+            starting_time: SinceEpoch {
+                nanoseconds_since_epoch: start,
             },
-            Nanoseconds { nanoseconds: 5 },
-            7,
+            duration: Nanoseconds { nanoseconds: 5 },
+            message_count: 7 * number,
+        };
+        let start = 1_700_000_000_000_000_000;
+        let mut written = Metadata::of_files(vec![file(0, 0), file(1, start), file(2, start + 10)]);
+        assert_eq!(
+            (
+                written.starting_time.nanoseconds_since_epoch,
+                written.duration.nanoseconds,
+                written.message_count
+            ),
+            (start, 15, 21),
+            "a file without messages has no time"
         );
         written.custom_data = Some(BTreeMap::from([("a".into(), "1".into())]));
         written.clone().write(dir.path()).unwrap();

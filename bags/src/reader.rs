@@ -1,6 +1,7 @@
-mod chunk;
+pub(crate) mod chunk;
+pub(crate) mod definitions;
 mod file_index;
-mod indexing;
+pub(crate) mod indexing;
 mod messages;
 mod scan;
 
@@ -17,6 +18,7 @@ use crate::{
 };
 use file_index::FileIndex;
 pub use messages::{BagMessage, Messages};
+pub(crate) use messages::{StoredMessage, StoredMessages};
 
 /// A bag that has been opened: its files are indexed, its messages not yet read.
 #[derive(Debug)]
@@ -27,6 +29,7 @@ pub struct BagReader {
     /// The first and the last log time, in ns.
     span: Option<(u64, u64)>,
     lost: BTreeMap<String, u64>,
+    custom: BTreeMap<String, String>,
     ros_distro: String,
     warnings: Vec<BagWarning>,
 }
@@ -58,16 +61,29 @@ impl BagReader {
         } else {
             (vec![path.to_owned()], None)
         };
+        let (is_unfinished, is_one_of_several) = (metadata.is_none(), files.len() > 1);
         let mut index = Vec::with_capacity(files.len());
         for file in files {
-            let (file_index, file_warnings) = indexing::index(&file)?;
-            index.push(file_index);
-            warnings.extend(file_warnings);
+            match indexing::index(&file) {
+                Ok((file_index, file_warnings)) => {
+                    index.push(file_index);
+                    warnings.extend(file_warnings);
+                }
+                // The recorder was killed when it had just made the bag's next file.
+                Err(BagError::Empty { .. }) if is_unfinished && is_one_of_several => {
+                    warnings.push(BagWarning::Truncated {
+                        file,
+                        lost_bytes: 0,
+                    });
+                }
+                Err(error) => return Err(error),
+            }
         }
 
         let mut topics = merged_topics(path, &index)?;
         let counted: u64 = topics.values().map(|topic| topic.message_count).sum();
         let mut lost = BTreeMap::new();
+        let mut custom = BTreeMap::new();
         let mut ros_distro = String::new();
         if let Some(metadata) = metadata {
             if metadata.message_count != counted {
@@ -79,8 +95,13 @@ impl BagReader {
             }
             add_from_metadata(&mut topics, &metadata, path)?;
             for (key, count) in metadata.custom_data.unwrap_or_default() {
-                if let (Some(topic), Ok(count)) = (key.strip_prefix(LOST_PREFIX), count.parse()) {
-                    lost.insert(topic.to_owned(), count);
+                match (key.strip_prefix(LOST_PREFIX), count.parse()) {
+                    (Some(topic), Ok(count)) => {
+                        lost.insert(topic.to_owned(), count);
+                    }
+                    _ => {
+                        custom.insert(key, count);
+                    }
                 }
             }
             ros_distro = metadata.ros_distro;
@@ -94,9 +115,16 @@ impl BagReader {
             topics: topics.into_values().collect(),
             span,
             lost,
+            custom,
             ros_distro,
             warnings,
         })
+    }
+
+    /// What `custom_data` of the bag's `metadata.yaml` holds under `key`.
+    #[must_use]
+    pub fn note(&self, key: &str) -> Option<&str> {
+        self.custom.get(key).map(String::as_str)
     }
 
     /// The path that was opened.
@@ -156,6 +184,22 @@ impl BagReader {
         Messages::new(Arc::clone(&self.index))
     }
 
+    /// Messages as the files hold them, for who copies them; `select` says which.
+    pub(crate) fn stored_messages(
+        &self,
+        select: impl FnOnce(Messages) -> Messages,
+    ) -> StoredMessages {
+        StoredMessages(select(self.messages()))
+    }
+
+    /// The channels of the files, each with the number of its file, as the files define them.
+    pub(crate) fn definitions(
+        &self,
+    ) -> impl Iterator<Item = (usize, &Arc<mcap::Channel<'static>>)> {
+        let files = self.index.iter().enumerate();
+        files.flat_map(|(number, file)| file.definitions.values().map(move |c| (number, c)))
+    }
+
     /// What the bag holds, for `bag info`.
     #[must_use]
     pub fn summary(&self) -> BagSummary {
@@ -194,8 +238,8 @@ impl BagReader {
     }
 }
 
-/// The files that `metadata.yaml` lists, in its order.
-fn listed_files(dir: &Path, metadata: &Metadata) -> Result<Vec<PathBuf>, BagError> {
+/// Refuses what is not stored as MCAP, or hidden from an MCAP reader by rosbag2's own compression.
+pub(crate) fn check_storage(dir: &Path, metadata: &Metadata) -> Result<(), BagError> {
     if metadata.storage_identifier != "mcap" {
         return Err(BagError::Storage {
             path: dir.to_owned(),
@@ -210,6 +254,12 @@ fn listed_files(dir: &Path, metadata: &Metadata) -> Result<Vec<PathBuf>, BagErro
             format: metadata.compression_format.clone(),
         });
     }
+    Ok(())
+}
+
+/// The files that `metadata.yaml` lists, in its order.
+fn listed_files(dir: &Path, metadata: &Metadata) -> Result<Vec<PathBuf>, BagError> {
+    check_storage(dir, metadata)?;
     if metadata.relative_file_paths.is_empty() {
         return Err(BagError::Empty {
             path: dir.to_owned(),
@@ -235,7 +285,7 @@ fn listed_files(dir: &Path, metadata: &Metadata) -> Result<Vec<PathBuf>, BagErro
 }
 
 /// The `.mcap` files of a directory, in the order in which a recorder numbers them (`bag_2` before `bag_10`).
-fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
+pub(crate) fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
     let mut files = Vec::new();
     for entry in fs::read_dir(dir).map_err(|source| BagError::io(dir, source))? {
         let path = entry.map_err(|source| BagError::io(dir, source))?.path();
@@ -296,7 +346,8 @@ fn merged_topics(
     Ok(topics)
 }
 
-/// Adds what only `metadata.yaml` knows: topics without a message, and QoS that the files do not name.
+/// Adds what only `metadata.yaml` knows: topics without a message, QoS and type hashes that the files
+/// do not name.
 fn add_from_metadata(
     topics: &mut BTreeMap<Arc<str>, TopicInfo>,
     metadata: &Metadata,
@@ -318,10 +369,14 @@ fn add_from_metadata(
                 .unwrap_or_default()
                 .into(),
         };
+        let type_hash: Arc<str> = listed.type_description_hash.as_str().into();
         let name: Arc<str> = listed.name.as_str().into();
         if let Some(known) = topics.get_mut(&name) {
             if known.qos_yaml.is_empty() {
                 known.qos_yaml = qos_yaml;
+            }
+            if known.type_hash.is_empty() {
+                known.type_hash = type_hash;
             }
         } else {
             let type_name = canonical_type_name(&listed.type_name)
@@ -342,6 +397,7 @@ fn add_from_metadata(
                     type_name,
                     schema,
                     qos_yaml,
+                    type_hash,
                     message_count: 0,
                 },
             );

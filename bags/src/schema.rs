@@ -1,6 +1,9 @@
-use wm_msgs::Message;
+use wm_msgs::{DescriptionError, Message, TypeDescription, TypeHash};
 
 use crate::BagError;
+
+/// Equal signs on the line before each dependency.
+const DELIMITER: usize = 80;
 
 /// How a schema's text is written, as the MCAP registry names it.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -53,6 +56,51 @@ impl Schema {
             text: text.into(),
         }
     }
+
+    /// The hash of the type `package/msg/Type` that this schema defines (REP-2016), from its `.msg` text; none for a
+    /// schema in another encoding.
+    ///
+    /// # Errors
+    /// The text is no definition, or lacks that of a type that it names.
+    pub fn type_hash(&self, type_name: &str) -> Result<Option<TypeHash>, DescriptionError> {
+        if self.encoding != SchemaEncoding::Ros2Msg {
+            return Ok(None);
+        }
+        let (own, dependencies) = parts(&self.text);
+        let description = TypeDescription::message(type_name, own, dependencies)?;
+        Ok(Some(description.hash()))
+    }
+}
+
+/// The type's own text, and name and text of each dependency.
+fn parts(text: &str) -> (&str, Vec<(&str, &str)>) {
+    let delimiter = "=".repeat(DELIMITER);
+    let mut parts = Vec::new();
+    // Where the present part begins, and its name: the first has none.
+    let (mut own, mut start, mut name) = (text, 0, None);
+    let mut at = 0;
+    let mut lines = text.split_inclusive('\n').peekable();
+    while let Some(line) = lines.next() {
+        let next = lines
+            .peek()
+            .copied()
+            .and_then(|line| line.strip_prefix("MSG: "));
+        if let (true, Some(next)) = (line.trim_end() == delimiter, next) {
+            let part = text.get(start..at).unwrap_or_default();
+            match name.replace(next.trim()) {
+                None => own = part,
+                Some(name) => parts.push((name, part)),
+            }
+            at += line.len() + lines.next().map_or(0, str::len);
+            start = at;
+        } else {
+            at += line.len();
+        }
+    }
+    if let Some(name) = name {
+        parts.push((name, text.get(start..).unwrap_or_default()));
+    }
+    (own, parts)
 }
 
 /// The `ros2msg` schema of a Rust message type.
@@ -64,7 +112,7 @@ pub fn type_schema<M: Message>() -> Schema {
     let mut text = M::DEFINITION.trim_end().to_owned();
     text.push('\n');
     for (ros_name, definition) in M::dependencies() {
-        text.push_str(&"=".repeat(80));
+        text.push_str(&"=".repeat(DELIMITER));
         text.push_str("\nMSG: ");
         text.push_str(&ros_name.replace("/msg/", "/"));
         text.push('\n');
@@ -109,6 +157,31 @@ mod tests {
             names,
             ["MSG: builtin_interfaces/Time", "MSG: std_msgs/Header"]
         );
+    }
+
+    #[test]
+    fn a_schema_gives_the_hash_of_its_type() {
+        fn hold<M: Message>() {
+            let hash = type_schema::<M>().type_hash(&M::ros_name()).unwrap();
+            assert_eq!(hash, Some(TypeDescription::of::<M>().unwrap().hash()));
+        }
+        hold::<wm_msgs::std_msgs::Bool>();
+        hold::<wm_msgs::wm_msgs::Prediction>();
+        // Both spellings of a dependency's name are in use.
+        let text = type_schema::<wm_msgs::std_msgs::Header>()
+            .text
+            .replace("MSG: builtin_interfaces/", "MSG: builtin_interfaces/msg/");
+        assert_eq!(
+            Schema::ros2msg(text).type_hash("std_msgs/msg/Header"),
+            type_schema::<wm_msgs::std_msgs::Header>().type_hash("std_msgs/msg/Header")
+        );
+        let lacking = Schema::ros2msg("b/Other x\n").type_hash("a/msg/T");
+        assert!(lacking.unwrap_err().to_string().contains("b/msg/Other"));
+        let idl = Schema {
+            encoding: SchemaEncoding::Ros2Idl,
+            text: "module".to_owned(),
+        };
+        assert_eq!(idl.type_hash("a/msg/T"), Ok(None));
     }
 
     #[test]

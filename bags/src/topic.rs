@@ -13,6 +13,8 @@ pub struct TopicInfo {
     pub schema: Arc<Schema>,
     /// `offered_qos_profiles` as the recorder wrote it (YAML); empty when it wrote none.
     pub qos_yaml: Arc<str>,
+    /// `type_description_hash` as the recorder wrote it (`RIHS01_...`, REP-2016); empty when it wrote none.
+    pub type_hash: Arc<str>,
     /// Messages of this topic in all files.
     pub message_count: u64,
 }

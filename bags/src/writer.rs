@@ -1,113 +1,56 @@
+mod file;
+mod options;
+
 use std::{
+    borrow::Cow,
     collections::{BTreeMap, HashMap},
-    fs::{self, File},
-    io::BufWriter,
+    fs,
     path::{Path, PathBuf},
-    time::Duration,
+    sync::Arc,
 };
 
-use mcap::{WriteOptions, records::MessageHeader, write::NoSeek};
+use mcap::records::MessageHeader;
 use wm_msgs::{Message, cdr};
 
 use crate::{
-    BagError, BagSummary, CDR, QosProfile, Schema, TopicSummary,
-    metadata::{Metadata, Nanoseconds, SinceEpoch, TopicMetadata, TopicWithMessageCount},
+    BagError, BagSummary, CDR, QOS_KEY, QosProfile, Schema, TYPE_HASH_KEY, TopicSummary,
+    metadata::{
+        FileInformation, Metadata, Nanoseconds, SinceEpoch, TopicMetadata, TopicWithMessageCount,
+    },
     schema::canonical_type_name,
     type_schema,
 };
+use file::{BagFile, WrittenFile};
+pub use options::{Compression, StoragePreset, WriterOptions};
 
 /// Prefix of the keys in `custom_data` that hold the messages lost of each topic.
 pub(crate) const LOST_PREFIX: &str = "lost_messages.";
 
-/// Compression of the chunks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Compression {
-    /// None.
-    None,
-    /// Fast.
-    Lz4,
-    /// Smaller.
-    #[default]
-    Zstd,
-}
-
-impl Compression {
-    const fn mcap(self) -> Option<mcap::Compression> {
-        match self {
-            Self::None => None,
-            Self::Lz4 => Some(mcap::Compression::Lz4),
-            Self::Zstd => Some(mcap::Compression::Zstd),
-        }
-    }
-
-    const fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Lz4 => "lz4",
-            Self::Zstd => "zstd",
-        }
-    }
-}
-
-/// How a bag is written.
-#[derive(Clone, Debug)]
-pub struct WriterOptions {
-    /// A chunk is closed and handed to the operating system when it holds this many bytes before compression. It is
-    /// also the most that a killed process loses.
-    pub chunk_size: u64,
-    /// A chunk is also closed once it spans this much log time; a live recorder sets it, so that a slow topic is not
-    /// held back for minutes.
-    pub chunk_duration: Option<Duration>,
-    /// Compression of the chunks.
-    pub compression: Compression,
-    /// The ROS distribution that `metadata.yaml` names; may be empty.
-    pub ros_distro: String,
-}
-
-impl Default for WriterOptions {
-    fn default() -> Self {
-        Self {
-            chunk_size: WriteOptions::DEFAULT_CHUNK_SIZE,
-            chunk_duration: None,
-            compression: Compression::default(),
-            ros_distro: String::new(),
-        }
-    }
-}
-
-/// A topic that is being written.
+/// A channel that is being written; several may share a topic, as in a bag that is copied.
 struct Channel {
-    id: u16,
+    definition: Arc<mcap::Channel<'static>>,
+    /// The type, as `package/msg/Type`.
     type_name: String,
-    qos_yaml: String,
     message_count: u64,
 }
 
-/// What the open chunk holds.
-#[derive(Default)]
-struct OpenChunk {
-    bytes: u64,
-    /// The first and the last log time, in ns.
-    span: Option<(u64, u64)>,
-}
-
-/// Writes a bag: a directory `NAME` with `NAME_0.mcap` and, at [`finish`](Self::finish), `metadata.yaml`.
+/// Writes a bag: a directory `NAME` with `NAME_0.mcap` and, at [`finish`](Self::finish), `metadata.yaml`. With a limit
+/// of size or duration in the options, `NAME_1.mcap` and so on come after it, each with every topic.
 ///
 /// Each finished chunk is handed to the operating system at once. A writer that is dropped without `finish` leaves a
 /// `.mcap` that can be read, and no `metadata.yaml`.
 pub struct BagWriter {
     dir: PathBuf,
-    file: PathBuf,
+    name: String,
     options: WriterOptions,
-    // `NoSeek`: the library then builds a chunk in memory and writes it in one go, so that a file never ends in a
-    // chunk with an unfilled header.
-    mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
-    channels: HashMap<String, Channel>,
-    chunk: OpenChunk,
-    /// The first and the last log time of the bag, in ns.
-    span: Option<(u64, u64)>,
+    file: BagFile,
+    written: Vec<WrittenFile>,
+    channels: Vec<Channel>,
+    /// Number of each topic's first channel.
+    by_topic: HashMap<String, usize>,
     message_count: u64,
     lost: BTreeMap<String, u64>,
+    custom: BTreeMap<String, String>,
 }
 
 impl BagWriter {
@@ -133,34 +76,25 @@ impl BagWriter {
         if entries.next().is_some() {
             return Err(BagError::Exists(dir));
         }
-        let file = dir.join(format!("{name}_0.mcap"));
-        let stream = File::create_new(&file).map_err(|source| BagError::io(&file, source))?;
-        let mcap = WriteOptions::new()
-            .profile("ros2")
-            .library(concat!("wm_bag ", env!("CARGO_PKG_VERSION")))
-            .compression(options.compression.mcap())
-            // Fast zstd in this thread: images are JPEG already, and worker threads would outlive their use.
-            .compression_level(1)
-            .compression_threads(0)
-            // Chunks are closed here, so that each is flushed.
-            .chunk_size(None)
-            .disable_seeking(true)
-            .create(NoSeek::new(BufWriter::new(stream)))
-            .map_err(|source| BagError::Mcap {
-                path: file.clone(),
-                source,
-            })?;
+        let file = BagFile::create(dir.join(format!("{name}_0.mcap")), &options)?;
         Ok(Self {
             dir,
-            file,
+            name,
             options,
-            mcap,
-            channels: HashMap::new(),
-            chunk: OpenChunk::default(),
-            span: None,
+            file,
+            written: Vec::new(),
+            channels: Vec::new(),
+            by_topic: HashMap::new(),
             message_count: 0,
             lost: BTreeMap::new(),
+            custom: BTreeMap::new(),
         })
+    }
+
+    /// Notes something about the bag as a whole, under `custom_data` of its `metadata.yaml`, as `ros2 bag record
+    /// --custom-data` does; a key that is noted again has the new value.
+    pub fn note(&mut self, key: &str, value: impl Into<String>) {
+        self.custom.insert(key.to_owned(), value.into());
     }
 
     /// The bag's directory.
@@ -205,23 +139,60 @@ impl BagWriter {
             return Err(BagError::TopicName(topic.to_owned()));
         }
         let type_name = canonical_type_name(type_name)?;
-        let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), qos_yaml.to_owned())]);
-        let id = self
-            .mcap
-            .add_schema(&type_name, schema.encoding.as_str(), schema.text.as_bytes())
-            .and_then(|schema_id| self.mcap.add_channel(schema_id, topic, CDR, &metadata))
-            .map_err(|source| BagError::Mcap {
-                path: self.file.clone(),
-                source,
-            })?;
-        let channel = Channel {
-            id,
-            type_name,
-            qos_yaml: qos_yaml.to_owned(),
-            message_count: 0,
+        // A type whose definition is unknown, or not understood, is recorded all the same, as rosbag2 does it.
+        let type_hash = match schema.type_hash(&type_name) {
+            Ok(Some(hash)) => hash.to_string(),
+            Ok(None) | Err(_) => String::new(),
         };
-        self.channels.insert(topic.to_owned(), channel);
-        Ok(())
+        let schema = mcap::Schema {
+            // Ids are given by each file.
+            id: 0,
+            name: type_name,
+            encoding: schema.encoding.as_str().to_owned(),
+            data: Cow::Owned(schema.text.as_bytes().to_vec()),
+        };
+        let channel = mcap::Channel {
+            id: 0,
+            topic: topic.to_owned(),
+            schema: Some(Arc::new(schema)),
+            message_encoding: CDR.to_owned(),
+            metadata: BTreeMap::from([
+                (QOS_KEY.to_owned(), qos_yaml.to_owned()),
+                (TYPE_HASH_KEY.to_owned(), type_hash),
+            ]),
+        };
+        self.add_channel(Arc::new(channel)).map(|_| ())
+    }
+
+    /// Adds a channel as another file defines it, and gives its number for [`copy`](Self::copy).
+    ///
+    /// # Errors
+    /// The topic has another type already, or no type; or the file cannot be written.
+    pub(crate) fn add_channel(
+        &mut self,
+        definition: Arc<mcap::Channel<'static>>,
+    ) -> Result<usize, BagError> {
+        let name = definition
+            .schema
+            .as_ref()
+            .map(|schema| schema.name.as_str());
+        let name = name.ok_or_else(|| BagError::NoType {
+            path: self.dir.clone(),
+            topic: definition.topic.clone(),
+        })?;
+        let type_name = canonical_type_name(name)?;
+        self.known_channel(&definition.topic, &type_name)?;
+        self.file.add(&definition)?;
+        let number = self.channels.len();
+        self.by_topic
+            .entry(definition.topic.clone())
+            .or_insert(number);
+        self.channels.push(Channel {
+            definition,
+            type_name,
+            message_count: 0,
+        });
+        Ok(number)
     }
 
     /// Writes a message. A new topic is added as reliable, volatile ([`QosProfile::reliable`]).
@@ -272,11 +243,7 @@ impl BagWriter {
     /// # Errors
     /// The file cannot be written.
     pub fn flush(&mut self) -> Result<(), BagError> {
-        self.chunk = OpenChunk::default();
-        self.mcap.flush().map_err(|source| BagError::Mcap {
-            path: self.file.clone(),
-            source,
-        })
+        self.file.flush()
     }
 
     /// Ends the bag: the last chunk, the summary, then, once the file is on the disk, `metadata.yaml`.
@@ -284,104 +251,66 @@ impl BagWriter {
     /// # Errors
     /// The files cannot be written.
     pub fn finish(mut self) -> Result<BagSummary, BagError> {
-        self.mcap.finish().map_err(|source| BagError::Mcap {
-            path: self.file.clone(),
-            source,
-        })?;
-        let stream = self
-            .mcap
-            .into_inner()
-            .into_inner()
-            .into_inner()
-            .map_err(|error| BagError::io(&self.file, error.into_error()))?;
-        stream
-            .sync_all()
-            .map_err(|source| BagError::io(&self.file, source))?;
-        let size_bytes = stream
-            .metadata()
-            .map_err(|source| BagError::io(&self.file, source))?
-            .len();
-
-        let mut channels: Vec<(String, Channel)> = self.channels.into_iter().collect();
-        channels.sort_by(|(a, _), (b, _)| a.cmp(b));
-        let (start_ns, end_ns) = self.span.unwrap_or((0, 0));
-        let file_name = self.file.file_name().map(PathBuf::from).unwrap_or_default();
-        let mut metadata = Metadata::of_file(
-            &file_name,
-            SinceEpoch {
-                nanoseconds_since_epoch: signed(start_ns),
-            },
-            Nanoseconds {
-                nanoseconds: signed(end_ns - start_ns),
-            },
-            self.message_count,
+        self.written.push(self.file.finish()?);
+        let span = self.written.iter().filter_map(|file| file.span).reduce(
+            |(start, end), (next_start, next_end)| (start.min(next_start), end.max(next_end)),
         );
-        metadata.ros_distro.clone_from(&self.options.ros_distro);
-        if !self.lost.is_empty() {
-            let entries = self
-                .lost
-                .iter()
-                .map(|(topic, count)| (format!("{LOST_PREFIX}{topic}"), count.to_string()));
-            metadata.custom_data = Some(entries.collect());
+        let (start_ns, end_ns) = span.unwrap_or((0, 0));
+        let mut topics: BTreeMap<&str, TopicWithMessageCount> = BTreeMap::new();
+        for channel in &self.channels {
+            topics
+                .entry(channel.definition.topic.as_str())
+                .and_modify(|topic| topic.message_count += channel.message_count)
+                .or_insert_with(|| topic_with_count(channel));
         }
-        metadata.topics_with_message_count = channels
-            .iter()
-            .map(|(name, channel)| TopicWithMessageCount {
-                topic_metadata: TopicMetadata {
-                    name: name.clone(),
-                    type_name: channel.type_name.clone(),
-                    serialization_format: CDR.to_owned(),
-                    // Text that is no YAML stays text, the form of older versions.
-                    offered_qos_profiles: serde_yaml_ng::from_str(&channel.qos_yaml)
-                        .unwrap_or_else(|_| channel.qos_yaml.clone().into()),
-                    type_description_hash: String::new(),
-                },
-                message_count: channel.message_count,
-            })
-            .collect();
+        let mut metadata = Metadata::of_files(self.written.iter().map(file_information).collect());
+        metadata.ros_distro.clone_from(&self.options.ros_distro);
+        let mut custom = self.custom;
+        let losses = self.lost.iter();
+        custom.extend(
+            losses.map(|(topic, count)| (format!("{LOST_PREFIX}{topic}"), count.to_string())),
+        );
+        metadata.custom_data = (!custom.is_empty()).then_some(custom);
+        let summaries = topics.values().map(|topic| TopicSummary {
+            name: topic.topic_metadata.name.clone(),
+            type_name: topic.topic_metadata.type_name.clone(),
+            serialization_format: CDR.to_owned(),
+            message_count: topic.message_count,
+        });
+        let summaries = summaries.collect();
+        metadata.topics_with_message_count = topics.into_values().collect();
         metadata.write(&self.dir)?;
 
         Ok(BagSummary {
             path: self.dir,
-            files: vec![self.file],
-            size_bytes,
+            size_bytes: self.written.iter().map(|file| file.size_bytes).sum(),
+            files: self.written.into_iter().map(|file| file.path).collect(),
             start_ns,
             end_ns,
             message_count: self.message_count,
-            topics: channels
-                .into_iter()
-                .map(|(name, channel)| TopicSummary {
-                    name,
-                    type_name: channel.type_name,
-                    serialization_format: CDR.to_owned(),
-                    message_count: channel.message_count,
-                })
-                .collect(),
+            topics: summaries,
             lost: self.lost,
-            compression: self.options.compression.name().to_owned(),
+            compression: self.options.chunk_compression().name().to_owned(),
             ros_distro: self.options.ros_distro,
             warnings: Vec::new(),
         })
     }
 
-    /// The topic's channel if it is known, held against the type.
-    fn known_channel(
-        &mut self,
-        topic: &str,
-        type_name: &str,
-    ) -> Result<Option<&mut Channel>, BagError> {
-        let Some(channel) = self.channels.get_mut(topic) else {
+    /// The number of the topic's channel if it is known, held against the type.
+    fn known_channel(&self, topic: &str, type_name: &str) -> Result<Option<usize>, BagError> {
+        let number = self.by_topic.get(topic).copied();
+        let Some((number, known)) = number.and_then(|n| Some((n, self.channels.get(n)?))) else {
             return Ok(None);
         };
-        if channel.type_name != type_name && channel.type_name != canonical_type_name(type_name)? {
+        if known.type_name != type_name && known.type_name != canonical_type_name(type_name)? {
             return Err(BagError::TypeConflict {
                 path: self.dir.clone(),
                 topic: topic.to_owned(),
-                first: channel.type_name.clone(),
+                first: known.type_name.clone(),
                 second: type_name.to_owned(),
             });
         }
-        Ok(Some(channel))
+        Ok(Some(number))
     }
 
     /// Writes to a topic that has been added.
@@ -392,59 +321,110 @@ impl BagWriter {
         log_time_ns: u64,
         data: &[u8],
     ) -> Result<(), BagError> {
-        if i64::try_from(log_time_ns).is_err() {
-            return Err(BagError::LogTime {
-                topic: topic.to_owned(),
-                log_time_ns,
-            });
-        }
         if data.len() < 4 {
             return Err(BagError::NotCdr {
                 topic: topic.to_owned(),
                 len: data.len(),
             });
         }
-        let Some(channel) = self.known_channel(topic, type_name)? else {
+        let known = self.known_channel(topic, type_name)?;
+        let Some((number, channel)) = known.and_then(|n| Some((n, self.channels.get(n)?))) else {
             return Err(BagError::TopicName(topic.to_owned()));
         };
-        channel.message_count += 1;
         let header = MessageHeader {
-            channel_id: channel.id,
+            channel_id: 0,
             // MCAP's sequence is 32 bits wide and may wrap.
-            sequence: channel.message_count as u32,
+            sequence: (channel.message_count + 1) as u32,
             log_time: log_time_ns,
             publish_time: log_time_ns,
         };
-        self.mcap
-            .write_to_known_channel(&header, data)
-            .map_err(|source| BagError::Mcap {
-                path: self.file.clone(),
-                source,
-            })?;
-        self.message_count += 1;
-        self.span = Some(widened(self.span, log_time_ns));
-        let (chunk_start_ns, chunk_end_ns) = widened(self.chunk.span, log_time_ns);
-        self.chunk.span = Some((chunk_start_ns, chunk_end_ns));
-        self.chunk.bytes += data.len() as u64;
-        let spans_enough = self
-            .options
-            .chunk_duration
-            .is_some_and(|most| Duration::from_nanos(chunk_end_ns - chunk_start_ns) >= most);
-        if self.chunk.bytes >= self.options.chunk_size || spans_enough {
-            self.flush()?;
+        self.copy(number, header, data)
+    }
+
+    /// Writes a message to the channel of this number, with the times and the sequence number of `header`; the bytes
+    /// as they are.
+    ///
+    /// # Errors
+    /// The time is past 2^63 - 1 ns, or the file cannot be written.
+    pub(crate) fn copy(
+        &mut self,
+        number: usize,
+        header: MessageHeader,
+        data: &[u8],
+    ) -> Result<(), BagError> {
+        let Some(channel) = self.channels.get(number) else {
+            return Ok(());
+        };
+        if i64::try_from(header.log_time).is_err() {
+            return Err(BagError::LogTime {
+                topic: channel.definition.topic.clone(),
+                log_time_ns: header.log_time,
+            });
         }
+        if self.file.is_full(header.log_time, &self.options)? {
+            self.split()?;
+        }
+        self.file.write(number, header, data, &self.options)?;
+        if let Some(channel) = self.channels.get_mut(number) {
+            channel.message_count += 1;
+        }
+        self.message_count += 1;
+        Ok(())
+    }
+
+    /// Ends the file and begins the next, with all channels: each file can be read by itself.
+    ///
+    /// # Errors
+    /// The files cannot be written.
+    pub fn split(&mut self) -> Result<(), BagError> {
+        let number = self.written.len() + 1;
+        let path = self.dir.join(format!("{}_{number}.mcap", self.name));
+        let mut next = BagFile::create(path, &self.options)?;
+        for channel in &self.channels {
+            next.add(&channel.definition)?;
+        }
+        let full = std::mem::replace(&mut self.file, next);
+        self.written.push(full.finish()?);
         Ok(())
     }
 }
 
-/// A span of time that takes in one more time.
-fn widened(span: Option<(u64, u64)>, time_ns: u64) -> (u64, u64) {
-    span.map_or((time_ns, time_ns), |(start, end)| {
-        (start.min(time_ns), end.max(time_ns))
-    })
+fn topic_with_count(channel: &Channel) -> TopicWithMessageCount {
+    let metadata = |key: &str| channel.definition.metadata.get(key).cloned();
+    let qos_yaml = metadata(QOS_KEY).unwrap_or_default();
+    TopicWithMessageCount {
+        topic_metadata: TopicMetadata {
+            name: channel.definition.topic.clone(),
+            type_name: channel.type_name.clone(),
+            serialization_format: CDR.to_owned(),
+            // Text that is no YAML stays text, the form of older versions.
+            offered_qos_profiles: serde_yaml_ng::from_str(&qos_yaml)
+                .unwrap_or_else(|_| qos_yaml.into()),
+            // The key of rosbag2's own recorder.
+            type_description_hash: metadata(TYPE_HASH_KEY).unwrap_or_default(),
+        },
+        message_count: channel.message_count,
+    }
+}
+
+fn file_information(file: &WrittenFile) -> FileInformation {
+    let (start_ns, end_ns) = file.span.unwrap_or((0, 0));
+    FileInformation {
+        path: file.path.file_name().map(PathBuf::from).unwrap_or_default(),
+        starting_time: SinceEpoch {
+            nanoseconds_since_epoch: signed(start_ns),
+        },
+        duration: Nanoseconds {
+            nanoseconds: signed(end_ns - start_ns),
+        },
+        message_count: file.message_count,
+    }
 }
 
 /// Log times are held to 2^63 - 1 when they are written, so that nothing saturates here.
 fn signed(time_ns: u64) -> i64 {
     i64::try_from(time_ns).unwrap_or(i64::MAX)
 }
+
+#[cfg(test)]
+mod tests;

@@ -6,12 +6,16 @@
 use std::{
     path::{Path, PathBuf},
     process::Command,
+    time::Duration,
 };
 
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 use tempfile::TempDir;
-use wm_bag::{BagError, BagReader, BagWriter, Compression, Durability, QosProfile, WriterOptions};
+use wm_bag::{
+    BagError, BagReader, BagWriter, Compression, CutEnd, CutStart, Durability, QosProfile,
+    StoragePreset, TopicFilter, WriterOptions, cut, recover,
+};
 use wm_msgs::{
     builtin_interfaces::Time,
     diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue},
@@ -46,7 +50,8 @@ fn peer(script: &str, arg: &Path) -> Option<Value> {
         .unwrap();
     assert!(
         output.status.success(),
-        "{script}: {}",
+        "{script} {}: {}",
+        arg.display(),
         String::from_utf8_lossy(&output.stderr)
     );
     Some(serde_json::from_slice(&output.stdout).unwrap())
@@ -77,6 +82,10 @@ fn write_bag(dir: &Path, compression: Compression) {
         chunk_size: 4096,
         ..WriterOptions::default()
     };
+    write_bag_with(dir, options);
+}
+
+fn write_bag_with(dir: &Path, options: WriterOptions) {
     let mut writer = BagWriter::create(dir, options).unwrap();
     writer
         .add_topic::<Text>("/task/instruction", QosProfile::latched())
@@ -216,6 +225,78 @@ fn other_readers_see_what_we_wrote() {
         assert_eq!(
             seen["counts"]["/task/success"], 0,
             "a topic without messages is listed"
+        );
+    }
+}
+
+#[test]
+fn other_readers_see_bags_of_several_files_and_of_each_preset() {
+    let scratch = TempDir::new().unwrap();
+    let plain = WriterOptions::default;
+    let split = |compression| WriterOptions {
+        compression,
+        chunk_size: 4096,
+        max_file_duration: Some(Duration::from_secs(1)),
+        ..plain()
+    };
+    let preset = |preset| WriterOptions { preset, ..plain() };
+    for (name, options, files) in [
+        ("split_plain", split(Compression::None), 6),
+        ("split_lz4", split(Compression::Lz4), 6),
+        ("split_zstd", split(Compression::Zstd), 6),
+        ("fastwrite", preset(StoragePreset::FastWrite), 1),
+        ("zstd_fast", preset(StoragePreset::ZstdFast), 1),
+        ("zstd_small", preset(StoragePreset::ZstdSmall), 1),
+    ] {
+        let bag = scratch.path().join(name);
+        write_bag_with(&bag, options);
+        let Some(seen) = peer("bags_read.py", &bag) else {
+            return;
+        };
+        let reader = BagReader::open(&bag).unwrap();
+        assert_eq!(reader.summary().files.len(), files, "{name}");
+        let written = contents(&bag);
+        assert_eq!(written.as_array().unwrap().len(), 1 + 30 * 8);
+        assert_eq!(seen["rosbags"], written, "{name}");
+        assert_eq!(seen["mcap"], written, "{name}");
+        assert_eq!(seen["counts"]["/wm/latent"], 30, "{name}");
+    }
+}
+
+#[test]
+fn other_readers_see_what_was_recovered_and_cut() {
+    let scratch = TempDir::new().unwrap();
+    let whole = scratch.path().join("whole");
+    write_bag(&whole, Compression::Zstd);
+    let file = whole.join("whole_0.mcap");
+    let bytes = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &bytes[..bytes.len() / 3]).unwrap();
+    let (recovered, part) = (
+        scratch.path().join("recovered"),
+        scratch.path().join("part"),
+    );
+    let recovery = recover(&file, &recovered).unwrap();
+    assert_eq!(recovery.without_end, [file]);
+    let start = CutStart::After(Duration::from_millis(1100));
+    cut(
+        &recovered,
+        &part,
+        start,
+        CutEnd::End,
+        &TopicFilter::default(),
+    )
+    .unwrap();
+    for bag in [recovered, part] {
+        let Some(seen) = peer("bags_read.py", &bag) else {
+            return;
+        };
+        let written = contents(&bag);
+        assert!(written.as_array().unwrap().len() > 20);
+        assert_eq!(seen["rosbags"], written, "{}", bag.display());
+        assert_eq!(seen["mcap"], written, "{}", bag.display());
+        assert_eq!(
+            seen["qos"]["/task/instruction"],
+            json!([["reliable", "transient_local", 1]])
         );
     }
 }

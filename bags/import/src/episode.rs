@@ -1,12 +1,11 @@
 use std::path::{Path, PathBuf};
 
-use image::{ExtendedColorType, RgbImage, codecs::jpeg::JpegEncoder};
 use wm_bag::{BagWriter, QosProfile, WriterOptions};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{Point, Pose, PoseStamped, Quaternion},
-    sensor_msgs::CompressedImage,
-    std_msgs::{Float32, Header, String as Text},
+    sensor_msgs::{CompressedImage, JointState},
+    std_msgs::{Bool, Float32, Header, String as Text},
     wm_msgs::Action,
 };
 
@@ -15,22 +14,59 @@ use crate::ImportError;
 /// Numbers of an action and of a state: three of position, three of rotation, the gripper.
 pub(crate) const VALUES: usize = 7;
 /// Bridge V2 is controlled and recorded at 5 Hz (BridgeData V2, arXiv 2308.12952, section 3).
-const PERIOD_NS: u64 = 200_000_000;
+const BRIDGE_PERIOD_NS: u64 = 200_000_000;
 /// REP-105's name for the frame that the robot is mounted in.
 const BASE_FRAME: &str = "base_link";
+
+/// The frames of a camera.
+#[derive(Debug)]
+pub(crate) struct Camera {
+    /// The namespace of its topics.
+    pub name: String,
+    /// JPEG.
+    pub frames: Vec<Vec<u8>>,
+}
+
+/// Angles of joints.
+#[derive(Debug)]
+pub(crate) struct Joints {
+    pub names: Vec<String>,
+    /// One row a frame, as wide as the names, in rad.
+    pub positions: Vec<Vec<f64>>,
+}
 
 /// One episode, decoded.
 #[derive(Debug)]
 pub(crate) struct Episode {
     /// The file it came from.
     pub source: PathBuf,
-    /// JPEG frames by camera, each as many as `actions`.
-    pub cameras: Vec<Vec<Vec<u8>>>,
+    /// Time from one frame to the next.
+    pub period_ns: u64,
+    /// Each with as many frames as there are `actions`.
+    pub cameras: Vec<Camera>,
     /// dx dy dz in m, droll dpitch dyaw in rad, gripper 0 closed to 1 open; one a frame.
     pub actions: Vec<[f32; VALUES]>,
     /// x y z in m, roll pitch yaw in rad, gripper 0 closed to 1 open; one a frame, or none at all.
     pub states: Vec<[f32; VALUES]>,
+    pub joints: Option<Joints>,
     pub instruction: Option<String>,
+    /// Whether the task was carried out, where that is known.
+    pub success: Option<bool>,
+}
+
+impl Default for Episode {
+    fn default() -> Self {
+        Self {
+            source: PathBuf::new(),
+            period_ns: BRIDGE_PERIOD_NS,
+            cameras: Vec::new(),
+            actions: Vec::new(),
+            states: Vec::new(),
+            joints: None,
+            instruction: None,
+            success: None,
+        }
+    }
 }
 
 impl Episode {
@@ -44,16 +80,34 @@ impl Episode {
                 self.cameras.len()
             ));
         }
-        for (number, camera) in self.cameras.iter().enumerate() {
-            if camera.len() != frames {
+        for camera in &self.cameras {
+            if camera.frames.len() != frames {
                 return corrupt(format!(
-                    "camera {number} has {} frames for {frames} actions",
-                    camera.len()
+                    "camera {:?} has {} frames for {frames} actions",
+                    camera.name,
+                    camera.frames.len()
                 ));
             }
         }
         if !self.states.is_empty() && self.states.len() != frames {
             return corrupt(format!("{} states for {frames} actions", self.states.len()));
+        }
+        if let Some(joints) = &self.joints {
+            if joints.positions.len() != frames {
+                return corrupt(format!(
+                    "{} rows of joints for {frames} actions",
+                    joints.positions.len()
+                ));
+            }
+            if let Some(row) = joints.positions.iter().position(|row| {
+                row.len() != joints.names.len() || row.iter().any(|value| !value.is_finite())
+            }) {
+                return corrupt(format!(
+                    "joints {row}: expected {} finite values, got {:?}",
+                    joints.names.len(),
+                    joints.positions.get(row)
+                ));
+            }
         }
         for (what, rows) in [("action", &self.actions), ("state", &self.states)] {
             if let Some(row) = rows
@@ -69,7 +123,11 @@ impl Episode {
     /// Writes the episode as a bag, its first frame at `start_ns`.
     pub fn write(&self, bag: &Path, start_ns: u64) -> Result<(), ImportError> {
         let mut writer = BagWriter::create(bag, WriterOptions::default())?;
-        let cameras: Vec<(String, String)> = (0..self.cameras.len()).map(camera_names).collect();
+        let cameras: Vec<(String, String)> = self
+            .cameras
+            .iter()
+            .map(|camera| (image_topic(&camera.name), optical_frame(&camera.name)))
+            .collect();
         for (topic, _) in &cameras {
             writer.add_topic::<CompressedImage>(topic, QosProfile::sensor_data())?;
         }
@@ -84,12 +142,13 @@ impl Episode {
                 start_ns,
             )?;
         }
+        let mut stamp_ns = start_ns;
         for (step, action) in self.actions.iter().enumerate() {
-            let stamp_ns = start_ns + step as u64 * PERIOD_NS;
+            stamp_ns = start_ns + step as u64 * self.period_ns;
             // BagWriter refuses times past i64, and names the topic.
             let stamp = Time::from_nanos(i64::try_from(stamp_ns).unwrap_or(i64::MAX));
-            for ((topic, frame_id), frames) in cameras.iter().zip(&self.cameras) {
-                let Some(data) = frames.get(step) else {
+            for ((topic, frame_id), camera) in cameras.iter().zip(&self.cameras) {
+                let Some(data) = camera.frames.get(step) else {
                     continue;
                 };
                 let header = Header {
@@ -123,6 +182,18 @@ impl Episode {
                 writer.write("/arm/end_effector_pose", &pose, stamp_ns)?;
                 writer.write("/arm/gripper", &Float32 { data: *gripper }, stamp_ns)?;
             }
+            let joints = self.joints.as_ref();
+            if let Some((joints, position)) =
+                joints.and_then(|joints| Some((joints, joints.positions.get(step)?)))
+            {
+                let state = JointState {
+                    header: header.clone(),
+                    name: joints.names.clone(),
+                    position: position.clone(),
+                    ..JointState::default()
+                };
+                writer.write("/joint_states", &state, stamp_ns)?;
+            }
             writer.write(
                 "/wm/action",
                 &Action {
@@ -132,22 +203,35 @@ impl Episode {
                 stamp_ns,
             )?;
         }
+        if let Some(success) = self.success {
+            let topic = "/task/success";
+            writer.add_topic::<Bool>(topic, QosProfile::latched())?;
+            writer.write(topic, &Bool { data: success }, stamp_ns)?;
+        }
         writer.finish()?;
         Ok(())
     }
 }
 
-/// Topic and optical frame of a camera.
-fn camera_names(number: usize) -> (String, String) {
-    let name = if number == 0 {
-        "camera".to_owned()
-    } else {
-        format!("camera_{number}")
-    };
-    (
-        format!("/{name}/image_raw/compressed"),
-        format!("{name}_optical_frame"),
-    )
+/// Bridge V2's cameras, which have numbers.
+pub(crate) fn bridge_cameras(cameras: Vec<Vec<Vec<u8>>>) -> Vec<Camera> {
+    let named = cameras.into_iter().enumerate().map(|(number, frames)| {
+        let name = match number {
+            0 => "camera".to_owned(),
+            _ => format!("camera_{number}"),
+        };
+        Camera { name, frames }
+    });
+    named.collect()
+}
+
+/// The topic of a camera's compressed frames.
+fn image_topic(camera: &str) -> String {
+    format!("/{camera}/image_raw/compressed")
+}
+
+fn optical_frame(camera: &str) -> String {
+    format!("{camera}_optical_frame")
 }
 
 /// Roll, pitch and yaw about fixed axes, in rad (REP-103), as a unit quaternion.
@@ -162,18 +246,6 @@ fn orientation(roll_pitch_yaw: [f32; 3]) -> Quaternion {
     }
 }
 
-/// A frame as JPEG.
-pub(crate) fn jpeg(frame: &RgbImage, quality: u8) -> Result<Vec<u8>, image::ImageError> {
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, quality).encode(
-        frame.as_raw(),
-        frame.width(),
-        frame.height(),
-        ExtendedColorType::Rgb8,
-    )?;
-    Ok(bytes)
-}
-
 #[cfg(test)]
 mod tests {
     use std::f32::consts::FRAC_PI_2;
@@ -185,12 +257,18 @@ mod tests {
     fn episode(frames: usize) -> Episode {
         Episode {
             source: "made.up".into(),
-            cameras: vec![vec![vec![1, 2, 3]; frames], vec![vec![4]; frames]],
+            cameras: bridge_cameras(vec![vec![vec![1, 2, 3]; frames], vec![vec![4]; frames]]),
             actions: (0..frames)
                 .map(|step| [step as f32 * 0.01; VALUES])
                 .collect(),
             states: vec![[0.1, 0.2, 0.3, 0.0, 0.0, FRAC_PI_2, 1.0]; frames],
+            joints: Some(Joints {
+                names: vec!["shoulder".into(), "elbow".into()],
+                positions: (0..frames).map(|step| vec![step as f64, -0.5]).collect(),
+            }),
             instruction: Some("lift the lid".into()),
+            success: Some(true),
+            ..Episode::default()
         }
     }
 
@@ -224,7 +302,9 @@ mod tests {
                     "sensor_msgs/msg/CompressedImage",
                     3
                 ),
+                ("/joint_states", "sensor_msgs/msg/JointState", 3),
                 ("/task/instruction", "std_msgs/msg/String", 1),
+                ("/task/success", "std_msgs/msg/Bool", 1),
                 ("/wm/action", "wm_msgs/msg/Action", 3),
             ]
         );
@@ -271,12 +351,16 @@ mod tests {
             changed.check().unwrap_err().to_string()
         };
         assert!(
-            reason(|episode| episode.cameras[1].truncate(2))
-                .contains("camera 1 has 2 frames for 3 actions")
+            reason(|episode| episode.cameras[1].frames.truncate(2))
+                .contains("camera \"camera_1\" has 2 frames for 3 actions")
         );
         assert!(reason(|episode| episode.states.truncate(2)).contains("2 states for 3 actions"));
         assert!(
             reason(|episode| episode.actions[1][2] = f32::NAN).contains("action 1 is not finite")
+        );
+        assert!(
+            reason(|episode| episode.joints.as_mut().unwrap().positions[2].clear())
+                .contains("joints 2: expected 2 finite values")
         );
         assert!(reason(|episode| episode.actions.clear()).contains("0 actions"));
     }

@@ -6,9 +6,14 @@ use wm_bag::BagError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// The path holds neither layout.
-    #[error("{0} holds no Bridge episodes: expected NAME.mp4 with NAME.npz, or *.tfrecord* files")]
-    UnknownLayout(PathBuf),
+    /// The path does not hold what is imported.
+    #[error("{path} holds no episodes: expected {expected}")]
+    UnknownLayout {
+        /// The path.
+        path: PathBuf,
+        /// The files that were looked for.
+        expected: &'static str,
+    },
     /// The layout is there, but no episode.
     #[error("{0} holds no episode")]
     NoEpisodes(PathBuf),

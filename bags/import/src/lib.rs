@@ -1,18 +1,22 @@
-//! Recorded robot episodes as bags: Bridge V2 in the two layouts in which it is passed around.
+//! Recorded robot episodes as bags: Bridge V2 in the two layouts in which it is passed around, and DROID.
 //!
 //! | layout | found by | cameras | actions | more |
 //! |---|---|---|---|---|
-//! | video | `NAME.mp4` (h264) beside `NAME.npz` | one | scaled for a model, undone here | |
-//! | RLDS | a TFRecord (`*.tfrecord*`) of `tf.train.Example` | several | m, rad, gripper 0..1 | state, instruction |
+//! | Bridge video | `NAME.mp4` (h264) beside `NAME.npz` | one | scaled for a model, undone here | |
+//! | Bridge RLDS | a TFRecord (`*.tfrecord*`) of `tf.train.Example` | several | m, rad, gripper 0..1 | state, instruction |
+//! | DROID | `annotation/SPLIT/NAME.json` beside `videos/` | three | from state to state | state, joints, instruction, success |
 //!
-//! Each episode becomes one bag, `episode_000000` and on, at the 5 Hz at which Bridge V2 was recorded:
+//! Each episode becomes one bag, `episode_000000` and on; Bridge V2 at the 5 Hz at which it was recorded, DROID at the
+//! rate of its videos:
 //!
 //! | topic | type |
 //! |---|---|
-//! | `/camera/image_raw/compressed`, `/camera_1/image_raw/compressed`, ... | `sensor_msgs/msg/CompressedImage` (JPEG) |
+//! | `/camera/image_raw/compressed`, `/camera_1/...` (Bridge); `/exterior_1/...`, `/exterior_2/...`, `/wrist/...` (DROID) | `sensor_msgs/msg/CompressedImage` (JPEG) |
 //! | `/wm/action` | `wm_msgs/msg/Action`: dx dy dz \[m\], droll dpitch dyaw \[rad\], gripper \[0 closed .. 1 open\] |
 //! | `/arm/end_effector_pose`, `/arm/gripper` | `geometry_msgs/msg/PoseStamped`, `std_msgs/msg/Float32`, where there is state |
+//! | `/joint_states` | `sensor_msgs/msg/JointState`, where there are joints |
 //! | `/task/instruction` | `std_msgs/msg/String`, latched, where there is one |
+//! | `/task/success` | `std_msgs/msg/Bool`, latched, where it is known |
 //!
 //! ```no_run
 //! use wm_import::{ImportOptions, import_bridge};
@@ -24,17 +28,22 @@
 //!
 //! An episode is read whole before its bag is begun: bad input leaves no half a bag, and its error names the file.
 //!
-//! Not here: other data sets, and other video codecs than h264.
+//! Not here: LeRobot datasets (`wm_lerobot`, which parquet makes heavy).
 
+mod droid;
 mod episode;
 mod error;
+mod jpeg;
 mod mp4_npz;
 mod rlds;
 mod source;
+pub mod video;
 
 use std::path::{Path, PathBuf};
 
+use episode::Episode;
 pub use error::ImportError;
+pub use jpeg::jpeg;
 use source::Source;
 
 /// How episodes are imported.
@@ -72,10 +81,36 @@ pub fn import_bridge(
     options: &ImportOptions,
 ) -> Result<Vec<PathBuf>, ImportError> {
     let source = Source::find(src)?;
-    let episodes: Box<dyn Iterator<Item = Result<episode::Episode, ImportError>>> = match source {
+    let episodes: Box<dyn Iterator<Item = Result<Episode, ImportError>>> = match source {
         Source::Mp4Npz(pairs) => Box::new(mp4_npz::episodes(pairs, options.jpeg_quality)),
         Source::Rlds(shards) => Box::new(rlds::episodes(shards, options.jpeg_quality)),
     };
+    write(episodes, src, out, options)
+}
+
+/// Imports DROID episodes: each becomes a bag `OUT/episode_NNNNNN`, in the order of folders, splits and numbers.
+///
+/// `src` has `annotation/` and `videos/` in it, or folders that have.
+///
+/// # Errors
+/// `src` holds no such layout; a file is missing, corrupt or incomplete (the error names it); or a bag is there
+/// already.
+pub fn import_droid(
+    src: &Path,
+    out: &Path,
+    options: &ImportOptions,
+) -> Result<Vec<PathBuf>, ImportError> {
+    let episodes = droid::episodes(src, options.jpeg_quality)?;
+    write(episodes, src, out, options)
+}
+
+/// Writes each episode as a bag.
+fn write(
+    episodes: impl Iterator<Item = Result<Episode, ImportError>>,
+    src: &Path,
+    out: &Path,
+    options: &ImportOptions,
+) -> Result<Vec<PathBuf>, ImportError> {
     let mut bags = Vec::new();
     for (number, episode) in episodes
         .take(options.episodes.unwrap_or(usize::MAX))

@@ -1,12 +1,14 @@
 //! `NAME.mp4` (frames) with `NAME.npz` (actions, scaled for a model).
 
 mod actions;
-mod mp4;
-mod video;
 
 use std::path::PathBuf;
 
-use crate::{ImportError, episode::Episode};
+use crate::{
+    ImportError,
+    episode::{Episode, bridge_cameras},
+    video::Video,
+};
 
 /// The episodes of these pairs of video and actions, each read when it is asked for.
 pub(crate) fn episodes(
@@ -15,17 +17,17 @@ pub(crate) fn episodes(
 ) -> impl Iterator<Item = Result<Episode, ImportError>> {
     pairs.into_iter().map(move |(video_file, actions_file)| {
         let actions = actions::read(&actions_file)?;
-        let frames = video::read(&video_file, jpeg_quality)?;
+        let video = Video::open(&video_file)?;
+        let frames = video.jpegs(0..video.frame_count(), jpeg_quality)?;
         Episode {
             source: video_file,
-            cameras: vec![frames],
+            cameras: bridge_cameras(vec![frames]),
             actions,
-            states: Vec::new(),
-            instruction: None,
+            ..Episode::default()
         }
         .check()
     })
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -15,7 +15,8 @@ use image::{ImageFormat, RgbImage};
 
 use crate::{
     ImportError,
-    episode::{Episode, VALUES, jpeg},
+    episode::{Episode, VALUES, bridge_cameras},
+    jpeg,
 };
 use example::Example;
 use tfrecord::TfRecords;
@@ -116,10 +117,11 @@ fn episode(
     };
     Episode {
         source: file.to_owned(),
-        cameras,
+        cameras: bridge_cameras(cameras),
         actions,
         states,
         instruction,
+        ..Episode::default()
     }
     .check()
     .map_err(|error| match error {

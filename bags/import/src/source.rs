@@ -42,7 +42,10 @@ impl Source {
             .collect();
         videos.dedup();
         if videos.is_empty() {
-            return Err(ImportError::UnknownLayout(src.to_owned()));
+            return Err(ImportError::UnknownLayout {
+                path: src.to_owned(),
+                expected: "Bridge episodes: NAME.mp4 with NAME.npz, or *.tfrecord* files",
+            });
         }
         let pairs = videos.into_iter().map(|video| {
             let actions = video.with_extension("npz");
@@ -84,7 +87,7 @@ mod tests {
         let at = |name: &str| dir.path().join(name);
         assert!(matches!(
             Source::find(dir.path()),
-            Err(ImportError::UnknownLayout(_))
+            Err(ImportError::UnknownLayout { .. })
         ));
         assert!(matches!(
             Source::find(&at("absent")),

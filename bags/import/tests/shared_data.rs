@@ -1,5 +1,5 @@
 //! Real Bridge V2 episodes, from the directory that the environment variable WM_SHARED_DATA names (with `bridge_v2/`
-//! and `bridge_rlds/` in it). They are not part of the repository.
+//! and `bridge_rlds/` in it), and DROID's, from the directory that WM_DROID_DIR names. They are not part of the repository.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
@@ -8,12 +8,12 @@ use std::path::PathBuf;
 use image::{ImageFormat, RgbImage};
 use tempfile::TempDir;
 use wm_bag::{BagMessage, BagReader};
-use wm_import::{ImportOptions, import_bridge};
+use wm_import::{ImportOptions, import_bridge, import_droid};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::PoseStamped,
-    sensor_msgs::CompressedImage,
-    std_msgs::{Float32, String as Text},
+    sensor_msgs::{CompressedImage, JointState},
+    std_msgs::{Bool, Float32, String as Text},
     wm_msgs::Action,
 };
 
@@ -136,4 +136,88 @@ fn bridge_rlds_becomes_bags() {
         covariance > 0.0,
         "the pose follows the actions: that is what the state means"
     );
+}
+
+#[test]
+fn droid_becomes_bags() {
+    let Some(src) = std::env::var_os("WM_DROID_DIR") else {
+        eprintln!("skipped: set WM_DROID_DIR to a directory of DROID episodes");
+        return;
+    };
+    let out = TempDir::new().unwrap();
+    let bags = import_droid(src.as_ref(), out.path(), &ImportOptions::default()).unwrap();
+    let mut lengths = Vec::new();
+    let (mut successes, mut instructions) = (0, 0);
+    for bag in &bags {
+        let reader = BagReader::open(bag).unwrap();
+        let count = |topic: &str| reader.topic(topic).map_or(0, |topic| topic.message_count);
+        let frames = count("/wm/action");
+        lengths.push(frames);
+        for camera in ["exterior_1", "exterior_2", "wrist"] {
+            let topic = format!("/{camera}/image_raw/compressed");
+            assert_eq!(count(&topic), frames, "{topic}");
+            let last: CompressedImage = of_topic(&reader, &topic).last().unwrap().decode().unwrap();
+            assert_eq!(decoded(&last).dimensions(), (320, 192));
+            assert_eq!(last.header.frame_id, format!("{camera}_optical_frame"));
+        }
+        for topic in ["/arm/end_effector_pose", "/arm/gripper", "/joint_states"] {
+            assert_eq!(count(topic), frames, "{topic}");
+        }
+        let actions: Vec<Action> = of_topic(&reader, "/wm/action")
+            .iter()
+            .map(|message| message.decode().unwrap())
+            .collect();
+        let poses: Vec<PoseStamped> = of_topic(&reader, "/arm/end_effector_pose")
+            .iter()
+            .map(|message| message.decode().unwrap())
+            .collect();
+        // The actions lead from the first pose to the last.
+        let (first, last) = (
+            &poses[0].pose.position,
+            &poses[poses.len() - 1].pose.position,
+        );
+        let sum = |axis: usize| {
+            actions
+                .iter()
+                .map(|action| f64::from(action.values[axis]))
+                .sum::<f64>()
+        };
+        for (axis, way) in [last.x - first.x, last.y - first.y, last.z - first.z]
+            .into_iter()
+            .enumerate()
+        {
+            assert!(
+                (sum(axis) - way).abs() < 1e-4,
+                "axis {axis}: {} and {way}",
+                sum(axis)
+            );
+        }
+        // A Franka turns less than 1.5 rad in a frame, and its joints stay within their limits (2.9 rad; the sixth 3.75).
+        assert!(
+            actions
+                .iter()
+                .all(|action| action.values[3..6].iter().all(|turn| turn.abs() < 1.5))
+        );
+        for message in of_topic(&reader, "/joint_states") {
+            let state: JointState = message.decode().unwrap();
+            assert_eq!((state.name.len(), state.position.len()), (7, 7));
+            assert!(
+                state.position.iter().all(|angle| angle.abs() < 3.8),
+                "{state:?}"
+            );
+        }
+        let success: Bool = of_topic(&reader, "/task/success")[0].decode().unwrap();
+        successes += usize::from(success.data);
+        instructions += usize::from(reader.topic("/task/instruction").is_some());
+        let period = (reader.end_ns() - reader.start_ns()) / (frames - 1);
+        assert!(period == 200_000_000 || period == 250_000_000, "{period}");
+    }
+    assert_eq!(
+        lengths,
+        [
+            88, 93, 205, 146, 132, 41, 85, 47, 56, 89, 137, 80, 124, 62, 39, 33, 121, 41, 72
+        ],
+        "eight episodes of one folder, seven and four of the splits of the other"
+    );
+    assert_eq!((successes, instructions), (12, 14));
 }

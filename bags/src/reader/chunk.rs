@@ -10,18 +10,18 @@ use mcap::{
 
 /// No record, and no chunk before or after decompression, may be larger than this. rosbag2's largest preset makes
 /// chunks of 4 MiB, and a chunk holds at least one message, so that this is room for a very large message.
-pub(super) const MAX_RECORD_BYTES: u64 = 256 << 20;
+pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// Opcode and length before each record.
-pub(super) const RECORD_HEADER_BYTES: u64 = 9;
+pub(crate) const RECORD_HEADER_BYTES: u64 = 9;
 
 /// A record within a buffer.
-pub(super) struct RawRecord {
+pub(crate) struct RawRecord {
     pub opcode: u8,
     pub body: Bytes,
 }
 
 /// Walks the records of a buffer. Ends with one error if the buffer ends within a record.
-pub(super) struct Records {
+pub(crate) struct Records {
     bytes: Bytes,
 }
 
@@ -57,13 +57,13 @@ impl Iterator for Records {
 }
 
 /// Opcode and length of the body, in bytes, from the front of a record.
-pub(super) fn record_header(bytes: &[u8]) -> Option<(u8, u64)> {
+pub(crate) fn record_header(bytes: &[u8]) -> Option<(u8, u64)> {
     let (&opcode, rest) = bytes.split_first()?;
     Some((opcode, u64::from_le_bytes(*rest.first_chunk::<8>()?)))
 }
 
 /// The records of a chunk, from the chunk record's body: decompressed, and held against length and CRC.
-pub(super) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
+pub(crate) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
     let Record::Chunk { header, data } =
         parse_record(op::CHUNK, chunk_body).map_err(|error| error.to_string())?
     else {

@@ -6,7 +6,9 @@ use std::{
 
 use mcap::Summary;
 
-use crate::{BagError, CDR, Schema, TopicInfo, schema::canonical_type_name};
+use crate::{
+    BagError, CDR, QOS_KEY, Schema, TYPE_HASH_KEY, TopicInfo, schema::canonical_type_name,
+};
 
 /// A part of a file that is read in one go.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +27,10 @@ pub(super) struct FileIndex {
     pub size_bytes: u64,
     /// By channel id; several channels may share a topic.
     pub channels: BTreeMap<u16, TopicInfo>,
+    /// The same channels as the file defines them, for who copies them.
+    pub definitions: BTreeMap<u16, Arc<mcap::Channel<'static>>>,
+    /// The text of each schema, by its id.
+    schemas: HashMap<u16, Arc<Schema>>,
     pub segments: Vec<Segment>,
     /// The first and the last log time, in ns.
     pub span: Option<(u64, u64)>,
@@ -39,6 +45,8 @@ impl FileIndex {
             path: path.to_owned(),
             size_bytes,
             channels: BTreeMap::new(),
+            definitions: BTreeMap::new(),
+            schemas: HashMap::new(),
             segments: Vec::new(),
             span: None,
             compressions: BTreeSet::new(),
@@ -47,28 +55,8 @@ impl FileIndex {
 
     /// Takes channels, chunks and counts over from a file's summary.
     pub fn take_summary(&mut self, summary: &Summary) -> Result<(), BagError> {
-        // One copy of a definition, however many channels have it.
-        let mut schemas: HashMap<u16, Arc<Schema>> = HashMap::new();
         for channel in summary.channels.values() {
-            let schema = channel.schema.as_ref().map(|schema| {
-                let shared = schemas.entry(schema.id).or_insert_with(|| {
-                    Arc::new(Schema {
-                        encoding: schema.encoding.as_str().into(),
-                        text: String::from_utf8_lossy(&schema.data).into_owned(),
-                    })
-                });
-                (schema.name.as_str(), Arc::clone(shared))
-            });
-            self.add_channel(
-                channel.id,
-                &channel.topic,
-                &channel.message_encoding,
-                channel
-                    .metadata
-                    .get("offered_qos_profiles")
-                    .map_or("", String::as_str),
-                schema,
-            )?;
+            self.add_channel(channel)?;
         }
         for chunk in &summary.chunk_indexes {
             self.compressions.insert(chunk.compression.clone());
@@ -95,45 +83,48 @@ impl FileIndex {
     }
 
     /// Adds a channel, held against what this crate reads.
-    pub fn add_channel(
-        &mut self,
-        id: u16,
-        topic: &str,
-        encoding: &str,
-        qos_yaml: &str,
-        schema: Option<(&str, Arc<Schema>)>,
-    ) -> Result<(), BagError> {
-        if self.channels.contains_key(&id) {
+    pub fn add_channel(&mut self, channel: &Arc<mcap::Channel<'static>>) -> Result<(), BagError> {
+        if self.channels.contains_key(&channel.id) {
             return Ok(());
         }
-        if encoding != CDR {
+        if channel.message_encoding != CDR {
             return Err(BagError::MessageEncoding {
                 path: self.path.clone(),
-                topic: topic.to_owned(),
-                encoding: encoding.to_owned(),
+                topic: channel.topic.clone(),
+                encoding: channel.message_encoding.clone(),
             });
         }
-        let Some((schema_name, schema)) = schema else {
+        let Some(schema) = &channel.schema else {
             return Err(BagError::NoType {
                 path: self.path.clone(),
-                topic: topic.to_owned(),
+                topic: channel.topic.clone(),
             });
         };
-        let type_name = canonical_type_name(schema_name).map_err(|_| BagError::SchemaName {
+        let type_name = canonical_type_name(&schema.name).map_err(|_| BagError::SchemaName {
             path: self.path.clone(),
-            topic: topic.to_owned(),
-            name: schema_name.to_owned(),
+            topic: channel.topic.clone(),
+            name: schema.name.clone(),
         })?;
+        // One copy of a definition, however many channels have it.
+        let shared = self.schemas.entry(schema.id).or_insert_with(|| {
+            Arc::new(Schema {
+                encoding: schema.encoding.as_str().into(),
+                text: String::from_utf8_lossy(&schema.data).into_owned(),
+            })
+        });
+        let text = |key| channel.metadata.get(key).map_or("", String::as_str).into();
         self.channels.insert(
-            id,
+            channel.id,
             TopicInfo {
-                name: topic.into(),
+                name: channel.topic.as_str().into(),
                 type_name: type_name.into(),
-                schema,
-                qos_yaml: qos_yaml.into(),
+                schema: Arc::clone(shared),
+                qos_yaml: text(QOS_KEY),
+                type_hash: text(TYPE_HASH_KEY),
                 message_count: 0,
             },
         );
+        self.definitions.insert(channel.id, Arc::clone(channel));
         Ok(())
     }
 

@@ -54,7 +54,7 @@ pub(super) fn index(path: &Path) -> Result<(FileIndex, Vec<BagWarning>), BagErro
 }
 
 /// Tells a bag from other files.
-fn check_magic(file: &mut File, path: &Path, size_bytes: u64) -> Result<(), BagError> {
+pub(crate) fn check_magic(file: &mut File, path: &Path, size_bytes: u64) -> Result<(), BagError> {
     if size_bytes == 0 {
         return Err(BagError::Empty {
             path: path.to_owned(),

@@ -9,7 +9,7 @@ use std::{
 use bytes::Bytes;
 use mcap::{
     parse_record,
-    records::{Record, op},
+    records::{MessageHeader, Record, op},
 };
 use wm_msgs::{Message, cdr};
 
@@ -73,6 +73,7 @@ const WAITING_BYTES: usize = 1 << 30;
 struct Waiting {
     place: Place,
     channel_id: u16,
+    sequence: u32,
     publish_time_ns: u64,
     data: Bytes,
 }
@@ -112,6 +113,7 @@ pub struct Messages {
     open: Option<(usize, File)>,
     topics: Option<HashSet<String>>,
     starting_at_ns: u64,
+    ending_before_ns: Option<u64>,
 }
 
 impl Messages {
@@ -130,6 +132,7 @@ impl Messages {
             open: None,
             topics: None,
             starting_at_ns: 0,
+            ending_before_ns: None,
         }
     }
 
@@ -192,6 +195,9 @@ impl Messages {
             };
             let wanted = header.log_time >= self.starting_at_ns
                 && self
+                    .ending_before_ns
+                    .is_none_or(|end_ns| header.log_time < end_ns)
+                && self
                     .topics
                     .as_ref()
                     .is_none_or(|topics| topics.contains(&*topic.name));
@@ -214,6 +220,7 @@ impl Messages {
                         number,
                     },
                     channel_id: header.channel_id,
+                    sequence: header.sequence,
                     publish_time_ns: header.publish_time,
                     data: Bytes::copy_from_slice(&data),
                 }));
@@ -241,10 +248,17 @@ impl Messages {
     }
 }
 
-impl Iterator for Messages {
-    type Item = Result<BagMessage, BagError>;
+impl Messages {
+    /// Only the messages before this log time, in ns since the epoch. Chunks after it are not read. To be called
+    /// before the first message is taken.
+    pub(crate) fn ending_before(mut self, log_time_ns: u64) -> Self {
+        self.ending_before_ns = Some(log_time_ns);
+        self.ahead
+            .retain(|(_, segment)| segment.start_ns < log_time_ns);
+        self
+    }
 
-    fn next(&mut self) -> Option<Self::Item> {
+    fn next_waiting(&mut self) -> Option<Result<Waiting, BagError>> {
         // Every chunk that begins at or before the next message may hold one that comes earlier.
         while let Some((file, segment)) = self.ahead.last().copied() {
             let due = self
@@ -261,6 +275,18 @@ impl Iterator for Messages {
         }
         let Reverse(next) = self.waiting.pop()?;
         self.waiting_bytes -= size_of::<Waiting>() + next.data.len();
+        Some(Ok(next))
+    }
+}
+
+impl Iterator for Messages {
+    type Item = Result<BagMessage, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let next = match self.next_waiting()? {
+            Ok(next) => next,
+            Err(error) => return Some(Err(error)),
+        };
         let topic = self
             .index
             .get(next.place.file)?
@@ -271,6 +297,38 @@ impl Iterator for Messages {
             type_name: Arc::clone(&topic.type_name),
             log_time_ns: next.place.log_time_ns,
             publish_time_ns: next.publish_time_ns,
+            data: next.data,
+        }))
+    }
+}
+
+/// A message with what the file says of it, for who copies it.
+#[derive(Debug)]
+pub(crate) struct StoredMessage {
+    /// Number of its file in the bag.
+    pub file: usize,
+    /// Channel, sequence number and times.
+    pub header: MessageHeader,
+    pub data: Bytes,
+}
+
+/// [`Messages`] as the files hold them.
+#[derive(Debug)]
+pub(crate) struct StoredMessages(pub Messages);
+
+impl Iterator for StoredMessages {
+    type Item = Result<StoredMessage, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let next = self.0.next_waiting()?;
+        Some(next.map(|next| StoredMessage {
+            file: next.place.file,
+            header: MessageHeader {
+                channel_id: next.channel_id,
+                sequence: next.sequence,
+                log_time: next.place.log_time_ns,
+                publish_time: next.publish_time_ns,
+            },
             data: next.data,
         }))
     }

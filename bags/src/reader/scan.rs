@@ -1,11 +1,9 @@
 //! Finding the messages of a file by walking its records.
 
 use std::{
-    collections::HashMap,
     fs::File,
     io::{BufReader, Read as _, Seek as _, SeekFrom},
     path::Path,
-    sync::Arc,
 };
 
 use bytes::Bytes;
@@ -16,9 +14,10 @@ use mcap::{
 
 use super::{
     chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompressed, record_header},
+    definitions::Definitions,
     file_index::{FileIndex, Segment},
 };
-use crate::{BagError, BagWarning, Schema};
+use crate::{BagError, BagWarning};
 
 /// Messages outside chunks are read in stretches of about this size.
 const STRETCH_BYTES: u64 = 1 << 20;
@@ -39,8 +38,7 @@ pub(super) struct Scan<'a> {
     pub file: BufReader<File>,
     path: &'a Path,
     size_bytes: u64,
-    /// Name and definition by id.
-    schemas: HashMap<u16, (String, Arc<Schema>)>,
+    definitions: Definitions,
     /// The stretch of messages outside chunks that is being gathered.
     stretch: Option<Segment>,
     warnings: Vec<BagWarning>,
@@ -53,7 +51,7 @@ impl<'a> Scan<'a> {
             file: BufReader::new(file),
             path,
             size_bytes,
-            schemas: HashMap::new(),
+            definitions: Definitions::default(),
             stretch: None,
             warnings: Vec::new(),
             damaged_places: 0,
@@ -252,26 +250,12 @@ impl<'a> Scan<'a> {
             return Ok(None);
         }
         match parse_record(opcode, body) {
-            Ok(Record::Schema { header, data }) => {
-                let schema = Schema {
-                    encoding: header.encoding.as_str().into(),
-                    text: String::from_utf8_lossy(&data).into_owned(),
-                };
-                self.schemas
-                    .insert(header.id, (header.name, Arc::new(schema)));
-            }
             Ok(Record::Channel(channel)) => {
-                let schema = self.schemas.get(&channel.schema_id);
-                index.add_channel(
-                    channel.id,
-                    &channel.topic,
-                    &channel.message_encoding,
-                    channel
-                        .metadata
-                        .get("offered_qos_profiles")
-                        .map_or("", String::as_str),
-                    schema.map(|(name, schema)| (name.as_str(), Arc::clone(schema))),
-                )?;
+                let id = channel.id;
+                self.definitions.add(Record::Channel(channel));
+                if let Some(channel) = self.definitions.channel(id) {
+                    index.add_channel(&channel)?;
+                }
             }
             Ok(Record::Message { header, .. }) => {
                 if fully {
@@ -279,7 +263,7 @@ impl<'a> Scan<'a> {
                 }
                 return Ok(Some(header.log_time));
             }
-            Ok(_) => {}
+            Ok(schema) => self.definitions.add(schema),
             Err(error) => self.warn(at, error.to_string()),
         }
         Ok(None)

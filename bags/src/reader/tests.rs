@@ -173,6 +173,19 @@ fn typed_messages_and_qos_survive() {
     assert_eq!(qos("/task/success"), QosProfile::latched());
     assert_eq!(qos("/silent"), QosProfile::sensor_data());
     assert_eq!(qos("/text"), QosProfile::reliable());
+    // As ROS 2 Kilted installs it in share/std_msgs/msg/String.json.
+    let text_hash = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+    let hash = |reader: &BagReader, topic| reader.topic(topic).unwrap().type_hash.to_string();
+    assert_eq!(hash(&reader, "/text"), text_hash);
+    assert_eq!(hash(&reader, "/silent"), text_hash, "from metadata.yaml");
+    let file = BagReader::open(only_mcap(&dir)).unwrap();
+    assert_eq!(hash(&file, "/text"), text_hash, "from the file alone");
+    let yaml = fs::read_to_string(dir.join("metadata.yaml")).unwrap();
+    assert_eq!(
+        yaml.matches(&format!("type_description_hash: {text_hash}\n"))
+            .count(),
+        2
+    );
     assert_eq!(reader.topic("/silent").unwrap().message_count, 0);
     assert_eq!(
         *reader.topic("/text").unwrap().schema,

@@ -37,7 +37,7 @@ fn nal_units(stream: &[u8]) -> Vec<Vec<u8>> {
         .collect()
 }
 
-fn video(frames: u32) -> Vec<u8> {
+pub(crate) fn video(frames: u32) -> Vec<u8> {
     let mut encoder = Encoder::new().unwrap();
     let mut writer = None;
     for number in 0..frames {
@@ -151,7 +151,7 @@ fn a_video_with_actions_becomes_an_episode() {
             assert!((value - expected).abs() < 1e-6, "{:?}", episode.actions[0]);
         }
         assert_eq!(episode.actions[1][VALUES - 1], 0.0, "+1 is closed");
-        for (number, jpeg) in episode.cameras[0].iter().enumerate() {
+        for (number, jpeg) in episode.cameras[0].frames.iter().enumerate() {
             let decoded = image::load_from_memory_with_format(jpeg, ImageFormat::Jpeg)
                 .unwrap()
                 .into_rgb8();
@@ -178,7 +178,7 @@ fn wrong_files_are_named() {
     for (text, part) in [
         (
             error(&good_video, &npz("arr_0", 10, &rows(2))),
-            "camera 0 has 3 frames for 2 actions",
+            "camera \"camera\" has 3 frames for 2 actions",
         ),
         (
             error(&good_video, &npz("other", 10, &rows(3))),
@@ -238,7 +238,7 @@ proptest! {
         // cases; what is held here is that none of them ends the process.
         let result = read(dir.path(), &video, &npz);
         if let Ok(episode) = result {
-            prop_assert_eq!(episode.cameras[0].len(), episode.actions.len());
+            prop_assert_eq!(episode.cameras[0].frames.len(), episode.actions.len());
         }
     }
 }

@@ -101,12 +101,12 @@ fn an_example_becomes_an_episode() {
     assert_eq!(episode.instruction.as_deref(), Some("open the drawer"));
     assert_eq!(episode.cameras.len(), 2, "the flat camera is left out");
     assert_eq!(
-        episode.cameras[0][0],
+        episode.cameras[0].frames[0],
         image_of(ImageFormat::Jpeg, true),
         "JPEG bytes are kept"
     );
     assert_eq!(
-        image::guess_format(&episode.cameras[1][0]).unwrap(),
+        image::guess_format(&episode.cameras[1].frames[0]).unwrap(),
         ImageFormat::Jpeg,
         "PNG becomes JPEG"
     );
@@ -168,7 +168,7 @@ fn wrong_features_are_named() {
                 feature(Kind::Bytes(BytesList { value })),
             );
         })
-        .contains("camera 0 has 1 frames for 2 actions")
+        .contains("camera \"camera\" has 1 frames for 2 actions")
     );
 }
 

@@ -1,0 +1,204 @@
+use std::{f64::consts::PI, fs, path::Path};
+
+use serde_json::{Value, json};
+
+use super::*;
+use crate::mp4_npz::tests::video;
+
+const FRAMES: usize = 4;
+
+fn state(frame: usize) -> [f64; VALUES] {
+    let step = frame as f64;
+    // The roll passes pi after the first frame.
+    let roll = if frame == 0 { 3.1 } else { step * 0.1 - PI };
+    [
+        0.4 + 0.01 * step,
+        0.1,
+        0.3,
+        roll,
+        -0.2,
+        0.05 * step,
+        0.25 * step,
+    ]
+}
+
+fn annotation() -> Value {
+    let states: Vec<_> = (0..FRAMES).map(state).collect();
+    let joints: Vec<Vec<f64>> = (0..FRAMES).map(|frame| vec![frame as f64; 8]).collect();
+    let videos = (0..3).map(|n| json!({"video_path": format!("videos/val/7/{n}.mp4")}));
+    json!({
+        "texts": ["fold the towel"], "episode_id": 7, "success": 1, "video_length": FRAMES,
+        "videos": videos.collect::<Vec<_>>(), "states": states, "joints": joints,
+    })
+}
+
+fn write(root: &Path, annotation: &Value, frames: [u32; 3]) {
+    fs::create_dir_all(root.join("annotation/val")).unwrap();
+    fs::create_dir_all(root.join("videos/val/7")).unwrap();
+    fs::write(root.join("annotation/val/7.json"), annotation.to_string()).unwrap();
+    for (number, frames) in frames.into_iter().enumerate() {
+        fs::write(
+            root.join(format!("videos/val/7/{number}.mp4")),
+            video(frames),
+        )
+        .unwrap();
+    }
+}
+
+fn read(annotation: &Value, frames: [u32; 3]) -> Result<Episode, String> {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), annotation, frames);
+    let mut found = episodes(dir.path(), 95).unwrap();
+    found.next().unwrap().map_err(|error| error.to_string())
+}
+
+#[test]
+fn an_annotation_with_three_videos_becomes_an_episode() {
+    // A video may run on after the last state.
+    let episode = read(&annotation(), [4, 5, 4]).unwrap();
+    assert_eq!(episode.period_ns, 200_000_000);
+    let names: Vec<&str> = episode
+        .cameras
+        .iter()
+        .map(|camera| camera.name.as_str())
+        .collect();
+    assert_eq!(names, ["exterior_1", "exterior_2", "wrist"]);
+    assert!(
+        episode
+            .cameras
+            .iter()
+            .all(|camera| camera.frames.len() == FRAMES)
+    );
+    let [dx, dy, dz, droll, dpitch, dyaw, gripper] = episode.actions[0];
+    assert!(
+        (dx - 0.01).abs() < 1e-6 && dy == 0.0 && dz == 0.0,
+        "{dx} {dy} {dz}"
+    );
+    // From 3.1 over pi to 0.1 past it: not back by a whole turn.
+    let expected = (PI - 3.1) + 0.1;
+    assert!((f64::from(droll) - expected).abs() < 1e-6, "{droll}");
+    assert!(dpitch == 0.0 && (dyaw - 0.05).abs() < 1e-6);
+    assert_eq!(gripper, 0.75, "a quarter closed is three quarters open");
+    assert_eq!(
+        episode.actions[3],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25],
+        "the last stands still"
+    );
+    assert_eq!(episode.states[0][6], 1.0);
+    let joints = episode.joints.unwrap();
+    assert_eq!(
+        (joints.names.len(), joints.names[6].as_str()),
+        (7, "panda_joint7")
+    );
+    assert_eq!(joints.positions[2], [2.0; 7]);
+    assert_eq!(
+        (episode.instruction.as_deref(), episode.success),
+        (Some("fold the towel"), Some(true))
+    );
+}
+
+#[test]
+fn joints_of_the_recording_are_taken_at_the_frames() {
+    for rows in [10, 11, 12] {
+        let mut annotation = annotation();
+        annotation.as_object_mut().unwrap().remove("joints");
+        let recorded: Vec<_> = (0..rows).map(|row| [f64::from(row); 7]).collect();
+        annotation["observation.state.joint_position"] = json!(recorded);
+        let joints = read(&annotation, [4; 3]).unwrap().joints.unwrap();
+        let first: Vec<f64> = joints.positions.iter().map(|row| row[0]).collect();
+        assert_eq!(first, [0.0, 3.0, 6.0, 9.0], "of {rows} rows");
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_named() {
+    let changed = |change: &dyn Fn(&mut Value)| {
+        let mut annotation = annotation();
+        change(&mut annotation);
+        read(&annotation, [4; 3]).unwrap_err()
+    };
+    for (error, part) in [
+        (
+            changed(&|a| a["video_length"] = json!(9)),
+            "7.json: states: expected 9 rows",
+        ),
+        (
+            changed(&|a| a["states"][2] = json!([1.0])),
+            "7.json: states, row 2: expected 7 values, got 1",
+        ),
+        (
+            changed(&|a| a["joints"][1] = json!([1.0])),
+            "7.json: joints, row 1: expected 7 joints",
+        ),
+        (
+            changed(&|a| a["joints"] = json!([])),
+            "7.json: joints: expected rows of 4 frames, got 0",
+        ),
+        (
+            changed(&|a| a["success"] = json!(2)),
+            "7.json: success: expected 0 or 1",
+        ),
+        (
+            changed(&|a| a["videos"] = json!([])),
+            "7.json: videos: expected 3, got 0",
+        ),
+        (
+            changed(&|a| a["videos"][0]["video_path"] = json!("../secret.mp4")),
+            "7.json: videos: expected a path below",
+        ),
+        (
+            changed(&|a| drop(a.as_object_mut().unwrap().remove("states"))),
+            "missing field `states`",
+        ),
+        (
+            changed(&|a| a["videos"][0]["video_path"] = json!("videos/val/7/9.mp4")),
+            "9.mp4",
+        ),
+        (
+            read(&annotation(), [4, 3, 4]).unwrap_err(),
+            "1.mp4: expected 4 frames, one a state, got 3",
+        ),
+    ] {
+        assert!(error.contains(part), "{part:?} in {error:?}");
+    }
+}
+
+#[test]
+fn folders_of_folders_are_found_in_order() {
+    let dir = tempfile::tempdir().unwrap();
+    for root in ["b", "a"] {
+        let splits = dir.path().join(root).join("annotation/val");
+        fs::create_dir_all(&splits).unwrap();
+        for name in ["10.json", "9.json", "notes.txt"] {
+            fs::write(splits.join(name), "").unwrap();
+        }
+    }
+    let found = source::find(dir.path()).unwrap();
+    let names: Vec<_> = found
+        .iter()
+        .map(|located| {
+            located
+                .annotation
+                .strip_prefix(dir.path())
+                .unwrap()
+                .to_str()
+                .unwrap()
+        })
+        .collect();
+    assert_eq!(
+        names,
+        [
+            "a/annotation/val/9.json",
+            "a/annotation/val/10.json",
+            "b/annotation/val/9.json",
+            "b/annotation/val/10.json"
+        ]
+    );
+    let error = source::find(&dir.path().join("a/annotation"))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("holds no episodes: expected DROID's"),
+        "{error}"
+    );
+}

@@ -1,0 +1,234 @@
+//! The frames of an mp4 video, with the times at which they are shown.
+//!
+//! h264 is decoded, and AV1 where the crate is built with the feature `av1`. Colours are taken as BT.601 in the limited
+//! range, as decoders do for a video that does not say. Not here: sound, fragmented files, more than 8 bits a channel.
+
+#[cfg(feature = "av1")]
+mod av1;
+mod h264;
+mod mp4;
+
+use std::{
+    fs,
+    ops::Range,
+    path::{Path, PathBuf},
+};
+
+use image::RgbImage;
+
+use crate::{ImportError, jpeg};
+use mp4::{Codec, Sample};
+
+/// No side of a frame may be longer.
+const MAX_SIDE: usize = 8192;
+/// A file is read whole; LeRobot begins a new one at 200 MB (500 MB in its first versions of v3.0).
+const MAX_BYTES: u64 = 2 << 30;
+
+/// A video that has been opened: its frames are indexed, and not yet decoded.
+#[derive(Debug)]
+pub struct Video {
+    file: PathBuf,
+    bytes: Vec<u8>,
+    codec: Codec,
+    /// Ticks a second.
+    timescale: u64,
+    /// Coded frames, in decoding order.
+    samples: Vec<Sample>,
+    /// Numbers of the samples that are shown, in the order of their times.
+    shown: Vec<usize>,
+}
+
+/// A decoder takes samples in decoding order and gives frames in the order in which they are shown.
+trait Decoder {
+    /// Takes a sample; gives the frames that are ready then.
+    fn feed(&mut self, sample: &[u8]) -> Result<Vec<RgbImage>, String>;
+    /// Gives the frames that are left.
+    fn finish(&mut self) -> Result<Vec<RgbImage>, String>;
+}
+
+impl Video {
+    /// Opens an mp4 file and finds its frames.
+    ///
+    /// # Errors
+    /// The file cannot be read, is no mp4 video or cut short, or its codec is not decoded here (named, with the command
+    /// that converts it).
+    pub fn open(file: &Path) -> Result<Self, ImportError> {
+        let found = fs::metadata(file).map_err(|source| ImportError::io(file, source))?;
+        if found.len() > MAX_BYTES {
+            return Err(ImportError::corrupt(
+                file,
+                format!(
+                    "expected a video of at most {MAX_BYTES} bytes, got {}",
+                    found.len()
+                ),
+            ));
+        }
+        let bytes = fs::read(file).map_err(|source| ImportError::io(file, source))?;
+        let track = mp4::read(&bytes, file).map_err(|reason| ImportError::corrupt(file, reason))?;
+        let mut shown: Vec<usize> = (0..track.samples.len()).collect();
+        // What comes before the edit list's start is decoded and not shown.
+        shown.retain(|number| time(&track.samples, *number) >= 0);
+        shown.sort_by_key(|number| time(&track.samples, *number));
+        Ok(Self {
+            file: file.to_owned(),
+            bytes,
+            codec: track.codec,
+            timescale: track.timescale,
+            samples: track.samples,
+            shown,
+        })
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// Frames that are shown.
+    #[must_use]
+    pub fn frame_count(&self) -> usize {
+        self.shown.len()
+    }
+
+    /// When a frame is shown, in s since the video's start; none past the last.
+    #[must_use]
+    pub fn time_s(&self, frame: usize) -> Option<f64> {
+        let number = self.shown.get(frame)?;
+        // Exact: ticks of any video fit 53 bits.
+        Some(time(&self.samples, *number) as f64 / self.timescale as f64)
+    }
+
+    /// The frame whose time is nearest, and that time in s; none in a video without frames.
+    #[must_use]
+    pub fn nearest(&self, time_s: f64) -> Option<(usize, f64)> {
+        let after = self.shown.partition_point(|number| {
+            (time(&self.samples, *number) as f64) < time_s * self.timescale as f64
+        });
+        [after.checked_sub(1), Some(after)]
+            .into_iter()
+            .flatten()
+            .filter_map(|frame| Some((frame, self.time_s(frame)?)))
+            .min_by(|(_, a), (_, b)| (a - time_s).abs().total_cmp(&(b - time_s).abs()))
+    }
+
+    /// Decodes a range of frames and hands each over, in order.
+    ///
+    /// # Errors
+    /// The range is past the end; a frame cannot be decoded; frames are missing in the stream; or `each` fails.
+    pub fn decode(
+        &self,
+        frames: Range<usize>,
+        mut each: impl FnMut(RgbImage) -> Result<(), String>,
+    ) -> Result<(), ImportError> {
+        self.try_decode(frames, &mut each)
+            .map_err(|reason| ImportError::corrupt(&self.file, reason))
+    }
+
+    fn try_decode(
+        &self,
+        frames: Range<usize>,
+        each: &mut dyn FnMut(RgbImage) -> Result<(), String>,
+    ) -> Result<(), String> {
+        let wanted = self.shown.get(frames.clone()).ok_or_else(|| {
+            format!(
+                "expected frames {} to {}, it has {}",
+                frames.start,
+                frames.end,
+                self.shown.len()
+            )
+        })?;
+        let (Some(first), Some(last)) = (wanted.iter().min(), wanted.iter().max()) else {
+            return Ok(());
+        };
+        // The decoder begins at a frame that needs no other, at or before the first that is wanted.
+        let begin = (0..=*first)
+            .rev()
+            .find(|number| {
+                self.samples.get(*number).is_some_and(|sample| {
+                    sample.is_sync
+                        && wanted
+                            .iter()
+                            .all(|w| time(&self.samples, *w) >= sample.time)
+                })
+            })
+            .unwrap_or(0);
+        let fed = begin..last + 1;
+        // In the order in which the decoder gives them.
+        let mut times: Vec<i64> = fed.clone().map(|n| time(&self.samples, n)).collect();
+        times.sort_unstable();
+        let wanted_times: Vec<i64> = wanted.iter().map(|n| time(&self.samples, *n)).collect();
+        let mut decoder = self.decoder()?;
+        let (mut given, mut handed) = (0, 0);
+        let mut take = |ready: Vec<RgbImage>| {
+            for frame in ready {
+                let shown_at = times.get(given);
+                given += 1;
+                if shown_at.is_some() && shown_at == wanted_times.get(handed) {
+                    handed += 1;
+                    each(frame)?;
+                }
+            }
+            Ok::<(), String>(())
+        };
+        for number in fed.clone() {
+            let sample = self.samples.get(number).ok_or("no such sample")?;
+            let bytes = self.bytes.get(sample.bytes.clone());
+            let bytes =
+                bytes.ok_or_else(|| format!("frame {number}: its bytes are not in the file"))?;
+            let ready = decoder.feed(bytes);
+            take(ready.map_err(|reason| format!("frame {number}: {reason}"))?)?;
+        }
+        take(decoder.finish()?)?;
+        if given != fed.len() || handed != wanted.len() {
+            return Err(format!("expected {} frames, decoded {given}", fed.len()));
+        }
+        Ok(())
+    }
+
+    /// All frames as JPEG of this quality, 1 to 100.
+    ///
+    /// # Errors
+    /// See [`decode`](Self::decode).
+    pub fn jpegs(&self, frames: Range<usize>, quality: u8) -> Result<Vec<Vec<u8>>, ImportError> {
+        let mut jpegs = Vec::with_capacity(frames.len());
+        self.decode(frames, |frame| {
+            jpegs.push(jpeg(&frame, quality).map_err(|error| error.to_string())?);
+            Ok(())
+        })?;
+        Ok(jpegs)
+    }
+
+    fn decoder(&self) -> Result<Box<dyn Decoder>, String> {
+        match &self.codec {
+            Codec::H264 {
+                length_bytes,
+                parameters,
+            } => Ok(Box::new(h264::H264Decoder::new(*length_bytes, parameters)?)),
+            #[cfg(feature = "av1")]
+            Codec::Av1 => Ok(Box::new(av1::Av1Decoder::new()?)),
+        }
+    }
+}
+
+/// When a sample is shown, in ticks; those that are not there come last.
+fn time(samples: &[Sample], number: usize) -> i64 {
+    samples.get(number).map_or(i64::MAX, |sample| sample.time)
+}
+
+/// Refuses frames of no size, or of one that no camera has.
+fn check_size(width: usize, height: usize) -> Result<(), String> {
+    if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
+        return Err(format!(
+            "expected frames of 1 to {MAX_SIDE} pixels a side, got {width} x {height}"
+        ));
+    }
+    Ok(())
+}
+
+/// A frame from its bytes.
+fn rgb_image(width: usize, height: usize, rgb: Vec<u8>) -> Result<RgbImage, String> {
+    // At most MAX_SIDE.
+    RgbImage::from_raw(width as u32, height as u32, rgb)
+        .ok_or_else(|| format!("a frame of {width} x {height} does not fit its bytes"))
+}

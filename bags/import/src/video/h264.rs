@@ -1,0 +1,98 @@
+use image::RgbImage;
+use openh264::{
+    OpenH264API,
+    decoder::{DecodeOptions, DecodedYUV, Decoder as OpenH264Decoder, DecoderConfig, Flush},
+    formats::YUVSource as _,
+};
+
+use super::{Decoder, check_size, rgb_image};
+
+/// NAL units of an elementary stream begin with this (H.264 annex B).
+const START_CODE: [u8; 4] = [0, 0, 0, 1];
+
+/// Decodes h264 as mp4 stores it.
+pub(super) struct H264Decoder {
+    decoder: OpenH264Decoder,
+    /// Bytes of the length before each NAL unit of a sample.
+    length_bytes: usize,
+    /// What goes to the decoder next; begins with the parameters.
+    packet: Vec<u8>,
+}
+
+impl H264Decoder {
+    pub fn new(length_bytes: usize, parameters: &[Vec<u8>]) -> Result<Self, String> {
+        // Frames must come out in the order in which they are shown, so that the decoder is never made to give one
+        // early.
+        let config = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
+        let decoder = OpenH264Decoder::with_api_config(OpenH264API::from_source(), config)
+            .map_err(|error| format!("no h264 decoder: {error}"))?;
+        let mut packet = Vec::new();
+        for unit in parameters {
+            packet.extend(START_CODE);
+            packet.extend(unit);
+        }
+        Ok(Self {
+            decoder,
+            length_bytes,
+            packet,
+        })
+    }
+}
+
+impl Decoder for H264Decoder {
+    fn feed(&mut self, sample: &[u8]) -> Result<Vec<RgbImage>, String> {
+        append_annex_b(&mut self.packet, sample, self.length_bytes)?;
+        let options = DecodeOptions::new().flush_after_decode(Flush::NoFlush);
+        let picture = self
+            .decoder
+            .decode_with_options(&self.packet, options)
+            .map_err(|error| error.to_string())?;
+        let frames = picture.iter().map(rgb).collect();
+        self.packet.clear();
+        frames
+    }
+
+    fn finish(&mut self) -> Result<Vec<RgbImage>, String> {
+        let pictures = self.decoder.flush_remaining();
+        pictures
+            .map_err(|error| error.to_string())?
+            .iter()
+            .map(rgb)
+            .collect()
+    }
+}
+
+/// Turns the length before each NAL unit, as mp4 has it, into a start code, as the decoder wants it.
+fn append_annex_b(
+    packet: &mut Vec<u8>,
+    mut sample: &[u8],
+    length_bytes: usize,
+) -> Result<(), String> {
+    while !sample.is_empty() {
+        let (length, rest) = sample
+            .split_at_checked(length_bytes)
+            .ok_or_else(|| "it ends within the length of a NAL unit".to_owned())?;
+        // At most four bytes, which fit.
+        let length = length
+            .iter()
+            .fold(0, |length: usize, byte| length << 8 | usize::from(*byte));
+        let (unit, after) = rest.split_at_checked(length).ok_or_else(|| {
+            format!(
+                "a NAL unit claims {length} bytes where {} are left",
+                rest.len()
+            )
+        })?;
+        packet.extend(START_CODE);
+        packet.extend(unit);
+        sample = after;
+    }
+    Ok(())
+}
+
+fn rgb(picture: &DecodedYUV) -> Result<RgbImage, String> {
+    let (width, height) = picture.dimensions();
+    check_size(width, height)?;
+    let mut rgb = vec![0; width * height * 3];
+    picture.write_rgb8(&mut rgb);
+    rgb_image(width, height, rgb)
+}

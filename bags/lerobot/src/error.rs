@@ -1,0 +1,69 @@
+use std::path::{Path, PathBuf};
+
+use wm_bag::BagError;
+use wm_import::ImportError;
+
+/// Why a data set cannot be read or written. Each text names the file and the field, or the bag and the topic.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LeRobotError {
+    /// A file is not what it should be.
+    #[error("{file}: {reason}")]
+    Corrupt {
+        /// The file.
+        file: PathBuf,
+        /// What was expected and what came, with the field's name.
+        reason: String,
+    },
+    /// A bag does not hold what a data set needs.
+    #[error("{bag}: {reason}")]
+    Unsuited {
+        /// The bag.
+        bag: PathBuf,
+        /// What was expected and what came, with the topic's name.
+        reason: String,
+    },
+    /// The folder to write to holds something already.
+    #[error("{0} is there already and is not an empty folder; a data set is never overwritten")]
+    Exists(PathBuf),
+    /// Nothing was asked for.
+    #[error("{0}")]
+    Nothing(String),
+    /// The operating system refused.
+    #[error("{file}: {source}")]
+    Io {
+        /// The file or folder.
+        file: PathBuf,
+        /// What it said.
+        source: std::io::Error,
+    },
+    /// A video cannot be read.
+    #[error(transparent)]
+    Video(#[from] ImportError),
+    /// A bag cannot be read or written.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+}
+
+impl LeRobotError {
+    pub(crate) fn corrupt(file: &Path, reason: impl Into<String>) -> Self {
+        Self::Corrupt {
+            file: file.to_owned(),
+            reason: reason.into(),
+        }
+    }
+
+    pub(crate) fn unsuited(bag: &Path, reason: impl Into<String>) -> Self {
+        Self::Unsuited {
+            bag: bag.to_owned(),
+            reason: reason.into(),
+        }
+    }
+
+    pub(crate) fn io(file: &Path, source: std::io::Error) -> Self {
+        Self::Io {
+            file: file.to_owned(),
+            source,
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! A dataset's episodes as bags.
+
+mod bag;
+mod episode;
+
+use std::{
+    ops::RangeInclusive,
+    path::{Path, PathBuf},
+};
+
+use crate::{LeRobotError, dataset::Dataset};
+
+/// How episodes are imported.
+#[derive(Clone, Debug)]
+pub struct ImportOptions {
+    /// The numbers of the episodes to import; none imports all.
+    pub episodes: Option<RangeInclusive<i64>>,
+    /// JPEG quality of the frames of videos, 1 to 100. Pictures that are kept as files are taken over as they are.
+    pub jpeg_quality: u8,
+    /// Stamp of the first frame of each episode, in ns since the epoch; LeRobot keeps no time of day. Episodes that were
+    /// exported here keep their own.
+    pub start_ns: u64,
+}
+
+impl Default for ImportOptions {
+    fn default() -> Self {
+        let bridge = wm_import::ImportOptions::default();
+        Self {
+            episodes: None,
+            jpeg_quality: bridge.jpeg_quality,
+            start_ns: bridge.start_ns,
+        }
+    }
+}
+
+/// Imports a LeRobot dataset of version v2.1 or v3.0: each episode becomes a bag `OUT/episode_NNNNNN` with its number.
+/// Gives the bags, in order.
+///
+/// Stamps are `start + frame_index / fps`, to the nanosecond; the `timestamp` of each row is held against that.
+///
+/// # Errors
+/// A file is missing, damaged, or does not hold what `meta` says (the error names it and the field); a number is not
+/// finite; there is no episode of the numbers; or a bag is there already.
+pub fn import(
+    src: &Path,
+    out: &Path,
+    options: &ImportOptions,
+) -> Result<Vec<PathBuf>, LeRobotError> {
+    let dataset = Dataset::open(src)?;
+    let other = dataset.info.features.iter().filter(|(name, feature)| {
+        !(feature.is_video() || feature.is_image() || episode::is_read(name))
+    });
+    let other: Vec<&str> = other.map(|(name, _)| name.as_str()).collect();
+    if !other.is_empty() {
+        tracing::warn!(features = other.join(", "), "left out: they have no topic");
+    }
+    let mut bags = Vec::new();
+    for entry in &dataset.episodes {
+        let is_wanted = options.episodes.as_ref();
+        if is_wanted.is_some_and(|wanted| !wanted.contains(&entry.index)) {
+            continue;
+        }
+        let episode = episode::read(&dataset, entry, options.jpeg_quality)?;
+        let path = out.join(format!("episode_{:06}", entry.index));
+        let start_ns = entry.start_ns.unwrap_or(options.start_ns);
+        bag::write(&episode, &path, start_ns)?;
+        tracing::info!(episode = entry.index, bag = %path.display(), frames = entry.length, "imported");
+        bags.push(path);
+    }
+    if bags.is_empty() {
+        return Err(LeRobotError::Nothing(format!(
+            "{} has {} episodes, none of which was asked for",
+            src.display(),
+            dataset.episodes.len()
+        )));
+    }
+    Ok(bags)
+}

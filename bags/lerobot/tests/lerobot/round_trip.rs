@@ -1,0 +1,253 @@
+use std::path::{Path, PathBuf};
+
+use image::ImageFormat;
+use proptest::prelude::*;
+use tempfile::TempDir;
+use wm_bag::{BagReader, BagWriter, WriterOptions};
+use wm_lerobot::{ExportOptions, ImportOptions, export, import};
+use wm_msgs::{
+    builtin_interfaces::Time,
+    sensor_msgs::{CompressedImage, Image},
+    std_msgs::{Bool, Header},
+    wm_msgs::Action,
+};
+
+use crate::made::{CAMERAS, Episode, START_NS, messages, picture, psnr};
+
+/// Writes episodes as bags, exports and imports them again.
+fn there_and_back(scratch: &Path, episodes: &[Episode], options: &ExportOptions) -> Vec<PathBuf> {
+    let bags: Vec<PathBuf> = (0..episodes.len())
+        .map(|n| scratch.join(format!("bag_{n}")))
+        .collect();
+    for (episode, bag) in episodes.iter().zip(&bags) {
+        episode.write(bag);
+    }
+    let dataset = scratch.join("dataset");
+    let exported = export(&bags, &dataset, options).unwrap();
+    assert_eq!(exported.episodes, episodes.len() as u64);
+    assert_eq!(exported.resampled, [""; 0]);
+    import(&dataset, &scratch.join("back"), &ImportOptions::default()).unwrap()
+}
+
+/// The pictures of a bag against those that were made.
+fn check_pictures(bag: &Path, frames: usize) {
+    for (number, camera) in CAMERAS.iter().enumerate() {
+        let images: Vec<CompressedImage> =
+            messages(bag, &format!("/{camera}/image_raw/compressed"));
+        assert_eq!(images.len(), frames);
+        for (frame, image) in images.iter().enumerate() {
+            let decoded =
+                image::load_from_memory_with_format(&image.data, ImageFormat::Jpeg).unwrap();
+            let psnr = psnr(&decoded.into_rgb8(), &picture(number, frame));
+            // h264 and JPEG lose little; chroma at half size blurs the square's edges. The neighbours' pictures are
+            // below 20 dB.
+            assert!(psnr > 26.0, "{camera}, frame {frame}: {psnr} dB");
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn episodes_survive_the_way_there_and_back(
+        actions in prop::collection::vec(prop::collection::vec(
+            prop::collection::vec(prop::num::f32::NORMAL | prop::num::f32::SUBNORMAL | prop::num::f32::ZERO, 7), 2..9), 1..4),
+        one_file_each in any::<bool>(),
+    ) {
+        let scratch = TempDir::new().unwrap();
+        let episodes: Vec<Episode> = actions
+            .into_iter()
+            .enumerate()
+            .map(|(number, actions)| Episode::of(actions, ["lift the lid", "grüße ☕"][number % 2], number % 2 == 0))
+            .collect();
+        let limit = if one_file_each { 1 } else { 100 << 20 };
+        let options = ExportOptions { data_file_bytes: limit, video_file_bytes: limit, ..ExportOptions::default() };
+        let back = there_and_back(scratch.path(), &episodes, &options);
+        prop_assert_eq!(back.len(), episodes.len());
+        for (bag, episode) in back.iter().zip(&episodes) {
+            let got = Episode::read(bag);
+            let bits = |rows: &[Vec<f32>]| -> Vec<u32> { rows.iter().flatten().map(|value| value.to_bits()).collect() };
+            prop_assert_eq!(bits(&got.actions), bits(&episode.actions));
+            prop_assert_eq!(bits(&got.joints), bits(&episode.joints));
+            prop_assert_eq!(&got.stamps, &episode.stamps, "to the nanosecond");
+            prop_assert_eq!(&got, episode);
+            check_pictures(bag, episode.stamps.len());
+        }
+    }
+}
+
+#[test]
+fn episodes_are_chosen_by_number() {
+    let scratch = TempDir::new().unwrap();
+    let episodes: Vec<Episode> = (0..4).map(|n| Episode::made(3, n as f32)).collect();
+    there_and_back(scratch.path(), &episodes, &ExportOptions::default());
+    let options = ImportOptions {
+        episodes: Some(1..=2),
+        ..ImportOptions::default()
+    };
+    let out = scratch.path().join("some");
+    let bags = import(&scratch.path().join("dataset"), &out, &options).unwrap();
+    assert_eq!(
+        bags,
+        [out.join("episode_000001"), out.join("episode_000002")]
+    );
+    assert_eq!(Episode::read(&bags[1]), episodes[2]);
+    let options = ImportOptions {
+        episodes: Some(9..=9),
+        ..ImportOptions::default()
+    };
+    let error = import(&scratch.path().join("dataset"), &out, &options)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("has 4 episodes, none of which was asked for"),
+        "{error}"
+    );
+}
+
+/// A camera at 30 Hz of which a part is missing, actions at 10 Hz whose clock trembles, and two episodes in one bag.
+fn live(bag: &Path) {
+    let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
+    for number in 0..120u64 {
+        let stamp_ns = START_NS + number * 33_333_333;
+        let header = Header {
+            stamp: Time::from_nanos(stamp_ns as i64),
+            frame_id: String::new(),
+        };
+        if !(60..72).contains(&number) {
+            let image = Image {
+                header: header.clone(),
+                height: 16,
+                width: 16,
+                encoding: "bgr8".into(),
+                step: 48,
+                data: [0, 0, number as u8 * 2].repeat(256),
+                ..Image::default()
+            };
+            writer.write("/top/image_raw", &image, stamp_ns).unwrap();
+        }
+        if number % 3 == 0 {
+            let late = (number % 2) * 10_000_000;
+            let stamp = Time::from_nanos((stamp_ns + late) as i64);
+            let values = vec![number as f32; 3];
+            let action = Action {
+                header: Header { stamp, ..header },
+                values,
+            };
+            writer
+                .write("/wm/action", &action, stamp_ns + late)
+                .unwrap();
+        }
+        if number == 29 || number == 119 {
+            writer
+                .write(
+                    "/task/success",
+                    &Bool {
+                        data: number == 119,
+                    },
+                    stamp_ns,
+                )
+                .unwrap();
+        }
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_live_recording_is_sampled_at_one_rate() {
+    let scratch = TempDir::new().unwrap();
+    let bag = scratch.path().join("live");
+    live(&bag);
+    let dataset = scratch.path().join("dataset");
+    let exported = export(&[bag], &dataset, &ExportOptions::default()).unwrap();
+    assert_eq!((exported.episodes, exported.fps), (2, 10));
+    assert_eq!(exported.frames, 10 + 30);
+    assert!(
+        exported
+            .resampled
+            .iter()
+            .any(|line| line.starts_with("/top/image_raw: 3 of 30 frames repeat a message")),
+        "{:?}",
+        exported.resampled
+    );
+    let bags = import(
+        &dataset,
+        &scratch.path().join("back"),
+        &ImportOptions::default(),
+    )
+    .unwrap();
+    let successes: Vec<bool> = bags
+        .iter()
+        .map(|bag| messages::<Bool>(bag, "/task/success")[0].data)
+        .collect();
+    assert_eq!(successes, [false, true]);
+    let actions: Vec<Action> = messages(&bags[0], "/wm/action");
+    let values: Vec<f32> = actions.iter().map(|action| action.values[0]).collect();
+    assert_eq!(values, [0., 3., 6., 9., 12., 15., 18., 21., 24., 27.]);
+    assert_eq!(BagReader::open(&bags[0]).unwrap().start_ns(), START_NS);
+    let images: Vec<CompressedImage> = messages(&bags[0], "/top/image_raw/compressed");
+    for (frame, image) in images.iter().enumerate() {
+        let red = image::load_from_memory(&image.data)
+            .unwrap()
+            .into_rgb8()
+            .get_pixel(8, 8)[0];
+        assert!(red.abs_diff(frame as u8 * 6) < 8, "frame {frame}: {red}");
+    }
+}
+
+#[test]
+fn bags_that_do_not_fit_are_named() {
+    let scratch = TempDir::new().unwrap();
+    let at = |name: &str| scratch.path().join(name);
+    let episode = Episode::made(3, 0.0);
+    episode.write(&at("good"));
+    let mut wide = episode.clone();
+    wide.actions.iter_mut().for_each(|action| action.push(1.0));
+    wide.write(&at("wide"));
+    let mut nan = episode.clone();
+    nan.actions[1][2] = f32::NAN;
+    nan.write(&at("nan"));
+    BagWriter::create(at("empty"), WriterOptions::default())
+        .unwrap()
+        .finish()
+        .unwrap();
+    let error = |names: &[&str], options: &ExportOptions| {
+        let bags: Vec<PathBuf> = names.iter().map(|name| at(name)).collect();
+        let out = TempDir::new().unwrap();
+        export(&bags, out.path(), options).unwrap_err().to_string()
+    };
+    let plain = ExportOptions::default();
+    let camera = ExportOptions {
+        cameras: vec!["/wm/action".into()],
+        ..plain.clone()
+    };
+    for (error, parts) in [
+        (
+            error(&["good", "wide"], &plain),
+            ["wide: action: expected 7 values", "got 8"],
+        ),
+        (
+            error(&["nan"], &plain),
+            ["nan: /wm/action: a message at", "holds NaN"],
+        ),
+        (
+            error(&["empty"], &plain),
+            ["empty: expected messages of /wm/action", "got none"],
+        ),
+        (
+            error(&["good"], &camera),
+            ["good: expected pictures on /wm/action", "no such topic"],
+        ),
+        (error(&["absent"], &plain), ["absent", "no such file"]),
+    ] {
+        assert!(
+            parts.iter().all(|part| error.contains(part)),
+            "{parts:?} in {error:?}"
+        );
+    }
+    let error = export(&[at("good")], scratch.path(), &plain)
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("not an empty folder"), "{error}");
+}

@@ -1,0 +1,114 @@
+//! Whether bytes are framed as a record, told without the lengths that damage may have forged.
+
+use mcap::records::op;
+
+/// Bytes of a record's body that tell whether it is framed as a chunk.
+pub(super) const CHUNK_PREFIX: usize = 48;
+/// The fixed part of a message's body: channel, sequence number, two times.
+pub(super) const MESSAGE_PREFIX: u64 = 22;
+
+/// Whether a body of `length` bytes that begins so is a chunk's: the lengths within agree with it, and its compression
+/// is one that MCAP knows. No other record looks like it, whatever its opcode says.
+pub(super) fn is_chunk(prefix: &[u8], length: u64) -> bool {
+    // Times, size, CRC, then the compression's name and the records, each after its length.
+    const TO_COMPRESSION: usize = 8 + 8 + 8 + 4;
+    let Some((&name_length, rest)) = prefix
+        .get(TO_COMPRESSION..)
+        .and_then(|rest| rest.split_first_chunk::<4>())
+    else {
+        return false;
+    };
+    let name_length = u32::from_le_bytes(name_length) as usize;
+    let Some((name, rest)) = rest.split_at_checked(name_length) else {
+        return false;
+    };
+    let Some(records) = rest.first_chunk::<8>() else {
+        return false;
+    };
+    let before_records = (TO_COMPRESSION + 4 + name_length + 8) as u64;
+    matches!(name, b"" | b"lz4" | b"zstd")
+        && u64::from_le_bytes(*records).checked_add(before_records) == Some(length)
+}
+
+/// A field of a record's body.
+enum Field {
+    /// So many bytes.
+    Fixed(usize),
+    /// As many bytes as the four before them say.
+    Prefixed,
+}
+
+/// Whether a body has the fields of its opcode and nothing else. Messages, attachments and unknown records, which do
+/// not say it, are taken at their length.
+pub(super) fn is_exact(opcode: u8, body: &[u8]) -> bool {
+    use Field::{Fixed, Prefixed};
+    let fields: &[Field] = match opcode {
+        op::HEADER | op::METADATA => &[Prefixed, Prefixed],
+        op::FOOTER => &[Fixed(20)],
+        op::SCHEMA => &[Fixed(2), Prefixed, Prefixed, Prefixed],
+        op::CHANNEL => &[Fixed(4), Prefixed, Prefixed, Prefixed],
+        op::MESSAGE_INDEX => &[Fixed(2), Prefixed],
+        op::CHUNK_INDEX => &[Fixed(32), Prefixed, Fixed(8), Prefixed, Fixed(16)],
+        op::ATTACHMENT_INDEX => &[Fixed(40), Prefixed, Prefixed],
+        op::STATISTICS => &[Fixed(42), Prefixed],
+        op::METADATA_INDEX => &[Fixed(16), Prefixed],
+        op::SUMMARY_OFFSET => &[Fixed(17)],
+        op::DATA_END => &[Fixed(4)],
+        op::MESSAGE => return body.len() as u64 >= MESSAGE_PREFIX,
+        _ => return true,
+    };
+    let mut rest = body;
+    for field in fields {
+        let length = match field {
+            Fixed(length) => *length,
+            Prefixed => {
+                let Some((length, behind)) = rest.split_first_chunk::<4>() else {
+                    return false;
+                };
+                rest = behind;
+                u32::from_le_bytes(*length) as usize
+            }
+        };
+        match rest.get(length..) {
+            Some(behind) => rest = behind,
+            None => return false,
+        }
+    }
+    rest.is_empty()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_chunk_is_known_by_lengths_that_agree() {
+        let chunk = |name: &[u8], records: u64| {
+            let mut body = vec![0; 28];
+            body.extend((name.len() as u32).to_le_bytes());
+            body.extend(name);
+            body.extend(records.to_le_bytes());
+            body
+        };
+        for (body, length, is) in [
+            (chunk(b"zstd", 100), 44 + 100, true),
+            (chunk(b"", 0), 40, true),
+            (chunk(b"zstd", 100), 143, false),
+            (chunk(b"zstd", u64::MAX), 43, false),
+            (chunk(b"nope", 100), 144, false),
+            (vec![0xff; 48], 48, false),
+            (vec![], 0, false),
+        ] {
+            assert_eq!(is_chunk(&body, length), is, "{body:?} {length}");
+        }
+    }
+
+    #[test]
+    fn a_body_of_other_fields_is_not_exact() {
+        assert!(is_exact(op::MESSAGE_INDEX, &[1, 0, 2, 0, 0, 0, 9, 9]));
+        assert!(!is_exact(op::MESSAGE_INDEX, &[1, 0, 2, 0, 0, 0, 9, 9, 9]));
+        assert!(!is_exact(op::MESSAGE_INDEX, &[1, 0, 255, 255, 255, 255]));
+        assert!(is_exact(op::DATA_END, &[0; 4]));
+        assert!(!is_exact(op::MESSAGE, &[0; 21]));
+    }
+}

@@ -1,0 +1,106 @@
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
+
+/// A part of a file that could not be recovered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Loss {
+    /// The file.
+    pub file: PathBuf,
+    /// Its first byte.
+    pub offset: u64,
+    /// Its size, in bytes.
+    pub bytes: u64,
+    /// Chunks that begin there; one that is hidden behind a forged length is not counted.
+    pub chunks: u64,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+impl fmt::Display for Loss {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let what = if self.chunks > 0 { "chunk of " } else { "" };
+        write!(
+            f,
+            "{}: {what}{} bytes at byte {}: {}",
+            self.file.display(),
+            self.bytes,
+            self.offset,
+            self.reason
+        )
+    }
+}
+
+/// Losses that are told of one by one; a file of nothing else could fill the memory.
+const TOLD: usize = 100;
+
+/// What was lost of a bag.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Losses {
+    /// The first of them, in the order of the files.
+    pub told: Vec<Loss>,
+    /// How many there are.
+    pub places: u64,
+    /// Bytes of the files.
+    pub bytes: u64,
+    /// Chunks.
+    pub chunks: u64,
+    /// Messages in sound places that cannot be kept: their channel is unknown, without a type or not CDR, or their time
+    /// is past 2^63 - 1 ns.
+    pub messages: u64,
+}
+
+impl Losses {
+    /// Whether nothing was lost.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.places == 0 && self.messages == 0
+    }
+
+    pub(super) fn add(&mut self, file: &Path, offset: u64, bytes: u64, chunks: u64, reason: &str) {
+        self.places += 1;
+        self.bytes += bytes;
+        self.chunks += chunks;
+        if self.told.len() < TOLD {
+            self.told.push(Loss {
+                file: file.to_owned(),
+                offset,
+                bytes,
+                chunks,
+                reason: reason.to_owned(),
+            });
+        }
+    }
+}
+
+impl fmt::Display for Losses {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_empty() {
+            return write!(f, "lost: nothing");
+        }
+        write!(
+            f,
+            "lost: {} bytes in {} place(s), {} chunk(s) among them",
+            self.bytes, self.places, self.chunks
+        )?;
+        for loss in &self.told {
+            write!(f, "\n  {loss}")?;
+        }
+        if self.places > self.told.len() as u64 {
+            let more = self.places - self.told.len() as u64;
+            write!(f, "\n  and {more} more place(s)")?;
+        }
+        if self.messages > 0 {
+            write!(
+                f,
+                "\nlost: {} message(s) whose channel is unknown, without a type or not CDR, or whose time rosbag2 \
+                 cannot hold",
+                self.messages
+            )?;
+        }
+        Ok(())
+    }
+}
