@@ -42,6 +42,10 @@ impl Complaints {
         self.diagnostics.count_drops(reason, number);
         let now = Instant::now();
         let text = format!("{reason}: {error}");
+        if let Some((subject, level, advice)) = remedy(reason) {
+            self.diagnostics
+                .raise(subject, level, format!("{error}: {advice}"));
+        }
         let mut kind: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
         if self.last.len() >= KINDS && !self.last.contains_key(&kind) {
             reason.clone_into(&mut kind);
@@ -79,5 +83,22 @@ impl Complaints {
             tracing::info!("{text}");
             self.diagnostics.set_status(Level::Ok, text);
         }
+    }
+}
+
+/// What an operator can do about a drop for this reason: the subject of its status, how bad it is, and the advice.
+fn remedy(reason: &str) -> Option<(&'static str, Level, &'static str)> {
+    match reason {
+        "wrong_space" => Some((
+            "latent space",
+            Level::Error,
+            "give encoder, predictor, decoder and planner the same parameter model",
+        )),
+        "overload" => Some((
+            "overload",
+            Level::Warn,
+            "give the node more processor time or a higher priority, or less to do",
+        )),
+        _ => None,
     }
 }

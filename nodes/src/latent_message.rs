@@ -11,6 +11,10 @@ use wm_msgs::{
     std_msgs::Header,
     wm_msgs::{Latent, LatentSpace as SpaceMessage},
 };
+use wm_ros::Qos;
+
+/// Of latents between nodes.
+pub const LATENT_QOS: Qos = Qos::sensor_data();
 
 /// Type of one number on the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

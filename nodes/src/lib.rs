@@ -7,11 +7,16 @@
 //!
 //! Not here: the models (`wm_model`), the ROS runtime (`wm_ros`), bags (`wm_bag`).
 
+mod calls;
+pub mod chunk_merging;
 pub mod complaints;
 pub mod decoder;
 pub mod encoder;
 pub mod ending;
+pub mod env;
+pub mod evaluator;
 pub mod image_message;
+pub mod keyboard;
 pub mod latent_message;
 pub mod launch;
 pub mod model_choice;
@@ -19,6 +24,7 @@ pub mod monitor;
 pub mod planner;
 pub mod player;
 pub mod predictor;
+pub mod qos_overrides;
 pub mod recorder;
 pub mod report;
 pub mod timeline;

@@ -1,12 +1,9 @@
 //! Which world model a node uses: the parameter `model`, and what of the model each node needs.
 
 use anyhow::{Context as _, Result};
-use wm_model::{
-    Decoder, Encoder,
-    actions::ActionEncoding,
-    bundle::{Bundle, EMBEDDED},
-};
+use wm_model::{Decoder, Encoder, actions::ActionEncoding, bundle::EMBEDDED};
 use wm_ros::{Descriptor, Node};
+use wm_zoo::WorldModel;
 
 use crate::{predictor::PredictorModel, timeline::Timing};
 
@@ -14,7 +11,6 @@ use crate::{predictor::PredictorModel, timeline::Timing};
 #[derive(Clone, Debug)]
 pub struct ModelChoice {
     name: String,
-    bundle: Bundle,
 }
 
 /// Declares the parameter `model` and reads it.
@@ -30,31 +26,50 @@ pub fn declare(node: &Node) -> Result<ModelChoice> {
             Descriptor::new(text).read_only(),
         )?
         .get();
-    Ok(ModelChoice {
-        bundle: Bundle::named(&name),
-        name,
-    })
+    Ok(ModelChoice { name })
 }
 
 impl ModelChoice {
+    /// What the parameter says.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Opens the model, for as long as its parts are loaded.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in it, or what does not fit together.
+    pub fn open(&self) -> Result<OpenModel> {
+        let text = format!("parameter model is \"{}\"", self.name);
+        let model = WorldModel::open(&self.name).with_context(|| text.clone())?;
+        let name = self.name.clone();
+        Ok(OpenModel { name, text, model })
+    }
+}
+
+/// The model, open.
+pub struct OpenModel {
+    name: String,
+    /// What errors begin with.
+    text: String,
+    model: WorldModel,
+}
+
+impl OpenModel {
     /// The encoder.
     ///
     /// # Errors
     /// Names what is missing or wrong in the weights.
     pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
-        Ok(Box::new(
-            self.bundle.autoencoder().with_context(|| self.text())?,
-        ))
+        self.model.encoder().with_context(|| self.text.clone())
     }
 
-    /// The decoder.
+    /// The decoder, if the model has one.
     ///
     /// # Errors
     /// Names what is missing or wrong in the weights.
-    pub fn decoder(&self) -> Result<Box<dyn Decoder>> {
-        Ok(Box::new(
-            self.bundle.autoencoder().with_context(|| self.text())?,
-        ))
+    pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
+        self.model.decoder().with_context(|| self.text.clone())
     }
 
     /// The transition model and the latent space that it works in.
@@ -62,8 +77,11 @@ impl ModelChoice {
     /// # Errors
     /// Names what is missing or wrong in the weights.
     pub fn predictor(&self) -> Result<PredictorModel> {
-        let bundled = self.bundle.transition().with_context(|| self.text())?;
-        bundled.encoding.validate().with_context(|| self.text())?;
+        let bundled = self.model.transition().with_context(|| self.text.clone())?;
+        bundled
+            .encoding
+            .validate()
+            .with_context(|| self.text.clone())?;
         Ok(PredictorModel {
             transition: bundled.model,
             name: self.name.clone(),
@@ -71,10 +89,6 @@ impl ModelChoice {
             space: bundled.space,
             encoding: bundled.encoding,
         })
-    }
-
-    fn text(&self) -> String {
-        format!("parameter model is \"{}\"", self.name)
     }
 }
 

@@ -3,12 +3,18 @@
 //! Topics are found as they appear ([`selection`]), each is subscribed with the quality of service that its
 //! publishers offer, and its definition comes from this suite or from the ROS packages on `AMENT_PREFIX_PATH`
 //! ([`definitions`]). The bag is written on a thread of its own, chunk by chunk: a killed recorder loses at most
-//! the open chunk. Whatever finds no room on the way is counted, topic by topic, and reported at the end.
+//! the open chunk. Whatever does not get there is counted, topic by topic and cause by cause, and reported at the end
+//! ([`losses`]).
 //!
-//! Not here: the bag's format (`wm_bag`); splitting by size, snapshots.
+//! Keys and the services of rosbag2's recorder pause it, split its bag, close it and begin another. In snapshot mode it
+//! holds the latest messages back and writes them when it is asked to.
+//!
+//! Not here: the bag's format (`wm_bag`).
 
 pub mod definitions;
+pub mod losses;
 mod node;
+mod options;
 pub mod selection;
 mod writer;
 

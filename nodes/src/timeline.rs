@@ -19,7 +19,7 @@ use wm_msgs::{
     wm_msgs::{Action, ActionChunk},
 };
 
-pub use actions::{MAX_CHUNK, PhysicalAction};
+pub use actions::{ChunkMerging, MAX_CHUNK, PhysicalAction};
 pub use frames::Frame;
 
 use actions::Actions;
@@ -173,6 +173,13 @@ impl Timeline {
         }
     }
 
+    /// The same timeline, whose overlapping chunks are merged by `merging`.
+    #[must_use]
+    pub fn with_chunk_merging(mut self, merging: ChunkMerging) -> Self {
+        self.actions.set_merging(merging);
+        self
+    }
+
     /// How stamps make model steps.
     pub fn timing(&self) -> Timing {
         self.timing
@@ -246,7 +253,8 @@ impl Timeline {
         Ok(arrival)
     }
 
-    /// Takes the actions to come; they replace those of the chunk before.
+    /// Takes the actions to come; they replace those of the chunk before, or are merged with them
+    /// ([`Self::with_chunk_merging`]).
     ///
     /// # Errors
     /// [`TimelineError::Chunk`], [`TimelineError::Action`], [`TimelineError::OutOfOrder`].
@@ -344,6 +352,11 @@ impl Timeline {
                 .ok_or(Wait::NoAction { needed_ns: slot_ns })
         };
         self.timing.slots(start_ns).map(at).collect()
+    }
+
+    /// Whether an action or a chunk has come that speaks of the moment `slot_ns`; else the last one is held there.
+    pub fn is_given(&self, slot_ns: i64) -> bool {
+        self.actions.is_given(slot_ns, self.timing.tolerance_ns)
     }
 
     fn is_jump(&self, stamp_ns: i64, newest_ns: i64) -> bool {

@@ -2,15 +2,36 @@
 //!
 //! A [`Work`] runs one job at a time on a blocking thread and lets a bounded number wait. When one more comes, the
 //! oldest that waits is given back to be counted as a drop (`DropOldest`): a node that is too slow falls behind by
-//! leaving frames out, not by growing late.
+//! leaving frames out, not by growing late. A job learns from [`Stop`] that nobody waits for it any more.
 
-use std::{collections::VecDeque, sync::Arc};
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 use tokio::task::{JoinError, JoinHandle};
 
+/// Whether the [`Work`] of a job is gone: a thread cannot be ended from outside, so a long job asks.
+#[derive(Clone, Debug, Default)]
+pub struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// Whether the job's result is of no more use.
+    pub fn is_asked(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Computes a job.
+type Run<T, R> = Arc<dyn Fn(T, &Stop) -> R + Send + Sync>;
+
 /// Jobs of one kind, run one after another.
 pub struct Work<T, R> {
-    run: Arc<dyn Fn(T) -> R + Send + Sync>,
+    run: Run<T, R>,
+    stop: Stop,
     waiting: VecDeque<T>,
     capacity: usize,
     running: Option<JoinHandle<R>>,
@@ -18,9 +39,10 @@ pub struct Work<T, R> {
 
 impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
     /// Jobs that `run` computes; at most `capacity` (at least 1) wait.
-    pub fn new(capacity: usize, run: impl Fn(T) -> R + Send + Sync + 'static) -> Self {
+    pub fn new(capacity: usize, run: impl Fn(T, &Stop) -> R + Send + Sync + 'static) -> Self {
         Self {
             run: Arc::new(run),
+            stop: Stop::default(),
             waiting: VecDeque::new(),
             capacity: capacity.max(1),
             running: None,
@@ -65,8 +87,17 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
     }
 
     fn start(&mut self, job: T) {
-        let run = Arc::clone(&self.run);
-        self.running = Some(tokio::task::spawn_blocking(move || run(job)));
+        let (run, stop) = (Arc::clone(&self.run), self.stop.clone());
+        // What the job logs is the node's, also where a process has several.
+        let span = tracing::Span::current();
+        let job = move || span.in_scope(|| run(job, &stop));
+        self.running = Some(tokio::task::spawn_blocking(job));
+    }
+}
+
+impl<T, R> Drop for Work<T, R> {
+    fn drop(&mut self) {
+        self.stop.0.store(true, Ordering::Relaxed);
     }
 }
 
@@ -82,7 +113,7 @@ mod tests {
     async fn runs_in_order_and_gives_back_the_oldest_that_waits() {
         let (release, gate) = mpsc::channel::<()>();
         let gate = Mutex::new(gate);
-        let mut work = Work::new(2, move |job: u32| {
+        let mut work = Work::new(2, move |job: u32, _| {
             gate.lock().unwrap().recv().unwrap();
             job * 10
         });
@@ -99,8 +130,25 @@ mod tests {
 
     #[tokio::test]
     async fn a_panic_is_an_error() {
-        let mut work = Work::new(1, |_: ()| -> () { panic!("of the job") });
+        let mut work = Work::new(1, |(): (), _| -> () { panic!("of the job") });
         assert_eq!(work.submit(()), None);
         assert!(work.finished().await.unwrap_err().is_panic());
+    }
+
+    #[tokio::test]
+    async fn a_job_learns_that_nobody_waits() {
+        let (tell, told) = mpsc::channel();
+        let tell = Mutex::new(tell);
+        let mut work = Work::new(1, move |(), stop: &Stop| {
+            while !stop.is_asked() {
+                std::thread::yield_now();
+            }
+            tell.lock().unwrap().send(()).unwrap();
+        });
+        assert_eq!(work.submit(()), None);
+        drop(work);
+        tokio::task::spawn_blocking(move || told.recv().unwrap())
+            .await
+            .unwrap();
     }
 }

@@ -4,9 +4,12 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
-use std::{path::Path, thread::JoinHandle, time::Duration};
+mod running;
+
+use std::{path::Path, time::Duration};
 
 use image::{Rgb, RgbImage};
+use running::{PATIENCE, Running, soon};
 use wm_model::{
     Autoencoder, AutoencoderConfig,
     actions::ActionEncoding,
@@ -14,9 +17,8 @@ use wm_model::{
     weights::{Precision, WeightsBuilder},
 };
 use wm_msgs::{
-    Message,
     builtin_interfaces::{Duration as RosDuration, Time},
-    diagnostic_msgs::DiagnosticArray,
+    diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},
     sensor_msgs::{CompressedImage, Image},
     std_msgs::Header,
     wm_msgs::{
@@ -28,10 +30,8 @@ use wm_nodes::{
     image_message::{decode_compressed, decode_image, encode_image, encode_jpeg},
     latent_message::{LatentDtype, encode_latent},
 };
-use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
+use wm_ros::{Client, Context, Node, NodeArgs, Publisher, Qos, Subscription};
 
-/// Far above anything that happens here; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// The camera's period \[ns\].
 const PERIOD: i64 = 200_000_000;
 const START: i64 = 1_700_000_000_000_000_000;
@@ -83,46 +83,7 @@ fn write_model(folder: &Path) -> wm_model::LatentSpace {
 
 fn context() -> Context {
     // Apart from other runs of this test, and from the tests of the runtime below.
-    let domain_id = 72 + (std::process::id() % 40) as u16;
-    Context::new(&Environment {
-        domain_id,
-        reach: Reach::Localhost,
-    })
-    .unwrap()
-}
-
-struct Running {
-    context: Context,
-    thread: JoinHandle<anyhow::Result<()>>,
-}
-
-impl Running {
-    /// A node in a participant and a thread of its own.
-    fn start<F: Future<Output = anyhow::Result<()>>>(
-        name: &'static str,
-        parameters: &str,
-        body: impl FnOnce(Node) -> F + Send + 'static,
-    ) -> Self {
-        let context = context();
-        let words = format!("--ros-args {parameters}");
-        let args = NodeArgs::parse(words.split_whitespace()).unwrap();
-        let of_thread = context.clone();
-        let thread = std::thread::spawn(move || {
-            let node = Node::new(&of_thread, name, wm_nodes::NAMESPACE, &args)?;
-            tokio::runtime::Builder::new_current_thread()
-                .enable_all()
-                .build()?
-                .block_on(body(node))
-        });
-        Self { context, thread }
-    }
-
-    fn stop(self) -> anyhow::Result<()> {
-        self.context.shutdown().trigger();
-        let result = self.thread.join().unwrap();
-        self.context.close();
-        result
-    }
+    running::context(72 + (std::process::id() % 40) as u16)
 }
 
 fn stamp(index: i64) -> Time {
@@ -170,19 +131,6 @@ struct World {
     plans: Subscription<Plan>,
     diagnostics: Subscription<DiagnosticArray>,
     resets: [Client<Reset>; 2],
-}
-
-async fn soon<M: Message>(what: &str, subscription: &mut Subscription<M>) -> M {
-    let received = tokio::time::timeout(PATIENCE, subscription.recv()).await;
-    received
-        .unwrap_or_else(|_| {
-            panic!(
-                "{what}: nothing on {} for {PATIENCE:?}",
-                subscription.topic()
-            )
-        })
-        .unwrap()
-        .message
 }
 
 impl World {
@@ -279,6 +227,18 @@ impl World {
         unreachable!()
     }
 
+    /// Waits until the diagnostics have an error of this name that says so.
+    async fn condition(&mut self, name: &str, text: &str) {
+        let is_it =
+            |status: &DiagnosticStatus| status.name == name && status.message.contains(text);
+        while !soon(name, &mut self.diagnostics)
+            .await
+            .status
+            .iter()
+            .any(is_it)
+        {}
+    }
+
     /// Waits until a node's diagnostics hold this.
     async fn diagnosed(&mut self, node: &str, key: &str, accept: impl Fn(&str) -> bool) {
         let find = async {
@@ -313,21 +273,25 @@ fn four_nodes_predict_plan_and_survive_bad_input() {
     let model = format!("-p model:={}", folder.path().display());
     let nodes = [
         Running::start(
+            context(),
             "encoder",
             &format!("{model} -p dtype:=f32"),
             wm_nodes::encoder::body,
         ),
         Running::start(
+            context(),
             "predictor",
             &format!("{model} -p horizon:={HORIZON} -p seed:=11"),
             wm_nodes::predictor::body,
         ),
         Running::start(
+            context(),
             "decoder",
             &format!("{model} -p decode_period:=0.0"),
             wm_nodes::decoder::body,
         ),
         Running::start(
+            context(),
             "planner",
             &format!(
                 "{model} -p population:=12 -p iterations:=2 -p elites:=4 -p horizon:=2 -p plan_period:=0.4"
@@ -391,6 +355,7 @@ async fn public_topics_carry_what_they_should(
         header: header(first, "base_link"),
         period: RosDuration::from_nanos(PERIOD),
         actions: coming,
+        ..ActionChunk::default()
     };
     world.chunks.publish(&chunk).unwrap();
     for index in first..first + 3 {
@@ -521,6 +486,9 @@ async fn bad_input_is_counted_and_survived(
             ..latent
         })
         .unwrap();
+    world
+        .condition("wm/predictor: latent space", "parameter model")
+        .await;
     let mut nan = action(first + 1);
     nan.values[3] = f32::NAN;
     world.actions.publish(&nan).unwrap();

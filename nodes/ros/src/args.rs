@@ -142,6 +142,15 @@ impl NodeArgs {
         }
     }
 
+    /// These arguments for several nodes: a parameter that is given without a node's name is shared by all.
+    pub(crate) fn of_several(&self) -> Self {
+        let mut args = self.clone();
+        for given in &mut args.overrides {
+            given.is_shared |= given.section == Section::own();
+        }
+        args
+    }
+
     fn ros_argument(
         &mut self,
         flag: String,
@@ -176,11 +185,9 @@ impl NodeArgs {
             "--enable-stdout-logs"
             | "--enable-external-lib-logs"
             | "--disable-external-lib-logs" => {}
+            // of no meaning without security, as in every ROS node; who asks for that is told so (environment)
             "-e" | "--enclave" => {
-                return Err(ArgsError::Unsupported {
-                    flag,
-                    reason: "DDS security (SROS 2) is not built in",
-                });
+                value(&flag, "an enclave's name", words)?;
             }
             "--log-config-file" | "--log-file-name" | "--disable-stdout-logs" => {
                 return Err(ArgsError::Unsupported {
@@ -285,7 +292,8 @@ mod tests {
         assert!(message("--ros-args -p a:={b:1}").contains("expected"));
         assert!(message("--ros-args --params-file /no/such.yaml").contains("/no/such.yaml"));
         assert!(message("--ros-args --log-level loud").contains("loud"));
-        assert!(message("--ros-args --enclave /a").contains("not supported"));
+        assert!(message("--ros-args --enclave").contains("`--enclave` needs"));
+        assert!(parse("--ros-args --enclave /a").is_ok());
         assert!(message("--ros-args -r :=b").contains("`-r :=b`"));
     }
 

@@ -26,6 +26,8 @@ pub(crate) struct Endpoint {
     pub(crate) name: String,
     pub(crate) type_name: TypeName,
     pub(crate) qos: Qos,
+    /// For a reader: whether it hears this participant's own writers.
+    pub(crate) hears_own: bool,
 }
 
 /// Which request a sample is, or answers.
@@ -74,30 +76,42 @@ pub(crate) trait Reader: Send + Sync {
     fn id(&self) -> EndpointId;
 }
 
-/// A topic endpoint that discovery has seen, in this process or elsewhere.
+/// An endpoint that discovery has seen, in this process or elsewhere.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Seen {
+    pub(crate) channel: Channel,
     pub(crate) name: String,
-    /// `package/msg/Type`
+    /// `package/msg/Type`, or `package/srv/Type` for a service.
     pub(crate) type_name: String,
     pub(crate) qos: Qos,
     pub(crate) is_writer: bool,
+    pub(crate) id: EndpointId,
+    /// Whether it is of this participant.
+    pub(crate) is_own: bool,
 }
 
 /// A middleware.
 pub(crate) trait Backend: Send + Sync {
+    /// The participant's own GUID.
+    fn participant(&self) -> EndpointId;
     fn add_node(&self, namespace: &str, base: &str) -> Result<(), Error>;
     fn remove_node(&self, namespace: &str, base: &str);
     /// `node` is the full name of the node that the endpoint belongs to.
     fn writer(&self, node: &str, endpoint: &Endpoint) -> Result<Box<dyn Writer>, Error>;
     fn reader(&self, node: &str, endpoint: &Endpoint, sink: Sink)
     -> Result<Box<dyn Reader>, Error>;
-    /// The endpoints of topics.
+    /// The endpoints of topics and services.
     fn seen(&self) -> Vec<Seen>;
     /// How many endpoints of others this one is connected to.
     fn matched(&self, endpoint: &EndpointId) -> usize;
+    /// How many of those are of another implementation than this suite's.
+    fn foreign(&self, endpoint: &EndpointId) -> usize;
+    /// Why endpoints of others on the same topic are not connected to this one, in words.
+    fn mismatches(&self, endpoint: &EndpointId) -> Vec<String>;
     /// Counts changes of what is seen and matched.
     fn changes(&self) -> watch::Receiver<u64>;
+    /// Whether it still receives and sends. Once it does not, it never will again.
+    fn is_alive(&self) -> bool;
     /// Leaves the graph. Readers and writers that are still held do nothing from then on.
     fn close(&self);
 }

@@ -2,10 +2,17 @@
 
 use crate::{Environment, Error, Shutdown, backend::Backend, dds::Dds};
 use std::{
-    sync::{Arc, Mutex, PoisonError},
+    sync::{
+        Arc, Mutex, PoisonError, Weak,
+        atomic::{AtomicBool, Ordering},
+    },
     thread::JoinHandle,
+    time::Duration,
 };
 use tokio::{runtime::Handle, sync::oneshot};
+
+/// How often the middleware is asked whether it lives.
+const PULSE: Duration = Duration::from_secs(1);
 
 /// A participant in the graph and a thread that receives for it: subscriptions, services, parameters, clocks and
 /// diagnostics of its nodes run there, so that a node that computes does not stall them. Several nodes share one.
@@ -19,6 +26,8 @@ struct Inner {
     runtime: Handle,
     thread: Mutex<Option<Thread>>,
     shutdown: Shutdown,
+    /// Whether the middleware has ended by itself.
+    has_failed: AtomicBool,
 }
 
 struct Thread {
@@ -49,14 +58,15 @@ impl Context {
             handle: thread,
         }));
         let backend = Dds::join(environment, handle.clone())?;
-        Ok(Self {
-            inner: Arc::new(Inner {
-                backend,
-                runtime: handle,
-                thread,
-                shutdown: Shutdown::new(),
-            }),
-        })
+        let inner = Arc::new(Inner {
+            backend,
+            runtime: handle,
+            thread,
+            shutdown: Shutdown::new(),
+            has_failed: AtomicBool::new(false),
+        });
+        inner.runtime.spawn(watch(Arc::downgrade(&inner)));
+        Ok(Self { inner })
     }
 
     /// The end of this context: asked for here or by a signal, seen by all its nodes.
@@ -79,12 +89,31 @@ impl Context {
         self.inner.close();
     }
 
+    /// Whether the context ended since the middleware did.
+    pub(crate) fn has_failed(&self) -> bool {
+        self.inner.has_failed.load(Ordering::Relaxed)
+    }
+
     pub(crate) fn backend(&self) -> &Arc<dyn Backend> {
         &self.inner.backend
     }
 
     pub(crate) fn runtime(&self) -> &Handle {
         &self.inner.runtime
+    }
+}
+
+/// Ends the context when its middleware has ended: a node that nobody hears is better gone, so that who supervises it
+/// starts it again.
+async fn watch(inner: Weak<Inner>) {
+    loop {
+        tokio::time::sleep(PULSE).await;
+        let Some(inner) = inner.upgrade() else { return };
+        if !inner.backend.is_alive() {
+            inner.has_failed.store(true, Ordering::Relaxed);
+            inner.shutdown.trigger();
+            return;
+        }
     }
 }
 

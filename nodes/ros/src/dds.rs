@@ -11,23 +11,26 @@
 
 mod answers;
 mod codec;
+mod datagram;
 mod endpoint;
 mod local;
+mod mismatches;
 mod nodes;
 mod qos;
 
 use crate::{
-    Environment, Error, Qos,
+    Environment, Error, Qos, Reach,
     backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, Sink, Writer},
 };
 use endpoint::{DdsReader, DdsWriter};
 use futures::StreamExt as _;
 use local::{Local, is_same_participant};
+use mismatches::Mismatches;
 use nodes::Nodes;
 use ros2_client::MessageTypeName;
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent as Event,
-    StatusEvented as _,
+    RTPSEntity as _, StatusEvented as _,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -40,6 +43,7 @@ type Matches = BTreeMap<EndpointId, BTreeSet<EndpointId>>;
 
 /// A participant of a DDS domain.
 pub(crate) struct Dds {
+    id: EndpointId,
     /// `None` once closed.
     participant: Mutex<Option<DomainParticipant>>,
     publisher: rustdds::Publisher,
@@ -54,6 +58,10 @@ struct Shared {
     local: Local,
     /// Connections to other participants.
     matches: Mutex<Matches>,
+    mismatches: Mismatches,
+    is_on_loopback: bool,
+    /// The largest answer to a client that is not on loopback \[byte\].
+    largest_answer: usize,
     changes: watch::Sender<u64>,
 }
 
@@ -62,13 +70,27 @@ impl Shared {
         self.changes.send_modify(|count| *count += 1);
     }
 
+    /// The largest answer that reaches this client \[byte\].
+    fn largest_answer(&self, own: &EndpointId, client: &EndpointId) -> usize {
+        match self.is_on_loopback && !is_foreign(own, client) {
+            true => datagram::LARGEST_ON_LOOPBACK,
+            false => self.largest_answer,
+        }
+    }
+
     /// Takes an endpoint off every list.
     fn forget(&self, id: &EndpointId) {
         self.local.remove(id);
         lock(&self.matches).remove(id);
+        self.mismatches.forget_own(id);
         self.nodes.remove_endpoint(id);
         self.changed();
     }
+}
+
+/// Whether the two are of different DDS implementations: an identity begins with its vendor's two bytes (RTPS 2.5, 8.2.4.3).
+fn is_foreign(one: &EndpointId, other: &EndpointId) -> bool {
+    one.get(..2) != other.get(..2)
 }
 
 /// What a lock guards is whole between statements, so a panic elsewhere is no reason to stop.
@@ -85,6 +107,10 @@ impl Dds {
         if let Some(addresses) = environment.addresses() {
             builder = builder.with_only_networks(addresses);
         }
+        if environment.reach == Reach::Process {
+            // without it, it would announce itself to the first participants of this host
+            builder = builder.same_host_loopback(false);
+        }
         let participant = builder.build().map_err(failed)?;
         let defaults = rustdds::QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&defaults).map_err(failed)?;
@@ -93,10 +119,14 @@ impl Dds {
             nodes: Nodes::announce(&participant, &publisher)?,
             local: Local::default(),
             matches: Mutex::default(),
+            mismatches: Mismatches::default(),
+            is_on_loopback: matches!(environment.reach, Reach::Localhost | Reach::Process),
+            largest_answer: datagram::largest_answer(),
             changes: watch::Sender::new(0),
         });
         runtime.spawn(follow(participant.status_listener(), Arc::clone(&shared)));
         Ok(Arc::new(Self {
+            id: participant.guid().to_bytes(),
             participant: Mutex::new(Some(participant)),
             publisher,
             subscriber,
@@ -145,12 +175,35 @@ fn dds_type(endpoint: &Endpoint) -> String {
     }
 }
 
-/// The ROS name of a topic and its type, or `None` for what is not a ROS topic.
-fn ros_names(dds_name: &str, dds_type: &str) -> Option<(String, String)> {
-    let name = dds_name.strip_prefix("rt")?;
-    let (package, type_name) = dds_type.strip_suffix('_')?.split_once("::msg::dds_::")?;
-    name.starts_with('/')
-        .then(|| (name.to_owned(), format!("{package}/msg/{type_name}")))
+/// What a DDS topic is to ROS, its ROS name and its type; `None` for what is not ROS'.
+fn ros_names(dds_name: &str, dds_type: &str) -> Option<(Channel, String, String)> {
+    let (prefix, rest) = dds_name.split_at_checked(2)?;
+    let (channel, name, kind, suffix) = match prefix {
+        "rt" => (Channel::Topic, rest, "msg", "_"),
+        "rq" => (
+            Channel::Request,
+            rest.strip_suffix("Request")?,
+            "srv",
+            "_Request_",
+        ),
+        "rr" => (
+            Channel::Response,
+            rest.strip_suffix("Reply")?,
+            "srv",
+            "_Response_",
+        ),
+        _ => return None,
+    };
+    let (package, type_name) = dds_type
+        .strip_suffix(suffix)?
+        .split_once(&format!("::{kind}::dds_::"))?;
+    (name.starts_with('/') && name.len() > 1).then(|| {
+        (
+            channel,
+            name.to_owned(),
+            format!("{package}/{kind}/{type_name}"),
+        )
+    })
 }
 
 /// Keeps the book of who is connected to whom, from the participant's events.
@@ -173,37 +226,34 @@ async fn follow(listener: rustdds::DomainParticipantStatusListener, shared: Arc<
                 lock(&shared.matches).entry(own).or_default().insert(other);
             }
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
+                shared.mismatches.forget_other(&guid.to_bytes());
                 for others in lock(&shared.matches).values_mut() {
                     others.remove(&guid.to_bytes());
                 }
             }
             Event::RemoteReaderQosIncompatible {
                 local_writer,
+                remote_reader,
                 requested_qos,
                 offered_qos,
-                ..
             } => {
-                warn_of_mismatch(
-                    &shared,
-                    &local_writer.to_bytes(),
-                    "a subscription",
-                    &requested_qos,
-                    &offered_qos,
-                );
+                let (own, other) = (local_writer.to_bytes(), remote_reader.to_bytes());
+                let topic = shared.nodes.topic_of(&own);
+                shared
+                    .mismatches
+                    .subscription(own, other, topic, &requested_qos, &offered_qos);
             }
             Event::RemoteWriterQosIncompatible {
                 local_reader,
+                remote_writer,
                 requested_qos,
                 offered_qos,
-                ..
             } => {
-                warn_of_mismatch(
-                    &shared,
-                    &local_reader.to_bytes(),
-                    "a publisher",
-                    &requested_qos,
-                    &offered_qos,
-                );
+                let (own, other) = (local_reader.to_bytes(), remote_writer.to_bytes());
+                let topic = shared.nodes.topic_of(&own);
+                shared
+                    .mismatches
+                    .publisher(own, other, topic, &requested_qos, &offered_qos);
             }
             Event::ReaderDetected { .. } | Event::WriterDetected { .. } => {}
             _ => continue,
@@ -212,31 +262,11 @@ async fn follow(listener: rustdds::DomainParticipantStatusListener, shared: Arc<
     }
 }
 
-/// A subscription and a publisher that never meet are the commonest riddle of ROS 2: say which policy keeps them apart.
-fn warn_of_mismatch(
-    shared: &Shared,
-    own: &EndpointId,
-    other: &str,
-    requested: &rustdds::QosPolicies,
-    offered: &rustdds::QosPolicies,
-) {
-    let (requested, offered) = (qos::from_dds(requested), qos::from_dds(offered));
-    let policy = if requested.reliability != offered.reliability {
-        "reliability"
-    } else {
-        "durability"
-    };
-    let topic = shared
-        .nodes
-        .topic_of(own)
-        .unwrap_or_else(|| "a topic".to_owned());
-    tracing::warn!(
-        "{topic}: not connected to {other} for incompatible {policy}: the subscription requests `{requested}`, the \
-         publisher offers `{offered}`"
-    );
-}
-
 impl Backend for Dds {
+    fn participant(&self) -> EndpointId {
+        self.id
+    }
+
     fn add_node(&self, namespace: &str, base: &str) -> Result<(), Error> {
         self.shared.nodes.add(namespace, base)
     }
@@ -284,38 +314,44 @@ impl Backend for Dds {
     }
 
     fn seen(&self) -> Vec<Seen> {
-        let mut seen = self.shared.nodes.own_topics();
-        if let Some(participant) = lock(&self.participant).as_ref() {
-            seen.extend(
-                participant
-                    .discovered_writers()
-                    .iter()
-                    .filter_map(|writer| {
-                        let topic = &writer.publication_topic_data;
-                        let (name, type_name) = ros_names(&topic.topic_name, &topic.type_name)?;
-                        Some(Seen {
-                            name,
-                            type_name,
-                            qos: qos::from_dds(&topic.qos()),
-                            is_writer: true,
-                        })
-                    }),
+        let mut seen = self.shared.nodes.own_endpoints();
+        let participant = lock(&self.participant);
+        let Some(participant) = participant.as_ref() else {
+            return seen;
+        };
+        let mut see = |guid: rustdds::GUID, name: &str, dds_type: &str, qos, is_writer| {
+            let id = guid.to_bytes();
+            // Where multicast reflects them, a participant discovers its own endpoints too.
+            if is_same_participant(&self.id, &id) {
+                return;
+            }
+            if let Some((channel, name, type_name)) = ros_names(name, dds_type) {
+                seen.push(Seen {
+                    channel,
+                    name,
+                    type_name,
+                    qos,
+                    is_writer,
+                    id,
+                    is_own: false,
+                });
+            }
+        };
+        for writer in participant.discovered_writers() {
+            let (guid, topic) = (
+                writer.writer_proxy.remote_writer_guid,
+                &writer.publication_topic_data,
             );
-            seen.extend(
-                participant
-                    .discovered_readers()
-                    .iter()
-                    .filter_map(|reader| {
-                        let topic = &reader.subscription_topic_data;
-                        let (name, type_name) = ros_names(topic.topic_name(), topic.type_name())?;
-                        Some(Seen {
-                            name,
-                            type_name,
-                            qos: qos::from_dds(&topic.qos()),
-                            is_writer: false,
-                        })
-                    }),
+            let qos = qos::from_dds(&topic.qos());
+            see(guid, &topic.topic_name, &topic.type_name, qos, true);
+        }
+        for reader in participant.discovered_readers() {
+            let (guid, topic) = (
+                reader.reader_proxy.remote_reader_guid,
+                &reader.subscription_topic_data,
             );
+            let qos = qos::from_dds(&topic.qos());
+            see(guid, topic.topic_name(), topic.type_name(), qos, false);
         }
         seen
     }
@@ -327,8 +363,28 @@ impl Backend for Dds {
         elsewhere + self.shared.local.matched(endpoint)
     }
 
+    fn foreign(&self, endpoint: &EndpointId) -> usize {
+        let matches = lock(&self.shared.matches);
+        let others = matches.get(endpoint).into_iter().flatten();
+        others.filter(|other| is_foreign(endpoint, other)).count()
+    }
+
+    fn mismatches(&self, endpoint: &EndpointId) -> Vec<String> {
+        self.shared.mismatches.of(endpoint)
+    }
+
     fn changes(&self) -> watch::Receiver<u64> {
         self.shared.changes.subscribe()
+    }
+
+    fn is_alive(&self) -> bool {
+        // The thread that does discovery takes the command, or is gone: rustdds 0.15.1 ends its threads where the
+        // system interrupts their waiting, as it does when a process is stopped and continued.
+        let participant = lock(&self.participant);
+        let asserted = participant
+            .as_ref()
+            .map(DomainParticipant::assert_liveliness);
+        asserted.is_none_or(|asserted| asserted.is_ok())
     }
 
     fn close(&self) {
@@ -364,6 +420,7 @@ mod tests {
                 name: "Reset".into(),
             },
             qos: Qos::reliable(10),
+            hears_own: true,
         }
     }
 
@@ -443,13 +500,22 @@ mod tests {
     }
 
     #[test]
-    fn names_are_read_back_and_what_is_not_a_topic_is_not() {
-        let expected = Some(("/wm/latent".to_owned(), "wm_msgs/msg/Latent".to_owned()));
-        assert_eq!(
-            ros_names("rt/wm/latent", "wm_msgs::msg::dds_::Latent_"),
-            expected
-        );
-        assert_eq!(ros_names("rq/a/bRequest", "x::srv::dds_::B_Request_"), None);
+    fn names_are_read_back_and_what_is_not_ros_is_not() {
+        for channel in [Channel::Topic, Channel::Request, Channel::Response] {
+            let endpoint = endpoint(channel);
+            let kind = match channel {
+                Channel::Topic => "msg",
+                Channel::Request | Channel::Response => "srv",
+            };
+            let expected = (
+                channel,
+                endpoint.name.clone(),
+                format!("wm_msgs/{kind}/Reset"),
+            );
+            let read = ros_names(&dds_name(&endpoint), &dds_type(&endpoint));
+            assert_eq!(read, Some(expected));
+        }
+        assert_eq!(ros_names("rq/a/b", "x::srv::dds_::B_Request_"), None);
         assert_eq!(
             ros_names(
                 "ros_discovery_info",

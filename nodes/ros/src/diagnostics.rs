@@ -1,17 +1,25 @@
-//! How a node fares: rates, latencies, drops by reason, and a status in words; once a second on `/diagnostics`.
+//! How a node fares: rates, latencies, drops by reason, and a status in words; once a second on `/diagnostics`. What the
+//! watchdog looks after has a status of its own beside the node's: `wm/encoder: memory`.
 
 mod latency;
 mod rate;
+mod watchdog;
 
 pub use latency::Latency;
+pub use watchdog::{Deadline, Input};
 
+use crate::backend::EndpointId;
 use rate::Rate;
 use std::{
     collections::BTreeMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
+use watchdog::{Finding, Watchdog};
 use wm_msgs::diagnostic_msgs::{DiagnosticStatus, KeyValue};
+
+/// Subject of the condition that messages are too large.
+const MESSAGE_SIZE: &str = "message size";
 
 /// How well a node is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -52,8 +60,21 @@ struct State {
     drops: BTreeMap<String, (u64, u64)>,
     latencies: BTreeMap<String, Latency>,
     values: BTreeMap<String, String>,
-    /// Inputs that should keep coming: how old they may be.
-    expected: BTreeMap<String, Duration>,
+    watchdog: Watchdog,
+    /// Topics of the node's publishers (true) and subscriptions.
+    endpoints: BTreeMap<EndpointId, (String, bool)>,
+    /// The last message of a topic that is larger than what a stock ROS 2 subscriber takes \[byte\].
+    oversized: BTreeMap<EndpointId, usize>,
+}
+
+/// What the report needs to know of the graph.
+pub(crate) trait Graph {
+    /// How many endpoints of others this one is connected to.
+    fn matched(&self, endpoint: &EndpointId) -> usize;
+    /// How many of them are of another implementation than this suite's.
+    fn foreign(&self, endpoint: &EndpointId) -> usize;
+    /// Why others are not connected to this one, in words.
+    fn mismatches(&self, endpoint: &EndpointId) -> Vec<String>;
 }
 
 impl Diagnostics {
@@ -73,7 +94,9 @@ impl Diagnostics {
             drops: BTreeMap::new(),
             latencies: BTreeMap::new(),
             values: BTreeMap::new(),
-            expected: BTreeMap::new(),
+            watchdog: Watchdog::default(),
+            endpoints: BTreeMap::new(),
+            oversized: BTreeMap::new(),
         };
         Self {
             state: Arc::new(Mutex::new(state)),
@@ -87,7 +110,9 @@ impl Diagnostics {
 
     /// Counts a message that came in.
     pub fn received(&self, input: &str) {
-        count(&mut self.state().received, input);
+        let mut state = self.state();
+        count(&mut state.received, input);
+        state.watchdog.arrived(input, Instant::now());
     }
 
     /// Counts a message that went out.
@@ -142,14 +167,51 @@ impl Diagnostics {
         self.state().hardware_id = hardware_id.into();
     }
 
-    /// Makes the status WARN while this input, once it has begun, is older than `age`.
-    pub fn expect_input(&self, input: &str, age: Duration) {
-        self.state().expected.insert(input.to_owned(), age);
+    /// Watches an input from now on: WARN after three periods without it, ERROR after ten.
+    pub fn expect_input(&self, input: Input) {
+        self.state().watchdog.expect(input, Instant::now());
     }
 
-    /// The report, and the start of the next second.
-    pub(crate) fn report(&self, now: Instant) -> DiagnosticStatus {
-        self.state().report(now)
+    /// Counts a run of a stage with a deadline: WARN where some miss it, ERROR where most do.
+    pub fn took(&self, deadline: Deadline, taken: Duration) {
+        self.state().watchdog.took(deadline, taken);
+    }
+
+    /// Says that something is wrong at this moment, and what to do about it. It counts as over when it is not said
+    /// again for five seconds.
+    pub fn raise(&self, subject: &str, level: Level, message: impl Into<String>) {
+        let mut state = self.state();
+        state
+            .watchdog
+            .raise(subject, level, message.into(), Instant::now());
+    }
+
+    /// Ends all watches: a node that does not listen misses nothing.
+    pub(crate) fn stand_down(&self) {
+        self.state().watchdog.stand_down();
+    }
+
+    /// An endpoint of the node, a publisher or else a subscription, that the report counts the connections of.
+    pub(crate) fn add_endpoint(&self, id: EndpointId, topic: &str, is_publisher: bool) {
+        let mut state = self.state();
+        state.endpoints.insert(id, (topic.to_owned(), is_publisher));
+    }
+
+    /// Takes an endpoint off the report.
+    pub(crate) fn remove_endpoint(&self, id: &EndpointId) {
+        let mut state = self.state();
+        state.endpoints.remove(id);
+        state.oversized.remove(id);
+    }
+
+    /// A publisher sends messages of `len` bytes, more than a stock ROS 2 subscriber takes.
+    pub(crate) fn oversized(&self, id: EndpointId, len: usize) {
+        self.state().oversized.insert(id, len);
+    }
+
+    /// The report, and the start of the next second: the node's own status, then one for each thing that is watched.
+    pub(crate) fn report(&self, now: Instant, graph: &dyn Graph) -> Vec<DiagnosticStatus> {
+        self.state().report(now, graph, watchdog::resident())
     }
 }
 
@@ -164,7 +226,13 @@ fn count(rates: &mut BTreeMap<String, Rate>, name: &str) {
 }
 
 impl State {
-    fn report(&mut self, now: Instant) -> DiagnosticStatus {
+    fn report(
+        &mut self,
+        now: Instant,
+        graph: &dyn Graph,
+        resident: Option<u64>,
+    ) -> Vec<DiagnosticStatus> {
+        let findings = self.findings(now, graph, resident);
         let mut values: Vec<KeyValue> = Vec::new();
         let mut add = |key: String, value: String| values.push(KeyValue { key, value });
         let mut warnings = Vec::new();
@@ -207,38 +275,111 @@ impl State {
                 *recent = 0;
             }
         }
-        for (input, age) in &self.expected {
-            let last = self.received.get(input).and_then(Rate::last);
-            if let Some(silent) = last
-                .map(|last| now.saturating_duration_since(last))
-                .filter(|silent| silent > age)
-            {
-                warnings.push(format!("no {input} for {:.1} s", silent.as_secs_f64()));
-            }
+        for (id, (topic, is_publisher)) in &self.endpoints {
+            let others = if *is_publisher {
+                "subscribers"
+            } else {
+                "publishers"
+            };
+            add(
+                format!("{others} of {topic}"),
+                graph.matched(id).to_string(),
+            );
         }
         for (key, value) in &self.values {
             add(key.clone(), value.clone());
         }
-        let level = if warnings.is_empty() {
-            self.level
-        } else {
-            self.level.max(Level::Warn)
-        };
+        let mut level = self.level;
+        if !warnings.is_empty() {
+            level = level.max(Level::Warn);
+        }
+        for finding in &findings {
+            level = level.max(finding.level);
+            if finding.level > Level::Ok {
+                warnings.push(finding.message.clone());
+            }
+        }
         let message =
             std::iter::once(self.message.as_str()).chain(warnings.iter().map(String::as_str));
-        DiagnosticStatus {
+        let own = DiagnosticStatus {
             level: level.code(),
             name: self.name.clone(),
             message: message.collect::<Vec<_>>().join("; "),
             hardware_id: self.hardware_id.clone(),
             values,
+        };
+        let of_finding = |finding: Finding| DiagnosticStatus {
+            level: finding.level.code(),
+            name: format!("{}: {}", self.name, finding.subject),
+            message: finding.message,
+            hardware_id: self.hardware_id.clone(),
+            values: Vec::new(),
+        };
+        std::iter::once(own)
+            .chain(findings.into_iter().map(of_finding))
+            .collect()
+    }
+
+    /// What the watchdog finds, and what is wrong with the connections.
+    fn findings(&mut self, now: Instant, graph: &dyn Graph, resident: Option<u64>) -> Vec<Finding> {
+        let connected = |topic: &str| {
+            let own = self.endpoints.iter();
+            own.filter(|(_, (name, is_publisher))| !is_publisher && name == topic)
+                .map(|(id, _)| graph.matched(id))
+                .sum::<usize>()
+        };
+        let mut findings = self.watchdog.report(now, &connected, resident);
+        for (id, (topic, _)) in &self.endpoints {
+            findings.extend(graph.mismatches(id).into_iter().map(|message| Finding {
+                subject: format!("QoS of {topic}"),
+                level: Level::Warn,
+                message,
+            }));
+            if let Some(len) = self.oversized.get(id)
+                && graph.foreign(id) > 0
+            {
+                findings.push(Finding {
+                    subject: format!("{MESSAGE_SIZE} of {topic}"),
+                    level: Level::Warn,
+                    message: format!(
+                        "{} subscriber(s) of another DDS implementation may miss messages of {len} bytes: on their machine,                          set net.core.rmem_max and net.core.rmem_default to 4194304 (README, Large messages)",
+                        graph.foreign(id)
+                    ),
+                });
+            }
         }
+        findings
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A graph in which each endpoint has two others, one of them foreign.
+    struct Pairs;
+
+    impl Graph for Pairs {
+        fn matched(&self, _: &EndpointId) -> usize {
+            2
+        }
+
+        fn foreign(&self, _: &EndpointId) -> usize {
+            1
+        }
+
+        fn mismatches(&self, id: &EndpointId) -> Vec<String> {
+            (*id == [9; 16])
+                .then(|| "incompatible reliability".to_owned())
+                .into_iter()
+                .collect()
+        }
+    }
+
+    /// The node's own status.
+    fn status(diagnostics: &Diagnostics, now: Instant) -> DiagnosticStatus {
+        diagnostics.report(now, &Pairs).swap_remove(0)
+    }
 
     fn value(status: &DiagnosticStatus, key: &str) -> Option<String> {
         status
@@ -252,15 +393,15 @@ mod tests {
     fn a_drop_warns_once_and_stays_in_the_total() {
         let diagnostics = Diagnostics::new("/wm/encoder");
         let now = Instant::now();
-        assert_eq!(diagnostics.report(now).level, DiagnosticStatus::OK);
+        assert_eq!(status(&diagnostics, now).level, DiagnosticStatus::OK);
         diagnostics.count_drop("out_of_order");
         diagnostics.count_drop("out_of_order");
-        let report = diagnostics.report(now);
+        let report = status(&diagnostics, now);
         assert_eq!(
             (report.level, report.message.as_str()),
             (DiagnosticStatus::WARN, "running; dropped 2: out_of_order")
         );
-        let report = diagnostics.report(now);
+        let report = status(&diagnostics, now);
         assert_eq!(report.level, DiagnosticStatus::OK);
         assert_eq!(
             value(&report, "dropped: out_of_order [total]").as_deref(),
@@ -276,29 +417,72 @@ mod tests {
         diagnostics.set_status(Level::Error, "no weights");
         diagnostics.count_drop("late");
         assert_eq!(
-            diagnostics.report(Instant::now()).level,
+            status(&diagnostics, Instant::now()).level,
             DiagnosticStatus::ERROR
         );
     }
 
     #[test]
-    fn an_input_that_stops_is_reported() {
-        let diagnostics = Diagnostics::new("/wm/encoder");
-        diagnostics.expect_input("latent", Duration::from_secs(2));
+    fn what_is_watched_has_a_status_of_its_own() {
+        let diagnostics = Diagnostics::new("/wm/predictor");
+        let input = Input::new("latents", ["/wm/latent"], "start the encoder");
+        diagnostics.add_endpoint([1; 16], "/wm/latent", false);
+        diagnostics.expect_input(input);
         let now = Instant::now();
+        assert_eq!(status(&diagnostics, now).level, DiagnosticStatus::OK);
+        diagnostics.received("/wm/latent");
+        let reports = diagnostics.report(now + Duration::from_secs(9), &Pairs);
+        let names: Vec<&str> = reports.iter().map(|status| status.name.as_str()).collect();
         assert_eq!(
-            diagnostics.report(now + Duration::from_secs(9)).level,
-            DiagnosticStatus::OK,
-            "it never began"
+            names,
+            [
+                "wm/predictor",
+                "wm/predictor: input latents",
+                "wm/predictor: memory"
+            ]
         );
-        diagnostics.received("latent");
+        let [own, input, _] = &reports[..] else {
+            panic!("three")
+        };
         assert_eq!(
-            diagnostics.report(now + Duration::from_secs(1)).level,
-            DiagnosticStatus::OK
+            (own.level, input.level),
+            (DiagnosticStatus::ERROR, DiagnosticStatus::ERROR)
         );
-        let report = diagnostics.report(now + Duration::from_secs(9));
-        assert_eq!(report.level, DiagnosticStatus::WARN);
-        assert!(report.message.contains("no latent for"));
+        assert!(own.message.contains(&input.message), "{own:?}");
+        assert!(
+            input
+                .message
+                .contains("2 publishers are connected but silent"),
+            "{input:?}"
+        );
+        assert_eq!(value(own, "publishers of /wm/latent").as_deref(), Some("2"));
+        diagnostics.stand_down();
+        let later = status(&diagnostics, now + Duration::from_secs(99));
+        assert_eq!(later.level, DiagnosticStatus::OK);
+    }
+
+    #[test]
+    fn connections_that_fail_or_cannot_take_the_messages_warn() {
+        let diagnostics = Diagnostics::new("/wm/encoder");
+        let subjects = || -> Vec<String> {
+            let reports = diagnostics.report(Instant::now(), &Pairs);
+            let warned = reports.iter().skip(1).filter(|status| status.level == 1);
+            warned.map(|status| status.name.clone()).collect()
+        };
+        diagnostics.add_endpoint([1; 16], "/wm/latent", true);
+        assert_eq!(subjects(), [""; 0]);
+        diagnostics.oversized([1; 16], 500_000);
+        diagnostics.add_endpoint([9; 16], "/camera", false);
+        assert_eq!(
+            subjects(),
+            [
+                "wm/encoder: message size of /wm/latent",
+                "wm/encoder: QoS of /camera"
+            ]
+        );
+        diagnostics.remove_endpoint(&[1; 16]);
+        diagnostics.remove_endpoint(&[9; 16]);
+        assert_eq!(subjects(), [""; 0]);
     }
 
     #[test]
@@ -308,7 +492,7 @@ mod tests {
             .latency("step")
             .record(Duration::from_millis(20));
         diagnostics.set_value("queue [messages]", 3);
-        let report = diagnostics.report(Instant::now());
+        let report = status(&diagnostics, Instant::now());
         assert_eq!(value(&report, "queue [messages]").as_deref(), Some("3"));
         assert!(
             value(&report, "latency step p95 [ms]")

@@ -10,6 +10,10 @@
 //!
 //! Loopback mostly has no multicast: participants then announce themselves to the first twelve of the domain on this
 //! host, so that any two find each other as long as one of them is among those.
+//!
+//! **What the middleware cannot do** is refused or warned of by the variable's name, never ignored in silence: peers
+//! outside of multicast (`ROS_STATIC_PEERS`) are not announced to, and DDS security is not built in: where it is asked
+//! for and enforced, the node does not start.
 
 use crate::{Error, NodeArgs};
 use std::net::{IpAddr, Ipv4Addr};
@@ -26,6 +30,8 @@ pub enum Reach {
     Interfaces(Vec<IpAddr>),
     /// Every interface.
     Subnet,
+    /// Nothing: only nodes of the same process find each other.
+    Process,
 }
 
 /// The domain and how far discovery reaches.
@@ -43,9 +49,11 @@ impl Environment {
     /// # Errors
     /// A variable or interface with a value that does not make sense.
     pub fn from_env(args: &NodeArgs) -> Result<Self, Error> {
-        Self::from_variables(args, |name| {
-            std::env::var(name).ok().filter(|value| !value.is_empty())
-        })
+        let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+        for warning in warnings(&variable)? {
+            tracing::warn!("{warning}");
+        }
+        Self::from_variables(args, variable)
     }
 
     fn from_variables(
@@ -78,6 +86,7 @@ impl Environment {
             Reach::Localhost => Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]),
             Reach::Interfaces(addresses) => Some(addresses.clone()),
             Reach::Subnet => None,
+            Reach::Process => Some(Vec::new()),
         }
     }
 }
@@ -89,18 +98,59 @@ fn reach_of(variable: &impl Fn(&str) -> Option<String>) -> Result<Reach, Error> 
         Some("1") => return Ok(Reach::Localhost),
         Some(text) => return Err(invalid("ROS_LOCALHOST_ONLY", text, "0 or 1".to_owned())),
     }
-    match variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
+    // In either case, as rmw_dds_common reads it.
+    let range = variable("ROS_AUTOMATIC_DISCOVERY_RANGE").map(|text| text.to_ascii_uppercase());
+    match range.as_deref() {
         None | Some("LOCALHOST" | "SYSTEM_DEFAULT") => Ok(Reach::Localhost),
         Some("SUBNET") => Ok(Reach::Subnet),
+        Some("OFF") => Ok(Reach::Process),
+        Some(text) => Err(invalid(
+            "ROS_AUTOMATIC_DISCOVERY_RANGE",
+            text,
+            "LOCALHOST, SUBNET, OFF or SYSTEM_DEFAULT".to_owned(),
+        )),
+    }
+}
+
+/// What is asked for by variables that this runtime cannot do, where it can go on without.
+fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<String>, Error> {
+    let mut warnings = Vec::new();
+    if let Some(peers) = variable("ROS_STATIC_PEERS") {
+        warnings.push(format!(
+            "ROS_STATIC_PEERS is `{peers}`, but this middleware announces itself by multicast only: these peers are found \
+             where multicast reaches them, or not at all"
+        ));
+    }
+    let is_wanted = match variable("ROS_SECURITY_ENABLE").as_deref() {
+        None | Some("false") => false,
+        Some("true") => true,
+        // rcl takes any other text for false: a node that should be secure would not be
         Some(text) => {
-            // OFF would need a participant without discovery, which the middleware does not offer
-            Err(invalid(
-                "ROS_AUTOMATIC_DISCOVERY_RANGE",
+            return Err(invalid(
+                "ROS_SECURITY_ENABLE",
                 text,
-                "LOCALHOST, SUBNET or SYSTEM_DEFAULT".to_owned(),
-            ))
+                "true or false".to_owned(),
+            ));
+        }
+    };
+    if is_wanted {
+        match variable("ROS_SECURITY_STRATEGY").as_deref() {
+            Some("Enforce") => return Err(Error::NoSecurity),
+            None | Some("Permissive") => warnings.push(
+                "ROS_SECURITY_ENABLE is `true`, but DDS security is not built in: this node is neither encrypted nor \
+                 authenticated (ROS_SECURITY_STRATEGY=Enforce would refuse it)"
+                    .to_owned(),
+            ),
+            Some(text) => {
+                return Err(invalid(
+                    "ROS_SECURITY_STRATEGY",
+                    text,
+                    "Enforce or Permissive".to_owned(),
+                ));
+            }
         }
     }
+    Ok(warnings)
 }
 
 fn address_of(interface: &str) -> Result<IpAddr, Error> {
@@ -167,6 +217,14 @@ mod tests {
             ]),
             Reach::Localhost
         );
+        for (range, expected) in [
+            ("OFF", Reach::Process),
+            ("off", Reach::Process),
+            ("LOCALHOST", Reach::Localhost),
+            ("SYSTEM_DEFAULT", Reach::Localhost),
+        ] {
+            assert_eq!(reach(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", range)]), expected);
+        }
         let environment = environment(
             "--interface 127.0.0.1",
             &[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")],
@@ -187,8 +245,37 @@ mod tests {
             message("", &[("ROS_DOMAIN_ID", "233")]),
             "ROS_DOMAIN_ID is `233`: expected a number from 0 to 232"
         );
-        assert!(message("", &[("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]).contains("SUBNET"));
+        assert!(message("", &[("ROS_AUTOMATIC_DISCOVERY_RANGE", "WORLD")]).contains("SUBNET"));
         assert!(message("", &[("ROS_LOCALHOST_ONLY", "yes")]).contains("0 or 1"));
         assert!(message("--interface nope0", &[]).contains("one of"));
+    }
+
+    #[test]
+    fn what_cannot_be_done_is_said_or_refused() {
+        let asked = |variables: &[(&str, &str)]| {
+            let variable = |name: &str| {
+                let found = variables.iter().find(|(key, _)| *key == name);
+                found.map(|(_, value)| (*value).to_owned())
+            };
+            match warnings(&variable) {
+                Ok(warnings) => warnings.join("\n"),
+                Err(error) => format!("refused: {error}"),
+            }
+        };
+        assert_eq!(asked(&[]), "");
+        assert_eq!(asked(&[("ROS_SECURITY_ENABLE", "false")]), "");
+        assert!(
+            asked(&[("ROS_STATIC_PEERS", "10.0.0.7")]).contains("ROS_STATIC_PEERS is `10.0.0.7`")
+        );
+        let secure = |strategy| {
+            asked(&[
+                ("ROS_SECURITY_ENABLE", "true"),
+                ("ROS_SECURITY_STRATEGY", strategy),
+            ])
+        };
+        assert!(secure("Permissive").contains("neither encrypted nor"));
+        assert!(secure("Enforce").contains("refused: ") && secure("Enforce").contains("Enforce"));
+        assert!(secure("enforce").contains("refused: ROS_SECURITY_STRATEGY is `enforce`"));
+        assert!(asked(&[("ROS_SECURITY_ENABLE", "True")]).contains("refused: ROS_SECURITY_ENABLE"));
     }
 }

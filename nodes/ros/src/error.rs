@@ -26,6 +26,9 @@ pub enum Error {
         /// Which rule it breaks.
         reason: String,
     },
+    /// Two nodes of one process with the same name.
+    #[error("two nodes are called {0}: give each its own name with -r NODE:__node:=NAME")]
+    SameName(String),
     /// An environment variable or `--interface` with a value that does not make sense.
     #[error("{variable} is `{value}`: expected {expected}")]
     Environment {
@@ -36,6 +39,12 @@ pub enum Error {
         /// What would be valid.
         expected: String,
     },
+    /// DDS security is asked for and enforced, and this build has none.
+    #[error(
+        "ROS_SECURITY_ENABLE is `true` and ROS_SECURITY_STRATEGY is `Enforce`, but DDS security (SROS 2) is not built in: \
+         the node does not start"
+    )]
+    NoSecurity,
     /// The middleware refused or failed.
     #[error("cannot {action}: {reason}")]
     Middleware {
@@ -54,6 +63,25 @@ pub enum Error {
         /// The first two bytes of the sample.
         representation: u16,
     },
+    /// An answer that does not fit into one datagram, which this middleware cannot send.
+    #[error(
+        "cannot answer on {service}: {len} bytes do not fit into one datagram to that client, which takes {largest}; a network \
+         of a larger MTU does"
+    )]
+    AnswerTooLarge {
+        /// The service.
+        service: String,
+        /// Size of the answer \[byte\].
+        len: usize,
+        /// The largest that can be sent \[byte\].
+        largest: usize,
+    },
+    /// The middleware has ended by itself.
+    #[error(
+        "the DDS library has ended, as it does when its process is stopped and continued (SIGSTOP, Ctrl-Z, a debugger): \
+         start the node again"
+    )]
+    MiddlewareEnded,
     /// The context was closed, or the process is being shut down.
     #[error("{0} is over: the context is shut down")]
     ShutDown(String),
@@ -72,7 +100,7 @@ impl Error {
     #[must_use]
     pub fn is_usage(&self) -> bool {
         match self {
-            Self::Args(_) => true,
+            Self::Args(_) | Self::SameName(_) => true,
             Self::Parameter(problem) => problem.is_usage(),
             _ => false,
         }

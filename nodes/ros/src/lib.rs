@@ -25,6 +25,7 @@
 //! # Concepts
 //! - [`Context`]: the process's place in the graph, with one thread that receives for all its nodes.
 //! - [`Node`]: a name in the graph, which makes publishers, subscriptions, services and parameters.
+//! - [`Lifecycle`]: makes a node a managed one, which is configured and activated when it is asked to.
 //! - [`Shutdown`]: ends every `recv` on SIGINT and SIGTERM.
 //!
 //! # Promises
@@ -35,7 +36,7 @@
 //!
 //! # Not here
 //! What the nodes compute; bags. The middleware's own types (ros2-client, rustdds) stay inside: another one slots
-//! in behind the private module `backend`. Lifecycle and actions are not written yet.
+//! in behind the private module `backend`. Actions are not written yet.
 
 mod args;
 mod backend;
@@ -45,6 +46,7 @@ mod dds;
 mod diagnostics;
 mod environment;
 mod error;
+mod lifecycle;
 pub mod logging;
 mod mailbox;
 mod names;
@@ -57,20 +59,22 @@ mod run;
 mod service;
 mod shutdown;
 mod subscription;
+mod type_description_interfaces;
 mod value;
 
 pub use args::{ArgsError, LogLevels, NodeArgs};
 pub use clock::Clock;
 pub use context::Context;
-pub use diagnostics::{Diagnostics, Latency, Level};
+pub use diagnostics::{Deadline, Diagnostics, Input, Latency, Level};
 pub use environment::{Environment, Reach};
 pub use error::Error;
-pub use node::{Node, TopicInfo};
+pub use lifecycle::{Lifecycle, Machine, Managed, Outcome, Refused, State, Transition};
+pub use node::{Node, RemoteEndpoint, Role, TopicInfo};
 pub use parameters::{Descriptor, Parameter, ParameterError, Range};
 pub use publisher::{Publisher, RawPublisher};
 pub use qos::{Durability, Qos, Reliability};
-pub use run::run;
-pub use service::{Call, Client, Service};
+pub use run::{Component, run, run_together};
+pub use service::{Call, Client, RawCall, RawClient, RawService, Service};
 pub use shutdown::Shutdown;
 pub use subscription::{RawSubscription, Received, Subscription};
 pub use value::{Kind, ParameterType, Value};

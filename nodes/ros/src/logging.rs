@@ -1,10 +1,10 @@
 //! Logs as ROS 2 writes them: `[INFO] [sec.nsec] [node]: text` on stderr, and the same record on `/rosout`.
 
+pub(crate) mod levels;
 mod record;
 
 use crate::{
     NodeArgs,
-    args::LogLevels,
     backend::{Writer, Written},
     clock::system_nanos,
     rcl_interfaces::Log,
@@ -15,10 +15,9 @@ use std::{
     io::Write as _,
     sync::{Arc, Mutex, PoisonError},
 };
-use tracing::{Event, Level, Subscriber, level_filters::LevelFilter, span};
+use tracing::{Event, Level, Subscriber, span};
 use tracing_subscriber::{
     Layer,
-    filter::Targets,
     layer::{Context, SubscriberExt as _},
     registry::LookupSpan,
 };
@@ -60,28 +59,13 @@ pub(crate) fn register(logger: String, writer: Option<Box<dyn Writer>>) -> Regis
     Registration(rosout)
 }
 
-/// Sends the records of this process to stderr and `/rosout`, at the levels of the command line. The first call
+/// Sends the records of this process to stderr and `/rosout`, at the levels of the command line, until the service
+/// `~/set_logger_levels` changes them. The first call
 /// holds; where another subscriber is installed already, that one stays.
 pub fn init(args: &NodeArgs) {
-    let subscriber =
-        tracing_subscriber::registry().with(RosLayer.with_filter(filter(&args.log_levels)));
+    let filter = levels::install(&args.log_levels);
+    let subscriber = tracing_subscriber::registry().with(RosLayer.with_filter(filter));
     tracing::subscriber::set_global_default(subscriber).ok();
-}
-
-/// `--log-level` as a filter. A name that begins with `wm_` is a Rust module of this suite, dots for colons; any
-/// other is a node's logger (`wm.encoder`) and means all that its process logs, since a process runs one node.
-fn filter(levels: &LogLevels) -> Targets {
-    let default = levels.default.unwrap_or(LevelFilter::INFO);
-    levels.loggers.iter().fold(
-        Targets::new().with_default(default),
-        |filter, (logger, level)| {
-            if logger.starts_with("wm_") {
-                filter.with_target(logger.replace('.', "::"), *level)
-            } else {
-                filter.with_default(*level)
-            }
-        },
-    )
 }
 
 /// The node that a span belongs to.
@@ -198,19 +182,6 @@ fn number(level: &Level) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn levels_become_filters() {
-        let levels =
-            |line: &str| filter(&NodeArgs::parse(line.split_whitespace()).unwrap().log_levels);
-        let all = levels("--ros-args --log-level warn");
-        assert!(!all.would_enable("wm_nodes::encoder", &Level::INFO));
-        let node = levels("--ros-args --log-level wm.encoder:=debug");
-        assert!(node.would_enable("wm_nodes::encoder", &Level::DEBUG));
-        let module = levels("--ros-args --log-level wm_ros.dds:=debug");
-        assert!(module.would_enable("wm_ros::dds", &Level::DEBUG));
-        assert!(!module.would_enable("wm_nodes", &Level::DEBUG));
-    }
 
     #[test]
     fn stamps_have_nine_digits() {

@@ -146,9 +146,23 @@ pub(crate) struct TypeName {
 impl TypeName {
     /// Parses `package/msg/Type`; `package/Type` is taken too.
     pub(crate) fn parse_message(text: &str) -> Result<Self, Error> {
+        Self::parse(text, "msg")
+    }
+
+    /// Parses `package/srv/Type`; `package/Type` is taken too.
+    pub(crate) fn parse_service(text: &str) -> Result<Self, Error> {
+        Self::parse(text, "srv")
+    }
+
+    fn parse(text: &str, expected: &str) -> Result<Self, Error> {
         let parts: Vec<_> = text.split('/').collect();
-        let ([package, "msg", name] | [package, name]) = parts[..] else {
-            return Err(invalid(text, "type", "expected package/msg/Type"));
+        let (package, name) = match parts[..] {
+            [package, name] => (package, name),
+            [package, kind, name] if kind == expected => (package, name),
+            _ => {
+                let reason = format!("expected package/{expected}/Type");
+                return Err(invalid(text, "type", &reason));
+            }
         };
         check_part(package, "type", text)?;
         check_part(name, "type", text)?;
@@ -242,6 +256,8 @@ mod tests {
         assert_eq!(TypeName::parse_message("std_msgs/String").unwrap(), string);
         assert!(TypeName::parse_message("String").is_err());
         assert!(TypeName::parse_message("std_msgs/srv/String").is_err());
+        assert!(TypeName::parse_service("std_msgs/srv/String").is_ok());
+        assert!(TypeName::parse_service("std_msgs/msg/String").is_err());
     }
 
     proptest! {

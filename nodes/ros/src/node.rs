@@ -2,9 +2,12 @@
 
 mod builtin;
 mod graph;
+mod interfaces;
 mod overrides;
 
-pub use graph::TopicInfo;
+pub use graph::{RemoteEndpoint, Role, TopicInfo};
+
+use interfaces::Interfaces;
 
 use crate::{
     Clock, Context, Descriptor, Diagnostics, Error, NodeArgs, Parameter, Publisher, Qos,
@@ -14,7 +17,7 @@ use crate::{
     mailbox::Mailbox,
     names::{NodeName, TypeName},
     parameters::Parameters,
-    service::{self, Client, WAITING_CALLS},
+    service::{self, Client, RawClient, RawService, WAITING_CALLS},
     subscription::Intake,
     value::{ParameterType, Value},
 };
@@ -37,6 +40,8 @@ struct Inner {
     parameters: Arc<Parameters>,
     clock: Clock,
     diagnostics: Diagnostics,
+    /// The types that the node uses.
+    interfaces: Arc<Interfaces>,
     /// Readers that serve for as long as the node lives: services with a handler, `/clock`.
     kept: Mutex<Vec<Box<dyn Reader>>>,
     /// The one second beat of the diagnostics.
@@ -48,8 +53,8 @@ struct Inner {
 impl Node {
     /// Makes a node. Its name and namespace are the defaults, unless the command line has `__node` and `__ns`.
     ///
-    /// The node has the six parameter services, `/parameter_events`, `/rosout`, the parameter `use_sim_time`, and
-    /// diagnostics once a second, as soon as this returns.
+    /// The node has the six parameter services, `/parameter_events`, `/rosout`, the services of loggers and types, the
+    /// parameter `use_sim_time`, and diagnostics once a second, as soon as this returns.
     ///
     /// # Errors
     /// A name that ROS does not allow, a `use_sim_time` that is not a bool, or the middleware failed.
@@ -66,6 +71,7 @@ impl Node {
             clock: Clock::new(),
             diagnostics: Diagnostics::new(&name.fully_qualified),
             context: context.clone(),
+            interfaces: Arc::default(),
             kept: Mutex::default(),
             reporting: Mutex::default(),
             rosout: Mutex::default(),
@@ -155,7 +161,20 @@ impl Node {
     /// # Errors
     /// Names the parameter, where it came from, and the parameters that there are.
     pub fn seal_parameters(&self) -> Result<(), Error> {
-        for ignored in self.inner.parameters.check_all_declared()? {
+        self.check_parameters(false)
+    }
+
+    /// To be called once all endpoints are made: a `qos_overrides` that none of them took is an error, one from a
+    /// section that other nodes share (`/**`) a warning. A managed node is asked when it has been activated.
+    ///
+    /// # Errors
+    /// Names the override, where it came from, and the parameters that there are.
+    pub fn seal_endpoints(&self) -> Result<(), Error> {
+        self.check_parameters(true)
+    }
+
+    fn check_parameters(&self, has_endpoints: bool) -> Result<(), Error> {
+        for ignored in self.inner.parameters.check_all_declared(has_endpoints)? {
             tracing::warn!(
                 "the parameter `{}` from {} is not one of this node's",
                 ignored.name,
@@ -200,6 +219,7 @@ impl Node {
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
     pub fn publisher<M: Message>(&self, topic: &str, qos: Qos) -> Result<Publisher<M>, Error> {
+        self.inner.interfaces.message::<M>();
         Ok(Publisher::new(self.publish(topic, type_of::<M>(), qos)?))
     }
 
@@ -244,10 +264,12 @@ impl Node {
         topic: &str,
         qos: Qos,
     ) -> Result<Subscription<M>, Error> {
+        self.inner.interfaces.message::<M>();
         Ok(Subscription::new(self.subscribe(
             topic,
             type_of::<M>(),
             qos,
+            true,
         )?))
     }
 
@@ -261,7 +283,21 @@ impl Node {
         type_name: &str,
         qos: Qos,
     ) -> Result<RawSubscription, Error> {
-        self.subscribe(topic, TypeName::parse_message(type_name)?, qos)
+        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, true)
+    }
+
+    /// As [`raw_subscription`](Self::raw_subscription), but it does not hear what this context publishes: for a
+    /// program that carries a topic both ways.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn raw_subscription_to_others(
+        &self,
+        topic: &str,
+        type_name: &str,
+        qos: Qos,
+    ) -> Result<RawSubscription, Error> {
+        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, false)
     }
 
     fn subscribe(
@@ -269,6 +305,7 @@ impl Node {
         topic: &str,
         type_name: TypeName,
         qos: Qos,
+        hears_own: bool,
     ) -> Result<RawSubscription, Error> {
         let name = self.inner.name.resolve(topic, "topic")?;
         let qos = overrides::apply(
@@ -284,6 +321,7 @@ impl Node {
             name,
             type_name,
             qos,
+            hears_own,
         };
         let reader =
             self.inner
@@ -305,32 +343,19 @@ impl Node {
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
     pub fn service<S: wm_msgs::Service>(&self, name: &str) -> Result<Service<S>, Error> {
-        let name = self.inner.name.resolve(name, "service")?;
-        let calls = Arc::new(Mailbox::new(WAITING_CALLS));
-        let writer = self.inner.writer(
-            Channel::Response,
-            &name,
-            type_of_service::<S>(),
-            SERVICE_QOS,
-        )?;
-        let sink = service::call_sink(name.clone(), Arc::clone(&calls));
-        let endpoint = Endpoint {
-            channel: Channel::Request,
-            name,
-            type_name: type_of_service::<S>(),
-            qos: SERVICE_QOS,
-        };
-        let reader = self
-            .inner
-            .backend()
-            .reader(self.fully_qualified_name(), &endpoint, sink)?;
-        Ok(Service::new(
-            endpoint.name,
-            calls,
-            Arc::from(writer),
-            reader,
-            self.shutdown(),
-        ))
+        self.inner.interfaces.service::<S>();
+        let raw = self.inner.service(name, type_of_service::<S>(), true)?;
+        Ok(Service::new(raw))
+    }
+
+    /// Serves a service of any type, `package/srv/Type`, in CDR bytes, for other participants: it does not hear the
+    /// clients of this context.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn raw_service_for_others(&self, name: &str, type_name: &str) -> Result<RawService, Error> {
+        self.inner
+            .service(name, TypeName::parse_service(type_name)?, false)
     }
 
     /// Serves `S` with a handler for as long as the node lives. The handler runs on the thread that receives for
@@ -343,6 +368,7 @@ impl Node {
         name: &str,
         handler: impl Fn(S::Request) -> S::Response + Send + 'static,
     ) -> Result<(), Error> {
+        self.inner.interfaces.service::<S>();
         let answer = move |request: &[u8]| cdr::to_bytes(&handler(cdr::from_bytes(request)?));
         self.inner.serve_bytes(name, type_of_service::<S>(), answer)
     }
@@ -352,31 +378,17 @@ impl Node {
     /// # Errors
     /// A name that ROS does not allow, or the middleware failed.
     pub fn client<S: wm_msgs::Service>(&self, name: &str) -> Result<Client<S>, Error> {
-        let name = self.inner.name.resolve(name, "service")?;
-        let writer =
-            self.inner
-                .writer(Channel::Request, &name, type_of_service::<S>(), SERVICE_QOS)?;
-        let pending = service::Pending::default();
-        let sink = service::answer_sink(writer.id(), Arc::clone(&pending));
-        let endpoint = Endpoint {
-            channel: Channel::Response,
-            name,
-            type_name: type_of_service::<S>(),
-            qos: SERVICE_QOS,
-        };
-        let reader = self
-            .inner
-            .backend()
-            .reader(self.fully_qualified_name(), &endpoint, sink)?;
-        let backend = Arc::clone(self.inner.backend());
-        Ok(Client::new(
-            endpoint.name,
-            writer,
-            reader,
-            pending,
-            backend,
-            self.shutdown(),
-        ))
+        self.inner.interfaces.service::<S>();
+        let raw = self.inner.client(name, type_of_service::<S>())?;
+        Ok(Client::new(raw))
+    }
+
+    /// Calls the service of this name and of any type, `package/srv/Type`, in CDR bytes.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn raw_client(&self, name: &str, type_name: &str) -> Result<RawClient, Error> {
+        self.inner.client(name, TypeName::parse_service(type_name)?)
     }
 }
 
@@ -397,8 +409,64 @@ impl Inner {
             name: name.to_owned(),
             type_name,
             qos,
+            hears_own: true,
         };
         self.backend().writer(&self.name.fully_qualified, &endpoint)
+    }
+
+    fn service(
+        &self,
+        name: &str,
+        type_name: TypeName,
+        hears_own: bool,
+    ) -> Result<RawService, Error> {
+        let name = self.name.resolve(name, "service")?;
+        let calls = Arc::new(Mailbox::new(WAITING_CALLS));
+        let writer = self.writer(Channel::Response, &name, type_name.clone(), SERVICE_QOS)?;
+        let sink = service::call_sink(name.clone(), Arc::clone(&calls));
+        let endpoint = Endpoint {
+            channel: Channel::Request,
+            name,
+            type_name,
+            qos: SERVICE_QOS,
+            hears_own,
+        };
+        let reader = self
+            .backend()
+            .reader(&self.name.fully_qualified, &endpoint, sink)?;
+        Ok(RawService::new(
+            endpoint.name,
+            calls,
+            Arc::from(writer),
+            reader,
+            self.context.shutdown(),
+        ))
+    }
+
+    fn client(&self, name: &str, type_name: TypeName) -> Result<RawClient, Error> {
+        let name = self.name.resolve(name, "service")?;
+        let writer = self.writer(Channel::Request, &name, type_name.clone(), SERVICE_QOS)?;
+        let pending = service::Pending::default();
+        let sink = service::answer_sink(writer.id(), Arc::clone(&pending));
+        let endpoint = Endpoint {
+            channel: Channel::Response,
+            name,
+            type_name,
+            qos: SERVICE_QOS,
+            hears_own: true,
+        };
+        let reader = self
+            .backend()
+            .reader(&self.name.fully_qualified, &endpoint, sink)?;
+        let backend = Arc::clone(self.backend());
+        Ok(RawClient::new(
+            endpoint.name,
+            writer,
+            reader,
+            pending,
+            backend,
+            self.context.shutdown(),
+        ))
     }
 
     /// Serves a service in bytes for as long as the node lives.
@@ -417,6 +485,7 @@ impl Inner {
             name,
             type_name,
             qos: SERVICE_QOS,
+            hears_own: true,
         };
         let reader = self
             .backend()

@@ -214,12 +214,16 @@ impl Parameters {
     }
 
     /// Values that were given for parameters that nobody declared: the first is an error, unless several nodes may
-    /// share it; those come back, to be warned of.
-    pub(crate) fn check_all_declared(&self) -> Result<Vec<Override>, ParameterError> {
+    /// share it; those come back, to be warned of. QoS overrides are declared by the endpoints that take them: they are
+    /// looked at where `has_endpoints`, and nothing else is.
+    pub(crate) fn check_all_declared(
+        &self,
+        has_endpoints: bool,
+    ) -> Result<Vec<Override>, ParameterError> {
         let entries = lock(&self.entries);
         let mut ignored = Vec::new();
         for given in &self.overrides {
-            if entries.contains_key(&given.name) || is_qos_override(&given.name) {
+            if entries.contains_key(&given.name) || is_qos_override(&given.name) != has_endpoints {
                 continue;
             }
             if !given.is_shared {
@@ -444,7 +448,7 @@ mod tests {
             parameters.declare("rate", Value::Double(5.0), rate()),
             Ok(Value::Double(2.0))
         );
-        assert_eq!(parameters.check_all_declared(), Ok(vec![]));
+        assert_eq!(parameters.check_all_declared(false), Ok(vec![]));
     }
 
     #[test]
@@ -468,7 +472,10 @@ mod tests {
             .declare("rate", Value::Double(5.0), rate())
             .unwrap();
         assert_eq!(
-            undeclared.check_all_declared().unwrap_err().to_string(),
+            undeclared
+                .check_all_declared(false)
+                .unwrap_err()
+                .to_string(),
             "/wm/encoder has no parameter `rat` (from -p rat:=1); it has: rate"
         );
     }

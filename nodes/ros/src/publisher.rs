@@ -44,6 +44,7 @@ impl RawPublisher {
         shutdown: Shutdown,
     ) -> Self {
         let (dropped, has_warned_of_size) = (AtomicU64::new(0), AtomicBool::new(false));
+        diagnostics.add_endpoint(writer.id(), &topic, true);
         Self {
             inner: Arc::new(Inner {
                 topic,
@@ -107,11 +108,16 @@ impl RawPublisher {
     }
 
     fn warn_of_size(&self, len: usize) {
-        if len > SAFE_SAMPLE_BYTES && !self.inner.has_warned_of_size.swap(true, Ordering::Relaxed) {
+        if len <= SAFE_SAMPLE_BYTES {
+            return;
+        }
+        let inner = &*self.inner;
+        inner.diagnostics.oversized(inner.writer.id(), len);
+        if !inner.has_warned_of_size.swap(true, Ordering::Relaxed) {
             tracing::warn!(
                 "{}: a message of {len} bytes may not reach a stock ROS 2 machine (up to {SAFE_SAMPLE_BYTES} do); \
-                 it needs net.core.rmem_default and rmem_max of 4 MB there",
-                self.inner.topic
+                 it needs net.core.rmem_default and rmem_max of 4 MB there, and so do the nodes here",
+                inner.topic
             );
         }
     }
@@ -150,6 +156,12 @@ impl RawPublisher {
             Ok(done) => done.map(|()| true),
             Err(_elapsed) => Ok(false),
         }
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.diagnostics.remove_endpoint(&self.writer.id());
     }
 }
 

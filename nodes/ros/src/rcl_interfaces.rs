@@ -213,6 +213,25 @@ pub(crate) struct ListRequest {
     pub(crate) depth: u64,
 }
 
+/// `LoggerLevel`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct LoggerLevel {
+    pub(crate) name: String,
+    pub(crate) level: u32,
+}
+
+/// Response of `GetLoggerLevels`, and request of `SetLoggerLevels`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct LoggerLevels {
+    pub(crate) levels: Vec<LoggerLevel>,
+}
+
+/// Response of `SetLoggerLevels`; `SetLoggerLevelsResult` has the fields of `SetParametersResult`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct SetLoggerLevelsResponse {
+    pub(crate) results: Vec<SetParametersResult>,
+}
+
 /// Response of `ListParameters`: the fields of `ListParametersResult`, which is its one field.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct ListResponse {

@@ -1,7 +1,13 @@
-//! The frame of a node's process.
+//! The frame of a process of nodes.
 
-use crate::{Context, Environment, Error, Node, NodeArgs, logging};
-use std::time::Duration;
+use crate::{Context, Environment, Error, Node, NodeArgs, Shutdown, logging};
+use futures::{
+    StreamExt as _,
+    future::{FutureExt as _, LocalBoxFuture},
+    stream::FuturesUnordered,
+};
+use std::{collections::BTreeSet, time::Duration};
+use tracing::Instrument as _;
 
 /// How long a body may take to return after SIGINT or SIGTERM, so that the process is gone within 2 s.
 const GRACE: Duration = Duration::from_millis(1200);
@@ -16,12 +22,81 @@ const BLOCKING_GRACE: Duration = Duration::from_millis(100);
 /// subscriptions and the node go first and the participant last, so that the rest of the graph hears of it.
 ///
 /// # Errors
-/// The graph cannot be joined, or what the body returns.
+/// The graph cannot be joined, the middleware has ended, or what the body returns.
 pub fn run<E: From<Error>>(
     default_name: &str,
     default_namespace: &str,
     args: &NodeArgs,
     body: impl AsyncFnOnce(Node) -> Result<(), E>,
+) -> Result<(), E> {
+    in_graph(args, |context| {
+        let node = Node::new(context, default_name, default_namespace, args)?;
+        Ok(async move { body(node.clone()).await }.boxed_local())
+    })
+}
+
+/// A node of a process that runs several ([`run_together`]).
+pub struct Component<E> {
+    default_name: &'static str,
+    body: Box<dyn FnOnce(Node) -> LocalBoxFuture<'static, Result<(), E>>>,
+}
+
+impl<E> Component<E> {
+    /// The node of this name, unless the command line gives it another, and what it does.
+    pub fn new(
+        default_name: &'static str,
+        body: impl AsyncFnOnce(Node) -> Result<(), E> + 'static,
+    ) -> Self {
+        let body = Box::new(move |node| async move { body(node).await }.boxed_local());
+        Self { default_name, body }
+    }
+}
+
+/// As [`run`], with several nodes in one process, one [`Context`] and one runtime: what one publishes and another
+/// subscribes to is handed over in memory. A body that computes must do so in `spawn_blocking`, or the others wait.
+///
+/// A rule of the command line without a node's name (`-p name:=value`) is for all nodes, and one that has no such
+/// parameter only warns of it. It ends when all bodies have returned, or with the first error of one.
+///
+/// # Errors
+/// The graph cannot be joined, two nodes have the same name, the middleware has ended, or what a body returns.
+pub fn run_together<E: From<Error> + 'static>(
+    default_namespace: &str,
+    args: &NodeArgs,
+    components: Vec<Component<E>>,
+) -> Result<(), E> {
+    let args = args.of_several();
+    in_graph(&args, |context| {
+        let mut names = BTreeSet::new();
+        let mut bodies = FuturesUnordered::new();
+        for component in components {
+            let node = Node::new(context, component.default_name, default_namespace, &args)?;
+            let name = node.fully_qualified_name();
+            if !names.insert(name.to_owned()) {
+                return Err(Error::SameName(name.to_owned()));
+            }
+            let span = node.span();
+            bodies.push((component.body)(node).instrument(span));
+        }
+        let shutdown = context.shutdown();
+        Ok(async move {
+            let mut result = Ok(());
+            while let Some(ended) = bodies.next().await {
+                if ended.is_err() && result.is_ok() {
+                    result = ended;
+                    shutdown.trigger();
+                }
+            }
+            result
+        }
+        .boxed_local())
+    })
+}
+
+/// Joins the graph, runs what `start` makes there, and leaves it in order.
+fn in_graph<'a, E: From<Error>>(
+    args: &NodeArgs,
+    start: impl FnOnce(&Context) -> Result<LocalBoxFuture<'a, Result<(), E>>, Error>,
 ) -> Result<(), E> {
     logging::init(args);
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -30,23 +105,31 @@ pub fn run<E: From<Error>>(
         .map_err(|source| Error::io("start the runtime", source))?;
     let context = Context::new(&Environment::from_env(args)?)?;
     context.listen_for_signals()?;
-    let node = Node::new(&context, default_name, default_namespace, args)?;
-    let shutdown = context.shutdown();
-    let result = runtime.block_on(async {
-        let late = async {
-            shutdown.wait().await;
-            tokio::time::sleep(GRACE).await;
-        };
-        tokio::select! {
-            result = body(node.clone()) => result,
-            () = late => {
-                tracing::warn!("still busy {} ms after the signal: stopped", GRACE.as_millis());
-                Ok(())
-            }
-        }
-    });
+    let bodies = start(&context)?;
+    let result = runtime.block_on(until_late(bodies, context.shutdown()));
+    let result = match result {
+        Ok(()) if context.has_failed() => Err(Error::MiddlewareEnded.into()),
+        result => result,
+    };
     runtime.shutdown_timeout(BLOCKING_GRACE);
-    drop(node);
     context.close();
     result
+}
+
+/// The result of `bodies`, or none where they have not returned in time after the shutdown.
+async fn until_late<E>(
+    bodies: LocalBoxFuture<'_, Result<(), E>>,
+    shutdown: Shutdown,
+) -> Result<(), E> {
+    let late = async {
+        shutdown.wait().await;
+        tokio::time::sleep(GRACE).await;
+    };
+    tokio::select! {
+        result = bodies => result,
+        () = late => {
+            tracing::warn!("still busy {} ms after the signal: stopped", GRACE.as_millis());
+            Ok(())
+        }
+    }
 }

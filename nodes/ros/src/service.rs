@@ -10,6 +10,7 @@ use std::{
     collections::BTreeMap,
     marker::PhantomData,
     sync::{Arc, Mutex, PoisonError},
+    time::Duration,
 };
 use tokio::sync::oneshot;
 use wm_msgs::cdr;
@@ -17,13 +18,27 @@ use wm_msgs::cdr;
 /// Calls that may wait for a server. Policy DropOldest: who waited longest has most likely given up.
 pub(crate) const WAITING_CALLS: usize = 64;
 
-/// The serving end of a service `S`.
-pub struct Service<S> {
+/// The serving end of a service of any type: requests and answers as CDR bytes with their 4-byte header.
+pub struct RawService {
     name: String,
     calls: Arc<Mailbox<(RequestId, Bytes)>>,
     writer: Arc<dyn Writer>,
     _reader: Box<dyn Reader>,
     shutdown: Shutdown,
+}
+
+/// A call of a [`RawService`] to be answered.
+pub struct RawCall {
+    /// What the client asks, as CDR.
+    pub request: Bytes,
+    service: String,
+    id: RequestId,
+    writer: Arc<dyn Writer>,
+}
+
+/// The serving end of a service `S`.
+pub struct Service<S> {
+    raw: RawService,
     of: PhantomData<fn(S)>,
 }
 
@@ -31,9 +46,7 @@ pub struct Service<S> {
 pub struct Call<S: wm_msgs::Service> {
     /// What the client asks.
     pub request: S::Request,
-    service: String,
-    id: RequestId,
-    writer: Arc<dyn Writer>,
+    raw: RawCall,
 }
 
 /// What puts calls into a mailbox.
@@ -75,15 +88,15 @@ pub(crate) fn answering_sink(
         };
         let answered = answer(&bytes)
             .map_err(Error::from)
-            .and_then(|answer| send(&*writer, &name, answer, id));
+            .and_then(|answer| send(&*writer, &name, answer.into(), id));
         if let Err(error) = answered {
             tracing::warn!("{name}: a call is not answered: {error}");
         }
     })
 }
 
-fn send(writer: &dyn Writer, name: &str, answer: Vec<u8>, id: RequestId) -> Result<(), Error> {
-    match writer.write(&answer.into(), Some(id))? {
+fn send(writer: &dyn Writer, name: &str, answer: Bytes, id: RequestId) -> Result<(), Error> {
+    match writer.write(&answer, Some(id))? {
         Written::Sent(_) | Written::Held => Ok(()),
         Written::WindowFull => Err(Error::middleware(
             format!("answer {name}"),
@@ -92,7 +105,7 @@ fn send(writer: &dyn Writer, name: &str, answer: Vec<u8>, id: RequestId) -> Resu
     }
 }
 
-impl<S: wm_msgs::Service> Service<S> {
+impl RawService {
     pub(crate) fn new(
         name: String,
         calls: Arc<Mailbox<(RequestId, Bytes)>>,
@@ -106,6 +119,49 @@ impl<S: wm_msgs::Service> Service<S> {
             writer,
             _reader: reader,
             shutdown,
+        }
+    }
+
+    /// Waits for a call; `None` once the context is shut down. Cancel safe.
+    pub async fn recv(&mut self) -> Option<RawCall> {
+        let (id, request) = tokio::select! {
+            biased;
+            () = self.shutdown.wait() => return None,
+            call = self.calls.pop() => call?,
+        };
+        Some(RawCall {
+            request,
+            service: self.name.clone(),
+            id,
+            writer: Arc::clone(&self.writer),
+        })
+    }
+
+    /// The service's absolute name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+}
+
+impl RawCall {
+    /// Who calls (its GUID) and the number of the call, which together name the call in the whole graph.
+    pub fn id(&self) -> ([u8; 16], i64) {
+        (self.id.client, self.id.sequence)
+    }
+
+    /// Answers the call with little-endian CDR.
+    ///
+    /// # Errors
+    /// The bytes are not little-endian CDR, or the middleware failed.
+    pub fn respond(self, response: Bytes) -> Result<(), Error> {
+        send(&*self.writer, &self.service, response, self.id)
+    }
+}
+
+impl<S: wm_msgs::Service> Service<S> {
+    pub(crate) fn new(raw: RawService) -> Self {
+        Self {
+            raw,
             of: PhantomData,
         }
     }
@@ -114,29 +170,28 @@ impl<S: wm_msgs::Service> Service<S> {
     /// reported and skipped.
     pub async fn recv(&mut self) -> Option<Call<S>> {
         loop {
-            let (id, bytes) = tokio::select! {
-                biased;
-                () = self.shutdown.wait() => return None,
-                call = self.calls.pop() => call?,
-            };
-            match cdr::from_bytes(&bytes) {
-                Ok(request) => {
-                    let (service, writer) = (self.name.clone(), Arc::clone(&self.writer));
-                    return Some(Call {
-                        request,
-                        service,
-                        id,
-                        writer,
-                    });
-                }
-                Err(error) => tracing::warn!("{}: a call is skipped: {error}", self.name),
+            let raw = self.raw.recv().await?;
+            match cdr::from_bytes(&raw.request) {
+                Ok(request) => return Some(Call { request, raw }),
+                Err(error) => tracing::warn!("{}: a call is skipped: {error}", self.name()),
             }
+        }
+    }
+
+    /// Waits until every connected client has its answers, at most for `timeout`; whether they have.
+    ///
+    /// # Errors
+    /// The middleware failed.
+    pub async fn wait_for_acknowledgments(&self, timeout: Duration) -> Result<bool, Error> {
+        match tokio::time::timeout(timeout, self.raw.writer.acknowledged()).await {
+            Ok(done) => done.map(|()| true),
+            Err(_elapsed) => Ok(false),
         }
     }
 
     /// The service's absolute name.
     pub fn name(&self) -> &str {
-        &self.name
+        self.raw.name()
     }
 }
 
@@ -146,26 +201,26 @@ impl<S: wm_msgs::Service> Call<S> {
     /// # Errors
     /// The response has no CDR form, or the middleware failed.
     pub fn respond(self, response: &S::Response) -> Result<(), Error> {
-        send(
-            &*self.writer,
-            &self.service,
-            cdr::to_bytes(response)?,
-            self.id,
-        )
+        self.raw.respond(cdr::to_bytes(response)?.into())
     }
 }
 
 /// Answers that are waited for, by the number of their request.
 pub(crate) type Pending = Arc<Mutex<BTreeMap<i64, oneshot::Sender<Bytes>>>>;
 
-/// The calling end of a service `S`.
-pub struct Client<S> {
+/// The calling end of a service of any type: requests and answers as CDR bytes with their 4-byte header.
+pub struct RawClient {
     name: String,
     writer: Box<dyn Writer>,
     reader: Box<dyn Reader>,
     pending: Pending,
     backend: Arc<dyn Backend>,
     shutdown: Shutdown,
+}
+
+/// The calling end of a service `S`.
+pub struct Client<S> {
+    raw: RawClient,
     of: PhantomData<fn(S)>,
 }
 
@@ -205,7 +260,7 @@ impl Drop for Waiting<'_> {
     }
 }
 
-impl<S: wm_msgs::Service> Client<S> {
+impl RawClient {
     pub(crate) fn new(
         name: String,
         writer: Box<dyn Writer>,
@@ -221,16 +276,14 @@ impl<S: wm_msgs::Service> Client<S> {
             pending,
             backend,
             shutdown,
-            of: PhantomData,
         }
     }
 
     /// Calls the service and waits for the answer, for as long as it takes: bring a timeout.
     ///
     /// # Errors
-    /// The middleware failed, the answer is not of the type, or the context is shut down.
-    pub async fn call(&self, request: &S::Request) -> Result<S::Response, Error> {
-        let request = cdr::to_bytes(request)?.into();
+    /// The request is not little-endian CDR, the middleware failed, or the context is shut down.
+    pub async fn call(&self, request: Bytes) -> Result<Bytes, Error> {
         let (answer, _waiting) = {
             // Held over the write, so that the answer cannot come before it is waited for.
             let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
@@ -255,7 +308,7 @@ impl<S: wm_msgs::Service> Client<S> {
         };
         tokio::select! {
             answer = answer => match answer {
-                Ok(bytes) => Ok(cdr::from_bytes(&bytes)?),
+                Ok(bytes) => Ok(bytes),
                 Err(_) => Err(Error::ShutDown(self.name.clone())),
             },
             () = self.shutdown.wait() => Err(Error::ShutDown(self.name.clone())),
@@ -279,5 +332,33 @@ impl<S: wm_msgs::Service> Client<S> {
     /// The service's absolute name.
     pub fn name(&self) -> &str {
         &self.name
+    }
+}
+
+impl<S: wm_msgs::Service> Client<S> {
+    pub(crate) fn new(raw: RawClient) -> Self {
+        Self {
+            raw,
+            of: PhantomData,
+        }
+    }
+
+    /// Calls the service and waits for the answer, for as long as it takes: bring a timeout.
+    ///
+    /// # Errors
+    /// The middleware failed, the answer is not of the type, or the context is shut down.
+    pub async fn call(&self, request: &S::Request) -> Result<S::Response, Error> {
+        let answer = self.raw.call(cdr::to_bytes(request)?.into()).await?;
+        Ok(cdr::from_bytes(&answer)?)
+    }
+
+    /// Waits until a server is connected.
+    pub async fn wait_for_service(&self) {
+        self.raw.wait_for_service().await;
+    }
+
+    /// The service's absolute name.
+    pub fn name(&self) -> &str {
+        self.raw.name()
     }
 }

@@ -113,6 +113,9 @@ impl RawSubscription {
         backend: Arc<dyn Backend>,
         shutdown: Shutdown,
     ) -> Self {
+        intake
+            .diagnostics
+            .add_endpoint(reader.id(), &intake.topic, false);
         Self {
             intake,
             reader,
@@ -174,6 +177,7 @@ impl RawSubscription {
 impl Drop for RawSubscription {
     fn drop(&mut self) {
         self.intake.mailbox.close();
+        self.intake.diagnostics.remove_endpoint(&self.reader.id());
     }
 }
 
@@ -271,6 +275,26 @@ mod tests {
         })
     }
 
+    fn report_of(diagnostics: &Diagnostics) -> wm_msgs::diagnostic_msgs::DiagnosticStatus {
+        struct Alone;
+
+        impl crate::diagnostics::Graph for Alone {
+            fn matched(&self, _: &crate::backend::EndpointId) -> usize {
+                0
+            }
+
+            fn foreign(&self, _: &crate::backend::EndpointId) -> usize {
+                0
+            }
+
+            fn mismatches(&self, _: &crate::backend::EndpointId) -> Vec<String> {
+                Vec::new()
+            }
+        }
+        let now = std::time::Instant::now();
+        diagnostics.report(now, &Alone).swap_remove(0)
+    }
+
     #[test]
     fn what_is_lost_dropped_or_undecodable_is_counted_and_the_stream_goes_on() {
         let diagnostics = Diagnostics::new("/wm/test");
@@ -281,7 +305,7 @@ mod tests {
         sink(sample(2, vec![0, 1, 0, 0, 9, 9, 9, 9]));
         sink(sample(7, text("kept")));
         sink(Err("an unknown representation".into()));
-        let report = diagnostics.report(std::time::Instant::now());
+        let report = report_of(&diagnostics);
         assert!(
             report
                 .message

@@ -7,7 +7,9 @@ use bytes::Bytes;
 use std::time::Duration;
 use wm_msgs::{
     builtin_interfaces::Time,
-    cdr, rosgraph_msgs,
+    cdr,
+    diagnostic_msgs::DiagnosticArray,
+    rosgraph_msgs,
     std_msgs::{self, Bool},
     wm_msgs::{Reset, ResetRequest, ResetResponse},
 };
@@ -18,12 +20,12 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A domain for each test, so that tests neither meet each other nor another run of them.
 fn context(test: u16) -> Context {
-    let domain_id = 120 + (std::process::id() as u16 % 25) * 4 + test;
-    Context::new(&Environment {
-        domain_id,
-        reach: Reach::Localhost,
-    })
-    .unwrap()
+    reaching(test, Reach::Localhost)
+}
+
+fn reaching(test: u16, reach: Reach) -> Context {
+    let domain_id = 120 + (std::process::id() as u16 % 16) * 6 + test;
+    Context::new(&Environment { domain_id, reach }).unwrap()
 }
 
 fn node(context: &Context, name: &str, line: &str) -> Node {
@@ -46,6 +48,36 @@ fn text(data: &str) -> std_msgs::String {
     std_msgs::String {
         data: data.to_owned(),
     }
+}
+
+/// The topic's other subscription keeps what was sent in between in the participant.
+#[tokio::test(flavor = "current_thread")]
+async fn a_subscription_that_comes_anew_gets_nothing_of_before() {
+    let (here, there) = (context(0), context(0));
+    let (talker, listener) = (node(&here, "teller", ""), node(&there, "hearer", ""));
+    let told = talker
+        .publisher::<std_msgs::String>("told", Qos::reliable(10))
+        .unwrap();
+    let subscribe = || listener.subscription::<std_msgs::String>("told", Qos::reliable(10));
+    let mut first = subscribe().unwrap();
+    let mut other = subscribe().unwrap();
+    soon("connecting", told.wait_for_subscribers(2)).await;
+    told.publish(&text("one")).unwrap();
+    soon("the first message", first.recv()).await.unwrap();
+    drop(first);
+    told.publish(&text("two")).unwrap();
+    for _ in 0..2 {
+        soon("the other's", other.recv()).await.unwrap();
+    }
+    let mut anew = subscribe().unwrap();
+    soon("connecting again", async {
+        anew.wait_for_publishers(1).await;
+        told.wait_for_subscribers(2).await;
+    })
+    .await;
+    told.publish(&text("three")).unwrap();
+    let received = soon("a message", anew.recv()).await.unwrap();
+    assert_eq!((received.message, anew.lost()), (text("three"), 0));
 }
 
 #[tokio::test(flavor = "current_thread")]
@@ -255,4 +287,67 @@ async fn a_node_follows_the_clock_of_another() {
         .unwrap();
     assert_eq!(*jumps.borrow(), 1);
     assert_eq!(follower.now(), at(5));
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn incompatible_qos_is_told_by_policy() {
+    let (here, there) = (context(4), context(4));
+    let (talker, listener) = (node(&here, "talker", ""), node(&there, "listener", ""));
+    let mut diagnostics = listener
+        .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(10))
+        .unwrap();
+    let offered = talker
+        .publisher::<Bool>("state", Qos::best_effort(1))
+        .unwrap();
+    let wanted = listener
+        .subscription::<Bool>("state", Qos::reliable(1))
+        .unwrap();
+    let mut told = async |name: &str| loop {
+        let report = diagnostics.recv().await.unwrap().message;
+        if let Some(status) = report.status.into_iter().find(|status| status.name == name) {
+            return status;
+        }
+    };
+    for node in ["wm/talker", "wm/listener"] {
+        let status = soon("the warning", told(&format!("{node}: QoS of /wm/state"))).await;
+        assert_eq!(status.level, 1);
+        let text = status.message;
+        assert!(text.contains("incompatible Reliability"), "{text}");
+    }
+    assert_eq!((offered.subscribers(), wanted.publishers()), (0, 0));
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn a_context_that_is_off_meets_nobody() {
+    let (off, here, there) = (reaching(5, Reach::Process), context(5), context(5));
+    let (alone, talker, listener) = (
+        node(&off, "alone", ""),
+        node(&here, "talker", ""),
+        node(&there, "listener", ""),
+    );
+    let secret = alone.publisher::<Bool>("secret", Qos::latched(1)).unwrap();
+    let overheard = alone
+        .subscription::<Bool>("said", Qos::best_effort(1))
+        .unwrap();
+    let said = talker.publisher::<Bool>("said", Qos::reliable(1)).unwrap();
+    let secrets = listener
+        .subscription::<Bool>("secret", Qos::latched(1))
+        .unwrap();
+    let heard = listener
+        .subscription::<Bool>("said", Qos::reliable(1))
+        .unwrap();
+    soon("the others' meeting", async {
+        said.wait_for_subscribers(1).await;
+        heard.wait_for_publishers(1).await;
+    })
+    .await;
+    assert_eq!((secret.subscribers(), overheard.publishers()), (0, 0));
+    assert_eq!((secrets.publishers(), said.subscribers()), (0, 1));
+    // Nodes of its own process do meet.
+    let beside = node(&off, "beside", "");
+    let mut told = beside
+        .subscription::<Bool>("secret", Qos::latched(1))
+        .unwrap();
+    secret.publish(&Bool { data: true }).unwrap();
+    assert!(soon("the secret", told.recv()).await.unwrap().message.data);
 }

@@ -2,18 +2,29 @@
 
 use std::{
     sync::{Arc, Mutex, PoisonError},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result};
-use wm_msgs::wm_msgs::Prediction;
-use wm_ros::{Descriptor, Node, NodeArgs, Qos};
+use wm_msgs::{
+    sensor_msgs::{CompressedImage, Image},
+    wm_msgs::Prediction,
+};
+use wm_ros::{
+    Descriptor, Diagnostics, Input, Level, Lifecycle, Managed, Node, NodeArgs, Parameter,
+    Publisher, Qos, Subscription,
+};
 
 use super::{
-    DecoderStep, jpeg_message, raw_message,
+    DecoderError, DecoderStep, jpeg_message, raw_message,
     rollouts::{Choice, Rollouts},
 };
-use crate::{complaints::Complaints, model_choice, transport::Transports, work::Work};
+use crate::{
+    complaints::Complaints,
+    model_choice::{self, ModelChoice},
+    transport::Transports,
+    work::Work,
+};
 
 /// The node's default name.
 pub const NAME: &str = "decoder";
@@ -41,6 +52,7 @@ pub fn run(args: &NodeArgs) -> Result<()> {
 /// # Errors
 /// As [`run`].
 pub async fn body(node: Node) -> Result<()> {
+    let lifecycle = Lifecycle::new(&node)?;
     let model = model_choice::declare(&node)?;
     let transports = Transports::declare(&node)?;
     let descriptor = Descriptor::new("JPEG quality").integers(1, 100);
@@ -53,85 +65,190 @@ pub async fn body(node: Node) -> Result<()> {
     .floats(0.0, 3600.0)
     .read_only();
     let period = node.declare("decode_period", 0.6_f64, descriptor)?.get();
-    // The descriptor keeps it within an hour.
-    let mut rollouts = Rollouts::every((period * 1e9) as i64);
     node.seal_parameters()?;
+    let decoder = DecoderNode {
+        node,
+        model,
+        transports,
+        quality,
+        steps,
+        // The descriptor keeps it within an hour.
+        period_ns: (period * 1e9) as i64,
+    };
+    lifecycle.run(decoder).await
+}
 
-    let decoder = tokio::task::spawn_blocking(move || model.decoder()).await??;
-    let step = DecoderStep::new(decoder);
-    if transports.raw && step.raw_bytes() > SAFE_BYTES {
-        tracing::warn!(
-            "raw pictures of {} bytes: a stock ROS 2 subscriber loses messages beyond {SAFE_BYTES} bytes; use \
-             image_transport:=compressed, or give it a larger receive buffer",
-            step.raw_bytes(),
-        );
+struct DecoderNode {
+    node: Node,
+    model: ModelChoice,
+    transports: Transports,
+    quality: Parameter<i64>,
+    steps: Parameter<Vec<i64>>,
+    /// Least time between two observations whose rollouts are decoded \[ns\].
+    period_ns: i64,
+}
+
+/// The pictures of a prediction, or why there are none, and how long it took.
+type Decoded = (Result<Pictures, DecoderError>, Duration);
+/// By each transport that is used.
+type Pictures = (Option<Image>, Option<CompressedImage>);
+
+struct Active {
+    /// `None` where the model has no decoder.
+    decoding: Option<Decoding>,
+    raws: Option<Publisher<Image>>,
+    jpegs: Option<Publisher<CompressedImage>>,
+    diagnostics: Diagnostics,
+}
+
+struct Decoding {
+    predictions: Subscription<Prediction>,
+    work: Work<(Prediction, u8), Decoded>,
+    rollouts: Rollouts,
+    complaints: Complaints,
+}
+
+fn work(step: Arc<Mutex<DecoderStep>>, transports: Transports) -> Work<(Prediction, u8), Decoded> {
+    Work::new(
+        WAITING,
+        move |(prediction, quality): (Prediction, u8), _| {
+            let step = step.lock().unwrap_or_else(PoisonError::into_inner);
+            let started = Instant::now();
+            let messages = step.decode(&prediction).and_then(|picture| {
+                let raw = transports.raw.then(|| raw_message(&picture, &prediction));
+                let jpeg = transports
+                    .compressed
+                    .then(|| jpeg_message(&picture, &prediction, quality));
+                Ok((raw, jpeg.transpose()?))
+            });
+            (messages, started.elapsed())
+        },
+    )
+}
+
+impl DecoderNode {
+    fn idle(&self) -> String {
+        format!("idle: model {} has no decoder", self.model.name())
     }
-    let step = Arc::new(Mutex::new(step));
-    let mut work = Work::new(WAITING, move |(prediction, quality): (Prediction, u8)| {
-        let step = step.lock().unwrap_or_else(PoisonError::into_inner);
-        let started = Instant::now();
-        let messages = step.decode(&prediction).and_then(|picture| {
-            let raw = transports.raw.then(|| raw_message(&picture, &prediction));
-            let jpeg = transports
-                .compressed
-                .then(|| jpeg_message(&picture, &prediction, quality));
-            Ok((raw, jpeg.transpose()?))
-        });
-        (messages, started.elapsed())
-    });
+}
 
-    let diagnostics = node.diagnostics();
-    let mut complaints = Complaints::new(diagnostics.clone());
-    let mut predictions =
-        node.subscription::<Prediction>("predicted", Qos::best_effort(WAITING))?;
-    let qos = Qos::best_effort(WAITING);
-    let raws = transports
-        .raw
-        .then(|| node.publisher("predicted/image", qos))
-        .transpose()?;
-    let jpegs = transports
-        .compressed
-        .then(|| node.publisher("predicted/image/compressed", qos))
-        .transpose()?;
-    loop {
-        tokio::select! {
-            biased;
-            finished = work.finished() => {
-                let (messages, taken) = finished.context("the decoder's thread")?;
-                match messages {
-                    Ok((raw, jpeg)) => {
-                        if let (Some(raw), Some(raws)) = (raw, &raws) {
-                            raws.publish(&raw)?;
-                        }
-                        if let (Some(jpeg), Some(jpegs)) = (jpeg, &jpegs) {
-                            jpegs.publish(&jpeg)?;
-                        }
-                        diagnostics.latency("decode").record(taken);
+impl Managed for DecoderNode {
+    type Configured = Option<Arc<Mutex<DecoderStep>>>;
+    type Active = Active;
+    type Error = anyhow::Error;
+
+    async fn configure(&self) -> Result<Self::Configured> {
+        let model = self.model.clone();
+        let decoder = tokio::task::spawn_blocking(move || model.open()?.decoder()).await??;
+        let Some(decoder) = decoder else {
+            tracing::warn!("{}: there will be no pictures", self.idle());
+            return Ok(None);
+        };
+        let step = DecoderStep::new(decoder);
+        if self.transports.raw && step.raw_bytes() > SAFE_BYTES {
+            tracing::warn!(
+                "raw pictures of {} bytes: a stock ROS 2 subscriber loses messages beyond {SAFE_BYTES} bytes; use \
+                 image_transport:=compressed, or give it a larger receive buffer",
+                step.raw_bytes(),
+            );
+        }
+        Ok(Some(Arc::new(Mutex::new(step))))
+    }
+
+    fn activate(&self, step: &Self::Configured) -> Result<Active> {
+        let (node, qos) = (&self.node, Qos::best_effort(WAITING));
+        let transports = self.transports;
+        let decoding = match step {
+            None => None,
+            Some(step) => Some(Decoding {
+                predictions: predictions(node, qos)?,
+                work: work(Arc::clone(step), transports),
+                rollouts: Rollouts::every(self.period_ns),
+                complaints: Complaints::new(node.diagnostics()),
+            }),
+        };
+        Ok(Active {
+            decoding,
+            // Announced by an idle node, too: who waits for its topics is not to wait for ever.
+            raws: transports
+                .raw
+                .then(|| node.publisher("predicted/image", qos))
+                .transpose()?,
+            jpegs: transports
+                .compressed
+                .then(|| node.publisher("predicted/image/compressed", qos))
+                .transpose()?,
+            diagnostics: node.diagnostics(),
+        })
+    }
+
+    async fn run(&self, active: &mut Active) -> Result<()> {
+        let Some(mut decoding) = active.decoding.take() else {
+            active.diagnostics.set_status(Level::Warn, self.idle());
+            self.node.shutdown().wait().await;
+            return Ok(());
+        };
+        loop {
+            tokio::select! {
+                biased;
+                finished = decoding.work.finished() => {
+                    let (messages, taken) = finished.context("the decoder's thread")?;
+                    match messages {
+                        Ok(pictures) => active.decoded(pictures, taken)?,
+                        Err(error) => decoding.complaints.left_out("bad_prediction", &error),
                     }
-                    Err(error) => complaints.left_out("bad_prediction", &error),
+                }
+                received = decoding.predictions.recv() => {
+                    let Some(received) = received else { return Ok(()) };
+                    let steps = self.steps.get();
+                    if steps.is_empty() || steps.contains(&i64::from(received.message.step)) {
+                        // The descriptor keeps it within 1 to 100.
+                        let quality = u8::try_from(self.quality.get()).unwrap_or(100);
+                        decoding.prediction(received.message, quality);
+                    }
                 }
             }
-            received = predictions.recv() => {
-                let Some(received) = received else { return Ok(()) };
-                let steps = steps.get();
-                if !steps.is_empty() && !steps.contains(&i64::from(received.message.step)) {
-                    continue;
-                }
-                let observed_ns = received.message.observed_stamp.to_nanos();
-                match rollouts.choose(observed_ns, work.waiting() > UNFINISHED) {
-                    Choice::Decode => {}
-                    Choice::Skip => continue,
-                    Choice::Overload => {
-                        complaints.left_out("overload", &OVERLOAD);
-                        continue;
-                    }
-                }
-                // The descriptor keeps it within 1 to 100.
-                let quality = u8::try_from(quality.get()).unwrap_or(100);
-                if work.submit((received.message, quality)).is_some() {
-                    complaints.left_out("overload", &OVERLOAD);
+        }
+    }
+}
+
+/// Subscribes to the predictions, which are missed where they do not come.
+fn predictions(node: &Node, qos: Qos) -> Result<Subscription<Prediction>> {
+    let predictions: Subscription<Prediction> = node.subscription("predicted", qos)?;
+    let input = Input::new(
+        "predictions",
+        [predictions.topic()],
+        "start the predictor, which predicts when latents and an action have come",
+    );
+    node.diagnostics().expect_input(input);
+    Ok(predictions)
+}
+
+impl Active {
+    fn decoded(&mut self, (raw, jpeg): Pictures, taken: Duration) -> Result<()> {
+        if let (Some(raw), Some(raws)) = (raw, &self.raws) {
+            raws.publish(&raw)?;
+        }
+        if let (Some(jpeg), Some(jpegs)) = (jpeg, &self.jpegs) {
+            jpegs.publish(&jpeg)?;
+        }
+        self.diagnostics.latency("decode").record(taken);
+        Ok(())
+    }
+}
+
+impl Decoding {
+    fn prediction(&mut self, prediction: Prediction, quality: u8) {
+        let observed_ns = prediction.observed_stamp.to_nanos();
+        let is_behind = self.work.waiting() > UNFINISHED;
+        match self.rollouts.choose(observed_ns, is_behind) {
+            Choice::Decode => {
+                if self.work.submit((prediction, quality)).is_some() {
+                    self.complaints.left_out("overload", &OVERLOAD);
                 }
             }
+            Choice::Skip => {}
+            Choice::Overload => self.complaints.left_out("overload", &OVERLOAD),
         }
     }
 }

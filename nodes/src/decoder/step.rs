@@ -36,6 +36,16 @@ impl From<candle_core::Error> for DecoderError {
     }
 }
 
+impl DecoderError {
+    /// Why a prediction is left out, for counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Latent(LatentError::Space { .. }) => "wrong_space",
+            Self::Latent(_) | Self::Model(_) | Self::Image(_) => "bad_prediction",
+        }
+    }
+}
+
 /// The decoder node's computation: a prediction to a picture.
 pub struct DecoderStep {
     decoder: Box<dyn Decoder>,

@@ -113,6 +113,7 @@ fn start(node: &Node) -> Result<(Monitor, Inputs)> {
         plans: node.subscription("plan", QOS)?,
         diagnostics: node.subscription("/diagnostics", QOS)?,
     };
+    node.seal_endpoints()?;
     let monitor = Monitor {
         scorer: Scorer::default(),
         line: LiveLine::default(),

@@ -6,12 +6,16 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_model::planner::PlannedActions;
+use tokio::sync::watch;
+use wm_model::{LatentSpace, planner::PlannedActions};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
     wm_msgs::{Action, ActionChunk, Latent, Plan, Reset, ResetResponse},
 };
-use wm_ros::{Node, NodeArgs, Publisher, Qos, Received};
+use wm_ros::{
+    Call, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos, Received,
+    Service, Subscription,
+};
 
 use super::{
     Goal, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerStep, parameters::Parameters,
@@ -19,11 +23,11 @@ use super::{
 use crate::{
     complaints::Complaints,
     encoder::{CameraFrame, EncoderError, EncoderStep},
-    latent_message::LatentDtype,
-    model_choice,
-    timeline::{Arrival, Wait, seconds},
+    latent_message::{LATENT_QOS, LatentDtype},
+    model_choice::{self, ModelChoice},
+    timeline::{Arrival, Timing, Wait, seconds},
     transport::{ImageSubscription, Transports},
-    work::Work,
+    work::{Stop, Work},
 };
 
 /// The node's default name.
@@ -43,35 +47,32 @@ pub fn run(args: &NodeArgs) -> Result<()> {
 /// # Errors
 /// As [`run`].
 pub async fn body(node: Node) -> Result<()> {
-    let chosen = model_choice::declare(&node)?;
+    let lifecycle = Lifecycle::new(&node)?;
+    let model = model_choice::declare(&node)?;
     let transports = Transports::declare(&node)?;
     let parameters = Parameters::declare(&node)?;
     node.seal_parameters()?;
-    let (encoder, model) = tokio::task::spawn_blocking(move || -> Result<_> {
-        Ok((chosen.encoder()?, chosen.predictor()?))
-    })
-    .await??;
-    let timing = model_choice::timing(parameters.frame_period, &model.encoding);
-    let step = PlannerStep::new(parameters.settings(), timing, model.space.clone());
-    tracing::info!(
-        "planning with {} in latent space {}",
-        model.name,
-        model.space
-    );
-    let integration_steps = match parameters.integration_steps {
-        0 => model.transition.config().sampler.steps,
-        steps => steps,
-    };
-    let model = PlannerModel::new(
+    let planner = PlannerNode {
+        node,
         model,
-        parameters.cem()?,
-        integration_steps,
-        parameters.max_translation,
-        parameters.max_rotation,
-    )?;
-    let encoder = EncoderStep::new(encoder, LatentDtype::F32);
-    let mut planner = Planner::new(&node, &parameters, step, model, encoder)?;
-    planner.run(&node, transports).await
+        transports,
+        parameters,
+    };
+    lifecycle.run(planner).await
+}
+
+struct PlannerNode {
+    node: Node,
+    model: ModelChoice,
+    transports: Transports,
+    parameters: Parameters,
+}
+
+struct Configured {
+    encoder: Arc<Mutex<EncoderStep>>,
+    model: Arc<PlannerModel>,
+    timing: Timing,
+    space: LatentSpace,
 }
 
 type Planned = (
@@ -80,26 +81,62 @@ type Planned = (
     Duration,
 );
 
-struct Planner {
+struct Active {
+    images: ImageSubscription,
+    latents: Subscription<Latent>,
+    actions: Subscription<Action>,
+    chunks: Subscription<ActionChunk>,
+    resets: Service<Reset>,
+    jumps: watch::Receiver<u64>,
     step: PlannerStep,
     plans: Publisher<Plan>,
     complaints: Complaints,
-    diagnostics: wm_ros::Diagnostics,
+    diagnostics: Diagnostics,
     /// The newest goal is enough: one may wait.
     goals: Work<CameraFrame, Result<Goal, EncoderError>>,
     searches: Work<PlanRequest, Planned>,
 }
 
-impl Planner {
-    fn new(
-        node: &Node,
-        parameters: &Parameters,
-        step: PlannerStep,
-        model: PlannerModel,
-        encoder: EncoderStep,
-    ) -> Result<Self> {
-        let encoder = Mutex::new(encoder);
-        let goals = Work::new(1, move |frame: CameraFrame| {
+impl Managed for PlannerNode {
+    type Configured = Configured;
+    type Active = Active;
+    type Error = anyhow::Error;
+
+    async fn configure(&self) -> Result<Configured> {
+        let chosen = self.model.clone();
+        let (encoder, model) = tokio::task::spawn_blocking(move || -> Result<_> {
+            let model = chosen.open()?;
+            Ok((model.encoder()?, model.predictor()?))
+        })
+        .await??;
+        let parameters = &self.parameters;
+        let timing = model_choice::timing(parameters.frame_period, &model.encoding);
+        let space = model.space.clone();
+        tracing::info!("planning with {} in latent space {space}", model.name);
+        let integration_steps = match parameters.integration_steps {
+            0 => model.transition.config().sampler.steps,
+            steps => steps,
+        };
+        let model = PlannerModel::new(
+            model,
+            parameters.cem()?,
+            integration_steps,
+            parameters.max_translation,
+            parameters.max_rotation,
+        )?;
+        let encoder = EncoderStep::new(encoder, LatentDtype::F32);
+        Ok(Configured {
+            encoder: Arc::new(Mutex::new(encoder)),
+            model: Arc::new(model),
+            timing,
+            space,
+        })
+    }
+
+    fn activate(&self, configured: &Configured) -> Result<Active> {
+        let node = &self.node;
+        let encoder = Arc::clone(&configured.encoder);
+        let goals = Work::new(1, move |frame: CameraFrame, _| {
             let encoder = encoder.lock().unwrap_or_else(PoisonError::into_inner);
             let values = encoder.encode_values(&frame.decode()?)?;
             if values.iter().any(|value| !value.is_finite()) {
@@ -113,15 +150,25 @@ impl Planner {
                 values: Arc::from(values),
             })
         });
-        let (deadline, shutdown) = (parameters.deadline, node.shutdown());
-        let searches = Work::new(1, move |request: PlanRequest| {
+        let (deadline, model) = (self.parameters.deadline, Arc::clone(&configured.model));
+        let searches = Work::new(1, move |request: PlanRequest, stop: &Stop| {
             let started = Instant::now();
             let is_late = || deadline.is_some_and(|deadline| started.elapsed() >= deadline);
-            let found = model.plan(&request, &mut || shutdown.is_triggered() || is_late());
+            let found = model.plan(&request, &mut || stop.is_asked() || is_late());
             (request, found, started.elapsed())
         });
-        Ok(Self {
-            step,
+        let (settings, space) = (self.parameters.settings(), configured.space.clone());
+        let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
+        let input = Input::new("latents", [latents.topic()], "start the encoder");
+        node.diagnostics().expect_input(input);
+        Ok(Active {
+            images: ImageSubscription::new(node, "goal/image", self.transports, Qos::reliable(10))?,
+            latents,
+            actions: node.subscription("action", Qos::reliable(10))?,
+            chunks: node.subscription("action_chunk", Qos::reliable(10))?,
+            resets: node.service("~/reset")?,
+            jumps: node.clock().jumps(),
+            step: PlannerStep::new(settings, configured.timing, space),
             plans: node.publisher("plan", Qos::reliable(10))?,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
@@ -130,56 +177,58 @@ impl Planner {
         })
     }
 
-    async fn run(&mut self, node: &Node, transports: Transports) -> Result<()> {
-        let mut images = ImageSubscription::new(node, "goal/image", transports, Qos::reliable(10))?;
-        let mut latents = node.subscription::<Latent>("latent", Qos::sensor_data())?;
-        let mut actions = node.subscription::<Action>("action", Qos::reliable(10))?;
-        let mut chunks = node.subscription::<ActionChunk>("action_chunk", Qos::reliable(10))?;
-        let mut resets = node.service::<Reset>("~/reset")?;
-        let mut jumps = node.clock().jumps();
+    async fn run(&self, active: &mut Active) -> Result<()> {
         loop {
             // Actions before latents: an action and the frame of the same moment may both be there.
             tokio::select! {
                 biased;
-                finished = self.searches.finished() => self.planned(finished.context("the planner's thread")?)?,
-                finished = self.goals.finished() => self.goal(finished.context("the goal's thread")?),
-                Some(call) = resets.recv() => {
-                    let seed = (!call.request.keep_seed).then_some(call.request.seed);
-                    let message = self.step.reset(seed);
-                    tracing::info!("reset: {message}");
-                    if let Err(error) = call.respond(&ResetResponse { success: true, message }) {
-                        tracing::warn!("reset is not answered: {error}");
-                    }
-                }
-                Ok(()) = jumps.changed() => {
-                    if self.step.clock_jumped(node.now()) {
+                finished = active.searches.finished() => active.planned(finished.context("the planner's thread")?)?,
+                finished = active.goals.finished() => active.goal(finished.context("the goal's thread")?),
+                Some(call) = active.resets.recv() => active.reset(call),
+                Ok(()) = active.jumps.changed() => {
+                    if active.step.clock_jumped(self.node.now()) {
                         tracing::info!("/clock jumped back: history flushed");
                     }
                 }
-                received = images.recv() => {
+                received = active.images.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
-                    if self.goals.submit(message).is_some() {
-                        self.complaints.left_out("superseded_goal", &"a newer goal came before this one was encoded");
+                    if active.goals.submit(message).is_some() {
+                        active.complaints.left_out("superseded_goal", &"a newer goal came before this one was encoded");
                     }
                 }
-                received = actions.recv() => {
+                received = active.actions.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
-                    let taken = self.step.action(&message);
-                    self.note(taken);
+                    let taken = active.step.action(&message);
+                    active.note(taken);
                 }
-                received = chunks.recv() => {
+                received = active.chunks.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
-                    let taken = self.step.chunk(&message).map(|()| Arrival::default());
-                    self.note(taken);
+                    let taken = active.step.chunk(&message).map(|()| Arrival::default());
+                    active.note(taken);
                 }
-                received = latents.recv() => {
+                received = active.latents.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
-                    let taken = self.step.latent(&message);
-                    if self.note(taken) {
-                        self.plan();
+                    let taken = active.step.latent(&message);
+                    if active.note(taken) {
+                        active.plan();
                     }
                 }
             }
+        }
+    }
+}
+
+impl Active {
+    fn reset(&mut self, call: Call<Reset>) {
+        let seed = (!call.request.keep_seed).then_some(call.request.seed);
+        let message = self.step.reset(seed);
+        tracing::info!("reset: {message}");
+        let response = ResetResponse {
+            success: true,
+            message,
+        };
+        if let Err(error) = call.respond(&response) {
+            tracing::warn!("reset is not answered: {error}");
         }
     }
 

@@ -25,18 +25,21 @@ pub enum ChunkError {
 /// overlap, so that a frame that overtakes its chunk is served by the one before.
 #[derive(Clone, Debug)]
 pub struct ActionChunks {
-    actions: Vec<Action>,
+    /// Log times \[ns\], in order, and actions.
+    actions: Vec<(u64, Action)>,
     period_ns: i64,
     length: usize,
 }
 
 impl ActionChunks {
-    /// Chunks of at most `length` of these actions, which are in the order of their stamps.
+    /// Chunks of at most `length` of these actions, each with its log time \[ns\], in whose order they are.
     ///
     /// # Errors
     /// Where there are fewer than two, or their stamps do not grow.
-    pub fn new(actions: Vec<Action>, length: usize) -> Result<Self, ChunkError> {
-        let stamps = actions.iter().map(|action| action.header.stamp.to_nanos());
+    pub fn new(actions: Vec<(u64, Action)>, length: usize) -> Result<Self, ChunkError> {
+        let stamps = actions
+            .iter()
+            .map(|(_, action)| action.header.stamp.to_nanos());
         let mut distances: Vec<i64> = stamps
             .clone()
             .zip(stamps.skip(1))
@@ -56,11 +59,19 @@ impl ActionChunks {
         })
     }
 
-    /// The chunk that begins with action `index`; none past the last action. `map` moves stamps \[ns\] to the
-    /// time of the replay, and `rate` is the bag's seconds in a second there.
+    /// The chunk that begins with the first action at or after this log time; none past the last action. `map` moves
+    /// stamps \[ns\] to the time of the replay, and `rate` is the bag's seconds in a second there.
     #[must_use]
-    pub fn chunk(&self, index: usize, rate: f64, map: impl Fn(i64) -> i64) -> Option<ActionChunk> {
-        let first = self.actions.get(index)?;
+    pub fn chunk(
+        &self,
+        log_time_ns: u64,
+        rate: f64,
+        map: impl Fn(i64) -> i64,
+    ) -> Option<ActionChunk> {
+        let index = self
+            .actions
+            .partition_point(|(logged_ns, _)| *logged_ns < log_time_ns);
+        let (_, first) = self.actions.get(index)?;
         let stamp_ns = map(first.header.stamp.to_nanos());
         let period_ns = (self.period_ns as f64 / rate).round() as i64;
         let coming = self
@@ -69,7 +80,7 @@ impl ActionChunks {
             .skip(index)
             .take(self.length)
             .enumerate();
-        let actions = coming.map(|(step, action)| {
+        let actions = coming.map(|(step, (_, action))| {
             // a chunk has no more actions than the bag
             let stamp =
                 Time::from_nanos(stamp_ns.saturating_add(period_ns.saturating_mul(step as i64)));
@@ -88,6 +99,7 @@ impl ActionChunks {
             },
             period: Duration::from_nanos(period_ns),
             actions: actions.collect(),
+            ..ActionChunk::default()
         })
     }
 }
@@ -96,15 +108,17 @@ impl ActionChunks {
 mod tests {
     use super::*;
 
-    fn action(stamp_ns: i64, value: f32) -> Action {
+    /// Logged 5 ns after its stamp.
+    fn action(stamp_ns: i64, value: f32) -> (u64, Action) {
         let header = Header {
             stamp: Time::from_nanos(stamp_ns),
             frame_id: "base".to_owned(),
         };
-        Action {
+        let action = Action {
             header,
             values: vec![value; 7],
-        }
+        };
+        (stamp_ns as u64 + 5, action)
     }
 
     #[test]
@@ -117,7 +131,7 @@ mod tests {
             action(1600, 3.0),
         ];
         let chunks = ActionChunks::new(actions, 3).unwrap();
-        let chunk = chunks.chunk(1, 1.0, |stamp| stamp + 7).unwrap();
+        let chunk = chunks.chunk(1006, 1.0, |stamp| stamp + 7).unwrap();
         assert_eq!(
             (chunk.header.stamp.to_nanos(), chunk.period.to_nanos()),
             (1207, 200)
@@ -129,13 +143,17 @@ mod tests {
             .collect();
         assert_eq!(entries, [(1207, 1.0), (1407, 2.0), (1607, 3.0)]);
         assert_eq!(
-            chunks.chunk(3, 1.0, |stamp| stamp).unwrap().actions.len(),
+            chunks
+                .chunk(1605, 1.0, |stamp| stamp)
+                .unwrap()
+                .actions
+                .len(),
             1
         );
-        assert_eq!(chunks.chunk(4, 1.0, |stamp| stamp), None);
+        assert_eq!(chunks.chunk(1606, 1.0, |stamp| stamp), None);
         assert_eq!(
             chunks
-                .chunk(0, 2.0, |stamp| stamp)
+                .chunk(1005, 2.0, |stamp| stamp)
                 .unwrap()
                 .period
                 .to_nanos(),

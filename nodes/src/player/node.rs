@@ -1,15 +1,25 @@
 //! The player on the wire.
 
-use super::{Settings, playlist::Playlist, restamp::restamp, schedule::Schedule};
-use crate::ending::Ending;
+mod command;
+mod control;
+
+use super::{
+    Settings,
+    playback::{Playback, Step},
+    playlist::Playlist,
+    restamp::restamp,
+    source::{Ahead, Source},
+};
+use crate::{calls::Calls, ending::Ending, keyboard::Keyboard};
 use anyhow::Result;
-use std::collections::BTreeMap;
+use command::Command;
+use control::Asked;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
 use tracing::{error, info, warn};
-use wm_bag::{BagError, BagMessage, BagReader};
+use wm_bag::{BagMessage, BagReader};
 use wm_msgs::{
     builtin_interfaces::Time, rosgraph_msgs::Clock, sensor_msgs::CompressedImage,
     wm_msgs::ActionChunk,
@@ -21,13 +31,6 @@ pub const NAME: &str = "player";
 
 /// How long the graph must not change before the first message, where others are waited for.
 const QUIET: Duration = Duration::from_millis(500);
-
-/// Time between two passes of restamped messages: longer than what the nodes take for a lost message, so that they see
-/// that another episode begins.
-const LOOP_PAUSE: Duration = Duration::from_millis(1500);
-
-/// Messages read ahead of their time. Those of a camera take about 200 KB each.
-const READ_AHEAD: usize = 64;
 
 /// Runs the player until the bag's end or a signal. `Err` where it cannot begin, `DataLost` where parts of the bag
 /// were unreadable or messages found no room in a publisher.
@@ -42,24 +45,31 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
         crate::NAMESPACE,
         args,
         async |node: Node| -> Result<()> {
-            ending = play(&node).await?;
+            ending = body(node).await?;
             Ok(())
         },
     )?;
     Ok(ending)
 }
 
-async fn play(node: &Node) -> Result<Ending> {
+/// The node itself, in a process that may hold others.
+///
+/// # Errors
+/// As [`run`].
+pub async fn body(node: Node) -> Result<Ending> {
+    let node = &node;
     let settings = Settings::declare(node)?;
     node.seal_parameters()?;
     let (reader, playlist) = {
         let (node, settings) = (node.clone(), settings.clone());
         tokio::task::spawn_blocking(move || open(&node, &settings)).await??
     };
+    let mut calls = command::serve(node)?;
     let mut player = Player::new(node, settings, reader, playlist)?;
+    node.seal_endpoints()?;
     let shutdown = node.shutdown();
     tokio::select! {
-        result = player.play() => result?,
+        result = player.play(&mut calls) => result?,
         () = shutdown.wait() => info!("stopped before the bag's end"),
     }
     Ok(player.report())
@@ -83,6 +93,16 @@ struct Player {
     chunks: Option<Publisher<ActionChunk>>,
     /// Kept to the end: who comes late still gets the goal.
     goal: Option<Publisher<CompressedImage>>,
+    playback: Playback,
+    /// The moment zero of the playback, and the node's time then \[ns\], as it was when playing began last.
+    epoch: Instant,
+    epoch_ns: i64,
+    source: Source,
+    /// The next message; none where the source has yet to be asked for it, or has none.
+    next: Option<Ahead>,
+    is_read_to_the_end: bool,
+    /// The first is being published.
+    asked: VecDeque<Asked>,
     published: u64,
     unreadable: u64,
     kept_stamps: BTreeMap<Arc<str>, u64>,
@@ -92,7 +112,7 @@ struct Player {
 
 impl Player {
     fn new(node: &Node, settings: Settings, reader: BagReader, playlist: Playlist) -> Result<Self> {
-        let clock = match settings.clock_hz > 0.0 {
+        let clock = match settings.has_clock() {
             true => Some(node.publisher("/clock", Qos::best_effort(1))?),
             false => None,
         };
@@ -104,8 +124,22 @@ impl Player {
             Some(_) => Some(node.publisher("goal/image/compressed", Qos::latched(1))?),
             None => None,
         };
+        let plan = settings.plan(&reader);
+        let source = open_source(&reader, &playlist, &settings, plan.start_ns);
         Ok(Self {
             node: node.clone(),
+            playback: Playback::new(
+                plan,
+                settings.rate,
+                settings.is_starting_paused,
+                Duration::ZERO,
+            ),
+            epoch: Instant::now(),
+            epoch_ns: 0,
+            source,
+            next: None,
+            is_read_to_the_end: false,
+            asked: VecDeque::new(),
             settings,
             reader,
             playlist,
@@ -119,31 +153,80 @@ impl Player {
         })
     }
 
-    async fn play(&mut self) -> Result<()> {
+    async fn play(&mut self, calls: &mut Calls<Command>) -> Result<()> {
         self.wait_for_others().await;
-        // asked for by the user
-        tokio::time::sleep(self.settings.delay).await;
-        let start_ns = self.settings.start_ns(&self.reader);
-        let end_ns = self.reader.end_ns();
-        let seconds = end_ns.saturating_sub(start_ns) as f64 / 1e9;
-        info!(
-            "playing {} ({seconds:.1} s at rate {})",
-            self.settings.bag.display(),
-            self.settings.rate
-        );
-        loop {
-            self.play_pass(Schedule::new(start_ns, self.settings.rate), start_ns)
-                .await?;
-            if !self.settings.is_looping || end_ns <= start_ns {
-                break;
-            }
-            if self.settings.is_restamping {
-                tokio::time::sleep(LOOP_PAUSE).await;
-            }
-            info!("beginning again");
+        let keys = calls.sender();
+        // a key that finds the queue full is pressed again
+        let on_key = move |key| drop(keys.try_send(Command::Key(key)));
+        let has_keyboard = self.settings.has_keyboard;
+        let keyboard = has_keyboard.then(|| Keyboard::listen(on_key)).flatten();
+        if keyboard.is_some() {
+            info!(
+                "keys: space pauses and resumes, right plays the next message, up and down change the rate"
+            );
         }
-        tokio::time::sleep(self.settings.linger).await;
-        Ok(())
+        let plan = self.settings.plan(&self.reader);
+        self.epoch = Instant::now();
+        info!(
+            "playing {} ({:.1} s at rate {}){}",
+            self.settings.bag.display(),
+            plan.last_ns.saturating_sub(plan.start_ns) as f64 / 1e9,
+            self.settings.rate,
+            if self.playback.is_paused() {
+                ", paused"
+            } else {
+                ""
+            }
+        );
+        let mut ticks = self.clock_ticks();
+        let mut ended = None;
+        loop {
+            if self.playback.is_playing() && self.next.is_none() && !self.is_read_to_the_end {
+                tokio::select! {
+                    next = self.source.next() => self.take(next),
+                    command = calls.next() => self.obey(command),
+                    () = tick(&mut ticks) => self.tell_time()?,
+                }
+                self.answer_who_asked();
+                continue;
+            }
+            let next_ns = self
+                .next
+                .as_ref()
+                .and_then(|next| next.message.as_ref().ok());
+            let next_ns = next_ns.map(|message| message.log_time_ns);
+            let step = self.playback.step(self.epoch.elapsed(), next_ns);
+            if step != Step::Ended {
+                ended = None;
+            }
+            let until = match step {
+                Step::Wait(until) => until.map(|until| self.epoch + until),
+                Step::Ended => {
+                    let ended = *ended.get_or_insert_with(Instant::now);
+                    Some(ended + self.settings.linger)
+                }
+                Step::Begin(bag_ns) => {
+                    self.begin(bag_ns)?;
+                    continue;
+                }
+                Step::Publish => {
+                    self.publish_next()?;
+                    continue;
+                }
+                Step::Rewind(bag_ns) => {
+                    info!("beginning again");
+                    self.read_from(bag_ns);
+                    continue;
+                }
+            };
+            self.answer_who_asked();
+            tokio::select! {
+                () = sleep_until(until) => if step == Step::Ended { break },
+                command = calls.next() => self.obey(command),
+                () = tick(&mut ticks) => self.tell_time()?,
+            }
+        }
+        self.wait_for_acknowledgments().await
     }
 
     /// Waits, but not for ever, until the topics named in `wait_for` have a publisher and a subscriber.
@@ -193,57 +276,91 @@ impl Player {
         }
     }
 
-    async fn play_pass(&mut self, schedule: Schedule, start_ns: u64) -> Result<()> {
-        let mut messages = read_ahead(&self.reader, start_ns);
-        let begin = Instant::now();
-        let wall_start_ns = self.node.now().to_nanos();
-        let is_restamping = self.settings.is_restamping;
-        let map = |stamp_ns| {
-            if is_restamping {
-                schedule.restamped_ns(stamp_ns, wall_start_ns)
-            } else {
-                stamp_ns
-            }
+    /// Waits until reliable subscribers have everything, where that is wanted.
+    async fn wait_for_acknowledgments(&self) -> Result<()> {
+        let Some(limit) = self.settings.acknowledgment else {
+            return Ok(());
         };
-        // before what is of the new pass: nodes that follow it forget the old one first
-        self.publish_clock(schedule.bag_time_ns(Duration::ZERO))?;
-        self.publish_goal(map)?;
-        // before the first frame, which would find no chunk otherwise
-        self.publish_chunk(0, map)?;
-        let mut next_chunk = 0;
-        let mut ticks = self.clock_ticks();
-        while let Some(message) = messages.recv().await {
-            let message = match message {
-                Ok(message) => message,
-                Err(problem) => {
-                    error!("{problem}");
-                    self.unreadable += 1;
-                    continue;
-                }
-            };
-            let due = begin + schedule.due(message.log_time_ns);
-            while due > Instant::now() {
-                tokio::select! {
-                    () = tokio::time::sleep_until(due) => break,
-                    () = tick(&mut ticks) => self.publish_clock(schedule.bag_time_ns(begin.elapsed()))?,
-                }
+        let begin = Instant::now();
+        for (topic, track) in &self.playlist.tracks {
+            let left = limit.saturating_sub(begin.elapsed());
+            if track.is_reliable && !track.publisher.wait_for_acknowledgments(left).await? {
+                warn!(
+                    "{topic}: not all subscribers have everything after {:.1} s",
+                    limit.as_secs_f64()
+                );
             }
-            if message.topic.as_ref() == self.settings.action_topic {
-                self.publish_chunk(next_chunk, map)?;
-                next_chunk += 1;
-            }
-            self.publish(&message, map)?;
         }
         Ok(())
     }
 
-    fn publish(&mut self, message: &BagMessage, map: impl Fn(i64) -> i64) -> Result<()> {
+    fn read_from(&mut self, bag_ns: u64) {
+        self.source = open_source(&self.reader, &self.playlist, &self.settings, bag_ns);
+        self.next = None;
+        self.is_read_to_the_end = false;
+    }
+
+    fn take(&mut self, next: Option<Ahead>) {
+        match next {
+            None => self.is_read_to_the_end = true,
+            Some(next) => match &next.message {
+                Ok(_) => self.next = Some(next),
+                Err(problem) => {
+                    error!("{problem}");
+                    self.unreadable += 1;
+                }
+            },
+        }
+    }
+
+    /// What comes before the messages from this log time on.
+    fn begin(&mut self, bag_ns: u64) -> Result<()> {
+        // at most the time since the system's start
+        let elapsed_ns = i64::try_from(self.epoch.elapsed().as_nanos()).unwrap_or(i64::MAX);
+        self.epoch_ns = self.node.now().to_nanos().saturating_sub(elapsed_ns);
+        // before what follows: nodes that follow the clock forget the old time first
+        if self.settings.clock_hz > 0.0 {
+            self.publish_clock(bag_ns)?;
+        }
+        self.publish_goal()?;
+        // before the first frame, which would find no chunk otherwise
+        self.publish_chunk(bag_ns)
+    }
+
+    fn publish_next(&mut self) -> Result<()> {
+        let Some(Ahead {
+            message: Ok(message),
+            ..
+        }) = self.next.take()
+        else {
+            return Ok(());
+        };
+        if let Some(asked) = self.asked.front_mut() {
+            asked.published += 1;
+        }
+        if message.topic.as_ref() == self.settings.action_topic {
+            self.publish_chunk(message.log_time_ns)?;
+        }
+        self.publish(&message)
+    }
+
+    /// The stamp that replaces `stamp_ns` of the bag.
+    fn stamp_ns(&self, stamp_ns: i64) -> i64 {
+        if self.settings.is_restamping {
+            self.epoch_ns
+                .saturating_add(self.playback.moment_ns(stamp_ns))
+        } else {
+            stamp_ns
+        }
+    }
+
+    fn publish(&mut self, message: &BagMessage) -> Result<()> {
         let Some(track) = self.playlist.tracks.get(&message.topic) else {
             return Ok(());
         };
         let mut data = message.data.clone();
         if track.is_restamped {
-            match restamp(&data, map) {
+            match restamp(&data, |stamp_ns| self.stamp_ns(stamp_ns)) {
                 Ok(moved) => data = moved,
                 Err(problem) => {
                     let kept = self.kept_stamps.entry(message.topic.clone()).or_default();
@@ -254,7 +371,11 @@ impl Player {
                 }
             }
         }
-        match track.publisher.publish(data) {
+        let (publisher, is_clocked) = (track.publisher.clone(), track.is_clocked);
+        if is_clocked {
+            self.publish_clock(message.log_time_ns)?;
+        }
+        match publisher.publish(data) {
             Ok(()) => self.published += 1,
             // one recorder's odd sample is no reason to stop the others
             Err(problem @ wm_ros::Error::Representation { .. }) => {
@@ -269,41 +390,51 @@ impl Player {
         Ok(())
     }
 
-    /// Publishes the chunk of action `index`.
-    fn publish_chunk(&self, index: usize, map: impl Fn(i64) -> i64) -> Result<()> {
+    /// Publishes the chunk of the first action at or after this log time.
+    fn publish_chunk(&self, log_time_ns: u64) -> Result<()> {
         if let (Some(publisher), Some(chunks)) = (&self.chunks, &self.playlist.chunks) {
             let rate = if self.settings.is_restamping {
-                self.settings.rate
+                self.playback.rate()
             } else {
                 1.0
             };
-            if let Some(chunk) = chunks.chunk(index, rate, map) {
+            let chunk = chunks.chunk(log_time_ns, rate, |stamp_ns| self.stamp_ns(stamp_ns));
+            if let Some(chunk) = chunk {
                 publisher.publish(&chunk)?;
             }
         }
         Ok(())
     }
 
-    fn publish_goal(&self, map: impl Fn(i64) -> i64) -> Result<()> {
+    fn publish_goal(&self) -> Result<()> {
         if let (Some(publisher), Some(goal)) = (&self.goal, &self.playlist.goal) {
             let mut goal = goal.clone();
-            goal.header.stamp = Time::from_nanos(map(goal.header.stamp.to_nanos()));
+            goal.header.stamp = Time::from_nanos(self.stamp_ns(goal.header.stamp.to_nanos()));
             publisher.publish(&goal)?;
         }
         Ok(())
     }
 
     fn clock_ticks(&self) -> Option<Interval> {
-        self.clock.as_ref()?;
+        if self.settings.clock_hz <= 0.0 {
+            return None;
+        }
         let mut ticks =
             tokio::time::interval(Duration::from_secs_f64(1.0 / self.settings.clock_hz));
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         Some(ticks)
     }
 
-    fn publish_clock(&self, bag_time_ns: u64) -> Result<()> {
-        if let Some(clock) = &self.clock {
-            let time_ns = i64::try_from(bag_time_ns).unwrap_or(i64::MAX);
+    fn tell_time(&mut self) -> Result<()> {
+        let position_ns = self.playback.position_ns(self.epoch.elapsed());
+        self.publish_clock(position_ns)
+    }
+
+    fn publish_clock(&mut self, bag_ns: u64) -> Result<()> {
+        if let Some(clock) = &self.clock
+            && let Some(clock_ns) = self.playback.clock_ns(bag_ns)
+        {
+            let time_ns = i64::try_from(clock_ns).unwrap_or(i64::MAX);
             clock.publish(&Clock {
                 clock: Time::from_nanos(time_ns),
             })?;
@@ -349,17 +480,19 @@ async fn tick(ticks: &mut Option<Interval>) {
     }
 }
 
-/// Reads the bag on a thread of its own, so that the disk does not delay a message that is due.
-fn read_ahead(reader: &BagReader, start_ns: u64) -> mpsc::Receiver<Result<BagMessage, BagError>> {
-    let messages = reader.messages().starting_at(start_ns);
-    let (sender, receiver) = mpsc::channel(READ_AHEAD);
-    tokio::task::spawn_blocking(move || {
-        for message in messages {
-            // the player is gone
-            if sender.blocking_send(message).is_err() {
-                break;
-            }
-        }
-    });
-    receiver
+async fn sleep_until(moment: Option<Instant>) {
+    match moment {
+        Some(moment) => tokio::time::sleep_until(moment).await,
+        None => std::future::pending().await,
+    }
+}
+
+fn open_source(
+    reader: &BagReader,
+    playlist: &Playlist,
+    settings: &Settings,
+    from_ns: u64,
+) -> Source {
+    let messages = reader.messages().only_topics(playlist.tracks.keys());
+    Source::open(messages.starting_at(from_ns), settings.read_ahead)
 }

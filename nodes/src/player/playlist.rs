@@ -6,6 +6,7 @@ use super::{
     goal::{camera_topic, last_frame},
     restamp::begins_with_header,
 };
+use crate::qos_overrides::KEEP_ALL_DEPTH;
 use anyhow::{Context as _, Result, bail};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -14,14 +15,15 @@ use wm_bag::{BagReader, QosProfile};
 use wm_msgs::{Message as _, sensor_msgs::CompressedImage, wm_msgs::Action};
 use wm_ros::{Durability, Node, Qos, RawPublisher, Reliability};
 
-/// Depth of a publisher whose bag says "keep all": bounded all the same.
-const KEEP_ALL_DEPTH: usize = 1000;
-
 /// A topic that is played.
 pub(super) struct Track {
     pub publisher: RawPublisher,
     /// Whether its messages' stamps are moved.
     pub is_restamped: bool,
+    /// Whether its subscribers acknowledge what they receive.
+    pub is_reliable: bool,
+    /// Whether `/clock` tells of each of its messages.
+    pub is_clocked: bool,
 }
 
 /// What is played.
@@ -38,7 +40,9 @@ impl Playlist {
     pub fn new(reader: &BagReader, settings: &Settings, node: &Node) -> Result<Self> {
         for topic in settings
             .topics
+            .named()
             .iter()
+            .chain(&settings.clock_topics)
             .filter(|topic| reader.topic(topic).is_none())
         {
             warn!("the bag has no topic {topic}");
@@ -57,9 +61,12 @@ impl Playlist {
                     topic.type_name
                 );
             }
-            let qos = topic
-                .qos()
-                .map_or(Qos::reliable(10), |profile| offered(&profile));
+            let qos = match settings.qos_overrides.get(topic.name.as_ref()) {
+                Some(qos) => *qos,
+                None => topic
+                    .qos()
+                    .map_or(Qos::reliable(10), |profile| offered(&profile)),
+            };
             // Services' events and actions' feedback are recorded too, with types that are no message of a package.
             if !topic.type_name.contains("/msg/") {
                 warn!("{}: {} is not played", topic.name, topic.type_name);
@@ -71,6 +78,8 @@ impl Playlist {
             let track = Track {
                 publisher,
                 is_restamped: settings.is_restamping && has_header,
+                is_reliable: qos.reliability == Reliability::Reliable,
+                is_clocked: settings.clocks(&topic.name),
             };
             tracks.insert(topic.name.clone(), track);
         }
@@ -126,15 +135,9 @@ fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result
     }
     // unreadable parts of the bag are reported when they are played
     let mut actions = Vec::new();
-    let start_ns = settings.start_ns(reader);
-    for message in reader
-        .messages()
-        .only_topics([topic])
-        .starting_at(start_ns)
-        .flatten()
-    {
+    for message in reader.messages().only_topics([topic]).flatten() {
         match message.decode::<Action>() {
-            Ok(action) => actions.push(action),
+            Ok(action) => actions.push((message.log_time_ns, action)),
             Err(problem) => warn!("action left out of the chunks: {problem}"),
         }
     }

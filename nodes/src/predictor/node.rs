@@ -6,20 +6,23 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
+use tokio::sync::watch;
 use wm_msgs::wm_msgs::{
     Action, ActionChunk, Latent, Prediction, PredictionError, Reset, ResetResponse,
 };
 use wm_ros::{
-    Clock, Descriptor, Diagnostics, Node, NodeArgs, Parameter, Publisher, Qos, Received, Shutdown,
+    Call, Clock, Deadline, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs,
+    Parameter, Publisher, Qos, Received, Service, Subscription,
 };
 
 use super::{PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout};
 use crate::{
+    chunk_merging,
     complaints::Complaints,
-    latent_message::LatentDtype,
-    model_choice,
-    timeline::{Wait, seconds},
-    work::Work,
+    latent_message::{LATENT_QOS, LatentDtype},
+    model_choice::{self, ModelChoice},
+    timeline::{ChunkMerging, Wait, seconds},
+    work::{Stop, Work},
 };
 
 /// The node's default name.
@@ -27,8 +30,12 @@ pub const NAME: &str = "predictor";
 
 /// Observations that may wait for the rollout that is under way. A newer one takes the place.
 const WAITING: usize = 1;
-/// An encoder that is silent for longer is reported.
-const STALE: Duration = Duration::from_secs(2);
+/// What to do where inputs stay away, or rollouts take too long.
+const NO_ENCODER: &str = "start the encoder";
+const NO_ACTIONS: &str =
+    "start the arm's driver, or remap /wm/action to its topic; until then the last action is held";
+const SLOW: &str = "observations are left out; shorten the parameter horizon or integration_steps, or give the predictor more \
+                    processor time";
 
 /// Runs the node until SIGINT or SIGTERM.
 ///
@@ -44,17 +51,28 @@ pub fn run(args: &NodeArgs) -> Result<()> {
 /// # Errors
 /// As [`run`].
 pub async fn body(node: Node) -> Result<()> {
-    let chosen = model_choice::declare(&node)?;
+    let lifecycle = Lifecycle::new(&node)?;
+    let model = model_choice::declare(&node)?;
     let parameters = Parameters::declare(&node)?;
     node.seal_parameters()?;
-    let model = Arc::new(tokio::task::spawn_blocking(move || chosen.predictor()).await??);
-    let mut predictor = Predictor::new(&node, parameters, model)?;
-    predictor.run(&node).await
+    let predictor = PredictorNode {
+        node,
+        model,
+        parameters,
+    };
+    lifecycle.run(predictor).await
+}
+
+struct PredictorNode {
+    node: Node,
+    model: ModelChoice,
+    parameters: Parameters,
 }
 
 struct Parameters {
     horizon: Parameter<i64>,
     integration_steps: Parameter<i64>,
+    merging: ChunkMerging,
     seed: i64,
     context_frames: i64,
     frame_period: f64,
@@ -74,6 +92,7 @@ impl Parameters {
         Ok(Self {
             horizon: node.declare("horizon", 8_i64, horizon)?,
             integration_steps: node.declare("integration_steps", 0_i64, steps)?,
+            merging: chunk_merging::declare(node)?,
             seed: node.declare("seed", 0_i64, seed)?.get(),
             context_frames: node
                 .declare("context_frames", 2_i64, context.integers(1, 64).read_only())?
@@ -98,20 +117,41 @@ struct Shared {
     errors: Publisher<PredictionError>,
     diagnostics: Diagnostics,
     clock: Clock,
-    shutdown: Shutdown,
+    /// From one camera frame to the next: a rollout that takes longer keeps the next one waiting.
+    frame_period: Duration,
 }
 
-struct Predictor {
+struct Active {
+    latents: Subscription<Latent>,
+    actions: Subscription<Action>,
+    chunks: Subscription<ActionChunk>,
+    resets: Service<Reset>,
+    jumps: watch::Receiver<u64>,
     shared: Shared,
-    parameters: Parameters,
     work: Work<(RolloutRequest, Instant), Result<()>>,
     /// Predictions given up that have been counted.
     unscored: u64,
     complaints: Complaints,
 }
 
-impl Predictor {
-    fn new(node: &Node, parameters: Parameters, model: Arc<PredictorModel>) -> Result<Self> {
+impl Managed for PredictorNode {
+    type Configured = Arc<PredictorModel>;
+    type Active = Active;
+    type Error = anyhow::Error;
+
+    async fn configure(&self) -> Result<Self::Configured> {
+        let model = self.model.clone();
+        let model = tokio::task::spawn_blocking(move || model.open()?.predictor()).await??;
+        tracing::info!(
+            "predicting with {} in latent space {}",
+            model.name,
+            model.space
+        );
+        Ok(Arc::new(model))
+    }
+
+    fn activate(&self, model: &Self::Configured) -> Result<Active> {
+        let (node, parameters) = (&self.node, &self.parameters);
         let settings = PredictorSettings {
             // Descriptors keep these within small positive ranges; a seed is any 64 bits.
             horizon: parameters.horizon.get() as usize,
@@ -121,94 +161,106 @@ impl Predictor {
             dtype: LatentDtype::F16,
         };
         let timing = model_choice::timing(parameters.frame_period, &model.encoding);
-        let step = PredictorStep::new(settings, timing, model.space.clone());
-        tracing::info!(
-            "predicting with {} in latent space {}",
-            model.name,
-            model.space
-        );
+        let step = PredictorStep::new(settings, timing, model.space.clone())
+            .with_chunk_merging(parameters.merging);
         let shared = Shared {
             step: Arc::new(Mutex::new(step)),
-            model,
+            model: Arc::clone(model),
             predictions: node.publisher("predicted", Qos::best_effort(16))?,
             errors: node.publisher("prediction_error", Qos::reliable(16))?,
             diagnostics: node.diagnostics(),
             clock: node.clock(),
-            shutdown: node.shutdown(),
+            // The descriptor keeps it positive and within a minute.
+            frame_period: Duration::from_secs_f64(parameters.frame_period),
         };
         let runner = shared.clone();
-        let work = Work::new(WAITING, move |(request, received)| {
-            runner.roll_out(request, received)
+        let work = Work::new(WAITING, move |(request, received), stop: &Stop| {
+            runner.roll_out(request, received, stop)
         });
-        let complaints = Complaints::new(node.diagnostics());
-        Ok(Self {
+        let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
+        let actions: Subscription<Action> = node.subscription("action", Qos::reliable(10))?;
+        let diagnostics = node.diagnostics();
+        diagnostics.expect_input(Input::new("latents", [latents.topic()], NO_ENCODER));
+        let input = Input::new("actions", [actions.topic()], NO_ACTIONS);
+        diagnostics.expect_input(input.dispensable());
+        Ok(Active {
+            latents,
+            actions,
+            chunks: node.subscription("action_chunk", Qos::reliable(10))?,
+            resets: node.service("~/reset")?,
+            jumps: node.clock().jumps(),
             shared,
-            parameters,
             work,
             unscored: 0,
-            complaints,
+            complaints: Complaints::new(node.diagnostics()),
         })
     }
 
-    async fn run(&mut self, node: &Node) -> Result<()> {
-        let mut latents = node.subscription::<Latent>("latent", Qos::sensor_data())?;
-        self.shared.diagnostics.expect_input(latents.topic(), STALE);
-        let mut actions = node.subscription::<Action>("action", Qos::reliable(10))?;
-        let mut chunks = node.subscription::<ActionChunk>("action_chunk", Qos::reliable(10))?;
-        let mut resets = node.service::<Reset>("~/reset")?;
-        let mut jumps = node.clock().jumps();
+    async fn run(&self, active: &mut Active) -> Result<()> {
         loop {
             // Actions before latents: an action and the frame of the same moment may both be there.
             tokio::select! {
                 biased;
-                finished = self.work.finished() => {
+                finished = active.work.finished() => {
                     if let Err(error) = finished.context("the rollout's thread")? {
-                        self.complaints.left_out("rollout", &format_args!("{error:#}"));
+                        active.complaints.left_out("rollout", &format_args!("{error:#}"));
                     }
                 }
-                Some(call) = resets.recv() => {
-                    let seed = (!call.request.keep_seed).then_some(call.request.seed);
-                    let message = self.shared.step().reset(seed);
-                    tracing::info!("reset: {message}");
-                    if let Err(error) = call.respond(&ResetResponse { success: true, message }) {
-                        tracing::warn!("reset is not answered: {error}");
-                    }
-                }
-                Ok(()) = jumps.changed() => {
-                    let now = self.shared.clock.now();
-                    if self.shared.step().clock_jumped(now) {
+                Some(call) = active.resets.recv() => active.reset(call),
+                Ok(()) = active.jumps.changed() => {
+                    let now = active.shared.clock.now();
+                    if active.shared.step().clock_jumped(now) {
                         tracing::info!("/clock jumped back: history flushed");
                     }
                 }
-                received = actions.recv() => {
+                received = active.actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = self.shared.step().action(&received.message);
+                    let taken = active.shared.step().action(&received.message);
                     match taken {
                         Ok(arrival) if arrival.flushed => tracing::info!("time jumped: history flushed"),
                         Ok(_) => {}
-                        Err(error) => self.complaints.left_out(error.reason(), &error),
+                        Err(error) => active.complaints.left_out(error.reason(), &error),
                     }
                 }
-                received = chunks.recv() => {
+                received = active.chunks.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = self.shared.step().chunk(&received.message);
+                    let taken = active.shared.step().chunk(&received.message);
                     if let Err(error) = taken {
-                        self.complaints.left_out(error.reason(), &error);
+                        active.complaints.left_out(error.reason(), &error);
                     }
                 }
-                received = latents.recv() => {
+                received = active.latents.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    self.latent(received)?;
+                    active.latent(received, &self.parameters)?;
                 }
             }
         }
     }
+}
 
-    fn latent(&mut self, Received { message, received }: Received<Latent>) -> Result<()> {
+impl Active {
+    fn reset(&mut self, call: Call<Reset>) {
+        let seed = (!call.request.keep_seed).then_some(call.request.seed);
+        let message = self.shared.step().reset(seed);
+        tracing::info!("reset: {message}");
+        let response = ResetResponse {
+            success: true,
+            message,
+        };
+        if let Err(error) = call.respond(&response) {
+            tracing::warn!("reset is not answered: {error}");
+        }
+    }
+
+    fn latent(
+        &mut self,
+        Received { message, received }: Received<Latent>,
+        parameters: &Parameters,
+    ) -> Result<()> {
         let arrived = Instant::now();
         let stamp = seconds(message.header.stamp);
-        let horizon = self.parameters.horizon.get() as usize;
-        let integration_steps = match self.parameters.integration_steps.get() {
+        let horizon = parameters.horizon.get() as usize;
+        let integration_steps = match parameters.integration_steps.get() {
             0 => self.shared.model.transition.config().sampler.steps,
             // The descriptor keeps it positive.
             steps => steps as usize,
@@ -275,13 +327,14 @@ impl Shared {
         self.step.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Computes one rollout and sends each step when it is ready; stops where time has jumped or the node ends.
-    fn roll_out(&self, request: RolloutRequest, received: Instant) -> Result<()> {
+    /// Computes one rollout and sends each step when it is ready; stops where time has jumped or the node is no longer
+    /// active.
+    fn roll_out(&self, request: RolloutRequest, received: Instant, stop: &Stop) -> Result<()> {
         let started = Instant::now();
         let rollout = RunningRollout::new(&self.model, request)?;
         for (index, predicted) in rollout.enumerate() {
             let mut predicted = predicted?;
-            if self.shutdown.is_triggered() || predicted.epoch != self.step().epoch() {
+            if stop.is_asked() || predicted.epoch != self.step().epoch() {
                 return Ok(());
             }
             predicted.prediction.ready_stamp = self.clock.now();
@@ -296,9 +349,14 @@ impl Shared {
                 self.errors.publish(&error)?;
             }
         }
-        self.diagnostics
-            .latency("rollout")
-            .record(started.elapsed());
+        let (taken, limit) = (started.elapsed(), self.frame_period);
+        self.diagnostics.latency("rollout").record(taken);
+        let deadline = Deadline {
+            stage: "rollout",
+            limit,
+            advice: SLOW,
+        };
+        self.diagnostics.took(deadline, taken);
         Ok(())
     }
 }

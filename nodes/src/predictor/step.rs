@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     latent_message::{LatentDtype, decode_latent},
-    timeline::{Arrival, Timeline, Timing, Wait},
+    timeline::{Arrival, ChunkMerging, Timeline, Timing, Wait},
 };
 
 /// What can be chosen of a rollout.
@@ -63,6 +63,13 @@ impl PredictorStep {
         };
         step.set(settings.horizon, settings.integration_steps);
         step
+    }
+
+    /// The same predictor, which merges overlapping chunks by `merging`.
+    #[must_use]
+    pub fn with_chunk_merging(mut self, merging: ChunkMerging) -> Self {
+        self.timeline = self.timeline.with_chunk_merging(merging);
+        self
     }
 
     /// Takes a latent, received at `received` by the node's clock.

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use wm_bag::{Schema, SchemaEncoding, type_schema};
 use wm_msgs::{
-    Message, diagnostic_msgs, geometry_msgs, rosgraph_msgs, sensor_msgs, std_msgs,
+    Message, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rcl_interfaces,
+    rosgraph_msgs, sensor_msgs, std_msgs,
     wm_msgs::{Action, ActionChunk, Latent, LatentSpace, Plan, Prediction, PredictionError},
 };
 
@@ -14,31 +15,6 @@ const FILE_LIMIT: u64 = 1 << 20;
 
 /// A type of more parts than this is refused.
 const PARTS_LIMIT: usize = 256;
-
-/// What every ROS node publishes beside its own topics, so that a bag can be decoded where no ROS is installed.
-const EVERY_NODE: [(&str, &str); 5] = [
-    ("builtin_interfaces/msg/Time", "int32 sec\nuint32 nanosec\n"),
-    (
-        "rcl_interfaces/msg/Log",
-        "uint8 DEBUG=10\nuint8 INFO=20\nuint8 WARN=30\nuint8 ERROR=40\nuint8 FATAL=50\nbuiltin_interfaces/Time stamp\n\
-         uint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line\n",
-    ),
-    (
-        "rcl_interfaces/msg/ParameterEvent",
-        "builtin_interfaces/Time stamp\nstring node\nParameter[] new_parameters\nParameter[] changed_parameters\n\
-         Parameter[] deleted_parameters\n",
-    ),
-    (
-        "rcl_interfaces/msg/Parameter",
-        "string name\nParameterValue value\n",
-    ),
-    (
-        "rcl_interfaces/msg/ParameterValue",
-        "uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\nstring string_value\n\
-         byte[] byte_array_value\nbool[] bool_array_value\nint64[] integer_array_value\n\
-         float64[] double_array_value\nstring[] string_array_value\n",
-    ),
-];
 
 /// The definition of `package/msg/Type`, or an empty schema where it is found nowhere: the bytes can be recorded
 /// and played all the same, only not decoded by who does not know the type.
@@ -80,6 +56,7 @@ fn own(type_name: &str) -> Option<Schema> {
         of::<geometry_msgs::PoseStamped>,
         of::<diagnostic_msgs::DiagnosticArray>,
         of::<rosgraph_msgs::Clock>,
+        of::<lifecycle_msgs::TransitionEvent>,
         of::<LatentSpace>,
         of::<Latent>,
         of::<Action>,
@@ -135,11 +112,17 @@ fn read(type_name: &str, prefixes: &[PathBuf]) -> Option<String> {
                 None
             }
         });
+    // What every ROS node publishes beside its own topics, so that a bag can be decoded where no ROS is installed.
     let known = || {
-        EVERY_NODE
-            .iter()
+        let time = (
+            "builtin_interfaces/msg/Time",
+            builtin_interfaces::Time::DEFINITION,
+        );
+        rcl_interfaces::MESSAGES
+            .into_iter()
+            .chain([time])
             .find(|(known, _)| *known == type_name)
-            .map(|(_, text)| (*text).to_owned())
+            .map(|(_, text)| text.to_owned())
     };
     installed.or_else(known)
 }
@@ -176,9 +159,14 @@ mod tests {
         let schema = definition("wm_msgs/msg/Prediction", &[]).unwrap();
         assert_eq!(schema, type_schema::<Prediction>());
         assert_eq!(definition("nav_msgs/msg/Odometry", &[]), None);
-        let event = definition("rcl_interfaces/msg/ParameterEvent", &[])
-            .unwrap()
-            .text;
+        let event = definition("rcl_interfaces/msg/ParameterEvent", &[]).unwrap();
+        // As ROS 2 Kilted installs it in share/rcl_interfaces/msg/ParameterEvent.json.
+        let hash = event.type_hash("rcl_interfaces/msg/ParameterEvent");
+        assert_eq!(
+            hash.unwrap().unwrap().to_string(),
+            "RIHS01_043e627780fcad87a22d225bc2a037361dba713fca6a6b9f4b869a5aa0393204"
+        );
+        let event = event.text;
         for part in [
             "rcl_interfaces/Parameter",
             "rcl_interfaces/ParameterValue",
@@ -214,7 +202,9 @@ mod tests {
         );
         write("builtin_interfaces", "Time", "int32 sec\nuint32 nanosec\n");
         let prefixes = [folder.path().to_owned()];
-        let text = definition("a/msg/Top", &prefixes).unwrap().text;
+        let schema = definition("a/msg/Top", &prefixes).unwrap();
+        assert!(schema.type_hash("a/msg/Top").is_err(), "Header is of ROS 1");
+        let text = schema.text;
         assert!(text.starts_with("Header header"));
         for part in [
             "a/Part",

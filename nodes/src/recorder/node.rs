@@ -1,138 +1,146 @@
 //! The recorder on the wire.
 
+mod book;
+mod command;
+
 use super::{
     definitions,
-    selection::{Selection, common_qos},
-    writer::{Entry, Queue, Recording, remove_old},
+    losses::Loss,
+    options::{self, Options},
+    selection::common_qos,
+    writer::{Entry, Queue},
 };
-use crate::ending::Ending;
-use anyhow::{Result, ensure};
+use crate::{
+    calls::{Calls, answer},
+    ending::Ending,
+    keyboard::{Key, Keyboard},
+};
+use anyhow::Result;
+use book::Book;
+use command::Command;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::{
     Arc,
-    atomic::{AtomicU64, Ordering},
+    atomic::{AtomicBool, Ordering},
 };
+use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tracing::{debug, info, warn};
+use tracing::{info, warn};
 use wm_bag::QosProfile;
+use wm_msgs::{
+    builtin_interfaces::Time,
+    rosbag2_interfaces::{Empty, IsPausedResponse, RecordResponse, Stop, Success},
+};
 use wm_ros::{
-    Descriptor, Durability, Node, NodeArgs, Qos, RawSubscription, Reliability, TopicInfo,
+    Call, Diagnostics, Durability, Node, NodeArgs, Qos, RawSubscription, Reliability, TopicInfo,
 };
 
 /// The node's default name.
 pub const NAME: &str = "recorder";
 
-/// Messages that found no room, by topic.
-type Losses = BTreeMap<Arc<str>, Arc<AtomicU64>>;
-
-/// Records until a signal. `DataLost` where messages found no room on their way to the bag.
+/// Records until a signal. `DataLost` where messages did not get into the bag: those that found a queue full, those in
+/// no known form, and those that are missing in their publishers' numbering.
 ///
 /// # Errors
 /// Names what is wrong with arguments or parameters, or why the bag cannot be written.
 pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
-    let mut recording = None;
-    let mut losses = Losses::new();
+    let mut book = Book::default();
     let result = wm_ros::run(
         NAME,
         crate::NAMESPACE,
         args,
         async |node: Node| -> Result<()> {
-            let (started, selection) = start(&node).await?;
-            let queue = recording.insert(started).queue();
-            record(&node, &selection, &queue, &mut losses).await
+            let options = options::declare(&node)?;
+            node.seal_parameters()?;
+            serve(&node, &options, &mut book).await
         },
     );
     // the bag is closed whatever happened, so that what was recorded can be read
-    let Some(recording) = recording else {
-        return result.map(|()| Ending::Complete);
-    };
-    let queue = recording.queue();
-    for (topic, lost) in losses {
-        let messages = lost.load(Ordering::Relaxed);
-        if messages > 0 {
-            queue.put(Entry::Lost { topic, messages })?;
-        }
-    }
-    drop(queue);
-    let summary = recording.finish()?;
+    book.end()?;
+    book.close()?;
     result?;
-    println!(
-        "recorded {} message(s) of {} topic(s) to {}",
-        summary.message_count,
-        summary.topics.len(),
-        summary.path.display()
-    );
-    for (topic, messages) in summary.lost.iter().filter(|(_, messages)| **messages > 0) {
-        println!("lost {messages} message(s) of {topic}");
+    Ok(Ending::lost_if(book.is_lossy))
+}
+
+/// Records into one bag after the other, as it is asked to.
+async fn serve(node: &Node, options: &Options, book: &mut Book) -> Result<()> {
+    book.begin(options, options.folder.clone()).await?;
+    let mut calls = command::serve(node, options.is_snapshot)?;
+    let keys = calls.sender();
+    // a key that finds the queue full is pressed again
+    let on_key = move |key| drop(keys.try_send(Command::Key(key)));
+    let has_keyboard = options.has_keyboard;
+    let keyboard = has_keyboard.then(|| Keyboard::listen(on_key)).flatten();
+    if keyboard.is_some() {
+        info!("space pauses and resumes");
     }
-    let is_lost = summary.lost.values().any(|messages| *messages > 0);
-    Ok(Ending::lost_if(is_lost))
-}
-
-async fn start(node: &Node) -> Result<(Recording, Selection)> {
-    let fixed = |text: &str| Descriptor::new(text).read_only();
-    let texts = |name: &str, what: &str| -> Result<Vec<String>> {
-        let list = node.declare(name, Vec::<String>::new(), fixed(what))?.get();
-        // ROS cannot write an empty list of strings: [''] stands for it
-        list.into_iter()
-            .filter(|item| !item.is_empty())
-            .map(|item| Ok(node.resolve(&item)?))
-            .collect()
-    };
-    let output = node
-        .declare(
-            "output",
-            String::new(),
-            fixed("folder of the new bag; relative to the working directory"),
-        )?
-        .get();
-    let is_overwriting = node
-        .declare(
-            "overwrite",
-            false,
-            fixed("replace a bag that is there already"),
-        )?
-        .get();
-    let topics = texts("topics", "topics to record; empty: all that are not hidden")?;
-    let exclude = texts("exclude_topics", "topics not to record")?;
-    node.seal_parameters()?;
-    ensure!(
-        !output.is_empty(),
-        "parameter \"output\" is empty: name the folder of the new bag"
-    );
-    let folder = PathBuf::from(output);
-    info!("recording to {}", folder.display());
-    let recording = tokio::task::spawn_blocking(move || -> Result<Recording> {
-        if is_overwriting {
-            remove_old(&folder)?;
+    let shutdown = node.shutdown();
+    let is_paused = Arc::new(AtomicBool::new(options.is_starting_paused));
+    if options.is_starting_paused {
+        info!("paused until it is resumed");
+    }
+    loop {
+        let Some(stopped) = record(node, options, &is_paused, &mut calls, book).await? else {
+            return Ok(());
+        };
+        book.end()?;
+        book.written().await;
+        book.close()?;
+        answer(stopped, &Empty::default());
+        loop {
+            tokio::select! {
+                () = shutdown.wait() => return Ok(()),
+                command = calls.next() => match command {
+                    Command::Record(call) => {
+                        let folder = match call.request.uri.as_str() {
+                            "" => options.folder.clone(),
+                            uri => PathBuf::from(uri),
+                        };
+                        let begun = book.begin(options, folder).await;
+                        answer(call, &RecordResponse {
+                            return_code: begun.is_err().into(),
+                            error_string: begun.as_ref().err().map(|e| format!("{e:#}")).unwrap_or_default(),
+                        });
+                        if begun.is_ok() {
+                            break;
+                        }
+                    }
+                    Command::Stop(call) => answer(call, &Empty::default()),
+                    Command::Snapshot(call) => answer(call, &Success { success: false }),
+                    Command::SplitBagfile(call) => answer(call, &Empty::default()),
+                    other => obey(other, &is_paused),
+                },
+            }
         }
-        Recording::create(&folder)
-    })
-    .await??;
-    Ok((recording, Selection { topics, exclude }))
+    }
 }
 
-/// Records until the node's shutdown; counts in `losses` what was lost.
+/// Records until the node's shutdown, or until the call that it gives; counts in the book what was lost.
 async fn record(
     node: &Node,
-    selection: &Selection,
-    queue: &Queue,
-    losses: &mut Losses,
-) -> Result<()> {
+    options: &Options,
+    is_paused: &Arc<AtomicBool>,
+    calls: &mut Calls<Command>,
+    book: &mut Book,
+) -> Result<Option<Call<Stop>>> {
+    let Some(queue) = book.queue() else {
+        return Ok(None);
+    };
     let prefixes = definitions::prefixes();
     let shutdown = node.shutdown();
+    let (over, _) = watch::channel(false);
     let mut types: BTreeMap<String, String> = BTreeMap::new();
     let mut refused = BTreeSet::new();
     let mut topics = JoinSet::new();
     let mut changes = node.graph_changes();
-    loop {
-        for topic in node
-            .topics()
-            .into_iter()
-            .filter(|topic| selection.wants(topic))
-        {
+    let clock = node.clock();
+    // a simulated clock stands at 0 until /clock speaks: what came before would have no time
+    let mut has_time = !clock.is_simulated();
+    let stopped = loop {
+        let wanted = |topic: &TopicInfo| has_time && options.selection.wants(topic);
+        for topic in node.topics().into_iter().filter(wanted) {
             match types.get(&topic.name) {
                 Some(known) if *known == topic.type_name => continue,
                 Some(known) => {
@@ -147,31 +155,83 @@ async fn record(
                 None => {}
             }
             types.insert(topic.name.clone(), topic.type_name.clone());
-            let lost = Arc::new(AtomicU64::new(0));
+            let loss = Arc::new(Loss::default());
             let name: Arc<str> = topic.name.as_str().into();
-            let subscription = subscribe(node, &topic, &name, queue, &prefixes).await?;
-            losses.insert(name.clone(), Arc::clone(&lost));
-            topics.spawn(forward(subscription, name, queue.clone(), lost));
+            let overrides = &options.qos_overrides;
+            let subscription = subscribe(node, &topic, &name, overrides, &queue, &prefixes)?;
+            book.losses.insert(name.clone(), Arc::clone(&loss));
+            let forward = Forward {
+                topic: name,
+                queue: queue.clone(),
+                is_paused: Arc::clone(is_paused),
+                loss,
+                diagnostics: node.diagnostics(),
+            };
+            topics.spawn(forward.run(subscription, over.subscribe()));
         }
         tokio::select! {
             Ok(()) = changes.changed() => {}
-            () = shutdown.wait() => break,
+            () = clock.sleep_until(Time { sec: 0, nanosec: 1 }), if !has_time => has_time = true,
+            () = shutdown.wait() => break None,
             Some(ended) = topics.join_next() => {
                 ended??;
             }
+            command = calls.next() => match command {
+                Command::Stop(call) => break Some(call),
+                Command::Record(call) => answer(call, &RecordResponse {
+                    return_code: 1,
+                    error_string: "a recording is under way".to_owned(),
+                }),
+                Command::Snapshot(call) => {
+                    let success = queue.take_snapshot()?;
+                    info!("snapshot {}", if success { "taken" } else { "refused: the last is still being written" });
+                    answer(call, &Success { success });
+                }
+                Command::SplitBagfile(call) => {
+                    queue.offer(Entry::Split)?;
+                    answer(call, &Empty::default());
+                }
+                other => obey(other, is_paused),
+            },
         }
-    }
+    };
     // each ends by itself now, after its last message
+    over.send_replace(true);
     while let Some(ended) = topics.join_next().await {
         ended??;
     }
-    Ok(())
+    Ok(stopped)
 }
 
-async fn subscribe(
+/// What can be asked for whether or not it records.
+fn obey(command: Command, is_paused: &AtomicBool) {
+    let set = |paused: bool| {
+        is_paused.store(paused, Ordering::Relaxed);
+        info!("{}", if paused { "paused" } else { "resumed" });
+    };
+    match command {
+        Command::Pause(call) => {
+            set(true);
+            answer(call, &Empty::default());
+        }
+        Command::Resume(call) => {
+            set(false);
+            answer(call, &Empty::default());
+        }
+        Command::IsPaused(call) => {
+            let paused = is_paused.load(Ordering::Relaxed);
+            answer(call, &IsPausedResponse { paused });
+        }
+        Command::Key(Key::Space) => set(!is_paused.load(Ordering::Relaxed)),
+        _ => {}
+    }
+}
+
+fn subscribe(
     node: &Node,
     topic: &TopicInfo,
     name: &Arc<str>,
+    qos_overrides: &BTreeMap<String, Qos>,
     queue: &Queue,
     prefixes: &[PathBuf],
 ) -> Result<RawSubscription> {
@@ -182,7 +242,13 @@ async fn subscribe(
         );
         definitions::unknown()
     });
-    let qos = common_qos(&topic.publishers);
+    if let Err(error) = schema.type_hash(&topic.type_name) {
+        warn!("{name}: recorded without the hash of its type: {error}");
+    }
+    let qos = match qos_overrides.get(&topic.name) {
+        Some(qos) => *qos,
+        None => common_qos(&topic.publishers),
+    };
     info!("recording {name} ({})", topic.type_name);
     let type_name = topic.type_name.clone();
     let recorded = Entry::Topic {
@@ -191,8 +257,7 @@ async fn subscribe(
         schema,
         qos: profile(topic.publishers.first()),
     };
-    let queue = queue.clone();
-    tokio::task::spawn_blocking(move || queue.put(recorded)).await??;
+    queue.offer(recorded)?;
     Ok(node.raw_subscription(&topic.name, &topic.type_name, qos)?)
 }
 
@@ -214,32 +279,50 @@ fn profile(offered: Option<&Qos>) -> QosProfile {
     }
 }
 
-async fn forward(
-    mut subscription: RawSubscription,
+/// What takes a topic's messages to the bag's thread.
+struct Forward {
     topic: Arc<str>,
     queue: Queue,
-    lost: Arc<AtomicU64>,
-) -> Result<()> {
-    // after the shutdown, what still waits
-    while let Some(received) = match subscription.recv().await {
-        Some(received) => Some(received),
-        None => subscription.try_recv(),
-    } {
-        let log_time_ns = u64::try_from(received.received.to_nanos()).unwrap_or(0);
-        let entry = Entry::Message {
-            topic: Arc::clone(&topic),
-            log_time_ns,
-            data: received.message,
-        };
-        if !queue.offer(entry)? {
-            lost.fetch_add(1, Ordering::Relaxed);
+    is_paused: Arc<AtomicBool>,
+    loss: Arc<Loss>,
+    diagnostics: Diagnostics,
+}
+
+impl Forward {
+    /// Until the shutdown, or until it is over.
+    async fn run(
+        self,
+        mut subscription: RawSubscription,
+        mut over: watch::Receiver<bool>,
+    ) -> Result<()> {
+        // after that, what still waits
+        loop {
+            let received = tokio::select! {
+                biased;
+                received = subscription.recv() => received,
+                _ = over.wait_for(|over| *over) => None,
+            };
+            let Some(received) = received.or_else(|| subscription.try_recv()) else {
+                break;
+            };
+            // no loss: it was asked for
+            if self.is_paused.load(Ordering::Relaxed) {
+                continue;
+            }
+            let entry = Entry::Message {
+                topic: Arc::clone(&self.topic),
+                log_time_ns: u64::try_from(received.received.to_nanos()).unwrap_or(0),
+                data: received.message,
+            };
+            if !self.queue.offer(entry)? {
+                self.loss.count_queues(1);
+                self.diagnostics
+                    .count_drop(&format!("{}: cache full", self.topic));
+            }
         }
+        self.loss.count_queues(subscription.dropped());
+        self.loss.count_undecodable(subscription.undecodable());
+        self.loss.count_missing(subscription.lost());
+        Ok(())
     }
-    let (dropped, missing) = (subscription.dropped(), subscription.lost());
-    let refused = subscription.undecodable();
-    lost.fetch_add(dropped + missing + refused, Ordering::Relaxed);
-    debug!(
-        "{topic}: {dropped} dropped in the subscription, {missing} never arrived, {refused} in no known form"
-    );
-    Ok(())
 }

@@ -1,28 +1,36 @@
 //! Which topics are recorded, and with which quality of service.
 
+use wm_bag::TopicFilter;
 use wm_ros::{Durability, Qos, Reliability, TopicInfo};
 
 /// Messages of a topic that may wait in its subscription. Those of a camera take about 200 KB each.
 const DEPTH: usize = 64;
 
 /// The topics to record.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default)]
 pub struct Selection {
-    /// Names; empty: all that are not hidden.
-    pub topics: Vec<String>,
-    /// Names that are left out.
-    pub exclude: Vec<String>,
+    /// By name; all that are not hidden, where it names none and `types` is empty.
+    pub topics: TopicFilter,
+    /// Types whose topics are recorded beside those, as `package/msg/Type`.
+    pub types: Vec<String>,
+    /// Types whose topics are left out.
+    pub exclude_types: Vec<String>,
 }
 
 impl Selection {
     /// Whether this topic is recorded now: wanted, and there is a publisher.
     #[must_use]
     pub fn wants(&self, topic: &TopicInfo) -> bool {
-        let is_named = self.topics.contains(&topic.name);
+        let filter = &self.topics;
+        let is_named = filter.named().contains(&topic.name);
         // a hidden topic has a part that begins with an underscore; it is recorded where it is named
         let is_hidden = topic.name.split('/').any(|part| part.starts_with('_'));
-        let is_wanted = is_named || (self.topics.is_empty() && !is_hidden);
-        is_wanted && !self.exclude.contains(&topic.name) && !topic.publishers.is_empty()
+        let is_of_type = self.types.contains(&topic.type_name) && !filter.excludes(&topic.name);
+        let is_all = self.types.is_empty() || !filter.is_all();
+        ((is_all && filter.wants(&topic.name)) || is_of_type)
+            && (is_named || !is_hidden)
+            && !self.exclude_types.contains(&topic.type_name)
+            && !topic.publishers.is_empty()
     }
 }
 
@@ -69,17 +77,50 @@ mod tests {
         assert!(all.wants(&topic("/a/b", vec![Qos::reliable(1)])));
         assert!(!all.wants(&topic("/a/b", vec![])));
         assert!(!all.wants(&topic("/a/_hidden/b", vec![Qos::reliable(1)])));
+        let of = |names: &[&str], exclude: &[&str]| {
+            let owned = |names: &[&str]| names.iter().map(ToString::to_string).collect();
+            TopicFilter::new(owned(names), None, owned(exclude), None).unwrap()
+        };
         let named = Selection {
-            topics: vec!["/a/_hidden".into()],
-            exclude: vec![],
+            topics: of(&["/a/_hidden"], &[]),
+            ..Selection::default()
         };
         assert!(named.wants(&topic("/a/_hidden", vec![Qos::reliable(1)])));
         assert!(!named.wants(&topic("/b", vec![Qos::reliable(1)])));
         let without = Selection {
-            topics: vec![],
-            exclude: vec!["/b".into()],
+            topics: of(&[], &["/b"]),
+            ..Selection::default()
         };
         assert!(!without.wants(&topic("/b", vec![Qos::reliable(1)])));
+        assert!(without.wants(&topic("/c", vec![Qos::reliable(1)])));
+    }
+
+    #[test]
+    fn types_add_to_names_or_take_away() {
+        let text = "std_msgs/msg/String".to_owned();
+        let other = TopicInfo {
+            type_name: "std_msgs/msg/Bool".to_owned(),
+            ..topic("/b", vec![Qos::reliable(1)])
+        };
+        let selected = |topics: TopicFilter, types: &[String], exclude_types: &[String]| {
+            let selection = Selection {
+                topics,
+                types: types.to_vec(),
+                exclude_types: exclude_types.to_vec(),
+            };
+            [
+                selection.wants(&topic("/a", vec![Qos::reliable(1)])),
+                selection.wants(&other),
+            ]
+        };
+        let all = TopicFilter::default;
+        let types = std::slice::from_ref(&text);
+        assert_eq!(selected(all(), types, &[]), [true, false]);
+        assert_eq!(selected(all(), &[], types), [false, true]);
+        let of_b = TopicFilter::new(vec!["/b".into()], None, vec![], None).unwrap();
+        assert_eq!(selected(of_b, types, &[]), [true, true]);
+        let without_a = TopicFilter::new(vec![], None, vec!["/a".into()], None).unwrap();
+        assert_eq!(selected(without_a, types, &[]), [false, false]);
     }
 
     #[test]

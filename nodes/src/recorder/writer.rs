@@ -2,6 +2,7 @@
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use bytes::Bytes;
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{
     Arc, Mutex, PoisonError,
@@ -10,16 +11,14 @@ use std::sync::{
 };
 use std::thread::JoinHandle;
 use std::time::Duration;
+use tokio::sync::oneshot;
 use wm_bag::{BagSummary, BagWriter, QosProfile, Schema, WriterOptions};
 
-/// Messages that may wait for the disk.
-const QUEUE: usize = 256;
-
-/// Bytes of messages that may wait for the disk: forty raw 1080p pictures.
-const QUEUE_BYTES: usize = 256 << 20;
+/// Bytes of messages that may wait for the disk, unless told otherwise: forty raw 1080p pictures.
+pub(super) const CACHE_BYTES: usize = 256 << 20;
 
 /// A chunk is closed after this much time at the latest: what a killed recorder may lose.
-const CHUNK_TIME: Duration = Duration::from_secs(1);
+pub(super) const CHUNK_TIME: Duration = Duration::from_secs(1);
 
 /// What the node sends to the bag's thread.
 pub(super) enum Entry {
@@ -38,51 +37,87 @@ pub(super) enum Entry {
     },
     /// So many messages of it did not get here.
     Lost { topic: Arc<str>, messages: u64 },
+    /// The bag's next file begins here.
+    Split,
 }
 
 /// The bag's thread.
 pub(super) struct Recording {
-    queue: Queue,
+    /// None once it is to end.
+    queue: Option<Queue>,
     thread: JoinHandle<Result<BagSummary>>,
+    /// Closes when the thread has written everything.
+    written: oneshot::Receiver<()>,
+}
+
+/// Messages that wait for a snapshot.
+#[derive(Default)]
+struct Held {
+    messages: VecDeque<Entry>,
+    bytes: usize,
 }
 
 /// The way to the bag's thread.
 #[derive(Clone)]
 pub(super) struct Queue {
-    queue: mpsc::SyncSender<Entry>,
+    // Bounded by the bytes that wait, which the channel does not know.
+    queue: mpsc::Sender<Entry>,
     /// Bytes of the messages that wait.
     waiting: Arc<AtomicUsize>,
+    /// Most bytes that may wait; a message that is larger by itself may wait alone.
+    limit: usize,
+    /// In snapshot mode: the latest messages, of at most `limit` bytes, which go to the disk when they are asked for.
+    held: Option<Arc<Mutex<Held>>>,
     failure: Arc<Mutex<Option<String>>>,
 }
 
 impl Queue {
-    /// Hands an entry over; false where the queue is full.
+    /// Hands a message over; false where there is no room for it. Topics and counts, which are few, always find room.
+    /// In snapshot mode a message always does: the oldest make room.
     ///
     /// # Errors
     /// Where the bag can no longer be written (a full disk).
     pub fn offer(&self, entry: Entry) -> Result<bool> {
         let bytes = entry.bytes();
-        if self.waiting.fetch_add(bytes, Ordering::Relaxed) > QUEUE_BYTES {
+        if let (Entry::Message { .. }, Some(held)) = (&entry, &self.held) {
+            let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
+            held.bytes += bytes;
+            held.messages.push_back(entry);
+            while held.bytes > self.limit
+                && held.messages.len() > 1
+                && let Some(oldest) = held.messages.pop_front()
+            {
+                held.bytes -= oldest.bytes();
+            }
+            return Ok(true);
+        }
+        let waiting = self.waiting.fetch_add(bytes, Ordering::Relaxed);
+        if bytes > 0 && waiting > 0 && waiting.saturating_add(bytes) > self.limit {
             self.waiting.fetch_sub(bytes, Ordering::Relaxed);
             return Ok(false);
         }
-        match self.queue.try_send(entry) {
-            Ok(()) => Ok(true),
-            Err(mpsc::TrySendError::Full(_)) => {
-                self.waiting.fetch_sub(bytes, Ordering::Relaxed);
-                Ok(false)
-            }
-            Err(mpsc::TrySendError::Disconnected(_)) => Err(self.failure()),
-        }
+        self.queue.send(entry).map_err(|_| self.failure())?;
+        Ok(true)
     }
 
-    /// Hands an entry over, and waits until there is room: not for an async context.
+    /// Hands over what is held; false where nothing is held back, or what was before is not on the disk yet: so that
+    /// there are never more than two such buffers.
     ///
     /// # Errors
-    /// As [`Self::offer`].
-    pub fn put(&self, entry: Entry) -> Result<()> {
-        self.waiting.fetch_add(entry.bytes(), Ordering::Relaxed);
-        self.queue.send(entry).map_err(|_| self.failure())
+    /// Where the bag can no longer be written.
+    pub fn take_snapshot(&self) -> Result<bool> {
+        let Some(held) = &self.held else {
+            return Ok(false);
+        };
+        if self.waiting.load(Ordering::Relaxed) > 0 {
+            return Ok(false);
+        }
+        let taken = std::mem::take(&mut *held.lock().unwrap_or_else(PoisonError::into_inner));
+        self.waiting.fetch_add(taken.bytes, Ordering::Relaxed);
+        for entry in taken.messages {
+            self.queue.send(entry).map_err(|_| self.failure())?;
+        }
+        Ok(true)
     }
 
     fn failure(&self) -> anyhow::Error {
@@ -97,29 +132,35 @@ impl Queue {
 impl Entry {
     fn bytes(&self) -> usize {
         match self {
-            Self::Message { data, .. } => data.len(),
-            Self::Topic { .. } | Self::Lost { .. } => 0,
+            // What it costs to keep a message, however short.
+            Self::Message { data, .. } => size_of::<Self>() + data.len(),
+            Self::Topic { .. } | Self::Lost { .. } | Self::Split => 0,
         }
     }
 }
 
 impl Recording {
-    /// Creates the bag.
+    /// Creates the bag. At most `cache_bytes` of messages wait for the disk, and in snapshot mode as many for being
+    /// asked for.
     ///
     /// # Errors
     /// Where the folder cannot be made, or holds something already.
-    pub fn create(folder: &Path) -> Result<Self> {
-        let options = WriterOptions {
-            chunk_duration: Some(CHUNK_TIME),
-            ..WriterOptions::default()
-        };
+    pub fn create(
+        folder: &Path,
+        options: WriterOptions,
+        cache_bytes: usize,
+        is_snapshot: bool,
+    ) -> Result<Self> {
         let writer = BagWriter::create(folder, options)?;
-        let (queue, entries) = mpsc::sync_channel(QUEUE);
+        let (queue, entries) = mpsc::channel();
         let queue = Queue {
             queue,
             waiting: Arc::default(),
+            limit: cache_bytes,
+            held: is_snapshot.then(Arc::default),
             failure: Arc::default(),
         };
+        let (writing, written) = oneshot::channel();
         let (waiting, failure) = (Arc::clone(&queue.waiting), Arc::clone(&queue.failure));
         let thread = std::thread::Builder::new()
             .name("bag".to_owned())
@@ -129,21 +170,38 @@ impl Recording {
                     *failure.lock().unwrap_or_else(PoisonError::into_inner) =
                         Some(format!("{error:#}"));
                 }
+                drop(writing);
                 result
             })?;
-        Ok(Self { queue, thread })
+        Ok(Self {
+            queue: Some(queue),
+            thread,
+            written,
+        })
     }
 
-    pub fn queue(&self) -> Queue {
+    /// The way to the thread; none once it is to end.
+    pub fn queue(&self) -> Option<Queue> {
         self.queue.clone()
     }
 
-    /// Closes the bag once every [`Queue`] is gone.
+    /// Lets the thread close the bag once every [`Queue`] is gone, and end.
+    pub fn end(&mut self) {
+        self.queue = None;
+    }
+
+    /// Waits until the bag is closed, after [`end`](Self::end). Cancel safe.
+    pub async fn written(&mut self) {
+        // it is closed, never sent to
+        (&mut self.written).await.ok();
+    }
+
+    /// Closes the bag once every [`Queue`] is gone. Blocks until then.
     ///
     /// # Errors
     /// Where it could not be written.
-    pub fn finish(self) -> Result<BagSummary> {
-        drop(self.queue);
+    pub fn finish(mut self) -> Result<BagSummary> {
+        self.end();
         match self.thread.join() {
             Ok(result) => result,
             Err(_) => bail!("the bag's thread panicked"),
@@ -190,6 +248,7 @@ fn write(
                 }
             }
             Entry::Lost { topic, messages } => writer.count_lost(&topic, messages),
+            Entry::Split => writer.split()?,
         }
     }
 }
@@ -237,8 +296,9 @@ mod tests {
     fn what_is_queued_is_in_the_bag_and_losses_are_counted() {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
-        let recording = Recording::create(&bag).unwrap();
-        let queue = recording.queue();
+        let recording =
+            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false).unwrap();
+        let queue = recording.queue().unwrap();
         let topic: Arc<str> = "/note".into();
         let schema = type_schema::<std_msgs::String>();
         let type_name = "std_msgs/msg/String".to_owned();
@@ -280,20 +340,86 @@ mod tests {
 
     #[test]
     fn waiting_messages_are_bounded_in_bytes() {
-        let (queue, entries) = mpsc::sync_channel(QUEUE);
+        let (queue, entries) = mpsc::channel();
         let queue = Queue {
             queue,
             waiting: Arc::default(),
+            limit: 256 << 10,
+            held: None,
             failure: Arc::default(),
         };
-        let large = || Entry::Message {
+        let message = |bytes: usize| Entry::Message {
             topic: "/camera".into(),
             log_time_ns: 0,
-            data: Bytes::from_static(&[0; 64 << 20]),
+            data: vec![0; bytes].into(),
         };
-        let taken = (0..10).filter(|_| queue.offer(large()).unwrap()).count();
-        assert_eq!(taken, 5, "what exceeds the limit is the last that is taken");
-        assert_eq!(entries.iter().take(taken).count(), taken);
+        let offered = |bytes| queue.offer(message(bytes)).unwrap();
+        let taken = (0..10).filter(|_| offered(64 << 10)).count();
+        assert_eq!(taken, 3, "a fourth would exceed the limit by its own cost");
+        let waiting = queue.waiting.load(Ordering::Relaxed);
+        for entry in entries.iter().take(taken) {
+            queue.waiting.fetch_sub(entry.bytes(), Ordering::Relaxed);
+        }
+        assert!(waiting <= queue.limit);
+        assert!(offered(1 << 20), "a message that is larger waits alone");
+        assert!(!offered(1));
+        drop(entries);
+        assert!(
+            queue
+                .offer(Entry::Lost {
+                    topic: "/camera".into(),
+                    messages: 1
+                })
+                .is_err()
+        );
+    }
+
+    #[tokio::test(flavor = "current_thread")]
+    async fn a_snapshot_writes_the_latest_that_fit_and_a_split_begins_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("bag");
+        let mut recording =
+            Recording::create(&bag, WriterOptions::default(), 64 << 10, true).unwrap();
+        let queue = recording.queue().unwrap();
+        let topic: Arc<str> = "/note".into();
+        let entry = Entry::Topic {
+            name: topic.clone(),
+            type_name: "std_msgs/msg/String".to_owned(),
+            schema: type_schema::<std_msgs::String>(),
+            qos: QosProfile::reliable(),
+        };
+        queue.offer(entry).unwrap();
+        let note = std_msgs::String {
+            data: "x".repeat(10 << 10),
+        };
+        let data = Bytes::from(wm_msgs::cdr::to_bytes(&note).unwrap());
+        let offer = |log_time_ns: u64| {
+            let (topic, data) = (topic.clone(), data.clone());
+            let message = Entry::Message {
+                topic,
+                log_time_ns,
+                data,
+            };
+            assert!(queue.offer(message).unwrap());
+        };
+        (1..=100).for_each(offer);
+        assert!(queue.take_snapshot().unwrap());
+        while queue.waiting.load(Ordering::Relaxed) > 0 {
+            tokio::task::yield_now().await;
+        }
+        queue.offer(Entry::Split).unwrap();
+        (101..=102).for_each(offer);
+        assert!(queue.take_snapshot().unwrap());
+        offer(103);
+        drop(queue);
+        recording.end();
+        recording.written().await;
+        let summary = recording.finish().unwrap();
+        assert_eq!(summary.files.len(), 2);
+        let reader = BagReader::open(&bag).unwrap();
+        let times: Vec<u64> = reader.messages().map(|m| m.unwrap().log_time_ns).collect();
+        // six of 10 KiB fit into 64 KiB; the one after the last snapshot was not asked for
+        assert_eq!(times, [95, 96, 97, 98, 99, 100, 101, 102]);
     }
 
     #[test]
@@ -301,7 +427,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         remove_old(&bag).unwrap();
-        Recording::create(&bag).unwrap().finish().unwrap();
+        let recording =
+            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false).unwrap();
+        recording.finish().unwrap();
         remove_old(&bag).unwrap();
         assert_eq!(std::fs::read_dir(&bag).unwrap().count(), 0);
         std::fs::write(bag.join("thesis.txt"), "x").unwrap();

@@ -60,6 +60,40 @@ impl PhysicalAction {
     }
 }
 
+/// How a chunk joins the one before where the two speak of the same moments (the `aggregate_fn` of LeRobot's asynchronous
+/// inference, <https://huggingface.co/docs/lerobot/async>).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ChunkMerging {
+    /// The newer one holds.
+    #[default]
+    Latest,
+    /// 0.3 of the older one and 0.7 of the newer one.
+    Weighted,
+    /// The mean of both.
+    Average,
+}
+
+impl ChunkMerging {
+    /// By its name in a parameter: `latest`, `weighted` or `average`.
+    pub fn parse(name: &str) -> Option<Self> {
+        match name {
+            "latest" => Some(Self::Latest),
+            "weighted" => Some(Self::Weighted),
+            "average" => Some(Self::Average),
+            _ => None,
+        }
+    }
+
+    /// The weight of the newer chunk.
+    fn weight(self) -> f32 {
+        match self {
+            Self::Latest => 1.0,
+            Self::Weighted => 0.7,
+            Self::Average => 0.5,
+        }
+    }
+}
+
 #[derive(Clone, Debug)]
 struct Chunk {
     stamp_ns: i64,
@@ -83,6 +117,34 @@ impl Chunk {
             .saturating_add(self.period_ns.saturating_mul(index as i64));
         Some((entry_ns, self.actions.get(index)?))
     }
+
+    /// The entry of a moment that the chunk speaks of: none before its first action, or once its last one is over.
+    fn covering(&self, stamp_ns: i64) -> Option<&PhysicalAction> {
+        let (entry_ns, action) = self.at(stamp_ns)?;
+        (stamp_ns < entry_ns.saturating_add(self.period_ns)).then_some(action)
+    }
+
+    /// Blends the values with those of the `older` chunk at the moments that both speak of.
+    fn merge(&mut self, older: &Self, merging: ChunkMerging) {
+        let weight = merging.weight();
+        if weight == 1.0 {
+            return;
+        }
+        // The nearest entry of the older chunk, not the one that has just begun: stamps jitter.
+        let half_ns = older.period_ns / 2;
+        for (index, action) in self.actions.iter_mut().enumerate() {
+            // Below MAX_CHUNK.
+            let entry_ns = self
+                .stamp_ns
+                .saturating_add(self.period_ns.saturating_mul(index as i64));
+            let Some(before) = older.covering(entry_ns.saturating_add(half_ns)) else {
+                continue;
+            };
+            for (new, old) in action.values.iter_mut().zip(before.values) {
+                *new = old + weight * (*new - old);
+            }
+        }
+    }
 }
 
 /// Actions by stamp, as many as fit a span of time, and the newest chunk.
@@ -90,6 +152,7 @@ impl Chunk {
 pub(super) struct Actions {
     taken: BTreeMap<i64, PhysicalAction>,
     chunk: Option<Chunk>,
+    merging: ChunkMerging,
     span_ns: i64,
 }
 
@@ -98,8 +161,24 @@ impl Actions {
         Self {
             taken: BTreeMap::new(),
             chunk: None,
+            merging: ChunkMerging::default(),
             span_ns,
         }
+    }
+
+    pub(super) fn set_merging(&mut self, merging: ChunkMerging) {
+        self.merging = merging;
+    }
+
+    /// Whether an action or a chunk speaks of this moment: nothing is held there.
+    pub(super) fn is_given(&self, slot_ns: i64, tolerance_ns: i64) -> bool {
+        let near = slot_ns.saturating_sub(tolerance_ns)..=slot_ns.saturating_add(tolerance_ns);
+        let is_announced = |chunk: &Chunk| {
+            chunk
+                .covering(slot_ns.saturating_add(tolerance_ns))
+                .is_some()
+        };
+        self.taken.range(near).next().is_some() || self.chunk.as_ref().is_some_and(is_announced)
     }
 
     pub(super) fn newest_ns(&self) -> Option<i64> {
@@ -146,11 +225,15 @@ impl Actions {
             .enumerate()
             .map(parse)
             .collect::<Result<_, _>>()?;
-        self.chunk = Some(Chunk {
+        let mut newer = Chunk {
             stamp_ns: chunk.header.stamp.to_nanos(),
             period_ns,
             actions,
-        });
+        };
+        if let Some(older) = &self.chunk {
+            newer.merge(older, self.merging);
+        }
+        self.chunk = Some(newer);
         Ok(())
     }
 

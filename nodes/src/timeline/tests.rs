@@ -39,6 +39,7 @@ fn chunk(index: i64, values: &[f32]) -> ActionChunk {
         },
         period: Duration::from_nanos(PERIOD),
         actions,
+        ..ActionChunk::default()
     }
 }
 
@@ -303,4 +304,86 @@ fn memory_is_bounded_by_the_span() {
     }
     // A model step is two frames, and jumps are told apart up to a second back.
     assert!(timeline.frames.len() <= 5 && timeline.actions.len() <= 11);
+}
+
+/// What each rule makes of one moment that two chunks speak of; elsewhere the newer one stays as it is.
+#[test]
+fn overlapping_chunks_are_merged_by_the_rule() {
+    for (name, expected) in [
+        ("latest", [10.0, 10.0, 10.0, 10.0]),
+        ("weighted", [7.6, 7.9, 10.0, 10.0]),
+        ("average", [6.0, 6.5, 10.0, 10.0]),
+    ] {
+        let mut timeline = timeline(1).with_chunk_merging(ChunkMerging::parse(name).unwrap());
+        timeline.chunk(&chunk(0, &[0.0, 1.0, 2.0, 3.0])).unwrap();
+        timeline.chunk(&chunk(2, &[10.0; 4])).unwrap();
+        let merged: Vec<f32> = [2, 4]
+            .iter()
+            .flat_map(|index| firsts(&timeline.actions_of_step(START + index * PERIOD).unwrap()))
+            .collect();
+        for (merged, expected) in merged.iter().zip(expected) {
+            assert!(
+                (merged - expected).abs() < 1e-5,
+                "{name}: {merged} for {expected}"
+            );
+        }
+    }
+    assert_eq!(ChunkMerging::parse("mean"), None);
+}
+
+#[test]
+fn only_what_was_said_is_given() {
+    let mut timeline = timeline(1);
+    timeline.action(&action(0, 1.0)).unwrap();
+    timeline.chunk(&chunk(2, &[2.0, 2.0])).unwrap();
+    let given: Vec<bool> = (-1..6)
+        .map(|index| timeline.is_given(START + index * PERIOD))
+        .collect();
+    assert_eq!(given, [false, true, false, true, true, false, false]);
+}
+
+mod merging {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn rule() -> impl Strategy<Value = (ChunkMerging, f32)> {
+        prop_oneof![
+            Just((ChunkMerging::Latest, 1.0)),
+            Just((ChunkMerging::Weighted, 0.7)),
+            Just((ChunkMerging::Average, 0.5)),
+        ]
+    }
+
+    proptest! {
+        /// For any two chunks, however they lie and jitter: at every moment of the newer one its action is the weighted
+        /// mean where the older one speaks too, and its own elsewhere.
+        #[test]
+        fn a_merged_chunk_is_the_weighted_mean_where_both_speak(
+            (rule, weight) in rule(),
+            older in prop::collection::vec(-1_f32..1.0, 1..12),
+            newer in prop::collection::vec(-1_f32..1.0, 1..12),
+            shift in 0_i64..14,
+            jitter in -PERIOD / 5..PERIOD / 5,
+        ) {
+            let mut timeline = timeline(1).with_chunk_merging(rule);
+            timeline.chunk(&chunk(1, &older)).unwrap();
+            let mut second = chunk(1 + shift, &newer);
+            let stamp_ns = second.header.stamp.to_nanos() + jitter;
+            second.header.stamp = Time::from_nanos(stamp_ns);
+            // One that is older than the first is refused, whatever the rule.
+            prop_assume!(shift > 0 || jitter >= 0);
+            timeline.chunk(&second).unwrap();
+            for (index, new) in newer.iter().enumerate() {
+                let slot_ns = stamp_ns + index as i64 * PERIOD;
+                let got = timeline.actions.at(slot_ns, 0).unwrap().values;
+                let expected = match older.get(shift as usize + index) {
+                    Some(old) => (1.0 - weight) * old + weight * new,
+                    None => *new,
+                };
+                for value in got {
+                    prop_assert!((value - expected).abs() < 1e-5, "{value} for {expected} at {index}");
+                }
+            }
+        }
+    }
 }

@@ -1,16 +1,21 @@
 //! `wm bag`.
 
+mod cut;
 mod parameters;
 mod play;
 mod record;
+mod recover;
+mod time;
+mod topic_options;
 
-use crate::output::print;
+use crate::{external, output::print};
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use std::path::PathBuf;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wm_bag::{BagReader, BagWarning};
-use wm_import::{ImportOptions, import_bridge};
+use wm_import::{ImportError, ImportOptions, import_bridge, import_droid};
 use wm_nodes::ending::Ending;
 
 /// Bags.
@@ -25,21 +30,56 @@ pub enum BagCommand {
         /// The bag's folder, or one .mcap file
         bag: PathBuf,
     },
+    /// Make a sound bag of one that is cut off or damaged
+    Recover(recover::RecoverCommand),
+    /// Write a part of a bag: a time, some topics
+    Cut(cut::CutCommand),
     /// Make bags of other formats' episodes
     #[command(subcommand)]
     Import(ImportCommand),
+    /// Make other formats' data sets of bags
+    #[command(subcommand)]
+    Export(ExportCommand),
 }
 
 /// Formats that are imported.
 #[derive(Debug, Subcommand)]
 pub enum ImportCommand {
     /// Bridge V2: the mp4 and npz layout, or the RLDS TFRecord layout
-    Bridge(BridgeCommand),
+    Bridge(EpisodesCommand),
+    /// DROID: annotation/SPLIT/NAME.json with three videos an episode
+    Droid(EpisodesCommand),
+    /// LeRobot datasets, v2.1 and v3.0; by the program wm-lerobot
+    #[command(disable_help_flag = true)]
+    Lerobot(ForeignCommand),
 }
 
-/// Imports Bridge V2 episodes.
+/// Formats that are exported.
+#[derive(Debug, Subcommand)]
+pub enum ExportCommand {
+    /// LeRobot datasets, v3.0; by the program wm-lerobot
+    #[command(disable_help_flag = true)]
+    Lerobot(ForeignCommand),
+}
+
+/// What a program of its own is called with.
 #[derive(Args, Debug)]
-pub struct BridgeCommand {
+pub struct ForeignCommand {
+    /// As `wm-lerobot import|export --help` says
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    arguments: Vec<OsString>,
+}
+
+impl ForeignCommand {
+    fn run(self, command: &str) -> Result<ExitCode> {
+        let command = OsString::from(command);
+        external::exec("wm-lerobot", [command].into_iter().chain(self.arguments))
+    }
+}
+
+/// Imports episodes of a data set.
+#[derive(Args, Debug)]
+pub struct EpisodesCommand {
     /// Folder of the episodes
     source: PathBuf,
     /// Folder for the bags, one an episode
@@ -69,18 +109,29 @@ impl BagCommand {
                 let is_lost = summary.warnings.iter().any(BagWarning::is_loss);
                 Ok(Ending::lost_if(is_lost).into())
             }
-            Self::Import(ImportCommand::Bridge(command)) => {
-                let defaults = ImportOptions::default();
-                let options = ImportOptions {
-                    episodes: command.episodes,
-                    jpeg_quality: command.jpeg_quality,
-                    ..defaults
-                };
-                for bag in import_bridge(&command.source, &command.output, &options)? {
-                    print(format_args!("{}\n", bag.display()))?;
-                }
-                Ok(ExitCode::SUCCESS)
-            }
+            Self::Recover(command) => command.run(),
+            Self::Cut(command) => command.run(),
+            Self::Import(ImportCommand::Bridge(command)) => command.run(import_bridge),
+            Self::Import(ImportCommand::Droid(command)) => command.run(import_droid),
+            Self::Import(ImportCommand::Lerobot(command)) => command.run("import"),
+            Self::Export(ExportCommand::Lerobot(command)) => command.run("export"),
         }
+    }
+}
+
+impl EpisodesCommand {
+    fn run(
+        self,
+        import: fn(&Path, &Path, &ImportOptions) -> Result<Vec<PathBuf>, ImportError>,
+    ) -> Result<ExitCode> {
+        let options = ImportOptions {
+            episodes: self.episodes,
+            jpeg_quality: self.jpeg_quality,
+            ..ImportOptions::default()
+        };
+        for bag in import(&self.source, &self.output, &options)? {
+            print(format_args!("{}\n", bag.display()))?;
+        }
+        Ok(ExitCode::SUCCESS)
     }
 }

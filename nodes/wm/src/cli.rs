@@ -1,7 +1,8 @@
 //! The command line.
 
-use crate::{bag, eval, launch, model, node, report, train};
-use clap::{Parser, Subcommand};
+use crate::{bag, eval, external, launch, model, node, report, train};
+use clap::{Args, Parser, Subcommand};
+use std::ffi::OsString;
 use std::path::Path;
 use std::process::ExitCode;
 use wm_nodes::launch::LaunchError;
@@ -27,7 +28,7 @@ struct Cli {
 enum Subcommands {
     /// Start the nodes of a ROS 2 YAML launch file and stop them together
     Launch(launch::LaunchCommand),
-    /// Play, record, inspect and import bags
+    /// Play, record, inspect, recover, cut, import and export bags
     #[command(subcommand)]
     Bag(bag::BagCommand),
     /// Make bags with a simulated arm on a tabletop
@@ -43,8 +44,18 @@ enum Subcommands {
     Model(model::ModelCommand),
     /// Score a recorded bag: its predictions against its frames
     Report(report::ReportCommand),
+    /// Carry topics and services to other machines over Zenoh (the program wm-bridge)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Bridge(ExternalArguments),
     #[command(flatten)]
     Node(node::NodeCommand),
+}
+
+/// What a program of its own takes, unread.
+#[derive(Args, Debug)]
+struct ExternalArguments {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    arguments: Vec<OsString>,
 }
 
 /// A command with the arguments for ROS that came with it.
@@ -66,7 +77,7 @@ pub fn parse() -> Command {
         .map(|name| name.to_string_lossy());
     if let Some(name) = called.filter(|name| node::NodeCommand::NAMES.contains(&name.as_ref())) {
         let name = name.into_owned();
-        arguments.insert(1, name);
+        arguments.splice(..1, ["wm".to_owned(), name]);
     }
     let at = arguments
         .iter()
@@ -87,7 +98,7 @@ pub fn parse() -> Command {
 impl Subcommands {
     fn takes_ros_args(&self) -> bool {
         match self {
-            Self::Node(_) => true,
+            Self::Node(_) | Self::Bridge(_) => true,
             Self::Bag(command) => command.takes_ros_args(),
             _ => false,
         }
@@ -108,6 +119,10 @@ impl Command {
             Subcommands::Eval(command) => command.run(),
             Subcommands::Model(command) => command.run(),
             Subcommands::Report(command) => command.run(),
+            Subcommands::Bridge(own) => {
+                let ros_args = self.ros_args.into_iter().map(OsString::from);
+                external::exec("wm-bridge", own.arguments.into_iter().chain(ros_args))
+            }
             Subcommands::Node(command) => command.run(self.ros_args),
         }
     }

@@ -6,6 +6,7 @@
 mod bag;
 mod cli;
 mod eval;
+mod external;
 mod launch;
 mod model;
 mod node;

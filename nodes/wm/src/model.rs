@@ -1,5 +1,6 @@
 //! `wm model`: the model library from the command line.
 
+mod check;
 mod convert;
 mod fetch;
 mod forward;
@@ -16,6 +17,8 @@ use std::process::ExitCode;
 pub enum ModelCommand {
     /// Parameters and operations of the paper's systems, counted from the models as they are built
     Info(info::InfoCommand),
+    /// Load a model as the nodes do, run it once, and say what it is or what is wrong with it
+    Check(check::CheckCommand),
     /// Run a model on the tensors of a file
     Forward(forward::ForwardCommand),
     /// Predict frames with a transition model
@@ -31,6 +34,7 @@ impl ModelCommand {
     pub fn run(self) -> Result<ExitCode> {
         match self {
             Self::Info(command) => command.run()?,
+            Self::Check(command) => command.run()?,
             Self::Forward(command) => command.run()?,
             Self::Rollout(command) => command.run()?,
             Self::Convert(command) => command.run()?,

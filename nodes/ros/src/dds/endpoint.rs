@@ -7,8 +7,9 @@ use super::{
     local::is_same_participant,
 };
 use crate::{
-    Error,
+    Durability, Error,
     backend::{Channel, Endpoint, EndpointId, Reader, RequestId, Sample, Sink, Writer, Written},
+    mailbox::Mailbox,
 };
 use bytes::Bytes;
 use futures::{StreamExt as _, future::BoxFuture};
@@ -136,6 +137,18 @@ impl Writer for DdsWriter {
                 });
             }
         }
+        if let Some(RequestId { client, .. }) = &answers
+            && !is_same_participant(&self.id(), client)
+        {
+            let largest = self.core.shared.largest_answer(&self.id(), client);
+            if sample.len() > largest {
+                return Err(Error::AnswerTooLarge {
+                    service: self.core.topic.clone(),
+                    len: sample.len(),
+                    largest,
+                });
+            }
+        }
         if let Some(request) = answers
             && !self.core.shared.reaches(&self.id(), &request.client)
             && self.hold(sample, request)
@@ -180,10 +193,17 @@ impl DdsReader {
         runtime: &Handle,
     ) -> Self {
         let id = reader.guid().to_bytes();
-        let inbox = shared.local.add_reader(id, endpoint);
+        let inbox = if endpoint.hears_own {
+            shared.local.add_reader(id, endpoint)
+        } else {
+            Arc::new(Mailbox::new(1))
+        };
         shared.nodes.add_endpoint(id, node, endpoint, false);
         shared.changed();
         let is_server = endpoint.channel == Channel::Request;
+        // rustdds keeps a topic's last samples for all readers: one that comes anew would get those of the one before
+        let is_volatile = endpoint.qos.durability == Durability::Volatile;
+        let mut began = is_volatile.then(Timestamp::now);
         let pump = runtime.spawn(async move {
             let mut samples = std::pin::pin!(reader.as_async_stream());
             loop {
@@ -191,7 +211,12 @@ impl DdsReader {
                     Some(sample) = inbox.pop() => Ok(sample),
                     Some(sample) = samples.next() => match sample {
                         Ok(change) if is_same_participant(&id, &change.writer_guid().to_bytes()) => continue,
-                        Ok(change) => Ok(into_sample(change, is_server)),
+                        Ok(change) if began.is_some_and(|began| change.receive_instant < began) => continue,
+                        Ok(change) => {
+                            // from here on they come in their order, whatever becomes of the system's clock
+                            began = None;
+                            Ok(into_sample(change, is_server))
+                        }
                         Err(error) => Err(error.to_string()),
                     },
                     else => break,

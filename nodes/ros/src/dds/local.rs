@@ -175,6 +175,7 @@ mod tests {
             name: name.into(),
             type_name,
             qos,
+            hears_own: true,
         }
     }
 

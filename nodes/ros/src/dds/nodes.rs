@@ -87,13 +87,17 @@ impl Nodes {
         endpoint: &Endpoint,
         is_writer: bool,
     ) {
-        let seen =
-            ros_names(&dds_name(endpoint), &dds_type(endpoint)).map(|(name, type_name)| Seen {
+        let seen = ros_names(&dds_name(endpoint), &dds_type(endpoint)).map(
+            |(channel, name, type_name)| Seen {
+                channel,
                 name,
                 type_name,
                 qos: endpoint.qos,
                 is_writer,
-            });
+                id,
+                is_own: true,
+            },
+        );
         lock(&self.table).endpoints.insert(
             id,
             Own {
@@ -110,8 +114,8 @@ impl Nodes {
         self.tell();
     }
 
-    /// The topic endpoints of this participant.
-    pub(super) fn own_topics(&self) -> Vec<Seen> {
+    /// The endpoints of this participant.
+    pub(super) fn own_endpoints(&self) -> Vec<Seen> {
         lock(&self.table)
             .endpoints
             .values()

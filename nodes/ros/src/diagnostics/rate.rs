@@ -12,7 +12,6 @@ const WINDOW: Duration = Duration::from_secs(10);
 #[derive(Debug, Default)]
 pub(super) struct Rate {
     total: u64,
-    last: Option<Instant>,
     /// The total at past reports, oldest first; the first entry is the first event's own.
     marks: VecDeque<(Instant, u64)>,
 }
@@ -23,15 +22,10 @@ impl Rate {
             self.marks.push_back((now, 0));
         }
         self.total += 1;
-        self.last = Some(now);
     }
 
     pub(super) fn total(&self) -> u64 {
         self.total
-    }
-
-    pub(super) fn last(&self) -> Option<Instant> {
-        self.last
     }
 
     /// Events a second over the last ten, or since the first event; marks the moment for later calls.

@@ -1,13 +1,15 @@
-//! What every ROS 2 node has: parameter services, `/parameter_events`, `/rosout`, sim time; and what every node of
+//! What every ROS 2 node has: services of parameters, loggers and types, `/parameter_events`, `/rosout`, sim time; and what every node of
 //! this suite has: diagnostics once a second.
 
 use super::Node;
 use crate::{
     Clock, Descriptor, Error, NodeArgs, Qos,
-    backend::{Channel, Endpoint, Reader},
-    logging,
+    backend::{Backend, Channel, Endpoint, EndpointId, Reader},
+    diagnostics::Graph,
+    logging::{self, levels},
     names::TypeName,
     parameters::{Change, Parameters, services},
+    rcl_interfaces::{LoggerLevels, Names},
     value::Value,
 };
 use serde::{Serialize, de::DeserializeOwned};
@@ -40,6 +42,8 @@ pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
         Descriptor::new("whether the clock follows /clock instead of the system"),
     )?;
     parameter_services(node)?;
+    logger_services(node)?;
+    type_service(node)?;
     diagnostics(node)
 }
 
@@ -53,7 +57,10 @@ fn rcl_interfaces(name: &str) -> TypeName {
 fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     let inner = &node.inner;
     let writer = match args.rosout {
-        true => Some(inner.writer(Channel::Topic, "/rosout", rcl_interfaces("Log"), ROSOUT_QOS)?),
+        true => Some({
+            inner.interfaces.rcl("msg/Log");
+            inner.writer(Channel::Topic, "/rosout", rcl_interfaces("Log"), ROSOUT_QOS)?
+        }),
         false => None,
     };
     let registration = logging::register(inner.name.logger(), writer);
@@ -63,6 +70,7 @@ fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
 
 fn parameter_events(node: &Node) -> Result<(), Error> {
     let inner = &node.inner;
+    inner.interfaces.rcl("msg/ParameterEvent");
     let type_name = rcl_interfaces("ParameterEvent");
     let writer = inner.writer(
         Channel::Topic,
@@ -118,6 +126,7 @@ fn follow_clock(node: &Node) {
                     name: "/clock".to_owned(),
                     type_name,
                     qos: CLOCK_QOS,
+                    hears_own: true,
                 };
                 match backend.reader(&name, &endpoint, clock_sink(clock.clone())) {
                     Ok(subscribed) => *reader = Some(subscribed),
@@ -180,6 +189,7 @@ fn serve<Request: DeserializeOwned + 'static, Response: Serialize + 'static>(
     handler: impl Fn(&Parameters, Request) -> Response + Send + 'static,
 ) -> Result<(), Error> {
     let parameters = Arc::clone(&node.inner.parameters);
+    node.inner.interfaces.rcl(&format!("srv/{type_name}"));
     let answer = move |request: &[u8]| -> Result<Vec<u8>, CdrError> {
         cdr::to_bytes(&handler(&parameters, cdr::from_bytes(request)?))
     };
@@ -187,15 +197,71 @@ fn serve<Request: DeserializeOwned + 'static, Response: Serialize + 'static>(
         .serve_bytes(&format!("~/{name}"), rcl_interfaces(type_name), answer)
 }
 
+/// The services that rclcpp has behind `enable_logger_service`: here always, since they cost nothing.
+fn logger_services(node: &Node) -> Result<(), Error> {
+    serve(
+        node,
+        "get_logger_levels",
+        "GetLoggerLevels",
+        |_, request: Names| levels::get(&request.names),
+    )?;
+    serve(
+        node,
+        "set_logger_levels",
+        "SetLoggerLevels",
+        |_, request: LoggerLevels| levels::set(&request.levels),
+    )
+}
+
+fn type_service(node: &Node) -> Result<(), Error> {
+    let descriptor = Descriptor::new("whether the node has the service ~/get_type_description");
+    let is_wanted = node.declare(
+        "start_type_description_service",
+        true,
+        descriptor.read_only(),
+    )?;
+    if !is_wanted.get() {
+        return Ok(());
+    }
+    let interfaces = Arc::clone(&node.inner.interfaces);
+    let type_name = TypeName {
+        package: "type_description_interfaces".to_owned(),
+        name: "GetTypeDescription".to_owned(),
+    };
+    let answer = move |request: &[u8]| -> Result<Vec<u8>, CdrError> {
+        cdr::to_bytes(&interfaces.answer(&cdr::from_bytes(request)?))
+    };
+    node.inner
+        .serve_bytes("~/get_type_description", type_name, answer)
+}
+
+/// What the diagnostics ask of the graph.
+struct Of<'a>(&'a dyn Backend);
+
+impl Graph for Of<'_> {
+    fn matched(&self, endpoint: &EndpointId) -> usize {
+        self.0.matched(endpoint)
+    }
+
+    fn foreign(&self, endpoint: &EndpointId) -> usize {
+        self.0.foreign(endpoint)
+    }
+
+    fn mismatches(&self, endpoint: &EndpointId) -> Vec<String> {
+        self.0.mismatches(endpoint)
+    }
+}
+
 fn diagnostics(node: &Node) -> Result<(), Error> {
     let publisher = node.publisher::<DiagnosticArray>("/diagnostics", DIAGNOSTICS_QOS)?;
     let (diagnostics, clock) = (node.diagnostics(), node.clock());
+    let backend = Arc::clone(node.inner.backend());
     let beat = node.inner.context.runtime().spawn(async move {
         let mut beat = tokio::time::interval(DIAGNOSTICS_PERIOD);
         beat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             beat.tick().await;
-            let status = vec![diagnostics.report(Instant::now())];
+            let status = diagnostics.report(Instant::now(), &Of(&*backend));
             let header = Header {
                 stamp: clock.now(),
                 frame_id: String::new(),

@@ -1,7 +1,10 @@
 //! What there is in the graph.
 
 use super::Node;
-use crate::{Error, Qos};
+use crate::{
+    Error, Qos,
+    backend::{Channel, EndpointId, Seen},
+};
 use std::collections::BTreeMap;
 
 /// A topic of the graph with one of its types (which, in a graph that is in order, is the only one).
@@ -17,11 +20,80 @@ pub struct TopicInfo {
     pub subscribers: usize,
 }
 
+/// What an endpoint does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// Publishes a topic.
+    Publisher,
+    /// Subscribes to a topic.
+    Subscription,
+    /// Answers the calls of a service.
+    Server,
+    /// Calls a service.
+    Client,
+}
+
+/// An endpoint in another participant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RemoteEndpoint {
+    /// What it does.
+    pub role: Role,
+    /// The absolute name of its topic or service.
+    pub name: String,
+    /// `package/msg/Type`, or `package/srv/Type` for a service.
+    pub type_name: String,
+    /// What it offers or requests. The depth is not announced and reads as 10.
+    pub qos: Qos,
+    /// The GUID prefix of its participant.
+    pub participant: [u8; 12],
+}
+
+impl RemoteEndpoint {
+    fn of(seen: Seen) -> Option<Self> {
+        let role = match (seen.channel, seen.is_writer) {
+            (Channel::Topic, true) => Role::Publisher,
+            (Channel::Topic, false) => Role::Subscription,
+            (Channel::Request, false) => Role::Server,
+            (Channel::Request, true) => Role::Client,
+            (Channel::Response, _) => return None,
+        };
+        (!seen.is_own).then_some(Self {
+            role,
+            name: seen.name,
+            type_name: seen.type_name,
+            qos: seen.qos,
+            participant: participant_of(&seen.id),
+        })
+    }
+}
+
+/// The first twelve bytes of an endpoint's GUID name its participant.
+fn participant_of(id: &EndpointId) -> [u8; 12] {
+    std::array::from_fn(|index| id[index])
+}
+
 impl Node {
+    /// The GUID prefix of this context's participant.
+    pub fn participant(&self) -> [u8; 12] {
+        participant_of(&self.inner.backend().participant())
+    }
+
+    /// Every endpoint of topics and services that the other participants have; none of this context's.
+    pub fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
+        let seen = self.inner.backend().seen();
+        seen.into_iter().filter_map(RemoteEndpoint::of).collect()
+    }
+
+    /// The endpoints of topics.
+    fn seen_of_topics(&self) -> impl Iterator<Item = Seen> {
+        let seen = self.inner.backend().seen().into_iter();
+        seen.filter(|seen| seen.channel == Channel::Topic)
+    }
+
     /// Every topic that has been seen, this process's own included, by name.
     pub fn topics(&self) -> Vec<TopicInfo> {
         let mut topics: BTreeMap<(String, String), TopicInfo> = BTreeMap::new();
-        for seen in self.inner.backend().seen() {
+        for seen in self.seen_of_topics() {
             let key = (seen.name.clone(), seen.type_name.clone());
             let topic = topics.entry(key).or_insert_with(|| TopicInfo {
                 name: seen.name,
@@ -56,9 +128,8 @@ impl Node {
 
     fn count(&self, topic: &str, is_writer: bool) -> Result<usize, Error> {
         let name = self.resolve(topic)?;
-        let seen = self.inner.backend().seen();
-        Ok(seen
-            .iter()
+        Ok(self
+            .seen_of_topics()
             .filter(|seen| seen.name == name && seen.is_writer == is_writer)
             .count())
     }

@@ -1,12 +1,13 @@
 //! `qos_overrides.<topic>.<publisher|subscription>.<policy>`: QoS that the command line or a parameter file gives.
 
 use crate::{
-    Durability, Error, Qos, Reliability,
+    Descriptor, Durability, Error, Qos, Reliability,
     parameters::{ParameterError, Parameters},
     value::Value,
 };
 
-/// The profile with what was given for this endpoint put in.
+/// The profile with what was given for this endpoint put in. What is put in shows up as a parameter, read-only as in
+/// rclcpp; what no endpoint took is found by [`Parameters::check_all_declared`] once all are made.
 pub(super) fn apply(
     parameters: &Parameters,
     node: &str,
@@ -40,6 +41,12 @@ pub(super) fn apply(
                 reason: reason.into(),
             }
             .into());
+        }
+        let name = format!("{prefix}{policy}");
+        // An endpoint that is made again, by activating its node again, finds it there.
+        if parameters.get(&name).is_none() {
+            let text = "QoS of the topic's endpoint, given when the node was started";
+            parameters.declare(&name, value.clone(), Descriptor::new(text).read_only())?;
         }
     }
     Ok(qos)
@@ -97,5 +104,25 @@ mod tests {
             "{error}"
         );
         assert!(applied("--ros-args -p qos_overrides./wm/latent.publisher.depth:=0").is_err());
+    }
+
+    #[test]
+    fn what_no_endpoint_takes_is_refused_once_all_are_made() {
+        let line = "--ros-args -p qos_overrides./wm/latent.publisher.depth:=7 \
+                    -p qos_overrides./wm/latnet.publisher.depth:=9";
+        let args = NodeArgs::parse(line.split_whitespace()).unwrap();
+        let parameters = Parameters::new("/wm/a", &args.overrides);
+        assert_eq!(parameters.check_all_declared(false), Ok(vec![]), "not yet");
+        let apply = || {
+            let qos = Qos::sensor_data();
+            apply(&parameters, "/wm/a", "/wm/latent", "publisher", qos)
+        };
+        assert_eq!((apply().unwrap().depth, apply().unwrap().depth), (7, 7));
+        let error = parameters.check_all_declared(true).unwrap_err().to_string();
+        assert!(
+            error.contains("`qos_overrides./wm/latnet.publisher.depth`")
+                && error.contains("it has: qos_overrides./wm/latent.publisher.depth"),
+            "{error}"
+        );
     }
 }

@@ -13,6 +13,8 @@ use std::time::Duration;
 
 /// The package whose executables are subcommands of this program itself.
 const OWN_PACKAGE: &str = "wm_nodes";
+/// That package's program itself, whose arguments say what it is to do.
+const OWN_PROGRAM: &str = "wm";
 
 /// ROS 2's defaults for both steps of a stop.
 const STOP_TIMEOUT: Duration = Duration::from_secs(5);
@@ -83,7 +85,9 @@ pub(super) fn node(node: &Node, site: &Site<'_>, index: usize) -> Result<Process
 
     let mut arguments = Vec::new();
     let program = if package == OWN_PACKAGE {
-        arguments.push(executable.clone());
+        if executable != OWN_PROGRAM {
+            arguments.push(executable.clone());
+        }
         Program::Own
     } else {
         Program::Path(find_executable(&package, &executable, site)?)

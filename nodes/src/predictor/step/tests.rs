@@ -163,6 +163,7 @@ fn the_chunk_is_assumed_and_changes_the_prediction() {
         },
         period: Duration::from_nanos(PERIOD),
         actions: (2..9).map(action).collect(),
+        ..ActionChunk::default()
     };
     step.chunk(&chunk).unwrap();
     let informed = run(&model, feed(&mut step, 0..=2));

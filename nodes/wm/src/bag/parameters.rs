@@ -31,9 +31,20 @@ impl Parameters {
         }
     }
 
+    /// A parameter that was given; else it is left at its default.
+    pub fn set_some(&mut self, name: &str, value: Option<impl Serialize>) -> Result<()> {
+        value.map_or(Ok(()), |value| self.set(name, value))
+    }
+
     /// A remapping rule, `from:=to`.
     pub fn remap(&mut self, rule: &str) {
         self.0.extend(["-r".to_owned(), rule.to_owned()]);
+    }
+
+    /// A log level, where one was given.
+    pub fn log_level(&mut self, level: Option<String>) {
+        let words = level.map(|level| ["--log-level".to_owned(), level]);
+        self.0.extend(words.into_iter().flatten());
     }
 
     /// The arguments, with those of the user behind them, which win.
@@ -53,6 +64,7 @@ mod tests {
         parameters.set("bag", "a \"b\"").unwrap();
         parameters.set("rate", 2.0).unwrap();
         parameters.set_list("topics", &[]).unwrap();
+        parameters.set_some("size", None::<i64>).unwrap();
         parameters.remap("/a:=/b");
         let user = ["--ros-args", "-p", "rate:=3"]
             .map(ToOwned::to_owned)

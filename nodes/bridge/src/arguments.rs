@@ -1,0 +1,91 @@
+//! The command line.
+
+use crate::{
+    network::NetworkArguments,
+    settings::{Options, Settings, SettingsError},
+};
+use anyhow::Result;
+use clap::Parser;
+use wm_ros::{ArgsError, NodeArgs};
+
+/// Carry topics and services between DDS and a Zenoh network, as zenoh-bridge-ros2dds does
+#[derive(Debug, Parser)]
+#[command(name = "wm bridge", version)]
+#[command(
+    after_help = "Takes ROS arguments too: --interface eth0 --ros-args -r __ns:=/x --log-level LEVEL; the domain is \
+    ROS_DOMAIN_ID.\nExit codes: 0 done, 1 failed, 2 wrong usage."
+)]
+struct Cli {
+    #[command(flatten)]
+    network: NetworkArguments,
+    /// In front of this side's names on Zenoh: with /robot1, /wm/plan is robot1/wm/plan there [default: /]
+    #[arg(short, long, value_name = "NAMESPACE")]
+    namespace: Option<String>,
+    /// Carry only topics and services whose whole name matches (repeatable) [default: all]
+    #[arg(short, long, value_name = "REGEX")]
+    allow: Vec<String>,
+    /// Do not carry topics and services whose whole name matches (repeatable)
+    #[arg(short, long, value_name = "REGEX")]
+    deny: Vec<String>,
+    /// Send topics that match at most so often (repeatable); latched ones are not thinned out
+    #[arg(long, value_name = "REGEX=HZ")]
+    max_frequency: Vec<String>,
+    /// Send topics that match with this Zenoh priority, 1 real time .. 7 background (repeatable) [default: 5]
+    #[arg(long, value_name = "REGEX=PRIORITY[:express]")]
+    priority: Vec<String>,
+    /// Wait so long for an answer from the other side [s, default: 5]
+    #[arg(long, value_name = "SECONDS")]
+    queries_timeout: Option<f32>,
+}
+
+/// What the bridge is to do.
+pub struct Arguments {
+    /// The Zenoh session's configuration.
+    pub config: zenoh::Config,
+    /// What is carried, and how.
+    pub settings: Settings,
+    /// The ROS arguments.
+    pub node: NodeArgs,
+}
+
+/// Reads the command line; on wrong usage, or where help was asked for, says so and ends the process.
+///
+/// # Errors
+/// The ROS arguments, the configuration file or what it says make no sense.
+pub fn parse() -> Result<Arguments> {
+    let node = NodeArgs::parse(std::env::args().skip(1))?;
+    let words = std::iter::once("wm bridge").chain(node.rest().iter().map(String::as_str));
+    let cli = Cli::parse_from(words);
+    let (config, section) = cli.network.resolve()?;
+    let options = Options {
+        namespace: cli.namespace,
+        allow: cli.allow,
+        deny: cli.deny,
+        max_frequencies: cli.max_frequency,
+        priorities: cli.priority,
+        queries_timeout: cli.queries_timeout,
+    };
+    Ok(Arguments {
+        config,
+        settings: Settings::new(section, options)?,
+        node,
+    })
+}
+
+/// Whether what the user gave is wrong, as opposed to what then failed.
+pub fn is_usage(error: &anyhow::Error) -> bool {
+    error.is::<ArgsError>()
+        || error.is::<SettingsError>()
+        || error.downcast_ref().is_some_and(wm_ros::Error::is_usage)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+}

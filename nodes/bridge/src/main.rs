@@ -1,0 +1,36 @@
+//! `wm-bridge`: carries topics and services between the nodes of a DDS domain and a Zenoh network, in the format of
+//! zenoh-bridge-ros2dds, so that either end may be that program.
+//!
+//! - A topic that nodes of this side publish is published on Zenoh while somebody there subscribes; one that they
+//!   subscribe to is subscribed to there. Payloads are the CDR bytes, untouched.
+//! - A service of this side is a queryable there; one that another bridge announces is served here.
+//! - Latched topics are kept, on both sides, for who comes late.
+//! - What the bridge itself brings in, it does not carry back; and of two bridges that join the same domain to the
+//!   same Zenoh network, one stands by.
+//!
+//! Not carried: actions, and samples that are not little-endian CDR.
+
+mod announcement;
+mod arguments;
+mod bridge;
+mod key;
+mod limiter;
+mod network;
+mod others;
+mod plan;
+mod request_header;
+mod routes;
+mod settings;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let arguments = arguments::parse();
+    match arguments.and_then(bridge::run) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("wm-bridge: {error:#}");
+            ExitCode::from(if arguments::is_usage(&error) { 2 } else { 1 })
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! The Zenoh side: the configuration and the session.
+//!
+//! Unlike Zenoh's own defaults, nothing is reached and nobody is let in that the user has not named: without `--listen`
+//! the bridge listens on this host only, or not at all where it connects somewhere, and it neither scouts by multicast
+//! nor connects to what others tell it of. What the configuration file sets, it keeps.
+
+use crate::settings::Section;
+use anyhow::{Context as _, Result, anyhow};
+use clap::ValueEnum;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+/// Zenoh's own port, on this host.
+const LOCAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+
+/// The bridge's place in the Zenoh network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Mode {
+    /// Passes on what others exchange: the one that the others connect to
+    Router,
+    /// Exchanges with those that it is connected to
+    Peer,
+    /// Connects to one router or peer only
+    Client,
+}
+
+impl Mode {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Router => "router",
+            Self::Peer => "peer",
+            Self::Client => "client",
+        }
+    }
+}
+
+/// Where the bridge connects and listens.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct NetworkArguments {
+    /// Zenoh's configuration file (JSON5): TLS, access control, endpoints; what is carried from plugins/ros2dds
+    #[arg(short, long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The place in the Zenoh network [default: router]
+    #[arg(short, long)]
+    mode: Option<Mode>,
+    /// Connect here, for example tcp/robot.local:7447 or tls/10.0.0.7:7447 (repeatable)
+    #[arg(short = 'e', long, value_name = "ENDPOINT")]
+    connect: Vec<String>,
+    /// Let others connect here, for example tcp/0.0.0.0:7447 (repeatable) [default: tcp/127.0.0.1:7447, or none with
+    /// --connect]
+    #[arg(short, long, value_name = "ENDPOINT")]
+    listen: Vec<String>,
+    /// Look for other Zenoh nodes by multicast, and be found
+    #[arg(long)]
+    scout: bool,
+}
+
+impl NetworkArguments {
+    /// The configuration of the session, and what the file says of what is carried.
+    ///
+    /// # Errors
+    /// The file cannot be read or is not of its form, or an option is not.
+    pub fn resolve(&self) -> Result<(zenoh::Config, Section)> {
+        let mut config = match &self.config {
+            None => zenoh::Config::default(),
+            Some(file) => zenoh::Config::from_file(file)
+                .map_err(|error| anyhow!("{}: {error}", file.display()))?,
+        };
+        let given = serde_json::to_value(&config)?;
+        let section = match given.pointer("/plugins/ros2dds") {
+            None | Some(Value::Null) => Section::default(),
+            Some(section) => {
+                let section = serde_json::from_value(section.clone());
+                section.context("plugins/ros2dds in the configuration file")?
+            }
+        };
+        for (key, value) in self.values(&given)? {
+            config
+                .insert_json5(key, &value.to_string())
+                .map_err(|error| anyhow!("{key} = {value}: {error}"))?;
+        }
+        Ok((config, section))
+    }
+
+    /// What the options, and the cautious defaults, set in a configuration.
+    fn values(&self, given: &Value) -> Result<Vec<(&'static str, Value)>> {
+        let defaults = serde_json::to_value(zenoh::Config::default())?;
+        let is_unset = |key: &str| {
+            let pointer = format!("/{key}");
+            given.pointer(&pointer) == defaults.pointer(&pointer)
+        };
+        let mut values = Vec::new();
+        if let Some(mode) = self.mode {
+            values.push(("mode", json!(mode.name())));
+        } else if is_unset("mode") {
+            values.push(("mode", json!(Mode::Router.name())));
+        }
+        let is_connecting = !self.connect.is_empty() || !is_unset("connect/endpoints");
+        if !self.connect.is_empty() {
+            values.push(("connect/endpoints", json!(self.connect)));
+        }
+        if !self.listen.is_empty() {
+            values.push(("listen/endpoints", json!(self.listen)));
+        } else if is_unset("listen/endpoints") {
+            let local: &[&str] = if is_connecting {
+                &[]
+            } else {
+                &[LOCAL_ENDPOINT]
+            };
+            values.push(("listen/endpoints", json!(local)));
+        }
+        if self.scout {
+            values.push(("scouting/multicast/enabled", json!(true)));
+        } else {
+            if is_unset("scouting/multicast/enabled") {
+                values.push(("scouting/multicast/enabled", json!(false)));
+            }
+            if is_unset("scouting/gossip/autoconnect") {
+                let nobody = json!({"router": [], "peer": [], "client": []});
+                values.push(("scouting/gossip/autoconnect", nobody));
+            }
+        }
+        if is_unset("timestamping/enabled") {
+            // The history of latched topics is kept by time.
+            values.push(("timestamping/enabled", json!(true)));
+        }
+        Ok(values)
+    }
+}
+
+/// Opens the session.
+///
+/// # Errors
+/// An endpoint cannot be listened on, or in client mode not be connected to.
+pub async fn open(config: zenoh::Config) -> Result<zenoh::Session> {
+    let session = zenoh::open(config)
+        .await
+        .map_err(|error| anyhow!("cannot open the Zenoh session: {error}"))?;
+    Ok(session)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write as _;
+
+    fn resolved(arguments: &NetworkArguments) -> Value {
+        let (config, _) = arguments.resolve().unwrap();
+        serde_json::to_value(&config).unwrap()
+    }
+
+    fn words(words: &[&str]) -> Vec<String> {
+        words.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn by_default_only_this_host_is_listened_to_and_nothing_is_reached() {
+        let config = resolved(&NetworkArguments::default());
+        assert_eq!(config.pointer("/mode"), Some(&json!("router")));
+        assert_eq!(
+            config.pointer("/listen/endpoints"),
+            Some(&json!([LOCAL_ENDPOINT]))
+        );
+        assert_eq!(config.pointer("/connect/endpoints"), Some(&json!([])));
+        assert_eq!(
+            config.pointer("/scouting/multicast/enabled"),
+            Some(&json!(false))
+        );
+        for mode in ["router", "peer"] {
+            let pointer = format!("/scouting/gossip/autoconnect/{mode}");
+            assert_eq!(config.pointer(&pointer), Some(&json!([])), "{config}");
+        }
+    }
+
+    #[test]
+    fn who_connects_does_not_listen_unless_told_to() {
+        let mut arguments = NetworkArguments {
+            connect: words(&["tcp/10.0.0.7:7447"]),
+            ..NetworkArguments::default()
+        };
+        let config = resolved(&arguments);
+        assert_eq!(
+            config.pointer("/connect/endpoints"),
+            Some(&json!(["tcp/10.0.0.7:7447"]))
+        );
+        assert_eq!(config.pointer("/listen/endpoints"), Some(&json!([])));
+        arguments.listen = words(&["tcp/0.0.0.0:7448"]);
+        let config = resolved(&arguments);
+        assert_eq!(
+            config.pointer("/listen/endpoints"),
+            Some(&json!(["tcp/0.0.0.0:7448"]))
+        );
+    }
+
+    #[test]
+    fn a_file_keeps_what_it_sets_and_options_come_before_it() {
+        let mut file = tempfile::Builder::new()
+            .suffix(".json5")
+            .tempfile()
+            .unwrap();
+        let text = r#"{ mode: "peer", listen: { endpoints: ["tls/0.0.0.0:7447"] },
+            access_control: { enabled: true, default_permission: "deny" },
+            plugins: { ros2dds: { namespace: "/robot1", allow: { publishers: ["/wm/.*"] } } } }"#;
+        file.write_all(text.as_bytes()).unwrap();
+        let mut arguments = NetworkArguments {
+            config: Some(file.path().to_owned()),
+            ..NetworkArguments::default()
+        };
+        let config = resolved(&arguments);
+        assert_eq!(config.pointer("/mode"), Some(&json!("peer")));
+        assert_eq!(
+            config.pointer("/listen/endpoints"),
+            Some(&json!(["tls/0.0.0.0:7447"]))
+        );
+        assert_eq!(
+            config.pointer("/access_control/enabled"),
+            Some(&json!(true))
+        );
+        arguments.mode = Some(Mode::Client);
+        assert_eq!(
+            resolved(&arguments).pointer("/mode"),
+            Some(&json!("client"))
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let missing = NetworkArguments {
+            config: Some("/nonexistent.json5".into()),
+            ..NetworkArguments::default()
+        };
+        let error = missing.resolve().unwrap_err().to_string();
+        assert!(error.contains("/nonexistent.json5"), "{error}");
+        let malformed = NetworkArguments {
+            connect: words(&["robot"]),
+            ..NetworkArguments::default()
+        };
+        let error = malformed.resolve().unwrap_err().to_string();
+        assert!(error.contains("robot"), "{error}");
+    }
+}

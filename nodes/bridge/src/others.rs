@@ -1,0 +1,193 @@
+//! What the other bridges on the Zenoh network announce.
+
+use crate::announcement::Announcement;
+use anyhow::{Result, anyhow};
+use std::{
+    collections::BTreeSet,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+use tokio::sync::Notify;
+use zenoh::{
+    Session,
+    key_expr::OwnedKeyExpr,
+    liveliness::LivelinessToken,
+    pubsub::Subscriber,
+    sample::{Sample, SampleKind},
+};
+
+/// Announcements that are heeded at once; bounds what a stranger can make this side open.
+const MOST: usize = 4096;
+
+/// Where bridges of this kind say which DDS participant is theirs: `@/<zenoh id>/@wm_bridge/<GUID prefix>`.
+const PRESENCES: &str = "@/*/@wm_bridge/*";
+
+/// Another bridge of this kind.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Presence {
+    /// Its Zenoh id.
+    pub bridge: String,
+    /// The GUID prefix of its DDS participant.
+    pub participant: [u8; 12],
+}
+
+impl Presence {
+    /// The liveliness token's key.
+    pub fn token(&self) -> Result<OwnedKeyExpr, zenoh::Error> {
+        let participant: String = self
+            .participant
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        OwnedKeyExpr::new(format!("@/{}/@wm_bridge/{participant}", self.bridge))
+    }
+
+    fn parse(token: &str) -> Option<Self> {
+        let parts: Vec<&str> = token.split('/').collect();
+        let ["@", bridge, "@wm_bridge", hex] = parts[..] else {
+            return None;
+        };
+        if hex.len() != 24 {
+            return None;
+        }
+        let mut participant = [0; 12];
+        for (index, byte) in participant.iter_mut().enumerate() {
+            let digits = hex.get(2 * index..2 * index + 2)?;
+            *byte = u8::from_str_radix(digits, 16).ok()?;
+        }
+        Some(Self {
+            bridge: bridge.to_owned(),
+            participant,
+        })
+    }
+}
+
+#[derive(Default)]
+struct Tokens {
+    alive: Mutex<BTreeSet<String>>,
+    changed: Notify,
+}
+
+impl Tokens {
+    /// A set has no invariant that a panic elsewhere could break.
+    fn alive(&self) -> MutexGuard<'_, BTreeSet<String>> {
+        self.alive.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn follow(&self, sample: &Sample) {
+        let token = sample.key_expr().as_str();
+        let mut alive = self.alive();
+        match sample.kind() {
+            SampleKind::Put if alive.len() >= MOST => {
+                tracing::warn!("more than {MOST} announcements: {token} is not heeded");
+            }
+            SampleKind::Put => {
+                alive.insert(token.to_owned());
+            }
+            SampleKind::Delete => {
+                alive.remove(token);
+            }
+        }
+        drop(alive);
+        self.changed.notify_one();
+    }
+}
+
+/// The other bridges, as they come and go.
+pub struct Others {
+    tokens: Arc<Tokens>,
+    own_id: String,
+    _subscribers: [Subscriber<()>; 2],
+    _presence: LivelinessToken,
+}
+
+impl Others {
+    /// Joins them: says which participant is this bridge's, and listens from now on.
+    ///
+    /// # Errors
+    /// The session is closed.
+    pub async fn join(session: &Session, participant: [u8; 12]) -> Result<Self> {
+        let failed = |error| anyhow!("cannot follow the other bridges: {error}");
+        let tokens = Arc::new(Tokens::default());
+        let subscribe = async |keys: &'static str| {
+            let tokens = Arc::clone(&tokens);
+            session
+                .liveliness()
+                .declare_subscriber(keys)
+                .history(true)
+                .callback(move |sample| tokens.follow(&sample))
+                .await
+                .map_err(failed)
+        };
+        let subscribers = [
+            subscribe(Announcement::ALL).await?,
+            subscribe(PRESENCES).await?,
+        ];
+        let own_id = session.zid().to_string();
+        let presence = Presence {
+            bridge: own_id.clone(),
+            participant,
+        };
+        let token = presence.token().map_err(failed)?;
+        let presence = session
+            .liveliness()
+            .declare_token(token)
+            .await
+            .map_err(failed)?;
+        Ok(Self {
+            tokens,
+            own_id,
+            _subscribers: subscribers,
+            _presence: presence,
+        })
+    }
+
+    /// Waits until they announce something else. Cancel safe.
+    pub async fn changed(&self) {
+        self.tokens.changed.notified().await;
+    }
+
+    /// What they announce of topics and services.
+    pub fn announcements(&self) -> Vec<Announcement> {
+        let alive = self.tokens.alive();
+        let announcements = alive
+            .iter()
+            .filter_map(|token| match Announcement::parse(token) {
+                Ok(announcement) => Some(announcement),
+                Err(error) => {
+                    tracing::debug!("{error}");
+                    None
+                }
+            });
+        announcements
+            .filter(|announcement| announcement.bridge != self.own_id)
+            .collect()
+    }
+
+    /// The bridges of this kind.
+    pub fn presences(&self) -> Vec<Presence> {
+        let alive = self.tokens.alive();
+        let presences = alive.iter().filter_map(|token| Presence::parse(token));
+        presences
+            .filter(|presence| presence.bridge != self.own_id)
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_presence_survives(bridge in "[0-9a-f]{1,32}", participant: [u8; 12]) {
+            let presence = Presence { bridge, participant };
+            prop_assert_eq!(Presence::parse(&presence.token().unwrap()), Some(presence));
+        }
+
+        #[test]
+        fn no_token_panics(token in "@/a/@wm_bridge/(\\PC{0,26}|[0-9a-fä]{24})") {
+            let _ = Presence::parse(&token);
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! A topic from Zenoh to this side's subscriptions.
+
+use super::Ends;
+use crate::{announcement::Subject, plan::Route};
+use anyhow::{Result, anyhow};
+use bytes::Bytes;
+use std::{any::Any, sync::Arc};
+use wm_ros::{Durability, Qos, RawPublisher};
+use zenoh::{
+    key_expr::OwnedKeyExpr,
+    liveliness::LivelinessToken,
+    sample::{Locality, Sample, SampleKind},
+};
+use zenoh_ext::{AdvancedSubscriberBuilderExt as _, HistoryConfig};
+
+/// A topic on its way in. Its publisher on this side is there from the start, so that nodes see the topic; samples are
+/// fetched for as long as nodes subscribe to it. A latched topic is followed from then on: to begin anew would fetch its
+/// history, and publish it here, once more.
+pub struct Incoming {
+    ends: Arc<Ends>,
+    key: OwnedKeyExpr,
+    type_name: String,
+    qos: Qos,
+    publisher: RawPublisher,
+    subscriber: Option<Box<dyn Any + Send + Sync>>,
+    /// What this side's subscriptions are announced with.
+    announced: Option<(Qos, LivelinessToken)>,
+}
+
+impl Incoming {
+    /// Publishes the topic on this side.
+    ///
+    /// # Errors
+    /// Its name or type is none of ROS, or one of the sides is closed.
+    pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+        let mut incoming = Self {
+            key: ends.key_of(name)?,
+            type_name: route.type_name.clone(),
+            qos: route.qos,
+            publisher: ends.node.raw_publisher(name, &route.type_name, route.qos)?,
+            ends,
+            subscriber: None,
+            announced: None,
+        };
+        incoming.change(route).await?;
+        Ok(incoming)
+    }
+
+    /// Begins or ends to fetch samples.
+    ///
+    /// # Errors
+    /// The session is closed.
+    pub async fn change(&mut self, route: &Route) -> Result<()> {
+        let Some(local) = route.local else {
+            self.announced = None;
+            if self.qos.durability == Durability::Volatile {
+                self.subscriber = None;
+            }
+            return Ok(());
+        };
+        if self.subscriber.is_none() {
+            self.subscriber = Some(self.subscribe().await?);
+        }
+        if self.announced.as_ref().is_none_or(|(qos, _)| *qos != local) {
+            let subject = Subject::Subscriber(local);
+            let token = self.ends.announce(subject, &self.key, &self.type_name);
+            self.announced = Some((local, token.await?));
+        }
+        Ok(())
+    }
+
+    async fn subscribe(&self) -> Result<Box<dyn Any + Send + Sync>> {
+        let failed = |error| anyhow!("cannot subscribe to {}: {error}", self.key);
+        let (publisher, diagnostics) = (self.publisher.clone(), self.ends.node.diagnostics());
+        let input = format!("zenoh {}", self.key);
+        let subscriber = self
+            .ends
+            .session
+            .declare_subscriber(self.key.clone())
+            .allowed_origin(Locality::Remote)
+            .callback(move |sample: Sample| {
+                if sample.kind() == SampleKind::Delete {
+                    return;
+                }
+                diagnostics.received(&input);
+                let bytes = Bytes::from(sample.payload().to_bytes().into_owned());
+                if let Err(error) = publisher.publish(bytes) {
+                    tracing::debug!("{error}");
+                    diagnostics.count_drop(&format!("{input}: not little-endian CDR"));
+                }
+            });
+        if self.qos.durability == Durability::Volatile {
+            return Ok(Box::new(subscriber.await.map_err(failed)?));
+        }
+        let history = HistoryConfig::default()
+            .detect_late_publishers()
+            .max_samples(self.qos.depth);
+        let subscriber = subscriber
+            .advanced()
+            .history(history)
+            .query_timeout(self.ends.settings.queries_timeout)
+            .await;
+        Ok(Box::new(subscriber.map_err(failed)?))
+    }
+}

@@ -1,0 +1,380 @@
+//! What is carried, and how: the options of the command line, and the section `plugins: { ros2dds: { ... } }` of a Zenoh
+//! configuration file, with the keys of the ros2dds bridge, so that one file serves both programs.
+
+use crate::key::{Namespace, NamespaceError};
+use regex::Regex;
+use serde::Deserialize;
+use std::time::Duration;
+use wm_ros::Role;
+use zenoh::qos::Priority;
+
+/// How long an answer from the other side is waited for: the real bridge's default.
+const QUERIES_TIMEOUT_S: f32 = 5.0;
+/// Samples kept for late subscribers per sample of the publisher's depth, since several publishers may share a topic.
+const CACHE_MULTIPLIER: usize = 10;
+
+/// The section as it is written.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Section {
+    namespace: Option<String>,
+    allow: Option<Interfaces>,
+    deny: Option<Interfaces>,
+    pub_max_frequencies: Vec<String>,
+    pub_priorities: Vec<String>,
+    queries_timeout: Option<QueriesTimeout>,
+    reliable_routes_blocking: Option<bool>,
+    transient_local_cache_multiplier: Option<usize>,
+    /// Which library the real bridge's plugin is loaded from: nothing to us.
+    #[serde(rename = "__path__")]
+    _path: Option<serde::de::IgnoredAny>,
+    #[serde(rename = "__required__")]
+    _required: Option<serde::de::IgnoredAny>,
+}
+
+/// Regular expressions of names, by what the nodes of this side do with them.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Interfaces {
+    publishers: Names,
+    subscribers: Names,
+    service_servers: Names,
+    service_clients: Names,
+    /// Actions are not carried.
+    #[serde(rename = "action_servers")]
+    _action_servers: Names,
+    #[serde(rename = "action_clients")]
+    _action_clients: Names,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(untagged)]
+enum Names {
+    One(String),
+    Several(Vec<String>),
+}
+
+impl Default for Names {
+    fn default() -> Self {
+        Self::Several(Vec::new())
+    }
+}
+
+#[derive(Debug, Deserialize)]
+struct QueriesTimeout {
+    default: Option<f32>,
+}
+
+/// The options of the command line, which add to the section or replace its values.
+#[derive(Debug, Default)]
+pub struct Options {
+    /// `--namespace`
+    pub namespace: Option<String>,
+    /// `--allow`
+    pub allow: Vec<String>,
+    /// `--deny`
+    pub deny: Vec<String>,
+    /// `--max-frequency`
+    pub max_frequencies: Vec<String>,
+    /// `--priority`
+    pub priorities: Vec<String>,
+    /// `--queries-timeout` \[s\]
+    pub queries_timeout: Option<f32>,
+}
+
+/// What is wrong with them.
+#[derive(Debug, thiserror::Error)]
+pub enum SettingsError {
+    /// The section is not of its form.
+    #[error("plugins/ros2dds: {0}")]
+    Section(#[from] serde_json::Error),
+    /// The namespace.
+    #[error(transparent)]
+    Namespace(#[from] NamespaceError),
+    /// A regular expression.
+    #[error("`{pattern}`: {source}")]
+    Pattern {
+        /// The expression.
+        pattern: String,
+        /// What is wrong with it.
+        source: Box<regex::Error>,
+    },
+    /// A `REGEX=VALUE`.
+    #[error("`{rule}`: expected {expected}")]
+    Rule {
+        /// As it was given.
+        rule: String,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// A time.
+    #[error("queries_timeout is {0}: expected seconds, above 0 and at most 3600")]
+    Timeout(f32),
+}
+
+/// Names that are carried, for one role.
+#[derive(Debug, Default)]
+struct Filter {
+    /// `None`: every name.
+    allow: Option<Vec<Regex>>,
+    deny: Vec<Regex>,
+}
+
+impl Filter {
+    fn admits(&self, name: &str) -> bool {
+        let any = |patterns: &[Regex]| patterns.iter().any(|pattern| pattern.is_match(name));
+        self.allow.as_deref().is_none_or(any) && !any(&self.deny)
+    }
+}
+
+/// Priority of a topic's samples on the way, and whether each goes at once instead of with others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Precedence {
+    /// Zenoh's priority.
+    pub priority: Priority,
+    /// Whether samples are not held back to be sent together.
+    pub is_express: bool,
+}
+
+/// What is carried, and how.
+#[derive(Debug)]
+pub struct Settings {
+    /// In front of this side's names.
+    pub namespace: Namespace,
+    /// Whether a reliable publisher's topic waits for a slow network (and its own queue overflows then) instead of
+    /// losing samples in it.
+    pub reliable_routes_blocking: bool,
+    /// See [`CACHE_MULTIPLIER`].
+    pub cache_multiplier: usize,
+    /// How long an answer, or a latched topic's history, is waited for.
+    pub queries_timeout: Duration,
+    publishers: Filter,
+    subscribers: Filter,
+    servers: Filter,
+    clients: Filter,
+    periods: Vec<(Regex, Duration)>,
+    precedences: Vec<(Regex, Precedence)>,
+}
+
+impl Settings {
+    /// Reads the section, and adds the options.
+    ///
+    /// # Errors
+    /// Names what is not of its form.
+    pub fn new(section: Section, options: Options) -> Result<Self, SettingsError> {
+        let namespace = options.namespace.or(section.namespace);
+        let timeout = options
+            .queries_timeout
+            .or(section.queries_timeout.and_then(|timeout| timeout.default))
+            .unwrap_or(QUERIES_TIMEOUT_S);
+        if !(timeout > 0.0 && timeout <= 3600.0) {
+            return Err(SettingsError::Timeout(timeout));
+        }
+        let filter = |of: fn(&Interfaces) -> &Names| {
+            let mut filter = Filter::default();
+            if section.allow.is_some() || !options.allow.is_empty() {
+                let allowed = section.allow.as_ref().map(of);
+                filter.allow = Some(patterns(allowed, &options.allow)?);
+            }
+            filter.deny = patterns(section.deny.as_ref().map(of), &options.deny)?;
+            Ok::<_, SettingsError>(filter)
+        };
+        let frequencies = options.max_frequencies.iter();
+        let priorities = options.priorities.iter();
+        Ok(Self {
+            namespace: namespace.as_deref().unwrap_or("/").parse()?,
+            reliable_routes_blocking: section.reliable_routes_blocking.unwrap_or(true),
+            cache_multiplier: section
+                .transient_local_cache_multiplier
+                .unwrap_or(CACHE_MULTIPLIER),
+            queries_timeout: Duration::from_secs_f32(timeout),
+            publishers: filter(|names| &names.publishers)?,
+            subscribers: filter(|names| &names.subscribers)?,
+            servers: filter(|names| &names.service_servers)?,
+            clients: filter(|names| &names.service_clients)?,
+            // the first that matches holds: what the user typed comes before the file
+            periods: frequencies
+                .chain(&section.pub_max_frequencies)
+                .map(|rule| period(rule))
+                .collect::<Result<_, _>>()?,
+            precedences: priorities
+                .chain(&section.pub_priorities)
+                .map(|rule| precedence(rule))
+                .collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// Whether the topic or service is carried for the nodes of this side that have this role in it. Actions are not.
+    pub fn admits(&self, role: Role, name: &str) -> bool {
+        let filter = match role {
+            Role::Publisher => &self.publishers,
+            Role::Subscription => &self.subscribers,
+            Role::Server => &self.servers,
+            Role::Client => &self.clients,
+        };
+        !name.contains("/_action/") && filter.admits(name)
+    }
+
+    /// The shortest time between two samples of a topic that go out.
+    pub fn period(&self, name: &str) -> Option<Duration> {
+        first_match(&self.periods, name)
+    }
+
+    /// How a topic's samples go out.
+    pub fn precedence(&self, name: &str) -> Precedence {
+        first_match(&self.precedences, name).unwrap_or_default()
+    }
+}
+
+fn first_match<T: Copy>(rules: &[(Regex, T)], name: &str) -> Option<T> {
+    let rule = rules.iter().find(|(pattern, _)| pattern.is_match(name));
+    rule.map(|(_, value)| *value)
+}
+
+/// The expressions of a file and of the command line, each for a whole name.
+fn patterns(names: Option<&Names>, more: &[String]) -> Result<Vec<Regex>, SettingsError> {
+    let of_file = match names {
+        None => &[],
+        Some(Names::One(name)) => std::slice::from_ref(name),
+        Some(Names::Several(names)) => names.as_slice(),
+    };
+    let whole = |name: &String| pattern(&format!("^(?:{name})$"));
+    of_file.iter().chain(more).map(whole).collect()
+}
+
+fn pattern(pattern: &str) -> Result<Regex, SettingsError> {
+    Regex::new(pattern).map_err(|source| SettingsError::Pattern {
+        pattern: pattern.to_owned(),
+        source: Box::new(source),
+    })
+}
+
+/// `REGEX=HZ`; the expression may match a part of the name, as the real bridge has it.
+fn period(rule: &str) -> Result<(Regex, Duration), SettingsError> {
+    let refused = || SettingsError::Rule {
+        rule: rule.to_owned(),
+        expected: "REGEX=HZ, from 0.001 to 1000000 Hz",
+    };
+    let (names, frequency) = rule.rsplit_once('=').ok_or_else(refused)?;
+    let frequency: f64 = frequency.trim().parse().map_err(|_| refused())?;
+    if !(0.001..=1e6).contains(&frequency) {
+        return Err(refused());
+    }
+    Ok((pattern(names)?, Duration::from_secs_f64(1.0 / frequency)))
+}
+
+/// `REGEX=NUMBER[:express]`.
+fn precedence(rule: &str) -> Result<(Regex, Precedence), SettingsError> {
+    let refused = || SettingsError::Rule {
+        rule: rule.to_owned(),
+        expected: "REGEX=NUMBER[:express], from 1 (real time) by 5 (data) to 7 (background)",
+    };
+    let (names, value) = rule.rsplit_once('=').ok_or_else(refused)?;
+    let (number, is_express) = match value.strip_suffix(":express") {
+        Some(number) => (number, true),
+        None => (value, false),
+    };
+    let number: u8 = number.trim().parse().map_err(|_| refused())?;
+    let priority = Priority::try_from(number).map_err(|_| refused())?;
+    Ok((
+        pattern(names)?,
+        Precedence {
+            priority,
+            is_express,
+        },
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(section: &str, options: Options) -> Result<Settings, SettingsError> {
+        Settings::new(serde_json::from_str(section)?, options)
+    }
+
+    fn words(words: &[&str]) -> Vec<String> {
+        words.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn without_rules_everything_but_actions_is_carried() {
+        let settings = settings("{}", Options::default()).unwrap();
+        assert!(settings.admits(Role::Publisher, "/wm/latent"));
+        assert!(settings.admits(Role::Client, "/wm/planner/reset"));
+        assert!(!settings.admits(Role::Publisher, "/fibonacci/_action/feedback"));
+        assert_eq!(settings.period("/wm/latent"), None);
+        assert_eq!(settings.precedence("/wm/latent"), Precedence::default());
+    }
+
+    #[test]
+    fn a_list_of_a_file_holds_for_its_role_and_whole_names() {
+        let section =
+            r#"{"allow": {"publishers": ["/wm/.*", "/tf"], "service_servers": ".*reset"}}"#;
+        let settings = settings(section, Options::default()).unwrap();
+        assert!(settings.admits(Role::Publisher, "/wm/latent"));
+        assert!(!settings.admits(Role::Publisher, "/tf_static"));
+        assert!(!settings.admits(Role::Subscription, "/wm/latent"));
+        assert!(settings.admits(Role::Server, "/wm/planner/reset"));
+        assert!(!settings.admits(Role::Client, "/wm/planner/reset"));
+    }
+
+    #[test]
+    fn the_command_line_holds_for_every_role_and_denies_what_is_allowed() {
+        let options = Options {
+            allow: words(&["/wm/.*", "/tf|/clock"]),
+            deny: words(&[".*/image.*"]),
+            ..Options::default()
+        };
+        let settings = settings("{}", options).unwrap();
+        for role in [
+            Role::Publisher,
+            Role::Subscription,
+            Role::Server,
+            Role::Client,
+        ] {
+            assert!(settings.admits(role, "/wm/latent"));
+            assert!(settings.admits(role, "/clock"));
+            assert!(!settings.admits(role, "/clock2"));
+            assert!(!settings.admits(role, "/wm/predicted/image/compressed"));
+            assert!(!settings.admits(role, "/rosout"));
+        }
+    }
+
+    #[test]
+    fn rates_and_priorities_are_those_of_the_first_rule_that_matches() {
+        let section = r#"{"pub_max_frequencies": ["/image=1", ".*=10"], "pub_priorities": ["/wm/plan=2:express"],
+            "queries_timeout": {"default": 2.5}, "__path__": "/lib"}"#;
+        let options = Options {
+            max_frequencies: words(&["/wm/predicted=5"]),
+            ..Options::default()
+        };
+        let settings = settings(section, options).unwrap();
+        let millis = |name| settings.period(name).map(|period| period.as_millis());
+        assert_eq!(millis("/wm/predicted/image"), Some(200));
+        assert_eq!(millis("/camera/image_raw"), Some(1000));
+        assert_eq!(millis("/tf"), Some(100));
+        let express = Precedence {
+            priority: Priority::InteractiveHigh,
+            is_express: true,
+        };
+        assert_eq!(settings.precedence("/wm/plan"), express);
+        assert_eq!(settings.queries_timeout, Duration::from_millis(2500));
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_by_name() {
+        let reason = |section: &str| {
+            settings(section, Options::default())
+                .unwrap_err()
+                .to_string()
+        };
+        assert!(reason(r#"{"allow": {"topics": ["/a"]}}"#).contains("topics"));
+        assert!(reason(r#"{"allow": {"publishers": ["("]}}"#).contains("(?:()"));
+        assert!(reason(r#"{"pub_max_frequencies": ["/a=0"]}"#).contains("/a=0"));
+        assert!(reason(r#"{"pub_priorities": ["/a=9"]}"#).contains("/a=9"));
+        assert!(reason(r#"{"pub_priorities": ["/a"]}"#).contains("/a"));
+        assert!(reason(r#"{"queries_timeout": {"default": 0}}"#).contains("seconds"));
+        assert!(reason(r#"{"namespace": "robot"}"#).contains("robot"));
+    }
+}

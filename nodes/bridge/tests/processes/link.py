@@ -1,0 +1,72 @@
+"""A slow and lossy link between two network namespaces: link.py NAMESPACE NAMESPACE DELAY_MS LOSS SEED
+
+Does in user space what `tc netem delay DELAY loss LOSS` does in the kernel, which many kernels come without: each
+namespace gets a device wm0 (10.99.0.1 and 10.99.0.2), and each packet arrives after the delay, or never. Prints "ready",
+and at the end of its standard input how many packets it carried and dropped.
+"""
+
+import ctypes
+import fcntl
+import heapq
+import os
+import random
+import select
+import struct
+import subprocess
+import sys
+import time
+
+TUNSETIFF = 0x400454CA
+IFF_TUN, IFF_NO_PI = 0x0001, 0x1000
+# Packets on their way: beyond that a link of 1 Gbit/s and 50 ms would drop them too.
+MOST_WAITING = 4096
+
+
+def tun(namespace, address):
+    # A tun device belongs to the namespace of the thread that opened it; os.setns came with Python 3.12 only.
+    with open(f"/run/netns/{namespace}") as file:
+        if ctypes.CDLL(None, use_errno=True).setns(file.fileno(), 0) != 0:
+            raise OSError(ctypes.get_errno(), f"setns {namespace}")
+    device = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
+    fcntl.ioctl(device, TUNSETIFF, struct.pack("16sH22x", b"wm0", IFF_TUN | IFF_NO_PI))
+    for command in (
+        ["link", "set", "lo", "up"],
+        ["addr", "add", f"{address}/30", "dev", "wm0"],
+        ["link", "set", "wm0", "mtu", "1500", "up"],
+    ):
+        subprocess.run(["ip", *command], check=True)
+    return device
+
+
+def main():
+    one, other, delay_ms, loss, seed = sys.argv[1:]
+    delay_s, loss, chance = float(delay_ms) / 1000, float(loss), random.Random(int(seed))
+    devices = [tun(one, "10.99.0.1"), tun(other, "10.99.0.2")]
+    waiting, count, dropped = [], 0, 0
+    print("ready", flush=True)
+    while True:
+        timeout = max(0.0, waiting[0][0] - time.monotonic()) if waiting else None
+        readable, _, _ = select.select([*devices, sys.stdin], [], [], timeout)
+        now = time.monotonic()
+        while waiting and waiting[0][0] <= now:
+            _, _, to, packet = heapq.heappop(waiting)
+            try:
+                os.write(to, packet)
+            except BlockingIOError:
+                dropped += 1
+        if sys.stdin in readable and not sys.stdin.read(1):
+            break
+        for device in devices:
+            if device not in readable:
+                continue
+            packet = os.read(device, 65536)
+            count += 1
+            if chance.random() < loss or len(waiting) >= MOST_WAITING:
+                dropped += 1
+            else:
+                to = devices[1 - devices.index(device)]
+                heapq.heappush(waiting, (now + delay_s, count, to, packet))
+    print(f"{count} {dropped}", flush=True)
+
+
+main()

@@ -1,0 +1,9 @@
+//! The bridge as a process, between nodes of this process in domains of their own, and with a Zenoh client that nobody
+//! here wrote.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
+mod harness;
+mod lossy_link;
+mod python_peer;
+mod two_bridges;

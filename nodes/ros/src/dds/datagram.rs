@@ -1,0 +1,62 @@
+//! How large an answer may be. rustdds 0.15.1 spoils the inline QoS of fragmented samples (it writes one byte too many in
+//! front), which only answers to calls have: their client takes no fragment of it, and waits for it for ever, so that the
+//! answers behind it are lost too. An answer that would be sent in fragments is therefore not sent, and that is said.
+
+use std::{fs, path::Path};
+
+/// What rustdds 0.15.1 reserves of an MTU before it sends fragments \[byte\]: 48 for headers, 32 for a heartbeat, 48 for
+/// the submessage; and the header of the payload.
+const OVERHEAD: usize = 48 + 32 + 48 + 4;
+/// Where the system does not tell.
+const ETHERNET_MTU: usize = 1500;
+/// Loopback's datagrams hold as much as UDP allows.
+const LOOPBACK_MTU: usize = 65_500;
+/// From `linux/if.h`.
+const IFF_UP: u32 = 1;
+const IFF_LOOPBACK: u32 = 8;
+
+/// The largest answer to a client that announces any address of this host or another \[byte\].
+pub(super) fn largest_answer() -> usize {
+    smallest_mtu(Path::new("/sys/class/net")) - OVERHEAD
+}
+
+/// The largest answer between participants that are bound to loopback \[byte\].
+pub(super) const LARGEST_ON_LOOPBACK: usize = LOOPBACK_MTU - OVERHEAD;
+
+fn smallest_mtu(interfaces: &Path) -> usize {
+    let Ok(entries) = fs::read_dir(interfaces) else {
+        return ETHERNET_MTU;
+    };
+    let mtu = |entry: fs::DirEntry| -> Option<usize> {
+        let read = |name| fs::read_to_string(entry.path().join(name)).ok();
+        let flags = read("flags")?;
+        let flags = u32::from_str_radix(flags.trim().strip_prefix("0x")?, 16).ok()?;
+        let is_used = flags & IFF_UP != 0 && flags & IFF_LOOPBACK == 0;
+        is_used.then(|| read("mtu")?.trim().parse().ok())?
+    };
+    let smallest = entries.filter_map(Result::ok).filter_map(mtu).min();
+    smallest.unwrap_or(LOOPBACK_MTU).clamp(576, LOOPBACK_MTU)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_smallest_interface_that_is_up_counts() {
+        let folder = tempfile::tempdir().unwrap();
+        let add = |name: &str, flags: &str, mtu: &str| {
+            let path = folder.path().join(name);
+            fs::create_dir(&path).unwrap();
+            fs::write(path.join("flags"), flags).unwrap();
+            fs::write(path.join("mtu"), mtu).unwrap();
+        };
+        add("lo", "0x9\n", "65536\n");
+        assert_eq!(smallest_mtu(folder.path()), LOOPBACK_MTU);
+        add("down", "0x1002\n", "500\n");
+        add("eth0", "0x1003\n", "1400\n");
+        add("eth1", "0x1003\n", "9000\n");
+        assert_eq!(smallest_mtu(folder.path()), 1400);
+        assert_eq!(smallest_mtu(Path::new("/no/such")), ETHERNET_MTU);
+    }
+}

@@ -1,0 +1,128 @@
+//! Endpoints on one topic that are not connected, since one asks for more than the other offers. It is the commonest
+//! riddle of ROS 2: each is logged once, by the policy that keeps the two apart, and stays on the diagnostics while both
+//! are there.
+
+use super::{lock, qos};
+use crate::backend::EndpointId;
+use rustdds::QosPolicies;
+use std::{collections::BTreeMap, sync::Mutex};
+
+/// Mismatches that are remembered; more of them are logged again.
+const LIMIT: usize = 1024;
+
+#[derive(Default)]
+pub(super) struct Mismatches {
+    /// In words, by own endpoint and other.
+    known: Mutex<BTreeMap<(EndpointId, EndpointId), String>>,
+}
+
+impl Mismatches {
+    /// A subscription elsewhere requests more than the own publisher offers.
+    pub(super) fn subscription(
+        &self,
+        own: EndpointId,
+        other: EndpointId,
+        topic: Option<String>,
+        requested: &QosPolicies,
+        offered: &QosPolicies,
+    ) {
+        self.add(own, other, topic, "a subscription", requested, offered);
+    }
+
+    /// A publisher elsewhere offers less than the own subscription requests.
+    pub(super) fn publisher(
+        &self,
+        own: EndpointId,
+        other: EndpointId,
+        topic: Option<String>,
+        requested: &QosPolicies,
+        offered: &QosPolicies,
+    ) {
+        self.add(own, other, topic, "a publisher", requested, offered);
+    }
+
+    fn add(
+        &self,
+        own: EndpointId,
+        other: EndpointId,
+        topic: Option<String>,
+        what: &str,
+        requested: &QosPolicies,
+        offered: &QosPolicies,
+    ) {
+        // None where the two agree by now: the event is older than the change.
+        let Some(policy) = offered.compliance_failure_wrt(requested) else {
+            return;
+        };
+        let topic = topic.unwrap_or_else(|| "a service".to_owned());
+        let text = format!(
+            "{topic}: not connected to {what} for incompatible {policy:?}: the subscription requests `{}`, the publisher \
+             offers `{}`; change one of them, by qos_overrides for example",
+            qos::from_dds(requested),
+            qos::from_dds(offered)
+        );
+        let mut known = lock(&self.known);
+        if known.len() >= LIMIT {
+            known.clear();
+        }
+        if known.insert((own, other), text.clone()).as_ref() != Some(&text) {
+            drop(known);
+            tracing::warn!("{text}");
+        }
+    }
+
+    /// What keeps others from this endpoint.
+    pub(super) fn of(&self, own: &EndpointId) -> Vec<String> {
+        let known = lock(&self.known);
+        let of_own = known.iter().filter(|((endpoint, _), _)| endpoint == own);
+        let mut texts: Vec<String> = of_own.map(|(_, text)| text.clone()).collect();
+        texts.dedup();
+        texts
+    }
+
+    pub(super) fn forget_own(&self, own: &EndpointId) {
+        lock(&self.known).retain(|(endpoint, _), _| endpoint != own);
+    }
+
+    pub(super) fn forget_other(&self, other: &EndpointId) {
+        lock(&self.known).retain(|(_, endpoint), _| endpoint != other);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Qos;
+
+    #[test]
+    fn a_mismatch_is_named_once_and_forgotten_with_its_endpoints() {
+        let mismatches = Mismatches::default();
+        let (wants, offers) = (
+            qos::for_reader(Qos::latched(1)),
+            qos::for_writer(Qos::reliable(10)),
+        );
+        let topic = || Some("/wm/plan".to_owned());
+        for other in [2, 3, 3] {
+            mismatches.publisher([1; 16], [other; 16], topic(), &wants, &offers);
+        }
+        let texts = mismatches.of(&[1; 16]);
+        let [text] = &texts[..] else {
+            panic!("{texts:?}")
+        };
+        assert!(
+            text.starts_with("/wm/plan: not connected to a publisher for incompatible Durability"),
+            "{text}"
+        );
+        mismatches.forget_other(&[2; 16]);
+        assert_eq!(mismatches.of(&[1; 16]).len(), 1);
+        mismatches.forget_own(&[1; 16]);
+        assert_eq!(mismatches.of(&[1; 16]), [""; 0]);
+
+        let best_effort = qos::for_writer(Qos::best_effort(1));
+        let reliable = qos::for_reader(Qos::reliable(1));
+        mismatches.subscription([1; 16], [2; 16], topic(), &reliable, &best_effort);
+        assert!(mismatches.of(&[1; 16])[0].contains("a subscription for incompatible Reliability"));
+        mismatches.subscription([1; 16], [4; 16], topic(), &best_effort, &reliable);
+        assert_eq!(mismatches.of(&[1; 16]).len(), 1, "these two do match");
+    }
+}

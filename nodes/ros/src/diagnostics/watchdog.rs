@@ -1,0 +1,154 @@
+//! What an operator must know of a running node, judged from counts and times alone: inputs that stay away, deadlines
+//! that are missed, memory that grows, and conditions that the node names itself. Each has a level and a sentence that
+//! says what to do.
+
+mod deadline;
+mod input;
+mod memory;
+
+pub use deadline::Deadline;
+pub use input::Input;
+pub(super) use memory::resident;
+
+use super::Level;
+use deadline::DeadlineWatch;
+use input::InputWatch;
+use memory::MemoryWatch;
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
+
+/// How long a condition holds after it was last seen: longer than a second, so that every report of one that goes on has
+/// it.
+const HOLD: Duration = Duration::from_secs(5);
+
+/// Conditions that are told apart; their subjects hold topics, and could be many.
+const MAX_CONDITIONS: usize = 64;
+
+/// What the watchdog has found of one subject.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Finding {
+    /// `input latent`
+    pub(super) subject: String,
+    pub(super) level: Level,
+    /// What is so, and where it is not well, what to do about it.
+    pub(super) message: String,
+}
+
+#[derive(Debug)]
+struct Condition {
+    level: Level,
+    message: String,
+    seen: Instant,
+}
+
+/// The watches of one node. It has no clock: every call brings the time.
+#[derive(Debug, Default)]
+pub(super) struct Watchdog {
+    inputs: BTreeMap<&'static str, InputWatch>,
+    deadlines: BTreeMap<&'static str, DeadlineWatch>,
+    memory: MemoryWatch,
+    conditions: BTreeMap<String, Condition>,
+}
+
+impl Watchdog {
+    /// Watches an input from now on.
+    pub(super) fn expect(&mut self, input: Input, now: Instant) {
+        self.inputs.insert(input.name, InputWatch::new(input, now));
+    }
+
+    /// Watches no input and no deadline any more, and measures memory anew.
+    pub(super) fn stand_down(&mut self) {
+        self.inputs.clear();
+        self.deadlines.clear();
+        self.memory = MemoryWatch::default();
+    }
+
+    /// A message of this topic came.
+    pub(super) fn arrived(&mut self, topic: &str, now: Instant) {
+        for input in self.inputs.values_mut() {
+            input.arrived(topic, now);
+        }
+    }
+
+    /// A stage with a deadline took this long.
+    pub(super) fn took(&mut self, deadline: Deadline, taken: Duration) {
+        self.deadlines
+            .entry(deadline.stage)
+            .or_insert_with(|| DeadlineWatch::new(deadline))
+            .took(taken);
+    }
+
+    /// Something is so at this moment; it counts as over when it is not said again for five seconds.
+    pub(super) fn raise(&mut self, subject: &str, level: Level, message: String, now: Instant) {
+        if self.conditions.len() >= MAX_CONDITIONS && !self.conditions.contains_key(subject) {
+            return;
+        }
+        let condition = Condition {
+            level,
+            message,
+            seen: now,
+        };
+        self.conditions.insert(subject.to_owned(), condition);
+    }
+
+    /// Everything that is watched, well or not. `publishers`: how many are connected to a topic; `resident`: the
+    /// process's memory \[byte\], where it is known.
+    pub(super) fn report(
+        &mut self,
+        now: Instant,
+        publishers: &dyn Fn(&str) -> usize,
+        resident: Option<u64>,
+    ) -> Vec<Finding> {
+        let mut findings: Vec<Finding> = Vec::new();
+        for input in self.inputs.values() {
+            findings.push(input.judge(now, publishers));
+        }
+        for deadline in self.deadlines.values_mut() {
+            findings.push(deadline.judge());
+        }
+        if let Some(resident) = resident {
+            findings.push(self.memory.judge(now, resident));
+        }
+        self.conditions
+            .retain(|_, condition| now.saturating_duration_since(condition.seen) <= HOLD);
+        findings.extend(self.conditions.iter().map(|(subject, condition)| Finding {
+            subject: subject.clone(),
+            level: condition.level,
+            message: condition.message.clone(),
+        }));
+        findings
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_condition_holds_while_it_is_said_and_ends_by_itself() {
+        let (mut watchdog, start) = (Watchdog::default(), Instant::now());
+        watchdog.raise("latent space", Level::Error, "wrong".to_owned(), start);
+        let at = |watchdog: &mut Watchdog, seconds| {
+            let now = start + Duration::from_secs(seconds);
+            watchdog.report(now, &|_| 0, None).len()
+        };
+        assert_eq!((at(&mut watchdog, 4), at(&mut watchdog, 6)), (1, 0));
+        for index in 0..100 {
+            watchdog.raise(&index.to_string(), Level::Warn, String::new(), start);
+        }
+        assert_eq!(at(&mut watchdog, 1), MAX_CONDITIONS);
+    }
+
+    #[test]
+    fn who_stands_down_misses_nothing() {
+        let (mut watchdog, start) = (Watchdog::default(), Instant::now());
+        let input = Input::new("latents", ["/wm/latent"], "start the encoder");
+        watchdog.expect(input, start);
+        let now = start + Duration::from_secs(60);
+        assert_eq!(watchdog.report(now, &|_| 0, None).len(), 1);
+        watchdog.stand_down();
+        assert_eq!(watchdog.report(now, &|_| 0, None), []);
+    }
+}

@@ -1,0 +1,216 @@
+//! An input that should keep coming.
+
+use super::{Finding, Level};
+use std::time::{Duration, Instant};
+
+/// Silent periods after which an input is missed.
+const MISSED_PERIODS: u32 = 3;
+/// Silent periods, and the least time, after which it counts as gone.
+const GONE_PERIODS: u32 = 10;
+const GONE_LEAST: Duration = Duration::from_secs(2);
+/// The least silence that is reported: shorter ones are the jitter of a fast topic.
+const MISSED_LEAST: Duration = Duration::from_millis(500);
+/// How long the first message may take.
+const FIRST: Duration = Duration::from_secs(5);
+/// Weight of the newest interval in the period is one part in this.
+const SMOOTHING: u32 = 8;
+/// An interval counts for at most so many periods: a silence is not to pass for a new rate.
+const LONGEST_INTERVAL: u32 = 4;
+
+/// An input that a node needs.
+#[derive(Clone, Debug)]
+pub struct Input {
+    pub(super) name: &'static str,
+    topics: Vec<String>,
+    advice: &'static str,
+    severity: Level,
+}
+
+impl Input {
+    /// An input by any of these absolute topics. `name`: what it is, in the plural (`camera images`); `advice`: what to
+    /// do where nobody publishes it.
+    pub fn new<S: Into<String>>(
+        name: &'static str,
+        topics: impl IntoIterator<Item = S>,
+        advice: &'static str,
+    ) -> Self {
+        Self {
+            name,
+            topics: topics.into_iter().map(Into::into).collect(),
+            advice,
+            severity: Level::Error,
+        }
+    }
+
+    /// Its absence is no more than a warning: the node goes on without it.
+    #[must_use]
+    pub fn dispensable(self) -> Self {
+        Self {
+            severity: Level::Warn,
+            ..self
+        }
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct InputWatch {
+    input: Input,
+    since: Instant,
+    last: Option<Instant>,
+    /// How far apart messages come.
+    period: Option<Duration>,
+}
+
+impl InputWatch {
+    pub(super) fn new(input: Input, now: Instant) -> Self {
+        Self {
+            input,
+            since: now,
+            last: None,
+            period: None,
+        }
+    }
+
+    pub(super) fn arrived(&mut self, topic: &str, now: Instant) {
+        if !self.input.topics.iter().any(|own| own == topic) {
+            return;
+        }
+        if let Some(last) = self.last {
+            let interval = now.saturating_duration_since(last);
+            self.period = Some(match self.period {
+                None => interval,
+                Some(period) => {
+                    let interval = interval.min(period * LONGEST_INTERVAL);
+                    (period * (SMOOTHING - 1) + interval) / SMOOTHING
+                }
+            });
+        }
+        self.last = Some(now);
+    }
+
+    pub(super) fn judge(&self, now: Instant, publishers: &dyn Fn(&str) -> usize) -> Finding {
+        let (name, topics) = (self.input.name, self.input.topics.join(" and "));
+        let (level, message) = match self.last {
+            None => {
+                let waited = now.saturating_duration_since(self.since);
+                let text = format!(
+                    "no {name} on {topics} in {:.0} s since the node began to listen",
+                    waited.as_secs_f64()
+                );
+                if waited <= FIRST {
+                    (Level::Ok, format!("waiting for the first {name}"))
+                } else {
+                    (Level::Warn, text)
+                }
+            }
+            Some(last) => {
+                let silent = now.saturating_duration_since(last);
+                let period = self.period.unwrap_or(MISSED_LEAST);
+                let text = format!(
+                    "no {name} on {topics} for {:.1} s, where one came every {:.2} s",
+                    silent.as_secs_f64(),
+                    period.as_secs_f64()
+                );
+                if silent <= (period * MISSED_PERIODS).max(MISSED_LEAST) {
+                    (Level::Ok, format!("{name} come"))
+                } else if silent <= (period * GONE_PERIODS).max(GONE_LEAST) {
+                    (Level::Warn, text)
+                } else {
+                    (Level::Error, text)
+                }
+            }
+        };
+        let message = match level {
+            Level::Ok => message,
+            _ => format!("{message}: {}", self.cause(publishers)),
+        };
+        Finding {
+            subject: format!("input {name}"),
+            level: level.min(self.input.severity),
+            message,
+        }
+    }
+
+    fn cause(&self, publishers: &dyn Fn(&str) -> usize) -> String {
+        let topics = self.input.topics.iter();
+        match topics.map(|topic| publishers(topic)).sum::<usize>() {
+            0 => format!("nobody publishes it; {}", self.input.advice),
+            1 => "its publisher is connected but silent; look whether that process hangs or was killed"
+                .to_owned(),
+            many => format!(
+                "{many} publishers are connected but silent; look whether those processes hang or were killed"
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: Duration = Duration::from_millis(200);
+
+    /// A camera that has sent 20 images, and when it sent the last.
+    fn camera(start: Instant) -> (InputWatch, Instant) {
+        let input = Input::new("camera images", ["/image", "/image/compressed"], "start it");
+        let mut watch = InputWatch::new(input, start);
+        for index in 1..=20 {
+            watch.arrived("/image", start + PERIOD * index);
+            watch.arrived("/other", start + PERIOD * index);
+        }
+        (watch, start + PERIOD * 20)
+    }
+
+    #[test]
+    fn three_periods_warn_and_ten_are_an_error() {
+        let (watch, last) = camera(Instant::now());
+        let level = |periods| watch.judge(last + PERIOD * periods, &|_| 1).level;
+        assert_eq!(
+            [3, 4, 10, 11].map(level),
+            [Level::Ok, Level::Warn, Level::Warn, Level::Error]
+        );
+    }
+
+    #[test]
+    fn the_sentence_says_what_to_do() {
+        let (watch, last) = camera(Instant::now());
+        let message = |publishers: usize| {
+            let now = last + Duration::from_secs(3);
+            watch.judge(now, &move |_| publishers / 2).message
+        };
+        assert_eq!(
+            message(0),
+            "no camera images on /image and /image/compressed for 3.0 s, where one came every 0.20 s: nobody publishes \
+             it; start it"
+        );
+        assert!(message(2).contains("2 publishers are connected but silent"));
+    }
+
+    #[test]
+    fn one_that_never_came_is_a_warning_and_a_dispensable_one_never_more() {
+        let start = Instant::now();
+        let watch = InputWatch::new(Input::new("latents", ["/latent"], "start it"), start);
+        let judge = |seconds| watch.judge(start + Duration::from_secs(seconds), &|_| 0);
+        assert_eq!(judge(4).level, Level::Ok);
+        assert_eq!(judge(9).level, Level::Warn);
+        assert!(judge(9).message.contains("in 9 s since"), "{:?}", judge(9));
+
+        let input = Input::new("actions", ["/action"], "start it").dispensable();
+        let mut watch = InputWatch::new(input, start);
+        watch.arrived("/action", start);
+        let finding = watch.judge(start + Duration::from_secs(60), &|_| 0);
+        assert_eq!(finding.level, Level::Warn);
+    }
+
+    #[test]
+    fn a_silence_does_not_pass_for_a_new_rate_but_a_new_rate_does() {
+        let (mut watch, last) = camera(Instant::now());
+        let back = last + Duration::from_secs(600);
+        watch.arrived("/image", back);
+        assert!(watch.period.unwrap() < PERIOD * 2, "{:?}", watch.period);
+        for index in 1..=60 {
+            watch.arrived("/image", back + Duration::from_secs(1) * index);
+        }
+        assert!(watch.period.unwrap() > Duration::from_millis(900));
+    }
+}

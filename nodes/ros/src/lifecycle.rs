@@ -1,0 +1,264 @@
+//! Managed nodes: states, the services and the topic by which others see and change them, as rclcpp_lifecycle has it
+//! (<https://design.ros2.org/articles/node_lifecycle.html>).
+//!
+//! A node says with [`Managed`] what it makes when it is configured and activated; [`Lifecycle`] makes and drops it when
+//! somebody asks. What a node holds in a state is thus a value, and what it no longer holds is gone.
+
+mod machine;
+mod services;
+mod state;
+mod transition;
+
+pub use machine::{Machine, Refused};
+pub use state::State;
+pub use transition::{Outcome, Transition};
+
+use crate::{Call, Descriptor, Error, Level, Node, Publisher, Qos, Service};
+use std::{
+    fmt::Display,
+    pin::pin,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+use wm_msgs::lifecycle_msgs::{ChangeState, ChangeStateResponse, TransitionEvent};
+
+/// As rcl_lifecycle has it: the default of its publishers.
+const EVENTS_QOS: Qos = Qos::reliable(10);
+
+/// How long a node that was shut down waits until everybody has heard of it.
+const FAREWELL: Duration = Duration::from_millis(500);
+
+/// What a node does when it is told to.
+pub trait Managed {
+    /// What it holds when it is configured: weights. Cleaning up drops it.
+    type Configured;
+    /// What it holds while it is active: subscriptions, publishers, history. Deactivating drops it.
+    type Active;
+    /// What can go wrong.
+    type Error: From<Error> + Display;
+
+    /// Loads what the work takes.
+    ///
+    /// # Errors
+    /// Whatever keeps it from that; the node stays unconfigured.
+    fn configure(&self) -> impl Future<Output = Result<Self::Configured, Self::Error>>;
+
+    /// Subscribes and announces what it publishes.
+    ///
+    /// # Errors
+    /// Whatever keeps it from that; the node stays inactive.
+    fn activate(&self, configured: &Self::Configured) -> Result<Self::Active, Self::Error>;
+
+    /// Works, until the context is shut down. Deactivating drops this future where it waits.
+    ///
+    /// # Errors
+    /// What it cannot go on after: the node ends with it.
+    fn run(&self, active: &mut Self::Active) -> impl Future<Output = Result<(), Self::Error>>;
+}
+
+/// The lifecycle of one node.
+pub struct Lifecycle {
+    node: Node,
+    machine: Arc<Mutex<Machine>>,
+    changes: Service<ChangeState>,
+    events: Publisher<TransitionEvent>,
+    autostart: bool,
+}
+
+/// A transition under way, and who asked for it; none where the node does it by itself.
+struct Asked {
+    transition: &'static Transition,
+    call: Option<Call<ChangeState>>,
+}
+
+impl Lifecycle {
+    /// Makes `node` a managed one: the services `~/change_state`, `~/get_state`, `~/get_available_states`,
+    /// `~/get_available_transitions` and `~/get_transition_graph`, the topic `~/transition_event`, and the parameter
+    /// `autostart`. To be called before [`Node::seal_parameters`].
+    ///
+    /// # Errors
+    /// An `autostart` that is not a bool, or the middleware failed.
+    pub fn new(node: &Node) -> Result<Self, Error> {
+        let descriptor = Descriptor::new(
+            "whether the node configures and activates itself, or waits for ~/change_state",
+        );
+        let autostart = node
+            .declare("autostart", true, descriptor.read_only())?
+            .get();
+        let machine = Arc::new(Mutex::new(Machine::default()));
+        services::serve(node, &machine)?;
+        Ok(Self {
+            node: node.clone(),
+            machine,
+            changes: node.service("~/change_state")?,
+            events: node.publisher("~/transition_event", EVENTS_QOS)?,
+            autostart,
+        })
+    }
+
+    /// Lives: until the context is shut down, or somebody asks for the transition `shutdown`.
+    ///
+    /// # Errors
+    /// What ended the node while it was active; and, where it started by itself, what kept it from that.
+    pub async fn run<M: Managed>(mut self, managed: M) -> Result<(), M::Error> {
+        let mut is_starting = self.autostart;
+        'unconfigured: loop {
+            self.say(State::Unconfigured);
+            let by_itself = is_starting.then_some("configure");
+            let Some(asked) = self.asked(by_itself).await else {
+                return Ok(());
+            };
+            if asked.transition.goal == State::ShuttingDown {
+                return Ok(self.end(asked).await?);
+            }
+            let configured = match managed.configure().await {
+                Ok(configured) => configured,
+                Err(error) if is_starting => return Err(error),
+                Err(error) => {
+                    self.fail(asked, &error)?;
+                    continue 'unconfigured;
+                }
+            };
+            self.succeed(asked)?;
+            loop {
+                self.say(State::Inactive);
+                let by_itself = is_starting.then_some("activate");
+                let Some(asked) = self.asked(by_itself).await else {
+                    return Ok(());
+                };
+                match asked.transition.goal {
+                    State::ShuttingDown => return Ok(self.end(asked).await?),
+                    State::CleaningUp => {
+                        drop(configured);
+                        self.succeed(asked)?;
+                        continue 'unconfigured;
+                    }
+                    _ => {}
+                }
+                self.node.diagnostics().stand_down();
+                let activated = managed.activate(&configured).and_then(|active| {
+                    self.node.seal_endpoints()?;
+                    Ok(active)
+                });
+                let mut active = match activated {
+                    Ok(active) => active,
+                    Err(error) if is_starting => return Err(error),
+                    Err(error) => {
+                        self.fail(asked, &error)?;
+                        continue;
+                    }
+                };
+                is_starting = false;
+                self.say(State::Active);
+                self.succeed(asked)?;
+                let asked = {
+                    let mut working = pin!(managed.run(&mut active));
+                    tokio::select! {
+                        result = &mut working => return result,
+                        asked = self.asked(None) => asked,
+                    }
+                };
+                let Some(asked) = asked else { return Ok(()) };
+                drop(active);
+                self.node.diagnostics().stand_down();
+                if asked.transition.goal == State::ShuttingDown {
+                    return Ok(self.end(asked).await?);
+                }
+                self.succeed(asked)?;
+            }
+        }
+    }
+
+    /// Begins the transition of this label, or waits for one that somebody asks for; those that cannot be made are
+    /// refused. None once the context is shut down.
+    async fn asked(&mut self, by_itself: Option<&str>) -> Option<Asked> {
+        if let Some(label) = by_itself
+            && let Ok(transition) = self.begin(0, label)
+        {
+            let call = None;
+            return Some(Asked { transition, call });
+        }
+        loop {
+            let call = self.changes.recv().await?;
+            let wanted = &call.request.transition;
+            match self.begin(wanted.id, &wanted.label) {
+                Ok(transition) => {
+                    let call = Some(call);
+                    return Some(Asked { transition, call });
+                }
+                Err(refused) => {
+                    tracing::warn!("change_state: {refused}");
+                    answer(call, false);
+                }
+            }
+        }
+    }
+
+    fn begin(&self, id: u8, label: &str) -> Result<&'static Transition, Refused> {
+        let transition = self.machine().begin(id, label)?;
+        tracing::debug!("{}", transition.goal.label());
+        if let Err(error) = self.announce(transition) {
+            tracing::warn!("a transition is not announced: {error}");
+        }
+        Ok(transition)
+    }
+
+    fn succeed(&self, asked: Asked) -> Result<(), Error> {
+        self.finish(asked, Outcome::Success)
+    }
+
+    fn fail(&self, asked: Asked, error: &dyn Display) -> Result<(), Error> {
+        tracing::error!("{}: {error:#}", asked.transition.label);
+        self.finish(asked, Outcome::Failure)
+    }
+
+    fn finish(&self, asked: Asked, outcome: Outcome) -> Result<(), Error> {
+        let made = self.machine().finish(outcome);
+        if let Some(transition) = made {
+            self.announce(transition)?;
+        }
+        if let Some(call) = asked.call {
+            answer(call, outcome == Outcome::Success);
+        }
+        Ok(())
+    }
+
+    /// The node's own end, of which everybody who listens hears before it is gone.
+    async fn end(&self, asked: Asked) -> Result<(), Error> {
+        tracing::info!("shut down by ~/change_state");
+        self.succeed(asked)?;
+        self.events.wait_for_acknowledgments(FAREWELL).await?;
+        self.changes.wait_for_acknowledgments(FAREWELL).await?;
+        Ok(())
+    }
+
+    fn announce(&self, transition: &Transition) -> Result<(), Error> {
+        self.events.publish(&TransitionEvent {
+            // A clock before 1970 has no such number.
+            timestamp: u64::try_from(self.node.now().to_nanos()).unwrap_or(0),
+            transition: transition.message(),
+            start_state: transition.start.message(),
+            goal_state: transition.goal.message(),
+        })
+    }
+
+    /// On `/diagnostics`.
+    fn say(&self, state: State) {
+        let text = match state {
+            State::Active => "running",
+            state => state.label(),
+        };
+        self.node.diagnostics().set_status(Level::Ok, text);
+    }
+
+    /// No invariant spans the lock.
+    fn machine(&self) -> MutexGuard<'_, Machine> {
+        self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn answer(call: Call<ChangeState>, success: bool) {
+    if let Err(error) = call.respond(&ChangeStateResponse { success }) {
+        tracing::warn!("change_state is not answered: {error}");
+    }
+}

@@ -1,0 +1,171 @@
+//! Which records are kept, and the two services that ask for it and change it while the node runs.
+
+use crate::{
+    args::LogLevels,
+    rcl_interfaces::{LoggerLevel, LoggerLevels, SetLoggerLevelsResponse, SetParametersResult},
+};
+use std::sync::{Mutex, PoisonError};
+use tracing::level_filters::LevelFilter;
+use tracing_subscriber::{Registry, filter::Targets, reload};
+
+/// Loggers whose levels are remembered; a request may name any.
+const MAX_LOGGERS: usize = 256;
+
+/// The levels of this process.
+static LEVELS: Mutex<Option<Levels>> = Mutex::new(None);
+
+struct Levels {
+    levels: LogLevels,
+    filter: reload::Handle<Targets, Registry>,
+}
+
+/// `--log-level` as a filter. A name that begins with `wm_` is a Rust module of this suite, dots for colons; any
+/// other is a node's logger (`wm.encoder`) and means all that its process logs, since a process runs one node.
+pub(super) fn filter(levels: &LogLevels) -> Targets {
+    let default = levels.default.unwrap_or(LevelFilter::INFO);
+    levels.loggers.iter().fold(
+        Targets::new().with_default(default),
+        |filter, (logger, level)| {
+            if logger.starts_with("wm_") {
+                filter.with_target(logger.replace('.', "::"), *level)
+            } else {
+                filter.with_default(*level)
+            }
+        },
+    )
+}
+
+/// The filter of these levels, which the services change from now on.
+pub(super) fn install(levels: &LogLevels) -> reload::Layer<Targets, Registry> {
+    let (layer, handle) = reload::Layer::new(filter(levels));
+    let mut installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
+    if installed.is_none() {
+        *installed = Some(Levels {
+            levels: levels.clone(),
+            filter: handle,
+        });
+    }
+    layer
+}
+
+/// `get_logger_levels`, as rclcpp answers it: 0 for a logger whose level was not set. The empty name is the root.
+pub(crate) fn get(names: &[String]) -> LoggerLevels {
+    let installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
+    let level = |name: &String| LoggerLevel {
+        name: name.clone(),
+        level: installed
+            .as_ref()
+            .map_or(0, |installed| installed.levels.number(name)),
+    };
+    LoggerLevels {
+        levels: names.iter().map(level).collect(),
+    }
+}
+
+/// `set_logger_levels`: each on its own; level 0 takes a logger's own level back.
+pub(crate) fn set(wanted: &[LoggerLevel]) -> SetLoggerLevelsResponse {
+    let mut installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut set = |wanted: &LoggerLevel| -> Result<(), String> {
+        let installed = installed
+            .as_mut()
+            .ok_or("the program has a log of its own")?;
+        installed.levels.set(&wanted.name, wanted.level)?;
+        installed
+            .filter
+            .reload(filter(&installed.levels))
+            .map_err(|error| error.to_string())
+    };
+    let result = |wanted: &LoggerLevel| {
+        let set = set(wanted);
+        SetParametersResult {
+            successful: set.is_ok(),
+            reason: set.err().unwrap_or_default(),
+        }
+    };
+    SetLoggerLevelsResponse {
+        results: wanted.iter().map(result).collect(),
+    }
+}
+
+impl LogLevels {
+    /// The level of a logger in the numbers of `rcl_interfaces/msg/LoggerLevel`; 0 where none was set for it.
+    fn number(&self, logger: &str) -> u32 {
+        let level = match logger {
+            "" => Some(self.default.unwrap_or(LevelFilter::INFO)),
+            logger => {
+                let own = self.loggers.iter().rfind(|(name, _)| name == logger);
+                own.map(|(_, level)| *level)
+            }
+        };
+        match level {
+            None => 0,
+            Some(LevelFilter::ERROR | LevelFilter::OFF) => 40,
+            Some(LevelFilter::WARN) => 30,
+            Some(LevelFilter::INFO) => 20,
+            Some(_) => 10,
+        }
+    }
+
+    fn set(&mut self, logger: &str, level: u32) -> Result<(), String> {
+        let level = match level {
+            0 => None,
+            10 => Some(LevelFilter::DEBUG),
+            20 => Some(LevelFilter::INFO),
+            30 => Some(LevelFilter::WARN),
+            // fatal keeps errors, since Rust's logs have no level above them
+            40 | 50 => Some(LevelFilter::ERROR),
+            other => {
+                return Err(format!(
+                    "logger `{logger}`: expected level 0, 10, 20, 30, 40 or 50, got {other}"
+                ));
+            }
+        };
+        if logger.is_empty() {
+            self.default = level;
+            return Ok(());
+        }
+        self.loggers.retain(|(name, _)| name != logger);
+        if let Some(level) = level {
+            if self.loggers.len() >= MAX_LOGGERS {
+                return Err(format!(
+                    "logger `{logger}`: {MAX_LOGGERS} loggers have levels already"
+                ));
+            }
+            self.loggers.push((logger.to_owned(), level));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NodeArgs;
+    use tracing::Level;
+
+    #[test]
+    fn levels_become_filters() {
+        let levels =
+            |line: &str| filter(&NodeArgs::parse(line.split_whitespace()).unwrap().log_levels);
+        let all = levels("--ros-args --log-level warn");
+        assert!(!all.would_enable("wm_nodes::encoder", &Level::INFO));
+        let node = levels("--ros-args --log-level wm.encoder:=debug");
+        assert!(node.would_enable("wm_nodes::encoder", &Level::DEBUG));
+        let module = levels("--ros-args --log-level wm_ros.dds:=debug");
+        assert!(module.would_enable("wm_ros::dds", &Level::DEBUG));
+        assert!(!module.would_enable("wm_nodes", &Level::DEBUG));
+    }
+
+    #[test]
+    fn levels_are_set_told_and_taken_back() {
+        let mut levels = LogLevels::default();
+        assert_eq!((levels.number(""), levels.number("wm.encoder")), (20, 0));
+        levels.set("wm.encoder", 10).unwrap();
+        levels.set("", 50).unwrap();
+        assert_eq!((levels.number(""), levels.number("wm.encoder")), (40, 10));
+        assert!(filter(&levels).would_enable("wm_nodes", &Level::DEBUG));
+        levels.set("wm.encoder", 0).unwrap();
+        assert!(!filter(&levels).would_enable("wm_nodes", &Level::WARN));
+        assert!(levels.set("wm.encoder", 25).unwrap_err().contains("25"));
+    }
+}

@@ -1,0 +1,241 @@
+//! `~/get_type_description`: what the types are made of that a node uses, as rcl answers it.
+
+use crate::type_description_interfaces::{
+    Field, FieldType, GetTypeDescriptionRequest, GetTypeDescriptionResponse,
+    IndividualTypeDescription, TypeDescription as Description, TypeSource,
+};
+use std::{
+    collections::BTreeMap,
+    sync::{Mutex, PoisonError},
+};
+use wm_msgs::{
+    DescriptionError, IndividualType, Message, Service, TypeDescription, builtin_interfaces::Time,
+    rcl_interfaces,
+};
+
+/// The text of a type, and those of the types that it names.
+#[derive(Clone)]
+struct Interface {
+    text: &'static str,
+    dependencies: Vec<(&'static str, &'static str)>,
+}
+
+/// The types that a node uses, by their ROS names.
+#[derive(Default)]
+pub(super) struct Interfaces {
+    used: Mutex<BTreeMap<String, Interface>>,
+}
+
+impl Interfaces {
+    pub(super) fn message<M: Message>(&self) {
+        self.add(M::ros_name(), M::DEFINITION, M::dependencies);
+    }
+
+    pub(super) fn service<S: Service>(&self) {
+        self.add(S::ros_name(), S::DEFINITION, S::dependencies);
+    }
+
+    /// A type of `rcl_interfaces`, `msg/Log` for example, which every node speaks without a Rust type of `wm_msgs`.
+    pub(super) fn rcl(&self, name: &str) {
+        let name = format!("rcl_interfaces/{name}");
+        let mut all = rcl_interfaces::MESSAGES
+            .iter()
+            .chain(&rcl_interfaces::SERVICES);
+        if let Some((_, text)) = all.find(|(known, _)| *known == name) {
+            let dependencies = || {
+                let time = ("builtin_interfaces/msg/Time", Time::DEFINITION);
+                rcl_interfaces::MESSAGES.into_iter().chain([time]).collect()
+            };
+            self.add(name.clone(), text, dependencies);
+        }
+    }
+
+    fn add(
+        &self,
+        name: String,
+        text: &'static str,
+        dependencies: impl FnOnce() -> Vec<(&'static str, &'static str)>,
+    ) {
+        let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
+        used.entry(name).or_insert_with(|| Interface {
+            text,
+            dependencies: dependencies(),
+        });
+    }
+
+    /// The answer to a request.
+    pub(super) fn answer(&self, request: &GetTypeDescriptionRequest) -> GetTypeDescriptionResponse {
+        match self.find(request) {
+            Ok(response) => response,
+            Err(failure_reason) => GetTypeDescriptionResponse {
+                failure_reason,
+                ..GetTypeDescriptionResponse::default()
+            },
+        }
+    }
+
+    fn find(
+        &self,
+        request: &GetTypeDescriptionRequest,
+    ) -> Result<GetTypeDescriptionResponse, String> {
+        let name = request.type_name.as_str();
+        let interface = {
+            let used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
+            used.get(name).cloned()
+        };
+        let interface =
+            interface.ok_or_else(|| format!("this node does not use the type {name}"))?;
+        let description = interface
+            .describe(name)
+            .map_err(|error| error.to_string())?;
+        let hash = description.hash().to_string();
+        if request.type_hash != hash {
+            return Err(format!(
+                "the {name} of this node has the hash {hash}, not `{}`",
+                request.type_hash
+            ));
+        }
+        let type_sources = match request.include_type_sources {
+            true => interface.sources(&description),
+            false => Vec::new(),
+        };
+        Ok(GetTypeDescriptionResponse {
+            successful: true,
+            failure_reason: String::new(),
+            type_description: Description {
+                type_description: individual(description.described),
+                referenced_type_descriptions: description
+                    .referenced
+                    .into_iter()
+                    .map(individual)
+                    .collect(),
+            },
+            type_sources,
+            extra_information: Vec::new(),
+        })
+    }
+}
+
+impl Interface {
+    fn describe(&self, name: &str) -> Result<TypeDescription, DescriptionError> {
+        let dependencies = self.dependencies.iter().copied();
+        if name.contains("/srv/") {
+            TypeDescription::service(name, self.text, dependencies)
+        } else {
+            TypeDescription::message(name, self.text, dependencies)
+        }
+    }
+
+    /// The text of the type and of each that it names; `implicit` where rosidl makes the type of another's text.
+    fn sources(&self, description: &TypeDescription) -> Vec<TypeSource> {
+        let described = &description.described.name;
+        let source = |part: &IndividualType| {
+            let is_own = part.name == *described;
+            let given = self
+                .dependencies
+                .iter()
+                .find(|(name, _)| *name == part.name);
+            let text = if is_own {
+                Some(self.text)
+            } else {
+                given.map(|(_, text)| *text)
+            };
+            let encoding = match text {
+                Some(_) if part.name.contains("/srv/") => "srv",
+                Some(_) => "msg",
+                None => "implicit",
+            };
+            TypeSource {
+                type_name: part.name.clone(),
+                encoding: encoding.to_owned(),
+                raw_file_contents: text.unwrap_or_default().to_owned(),
+            }
+        };
+        std::iter::once(&description.described)
+            .chain(&description.referenced)
+            .map(source)
+            .collect()
+    }
+}
+
+fn individual(part: IndividualType) -> IndividualTypeDescription {
+    let field = |field: wm_msgs::Field| Field {
+        name: field.name,
+        r#type: FieldType {
+            type_id: field.field_type.type_id,
+            capacity: field.field_type.capacity,
+            string_capacity: field.field_type.string_capacity,
+            nested_type_name: field.field_type.nested.unwrap_or_default(),
+        },
+        // Neither hash nor serialisation depends on it, and the texts have it.
+        default_value: String::new(),
+    };
+    IndividualTypeDescription {
+        type_name: part.name,
+        fields: part.fields.into_iter().map(field).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wm_msgs::{std_msgs::Header, wm_msgs::Reset};
+
+    fn ask(name: &str, type_hash: String) -> GetTypeDescriptionResponse {
+        let interfaces = Interfaces::default();
+        interfaces.message::<Header>();
+        interfaces.service::<Reset>();
+        interfaces.rcl("msg/Log");
+        interfaces.rcl("srv/SetParameters");
+        interfaces.answer(&GetTypeDescriptionRequest {
+            type_name: name.to_owned(),
+            type_hash,
+            include_type_sources: true,
+        })
+    }
+
+    #[test]
+    fn types_in_use_are_described_and_others_are_not() {
+        let hash = TypeDescription::of::<Header>().unwrap().hash().to_string();
+        let answer = ask("std_msgs/msg/Header", hash.clone());
+        assert!(answer.successful, "{}", answer.failure_reason);
+        let described = answer.type_description;
+        assert_eq!(described.type_description.type_name, "std_msgs/msg/Header");
+        assert_eq!(described.type_description.fields.len(), 2);
+        assert_eq!(described.referenced_type_descriptions.len(), 1);
+        let sources: Vec<_> = answer
+            .type_sources
+            .iter()
+            .map(|source| (source.type_name.as_str(), source.encoding.as_str()))
+            .collect();
+        assert_eq!(
+            sources,
+            [
+                ("std_msgs/msg/Header", "msg"),
+                ("builtin_interfaces/msg/Time", "msg")
+            ]
+        );
+
+        let wrong = ask("std_msgs/msg/Header", "RIHS01_00".to_owned());
+        assert!(!wrong.successful && wrong.failure_reason.contains(&hash));
+        let unused = ask("std_msgs/msg/String", hash);
+        assert!(!unused.successful && unused.failure_reason.contains("std_msgs/msg/String"));
+    }
+
+    #[test]
+    fn services_and_types_without_a_rust_type_are_described() {
+        let hash = TypeDescription::of_service::<Reset>().unwrap().hash();
+        let answer = ask("wm_msgs/srv/Reset", hash.to_string());
+        assert!(answer.successful, "{}", answer.failure_reason);
+        let encodings = answer.type_sources.iter();
+        let encodings: Vec<_> = encodings.map(|source| source.encoding.as_str()).collect();
+        assert!(encodings.contains(&"srv") && encodings.contains(&"implicit"));
+        for name in ["rcl_interfaces/msg/Log", "rcl_interfaces/srv/SetParameters"] {
+            let reason = ask(name, String::new()).failure_reason;
+            let (_, hash) = reason.split_once("the hash ").unwrap();
+            let hash = hash.split(',').next().unwrap();
+            let answer = ask(name, hash.to_owned());
+            assert!(answer.successful, "{name}: {}", answer.failure_reason);
+        }
+    }
+}

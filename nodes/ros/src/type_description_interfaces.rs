@@ -1,0 +1,68 @@
+//! The messages of package `type_description_interfaces`, by which a node tells what its types are made of. Fields and
+//! order are those of the `.msg` and `.srv` files of ROS 2 Jazzy to Kilted.
+
+use serde::{Deserialize, Serialize};
+
+/// Request of `GetTypeDescription`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct GetTypeDescriptionRequest {
+    pub(crate) type_name: String,
+    pub(crate) type_hash: String,
+    pub(crate) include_type_sources: bool,
+}
+
+/// Response of `GetTypeDescription`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct GetTypeDescriptionResponse {
+    pub(crate) successful: bool,
+    pub(crate) failure_reason: String,
+    pub(crate) type_description: TypeDescription,
+    pub(crate) type_sources: Vec<TypeSource>,
+    pub(crate) extra_information: Vec<KeyValue>,
+}
+
+/// `TypeDescription`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct TypeDescription {
+    pub(crate) type_description: IndividualTypeDescription,
+    pub(crate) referenced_type_descriptions: Vec<IndividualTypeDescription>,
+}
+
+/// `IndividualTypeDescription`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct IndividualTypeDescription {
+    pub(crate) type_name: String,
+    pub(crate) fields: Vec<Field>,
+}
+
+/// `Field`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Field {
+    pub(crate) name: String,
+    pub(crate) r#type: FieldType,
+    pub(crate) default_value: String,
+}
+
+/// `FieldType`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct FieldType {
+    pub(crate) type_id: u8,
+    pub(crate) capacity: u64,
+    pub(crate) string_capacity: u64,
+    pub(crate) nested_type_name: String,
+}
+
+/// `TypeSource`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct TypeSource {
+    pub(crate) type_name: String,
+    pub(crate) encoding: String,
+    pub(crate) raw_file_contents: String,
+}
+
+/// `KeyValue`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct KeyValue {
+    pub(crate) key: String,
+    pub(crate) value: String,
+}

@@ -1,0 +1,239 @@
+//! The evaluator's state.
+
+use std::sync::Arc;
+
+use thiserror::Error;
+use wm_model::LatentSpace;
+use wm_msgs::{
+    builtin_interfaces::Time,
+    wm_msgs::{Action, ActionCandidates, Latent},
+};
+
+use crate::{
+    latent_message::{LatentError, decode_latent},
+    planner::Goal,
+    predictor::PredictorError,
+    timeline::{Arrival, Context, PhysicalAction, Timeline, TimelineError, Timing, Wait, seconds},
+};
+
+/// What can be chosen of an evaluation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EvaluatorSettings {
+    /// Frames that a prediction starts from.
+    pub context_frames: usize,
+    /// Model steps that are predicted at most.
+    pub horizon: usize,
+    /// Candidates of one message at most.
+    pub max_candidates: usize,
+    /// Seed of the noise, the same for all evaluations.
+    pub seed: u64,
+}
+
+/// Why an input is left out, or there is no assessment.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum EvaluatorError {
+    /// A latent message that cannot be used.
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+    /// A frame or an action that does not fit the timeline.
+    #[error(transparent)]
+    Timeline(#[from] TimelineError),
+    /// No candidate, or too many.
+    #[error("{count} candidates; expected 1 to {max}")]
+    Count {
+        /// Candidates that came.
+        count: usize,
+        /// Most that are taken.
+        max: usize,
+    },
+    /// A chunk that cannot be used.
+    #[error("candidate {index}: {source}")]
+    Candidate {
+        /// Which one.
+        index: usize,
+        /// What is wrong with it.
+        source: TimelineError,
+    },
+    /// All of a chunk lies before the observed frame.
+    #[error("candidate {index} ends before the observed frame of {}", seconds(Time::from_nanos(*.observed_ns)))]
+    Past {
+        /// Which one.
+        index: usize,
+        /// Stamp of the frame \[ns\].
+        observed_ns: i64,
+    },
+    /// The history is not complete.
+    #[error(transparent)]
+    History(#[from] Wait),
+    /// The model cannot compute it.
+    #[error(transparent)]
+    Predictor(#[from] PredictorError),
+    /// The model cannot compute it.
+    #[error(transparent)]
+    Model(#[from] wm_model::Error),
+}
+
+impl From<candle_core::Error> for EvaluatorError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::Model(error.into())
+    }
+}
+
+impl EvaluatorError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Latent(LatentError::Space { .. }) => "wrong_space",
+            Self::Latent(_) => "malformed_latent",
+            Self::Timeline(TimelineError::Duplicate { .. }) => "duplicate",
+            Self::Timeline(TimelineError::OutOfOrder { .. }) => "out_of_order",
+            Self::Timeline(_) => "malformed_action",
+            Self::Count { .. } | Self::Candidate { .. } => "malformed_candidates",
+            Self::Past { .. } => "late_candidates",
+            Self::History(_) => "no_history",
+            Self::Predictor(_) | Self::Model(_) => "model",
+        }
+    }
+}
+
+/// All that an evaluation is computed from.
+#[derive(Clone, Debug)]
+pub struct EvaluationRequest {
+    /// The policy's name.
+    pub policy: String,
+    /// Stamp of its message.
+    pub candidates_stamp: Time,
+    /// Context frames and the actions between them; the last frame is the observation.
+    pub context: Context,
+    /// Of each candidate, the camera-rate actions of each model step; equally many steps for all.
+    pub candidates: Vec<Vec<Vec<PhysicalAction>>>,
+    /// What to reach, where that is known.
+    pub goal: Option<Goal>,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// How stamps make model steps.
+    pub timing: Timing,
+}
+
+/// The evaluator node's state: messages in, evaluation requests out.
+pub struct EvaluatorStep {
+    settings: EvaluatorSettings,
+    space: LatentSpace,
+    timeline: Timeline,
+    goal: Option<Goal>,
+}
+
+impl EvaluatorStep {
+    /// An evaluator that has seen nothing.
+    pub fn new(settings: EvaluatorSettings, timing: Timing, space: LatentSpace) -> Self {
+        Self {
+            settings,
+            space,
+            timeline: Timeline::new(timing, settings.context_frames),
+            goal: None,
+        }
+    }
+
+    /// Takes a latent.
+    ///
+    /// # Errors
+    /// [`EvaluatorError`]: the latent is left out.
+    pub fn latent(&mut self, latent: &Latent) -> Result<Arrival, EvaluatorError> {
+        let values: Arc<[f32]> = decode_latent(latent, &self.space)?.into();
+        let header = &latent.header;
+        Ok(self
+            .timeline
+            .frame(header.stamp, &header.frame_id, values)?)
+    }
+
+    /// Takes an action that was taken.
+    ///
+    /// # Errors
+    /// [`EvaluatorError::Timeline`]: the action is left out.
+    pub fn action(&mut self, action: &Action) -> Result<Arrival, EvaluatorError> {
+        Ok(self.timeline.action(action)?)
+    }
+
+    /// Takes a goal.
+    pub fn set_goal(&mut self, goal: Goal) {
+        self.goal = Some(goal);
+    }
+
+    /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
+    pub fn clock_jumped(&mut self, now: Time) -> bool {
+        self.timeline.clock_jumped(now)
+    }
+
+    /// Forgets all history and takes a new seed where one is given; says what was done. The goal stays.
+    pub fn reset(&mut self, seed: Option<u64>) -> String {
+        self.timeline.clear();
+        if let Some(seed) = seed {
+            self.settings.seed = seed;
+        }
+        format!("forgot all frames and actions; seed {}", self.settings.seed)
+    }
+
+    /// The evaluation of candidates from the newest frame on. As many steps are predicted as the shortest candidate
+    /// speaks of, so that all are compared at one moment; a step that it speaks of in part counts, its last action held.
+    ///
+    /// # Errors
+    /// [`EvaluatorError`] names the candidate that cannot be used, or what is missing.
+    pub fn candidates(
+        &self,
+        message: &ActionCandidates,
+    ) -> Result<EvaluationRequest, EvaluatorError> {
+        let (count, max) = (message.chunks.len(), self.settings.max_candidates);
+        if count == 0 || count > max {
+            return Err(EvaluatorError::Count { count, max });
+        }
+        let timing = self.timeline.timing();
+        let observed_ns = self.timeline.newest().ok_or(Wait::NoFrame)?.stamp_ns;
+        let mut horizon = self.settings.horizon;
+        let mut timelines = Vec::with_capacity(count);
+        for (index, chunk) in message.chunks.iter().enumerate() {
+            let mut timeline = self.timeline.clone();
+            let wrong = |source| EvaluatorError::Candidate { index, source };
+            timeline.chunk(chunk).map_err(wrong)?;
+            // The timeline has refused what is longer than MAX_CHUNK or has no period.
+            let span_ns = chunk
+                .period
+                .to_nanos()
+                .saturating_mul(chunk.actions.len() as i64);
+            let end_ns = chunk.header.stamp.to_nanos().saturating_add(span_ns);
+            let left_ns = end_ns
+                .saturating_sub(observed_ns)
+                .saturating_sub(timing.tolerance_ns);
+            if left_ns <= 0 {
+                return Err(EvaluatorError::Past { index, observed_ns });
+            }
+            let step_ns = timing.step_ns().max(1);
+            let steps = left_ns / step_ns + i64::from(left_ns % step_ns > 0);
+            horizon = horizon.min(usize::try_from(steps).unwrap_or(usize::MAX));
+            timelines.push(timeline);
+        }
+        let future = |timeline: &Timeline| {
+            let starts = (0..horizon).map(|step| observed_ns + timing.step_ns() * step as i64);
+            starts
+                .map(|start_ns| timeline.actions_of_step(start_ns))
+                .collect::<Result<_, _>>()
+        };
+        let context = match timelines.first() {
+            // A chunk may say what was done where an action itself is missing.
+            Some(first) => first.context()?,
+            None => self.timeline.context()?,
+        };
+        Ok(EvaluationRequest {
+            policy: message.policy.clone(),
+            candidates_stamp: message.header.stamp,
+            context,
+            candidates: timelines.iter().map(future).collect::<Result<_, _>>()?,
+            goal: self.goal.clone(),
+            seed: self.settings.seed,
+            timing,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,103 @@
+//! The bag's messages, read ahead of their time.
+
+use std::sync::Arc;
+use tokio::runtime::Handle;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use wm_bag::{BagError, BagMessage, Messages};
+
+/// Bytes that are read ahead at most, however many messages may be; a larger message is read ahead alone.
+const AHEAD_BYTES: u32 = 256 << 20;
+
+/// Part of the budget that a message takes whatever its length: what it costs to keep one.
+const MESSAGE_BYTES: usize = 256;
+
+/// A message with its share of the budget, which is free again when this is dropped.
+pub(super) struct Ahead {
+    pub message: Result<BagMessage, BagError>,
+    _share: OwnedSemaphorePermit,
+}
+
+/// Messages of a bag, read by a thread of their own, so that the disk does not delay one that
+/// is due. The thread ends when this is dropped.
+pub(super) struct Source {
+    messages: mpsc::Receiver<Ahead>,
+    budget: Arc<Semaphore>,
+}
+
+impl Source {
+    /// Begins to read, at most `queue_size` messages ahead. To be called inside a tokio runtime.
+    pub fn open(messages: Messages, queue_size: usize) -> Self {
+        let (sender, receiver) = mpsc::channel(queue_size);
+        let budget = Arc::new(Semaphore::new(AHEAD_BYTES as usize));
+        let (shares, runtime) = (Arc::clone(&budget), Handle::current());
+        tokio::task::spawn_blocking(move || {
+            for message in messages {
+                let bytes = message.as_ref().map_or(0, |message| message.data.len());
+                let bytes = u32::try_from(bytes.saturating_add(MESSAGE_BYTES)).unwrap_or(u32::MAX);
+                let share = Arc::clone(&shares).acquire_many_owned(bytes.min(AHEAD_BYTES));
+                // both fail where the player reads elsewhere, or is gone
+                let Ok(_share) = runtime.block_on(share) else {
+                    break;
+                };
+                if sender.blocking_send(Ahead { message, _share }).is_err() {
+                    break;
+                }
+            }
+        });
+        Self {
+            messages: receiver,
+            budget,
+        }
+    }
+
+    /// The next message; `None` at the end. Cancel safe.
+    pub async fn next(&mut self) -> Option<Ahead> {
+        self.messages.recv().await
+    }
+}
+
+impl Drop for Source {
+    fn drop(&mut self) {
+        self.budget.close();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wm_bag::{BagReader, BagWriter, WriterOptions};
+    use wm_msgs::std_msgs;
+
+    #[tokio::test(flavor = "current_thread")]
+    async fn no_more_is_read_ahead_than_was_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bag");
+        let mut writer = BagWriter::create(&path, WriterOptions::default()).unwrap();
+        for index in 0..50_u64 {
+            let note = std_msgs::String {
+                data: index.to_string(),
+            };
+            writer.write("/note", &note, index).unwrap();
+        }
+        writer.finish().unwrap();
+        let reader = BagReader::open(&path).unwrap();
+
+        let mut source = Source::open(reader.messages().starting_at(20), 4);
+        let first = source.next().await.unwrap();
+        assert_eq!(first.message.as_ref().unwrap().log_time_ns, 20);
+        let held = first.message.as_ref().unwrap().data.len() + MESSAGE_BYTES;
+        // one in the reader's hand beside the four that wait and the one here
+        while source.messages.len() < 4 {
+            tokio::task::yield_now().await;
+        }
+        let free = source.budget.available_permits();
+        assert!(free >= AHEAD_BYTES as usize - 6 * (held + 8), "{free}");
+        let mut count = 1;
+        while source.next().await.is_some() {
+            count += 1;
+        }
+        assert_eq!(count, 30);
+        drop(first);
+        assert_eq!(source.budget.available_permits(), AHEAD_BYTES as usize);
+    }
+}

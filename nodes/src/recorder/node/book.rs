@@ -1,0 +1,100 @@
+//! The bag that is being recorded, and what was lost on the way.
+
+use crate::recorder::{
+    losses::Losses,
+    options::Options,
+    writer::{Entry, Queue, Recording, remove_old},
+};
+use anyhow::Result;
+use std::path::PathBuf;
+use std::sync::Arc;
+use tracing::info;
+
+/// At most one open bag, and whether any has lost something.
+#[derive(Default)]
+pub(super) struct Book {
+    recording: Option<Recording>,
+    /// Of the open bag.
+    pub losses: Losses,
+    pub is_lossy: bool,
+}
+
+impl Book {
+    /// Begins a bag.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub async fn begin(&mut self, options: &Options, folder: PathBuf) -> Result<()> {
+        let options = options.clone();
+        let begin = move || -> Result<Recording> {
+            if options.is_overwriting {
+                remove_old(&folder)?;
+            }
+            let recording = Recording::create(
+                &folder,
+                options.writer,
+                options.cache_bytes,
+                options.is_snapshot,
+            )?;
+            info!("recording to {}", folder.display());
+            Ok(recording)
+        };
+        self.recording = Some(tokio::task::spawn_blocking(begin).await??);
+        Ok(())
+    }
+
+    /// The way to the open bag.
+    pub fn queue(&self) -> Option<Queue> {
+        self.recording.as_ref().and_then(Recording::queue)
+    }
+
+    /// Says in the bag what it lost, and lets it be closed.
+    ///
+    /// # Errors
+    /// The bag can no longer be written.
+    pub fn end(&mut self) -> Result<()> {
+        if let Some(queue) = self.queue() {
+            for (topic, loss) in &self.losses {
+                let (topic, messages) = (Arc::clone(topic), loss.total());
+                if messages > 0 {
+                    queue.offer(Entry::Lost { topic, messages })?;
+                }
+            }
+        }
+        if let Some(recording) = &mut self.recording {
+            recording.end();
+        }
+        Ok(())
+    }
+
+    /// Waits until the bag is closed, after [`end`](Self::end).
+    pub async fn written(&mut self) {
+        if let Some(recording) = &mut self.recording {
+            recording.written().await;
+        }
+    }
+
+    /// Says on standard output what was recorded and lost. Blocks until the bag is closed.
+    ///
+    /// # Errors
+    /// The bag could not be written.
+    pub fn close(&mut self) -> Result<()> {
+        let Some(recording) = self.recording.take() else {
+            return Ok(());
+        };
+        let summary = recording.finish()?;
+        println!(
+            "recorded {} message(s) of {} topic(s) to {}",
+            summary.message_count,
+            summary.topics.len(),
+            summary.path.display()
+        );
+        for (topic, loss) in std::mem::take(&mut self.losses) {
+            if loss.total() > 0 {
+                println!("lost {} message(s) of {topic}: {loss}", loss.total());
+                self.is_lossy = true;
+            }
+        }
+        Ok(())
+    }
+}

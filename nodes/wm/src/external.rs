@@ -1,0 +1,60 @@
+//! Commands that are programs of their own, since what they link would make the build of `wm` long: `wm bridge` is the
+//! program `wm-bridge`, as git and cargo have it.
+
+use anyhow::{Context as _, Result, bail};
+use std::{
+    ffi::OsString,
+    os::unix::process::CommandExt as _,
+    path::{Path, PathBuf},
+    process::{Command, ExitCode},
+};
+
+/// Becomes the program, which is looked for beside this one and then on the PATH.
+///
+/// # Errors
+/// It is not there (the error says how to build it), or cannot be started.
+pub fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
+    let beside = std::env::current_exe()?;
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let folders = beside.parent().map(Path::to_path_buf).into_iter();
+    let Some(found) = find(program, folders.chain(std::env::split_paths(&path))) else {
+        let package = program.replace('-', "_");
+        bail!(
+            "the program {program} is neither beside {} nor on the PATH; build it with\n    \
+             cargo build --release -p {package}",
+            beside.display()
+        );
+    };
+    let error = Command::new(&found).args(args).exec();
+    Err(error).with_context(|| format!("starting {}", found.display()))
+}
+
+fn find(program: &str, folders: impl IntoIterator<Item = PathBuf>) -> Option<PathBuf> {
+    let mut files = folders.into_iter().map(|folder| folder.join(program));
+    files.find(|file| file.is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_folder_that_has_it_holds() {
+        let folders: Vec<_> = (0..3).map(|_| tempfile::tempdir().unwrap()).collect();
+        let paths = || folders.iter().map(|folder| folder.path().to_path_buf());
+        assert_eq!(find("wm-x", paths()), None);
+        for folder in &folders[1..] {
+            std::fs::write(folder.path().join("wm-x"), "").unwrap();
+        }
+        assert_eq!(find("wm-x", paths()), Some(folders[1].path().join("wm-x")));
+    }
+
+    #[test]
+    fn what_is_missing_is_said_with_how_to_build_it() {
+        let error = exec("wm-is-not-there", []).unwrap_err().to_string();
+        assert!(
+            error.contains("cargo build --release -p wm_is_not_there"),
+            "{error}"
+        );
+    }
+}
