@@ -44,7 +44,8 @@ pub fn wm(domain: u16, args: &[&str]) -> Command {
     command
 }
 
-fn in_domain(command: &mut Command, domain: u16) {
+/// Puts `command` into ROS domain `domain`, on loopback.
+pub fn in_domain(command: &mut Command, domain: u16) {
     command
         .env("ROS_DOMAIN_ID", domain.to_string())
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -84,6 +85,18 @@ pub fn rclpy(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command 
     command
 }
 
+/// A Python program under `tests/interop`, run with the libraries of [`peers`] that are not ROS.
+pub fn tool(peers: &Path, domain: u16, script: &str, args: &[&str]) -> Command {
+    let mut command = Command::new(peers.join("tools/bin/python"));
+    command
+        .arg(root().join("tests/interop").join(script))
+        .args(args)
+        // Set by the wheels of ROS 2; it would load their libraries into this Python.
+        .env_remove("LD_LIBRARY_PATH");
+    in_domain(&mut command, domain);
+    command
+}
+
 /// Waits until `is_so`, at most `limit`.
 pub fn wait_until(what: &str, limit: Duration, is_so: impl Fn() -> bool) {
     let start = Instant::now();
@@ -91,6 +104,28 @@ pub fn wait_until(what: &str, limit: Duration, is_so: impl Fn() -> bool) {
         assert!(start.elapsed() < limit, "{what}: not within {limit:?}");
         std::thread::sleep(Duration::from_millis(20));
     }
+}
+
+/// Resident memory of a process \[byte\].
+pub fn resident(pid: Pid) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", pid.as_raw_nonzero()))
+        .expect("the process runs");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let kib = line.and_then(|line| line.trim().strip_suffix(" kB")?.parse::<u64>().ok());
+    kib.expect("a size in kB") * 1024
+}
+
+/// The processes that `parent` has started, each with its command line.
+pub fn children(parent: Pid) -> Vec<(Pid, Vec<String>)> {
+    let parent = parent.as_raw_nonzero();
+    let ids = std::fs::read_to_string(format!("/proc/{parent}/task/{parent}/children"))
+        .expect("a kernel that lists children");
+    let child = |id: &str| {
+        let words = std::fs::read_to_string(format!("/proc/{id}/cmdline")).ok()?;
+        let words = words.split('\0').map(str::to_owned).collect();
+        Some((Pid::from_raw(id.parse().ok()?)?, words))
+    };
+    ids.split_whitespace().filter_map(child).collect()
 }
 
 /// A started process, ended by its pid when the test lets go of it.
@@ -125,7 +160,7 @@ impl Process {
     }
 
     /// The process id.
-    fn pid(&self) -> Pid {
+    pub fn pid(&self) -> Pid {
         Pid::from_child(&self.child)
     }
 

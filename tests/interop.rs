@@ -32,7 +32,8 @@ fn collect(peers: &std::path::Path, domain: u16, topics: &[&str]) -> Value {
     serde_json::from_str(&stdout).expect("collect.py prints JSON")
 }
 
-fn messages<'a>(report: &'a Value, topic: &str) -> &'a Vec<Value> {
+/// What `report` has of `topic`: something.
+pub fn messages<'a>(report: &'a Value, topic: &str) -> &'a Vec<Value> {
     let messages = report["received"][topic]
         .as_array()
         .expect("every asked topic is in the answer");
@@ -40,7 +41,8 @@ fn messages<'a>(report: &'a Value, topic: &str) -> &'a Vec<Value> {
     messages
 }
 
-fn integer(value: &Value) -> i64 {
+/// A number of a report.
+pub fn integer(value: &Value) -> i64 {
     value
         .as_i64()
         .unwrap_or_else(|| panic!("{value} is not an integer"))
@@ -57,6 +59,53 @@ fn assert_finite(values: &Value) {
     for value in values.as_array().expect("an array") {
         assert!(value.as_f64().is_some_and(f64::is_finite), "{values}");
     }
+}
+
+/// Holds the latents of `report` against the defaults of the suite; gives their latent spaces.
+pub fn spaces_of_latents(report: &Value) -> BTreeSet<String> {
+    let mut spaces = BTreeSet::new();
+    for latent in messages(report, "/wm/latent") {
+        let numbers =
+            integer(&latent["height"]) * integer(&latent["width"]) * integer(&latent["channels"]);
+        assert_eq!(latent["dtype"], 1, "f16 is the default");
+        assert_eq!(integer(&latent["data"]["len"]), numbers * 2);
+        spaces.insert(latent["space"].to_string());
+    }
+    spaces
+}
+
+/// Holds the predictions of `report` against the defaults of the suite; gives their latent spaces.
+pub fn spaces_of_predictions(report: &Value) -> BTreeSet<String> {
+    let mut spaces = BTreeSet::new();
+    let mut steps_seen = BTreeSet::new();
+    for prediction in messages(report, "/wm/predicted") {
+        let step = prediction["step"].as_u64().expect("a step");
+        steps_seen.insert(step);
+        let observed = integer(&prediction["observed_stamp"]);
+        assert_eq!(
+            integer(&prediction["header"]["stamp"]) - observed,
+            step as i64 * MODEL_STEP_NS
+        );
+        assert_eq!(integer(&prediction["step_period"]), MODEL_STEP_NS);
+        assert_eq!(prediction["horizon"], HORIZON);
+        assert_eq!(prediction["latent"]["header"], prediction["header"]);
+        spaces.insert(prediction["latent"]["space"].to_string());
+        assert!(
+            !prediction["actions"]
+                .as_array()
+                .expect("actions")
+                .is_empty()
+        );
+        for action in prediction["actions"].as_array().expect("actions") {
+            assert_finite(&action["values"]);
+        }
+        assert!(integer(&prediction["received_stamp"]) >= observed);
+        assert!(integer(&prediction["ready_stamp"]) >= integer(&prediction["received_stamp"]));
+        assert_eq!(prediction["model_hash"].as_str().map(str::len), Some(64));
+        assert!(prediction["integration_steps"].as_u64() >= Some(1));
+    }
+    assert_eq!(steps_seen, (1..=HORIZON).collect());
+    spaces
 }
 
 #[test]
@@ -96,43 +145,8 @@ fn every_public_topic_reaches_a_real_ros_2() {
         latent_stamps.intersection(&camera).count() >= 10,
         "latents carry the capture times of the frames: {latent_stamps:?} of {camera:?}"
     );
-    let mut spaces = BTreeSet::new();
-    for latent in messages(&report, "/wm/latent") {
-        let numbers =
-            integer(&latent["height"]) * integer(&latent["width"]) * integer(&latent["channels"]);
-        assert_eq!(latent["dtype"], 1, "f16 is the default");
-        assert_eq!(integer(&latent["data"]["len"]), numbers * 2);
-        spaces.insert(latent["space"].to_string());
-    }
-
-    let mut steps_seen = BTreeSet::new();
-    for prediction in messages(&report, "/wm/predicted") {
-        let step = prediction["step"].as_u64().expect("a step");
-        steps_seen.insert(step);
-        let observed = integer(&prediction["observed_stamp"]);
-        assert_eq!(
-            integer(&prediction["header"]["stamp"]) - observed,
-            step as i64 * MODEL_STEP_NS
-        );
-        assert_eq!(integer(&prediction["step_period"]), MODEL_STEP_NS);
-        assert_eq!(prediction["horizon"], HORIZON);
-        assert_eq!(prediction["latent"]["header"], prediction["header"]);
-        spaces.insert(prediction["latent"]["space"].to_string());
-        assert!(
-            !prediction["actions"]
-                .as_array()
-                .expect("actions")
-                .is_empty()
-        );
-        for action in prediction["actions"].as_array().expect("actions") {
-            assert_finite(&action["values"]);
-        }
-        assert!(integer(&prediction["received_stamp"]) >= observed);
-        assert!(integer(&prediction["ready_stamp"]) >= integer(&prediction["received_stamp"]));
-        assert_eq!(prediction["model_hash"].as_str().map(str::len), Some(64));
-        assert!(prediction["integration_steps"].as_u64() >= Some(1));
-    }
-    assert_eq!(steps_seen, (1..=HORIZON).collect());
+    let mut spaces = spaces_of_latents(&report);
+    spaces.extend(spaces_of_predictions(&report));
     assert_eq!(
         spaces.len(),
         1,
@@ -305,5 +319,125 @@ fn parameters_are_visible_and_guarded() {
     assert!(
         status.success(),
         "a node that is asked to stop exits with 0, not {status}"
+    );
+}
+
+#[test]
+fn a_node_tells_its_types_and_loggers_and_changes_parameters_whole() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let _decoder = Process::start(wm(domain, &["decoder"]));
+    let args = ["--seconds", "20", "/wm/decoder"];
+    let peer = Process::start(rclpy(&peers, domain, "introspection.py", &args));
+    let (status, stdout) = peer.finish(Duration::from_secs(60));
+    assert!(status.success(), "introspection.py: {status}");
+    let answer: Value = serde_json::from_str(&stdout).expect("introspection.py prints JSON");
+
+    let described = &answer["of_node"];
+    assert_eq!(described["successful"], true, "{described}");
+    assert_eq!(described["parts"], answer["of_installation"]);
+    assert_eq!(answer["unused"]["successful"], false);
+
+    let loggers = &answer["loggers"];
+    assert_eq!(loggers["before"][""], 20, "{loggers}");
+    assert_eq!(loggers["set"][0][0], true, "{loggers}");
+    assert_eq!(loggers["set"][1][0], false, "25 is no level: {loggers}");
+    assert_eq!(loggers["after"]["wm_ros.dds"], 10, "{loggers}");
+    assert_eq!(loggers["after"]["wm.encoder"], 0, "{loggers}");
+
+    let changes = answer["atomic"].as_array().expect("three answers");
+    let [out_of_range, read_only, right] = &changes[..] else {
+        panic!("{changes:?}")
+    };
+    for (change, name) in [(out_of_range, "jpeg_quality"), (read_only, "decode_period")] {
+        assert_eq!(change["successful"], false, "{change}");
+        assert!(change["reason"].as_str().expect("text").contains(name));
+        assert_eq!(change["steps"], serde_json::json!([]), "none was made");
+    }
+    assert_eq!(right["successful"], true, "{right}");
+    assert_eq!(right["steps"], serde_json::json!([4, 8]));
+    assert_eq!(right["jpeg_quality"], 70);
+    // integer array, integer, double
+    assert_eq!(answer["types"], serde_json::json!([7, 2, 3]));
+    let descriptors = &answer["descriptors"];
+    assert_eq!(descriptors[1]["integers"], serde_json::json!([[1, 100]]));
+    assert_eq!(
+        descriptors[2]["doubles"],
+        serde_json::json!([[0.0, 3600.0]])
+    );
+    assert_eq!(descriptors[2]["read_only"], true);
+    assert_eq!(descriptors[0]["read_only"], false);
+}
+
+#[test]
+fn a_node_is_driven_through_its_lifecycle() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let encoder = Process::start(wm(
+        domain,
+        &["encoder", "--ros-args", "-p", "autostart:=false"],
+    ));
+    let asked = [
+        ("activate", false, "unconfigured"),
+        ("configure", true, "inactive"),
+        ("activate", true, "active"),
+        ("configure", false, "active"),
+        ("deactivate", true, "inactive"),
+        ("activate", true, "active"),
+        ("deactivate", true, "inactive"),
+        ("cleanup", true, "unconfigured"),
+        ("configure", true, "inactive"),
+        ("shutdown", true, "finalized"),
+    ];
+    let mut args = vec!["--seconds", "20", "--output"];
+    args.extend(["/wm/latent:wm_msgs/msg/Latent", "/wm/encoder"]);
+    args.extend(asked.map(|(label, ..)| label));
+    let peer = Process::start(rclpy(&peers, domain, "lifecycle.py", &args));
+    let (status, stdout) = peer.finish(Duration::from_secs(120));
+    assert!(status.success(), "lifecycle.py: {status}");
+    let answer: Value = serde_json::from_str(&stdout).expect("lifecycle.py prints JSON");
+
+    let made = answer["made"].as_array().expect("an answer to each");
+    assert_eq!(made.len(), asked.len());
+    for (step, (label, success, state)) in made.iter().zip(asked) {
+        assert_eq!(step["success"], success, "{label}: {step}");
+        if label != "shutdown" {
+            assert_eq!(step["state"], state, "{label}: {step}");
+            let messages = step["messages"].as_u64().expect("a count");
+            assert_eq!(messages >= 3, state == "active", "latents after {step}");
+            assert!(state == "active" || messages == 0, "latents after {step}");
+        }
+    }
+    assert_eq!(
+        made[1]["available"],
+        serde_json::json!(["cleanup", "activate", "shutdown"])
+    );
+    // Each transition that was made is two steps.
+    let goals: Vec<&str> = answer["events"]
+        .as_array()
+        .expect("events")
+        .iter()
+        .map(|event| event[1][1].as_str().expect("a label"))
+        .collect();
+    let expected = asked.iter().filter(|(_, success, _)| *success);
+    let expected: Vec<&str> = expected
+        .flat_map(|(label, _, state)| {
+            let during = match *label {
+                "configure" => "configuring",
+                "activate" => "activating",
+                "deactivate" => "deactivating",
+                "cleanup" => "cleaningup",
+                _ => "shuttingdown",
+            };
+            [during, *state]
+        })
+        .collect();
+    assert_eq!(goals, expected);
+    assert_eq!(answer["of_node"], answer["of_rclpy"]);
+
+    let (status, _) = encoder.finish(Duration::from_secs(10));
+    assert!(
+        status.success(),
+        "a node that is shut down exits with 0, not {status}"
     );
 }

@@ -2,7 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
+mod bags;
+mod cyclone;
 mod exit_codes;
+mod faults;
 mod harness;
 mod interop;
+mod packages;
+mod policy;
 mod replay;

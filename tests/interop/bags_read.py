@@ -61,17 +61,19 @@ def main(bag):
             by_rosbags.append([connection.topic, connection.msgtype, time, sha256(data)])
             decoded.append(plain(store.deserialize_cdr(data, connection.msgtype), store))
 
-    [file] = Path(bag).glob("*.mcap")
-    with file.open("rb") as stream:
-        for _ in StreamReader(stream, validate_crcs=True).records:
-            pass
-    with file.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        assert reader.get_header().profile == "ros2", reader.get_header().profile
-        messages = reader.iter_decoded_messages(log_time_order=True)
-        for number, (schema, channel, message, value) in enumerate(messages):
-            by_mcap.append([channel.topic, schema.name, message.log_time, sha256(message.data)])
-            assert plain(value, store) == decoded[number], (number, plain(value, store), decoded[number])
+    # A bag of several files: each stands by itself, and one comes after the other in time.
+    files = sorted(Path(bag).glob("*.mcap"), key=lambda file: int(file.stem.rsplit("_", 1)[1]))
+    for file in files:
+        with file.open("rb") as stream:
+            for _ in StreamReader(stream, validate_crcs=True).records:
+                pass
+        with file.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            assert reader.get_header().profile == "ros2", reader.get_header().profile
+            for schema, channel, message, value in reader.iter_decoded_messages(log_time_order=True):
+                expected = decoded[len(by_mcap)]
+                by_mcap.append([channel.topic, schema.name, message.log_time, sha256(message.data)])
+                assert plain(value, store) == expected, (len(by_mcap), plain(value, store), expected)
 
     print(json.dumps({"rosbags": by_rosbags, "mcap": by_mcap, "qos": qos, "counts": counts}))
 

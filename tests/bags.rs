@@ -1,0 +1,273 @@
+//! Player and recorder under the control of a real rclpy.
+
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use wm_bag::BagReader;
+
+use crate::harness::{Process, Signal, WM, bundled_bag, fresh_domain, peers, rclpy, wm};
+
+fn steps(peers: &std::path::Path, domain: u16, args: &[&str]) -> Vec<Value> {
+    let args = [&["--seconds", "30"], args].concat();
+    let peer = Process::start(rclpy(peers, domain, "rosbag2.py", &args));
+    let (status, stdout) = peer.finish(Duration::from_secs(120));
+    assert!(status.success(), "rosbag2.py: {status}");
+    serde_json::from_str(&stdout).expect("rosbag2.py prints JSON")
+}
+
+fn came(step: &Value) -> u64 {
+    let counts = step["messages"].as_object().expect("counts by topic");
+    counts.values().filter_map(Value::as_u64).sum()
+}
+
+/// The times on `/clock` after a call \[ns\]: there are some, and they do not go back.
+fn clock(step: &Value) -> Vec<u64> {
+    let times = step["clock"].as_array().expect("times").iter();
+    let times: Vec<u64> = times.filter_map(Value::as_u64).collect();
+    assert!(!times.is_empty() && times.is_sorted(), "{step}");
+    times
+}
+
+#[test]
+fn a_player_is_paused_stepped_and_sought_by_a_real_ros_2() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let bag = bundled_bag();
+    let reader = BagReader::open(&bag).expect("the bundled bag");
+    let (start, end) = (reader.start_ns(), reader.end_ns());
+    let actions = reader.topic("/wm/action").expect("actions").message_count;
+    let _player = Process::start(wm(
+        domain,
+        &[
+            "bag",
+            "play",
+            &bag.to_string_lossy(),
+            "--start-paused",
+            "--clock",
+            "100",
+            "--topics",
+            "/wm/action",
+            "--ros-args",
+            "-p",
+            "linger:=120.0",
+        ],
+    ));
+    let time =
+        |ns: u64| json!({"time": {"sec": ns / 1_000_000_000, "nanosec": ns % 1_000_000_000}});
+    let seek = |ns: u64| format!("seek={}", time(ns));
+    let (back, behind) = (seek(start), seek(end + 1));
+    let asked = [
+        "is_paused",
+        "play_next",
+        r#"burst={"num_messages": 3}"#,
+        "get_rate",
+        r#"set_rate={"rate": -1.0}"#,
+        r#"set_rate={"rate": 2.0}"#,
+        "resume",
+        "play_next",
+        "pause",
+        back.as_str(),
+        behind.as_str(),
+        "burst",
+        "toggle_paused",
+        "stop",
+        "play",
+        "play",
+        "is_paused",
+    ];
+    let mut args = vec!["--topic", "/wm/action:wm_msgs/msg/Action", "/wm/player"];
+    args.extend(asked);
+    let made = steps(&peers, domain, &args);
+    let answers: Vec<&Value> = made.iter().map(|step| &step["response"]).collect();
+    let nothing = json!({});
+    let success = |success: bool| json!({ "success": success });
+    assert_eq!(
+        [answers[0], answers[1], answers[2], answers[3]],
+        [
+            &json!({"paused": true}),
+            &success(true),
+            &json!({"actually_burst": 3}),
+            &json!({"rate": 1.0})
+        ]
+    );
+    assert_eq!([answers[4], answers[5]], [&success(false), &success(true)]);
+    assert_eq!([answers[6], answers[8], answers[13]], [&nothing; 3]);
+    assert_eq!(answers[7], &success(false), "it is not paused");
+    assert_eq!([answers[9], answers[10]], [&success(true), &success(false)]);
+    assert_eq!(answers[11], &json!({ "actually_burst": actions }));
+    assert_eq!(
+        [answers[14], answers[15]],
+        [&success(true), &success(false)]
+    );
+
+    // nothing comes from a paused player but what is asked for, and its clock stands
+    assert_eq!(clock(&made[0]).last(), Some(&start));
+    assert_eq!((came(&made[0]), came(&made[1]), came(&made[2])), (0, 1, 3));
+    let stands = clock(&made[3]);
+    assert_eq!(stands.first(), stands.last());
+    assert!(came(&made[6]) > 0);
+    let runs = clock(&made[6]);
+    let ran = runs[runs.len() - 1] - runs[0];
+    assert!(
+        (500_000_000..2_000_000_000).contains(&ran),
+        "half a second at rate 2, not {ran} ns"
+    );
+    assert_eq!(clock(&made[9]).last(), Some(&start), "the clock went back");
+    assert_eq!(came(&made[11]), actions);
+    assert_eq!(clock(&made[11]).last().map(|last| *last <= end), Some(true));
+    assert_eq!(made[13]["clock"], json!([]), "no clock without playback");
+    assert!(came(&made[14]) + came(&made[15]) > 0);
+}
+
+#[test]
+fn keys_control_a_player_in_a_terminal_which_is_then_as_it_was() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let bag = bundled_bag();
+    let bag = bag.to_string_lossy();
+    let args = [
+        "--seconds",
+        "30",
+        "/wm/player",
+        WM,
+        "bag",
+        "play",
+        &bag,
+        "-p",
+        "--loop",
+    ];
+    let peer = Process::start(rclpy(&peers, domain, "keys.py", &args));
+    let (status, stdout) = peer.finish(Duration::from_secs(120));
+    assert!(status.success(), "keys.py: {status}");
+    let answer: Value = serde_json::from_str(&stdout).expect("keys.py prints JSON");
+    assert_eq!(
+        answer,
+        json!({
+            "states": [
+                ["", true, 1.0], ["space", false, 1.0], ["up", false, 1.1], ["down", false, 1.0], ["x", false, 1.0],
+                ["space again", true, 1.0],
+            ],
+            "changed": true,
+            "code": 0,
+            "restored": true,
+        })
+    );
+}
+
+#[test]
+fn a_recorder_is_paused_split_and_begins_another_bag() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let at = |name: &str| dir.path().join(name).to_string_lossy().into_owned();
+    let first = at("first");
+    let recorder = Process::start(wm(
+        domain,
+        &["bag", "record", "-e", "^/count", "-o", &first],
+    ));
+    let again = format!(r#"record={{"uri": "{}"}}"#, at("second"));
+    let taken = format!(r#"record={{"uri": "{first}"}}"#);
+    let asked = [
+        "is_paused",
+        "pause",
+        "is_paused",
+        "resume",
+        "split_bagfile",
+        &again,
+        "stop",
+        &taken,
+        &again,
+        "pause",
+    ];
+    let mut args = vec!["--publish", "/count", "/wm/recorder"];
+    args.extend(asked);
+    let made = steps(&peers, domain, &args);
+    let answers: Vec<&Value> = made.iter().map(|step| &step["response"]).collect();
+    assert_eq!(answers[0]["paused"], false);
+    assert_eq!(answers[2]["paused"], true);
+    assert_eq!(
+        [answers[1], answers[3], answers[4], answers[6]],
+        [&json!({}); 4]
+    );
+    assert_eq!(answers[5]["return_code"], 1, "it is recording");
+    assert_eq!(answers[7]["return_code"], 1, "there is a bag already");
+    assert!(
+        answers[7]["error_string"]
+            .as_str()
+            .expect("text")
+            .contains("first")
+    );
+    assert_eq!(answers[8], &json!({"return_code": 0, "error_string": ""}));
+    recorder.signal(Signal::INT);
+    let (status, stdout) = recorder.finish(Duration::from_secs(10));
+    assert!(
+        status.success(),
+        "nothing was lost, so not {status}: {stdout}"
+    );
+    assert_eq!(stdout.matches("recorded ").count(), 2, "{stdout}");
+
+    let numbers = |bag: &str| -> Vec<u64> {
+        let reader = BagReader::open(bag).expect("a bag");
+        let texts = reader.messages().map(|message| {
+            let message = message.expect("a message");
+            message.decode::<wm_msgs::std_msgs::String>().expect("text")
+        });
+        texts
+            .map(|text| text.data.parse().expect("a number"))
+            .collect()
+    };
+    let of_first = numbers(&first);
+    let gaps: Vec<u64> = of_first.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let longest = gaps.iter().max().expect("numbers");
+    assert!(
+        *longest >= 30,
+        "a second of 50 Hz was left out, not {longest}"
+    );
+    assert_eq!(gaps.iter().filter(|gap| **gap > 1).count(), 1, "{gaps:?}");
+    assert_eq!(
+        std::fs::read_dir(&first).expect("a folder").count(),
+        3,
+        "two files and their metadata"
+    );
+    let of_second = numbers(&at("second"));
+    assert!(of_second.first() > of_first.last());
+}
+
+#[test]
+fn a_snapshot_holds_what_came_before_it() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let bag = dir.path().join("last").to_string_lossy().into_owned();
+    // a message counts its own few bytes and a good hundred for keeping it
+    let args = [
+        "bag",
+        "record",
+        "/count",
+        "-o",
+        &bag,
+        "--snapshot-mode",
+        "--max-cache-size",
+        "2000",
+    ];
+    let recorder = Process::start(wm(domain, &args));
+    let asked = [
+        "--publish",
+        "/count",
+        "/wm/recorder",
+        "is_paused",
+        "snapshot",
+        "is_paused",
+    ];
+    let made = steps(&peers, domain, &asked);
+    assert_eq!(made[1]["response"], json!({"success": true}));
+    recorder.signal(Signal::INT);
+    let (status, stdout) = recorder.finish(Duration::from_secs(10));
+    assert!(status.success(), "{status}: {stdout}");
+    let reader = BagReader::open(&bag).expect("a bag");
+    let count = reader.message_count();
+    assert!(
+        (5..50).contains(&count),
+        "the last few of a second's 50, not {count}"
+    );
+}

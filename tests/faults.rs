@@ -1,0 +1,386 @@
+//! What goes wrong beside a node: subscribers that stop or are slow, nodes that are killed, and the end that is asked
+//! for. The test itself is a node of the graph, and sees what an operator sees.
+
+// Each test has a runtime of its own, in which nobody else asks for the lock.
+#![allow(clippy::await_holding_lock)]
+
+use std::{
+    path::Path,
+    process::Stdio,
+    time::{Duration, Instant},
+};
+
+use wm_bag::{BagReader, BagWriter, QosProfile, Reliability, WriterOptions};
+use wm_msgs::{
+    Message,
+    diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},
+    std_msgs,
+    wm_msgs::{Latent, Prediction},
+};
+use wm_ros::{Context, Environment, Node, NodeArgs, Qos, Reach, Subscription};
+
+use crate::harness::{
+    Process, Signal, bundled_bag, children, fresh_domain, resident, wait_until, whole_suite, wm,
+};
+
+/// Far above anything that a working suite takes; it only ends a test that hangs.
+const PATIENCE: Duration = Duration::from_secs(60);
+const MIB: u64 = 1 << 20;
+/// How long a subscriber is stopped.
+const STOP: Duration = Duration::from_secs(12);
+
+fn observer(domain_id: u16) -> (Context, Node) {
+    let context = Context::new(&Environment {
+        domain_id,
+        reach: Reach::Localhost,
+    })
+    .expect("a place in the graph");
+    let args = NodeArgs::parse(Vec::<String>::new()).expect("no arguments");
+    let node = Node::new(&context, "observer", "/test", &args).expect("a node");
+    (context, node)
+}
+
+async fn next<M: Message>(subscription: &mut Subscription<M>) -> M {
+    let received = tokio::time::timeout(PATIENCE, subscription.recv()).await;
+    received
+        .unwrap_or_else(|_| panic!("nothing on {} for {PATIENCE:?}", subscription.topic()))
+        .expect("the observer is not shut down")
+        .message
+}
+
+/// Waits for a status of this name that is as wanted.
+async fn diagnosed(
+    diagnostics: &mut Subscription<DiagnosticArray>,
+    name: &str,
+    is_wanted: impl Fn(&DiagnosticStatus) -> bool,
+) -> DiagnosticStatus {
+    let start = Instant::now();
+    loop {
+        let array = next(diagnostics).await;
+        let found = array.status.into_iter().find(|status| status.name == name);
+        if let Some(status) = found.filter(|status| is_wanted(status)) {
+            return status;
+        }
+        assert!(start.elapsed() < PATIENCE, "{name} is not as wanted");
+    }
+}
+
+/// A topic of large messages.
+struct Heavy {
+    bytes: usize,
+    hz: u64,
+    qos: QosProfile,
+    /// What the publisher may grow by beyond what it sends meanwhile \[byte\].
+    growth: u64,
+}
+
+/// Two seconds of the topic, each message with its number.
+fn heavy_bag(path: &Path, heavy: &Heavy) {
+    let mut bag = BagWriter::create(path, WriterOptions::default()).expect("a new bag");
+    bag.add_topic::<std_msgs::String>("/heavy", heavy.qos)
+        .expect("a new topic");
+    for index in 0..2 * heavy.hz {
+        let data = format!("{index:04}{}", "x".repeat(heavy.bytes));
+        let message = std_msgs::String { data };
+        let time_ns = 1_700_000_000_000_000_000 + index * 1_000_000_000 / heavy.hz;
+        bag.write("/heavy", &message, time_ns).expect("a message");
+    }
+    bag.finish().expect("the bag's end");
+}
+
+/// Twice a latent of the bundled model, four times as often as a camera.
+#[tokio::test(flavor = "current_thread")]
+async fn a_stopped_reliable_subscriber_costs_its_publisher_what_it_misses() {
+    stopped_subscriber(Heavy {
+        bytes: 8_192,
+        hz: 20,
+        qos: QosProfile::reliable(),
+        growth: 8 * MIB,
+    })
+    .await;
+}
+
+/// As native semantic latents are: 16 x 16 x 1024 in f16 at 5 Hz.
+#[tokio::test(flavor = "current_thread")]
+async fn a_stopped_best_effort_subscriber_costs_its_publisher_nothing() {
+    stopped_subscriber(Heavy {
+        bytes: 524_288,
+        hz: 5,
+        qos: QosProfile::sensor_data(),
+        growth: 8 * MIB,
+    })
+    .await;
+}
+
+async fn stopped_subscriber(heavy: Heavy) {
+    let _alone = whole_suite();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let (bag, recorded) = (dir.path().join("heavy"), dir.path().join("recorded"));
+    heavy_bag(&bag, &heavy);
+    let domain = fresh_domain();
+    let (_context, node) = observer(domain);
+    let is_reliable = heavy.qos.reliability == Reliability::Reliable;
+    let qos = |depth| match is_reliable {
+        true => Qos::reliable(depth),
+        false => Qos::best_effort(depth),
+    };
+    let mut others = node
+        .subscription::<std_msgs::String>("/heavy", qos(1000))
+        .expect("a subscription");
+    let mut slow = node
+        .subscription::<std_msgs::String>("/heavy", qos(2))
+        .expect("a subscription");
+    let player = Process::start(wm(
+        domain,
+        &["bag", "play", "--loop", &bag.to_string_lossy()],
+    ));
+    let record = ["bag", "record", "--compression-format", "none", "-o"];
+    let what = [recorded.to_str().expect("a path in UTF-8"), "/heavy"];
+    let recorder = Process::start(wm(domain, &[&record[..], &what].concat()));
+    let file = recorded.join("recorded_0.mcap");
+    let size = || file.metadata().map_or(0, |metadata| metadata.len());
+    wait_until("a recording", PATIENCE, || size() > heavy.bytes as u64);
+    // What the publisher needs when all listen: it reads its bag ahead, again and again.
+    let (before, _) = most_resident(&player, &mut others).await;
+    recorder.signal(Signal::STOP);
+    let (most, received) = most_resident(&player, &mut others).await;
+    let (grown, sent) = (most.saturating_sub(before), received * heavy.bytes as u64);
+    println!(
+        "a subscriber stopped for {STOP:?}: {received} messages, {} MiB, sent to others; the publisher had {} MiB \
+         at most, {} MiB before",
+        sent / MIB,
+        most / MIB,
+        before / MIB
+    );
+    // A reliable publisher keeps what is missed, up to its window; others keep nothing.
+    let kept = if is_reliable { sent } else { 0 };
+    assert!(grown < kept + heavy.growth, "{} MiB", grown / MIB);
+    let expected = STOP.as_secs() * heavy.hz;
+    assert!(
+        received > expected * 8 / 10,
+        "{received} of {expected} came to the other subscriber"
+    );
+    assert_eq!((others.lost(), others.dropped()), (0, 0));
+
+    // A subscriber that never reads holds its queue, and gets the newest when it does.
+    assert!(slow.dropped() >= received, "{} dropped", slow.dropped());
+    assert_eq!(slow.lost(), 0);
+    let waiting = std::iter::from_fn(|| slow.try_recv()).count();
+    assert_eq!(waiting, 2);
+
+    // The DDS library does not survive a stop; the node notices and ends, and who supervises it starts it again.
+    recorder.signal(Signal::CONT);
+    let continued = Instant::now();
+    let (status, _) = recorder.finish(Duration::from_secs(10));
+    assert_eq!(status.code(), Some(1), "{status}");
+    let reader = BagReader::open(&recorded).expect("what was recorded before the stop");
+    assert!(reader.messages().all(|message| message.is_ok()));
+    println!(
+        "the stopped process has ended {:?} after it went on",
+        continued.elapsed()
+    );
+
+    let mut newest = node
+        .subscription::<std_msgs::String>("/heavy", qos(1))
+        .expect("a subscription");
+    next(&mut newest).await;
+    println!(
+        "a subscriber in its place has the newest after {:?}",
+        continued.elapsed()
+    );
+    for _ in 0..heavy.hz {
+        next(&mut others).await;
+    }
+    assert_eq!((others.lost(), others.dropped()), (0, 0));
+}
+
+/// Reads for as long as a stop lasts; the most memory that the publisher had meanwhile \[byte\], and the messages that came.
+async fn most_resident(
+    publisher: &Process,
+    subscription: &mut Subscription<std_msgs::String>,
+) -> (u64, u64) {
+    let (start, mut most, mut received) = (Instant::now(), 0, 0);
+    while start.elapsed() < STOP {
+        next(subscription).await;
+        received += 1;
+        most = most.max(resident(publisher.pid()));
+    }
+    (most, received)
+}
+
+/// Starts the launch with its messages in `log`, and gives the process.
+fn launch(domain: u16, arguments: &[&str], log: &Path) -> Process {
+    let mut command = wm(domain, &[&["launch"][..], arguments].concat());
+    let file = std::fs::File::create(log).expect("a new file");
+    command.stderr(Stdio::from(file));
+    Process::start(command)
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn a_killed_node_is_back_at_work_within_five_seconds() {
+    let _alone = whole_suite();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let (log, output) = (dir.path().join("log"), dir.path().join("out"));
+    let domain = fresh_domain();
+    let (_context, node) = observer(domain);
+    let mut latents = node
+        .subscription::<Latent>("/wm/latent", Qos::best_effort(100))
+        .expect("a subscription");
+    let mut predictions = node
+        .subscription::<Prediction>("/wm/predicted", Qos::best_effort(1000))
+        .expect("a subscription");
+    let suite = launch(
+        domain,
+        &[
+            "launch-configs/live.launch.yaml",
+            &format!("output:={}", output.display()),
+        ],
+        &log,
+    );
+    let bag = bundled_bag();
+    let _player = Process::start(wm(
+        domain,
+        &["bag", "play", "--loop", &bag.to_string_lossy()],
+    ));
+    next(&mut predictions).await;
+    let before = children(suite.pid());
+    let find = |name: &str| {
+        let named = before
+            .iter()
+            .find(|(_, command)| command.iter().any(|word| word == name));
+        named.map(|(pid, _)| *pid).expect("a process of the launch")
+    };
+
+    rustix::process::kill_process(find("encoder"), Signal::KILL).expect("it runs");
+    let killed = Instant::now();
+    // A rollout of its last latent may be under way, and is at its end when nothing came for this long.
+    let quiet = Duration::from_millis(300);
+    while tokio::time::timeout(quiet, predictions.recv())
+        .await
+        .is_ok()
+    {
+        assert!(killed.elapsed() < PATIENCE, "the encoder was not killed");
+    }
+    while latents.try_recv().is_some() {}
+    next(&mut predictions).await;
+    let predicted_after = killed.elapsed();
+    next(&mut latents).await;
+    println!(
+        "encoder killed: predictions again after {predicted_after:?}, a bystander has a latent after {:?}",
+        killed.elapsed()
+    );
+    assert!(
+        predicted_after < Duration::from_secs(5),
+        "{predicted_after:?}"
+    );
+
+    let after = children(suite.pid());
+    for name in ["predictor", "decoder", "planner", "monitor"] {
+        let (pid, _) = after
+            .iter()
+            .find(|(_, command)| command.iter().any(|word| word == name))
+            .expect("it goes on");
+        assert_eq!(*pid, find(name), "{name} is another process");
+    }
+    let said = std::fs::read_to_string(&log).expect("the launch's log");
+    assert!(
+        said.contains("encoder-1 failed: signal 9 (SIGKILL)")
+            && said.contains("encoder-1 is started again (no. 1)"),
+        "{said}"
+    );
+    suite.signal(Signal::INT);
+    suite.finish(Duration::from_secs(20));
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn who_misses_a_killed_node_says_so() {
+    let _alone = whole_suite();
+    let domain = fresh_domain();
+    let (_context, node) = observer(domain);
+    let mut diagnostics = node
+        .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(100))
+        .expect("a subscription");
+    let encoder = Process::start(wm(domain, &["encoder"]));
+    let _predictor = Process::start(wm(domain, &["predictor"]));
+    let bag = bundled_bag();
+    let _player = Process::start(wm(
+        domain,
+        &["bag", "play", "--loop", &bag.to_string_lossy()],
+    ));
+    let input = "wm/predictor: input latents";
+    let is = |level: u8| move |status: &DiagnosticStatus| status.level == level;
+    let comes = |status: &DiagnosticStatus| status.message == "latents come";
+    diagnosed(&mut diagnostics, input, comes).await;
+
+    encoder.signal(Signal::KILL);
+    let killed = Instant::now();
+    let warned = diagnosed(&mut diagnostics, input, is(DiagnosticStatus::WARN)).await;
+    let warned_after = killed.elapsed();
+    let status = diagnosed(&mut diagnostics, input, is(DiagnosticStatus::ERROR)).await;
+    println!(
+        "encoder killed: WARN after {warned_after:?}, ERROR after {:?}: {}",
+        killed.elapsed(),
+        status.message
+    );
+    assert!(
+        status.message.contains("no latents on /wm/latent for"),
+        "{status:?}"
+    );
+    assert!(
+        warned.message.contains("silent") || warned.message.contains("start the encoder"),
+        "{warned:?}"
+    );
+    // The node's own status, which simple tools show, is as bad.
+    let is_said = |status: &DiagnosticStatus| status.message.contains("no latents");
+    let own = diagnosed(&mut diagnostics, "wm/predictor", is_said).await;
+    assert_eq!(own.level, DiagnosticStatus::ERROR);
+
+    let _encoder = Process::start(wm(domain, &["encoder"]));
+    diagnosed(&mut diagnostics, input, comes).await;
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn every_node_ends_within_two_seconds_of_either_signal() {
+    let _alone = whole_suite();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let bag = format!("bag:=\"{}\"", bundled_bag().display());
+    for (index, signal) in [Signal::INT, Signal::TERM].into_iter().enumerate() {
+        let domain = fresh_domain();
+        let (_context, node) = observer(domain);
+        let mut diagnostics = node
+            .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(100))
+            .expect("a subscription");
+        let output = |name: &str| format!("output:={}/{name}{index}", dir.path().display());
+        let (recorded, report) = (output("bag"), output("report"));
+        let nodes: [(&str, Vec<&str>); 7] = [
+            ("encoder", vec![]),
+            ("predictor", vec![]),
+            ("decoder", vec![]),
+            ("planner", vec![]),
+            ("monitor", vec![report.as_str()]),
+            ("recorder", vec![recorded.as_str(), "topics:=[/nothing]"]),
+            ("player", vec![bag.as_str(), "loop:=true"]),
+        ];
+        let mut running = Vec::new();
+        for (name, parameters) in nodes {
+            let mut args = vec![name, "--ros-args"];
+            for parameter in parameters {
+                args.extend(["-p", parameter]);
+            }
+            running.push((name, Process::start(wm(domain, &args))));
+        }
+        for (name, process) in running {
+            // A managed node first loads its weights.
+            let is_active = |status: &DiagnosticStatus| {
+                let message = status.message.as_str();
+                !message.starts_with("unconfigured") && !message.starts_with("inactive")
+            };
+            diagnosed(&mut diagnostics, &format!("wm/{name}"), is_active).await;
+            process.signal(signal);
+            let asked = Instant::now();
+            let (status, _) = process.finish(Duration::from_secs(2));
+            println!("{name}: gone {:?} after {signal:?}", asked.elapsed());
+            assert!(status.success(), "{name} ended with {status} on {signal:?}");
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! A policy in the loop: the examples, as a user starts them, within the world model.
+
+use std::{collections::BTreeSet, process::Command, time::Duration};
+
+use serde_json::Value;
+use wm_bag::BagReader;
+use wm_msgs::{sensor_msgs::CompressedImage, wm_msgs::Action};
+
+use crate::harness::{Process, bundled_bag, fresh_domain, peers, rclpy, root, wm};
+
+const STEPS: u64 = 50;
+/// One model step of the embedded default, and the camera-rate actions that it takes.
+const STEP_NS: i64 = 400_000_000;
+const ACTIONS: u64 = 2;
+
+fn count(reader: &BagReader, topic: &str) -> u64 {
+    reader.topic(topic).map_or(0, |topic| topic.message_count)
+}
+
+/// An episode's bag has all its images and actions, whose stamps run through, and says where it came from.
+fn check_episode(reader: &BagReader, seed: &str) {
+    assert_eq!(count(reader, "/camera/image_raw/compressed"), STEPS + 1);
+    assert_eq!(count(reader, "/wm/action"), STEPS * ACTIONS);
+    assert_eq!(count(reader, "/wm/predicted"), STEPS);
+    assert_eq!(count(reader, "/task/instruction"), 1);
+    assert_eq!(reader.note("wm.env.seed"), Some(seed));
+    assert_eq!(reader.note("wm.model_hash").map(str::len), Some(64));
+    let mut images = Vec::new();
+    let mut actions = Vec::new();
+    for message in reader.messages() {
+        let message = message.unwrap();
+        match &*message.topic {
+            "/camera/image_raw/compressed" => {
+                let image: CompressedImage = message.decode().unwrap();
+                images.push((image.header.stamp.to_nanos(), image.data));
+            }
+            "/wm/action" => {
+                let action: Action = message.decode().unwrap();
+                assert_eq!(action.header.frame_id, "base_link");
+                actions.push(action.header.stamp.to_nanos());
+            }
+            _ => {}
+        }
+    }
+    let first = images[0].0;
+    let stamps: Vec<i64> = images.iter().map(|(stamp, _)| stamp - first).collect();
+    let expected: Vec<i64> = (0..=STEPS as i64).map(|k| k * STEP_NS).collect();
+    assert_eq!(stamps, expected);
+    let taken: Vec<i64> = actions.iter().map(|stamp| stamp - first).collect();
+    let expected: Vec<i64> = (0..(STEPS * ACTIONS) as i64)
+        .map(|k| k * STEP_NS / ACTIONS as i64)
+        .collect();
+    assert_eq!(taken, expected);
+    let different: BTreeSet<_> = images.into_iter().map(|(_, data)| data).collect();
+    assert!(
+        different.len() as u64 > STEPS / 2,
+        "the pictures change: {}",
+        different.len()
+    );
+}
+
+#[test]
+fn a_scripted_policy_plays_an_episode_by_topics() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let folder = tempfile::tempdir().unwrap();
+    let output = format!("output:={}", folder.path().display());
+    let bag = format!("bag:=\"{}\"", bundled_bag().display());
+    let env = Process::start(wm(
+        domain,
+        &[
+            "env",
+            "--ros-args",
+            "-p",
+            &bag,
+            "-p",
+            "bag_offset:=1.0",
+            "-p",
+            "episodes:=1",
+            "-p",
+            "rate:=20.0",
+            "-p",
+            "seed:=5",
+            "-p",
+            &output,
+        ],
+    ));
+    let images = (STEPS + 1).to_string();
+    let policy = Process::start(rclpy(
+        &peers,
+        domain,
+        "../../examples/scripted_policy.py",
+        &["--images", &images],
+    ));
+    let (status, _) = env.finish(Duration::from_secs(180));
+    assert!(
+        status.success(),
+        "wm env ends after its episode with 0, not {status}"
+    );
+    let (status, _) = policy.finish(Duration::from_secs(30));
+    assert!(
+        status.success(),
+        "the policy has seen every image: {status}"
+    );
+    let reader = BagReader::open(folder.path().join("episode_000000")).unwrap();
+    check_episode(&reader, "5");
+}
+
+#[test]
+fn episodes_through_the_services_share_a_batch_and_are_alike() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let folder = tempfile::tempdir().unwrap();
+    let output = format!("output:={}", folder.path().display());
+    let _env = Process::start(wm(domain, &["env", "--ros-args", "-p", &output]));
+    let bag = bundled_bag();
+    let steps = STEPS.to_string();
+    let peer = Process::start(rclpy(
+        &peers,
+        domain,
+        "env_services.py",
+        &[
+            "--seconds",
+            "60",
+            "--bag",
+            bag.to_str().unwrap(),
+            "--steps",
+            &steps,
+            "left",
+            "right",
+        ],
+    ));
+    let (status, stdout) = peer.finish(Duration::from_secs(240));
+    assert!(status.success(), "env_services.py: {status}");
+    let answer: Value = serde_json::from_str(&stdout).unwrap();
+    for begun in answer["begun"].as_array().unwrap() {
+        assert_eq!(begun["success"], true, "{begun}");
+        assert_eq!(
+            (
+                begun["actions_per_step"].as_u64(),
+                begun["step_period"].as_i64()
+            ),
+            (Some(ACTIONS), Some(STEP_NS))
+        );
+        assert!(
+            !begun["instruction"].as_str().unwrap().is_empty(),
+            "the bag's"
+        );
+    }
+    assert_eq!(
+        answer["images"]["left"].as_array().unwrap().len() as u64,
+        STEPS + 1
+    );
+    assert_eq!(
+        answer["images"]["left"], answer["images"]["right"],
+        "one start, seed and actions"
+    );
+    assert_eq!(answer["steps"], serde_json::json!([STEPS, STEPS]));
+    assert_eq!(answer["refused"][0], false);
+    assert!(
+        answer["refused"][1]
+            .as_str()
+            .unwrap()
+            .contains("no episode \"nobody\"")
+    );
+    let timing: Vec<i64> = answer["timing"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|t| t.as_i64().unwrap())
+        .collect();
+    assert!(
+        timing[1] <= timing[2] && timing[2] <= timing[3],
+        "receive, start, end: {timing:?}"
+    );
+    for bag in answer["bags"].as_array().unwrap() {
+        let reader = BagReader::open(bag.as_str().unwrap()).unwrap();
+        check_episode(&reader, "3");
+        assert_eq!(count(&reader, "/task/success"), 1);
+    }
+}
+
+#[test]
+fn the_openvla_adapter_does_what_needs_no_weights() {
+    let Some(peers) = peers() else { return };
+    let mut tests = Command::new(peers.join("tools/bin/python"));
+    tests.arg(root().join("examples/test_openvla_policy.py"));
+    let (status, _) = Process::start(tests).finish(Duration::from_secs(60));
+    assert!(status.success(), "test_openvla_policy.py: {status}");
+}
