@@ -341,7 +341,7 @@ async fn who_misses_a_killed_node_says_so() {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn every_node_ends_in_order_on_either_signal() {
+async fn every_node_ends_within_two_seconds_of_either_signal() {
     let _alone = whole_suite();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
@@ -379,8 +379,7 @@ async fn every_node_ends_in_order_on_either_signal() {
             diagnosed(&mut diagnostics, &format!("wm/{name}"), is_active).await;
             process.signal(signal);
             let asked = Instant::now();
-            // Two seconds, and as much again where other tests compete for the processors.
-            let (status, _) = process.finish(Duration::from_secs(4));
+            let (status, _) = process.finish(Duration::from_secs(2));
             println!("{name}: gone {:?} after {signal:?}", asked.elapsed());
             assert!(status.success(), "{name} ended with {status} on {signal:?}");
         }

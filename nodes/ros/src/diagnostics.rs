@@ -342,7 +342,8 @@ impl State {
                     subject: format!("{MESSAGE_SIZE} of {topic}"),
                     level: Level::Warn,
                     message: format!(
-                        "{} subscriber(s) of another DDS implementation may miss messages of {len} bytes: on their machine,                          set net.core.rmem_max and net.core.rmem_default to 4194304 (README, Large messages)",
+                        "{} subscriber(s) of another DDS implementation may miss messages of {len} bytes: on their machine, \
+                         set net.core.rmem_max and net.core.rmem_default to 4194304 (README, Large messages)",
                         graph.foreign(id)
                     ),
                 });
