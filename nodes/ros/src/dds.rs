@@ -58,6 +58,8 @@ struct Shared {
     local: Local,
     /// Connections to other participants.
     matches: Mutex<Matches>,
+    /// Writers of other participants that have not gone.
+    writers: Mutex<BTreeSet<EndpointId>>,
     mismatches: Mismatches,
     is_on_loopback: bool,
     /// The largest answer to a client that is not on loopback \[byte\].
@@ -76,6 +78,11 @@ impl Shared {
             true => datagram::LARGEST_ON_LOOPBACK,
             false => self.largest_answer,
         }
+    }
+
+    /// Whether this writer of another participant is still there.
+    fn is_there(&self, writer: &EndpointId) -> bool {
+        lock(&self.writers).contains(writer)
     }
 
     /// Takes an endpoint off every list.
@@ -119,6 +126,7 @@ impl Dds {
             nodes: Nodes::announce(&participant, &publisher)?,
             local: Local::default(),
             matches: Mutex::default(),
+            writers: Mutex::default(),
             mismatches: Mismatches::default(),
             is_on_loopback: matches!(environment.reach, Reach::Localhost | Reach::Process),
             largest_answer: datagram::largest_answer(),
@@ -227,6 +235,7 @@ async fn follow(listener: rustdds::DomainParticipantStatusListener, shared: Arc<
             }
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
                 shared.mismatches.forget_other(&guid.to_bytes());
+                lock(&shared.writers).remove(&guid.to_bytes());
                 for others in lock(&shared.matches).values_mut() {
                     others.remove(&guid.to_bytes());
                 }
@@ -255,7 +264,10 @@ async fn follow(listener: rustdds::DomainParticipantStatusListener, shared: Arc<
                     .mismatches
                     .publisher(own, other, topic, &requested_qos, &offered_qos);
             }
-            Event::ReaderDetected { .. } | Event::WriterDetected { .. } => {}
+            Event::WriterDetected { writer } => {
+                lock(&shared.writers).insert(writer.guid.to_bytes());
+            }
+            Event::ReaderDetected { .. } => {}
             _ => continue,
         }
         shared.changed();
@@ -299,12 +311,14 @@ impl Backend for Dds {
     ) -> Result<Box<dyn Reader>, Error> {
         let qos = qos::for_reader(endpoint.qos);
         let topic = self.topic(endpoint, &qos)?;
+        let began = rustdds::Timestamp::now();
         let reader = self
             .subscriber
             .create_simple_datareader_no_key(&topic, Some(qos))
             .map_err(|error| Error::middleware(format!("subscribe to {}", endpoint.name), error))?;
         Ok(Box::new(DdsReader::new(
             reader,
+            began,
             endpoint,
             node,
             &self.shared,

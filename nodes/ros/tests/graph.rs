@@ -13,7 +13,7 @@ use wm_msgs::{
     std_msgs::{self, Bool},
     wm_msgs::{Reset, ResetRequest, ResetResponse},
 };
-use wm_ros::{Context, Descriptor, Environment, Node, NodeArgs, Qos, Reach};
+use wm_ros::{Context, Descriptor, Environment, Node, NodeArgs, Qos, Reach, Subscription};
 
 /// Far above anything that discovery takes; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -78,6 +78,58 @@ async fn a_subscription_that_comes_anew_gets_nothing_of_before() {
     told.publish(&text("three")).unwrap();
     let received = soon("a message", anew.recv()).await.unwrap();
     assert_eq!((received.message, anew.lost()), (text("three"), 0));
+}
+
+/// A participant keeps what was latched for the subscriptions that it had, also when these and the publisher have gone.
+#[tokio::test(flavor = "current_thread")]
+async fn who_comes_late_gets_what_the_living_have_latched_and_once() {
+    let (here, there) = (context(1), context(1));
+    let (listener, talker) = (node(&here, "listener", ""), node(&there, "talker", ""));
+    let latch = |data: &str| {
+        let publisher = talker.publisher("map", Qos::latched(1)).unwrap();
+        publisher.publish(&text(data)).unwrap();
+        publisher
+    };
+    let subscribe = || {
+        listener
+            .subscription::<std_msgs::String>("map", Qos::latched(10))
+            .unwrap()
+    };
+    let told = async |subscription: &mut Subscription<std_msgs::String>| {
+        let received = soon("what is latched", subscription.recv()).await;
+        received.unwrap().message
+    };
+    let gone = latch("gone");
+    let mut early = subscribe();
+    assert_eq!(told(&mut early).await, text("gone"));
+    drop(early);
+    let mut changes = talker.graph_changes();
+    soon("the subscription's end", async {
+        while gone.subscribers() > 0 {
+            changes.changed().await.unwrap();
+        }
+    })
+    .await;
+    drop(gone);
+    let mut changes = listener.graph_changes();
+    soon("the publisher's end", async {
+        while listener.count_publishers("map").unwrap() > 0 {
+            changes.changed().await.unwrap();
+        }
+    })
+    .await;
+
+    let living = latch("living");
+    let (mut one, mut late) = (subscribe(), subscribe());
+    assert_eq!(told(&mut one).await, text("living"));
+    assert_eq!(told(&mut late).await, text("living"));
+    let mut later = subscribe();
+    assert_eq!(told(&mut later).await, text("living"));
+    soon("connecting", living.wait_for_subscribers(3)).await;
+    living.publish(&text("last")).unwrap();
+    for subscription in [&mut one, &mut late, &mut later] {
+        assert_eq!(told(subscription).await, text("last"));
+    }
 }
 
 #[tokio::test(flavor = "current_thread")]

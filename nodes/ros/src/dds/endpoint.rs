@@ -184,8 +184,10 @@ pub(super) struct DdsReader {
 }
 
 impl DdsReader {
+    /// `began` is a moment before the reader was made: what comes after it is for this one.
     pub(super) fn new(
         reader: SimpleDataReader<Bytes, Raw>,
+        began: Timestamp,
         endpoint: &Endpoint,
         node: &str,
         shared: &Arc<Shared>,
@@ -201,20 +203,30 @@ impl DdsReader {
         shared.nodes.add_endpoint(id, node, endpoint, false);
         shared.changed();
         let is_server = endpoint.channel == Channel::Request;
-        // rustdds keeps a topic's last samples for all readers: one that comes anew would get those of the one before
-        let is_volatile = endpoint.qos.durability == Durability::Volatile;
-        let mut began = is_volatile.then(Timestamp::now);
+        let is_latched = endpoint.qos.durability == Durability::TransientLocal;
+        let book = Arc::clone(shared);
+        let mut began = Some(began);
         let pump = runtime.spawn(async move {
             let mut samples = std::pin::pin!(reader.as_async_stream());
             loop {
                 let sample = tokio::select! {
                     Some(sample) = inbox.pop() => Ok(sample),
                     Some(sample) = samples.next() => match sample {
-                        Ok(change) if is_same_participant(&id, &change.writer_guid().to_bytes()) => continue,
-                        Ok(change) if began.is_some_and(|began| change.receive_instant < began) => continue,
                         Ok(change) => {
-                            // from here on they come in their order, whatever becomes of the system's clock
-                            began = None;
+                            let writer = change.writer_guid().to_bytes();
+                            if is_same_participant(&id, &writer) {
+                                continue;
+                            }
+                            if began.is_some_and(|began| change.receive_instant < began) {
+                                // rustdds keeps a topic's last samples for all readers: one that comes anew would
+                                // get those of the one before, and of writers that are gone
+                                if !(is_latched && book.is_there(&writer)) {
+                                    continue;
+                                }
+                            } else {
+                                // from here on they come in their order, whatever becomes of the system's clock
+                                began = None;
+                            }
                             Ok(into_sample(change, is_server))
                         }
                         Err(error) => Err(error.to_string()),

@@ -135,10 +135,10 @@ impl InputWatch {
         let topics = self.input.topics.iter();
         match topics.map(|topic| publishers(topic)).sum::<usize>() {
             0 => format!("nobody publishes it; {}", self.input.advice),
-            1 => "its publisher is connected but silent; look whether that process hangs or was killed"
+            1 => "its publisher is connected but silent; look whether it waits for its own input, hangs or was killed"
                 .to_owned(),
             many => format!(
-                "{many} publishers are connected but silent; look whether those processes hang or were killed"
+                "{many} publishers are connected but silent; look whether they wait for their own input, hang or were killed"
             ),
         }
     }
