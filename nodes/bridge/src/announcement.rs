@@ -10,8 +10,8 @@ use zenoh::key_expr::OwnedKeyExpr;
 
 const SLASH: &str = "§";
 
-/// The deepest history that a remote's word is taken for, so that it cannot make this side keep more.
-const MAX_DEPTH: usize = 100;
+/// The deepest history that another's word is taken for, so that it cannot make the bridge keep more.
+pub const MAX_DEPTH: usize = 100;
 /// The depth where the announcement has none: DDS' default.
 const DEFAULT_DEPTH: usize = 1;
 

@@ -72,6 +72,10 @@ async fn carry(node: Node, config: zenoh::Config, settings: Settings) -> Result<
             Some(_) => BTreeMap::new(),
         };
         routes.follow(wanted).await;
+        if others.refused() > 0 {
+            let diagnostics = ends.node.diagnostics();
+            diagnostics.set_value("announcements not heeded [total]", others.refused());
+        }
         tokio::select! {
             biased;
             () = shutdown.wait() => break,

@@ -13,6 +13,10 @@ use std::path::PathBuf;
 /// Zenoh's own port, on this host.
 const LOCAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
+/// The largest message that others can make this host put together \[byte\], instead of Zenoh's 1 GiB: twice a raw
+/// picture of 4096 x 2160.
+const LARGEST_MESSAGE: usize = 64 << 20;
+
 /// The bridge's place in the Zenoh network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Mode {
@@ -120,6 +124,10 @@ impl NetworkArguments {
                 values.push(("scouting/gossip/autoconnect", nobody));
             }
         }
+        if is_unset("transport/link/rx/max_message_size") {
+            let largest = json!(LARGEST_MESSAGE);
+            values.push(("transport/link/rx/max_message_size", largest));
+        }
         if is_unset("timestamping/enabled") {
             // The history of latched topics is kept by time.
             values.push(("timestamping/enabled", json!(true)));
@@ -165,6 +173,10 @@ mod tests {
         assert_eq!(
             config.pointer("/scouting/multicast/enabled"),
             Some(&json!(false))
+        );
+        assert_eq!(
+            config.pointer("/transport/link/rx/max_message_size"),
+            Some(&json!(LARGEST_MESSAGE))
         );
         for mode in ["router", "peer"] {
             let pointer = format!("/scouting/gossip/autoconnect/{mode}");

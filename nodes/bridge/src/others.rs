@@ -4,7 +4,10 @@ use crate::announcement::Announcement;
 use anyhow::{Result, anyhow};
 use std::{
     collections::BTreeSet,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 use tokio::sync::Notify;
 use zenoh::{
@@ -17,6 +20,8 @@ use zenoh::{
 
 /// Announcements that are heeded at once; bounds what a stranger can make this side open.
 const MOST: usize = 4096;
+/// The longest announcement that is heeded \[byte\]: far beyond the names of ROS, each of which has at most 255.
+const LONGEST: usize = 1024;
 
 /// Where bridges of this kind say which DDS participant is theirs: `@/<zenoh id>/@wm_bridge/<GUID prefix>`.
 const PRESENCES: &str = "@/*/@wm_bridge/*";
@@ -64,6 +69,8 @@ impl Presence {
 #[derive(Default)]
 struct Tokens {
     alive: Mutex<BTreeSet<String>>,
+    /// How many were too many or too long.
+    refused: AtomicU64,
     changed: Notify,
 }
 
@@ -77,8 +84,13 @@ impl Tokens {
         let token = sample.key_expr().as_str();
         let mut alive = self.alive();
         match sample.kind() {
-            SampleKind::Put if alive.len() >= MOST => {
-                tracing::warn!("more than {MOST} announcements: {token} is not heeded");
+            SampleKind::Put if alive.contains(token) => {}
+            SampleKind::Put if alive.len() >= MOST || token.len() > LONGEST => {
+                if self.refused.fetch_add(1, Ordering::Relaxed) == 0 {
+                    tracing::warn!(
+                        "announcements beyond {MOST}, or of more than {LONGEST} bytes, are not heeded"
+                    );
+                }
             }
             SampleKind::Put => {
                 alive.insert(token.to_owned());
@@ -144,6 +156,11 @@ impl Others {
     /// Waits until they announce something else. Cancel safe.
     pub async fn changed(&self) {
         self.tokens.changed.notified().await;
+    }
+
+    /// Announcements that were not heeded so far.
+    pub fn refused(&self) -> u64 {
+        self.tokens.refused.load(Ordering::Relaxed)
     }
 
     /// What they announce of topics and services.

@@ -1,7 +1,7 @@
 //! Which routes there are to be: a pure function of what this side's nodes do, and what the other bridges announce.
 
 use crate::{
-    announcement::{Announcement, Subject},
+    announcement::{Announcement, MAX_DEPTH, Subject},
     settings::Settings,
 };
 use std::collections::BTreeMap;
@@ -58,7 +58,10 @@ pub fn plan(
         };
         let seen = Route {
             type_name: endpoint.type_name.clone(),
-            qos: endpoint.qos,
+            qos: Qos {
+                depth: endpoint.qos.depth.min(MAX_DEPTH),
+                ..endpoint.qos
+            },
             local: Some(endpoint.qos),
             is_remote: false,
         };
@@ -120,45 +123,40 @@ fn join(routes: &mut BTreeMap<RouteId, Route>, direction: Direction, name: &str,
         return;
     }
     route.is_remote |= other.is_remote;
-    route.local = match (route.local, other.local) {
-        (Some(one), Some(other)) => Some(weakest(one, other)),
-        (one, other) => one.or(other),
-    };
-    route.qos = match direction {
+    let local = [route.local, other.local].into_iter().flatten();
+    route.local = local.reduce(|one, other| merged(one, other, Demand::Least));
+    let demand = match direction {
         // A reader hears all writers where it requests what the weakest offers,
-        Direction::Outgoing => weakest(route.qos, other.qos),
+        Direction::Outgoing => Demand::Least,
         // a writer is heard by all readers where it offers what the strongest requests.
-        _ => strongest(route.qos, other.qos),
+        _ => Demand::Most,
     };
+    route.qos = merged(route.qos, other.qos, demand);
 }
 
-fn weakest(one: Qos, other: Qos) -> Qos {
-    Qos {
-        reliability: if one.reliability == Reliability::Reliable {
-            other.reliability
-        } else {
-            one.reliability
-        },
-        durability: if one.durability == Durability::TransientLocal {
-            other.durability
-        } else {
-            one.durability
-        },
-        depth: one.depth.max(other.depth),
-    }
+/// Which of two levels of service is taken.
+#[derive(Clone, Copy)]
+enum Demand {
+    Least,
+    Most,
 }
 
-fn strongest(one: Qos, other: Qos) -> Qos {
+/// One QoS for two endpoints; its history is the deeper of theirs.
+fn merged(one: Qos, other: Qos, demand: Demand) -> Qos {
+    let either = |one: bool, other: bool| match demand {
+        Demand::Least => one && other,
+        Demand::Most => one || other,
+    };
+    let is_reliable = |qos: Qos| qos.reliability == Reliability::Reliable;
+    let is_latched = |qos: Qos| qos.durability == Durability::TransientLocal;
     Qos {
-        reliability: if one.reliability == Reliability::BestEffort {
-            other.reliability
-        } else {
-            one.reliability
+        reliability: match either(is_reliable(one), is_reliable(other)) {
+            true => Reliability::Reliable,
+            false => Reliability::BestEffort,
         },
-        durability: if one.durability == Durability::Volatile {
-            other.durability
-        } else {
-            one.durability
+        durability: match either(is_latched(one), is_latched(other)) {
+            true => Durability::TransientLocal,
+            false => Durability::Volatile,
         },
         depth: one.depth.max(other.depth),
     }
@@ -212,7 +210,7 @@ mod tests {
     fn the_reader_of_a_topic_hears_every_publisher_and_the_writer_reaches_every_subscription() {
         let endpoints = [
             endpoint(Role::Publisher, "/a", Qos::latched(1)),
-            endpoint(Role::Publisher, "/a", Qos::best_effort(10)),
+            endpoint(Role::Publisher, "/a", Qos::best_effort(i32::MAX as usize)),
             endpoint(Role::Subscription, "/b", Qos::best_effort(10)),
             endpoint(Role::Subscription, "/b", Qos::latched(5)),
         ];
@@ -224,7 +222,7 @@ mod tests {
         else {
             panic!("{routes:?}");
         };
-        assert_eq!(out.qos, Qos::best_effort(10));
+        assert_eq!(out.qos, Qos::best_effort(MAX_DEPTH));
         assert_eq!(into.qos, Qos::latched(10));
         assert!(!into.is_remote);
     }

@@ -86,7 +86,7 @@ impl Incoming {
                 let bytes = Bytes::from(sample.payload().to_bytes().into_owned());
                 if let Err(error) = publisher.publish(bytes) {
                     tracing::debug!("{error}");
-                    diagnostics.count_drop(&format!("{input}: not little-endian CDR"));
+                    diagnostics.count_drop(&format!("{input}: not published"));
                 }
             });
         if self.qos.durability == Durability::Volatile {

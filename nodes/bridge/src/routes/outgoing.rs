@@ -5,7 +5,7 @@ use crate::{announcement::Subject, limiter::Limiter, plan::Route};
 use anyhow::{Context as _, Result, anyhow};
 use bytes::Bytes;
 use std::{sync::Arc, time::Instant};
-use wm_ros::{Durability, Qos, RawSubscription, Reliability};
+use wm_ros::{Durability, Qos, Reliability};
 use zenoh::{
     Wait as _, key_expr::OwnedKeyExpr, liveliness::LivelinessToken, qos::CongestionControl,
     sample::Locality,
@@ -130,21 +130,21 @@ impl Stream {
                     status = listener.recv_async() => {
                         is_heard = status.map_err(failed)?.matching();
                     }
-                    is_open = self.carry_one(&mut samples) => if !is_open? { return Ok(()) },
+                    // The sending itself is not cancelled: the next sample would overtake this one.
+                    sample = samples.recv() => match sample {
+                        Some(sample) => self.carry(sample.message).await?,
+                        None => return Ok(()),
+                    },
                 }
             }
         }
     }
 
-    /// Waits for a sample and sends it; false at the end. Whoever cancels it loses at most the sample being sent.
-    async fn carry_one(&mut self, samples: &mut RawSubscription) -> Result<bool> {
-        let Some(sample) = samples.recv().await else {
-            return Ok(false);
-        };
+    async fn carry(&mut self, sample: Bytes) -> Result<()> {
         if self.is_due() {
-            self.send(sample.message).await?;
+            self.send(sample).await?;
         }
-        Ok(true)
+        Ok(())
     }
 
     fn is_due(&mut self) -> bool {

@@ -5,7 +5,7 @@ use std::{
     ffi::OsStr,
     net::TcpListener,
     os::unix::process::CommandExt as _,
-    path::Path,
+    path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::atomic::{AtomicU16, Ordering},
     time::{Duration, Instant},
@@ -14,7 +14,7 @@ use wm_msgs::std_msgs;
 use wm_ros::{Context, Environment, Node, NodeArgs, Reach};
 
 /// Far above anything that happens on one host; it only ends a test that hangs.
-pub const PATIENCE: Duration = Duration::from_secs(30);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The program under test.
 pub const BRIDGE: &str = env!("CARGO_BIN_EXE_wm-bridge");
@@ -28,7 +28,7 @@ pub fn root() -> &'static Path {
 pub fn fresh_domain() -> u16 {
     // Domains up to 101 keep RTPS ports below the ephemeral range of Linux.
     static NEXT: AtomicU16 = AtomicU16::new(0);
-    20 + (std::process::id() as u16 % 5) * 16 + NEXT.fetch_add(1, Ordering::Relaxed) % 16
+    20 + (std::process::id() as u16 % 2) * 40 + NEXT.fetch_add(1, Ordering::Relaxed) % 40
 }
 
 /// An endpoint on this host that nobody listens on.
@@ -93,27 +93,38 @@ impl Drop for Process {
     }
 }
 
-/// The bridge of a domain on loopback; `inside` is what runs it, for example `ip netns exec NAME`.
-pub fn bridge_inside(inside: &[&str], domain: u16, args: &[impl AsRef<OsStr>]) -> Process {
-    let (program, rest) = match inside {
-        [] => (BRIDGE, &[][..]),
-        [program, rest @ ..] => (*program, rest),
-    };
-    let mut command = Command::new(program);
-    command.args(rest);
-    if !inside.is_empty() {
-        command.arg(BRIDGE);
-    }
+/// Puts `command` into a ROS domain, on loopback.
+pub fn in_domain(command: &mut Command, domain: u16) {
     command
-        .args(args)
         .env("ROS_DOMAIN_ID", domain.to_string())
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .env_remove("ROS_LOCALHOST_ONLY");
+}
+
+/// The bridge of a domain on loopback.
+pub fn bridge(domain: u16, args: &[impl AsRef<OsStr>]) -> Process {
+    let mut command = Command::new(BRIDGE);
+    command.args(args);
+    in_domain(&mut command, domain);
     Process::start(command)
 }
 
-pub fn bridge(domain: u16, args: &[impl AsRef<OsStr>]) -> Process {
-    bridge_inside(&[], domain, args)
+/// The nodes' program, which cargo builds beside the bridge's when it tests the workspace; `None` (with a plain message)
+/// where it was not built.
+pub fn wm() -> Option<PathBuf> {
+    let wm = Path::new(BRIDGE).with_file_name("wm");
+    if wm.is_file() {
+        return Some(wm);
+    }
+    eprintln!(
+        "skipped: no {}; run tests/run, or `cargo build --release` first",
+        wm.display()
+    );
+    assert!(
+        std::env::var_os("CI").is_none(),
+        "the nodes' program may not be missing in CI"
+    );
+    None
 }
 
 /// A participant of this process in a domain, with one node.

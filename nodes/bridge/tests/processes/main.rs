@@ -3,7 +3,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
+mod access;
 mod harness;
+mod link;
 mod lossy_link;
 mod python_peer;
 mod two_bridges;

@@ -1,0 +1,139 @@
+//! A slow and lossy link between two machines, as network namespaces of this one.
+
+use crate::harness::{Process, Site, in_domain};
+use std::{
+    fs::File,
+    io::{BufRead as _, BufReader},
+    os::fd::AsFd as _,
+    path::Path,
+    process::{Child, Command, Stdio},
+    time::Duration,
+};
+
+/// From one end to the other.
+pub const DELAY: Duration = Duration::from_millis(50);
+/// The part of the packets that never arrives.
+const LOSS: f64 = 0.02;
+const SEED: u32 = 7;
+const CONGESTION_CONTROL: &str = "bbr";
+
+fn ip(args: &[&str]) -> bool {
+    let status = Command::new("ip").args(args).status();
+    status.is_ok_and(|status| status.success())
+}
+
+/// Two namespaces and the link between them, until it is dropped.
+pub struct Link {
+    namespaces: [String; 2],
+    relay: Child,
+    output: BufReader<std::process::ChildStdout>,
+}
+
+impl Link {
+    /// `None`, with a plain message, where this takes rights that the test does not have.
+    pub fn new() -> Option<Self> {
+        let skip = |reason: &str| eprintln!("skipped: the test over a lossy link {reason}");
+        if !rustix::process::geteuid().is_root() {
+            skip("needs root");
+            return None;
+        }
+        if File::options()
+            .read(true)
+            .write(true)
+            .open("/dev/net/tun")
+            .is_err()
+        {
+            skip("needs /dev/net/tun");
+            return None;
+        }
+        let namespaces = ["a", "b"].map(|end| format!("wm{}{end}", std::process::id()));
+        for namespace in &namespaces {
+            if !ip(&["netns", "add", namespace]) {
+                skip("needs `ip netns add`");
+                return None;
+            }
+        }
+        let mut relay = Command::new("python3")
+            .arg(concat!(
+                env!("CARGO_MANIFEST_DIR"),
+                "/tests/processes/link.py"
+            ))
+            .args(&namespaces)
+            .args([
+                DELAY.as_millis().to_string(),
+                LOSS.to_string(),
+                SEED.to_string(),
+            ])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut link = Self {
+            namespaces,
+            output: BufReader::new(relay.stdout.take().unwrap()),
+            relay,
+        };
+        assert_eq!(link.line(), "ready");
+        for namespace in &link.namespaces {
+            // What loss means to it decides what a link of this kind carries; the machine's own may be any.
+            let set =
+                format!("echo {CONGESTION_CONTROL} > /proc/sys/net/ipv4/tcp_congestion_control");
+            if !ip(&["netns", "exec", namespace, "sh", "-c", &set]) {
+                skip(&format!(
+                    "needs the TCP congestion control {CONGESTION_CONTROL}"
+                ));
+                return None;
+            }
+        }
+        Some(link)
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        self.output.read_line(&mut line).unwrap();
+        line.trim_end().to_owned()
+    }
+
+    /// A program at that end.
+    pub fn start(&self, end: usize, program: &Path, args: &[&str]) -> Process {
+        let mut command = Command::new("ip");
+        command
+            .args(["netns", "exec", &self.namespaces[end]])
+            .arg(program)
+            .args(args);
+        // The same domain on both machines: they do not see each other but for the bridges.
+        in_domain(&mut command, 0);
+        Process::start(command)
+    }
+
+    /// A participant at that end: what it opens, and the threads that it starts, are of the namespace.
+    pub fn site(&self, end: usize) -> Site {
+        let path = format!("/run/netns/{}", self.namespaces[end]);
+        let joining = std::thread::spawn(move || {
+            let file = File::open(path).unwrap();
+            rustix::thread::move_into_link_name_space(file.as_fd(), None).unwrap();
+            Site::join(0)
+        });
+        joining.join().unwrap()
+    }
+
+    /// How many packets it carried and dropped.
+    pub fn finish(mut self) -> (u64, u64) {
+        drop(self.relay.stdin.take());
+        let line = self.line();
+        let (count, dropped) = line.split_once(' ').unwrap();
+        (count.parse().unwrap(), dropped.parse().unwrap())
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        if matches!(self.relay.try_wait(), Ok(None)) {
+            self.relay.kill().ok();
+            self.relay.wait().ok();
+        }
+        for namespace in &self.namespaces {
+            ip(&["netns", "delete", namespace]);
+        }
+    }
+}
