@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result};
 use wm_model::{Decoder, Encoder, actions::ActionEncoding, bundle::EMBEDDED};
 use wm_ros::{Descriptor, Node};
-use wm_zoo::WorldModel;
+use wm_zoo::{WorldModel, success_probe::SuccessClassifier};
 
 use crate::{predictor::PredictorModel, timeline::Timing};
 
@@ -70,6 +70,14 @@ impl OpenModel {
     /// Names what is missing or wrong in the weights.
     pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
         self.model.decoder().with_context(|| self.text.clone())
+    }
+
+    /// The success probe and what reads instructions for it, if the model has one.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in its files.
+    pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
+        self.model.probe().with_context(|| self.text.clone())
     }
 
     /// The transition model and the latent space that it works in.

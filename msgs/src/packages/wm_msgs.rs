@@ -100,7 +100,7 @@ pub struct CandidateAssessment {
     pub cost: f32,
     /// The same error after each step; empty where no goal is known.
     pub step_costs: Vec<f32>,
-    /// Of the success probe, 0 to 1; NaN where no probe is loaded.
+    /// Of the success probe, 0 to 1; NaN where no probe is loaded or no instruction is known.
     pub success_probability: f32,
     /// The predicted latent after the last step; its stamp is the predicted moment.
     pub latent: Latent,

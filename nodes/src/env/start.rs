@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// Topic of the instruction, in bags and live.
-pub(super) const INSTRUCTION: &str = "/task/instruction";
+pub(crate) const INSTRUCTION: &str = "/task/instruction";
 const ACTION: &str = "/wm/action";
 const NANOS: f64 = 1e9;
 

@@ -1,5 +1,7 @@
 //! From candidates to an assessment.
 
+use std::sync::Arc;
+
 use candle_core::{Device, Tensor};
 use wm_model::planner::{Dynamics as _, Target, TransitionDynamics};
 use wm_msgs::{
@@ -7,6 +9,7 @@ use wm_msgs::{
     std_msgs::Header,
     wm_msgs::{Assessment, CandidateAssessment, Timing as TimingMessage},
 };
+use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{EvaluationRequest, EvaluatorError};
 use crate::{
@@ -14,11 +17,12 @@ use crate::{
     predictor::{PredictorError, PredictorModel, context_tensor, past_actions},
 };
 
-/// The transition model, and how it predicts here.
+/// The transition model, how it predicts here, and what judges the predictions.
 #[derive(Clone, Debug)]
 pub struct EvaluatorModel {
     model: PredictorModel,
     integration_steps: usize,
+    probe: Option<Arc<SuccessClassifier>>,
 }
 
 /// What an evaluation found.
@@ -40,7 +44,13 @@ impl EvaluatorModel {
         Self {
             model,
             integration_steps,
+            probe: None,
         }
+    }
+
+    /// The same, with a success probe of its latents.
+    pub fn with_probe(self, probe: Option<Arc<SuccessClassifier>>) -> Self {
+        Self { probe, ..self }
     }
 
     /// Predicts all candidates of a request in one batch.
@@ -78,6 +88,8 @@ impl EvaluatorModel {
         let mut dynamics =
             TransitionDynamics::new(transition, &sampler, &context, past.as_ref(), request.seed)?;
         let latents = dynamics.rollout(&actions)?;
+        let probabilities =
+            self.probabilities(&context, &latents, request.instruction.as_deref())?;
 
         let mut step_costs = vec![Vec::new(); count];
         if let Some(goal) = &request.goal {
@@ -107,12 +119,13 @@ impl EvaluatorModel {
             .flatten_from(1)?
             .to_vec2::<f32>()?;
         let mut candidates = Vec::with_capacity(count);
-        for ((index, values), step_costs) in (0_u32..).zip(&last).zip(step_costs) {
+        let found = (0_u32..).zip(&last).zip(step_costs).zip(probabilities);
+        for (((index, values), step_costs), success_probability) in found {
             candidates.push(CandidateAssessment {
                 index,
                 cost: step_costs.last().copied().unwrap_or(f32::NAN),
                 step_costs,
-                success_probability: f32::NAN,
+                success_probability,
                 latent: encode_latent(values, space, LatentDtype::F16, header(end_ns))?,
             });
         }
@@ -133,6 +146,29 @@ impl EvaluatorModel {
             assessment,
             latents,
         })
+    }
+
+    /// Of each candidate the probability that its imagined episode does what is asked for, NaN where there is no probe or
+    /// no instruction. The probe was trained on whole episodes, `context` (1, H, h, w, C) is the newest of what was
+    /// observed: with the predicted `latents` (candidates, steps, h, w, C) behind it, this is as much of an episode as
+    /// is known. One by one, so that an episode's probability depends on no other.
+    fn probabilities(
+        &self,
+        context: &Tensor,
+        latents: &Tensor,
+        instruction: Option<&Instruction>,
+    ) -> Result<Vec<f32>, EvaluatorError> {
+        let count = latents.dim(0)?;
+        let (Some(probe), Some(instruction)) = (&self.probe, instruction) else {
+            return Ok(vec![f32::NAN; count]);
+        };
+        let observed = context.squeeze(0)?;
+        let of_one = |index| {
+            let episode = Tensor::cat(&[&observed, &latents.get(index)?], 0)?;
+            let probability = probe.probability(&episode, instruction);
+            Ok(probability.map_err(wm_model::Error::from)?)
+        };
+        (0..count).map(of_one).collect()
     }
 }
 

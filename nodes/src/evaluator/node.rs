@@ -13,7 +13,7 @@ use wm_model::{Decoder, LatentSpace, image::to_rgb};
 use wm_msgs::{
     builtin_interfaces::Time,
     sensor_msgs::{CompressedImage, Image},
-    std_msgs::Header,
+    std_msgs::{Header, String as Text},
     wm_msgs::{
         Action, ActionCandidates, Assessment, Latent, Reset, ResetResponse, Timing as TimingMessage,
     },
@@ -22,6 +22,7 @@ use wm_ros::{
     Call, Clock, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher,
     Qos, Received, Service, Subscription,
 };
+use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{
     Evaluation, EvaluationRequest, EvaluatorError, EvaluatorModel, EvaluatorSettings,
@@ -30,10 +31,12 @@ use super::{
 use crate::{
     complaints::Complaints,
     encoder::{CameraFrame, EncoderError, EncoderStep},
+    env::INSTRUCTION,
     image_message::{encode_image, encode_jpeg},
     latent_message::{LATENT_QOS, LatentDtype},
     model_choice::{self, ModelChoice},
     planner::Goal,
+    pool::Pool,
     timeline::{Arrival, Timing, seconds},
     transport::{ImageSubscription, Transports},
     work::Work,
@@ -41,6 +44,8 @@ use crate::{
 
 /// The node's default name.
 pub const NAME: &str = "evaluator";
+/// Where processors are short, an assessment may come later than a prediction, and before a plan.
+const NICE: i64 = 10;
 
 /// Runs the node until SIGINT or SIGTERM.
 ///
@@ -60,12 +65,14 @@ pub async fn body(node: Node) -> Result<()> {
     let model = model_choice::declare(&node)?;
     let transports = Transports::declare(&node)?;
     let parameters = Parameters::declare(&node)?;
+    let pool = Pool::declare(&node, NICE)?;
     node.seal_parameters()?;
     let evaluator = EvaluatorNode {
         node,
         model,
         transports,
         parameters,
+        pool,
     };
     lifecycle.run(evaluator).await
 }
@@ -75,6 +82,7 @@ struct EvaluatorNode {
     model: ModelChoice,
     transports: Transports,
     parameters: Parameters,
+    pool: Pool,
 }
 
 struct Parameters {
@@ -145,12 +153,16 @@ struct Configured {
     model: Arc<EvaluatorModel>,
     /// None: the model has none, and there are no pictures.
     decoder: Option<Arc<Mutex<Box<dyn Decoder>>>>,
+    /// None: the model has none, and there are no probabilities.
+    probe: Option<Arc<SuccessClassifier>>,
     timing: Timing,
     space: LatentSpace,
 }
 
 /// An evaluation with the times that its message tells.
 type Evaluated = (Result<Evaluation, EvaluatorError>, TimingMessage, Duration);
+/// An instruction, and what reading it gave.
+type Reading = (String, wm_zoo::Result<Instruction>);
 /// By each transport that is used.
 type Pictures = (Option<Image>, Option<CompressedImage>);
 
@@ -159,6 +171,8 @@ struct Active {
     latents: Subscription<Latent>,
     actions: Subscription<Action>,
     candidates: Subscription<ActionCandidates>,
+    /// Where there is a probe that reads them.
+    instructions: Option<Subscription<Text>>,
     resets: Service<Reset>,
     jumps: watch::Receiver<u64>,
     clock: Clock,
@@ -172,6 +186,7 @@ struct Active {
     goals: Work<CameraFrame, Result<Goal, EncoderError>>,
     evaluations: Work<(EvaluationRequest, TimingMessage), Evaluated>,
     pictures: Option<Work<Evaluation, Result<Pictures>>>,
+    readings: Option<Work<String, Reading>>,
 }
 
 impl Managed for EvaluatorNode {
@@ -181,20 +196,23 @@ impl Managed for EvaluatorNode {
 
     async fn configure(&self) -> Result<Configured> {
         let chosen = self.model.clone();
-        let (encoder, model, decoder) = tokio::task::spawn_blocking(move || -> Result<_> {
+        let (encoder, model, decoder, probe) = tokio::task::spawn_blocking(move || -> Result<_> {
             let open = chosen.open()?;
-            Ok((open.encoder()?, open.predictor()?, open.decoder()?))
+            let (encoder, model) = (open.encoder()?, open.predictor()?);
+            Ok((encoder, model, open.decoder()?, open.probe()?))
         })
         .await??;
+        let probe = probe.map(Arc::new);
         let timing = model_choice::timing(self.parameters.frame_period, &model.encoding);
         let space = model.space.clone();
         tracing::info!("evaluating with {} in latent space {space}", model.name);
         Ok(Configured {
             encoder: Arc::new(Mutex::new(EncoderStep::new(encoder, LatentDtype::F32))),
-            model: Arc::new(EvaluatorModel::new(
-                model,
-                self.parameters.integration_steps,
-            )),
+            model: Arc::new(
+                EvaluatorModel::new(model, self.parameters.integration_steps)
+                    .with_probe(probe.clone()),
+            ),
+            probe,
             decoder: decoder.map(|decoder| Arc::new(Mutex::new(decoder))),
             timing,
             space,
@@ -203,15 +221,6 @@ impl Managed for EvaluatorNode {
 
     fn activate(&self, configured: &Configured) -> Result<Active> {
         let (node, transports) = (&self.node, self.transports);
-        let encoder = Arc::clone(&configured.encoder);
-        let goals = Work::new(1, move |frame: CameraFrame, _| {
-            let encoder = encoder.lock().unwrap_or_else(PoisonError::into_inner);
-            let values = encoder.encode_values(&frame.decode()?)?;
-            Ok(Goal {
-                stamp: frame.header().stamp,
-                values: Arc::from(values),
-            })
-        });
         let (model, clock) = (Arc::clone(&configured.model), node.clock());
         let evaluations = Work::new(
             1,
@@ -225,7 +234,8 @@ impl Managed for EvaluatorNode {
                 };
                 (evaluated, timing, started.elapsed())
             },
-        );
+        )
+        .on(&self.pool);
         let (columns, quality) = (self.parameters.columns, self.parameters.quality);
         let pictures = configured.decoder.clone().map(|decoder| {
             Work::new(1, move |evaluation: Evaluation, _| {
@@ -239,12 +249,24 @@ impl Managed for EvaluatorNode {
                     .then(|| encode_jpeg(&picture, header, quality));
                 Ok((raw, jpeg.transpose()?))
             })
+            .on(&self.pool)
+        });
+        let readings = configured.probe.clone().map(|probe| {
+            Work::new(1, move |text: String, _| {
+                let read = probe.instruction(&text);
+                (text, read)
+            })
+            .on(&self.pool)
         });
         let qos = Qos::best_effort(4);
         let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
         let input = Input::new("latents", [latents.topic()], "start the encoder");
         node.diagnostics().expect_input(input);
-        Ok(Active {
+        let instructions = readings
+            .is_some()
+            .then(|| node.subscription(INSTRUCTION, Qos::latched(1)))
+            .transpose()?;
+        let mut active = Active {
             goal_images: ImageSubscription::new(node, "goal/image", transports, Qos::reliable(10))?,
             latents,
             actions: node.subscription("action", Qos::reliable(10))?,
@@ -268,10 +290,14 @@ impl Managed for EvaluatorNode {
                 .transpose()?,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
-            goals,
+            goals: Goal::work(&configured.encoder, &self.pool),
             evaluations,
             pictures,
-        })
+            instructions,
+            readings,
+        };
+        active.say_probability();
+        Ok(active)
     }
 
     async fn run(&self, active: &mut Active) -> Result<()> {
@@ -287,6 +313,11 @@ impl Managed for EvaluatorNode {
                     Ok(goal) => active.step.set_goal(goal),
                     Err(error) => active.complaints.left_out("bad_goal", &format_args!("goal image: {error}")),
                 },
+                finished = finished(&mut active.readings) => active.read(finished.context("the text tower's thread")?),
+                received = received(&mut active.instructions) => {
+                    let Some(Received { message, .. }) = received else { return Ok(()) };
+                    active.told(&message);
+                }
                 Some(call) = active.resets.recv() => active.reset(call),
                 Ok(()) = active.jumps.changed() => {
                     if active.step.clock_jumped(active.clock.now()) {
@@ -381,9 +412,43 @@ impl Active {
         Ok(())
     }
 
+    fn told(&mut self, message: &Text) {
+        let text = self.step.task_mut().take(message);
+        if let (Some(text), Some(readings)) = (text, &mut self.readings)
+            && readings.submit(text).is_some()
+        {
+            self.complaints.left_out(
+                "superseded_instruction",
+                &"a newer instruction came before this one was read",
+            );
+        }
+        self.say_probability();
+    }
+
+    fn read(&mut self, (text, read): Reading) {
+        if let Err(error) = &read {
+            self.complaints.left_out("bad_instruction", error);
+        }
+        self.step.task_mut().read(text, read);
+        self.say_probability();
+    }
+
+    /// Says on the node's status what success probabilities are of, or why they are NaN.
+    fn say_probability(&mut self) {
+        const KEY: &str = "success probability";
+        if self.readings.is_some() {
+            self.diagnostics.set_value(KEY, self.step.task_mut());
+        } else {
+            self.diagnostics
+                .set_value(KEY, "NaN: the model has no success probe");
+        }
+    }
+
     fn note(&mut self, taken: Result<Arrival, EvaluatorError>) {
         match taken {
-            Ok(arrival) if arrival.flushed => tracing::info!("time jumped: history flushed"),
+            Ok(arrival) if arrival.flushed => {
+                tracing::info!("stamps are more than a second apart: history flushed");
+            }
             Ok(_) => {}
             Err(error) => self.complaints.left_out(error.reason(), &error),
         }
@@ -409,6 +474,17 @@ async fn finished<T: Send + 'static, R: Send + 'static>(
 ) -> Result<R, JoinError> {
     match work {
         Some(work) => work.finished().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// The next message; never, where nobody listens.
+async fn received<M>(subscription: &mut Option<Subscription<M>>) -> Option<Received<M>>
+where
+    M: wm_msgs::Message + Send + 'static,
+{
+    match subscription {
+        Some(subscription) => subscription.recv().await,
         None => std::future::pending().await,
     }
 }

@@ -8,7 +8,9 @@ use wm_msgs::{
     builtin_interfaces::Time,
     wm_msgs::{Action, ActionCandidates, Latent},
 };
+use wm_zoo::success_probe::Instruction;
 
+use super::Task;
 use crate::{
     latent_message::{LatentError, decode_latent},
     planner::Goal,
@@ -56,7 +58,7 @@ pub enum EvaluatorError {
         source: TimelineError,
     },
     /// All of a chunk lies before the observed frame.
-    #[error("candidate {index} ends before the observed frame of {}", seconds(Time::from_nanos(*.observed_ns)))]
+    #[error("candidate {index} ends before the observed frame of {}: stamp it with the stamp of the image that it answers", seconds(Time::from_nanos(*.observed_ns)))]
     Past {
         /// Which one.
         index: usize,
@@ -84,11 +86,12 @@ impl EvaluatorError {
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
         match self {
-            Self::Latent(LatentError::Space { .. }) => "wrong_space",
-            Self::Latent(_) => "malformed_latent",
-            Self::Timeline(TimelineError::Duplicate { .. }) => "duplicate",
-            Self::Timeline(TimelineError::OutOfOrder { .. }) => "out_of_order",
-            Self::Timeline(_) => "malformed_action",
+            Self::Latent(error) => error.reason(),
+            Self::Timeline(error) => error.reason(),
+            Self::Candidate {
+                source: TimelineError::Ahead { .. },
+                ..
+            } => "late_candidates",
             Self::Count { .. } | Self::Candidate { .. } => "malformed_candidates",
             Self::Past { .. } => "late_candidates",
             Self::History(_) => "no_history",
@@ -110,6 +113,8 @@ pub struct EvaluationRequest {
     pub candidates: Vec<Vec<Vec<PhysicalAction>>>,
     /// What to reach, where that is known.
     pub goal: Option<Goal>,
+    /// What to do, where that is known and has been read.
+    pub instruction: Option<Arc<Instruction>>,
     /// Seed of the noise.
     pub seed: u64,
     /// How stamps make model steps.
@@ -122,6 +127,7 @@ pub struct EvaluatorStep {
     space: LatentSpace,
     timeline: Timeline,
     goal: Option<Goal>,
+    task: Task,
 }
 
 impl EvaluatorStep {
@@ -132,6 +138,7 @@ impl EvaluatorStep {
             space,
             timeline: Timeline::new(timing, settings.context_frames),
             goal: None,
+            task: Task::default(),
         }
     }
 
@@ -160,12 +167,18 @@ impl EvaluatorStep {
         self.goal = Some(goal);
     }
 
+    /// What the policy is asked to do.
+    pub fn task_mut(&mut self) -> &mut Task {
+        &mut self.task
+    }
+
     /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
         self.timeline.clock_jumped(now)
     }
 
-    /// Forgets all history and takes a new seed where one is given; says what was done. The goal stays.
+    /// Forgets all history and takes a new seed where one is given; says what was done. Goal and task
+    /// stay.
     pub fn reset(&mut self, seed: Option<u64>) -> String {
         self.timeline.clear();
         if let Some(seed) = seed {
@@ -190,11 +203,20 @@ impl EvaluatorStep {
         let timing = self.timeline.timing();
         let observed_ns = self.timeline.newest().ok_or(Wait::NoFrame)?.stamp_ns;
         let mut horizon = self.settings.horizon;
+        // A handful of steps.
+        let beyond_ns = observed_ns.saturating_add(timing.step_ns() * horizon as i64);
         let mut timelines = Vec::with_capacity(count);
         for (index, chunk) in message.chunks.iter().enumerate() {
             let mut timeline = self.timeline.clone();
             let wrong = |source| EvaluatorError::Candidate { index, source };
             timeline.chunk(chunk).map_err(wrong)?;
+            let stamp_ns = chunk.header.stamp.to_nanos();
+            if stamp_ns >= beyond_ns {
+                return Err(wrong(TimelineError::Ahead {
+                    stamp_ns,
+                    newest_ns: observed_ns,
+                }));
+            }
             // The timeline has refused what is longer than MAX_CHUNK or has no period.
             let span_ns = chunk
                 .period
@@ -229,6 +251,7 @@ impl EvaluatorStep {
             context,
             candidates: timelines.iter().map(future).collect::<Result<_, _>>()?,
             goal: self.goal.clone(),
+            instruction: self.task.instruction(),
             seed: self.settings.seed,
             timing,
         })

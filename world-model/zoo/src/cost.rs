@@ -13,6 +13,7 @@
 
 mod adapter;
 mod autoencoder;
+mod probe;
 mod transition;
 mod vit;
 
@@ -29,6 +30,7 @@ pub use autoencoder::{
     cosmos_decoder, cosmos_encoder, pixel_decoder, sd3_decoder, sd3_encoder, va_vae_decoder,
     va_vae_encoder,
 };
+pub use probe::{siglip2_text, success_probe};
 pub use transition::{CLIP_FRAMES, transition};
 pub use vit::{siglip2, vjepa, web_dino};
 

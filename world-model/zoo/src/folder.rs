@@ -14,6 +14,11 @@
 //!     "weights": "dit-s.pt",
 //!     "actions": {"frame_skip": 2},
 //!     "sampler": {"steps": 10, "shift": 2.449, "context_tau": 0.01}
+//!   },
+//!   "probe": {
+//!     "config": {"features": 96, "max_frames": 64},
+//!     "weights": "probe.pt",
+//!     "text": {"config": "siglip2/config.json", "weights": "siglip2/model.safetensors", "tokenizer": "siglip2/tokenizer.json"}
 //!   }
 //! }
 //! ```
@@ -30,6 +35,7 @@
 mod decoder;
 mod description;
 mod encoder;
+mod probe;
 mod random;
 mod source;
 mod summary;
@@ -46,7 +52,8 @@ use wm_model::transition::{PackedTransition, TransitionConfig};
 use wm_model::{Decoder, Encoder, LatentSpace};
 
 pub use description::{
-    Configuration, DecoderPart, Description, Part, Precision, Statistics, TransitionPart,
+    Configuration, DecoderPart, Description, Part, Precision, ProbePart, Statistics, TextPart,
+    TransitionPart,
 };
 pub use random::write_random_weights;
 pub use summary::{PartSummary, Summary};
@@ -54,10 +61,12 @@ pub use summary::{PartSummary, Summary};
 use crate::kinds::{DitConfig, Kind, build_transition, parse};
 use crate::layers::packed_format;
 use crate::loader::Requested;
+use crate::success_probe::SuccessClassifier;
 use crate::svae::{Svae, SvaeConfig};
 use crate::{Checkpoint, Error, Result};
 use decoder::{DecoderConfig, FolderDecoder};
 use encoder::{EncoderConfig, FolderEncoder, canonical};
+use probe::{Probe, TextTower};
 use source::Source;
 
 /// Name of the description in a folder.
@@ -95,6 +104,7 @@ pub struct ModelFolder {
     normalisation: Normalisation,
     pictures: Option<Pictures>,
     transition: Opened<Dynamics>,
+    probe: Option<Probe>,
     /// Rows, columns and channels of a latent, all views together.
     latent: [usize; 3],
     /// Computed once: it takes reading the encoder's values.
@@ -131,6 +141,13 @@ impl ModelFolder {
             .map_err(in_part("adapter"))?;
         let transition = open_transition(&description, &folder).map_err(in_part("transition"))?;
         let pictures = open_decoder(&description, &folder).map_err(in_part("decoder"))?;
+        let probe = match &description.probe {
+            None => None,
+            Some(part) => Some(Probe {
+                text: TextTower::open(&part.text, &folder).map_err(in_part("probe.text"))?,
+                probe: probe::open(part, &folder).map_err(in_part("probe"))?,
+            }),
+        };
 
         let features = encoder
             .config
@@ -142,6 +159,9 @@ impl ModelFolder {
                 check_transition(&description, latent, &transition.config)?;
                 if let Some(pictures) = &pictures {
                     check_decoder(&description, latent, pictures)?;
+                }
+                if let Some(probe) = &probe {
+                    probe.check(&description, latent)?;
                 }
                 Ok(latent)
             })
@@ -159,6 +179,7 @@ impl ModelFolder {
             normalisation,
             pictures,
             transition,
+            probe,
             latent,
             space: OnceLock::new(),
         })
@@ -269,6 +290,16 @@ impl ModelFolder {
             encoding: encoding.clone(),
             space,
         })
+    }
+
+    /// Loads the success probe, its text tower and its tokenizer; `None` where the model has none.
+    ///
+    /// # Errors
+    /// If a value is not finite, or the tokenizer is not one, or not of the text tower.
+    pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
+        let dtype = self.description.dtype.dtype();
+        let load = |probe: &Probe| probe.load(dtype, self.normalisation.clone());
+        self.probe.as_ref().map(load).transpose()
     }
 
     fn load_adapter(&self, adapter: Option<&Opened<SvaeConfig>>) -> Result<Option<Svae>> {

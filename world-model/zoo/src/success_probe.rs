@@ -2,7 +2,8 @@
 //!
 //! Paper: appendix "VLA success classifier probe"; layer by layer in architecture.md section 7. It
 //! reads a whole episode of an encoder's latents, pooled to 4x4 tokens a frame, and the features of
-//! the instruction's tokens ([`crate::vit::siglip_text`]), and gives one logit.
+//! the instruction's tokens ([`crate::vit::siglip_text`]), and gives one logit. [`SuccessClassifier`] is all of
+//! it together: words and latents in, a probability out.
 //!
 //! Each block is attention within a frame, attention over time at each place, attention to the
 //! text and a SwiGLU feed-forward network, each behind an RMSNorm and added to its input. Queries
@@ -24,12 +25,16 @@
 //! "affine_norms": false}`.
 
 mod block;
+mod classifier;
 mod config;
 mod norm;
+mod tokenizer;
 
 use candle_core::{DType, Tensor};
 
+pub use classifier::{Instruction, SuccessClassifier};
 pub use config::SuccessProbeConfig;
+pub use tokenizer::InstructionTokenizer;
 
 use crate::Result;
 use crate::layers::Linear;
@@ -167,10 +172,13 @@ impl SuccessProbe {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::engine::Engine;
     use candle_core::Device;
+
+    /// A tokenizer.json of eleven words, in the form of Gemma's but for its model.
+    pub(crate) const TOKENIZER: &str = include_str!("success_probe/tokenizer/words.json");
 
     fn small(affine_norms: bool) -> SuccessProbeConfig {
         SuccessProbeConfig {

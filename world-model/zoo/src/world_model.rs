@@ -5,6 +5,7 @@ use std::path::Path;
 use wm_model::bundle::{Bundle, BundledTransition, EMBEDDED};
 use wm_model::{Decoder, Encoder};
 
+use crate::success_probe::SuccessClassifier;
 use crate::{ModelFolder, Result};
 
 /// A world model by its name: what a node's parameter `model` says.
@@ -58,6 +59,17 @@ impl WorldModel {
         match self {
             Self::Bundle(bundle) => Ok(bundle.transition()?),
             Self::Folder(folder) => folder.transition(),
+        }
+    }
+
+    /// Loads the success probe and what reads instructions for it; `None` where the model has none.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in its files.
+    pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
+        match self {
+            Self::Bundle(_) => Ok(None),
+            Self::Folder(folder) => folder.probe(),
         }
     }
 }

@@ -122,6 +122,24 @@ fn candidates_are_compared_at_one_moment() {
 }
 
 #[test]
+fn a_candidate_beyond_the_horizon_is_named_with_what_to_do() {
+    let step = evaluator();
+    // Five model steps of two actions after frame 2.
+    let last = candidates(vec![chunk(2, 4, 0.02), chunk(11, 4, 0.02)]);
+    assert!(step.candidates(&last).is_ok());
+    for beyond in [12, 1_000_000] {
+        let asked = candidates(vec![chunk(2, 4, 0.02), chunk(beyond, 4, 0.02)]);
+        let error = step.candidates(&asked).unwrap_err();
+        assert_eq!(error.reason(), "late_candidates");
+        let text = error.to_string();
+        assert!(
+            text.starts_with("candidate 1: ") && text.contains("stamp it with"),
+            "{text}"
+        );
+    }
+}
+
+#[test]
 fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best() {
     let mut step = evaluator();
     let model = model();

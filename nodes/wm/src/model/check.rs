@@ -11,6 +11,7 @@ use wm_model::sampler::Rollout;
 use wm_model::{Decoder, Encoder};
 use wm_zoo::WorldModel;
 use wm_zoo::folder::Summary;
+use wm_zoo::success_probe::SuccessClassifier;
 
 /// Loads a world model as the nodes do, runs it once, and says what it is.
 #[derive(Args, Debug)]
@@ -31,6 +32,7 @@ impl CheckCommand {
         let encoder = model.encoder()?;
         let transition = model.transition()?;
         let decoder = model.decoder()?;
+        let probe = model.probe()?;
         let loading = milliseconds(started);
         print(format_args!(
             "latent space {}\n  {}\ntransition {}\nloaded in {loading:.0} ms\n",
@@ -40,7 +42,7 @@ impl CheckCommand {
         ))?;
         print(format_args!(
             "{}",
-            run_once(&*encoder, &transition, decoder.as_deref())?
+            run_once(&*encoder, &transition, decoder.as_deref(), probe.as_ref())?
         ))
     }
 }
@@ -70,7 +72,7 @@ fn table(summary: &Summary) -> Result<String> {
     };
     writeln!(
         text,
-        "GFLOPs: encoder, adapter, decoder for a 256x256 frame, transition for an Euler step"
+        "GFLOPs: encoder, adapter, decoder for a 256x256 frame, transition for an Euler step, probe for its longest episode, its text tower for an instruction"
     )?;
     writeln!(
         text,
@@ -90,6 +92,7 @@ fn run_once(
     encoder: &dyn Encoder,
     transition: &BundledTransition,
     decoder: Option<&dyn Decoder>,
+    probe: Option<&SuccessClassifier>,
 ) -> Result<String> {
     let mut text = String::new();
     let (height, width) = encoder.input_size();
@@ -114,6 +117,27 @@ fn run_once(
             writeln!(text, "decode a frame    {:>10.1} ms", milliseconds(started))?;
         }
     }
+    match probe {
+        None => writeln!(text, "no probe: there will be no success probabilities")?,
+        Some(probe) => {
+            let started = Instant::now();
+            let instruction = probe
+                .instruction("put the cup on the plate")
+                .context("reading an instruction")?;
+            let reading = milliseconds(started);
+            let episode = Tensor::cat(&[&latent, &next], 0)?;
+            let started = Instant::now();
+            probe
+                .probability(&episode, &instruction)
+                .context("the success probe")?;
+            writeln!(
+                text,
+                "read an instruction {reading:>8.1} ms\njudge two frames  {:>10.1} ms, of at most {} frames",
+                milliseconds(started),
+                probe.max_frames()
+            )?;
+        }
+    }
     Ok(text)
 }
 
@@ -130,7 +154,7 @@ mod tests {
         let model = WorldModel::open("tiny").unwrap();
         let (encoder, transition) = (model.encoder().unwrap(), model.transition().unwrap());
         let decoder = model.decoder().unwrap();
-        let text = run_once(&*encoder, &transition, decoder.as_deref()).unwrap();
-        assert_eq!(text.lines().count(), 3, "{text}");
+        let text = run_once(&*encoder, &transition, decoder.as_deref(), None).unwrap();
+        assert_eq!(text.lines().count(), 4, "{text}");
     }
 }

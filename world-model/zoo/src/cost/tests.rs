@@ -1,6 +1,8 @@
 use wm_model::transition::TransitionConfig;
 
 use super::*;
+use crate::success_probe::SuccessProbeConfig;
+use crate::vit::SiglipTextConfig;
 
 /// Asserts that a cost is (parameters in millions, GFLOPs), with the digits that architecture.md states.
 fn assert_cost(what: &str, cost: Cost, (millions, gflops): (f64, f64), gflops_within: f64) {
@@ -63,6 +65,24 @@ fn figures_are_those_of_the_architecture() {
     ] {
         assert_cost(what, cost.unwrap(), expected, 0.006);
     }
+}
+
+#[test]
+fn a_probe_costs_what_its_layers_do_by_hand() {
+    // 27 layers of four projections and a feed-forward network, at 64 tokens.
+    let tower = SiglipTextConfig::so400m();
+    let layer = 4_usize * 1152 * 1152 + 2 * 1152 * 4304;
+    let gflops = (2 * 27 * layer * 64) as f64 / 1e9;
+    let cost = siglip2_text(&tower).unwrap();
+    assert_cost("text tower", cost, (707.783, gflops), 1e-6);
+
+    // Ten 384x384 of a block's twelve projections, and the feed-forward network, at 64 frames of 16 places; the keys and
+    // values of the words at 64 tokens.
+    let places = 64_usize * 16 * (1024 * 384 + 6 * (10 * 384 * 384 + 3 * 1024 * 384));
+    let words = 64_usize * (1152 * 384 + 6 * 2 * 384 * 384);
+    let gflops = (2 * (places + words + 384)) as f64 / 1e9;
+    let cost = success_probe(&SuccessProbeConfig::paper(1024, 64), 64).unwrap();
+    assert_cost("probe", cost, (18.577, gflops), 1e-6);
 }
 
 #[test]

@@ -39,6 +39,9 @@ pub struct Description {
     pub decoder: Option<DecoderPart>,
     /// The next latent from the last ones and an action.
     pub transition: TransitionPart,
+    /// What tells from latents whether an instruction is carried out; without it there are no success probabilities.
+    #[serde(default)]
+    pub probe: Option<ProbePart>,
 }
 
 /// A network of the model.
@@ -89,6 +92,30 @@ pub struct TransitionPart {
     /// Which action is fed with a frame.
     #[serde(default = "with_frame")]
     pub action_alignment: ActionAlignment,
+}
+
+/// A success probe, and what reads the instruction for it.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProbePart {
+    /// A [`SuccessProbeConfig`](crate::success_probe::SuccessProbeConfig).
+    pub config: Configuration,
+    /// Its checkpoint, relative to the folder.
+    pub weights: String,
+    /// SigLIP 2's text tower.
+    pub text: TextPart,
+}
+
+/// A text tower and its tokenizer.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TextPart {
+    /// A [`SiglipTextConfig`](crate::vit::SiglipTextConfig).
+    pub config: Configuration,
+    /// Its checkpoint, relative to the folder; it may hold the vision tower as well.
+    pub weights: String,
+    /// Hugging Face's tokenizer.json, relative to the folder.
+    pub tokenizer: String,
 }
 
 /// A configuration: an object, or the name of a JSON file, relative to the folder.
@@ -186,6 +213,28 @@ impl TransitionPart {
     pub fn part(&self) -> Part {
         Part {
             kind: Kind::Dit.name().to_owned(),
+            config: self.config.clone(),
+            weights: self.weights.clone(),
+        }
+    }
+}
+
+impl ProbePart {
+    /// The probe alone.
+    pub fn part(&self) -> Part {
+        Part {
+            kind: Kind::SuccessProbe.name().to_owned(),
+            config: self.config.clone(),
+            weights: self.weights.clone(),
+        }
+    }
+}
+
+impl TextPart {
+    /// The text tower alone.
+    pub fn part(&self) -> Part {
+        Part {
+            kind: Kind::Siglip2Text.name().to_owned(),
             config: self.config.clone(),
             weights: self.weights.clone(),
         }

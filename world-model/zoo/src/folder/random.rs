@@ -9,7 +9,9 @@ use wm_model::weights::{Precision as Stored, WeightsBuilder};
 use super::{Description, FILE, Part};
 use crate::kinds::{DitConfig, Kind, build_dit, parse};
 use crate::loader::Requested;
+use crate::success_probe::SuccessProbe;
 use crate::svae::Svae;
+use crate::vit::SiglipText;
 use crate::{Engine, Loader, Result};
 
 use super::decoder::DecoderConfig;
@@ -54,6 +56,9 @@ fn parts(description: &Description) -> Vec<Part> {
         parts.push(decoder.part());
         parts.extend(decoder.adapter.clone());
     }
+    if let Some(probe) = &description.probe {
+        parts.extend([probe.part(), probe.text.part()]);
+    }
     parts
 }
 
@@ -63,6 +68,8 @@ fn requested(part: &Part, folder: &Path) -> Result<(Kind, Vec<Requested>)> {
     match kind {
         Kind::Dit => drop(build_dit(&parse::<DitConfig>(&config)?, &loader)?),
         Kind::Svae => drop(Svae::load(&parse(&config)?, &loader)?),
+        Kind::SuccessProbe => drop(SuccessProbe::load(&parse(&config)?, &loader)?),
+        Kind::Siglip2Text => drop(SiglipText::load(&parse(&config)?, &loader)?),
         _ => match DecoderConfig::parse(kind, &config) {
             Ok(config) => drop(config.load(&loader)?),
             Err(_) => drop(EncoderConfig::parse(kind, &config)?.load(&loader)?),

@@ -1,6 +1,7 @@
 //! What a model folder is, in figures.
 
 use super::ModelFolder;
+use super::probe::Probe;
 use crate::Result;
 use crate::cost::{self, Cost};
 use crate::loader::Requested;
@@ -14,14 +15,15 @@ pub struct PartSummary {
     pub kind: String,
     /// Number of trained values.
     pub parameters: usize,
-    /// Operations for one frame (of 256x256, as [`cost`] counts them); of the transition, for one Euler step.
+    /// Operations for one frame (of 256x256, as [`cost`] counts them); of the transition, for one Euler step; of the text
+    /// tower, for an instruction; of the probe, for the longest episode.
     pub operations: usize,
 }
 
 /// What a model is made of.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
-    /// Encoder, adapter, transition, decoder: those that there are.
+    /// Encoder, adapter, transition, decoder, probe: those that there are.
     pub parts: Vec<PartSummary>,
     /// Rows, columns and channels of a latent.
     pub latent: [usize; 3],
@@ -74,6 +76,14 @@ impl ModelFolder {
             let decoder = &pictures.decoder;
             let cost = decoder.config.cost()?;
             parts.push(part("decoder", decoder.source.kind, &decoder.tensors, cost));
+        }
+        if let Some(Probe { probe, text }) = &self.probe {
+            let text = &text.tower;
+            let cost = cost::siglip2_text(&text.config)?;
+            parts.push(part("probe's text", text.source.kind, &text.tensors, cost));
+            let length = text.config.max_position_embeddings;
+            let cost = cost::success_probe(&probe.config, length)?;
+            parts.push(part("probe", probe.source.kind, &probe.tensors, cost));
         }
         let config = &self.transition.config.config;
         let [height, width] = self.description.image;

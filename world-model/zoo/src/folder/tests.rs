@@ -7,7 +7,7 @@ use super::*;
 use crate::WorldModel;
 
 /// Web-DINO of one layer on 28x28, an S-VAE, a pixel decoder and a DiT: latents of 4x4x6.
-fn adapted() -> Value {
+pub(super) fn adapted() -> Value {
     json!({
         "name": "small-6",
         "image": [32, 32],
@@ -37,7 +37,7 @@ fn native() -> Value {
     model
 }
 
-fn folder(model: &Value) -> TempDir {
+pub(super) fn folder(model: &Value) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
     write_random_weights(folder.path(), 7).unwrap();

@@ -1,0 +1,95 @@
+//! What the policy is asked to do.
+
+use std::{fmt, sync::Arc};
+
+use wm_msgs::std_msgs::String as Text;
+use wm_zoo::success_probe::Instruction;
+
+/// The most of an instruction that is shown \[character\].
+const SHOWN: usize = 80;
+
+/// The instruction of the task, and how far it has been read. Reading takes the text tower, and so is done once for
+/// each instruction, beside the node's loop.
+#[derive(Clone, Debug, Default)]
+pub enum Task {
+    /// No instruction has come, or an empty one.
+    #[default]
+    Unknown,
+    /// It is being read.
+    Reading(String),
+    /// It has been read.
+    Read(Arc<Instruction>),
+    /// It cannot be read.
+    Refused {
+        /// The instruction.
+        text: String,
+        /// Why not.
+        reason: String,
+    },
+}
+
+impl Task {
+    /// Takes an instruction; gives what has to be read now, nothing where it is the one already known. Until it has been
+    /// read there is none: the one before is no longer what the policy does.
+    pub fn take(&mut self, message: &Text) -> Option<String> {
+        let text = message.data.trim();
+        if text == self.text() {
+            return None;
+        }
+        if text.is_empty() {
+            *self = Self::Unknown;
+            return None;
+        }
+        *self = Self::Reading(text.to_owned());
+        Some(text.to_owned())
+    }
+
+    /// Takes what reading `text` gave; leaves it where another instruction has come since.
+    pub fn read(&mut self, text: String, outcome: wm_zoo::Result<Instruction>) {
+        if !matches!(self, Self::Reading(awaited) if *awaited == text) {
+            return;
+        }
+        *self = match outcome {
+            Ok(instruction) => Self::Read(Arc::new(instruction)),
+            Err(error) => Self::Refused {
+                text,
+                reason: error.to_string(),
+            },
+        };
+    }
+
+    /// The instruction, once it has been read.
+    pub fn instruction(&self) -> Option<Arc<Instruction>> {
+        match self {
+            Self::Read(instruction) => Some(Arc::clone(instruction)),
+            Self::Unknown | Self::Reading(_) | Self::Refused { .. } => None,
+        }
+    }
+
+    /// Its words; none while it is not known.
+    fn text(&self) -> &str {
+        match self {
+            Self::Unknown => "",
+            Self::Reading(text) | Self::Refused { text, .. } => text,
+            Self::Read(instruction) => instruction.text(),
+        }
+    }
+}
+
+/// What a success probability is of, or why there is none.
+impl fmt::Display for Task {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shown: String = self.text().chars().take(SHOWN).collect();
+        match self {
+            Self::Unknown => write!(f, "NaN: no instruction yet"),
+            Self::Reading(_) => write!(f, "NaN: the instruction {shown:?} is being read"),
+            Self::Read(_) => write!(f, "of {shown:?}"),
+            Self::Refused { reason, .. } => {
+                write!(f, "NaN: the instruction {shown:?} cannot be read: {reason}")
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
