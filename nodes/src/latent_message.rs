@@ -112,6 +112,16 @@ pub enum LatentError {
     },
 }
 
+impl LatentError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Space { .. } => "wrong_space",
+            _ => "malformed_latent",
+        }
+    }
+}
+
 /// The message of a latent: `values` of `space`, row-major, channels last, in `dtype`.
 ///
 /// # Errors

@@ -23,6 +23,7 @@ pub mod model_choice;
 pub mod monitor;
 pub mod planner;
 pub mod player;
+pub mod pool;
 pub mod predictor;
 pub mod qos_overrides;
 pub mod recorder;

@@ -5,12 +5,14 @@
 //! over the transition model, which this node holds itself: candidates never cross a topic.
 
 mod error;
+mod goal;
 mod model;
 mod node;
 mod parameters;
 mod step;
 
 pub use error::PlannerError;
+pub use goal::Goal;
 pub use model::PlannerModel;
 pub use node::{NAME, body, run};
-pub use step::{Goal, PlanRequest, PlanWait, PlannerSettings, PlannerStep};
+pub use step::{PlanRequest, PlanWait, PlannerSettings, PlannerStep};

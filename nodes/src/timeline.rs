@@ -61,6 +61,10 @@ impl Timing {
     }
 }
 
+/// A policy answers a frame before it has passed the encoder, and may be slow, but not by this much \[ns\]: its clock is
+/// not the frames'.
+const FAR_AHEAD_NS: i64 = 60_000_000_000;
+
 /// What a frame or an action did to the timeline.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Arrival {
@@ -108,6 +112,29 @@ pub enum TimelineError {
         /// Their period \[ns\].
         period_ns: i64,
     },
+    /// A chunk that begins so far ahead that it answers no frame that has come.
+    #[error(
+        "action chunk begins {} s after the newest frame, that of {}: stamp it with the stamp of the image that it answers",
+        (*.stamp_ns - *.newest_ns) / 1_000_000_000, seconds_of(*.newest_ns)
+    )]
+    Ahead {
+        /// Its stamp.
+        stamp_ns: i64,
+        /// The newest frame's.
+        newest_ns: i64,
+    },
+}
+
+impl TimelineError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Duplicate { .. } => "duplicate",
+            Self::OutOfOrder { .. } => "out_of_order",
+            Self::Ahead { .. } => "untimely_action",
+            Self::Action { .. } | Self::Chunk { .. } => "malformed_action",
+        }
+    }
 }
 
 /// Why there is no context yet. None of these is a fault: each passes when more has arrived.
@@ -257,9 +284,18 @@ impl Timeline {
     /// ([`Self::with_chunk_merging`]).
     ///
     /// # Errors
-    /// [`TimelineError::Chunk`], [`TimelineError::Action`], [`TimelineError::OutOfOrder`].
+    /// [`TimelineError::Chunk`], [`TimelineError::Action`], [`TimelineError::OutOfOrder`], [`TimelineError::Ahead`].
     pub fn chunk(&mut self, chunk: &ActionChunk) -> Result<(), TimelineError> {
         let stamp_ns = chunk.header.stamp.to_nanos();
+        if let Some(frame) = self.frames.newest() {
+            let newest_ns = frame.stamp_ns;
+            if stamp_ns > newest_ns.saturating_add(FAR_AHEAD_NS) {
+                return Err(TimelineError::Ahead {
+                    stamp_ns,
+                    newest_ns,
+                });
+            }
+        }
         if let Some(newest_ns) = self.actions.chunk_stamp_ns()
             && stamp_ns < newest_ns
             && !self.is_jump(stamp_ns, newest_ns)

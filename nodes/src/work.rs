@@ -14,6 +14,8 @@ use std::{
 
 use tokio::task::{JoinError, JoinHandle};
 
+use crate::pool::Pool;
+
 /// Whether the [`Work`] of a job is gone: a thread cannot be ended from outside, so a long job asks.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicBool>);
@@ -35,6 +37,8 @@ pub struct Work<T, R> {
     waiting: VecDeque<T>,
     capacity: usize,
     running: Option<JoinHandle<R>>,
+    /// None: on the threads that the process shares.
+    pool: Option<Pool>,
 }
 
 impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
@@ -46,7 +50,15 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
             waiting: VecDeque::new(),
             capacity: capacity.max(1),
             running: None,
+            pool: None,
         }
+    }
+
+    /// The same jobs, on threads of their own.
+    #[must_use]
+    pub fn on(mut self, pool: &Pool) -> Self {
+        self.pool = Some(pool.clone());
+        self
     }
 
     /// Starts a job, or lets it wait; gives back the oldest waiting one where there is no room. Within a tokio runtime.
@@ -90,7 +102,14 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
         let (run, stop) = (Arc::clone(&self.run), self.stop.clone());
         // What the job logs is the node's, also where a process has several.
         let span = tracing::Span::current();
-        let job = move || span.in_scope(|| run(job, &stop));
+        let pool = self.pool.clone();
+        let job = move || {
+            let job = || span.in_scope(|| run(job, &stop));
+            match pool {
+                Some(pool) => pool.run(job),
+                None => job(),
+            }
+        };
         self.running = Some(tokio::task::spawn_blocking(job));
     }
 }

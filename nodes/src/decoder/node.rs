@@ -22,12 +22,15 @@ use super::{
 use crate::{
     complaints::Complaints,
     model_choice::{self, ModelChoice},
+    pool::Pool,
     transport::Transports,
     work::Work,
 };
 
 /// The node's default name.
 pub const NAME: &str = "decoder";
+/// Where processors are short, a picture may come later than a prediction.
+const NICE: i64 = 5;
 
 /// Predictions that may wait: two rollouts of eight, since they come faster than one by one.
 const WAITING: usize = 16;
@@ -65,6 +68,7 @@ pub async fn body(node: Node) -> Result<()> {
     .floats(0.0, 3600.0)
     .read_only();
     let period = node.declare("decode_period", 0.6_f64, descriptor)?.get();
+    let pool = Pool::declare(&node, NICE)?;
     node.seal_parameters()?;
     let decoder = DecoderNode {
         node,
@@ -74,6 +78,7 @@ pub async fn body(node: Node) -> Result<()> {
         steps,
         // The descriptor keeps it within an hour.
         period_ns: (period * 1e9) as i64,
+        pool,
     };
     lifecycle.run(decoder).await
 }
@@ -86,6 +91,7 @@ struct DecoderNode {
     steps: Parameter<Vec<i64>>,
     /// Least time between two observations whose rollouts are decoded \[ns\].
     period_ns: i64,
+    pool: Pool,
 }
 
 /// The pictures of a prediction, or why there are none, and how long it took.
@@ -108,7 +114,11 @@ struct Decoding {
     complaints: Complaints,
 }
 
-fn work(step: Arc<Mutex<DecoderStep>>, transports: Transports) -> Work<(Prediction, u8), Decoded> {
+fn work(
+    step: Arc<Mutex<DecoderStep>>,
+    transports: Transports,
+    pool: &Pool,
+) -> Work<(Prediction, u8), Decoded> {
     Work::new(
         WAITING,
         move |(prediction, quality): (Prediction, u8), _| {
@@ -124,6 +134,7 @@ fn work(step: Arc<Mutex<DecoderStep>>, transports: Transports) -> Work<(Predicti
             (messages, started.elapsed())
         },
     )
+    .on(pool)
 }
 
 impl DecoderNode {
@@ -162,7 +173,7 @@ impl Managed for DecoderNode {
             None => None,
             Some(step) => Some(Decoding {
                 predictions: predictions(node, qos)?,
-                work: work(Arc::clone(step), transports),
+                work: work(Arc::clone(step), transports, &self.pool),
                 rollouts: Rollouts::every(self.period_ns),
                 complaints: Complaints::new(node.diagnostics()),
             }),

@@ -45,7 +45,7 @@ impl Attached {
         self.timeline.action(action).map(|_| true)
     }
 
-    /// Takes the actions to come; whether any of them is still to come.
+    /// Takes the actions to come; whether any of them is still to come. A chunk that is far ahead is left out.
     ///
     /// # Errors
     /// [`TimelineError`] says what is wrong with the chunk.
@@ -55,7 +55,12 @@ impl Attached {
             .period
             .to_nanos()
             .saturating_mul(chunk.actions.len() as i64);
-        let end_ns = chunk.header.stamp.to_nanos().saturating_add(span_ns);
+        let stamp_ns = chunk.header.stamp.to_nanos();
+        let end_ns = stamp_ns.saturating_add(span_ns);
+        // What is far ahead must not be the newest, which no later one may precede.
+        if stamp_ns > self.stamp_ns.saturating_add(self.timing.jump_ns) {
+            return Ok(false);
+        }
         self.timeline.chunk(chunk)?;
         Ok(end_ns > self.stamp_ns)
     }
@@ -147,5 +152,22 @@ mod tests {
         assert_eq!(attached.next(false), None);
         assert_eq!(firsts(attached.next(true)), Some(vec![3.0, 3.0]));
         assert!(!attached.chunk(&chunk).unwrap(), "all of it has passed");
+    }
+
+    #[test]
+    fn a_chunk_of_another_clock_is_left_out_and_hinders_none() {
+        let mut attached = attached();
+        let mut chunk = ActionChunk {
+            header: action(0, 0.0).header,
+            period: Duration::from_nanos(PERIOD),
+            actions: (0..2).map(|index| action(index, 0.5)).collect(),
+            ..ActionChunk::default()
+        };
+        chunk.header.stamp = Time::from_nanos(START + 1_000_000 * PERIOD);
+        assert!(!attached.chunk(&chunk).unwrap());
+        assert_eq!(attached.next(true), None);
+        chunk.header.stamp = Time::from_nanos(START);
+        assert!(attached.chunk(&chunk).unwrap());
+        assert_eq!(firsts(attached.next(false)), Some(vec![0.5, 0.5]));
     }
 }

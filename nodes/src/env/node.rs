@@ -1,6 +1,7 @@
 //! The env on the wire.
 
 mod active;
+mod policy;
 
 use std::{
     collections::VecDeque,
@@ -13,7 +14,7 @@ use tokio::time::Instant;
 use wm_msgs::wm_msgs::EnvResetRequest;
 use wm_ros::{Lifecycle, Managed, Node, NodeArgs, Qos, Received};
 
-use super::{Env, World, parameters::Parameters, start::INSTRUCTION};
+use super::{Env, Start, World, parameters::Parameters, start::INSTRUCTION};
 use crate::{
     complaints::Complaints,
     encoder::{CameraFrame, EncoderStep},
@@ -80,6 +81,21 @@ struct Configured {
     timing: Timing,
 }
 
+impl EnvNode {
+    /// That episodes by topics can begin is said now, not when the first policy comes.
+    async fn checked(&self, env: Env) -> Result<Env> {
+        if self.parameters.episodes == 0 {
+            return Ok(env);
+        }
+        let start = self.parameters.start(&EnvResetRequest::default())?;
+        if matches!(start, Start::Topic(_)) {
+            return Ok(env);
+        }
+        let checked = tokio::task::spawn_blocking(move || env.check(&start).map(|()| env)).await?;
+        Ok(checked?)
+    }
+}
+
 impl Managed for EnvNode {
     type Configured = Configured;
     type Active = Active;
@@ -124,7 +140,7 @@ impl Managed for EnvNode {
         }
         let env = Env::new(world, parameters.settings.clone(), timing);
         Ok(Configured {
-            env: Arc::new(Mutex::new(env)),
+            env: Arc::new(Mutex::new(self.checked(env).await?)),
             timing,
         })
     }

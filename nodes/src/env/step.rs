@@ -139,6 +139,19 @@ impl Env {
         self.sessions.len()
     }
 
+    /// Whether an episode can begin at `start`.
+    ///
+    /// # Errors
+    /// [`EnvError`] says what is wrong with it.
+    pub fn check(&self, start: &Start) -> Result<(), EnvError> {
+        self.open(start).map(drop)
+    }
+
+    fn open(&self, start: &Start) -> Result<Opening, EnvError> {
+        let context_frames = self.settings.context_frames;
+        open(start, &self.world, self.timing, context_frames)
+    }
+
     /// Begins an episode at `start`, its first observation at `begin`. An open one of the same name is closed.
     ///
     /// # Errors
@@ -157,18 +170,12 @@ impl Env {
         if !self.sessions.contains_key(&name) && self.sessions.len() >= self.settings.max_episodes {
             return Err(EnvError::Full(self.sessions.len()));
         }
-        let opening = open(
-            start,
-            &self.world,
-            self.timing,
-            self.settings.context_frames,
-        )?;
         let Opening {
             frames,
             actions,
             frame_id,
             instruction,
-        } = opening;
+        } = self.open(start)?;
         let instruction = if request.instruction.is_empty() {
             instruction.unwrap_or_else(|| self.settings.instruction.clone())
         } else {

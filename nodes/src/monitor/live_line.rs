@@ -19,6 +19,9 @@ pub(super) struct LiveLine {
     plan: Option<(f32, f64)>,
 }
 
+/// What lies further back was stamped by another clock, such as that of a bag \[ms\].
+const AN_HOUR_MS: f64 = 3_600_000.0;
+
 impl LiveLine {
     pub fn frame(&mut self, now: Instant) {
         push(&mut self.frames, now);
@@ -64,6 +67,9 @@ impl LiveLine {
             .collect();
         sorted.sort_by(f64::total_cmp);
         parts.push(match (sorted.get(sorted.len() / 2), sorted.last()) {
+            (_, Some(worst)) if worst.abs() > AN_HOUR_MS => {
+                "k=1 - (the images' stamps are not of now)".to_owned()
+            }
             (Some(median), Some(worst)) => format!("k=1 {median:.0} ms (max {worst:.0})"),
             _ => "k=1 -".to_owned(),
         });
@@ -102,6 +108,17 @@ fn rate(events: &VecDeque<Instant>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn stamps_of_another_clock_give_no_latency() {
+        let (mut line, now) = (LiveLine::default(), Instant::now());
+        line.prediction(1, 95_321_650_161_000_000, now);
+        let text = line.text(now, None, 0);
+        assert!(
+            text.contains("k=1 - (the images' stamps are not of now)"),
+            "{text}"
+        );
+    }
 
     #[test]
     fn the_line_tells_of_the_last_seconds_only() {

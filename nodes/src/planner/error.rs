@@ -47,11 +47,9 @@ impl PlannerError {
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
         match self {
-            Self::Latent(LatentError::Space { .. }) => "wrong_space",
-            Self::Latent(_) => "malformed_latent",
-            Self::Timeline(TimelineError::Duplicate { .. }) => "duplicate",
-            Self::Timeline(TimelineError::OutOfOrder { .. }) => "out_of_order",
-            Self::Timeline(_) | Self::Action(_) => "malformed_action",
+            Self::Latent(error) => error.reason(),
+            Self::Timeline(error) => error.reason(),
+            Self::Action(_) => "malformed_action",
             Self::Plan(_) => "no_plan",
             Self::Model(_) => "model",
         }

@@ -1,7 +1,7 @@
 //! The planner on the wire.
 
 use std::{
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 
@@ -25,6 +25,7 @@ use crate::{
     encoder::{CameraFrame, EncoderError, EncoderStep},
     latent_message::{LATENT_QOS, LatentDtype},
     model_choice::{self, ModelChoice},
+    pool::Pool,
     timeline::{Arrival, Timing, Wait, seconds},
     transport::{ImageSubscription, Transports},
     work::{Stop, Work},
@@ -32,6 +33,8 @@ use crate::{
 
 /// The node's default name.
 pub const NAME: &str = "planner";
+/// Where processors are short, a plan may come later than a prediction.
+const NICE: i64 = 15;
 
 /// Runs the node until SIGINT or SIGTERM.
 ///
@@ -51,12 +54,14 @@ pub async fn body(node: Node) -> Result<()> {
     let model = model_choice::declare(&node)?;
     let transports = Transports::declare(&node)?;
     let parameters = Parameters::declare(&node)?;
+    let pool = Pool::declare(&node, NICE)?;
     node.seal_parameters()?;
     let planner = PlannerNode {
         node,
         model,
         transports,
         parameters,
+        pool,
     };
     lifecycle.run(planner).await
 }
@@ -66,6 +71,7 @@ struct PlannerNode {
     model: ModelChoice,
     transports: Transports,
     parameters: Parameters,
+    pool: Pool,
 }
 
 struct Configured {
@@ -135,28 +141,14 @@ impl Managed for PlannerNode {
 
     fn activate(&self, configured: &Configured) -> Result<Active> {
         let node = &self.node;
-        let encoder = Arc::clone(&configured.encoder);
-        let goals = Work::new(1, move |frame: CameraFrame, _| {
-            let encoder = encoder.lock().unwrap_or_else(PoisonError::into_inner);
-            let values = encoder.encode_values(&frame.decode()?)?;
-            if values.iter().any(|value| !value.is_finite()) {
-                return Err(wm_model::Error::NotFinite {
-                    what: "the goal's latent",
-                }
-                .into());
-            }
-            Ok(Goal {
-                stamp: frame.header().stamp,
-                values: Arc::from(values),
-            })
-        });
         let (deadline, model) = (self.parameters.deadline, Arc::clone(&configured.model));
         let searches = Work::new(1, move |request: PlanRequest, stop: &Stop| {
             let started = Instant::now();
             let is_late = || deadline.is_some_and(|deadline| started.elapsed() >= deadline);
             let found = model.plan(&request, &mut || stop.is_asked() || is_late());
             (request, found, started.elapsed())
-        });
+        })
+        .on(&self.pool);
         let (settings, space) = (self.parameters.settings(), configured.space.clone());
         let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
         let input = Input::new("latents", [latents.topic()], "start the encoder");
@@ -172,7 +164,7 @@ impl Managed for PlannerNode {
             plans: node.publisher("plan", Qos::reliable(10))?,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
-            goals,
+            goals: Goal::work(&configured.encoder, &self.pool),
             searches,
         })
     }
@@ -237,7 +229,7 @@ impl Active {
         match taken {
             Ok(arrival) => {
                 if arrival.flushed {
-                    tracing::info!("time jumped: history flushed");
+                    tracing::info!("stamps are more than a second apart: history flushed");
                 }
                 true
             }

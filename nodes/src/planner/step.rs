@@ -9,7 +9,7 @@ use wm_msgs::{
     wm_msgs::{Action, ActionChunk, Latent},
 };
 
-use super::PlannerError;
+use super::{Goal, PlannerError};
 use crate::{
     latent_message::decode_latent,
     timeline::{Arrival, Context, Timeline, Timing, Wait},
@@ -24,15 +24,6 @@ pub struct PlannerSettings {
     pub plan_period_ns: i64,
     /// Seed of the first plan; each later one adds 1, so that a plan does not repeat the candidates of the last.
     pub seed: u64,
-}
-
-/// The goal: an image's latent.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Goal {
-    /// The image's stamp.
-    pub stamp: Time,
-    /// Its normalised latent, row-major, channels last.
-    pub values: Arc<[f32]>,
 }
 
 /// All that a plan is computed from.

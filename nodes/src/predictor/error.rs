@@ -33,11 +33,9 @@ impl PredictorError {
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
         match self {
-            Self::Latent(LatentError::Space { .. }) => "wrong_space",
-            Self::Latent(_) => "malformed_latent",
-            Self::Timeline(TimelineError::Duplicate { .. }) => "duplicate",
-            Self::Timeline(TimelineError::OutOfOrder { .. }) => "out_of_order",
-            Self::Timeline(_) | Self::Action(_) => "malformed_action",
+            Self::Latent(error) => error.reason(),
+            Self::Timeline(error) => error.reason(),
+            Self::Action(_) => "malformed_action",
             Self::Model(_) => "model",
         }
     }

@@ -217,7 +217,7 @@ impl Managed for PredictorNode {
                     let Some(received) = received else { return Ok(()) };
                     let taken = active.shared.step().action(&received.message);
                     match taken {
-                        Ok(arrival) if arrival.flushed => tracing::info!("time jumped: history flushed"),
+                        Ok(arrival) if arrival.flushed => tracing::info!("stamps are more than a second apart: history flushed"),
                         Ok(_) => {}
                         Err(error) => active.complaints.left_out(error.reason(), &error),
                     }
@@ -290,7 +290,7 @@ impl Active {
             self.unscored = unscored;
         }
         if outcome.arrival.flushed {
-            tracing::info!("time jumped: history flushed");
+            tracing::info!("stamps are more than a second apart: history flushed");
         }
         if outcome.arrival.missed_frames > 0 {
             let text = format!(

@@ -63,8 +63,14 @@ pub fn markdown(report: &Report) -> String {
         writeln!(text, "| {} |", row(step).join(" | ")).ok();
     }
     writeln!(text, "\n{}", remarks(report, "- ")).ok();
-    text.push_str("![real, predicted and difference over the steps](strip.png)\n");
+    if is_compared(report) {
+        text.push_str("![real, predicted and difference over the steps](strip.png)\n");
+    }
     text
+}
+
+fn is_compared(report: &Report) -> bool {
+    report.steps.iter().any(|step| step.compared > 0)
 }
 
 fn heading(report: &Report) -> String {
@@ -112,6 +118,11 @@ fn remarks(report: &Report, bullet: &str) -> String {
          ratio: latent error of the model over that of holding still; ms: capture of the observed frame to the \
          prediction's arrival"
         .to_owned());
+    if !is_compared(report) {
+        add("nothing was compared: no predicted picture has a frame of its moment; an env's bag has no predicted \
+             pictures, since its frames are the predictions"
+            .to_owned());
+    }
     if let Some(plans) = &report.plans {
         let times = plans.time_taken.unwrap_or_default();
         add(format!(

@@ -332,6 +332,21 @@ fn overlapping_chunks_are_merged_by_the_rule() {
 }
 
 #[test]
+fn a_chunk_of_another_clock_is_refused_and_hinders_none() {
+    let mut timeline = timeline(1);
+    see(&mut timeline, 0).unwrap();
+    let far = timeline.chunk(&chunk(1_000_000, &[2.0])).unwrap_err();
+    assert_eq!(far.reason(), "untimely_action");
+    let text = far.to_string();
+    assert!(
+        text.contains("199999 s after the newest frame") || text.contains("200000 s after"),
+        "{text}"
+    );
+    timeline.chunk(&chunk(0, &[2.0])).unwrap();
+    assert!(timeline.is_given(START));
+}
+
+#[test]
 fn only_what_was_said_is_given() {
     let mut timeline = timeline(1);
     timeline.action(&action(0, 1.0)).unwrap();

@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use tokio::time::Instant;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -26,14 +26,13 @@ use super::{
 use crate::{
     complaints::Complaints,
     encoder::CameraFrame,
-    image_message::encode_image,
-    timeline::{TimelineError, Timing},
+    timeline::Timing,
     transport::{ImageSubscription, Transports},
     work::Work,
 };
 
 /// An observation that a policy does not answer is sent again: it may have been lost, or the policy started anew.
-const RESEND: Duration = Duration::from_secs(1);
+pub(super) const RESEND: Duration = Duration::from_secs(1);
 /// How often the graph is asked whether a policy has come.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -90,6 +89,8 @@ pub(super) struct Played {
     /// When the next step may be made.
     pub(super) due: Instant,
     pub(super) published: Instant,
+    /// When this observation was published first.
+    pub(super) shown: Instant,
     /// Whether the task was done, as somebody said; ends the episode.
     pub(super) outcome: Option<bool>,
     pub(super) is_over: bool,
@@ -151,22 +152,11 @@ impl Active {
                 self.waiting_resets.push_back((request, Resetter::Topics));
                 self.complaints.working("an episode is played by topics");
             } else {
-                self.complaints.waiting(
-                    "policy",
-                    true,
-                    &"no policy yet: nobody subscribes to the camera and publishes actions",
-                );
+                let (kind, text) = self.missing();
+                self.complaints.waiting(kind, true, &text);
             }
         }
-        if let Some(played) = &mut self.played
-            && !played.is_over
-            && now.duration_since(played.published) >= RESEND
-            && matches!(self.in_flight, InFlight::Nothing)
-        {
-            played.published = now;
-            let observation = played.observation.clone();
-            self.publish(&observation)?;
-        }
+        self.remind(now)?;
         if !matches!(self.in_flight, InFlight::Nothing) {
             return Ok(false);
         }
@@ -190,18 +180,6 @@ impl Active {
                 .awaited
                 .as_ref()
                 .is_some_and(|awaited| is_topics(&awaited.resetter))
-    }
-
-    fn has_policy(&self) -> bool {
-        let sees = self
-            .raws
-            .as_ref()
-            .is_some_and(|raws| raws.subscribers() > 0)
-            || self
-                .jpegs
-                .as_ref()
-                .is_some_and(|jpegs| jpegs.subscribers() > 0);
-        sees && self.actions.publishers() + self.chunks.publishers() > 0
     }
 
     /// When something is to be done though nothing comes.
@@ -438,6 +416,7 @@ impl Active {
                     observation,
                     due: now,
                     published: now,
+                    shown: now,
                     outcome: None,
                     is_over: false,
                 });
@@ -458,61 +437,6 @@ impl Active {
             })?;
         }
         Ok(())
-    }
-
-    /// The played episode has taken a step, or has ended.
-    fn stepped(&mut self, moved: Result<Moved, EnvError>, node: &EnvNode) -> Result<()> {
-        let moved = moved.context("the episode played by topics")?;
-        let Some(mut played) = self.played.take() else {
-            return Ok(());
-        };
-        if played.is_over && moved.observations.is_empty() {
-            let name = played.attached.episode_id();
-            match &moved.bag {
-                Some(bag) => tracing::info!(
-                    "episode {name} ends after {} steps: {}",
-                    moved.steps,
-                    bag.display()
-                ),
-                None => tracing::info!("episode {name} ends after {} steps", moved.steps),
-            }
-            return Ok(());
-        }
-        for observation in moved.observations {
-            played.attached.observed(observation.jpeg.header.stamp);
-            self.publish(&observation)?;
-            played.observation = observation;
-        }
-        let now = Instant::now();
-        played.published = now;
-        played.due = (played.due + node.parameters.period).max(now);
-        played.is_over |= moved.truncated;
-        self.played = Some(played);
-        Ok(())
-    }
-
-    fn publish(&self, observation: &Observation) -> Result<()> {
-        if let Some(raws) = &self.raws {
-            let header = observation.jpeg.header.clone();
-            raws.publish(&encode_image(&observation.picture, header))?;
-        }
-        if let Some(jpegs) = &self.jpegs {
-            jpegs.publish(&observation.jpeg)?;
-        }
-        Ok(())
-    }
-
-    /// Reports what became of an action or a chunk; none: there is no episode that it could be for.
-    pub(super) fn note(&mut self, taken: Option<Result<bool, TimelineError>>) {
-        match taken {
-            Some(Ok(true)) => {}
-            Some(Ok(false)) => self.complaints.left_out(
-                "untimely_action",
-                &"an action is not of this moment: stamp it with the stamp of the image that it answers",
-            ),
-            Some(Err(error)) => self.complaints.left_out("malformed_action", &error),
-            None => self.complaints.left_out("no_episode", &"an action came while no episode is played by topics"),
-        }
     }
 
     fn answer(&mut self, answered: Result<(), wm_ros::Error>) {

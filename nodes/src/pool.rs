@@ -1,0 +1,80 @@
+//! Threads on which a node computes what may come later than what others compute, be they in its process or not.
+
+use std::sync::Arc;
+
+use anyhow::{Context as _, Result};
+use wm_ros::{Descriptor, Node};
+
+/// The threads; copies are the same ones.
+#[derive(Clone, Debug)]
+pub struct Pool(Arc<rayon::ThreadPool>);
+
+impl Pool {
+    /// As the node's parameter `nice` says, which it declares; `nice` is its default (as of nice(1), 0 to 19).
+    ///
+    /// # Errors
+    /// A parameter out of range; no threads.
+    pub fn declare(node: &Node, nice: i64) -> Result<Self> {
+        let descriptor = Descriptor::new(
+            "how far computing gives way to other nodes and programs, as nice(1): 0 to 19",
+        )
+        .integers(0, 19)
+        .read_only();
+        let nice = node.declare("nice", nice, descriptor)?.get() as i32;
+        Self::new(node.name(), nice)
+    }
+
+    /// As many threads as rayon has by default, named after the node and `nice` steps below this process.
+    ///
+    /// # Errors
+    /// No threads.
+    pub fn new(name: &str, nice: i32) -> Result<Self> {
+        let name = name.to_owned();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .thread_name(move |index| format!("{name} {index}"))
+            .start_handler(move |_| {
+                // Linux has a priority for each thread, where POSIX has one for the process.
+                if let Err(error) = rustix::process::nice(nice) {
+                    tracing::warn!("computing at the usual priority: {error}");
+                }
+            })
+            .build()
+            .context("the threads to compute on")?;
+        Ok(Self(Arc::new(pool)))
+    }
+
+    /// Computes `job` there, with all that it spreads by rayon, and waits for it.
+    pub fn run<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {
+        self.0.install(job)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use rayon::prelude::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn all_of_a_job_gives_way_and_nothing_else() {
+        let of_this_thread = || rustix::process::getpriority_process(None).unwrap();
+        let here = of_this_thread();
+        let pool = Pool::new("planner", 3).unwrap();
+        let seen: BTreeSet<_> = pool.run(|| {
+            (0..1000_u32)
+                .into_par_iter()
+                .map(|_| {
+                    (
+                        of_this_thread(),
+                        std::thread::current().name().unwrap()[..8].to_owned(),
+                    )
+                })
+                .collect()
+        });
+        let lower = (here + 3).min(19);
+        assert_eq!(seen, BTreeSet::from([(lower, "planner ".to_owned())]));
+        assert_eq!(of_this_thread(), here);
+    }
+}
