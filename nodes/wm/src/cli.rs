@@ -1,8 +1,7 @@
 //! The command line.
 
-use crate::{bag, eval, external, launch, model, node, report, train};
-use clap::{Args, Parser, Subcommand};
-use std::ffi::OsString;
+use crate::{bag, external, launch, model, node, report};
+use clap::{Parser, Subcommand};
 use std::path::Path;
 use std::process::ExitCode;
 use wm_nodes::launch::LaunchError;
@@ -30,15 +29,16 @@ enum Subcommands {
     Launch(launch::LaunchCommand),
     /// Play, record, inspect, recover, cut, import and export bags
     #[command(subcommand)]
-    Bag(bag::BagCommand),
-    /// Make bags with a simulated arm on a tabletop
-    Sim(wm_sim::SimArgs),
-    /// Train the models from bags
-    #[command(subcommand)]
-    Train(train::TrainCommand),
-    /// Measure models on bags that they were not trained on
-    #[command(subcommand)]
-    Eval(eval::EvalCommand),
+    Bag(Box<bag::BagCommand>),
+    /// Make bags with a simulated arm on a tabletop (the program wm-training)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Sim(external::Arguments),
+    /// Train the models from bags (the program wm-training)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Train(external::Arguments),
+    /// Measure models on bags that they were not trained on (the program wm-training)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Eval(external::Arguments),
     /// Check, convert and run published models of other sizes
     #[command(subcommand)]
     Model(model::ModelCommand),
@@ -46,16 +46,9 @@ enum Subcommands {
     Report(report::ReportCommand),
     /// Carry topics and services to other machines over Zenoh (the program wm-bridge)
     #[command(disable_help_flag = true, disable_version_flag = true)]
-    Bridge(ExternalArguments),
+    Bridge(external::Arguments),
     #[command(flatten)]
     Node(node::NodeCommand),
-}
-
-/// What a program of its own takes, unread.
-#[derive(Args, Debug)]
-struct ExternalArguments {
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-    arguments: Vec<OsString>,
 }
 
 /// A command with the arguments for ROS that came with it.
@@ -114,15 +107,12 @@ impl Command {
         match self.command {
             Subcommands::Launch(command) => command.run(),
             Subcommands::Bag(command) => command.run(self.ros_args),
-            Subcommands::Sim(arguments) => arguments.run().map(|()| ExitCode::SUCCESS),
-            Subcommands::Train(command) => command.run(),
-            Subcommands::Eval(command) => command.run(),
+            Subcommands::Sim(own) => own.exec("wm-training", ["sim"], Vec::new()),
+            Subcommands::Train(own) => own.exec("wm-training", ["train"], Vec::new()),
+            Subcommands::Eval(own) => own.exec("wm-training", ["eval"], Vec::new()),
             Subcommands::Model(command) => command.run(),
             Subcommands::Report(command) => command.run(),
-            Subcommands::Bridge(own) => {
-                let ros_args = self.ros_args.into_iter().map(OsString::from);
-                external::exec("wm-bridge", own.arguments.into_iter().chain(ros_args))
-            }
+            Subcommands::Bridge(own) => own.exec("wm-bridge", [], self.ros_args),
             Subcommands::Node(command) => command.run(self.ros_args),
         }
     }

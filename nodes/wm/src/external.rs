@@ -2,6 +2,7 @@
 //! program `wm-bridge`, as git and cargo have it.
 
 use anyhow::{Context as _, Result, bail};
+use clap::Args;
 use std::{
     ffi::OsString,
     os::unix::process::CommandExt as _,
@@ -9,11 +10,33 @@ use std::{
     process::{Command, ExitCode},
 };
 
+/// What a program of its own takes, unread.
+#[derive(Args, Debug)]
+pub struct Arguments {
+    /// As `--help` says, once the program is built
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    own: Vec<OsString>,
+}
+
+impl Arguments {
+    /// Becomes the program, with these arguments between words `before` and `after` them.
+    ///
+    /// # Errors
+    /// It is not there (the error says how to build it), or cannot be started.
+    pub fn exec<const N: usize>(
+        self,
+        program: &str,
+        before: [&str; N],
+        after: Vec<String>,
+    ) -> Result<ExitCode> {
+        let before = before.into_iter().map(OsString::from);
+        let after = after.into_iter().map(OsString::from);
+        exec(program, before.chain(self.own).chain(after))
+    }
+}
+
 /// Becomes the program, which is looked for beside this one and then on the PATH.
-///
-/// # Errors
-/// It is not there (the error says how to build it), or cannot be started.
-pub fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
+fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
     let beside = std::env::current_exe()?;
     let path = std::env::var_os("PATH").unwrap_or_default();
     let folders = beside.parent().map(Path::to_path_buf).into_iter();

@@ -5,14 +5,12 @@
 
 mod bag;
 mod cli;
-mod eval;
 mod external;
 mod launch;
 mod model;
 mod node;
 mod output;
 mod report;
-mod train;
 
 use std::process::ExitCode;
 
@@ -34,7 +32,7 @@ fn keep_freed_memory() {
 }
 
 /// Keeps candle to one thread: its own pool spins while it waits and is shared by all threads of the process, so that
-/// nodes side by side, or the workers of a training, take each other's processor. Our operations are spread by rayon.
+/// nodes side by side take each other's processor. Our operations are spread by rayon.
 fn keep_candle_to_one_thread() {
     const THREADS: &str = "CANDLE_NUM_THREADS";
     if std::env::var_os(THREADS).is_none() {

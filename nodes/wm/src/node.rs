@@ -35,7 +35,8 @@ pub enum NodeCommand {
 /// What a node takes before `--ros-args`.
 #[derive(Args, Debug)]
 pub struct NodeArguments {
-    /// The node's own arguments, for example --interface lo
+    /// The node's own arguments, for example --interface lo; its parameters (`--ros-args -p NAME:=VALUE`) are in
+    /// launch-configs/config, and one that is not known gets the list of all
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     arguments: Vec<String>,
 }

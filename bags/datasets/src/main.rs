@@ -1,0 +1,206 @@
+//! `wm-datasets`: other people's data sets as bags, and bags as data sets. `wm bag import` and `wm bag export` call it: the
+//! video codecs and parquet are heavy to build, and so a program of its own.
+//!
+//! Exit codes: 0 done, 1 failed, 2 wrong usage.
+
+use std::{io::Write as _, ops::RangeInclusive, path::PathBuf, process::ExitCode};
+
+use anyhow::Result;
+use clap::{Args, Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+use wm_import::{import_bridge, import_droid};
+
+/// Other people's data sets as bags, and bags as data sets.
+#[derive(Debug, Parser)]
+#[command(name = "wm-datasets", bin_name = "wm bag", version)]
+enum Command {
+    /// Make bags of a data set's episodes
+    #[command(subcommand)]
+    Import(ImportCommand),
+    /// Make a data set of bags
+    #[command(subcommand)]
+    Export(ExportCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum ImportCommand {
+    /// Bridge V2: the mp4 and npz layout, or the RLDS TFRecord layout
+    Bridge(EpisodesCommand),
+    /// DROID: annotation/SPLIT/NAME.json with three videos an episode
+    Droid(EpisodesCommand),
+    /// LeRobot, v2.1 or v3.0
+    Lerobot(FromLerobot),
+}
+
+#[derive(Debug, Subcommand)]
+enum ExportCommand {
+    /// LeRobot, v3.0
+    Lerobot(ToLerobot),
+}
+
+#[derive(Args, Debug)]
+struct EpisodesCommand {
+    /// Folder of the episodes
+    source: PathBuf,
+    /// Folder for the bags, one an episode
+    output: PathBuf,
+    /// Import at most so many episodes
+    #[arg(long)]
+    episodes: Option<usize>,
+    #[command(flatten)]
+    jpeg: Jpeg,
+}
+
+#[derive(Args, Debug)]
+struct FromLerobot {
+    /// Folder of the dataset (with meta/info.json)
+    source: PathBuf,
+    /// Folder for the bags, one an episode
+    output: PathBuf,
+    /// Import these episodes only: FIRST..LAST, the last one too, or one number
+    #[arg(long, value_parser = episodes)]
+    episodes: Option<RangeInclusive<i64>>,
+    #[command(flatten)]
+    jpeg: Jpeg,
+}
+
+#[derive(Args, Debug)]
+struct Jpeg {
+    /// JPEG quality of the frames of videos, 1 to 100
+    #[arg(long, default_value_t = wm_import::ImportOptions::default().jpeg_quality, value_parser = clap::value_parser!(u8).range(1..=100))]
+    jpeg_quality: u8,
+}
+
+#[derive(Args, Debug)]
+struct ToLerobot {
+    /// Folder for the dataset
+    output: PathBuf,
+    /// The bags, one episode each, or several where /task/success says so
+    #[arg(required = true)]
+    bags: Vec<PathBuf>,
+    /// Frames a second [default: the rate of /wm/action]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    fps: Option<u32>,
+    /// The dataset's robot_type
+    #[arg(long)]
+    robot_type: Option<String>,
+    /// A camera's topic, once for each [default: every .../image_raw and .../image_raw/compressed]
+    #[arg(long = "camera", value_name = "TOPIC")]
+    cameras: Vec<String>,
+    /// The task of episodes without /task/instruction
+    #[arg(long, default_value = "")]
+    task: String,
+}
+
+/// `3`, or `0..3` with the last one too.
+fn episodes(text: &str) -> Result<RangeInclusive<i64>, String> {
+    let number = |text: &str| {
+        text.parse::<i64>()
+            .ok()
+            .filter(|number| *number >= 0)
+            .ok_or_else(|| format!("expected FIRST..LAST or one number, got {text:?}"))
+    };
+    let (first, last) = text.split_once("..").unwrap_or((text, text));
+    let (first, last) = (number(first)?, number(last.trim_start_matches('='))?);
+    if first > last {
+        return Err(format!(
+            "expected the first not after the last, got {text:?}"
+        ));
+    }
+    Ok(first..=last)
+}
+
+impl EpisodesCommand {
+    fn options(&self) -> wm_import::ImportOptions {
+        wm_import::ImportOptions {
+            episodes: self.episodes,
+            jpeg_quality: self.jpeg.jpeg_quality,
+            ..wm_import::ImportOptions::default()
+        }
+    }
+}
+
+impl ImportCommand {
+    /// The bags made.
+    fn run(self) -> Result<Vec<PathBuf>> {
+        Ok(match self {
+            Self::Bridge(from) => import_bridge(&from.source, &from.output, &from.options())?,
+            Self::Droid(from) => import_droid(&from.source, &from.output, &from.options())?,
+            Self::Lerobot(from) => {
+                let options = wm_lerobot::ImportOptions {
+                    episodes: from.episodes,
+                    jpeg_quality: from.jpeg.jpeg_quality,
+                    ..wm_lerobot::ImportOptions::default()
+                };
+                wm_lerobot::import(&from.source, &from.output, &options)?
+            }
+        })
+    }
+}
+
+impl ToLerobot {
+    /// What was made, in words.
+    fn run(self) -> Result<String> {
+        let options = wm_lerobot::ExportOptions {
+            fps: self.fps,
+            robot_type: self.robot_type,
+            cameras: self.cameras,
+            task: self.task,
+            ..wm_lerobot::ExportOptions::default()
+        };
+        let exported = wm_lerobot::export(&self.bags, &self.output, &options)?;
+        for line in &exported.resampled {
+            eprintln!("wm-datasets: {line}");
+        }
+        Ok(format!(
+            "{}: {} episodes, {} frames at {} a second",
+            self.output.display(),
+            exported.episodes,
+            exported.frames,
+            exported.fps
+        ))
+    }
+}
+
+fn run(command: Command) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    match command {
+        Command::Import(command) => {
+            for bag in command.run()? {
+                writeln!(out, "{}", bag.display())?;
+            }
+        }
+        Command::Export(ExportCommand::Lerobot(command)) => writeln!(out, "{}", command.run()?)?,
+    }
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .init();
+    match run(Command::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("wm-datasets: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn episodes_are_a_number_or_a_range() {
+        assert_eq!(episodes("3"), Ok(3..=3));
+        assert_eq!(episodes("0..3"), Ok(0..=3));
+        assert_eq!(episodes("0..=3"), Ok(0..=3));
+        for bad in ["", "a", "3..1", "-1", "1..", "..2"] {
+            assert!(episodes(bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! `wm-training`: `wm sim`, `wm train` and `wm eval`, a program of its own, since a robot needs none of them.
+//!
+//! Exit codes: 0 done, 1 failed, 2 wrong usage.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use wm_sim::SimArgs;
+use wm_training::{
+    autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
+    transition::{EvaluateTransitionArgs, TrainTransitionArgs},
+};
+
+/// The workers of a training allocate and free large tensors all the time.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// Makes bags, trains models of them and measures these.
+#[derive(Debug, Parser)]
+#[command(
+    name = "wm-training",
+    bin_name = "wm",
+    version,
+    propagate_version = true
+)]
+enum Command {
+    /// Make bags with a simulated arm on a tabletop
+    Sim(SimArgs),
+    /// Train the models from bags
+    #[command(subcommand)]
+    Train(Box<TrainCommand>),
+    /// Measure models on bags that they were not trained on
+    #[command(subcommand)]
+    Eval(EvalCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum TrainCommand {
+    /// Train the autoencoder: frames to latents and back
+    Autoencoder(TrainAutoencoderArgs),
+    /// Train the transition model on the latents of a frozen encoder
+    Transition(TrainTransitionArgs),
+}
+
+#[derive(Debug, Subcommand)]
+enum EvalCommand {
+    /// What an autoencoder makes of the frames
+    Autoencoder(EvaluateAutoencoderArgs),
+    /// A transition model's predictions against persistence, and plans made with it
+    Transition(EvaluateTransitionArgs),
+}
+
+impl Command {
+    fn run(self) -> anyhow::Result<()> {
+        match self {
+            Self::Sim(arguments) => arguments.run()?,
+            Self::Train(command) => match *command {
+                TrainCommand::Autoencoder(arguments) => arguments.run()?,
+                TrainCommand::Transition(arguments) => arguments.run()?,
+            },
+            Self::Eval(EvalCommand::Autoencoder(arguments)) => arguments.run()?,
+            Self::Eval(EvalCommand::Transition(arguments)) => arguments.run()?,
+        }
+        Ok(())
+    }
+}
+
+/// Keeps candle to one thread: its own pool spins while it waits and is shared by all threads of the process, so that
+/// the workers of a training take each other's processor. Our operations are spread by rayon.
+fn keep_candle_to_one_thread() {
+    const THREADS: &str = "CANDLE_NUM_THREADS";
+    if std::env::var_os(THREADS).is_none() {
+        // SAFETY: the first thing that main does; no other thread runs yet that could read the environment.
+        unsafe { std::env::set_var(THREADS, "1") };
+    }
+}
+
+fn main() -> ExitCode {
+    keep_candle_to_one_thread();
+    match Command::parse().run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("wm: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Command::command().debug_assert();
+    }
+}
