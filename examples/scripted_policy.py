@@ -8,6 +8,7 @@ import math
 
 import rclpy
 from builtin_interfaces.msg import Duration
+from rclpy.executors import ExternalShutdownException
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CompressedImage
 from wm_msgs.msg import Action, ActionChunk
@@ -37,7 +38,10 @@ def act(image):
 
 
 node.create_subscription(CompressedImage, "/camera/image_raw/compressed", act, qos_profile_sensor_data)
-while rclpy.ok() and (arguments.images == 0 or len(seen) < arguments.images):
-    rclpy.spin_once(node, timeout_sec=0.5)
+try:
+    while rclpy.ok() and (arguments.images == 0 or len(seen) < arguments.images):
+        rclpy.spin_once(node, timeout_sec=0.5)
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
 node.destroy_node()
 rclpy.try_shutdown()

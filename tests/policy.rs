@@ -1,12 +1,17 @@
 //! A policy in the loop: the examples, as a user starts them, within the world model.
 
-use std::{collections::BTreeSet, process::Command, time::Duration};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+    process::Command,
+    time::Duration,
+};
 
 use serde_json::Value;
 use wm_bag::BagReader;
 use wm_msgs::{sensor_msgs::CompressedImage, wm_msgs::Action};
 
-use crate::harness::{Process, bundled_bag, fresh_domain, peers, rclpy, root, wm};
+use crate::harness::{Process, bundled_bag, fresh_domain, peers, rclpy, root, whole_suite, wm};
 
 const STEPS: u64 = 50;
 /// One model step of the embedded default, and the camera-rate actions that it takes.
@@ -178,6 +183,86 @@ fn episodes_through_the_services_share_a_batch_and_are_alike() {
         check_episode(&reader, "3");
         assert_eq!(count(&reader, "/task/success"), 1);
     }
+}
+
+/// The last picture of the bundled bag, as a file.
+fn goal_image(folder: &Path) -> PathBuf {
+    let reader = BagReader::open(bundled_bag()).unwrap();
+    let messages = reader.messages().map(|message| message.unwrap());
+    let last = messages
+        .filter(|message| &*message.topic == "/camera/image_raw/compressed")
+        .last()
+        .unwrap();
+    let image: CompressedImage = last.decode().unwrap();
+    let file = folder.join("goal.jpg");
+    std::fs::write(&file, image.data).unwrap();
+    file
+}
+
+#[test]
+fn a_policy_takes_the_candidate_that_is_predicted_to_end_nearest_to_the_goal() {
+    const CHOICES: usize = 5;
+    // As the example has them: of three candidates the movement to the side.
+    const SIDEWAYS: [f32; 3] = [0.02, 0.0, -0.02];
+    let Some(peers) = peers() else { return };
+    let _alone = whole_suite();
+    let domain = fresh_domain();
+    let folder = tempfile::tempdir().unwrap();
+    let goal = goal_image(folder.path());
+    let output = format!("output:={}", folder.path().display());
+    let bag = format!("bag:=\"{}\"", bundled_bag().display());
+    let steps = format!("max_steps:={}", CHOICES + 1);
+    let _encoder = Process::start(wm(domain, &["encoder"]));
+    let _evaluator = Process::start(wm(domain, &["evaluator"]));
+    let env = Process::start(wm(
+        domain,
+        &[
+            "env",
+            "--ros-args",
+            "-p",
+            &bag,
+            "-p",
+            "episodes:=1",
+            "-p",
+            &steps,
+            "-p",
+            &output,
+        ],
+    ));
+    let images = (CHOICES + 2).to_string();
+    let goal = goal.to_str().unwrap();
+    let policy = Process::start(rclpy(
+        &peers,
+        domain,
+        "../../examples/choosing_policy.py",
+        &["--goal", goal, "--images", &images],
+    ));
+    let (status, _) = env.finish(Duration::from_secs(180));
+    assert!(status.success(), "wm env: {status}");
+    let (status, stdout) = policy.finish(Duration::from_secs(30));
+    assert!(status.success(), "choosing_policy.py: {status}");
+
+    let mut chosen = vec![0.0; ACTIONS as usize]; // the first actions are taken unseen
+    for line in stdout.lines() {
+        let choice: Value = serde_json::from_str(line).unwrap();
+        let costs = choice["costs"].as_array().unwrap().iter();
+        let costs: Vec<f64> = costs.map(|cost| cost.as_f64().unwrap()).collect();
+        let best = choice["best"].as_u64().unwrap() as usize;
+        assert_eq!(costs.len(), SIDEWAYS.len());
+        assert!(
+            costs.iter().all(|cost| *cost >= costs[best]) && costs[0] != costs[2],
+            "{costs:?}, best {best}"
+        );
+        chosen.extend([SIDEWAYS[best]; ACTIONS as usize]);
+    }
+    assert_eq!(chosen.len() as u64, (CHOICES as u64 + 1) * ACTIONS);
+    let reader = BagReader::open(folder.path().join("episode_000000")).unwrap();
+    let messages = reader.messages().map(|message| message.unwrap());
+    let taken: Vec<f32> = messages
+        .filter(|message| &*message.topic == "/wm/action")
+        .map(|message| message.decode::<Action>().unwrap().values[1])
+        .collect();
+    assert_eq!(taken, chosen, "what the bag has is what was chosen");
 }
 
 #[test]

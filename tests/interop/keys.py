@@ -61,10 +61,14 @@ def main():
     call("is_paused", IsPaused)
     time.sleep(1.0)  # the keyboard is listened to shortly after the services are there
     states = []
+    state = None
     for key, code in KEYS.items():
         os.write(ours, code)
-        time.sleep(0.5)
-        states.append([key, call("is_paused", IsPaused).paused, call("get_rate", GetRate).rate])
+        before_key, end = state, time.monotonic() + (0.5 if key == "x" else 10.0)
+        while state == before_key and time.monotonic() < end:
+            time.sleep(0.05)
+            state = [call("is_paused", IsPaused).paused, call("get_rate", GetRate).rate]
+        states.append([key, *state])
     changed = termios.tcgetattr(theirs) != before
     os.write(ours, b"\x03")
     end = time.monotonic() + arguments.seconds

@@ -1,0 +1,92 @@
+"""A policy that looks before it acts: of three candidate chunks for every camera image it takes the one that the evaluator
+predicts to end nearest to the goal.
+
+usage: python examples/choosing_policy.py [--goal IMAGE] [--images N]        (ROS 2 sourced, wm_msgs built)
+
+Beside it run `wm encoder` and `wm evaluator`, and a camera: the robot's, or `wm env`. Without --goal, another publishes it.
+"""
+
+import argparse
+import json
+import pathlib
+
+import rclpy
+from builtin_interfaces.msg import Duration
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.time import Duration as Span
+from rclpy.time import Time
+from sensor_msgs.msg import CompressedImage
+from wm_msgs.msg import Action, ActionCandidates, ActionChunk, Assessment
+
+PERIOD = Duration(nanosec=200_000_000)  # of the actions, as of a camera at 5 Hz
+PREDICTED = 6  # actions of a candidate: three model steps of the bundled model
+TAKEN = 2  # of the best one, until the next image: one model step
+SIDEWAYS = [0.02, 0.0, -0.02]  # [m] of each action: to the left, nowhere, to the right
+
+parser = argparse.ArgumentParser()
+parser.add_argument("--goal", type=pathlib.Path, help="JPEG or PNG of how it should look in the end")
+parser.add_argument("--images", type=int, default=0, help="end after so many different images; 0: never")
+arguments = parser.parse_args()
+rclpy.init()
+node = rclpy.create_node("choosing_policy")
+candidates = node.create_publisher(ActionCandidates, "/wm/action_candidates", 10)
+actions = node.create_publisher(Action, "/wm/action", 10)
+seen, answered = [], set()
+
+
+def stamp_of(stamp):
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def chunk_of(image, sideways):
+    chunk = ActionChunk(period=PERIOD)
+    chunk.header.stamp, chunk.header.frame_id = image.header.stamp, "base_link"
+    for index in range(PREDICTED):
+        action = Action(values=[0.0, sideways, 0.0, 0.0, 0.0, 0.0, 1.0])  # dx dy dz droll dpitch dyaw open
+        time = Time.from_msg(image.header.stamp) + Span(nanoseconds=index * PERIOD.nanosec)
+        action.header.stamp, action.header.frame_id = time.to_msg(), "base_link"
+        chunk.actions.append(action)
+    return chunk
+
+
+def take(chunk):
+    answered.add(stamp_of(chunk.header.stamp))
+    for action in chunk.actions[:TAKEN]:
+        actions.publish(action)
+
+
+def see(image):
+    if not seen or stamp_of(image.header.stamp) > stamp_of(seen[-1].header.stamp):
+        seen.append(image)
+    chunks = [chunk_of(image, sideways) for sideways in SIDEWAYS]
+    if len(seen) == 1:
+        take(chunks[1])  # a prediction needs two images and what was done between them
+    elif stamp_of(image.header.stamp) not in answered:
+        # an image that comes again has not been answered: the evaluator may not have been ready
+        candidates.publish(ActionCandidates(header=image.header, policy="choosing_policy", chunks=chunks))
+
+
+def choose(assessment):
+    stamp = stamp_of(assessment.candidates_stamp)
+    if assessment.best < 0 or stamp in answered or stamp != stamp_of(seen[-1].header.stamp):
+        return
+    take(chunk_of(seen[-1], SIDEWAYS[assessment.best]))
+    costs = [candidate.cost for candidate in assessment.candidates]
+    print(json.dumps({"stamp": stamp, "costs": costs, "best": assessment.best}), flush=True)
+
+
+if arguments.goal:
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    goals = node.create_publisher(CompressedImage, "/wm/goal/image/compressed", latched)
+    kind = "png" if arguments.goal.suffix == ".png" else "jpeg"
+    goals.publish(CompressedImage(format=kind, data=arguments.goal.read_bytes()))
+node.create_subscription(CompressedImage, "/camera/image_raw/compressed", see, qos_profile_sensor_data)
+node.create_subscription(Assessment, "/wm/assessment", choose, 10)
+try:
+    while rclpy.ok() and (arguments.images == 0 or len(seen) < arguments.images):
+        rclpy.spin_once(node, timeout_sec=0.5)
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
+node.destroy_node()
+rclpy.try_shutdown()
