@@ -225,8 +225,10 @@ async fn predictions_and_plans_cross_50_ms_and_2_percent_loss() {
     assert!(delays.iter().all(|&delay| delay >= DELAY.as_secs_f64()));
     // They are sent with best effort, and how fast the robot computes is the machine's; but the link has to keep up.
     assert!(50 * lost <= MESSAGES, "{lost} of {MESSAGES} are lost");
+    // A packet that is lost several times holds up the stream for a second or two, a link that is too slow for ever more.
+    let longest = quantile(&mut delays, 1.0);
     assert!(
-        arrived_hz > 0.9 * sent_hz,
-        "{sent_hz} Hz became {arrived_hz} Hz"
+        longest < 5.0,
+        "{longest} s late: {sent_hz} Hz became {arrived_hz} Hz"
     );
 }
