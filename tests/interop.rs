@@ -3,6 +3,8 @@
 use std::{collections::BTreeSet, time::Duration};
 
 use serde_json::Value;
+use wm_msgs::sensor_msgs::Image;
+use wm_ros::{Context, Environment, Node, NodeArgs, Qos, Reach};
 
 use crate::harness::{Process, Signal, bundled_bag, fresh_domain, peers, rclpy, whole_suite, wm};
 
@@ -106,6 +108,70 @@ pub fn spaces_of_predictions(report: &Value) -> BTreeSet<String> {
     }
     assert_eq!(steps_seen, (1..=HORIZON).collect());
     spaces
+}
+
+/// To its own kind a large message goes in parts, to others in one burst, of which their receive buffer may lose some.
+#[test]
+fn a_large_message_reaches_its_own_kind_each_time_and_a_real_ros_2_as_it_can() {
+    const BYTES: usize = 300_000;
+    let Some(peers) = peers() else { return };
+    let _alone = whole_suite();
+    let domain = fresh_domain();
+    let environment = Environment {
+        domain_id: domain,
+        reach: Reach::Localhost,
+    };
+    let [here, there] = [(); 2].map(|()| Context::new(&environment).expect("a context"));
+    let args = NodeArgs::parse(std::iter::empty::<&str>()).expect("no arguments");
+    let node = |context, name| Node::new(context, name, "/wm", &args).expect("a node");
+    let (camera, viewer) = (node(&here, "camera"), node(&there, "viewer"));
+    let qos = Qos::sensor_data();
+    let publisher = camera
+        .publisher::<Image>("large", qos)
+        .expect("a publisher");
+    let images = viewer.subscription::<Image>("large", qos);
+    let mut images = images.expect("a subscription");
+
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let (stop, stopped) = tokio::sync::oneshot::channel();
+    let seeing = runtime.spawn(async move {
+        publisher.wait_for_subscribers(1).await;
+        images.wait_for_publishers(1).await;
+        let mut image = Image {
+            data: vec![7; BYTES],
+            ..Image::default()
+        };
+        let mut stopped = std::pin::pin!(stopped);
+        let mut tick = tokio::time::interval(Duration::from_millis(100));
+        let mut seen = 0;
+        loop {
+            tokio::select! {
+                _ = &mut stopped => return (seen, images.lost(), images.dropped()),
+                _ = tick.tick() => {}
+            }
+            image.header.stamp.sec += 1;
+            publisher.publish(&image).expect("published");
+            let patience = Duration::from_secs(10);
+            let came = tokio::time::timeout(patience, images.recv()).await;
+            let came = came.expect("it comes in time").expect("no shutdown");
+            assert!(came.message == image, "another image came, or one twice");
+            seen += 1;
+        }
+    });
+    let report = collect(&peers, domain, &["/wm/large:sensor_msgs/msg/Image:3"]);
+    for image in messages(&report, "/wm/large") {
+        assert_eq!(image["data"]["len"], BYTES);
+    }
+    stop.send(()).expect("it listens");
+    let (seen, lost, dropped) = runtime.block_on(seeing).expect("no panic");
+    assert!(
+        seen > 3 && (lost, dropped) == (0, 0),
+        "{seen} {lost} {dropped}"
+    );
+    drop((camera, viewer, runtime));
+    for context in [here, there] {
+        context.close();
+    }
 }
 
 #[test]

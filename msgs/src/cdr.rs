@@ -53,6 +53,15 @@ pub enum CdrError {
     },
 }
 
+/// The type's own name, without the modules that lead to it.
+fn name_of<T>() -> &'static str {
+    let name = std::any::type_name::<T>();
+    match name.contains('<') {
+        true => name,
+        false => name.rsplit("::").next().unwrap_or(name),
+    }
+}
+
 /// Encodes a value: header (little endian) and body. Generic over serde, so that the request or response of a
 /// service goes through it too.
 ///
@@ -62,7 +71,7 @@ pub fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, CdrError> {
     let mut bytes = vec![CDR_LE[0], CDR_LE[1], 0, 0];
     cdr_encoding::to_writer::<T, byteorder::LittleEndian, _>(&mut bytes, value).map_err(
         |source| CdrError::Encode {
-            type_name: std::any::type_name::<T>(),
+            type_name: name_of::<T>(),
             source,
         },
     )?;
@@ -75,7 +84,7 @@ pub fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, CdrError> {
 /// # Errors
 /// Bytes that are not plain CDR of this type; see [`CdrError`].
 pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CdrError> {
-    let type_name = std::any::type_name::<T>();
+    let type_name = name_of::<T>();
     let len = bytes.len();
     let (Some(&representation), Some(body)) = (bytes.first_chunk::<2>(), bytes.get(HEADER_LEN..))
     else {

@@ -1,11 +1,15 @@
-//! How latents go from node to node by DDS: loss, latency and memory, from one participant to another on loopback.
+//! How latents go from node to node: loss, latency and memory, from one participant to another by DDS on loopback, as
+//! between processes, and within one participant in memory.
 //!
 //! `cargo run --release -p wm_nodes --example latent_transport -- [HEIGHT WIDTH CHANNELS [RATE_HZ [SECONDS [best_effort|reliable]]]]`
 //!
 //! Without arguments: 16x16x1024 in f16, 512 KiB, at 5 Hz for 10 s, with the nodes' own QoS. A latency is from before
 //! the values are made a message until they are values again.
 
-use std::time::{Duration, Instant};
+use std::{
+    fs,
+    time::{Duration, Instant},
+};
 
 use anyhow::{Context as _, Result, bail};
 use wm_model::LatentSpace;
@@ -58,10 +62,30 @@ fn main() -> Result<()> {
         domain_id: 60 + (std::process::id() % 10) as u16,
         reach: Reach::Localhost,
     };
+    println!(
+        "{} bytes, {}, {} Hz, net.core.rmem_max {}",
+        settings.space.elements() * LatentDtype::F16.size(),
+        settings.qos,
+        settings.rate,
+        fs::read_to_string("/proc/sys/net/core/rmem_max")
+            .unwrap_or_default()
+            .trim(),
+    );
     let [here, there] = [Context::new(&environment)?, Context::new(&environment)?];
+    for (how, receiver) in [("by DDS", &there), ("in memory", &here)] {
+        println!("{how}: {}", measure(&settings, &here, receiver)?);
+    }
+    for context in [here, there] {
+        context.shutdown().trigger();
+        context.close();
+    }
+    Ok(())
+}
+
+fn measure(settings: &Settings, here: &Context, there: &Context) -> Result<String> {
     let args = NodeArgs::parse(Vec::<String>::new())?;
     let node = |context, name| Node::new(context, name, wm_nodes::NAMESPACE, &args);
-    let (sender, receiver) = (node(&here, "sender")?, node(&there, "receiver")?);
+    let (sender, receiver) = (node(here, "sender")?, node(there, "receiver")?);
     let publisher = sender.publisher::<Latent>("latent", settings.qos)?;
     let subscription = receiver.subscription::<Latent>("latent", settings.qos)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -94,23 +118,14 @@ fn main() -> Result<()> {
         latencies.get((q * last).round() as usize).copied()
     };
     let ms = |q| part(q).unwrap_or(f64::NAN);
-    println!(
-        "{} bytes, {}, {} Hz: n {count}, lost {}, gaps counted {lost}, p50 {:.2} ms, p95 {:.2} ms, p99 {:.2} ms, memory + {} KiB",
-        settings.space.elements() * LatentDtype::F16.size(),
-        settings.qos,
-        settings.rate,
+    Ok(format!(
+        "n {count}, lost {}, gaps counted {lost}, p50 {:.2} ms, p95 {:.2} ms, p99 {:.2} ms, memory + {} KiB",
         count - latencies.len(),
         ms(0.5),
         ms(0.95),
         ms(0.99),
         resident_kib().saturating_sub(before),
-    );
-    drop(publisher);
-    for context in [here, there] {
-        context.shutdown().trigger();
-        context.close();
-    }
-    Ok(())
+    ))
 }
 
 /// Latencies \[ms\] of what came, and how many gaps the subscription saw.
@@ -145,7 +160,7 @@ fn values(space: &LatentSpace) -> Vec<f32> {
 
 /// Resident memory of this process.
 fn resident_kib() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with("VmRSS:"));
     let number = line.and_then(|line| line.split_whitespace().nth(1));
     number

@@ -331,7 +331,7 @@ impl State {
         let mut findings = self.watchdog.report(now, &connected, resident);
         for (id, (topic, _)) in &self.endpoints {
             findings.extend(graph.mismatches(id).into_iter().map(|message| Finding {
-                subject: format!("QoS of {topic}"),
+                subject: format!("connections of {topic}"),
                 level: Level::Warn,
                 message,
             }));
@@ -478,7 +478,7 @@ mod tests {
             subjects(),
             [
                 "wm/encoder: message size of /wm/latent",
-                "wm/encoder: QoS of /camera"
+                "wm/encoder: connections of /camera"
             ]
         );
         diagnostics.remove_endpoint(&[1; 16]);

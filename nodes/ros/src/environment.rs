@@ -80,6 +80,17 @@ impl Environment {
         Ok(Self { domain_id, reach })
     }
 
+    /// Whether there are no other participants.
+    pub(crate) fn is_alone(&self) -> bool {
+        self.reach == Reach::Process
+    }
+
+    /// Whether all others are on this host's loopback interface.
+    pub(crate) fn is_on_loopback(&self) -> bool {
+        let addresses = self.addresses();
+        addresses.is_some_and(|addresses| addresses.iter().all(IpAddr::is_loopback))
+    }
+
     /// The addresses to bind discovery to; `None` for every interface.
     pub(crate) fn addresses(&self) -> Option<Vec<IpAddr>> {
         match &self.reach {

@@ -76,6 +76,16 @@ pub enum Error {
         /// The largest that can be sent \[byte\].
         largest: usize,
     },
+    /// A message that is larger than any that this middleware carries.
+    #[error("cannot publish {topic}: {len} bytes, at most {largest} can be sent")]
+    MessageTooLarge {
+        /// The topic.
+        topic: String,
+        /// Size of the message \[byte\].
+        len: usize,
+        /// The largest that can be sent \[byte\].
+        largest: usize,
+    },
     /// The middleware has ended by itself.
     #[error(
         "the DDS library has ended, as it does when its process is stopped and continued (SIGSTOP, Ctrl-Z, a debugger): \

@@ -31,7 +31,8 @@
 //! # Promises
 //! - Nothing is lost in silence: queues have a named policy and count what they drop, samples that cannot be
 //!   decoded or never arrived are counted, and all of it is on `/diagnostics`.
-//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples.
+//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples, or
+//!   64 MiB of large ones.
 //! - Loopback unless asked otherwise; see [`Environment`].
 //!
 //! # Not here

@@ -70,6 +70,21 @@ impl NodeName {
         Ok(rule.map_or(expanded, |(_, to)| to.clone()))
     }
 
+    /// The name of `name`'s sibling `name/suffix`: by a rule of its own, or beside what `name` is remapped to.
+    pub(crate) fn resolve_sibling(
+        &self,
+        name: &str,
+        suffix: &str,
+        kind: &'static str,
+    ) -> Result<String, Error> {
+        let sibling = self.expand(&format!("{name}/{suffix}"), kind)?;
+        let rule = self.rules.iter().find(|(from, _)| *from == sibling);
+        match rule {
+            Some((_, to)) => Ok(to.clone()),
+            None => Ok(format!("{}/{suffix}", self.resolve(name, kind)?)),
+        }
+    }
+
     /// `~` and relative names made absolute.
     fn expand(&self, name: &str, kind: &'static str) -> Result<String, Error> {
         let absolute = if let Some(private) = name.strip_prefix("~/") {
@@ -223,6 +238,20 @@ mod tests {
         assert_eq!(name.resolve("latent", "topic").unwrap(), "/a");
         assert_eq!(name.resolve("/x", "topic").unwrap(), "/wm/y");
         assert_eq!(name.resolve("/a", "topic").unwrap(), "/a");
+    }
+
+    #[test]
+    fn a_sibling_goes_with_its_topic_unless_it_has_a_rule_of_its_own() {
+        let compressed = |line: &str| {
+            let name = node(line).unwrap();
+            name.resolve_sibling("/camera/image_raw", "compressed", "topic")
+                .unwrap()
+        };
+        assert_eq!(compressed(""), "/camera/image_raw/compressed");
+        let with = "--ros-args -r /camera/image_raw:=/front/image_raw";
+        assert_eq!(compressed(with), "/front/image_raw/compressed");
+        let apart = format!("{with} -r /camera/image_raw/compressed:=/jpeg");
+        assert_eq!(compressed(&apart), "/jpeg");
     }
 
     #[test]

@@ -10,15 +10,15 @@ pub use graph::{RemoteEndpoint, Role, TopicInfo};
 use interfaces::Interfaces;
 
 use crate::{
-    Clock, Context, Descriptor, Diagnostics, Error, NodeArgs, Parameter, Publisher, Qos,
-    RawPublisher, RawSubscription, Service, Shutdown, Subscription,
+    Clock, Context, Descriptor, Diagnostics, Durability, Error, NodeArgs, Parameter, Publisher,
+    Qos, RawPublisher, RawSubscription, Service, Shutdown, Subscription,
     backend::{Backend, Channel, Endpoint, Reader, Writer},
     logging,
     mailbox::Mailbox,
     names::{NodeName, TypeName},
     parameters::Parameters,
     service::{self, Client, RawClient, RawService, WAITING_CALLS},
-    subscription::Intake,
+    subscription::{CatchUp, Intake},
     value::{ParameterType, Value},
 };
 use std::sync::{Arc, Mutex, PoisonError};
@@ -105,6 +105,15 @@ impl Node {
     /// A name that ROS does not allow.
     pub fn resolve(&self, name: &str) -> Result<String, Error> {
         self.inner.name.resolve(name, "topic or service")
+    }
+
+    /// The absolute name of the sibling `name/suffix`, as image_transport has it for `compressed`: where `name` is
+    /// remapped and the sibling is not, it goes with it.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow.
+    pub fn resolve_sibling(&self, name: &str, suffix: &str) -> Result<String, Error> {
+        self.inner.name.resolve_sibling(name, suffix, "topic")
     }
 
     /// The end of the context.
@@ -265,12 +274,29 @@ impl Node {
         qos: Qos,
     ) -> Result<Subscription<M>, Error> {
         self.inner.interfaces.message::<M>();
-        Ok(Subscription::new(self.subscribe(
-            topic,
-            type_of::<M>(),
-            qos,
-            true,
-        )?))
+        let hears = Hears::default();
+        let raw = self.subscribe(topic, type_of::<M>(), qos, hears)?;
+        Ok(Subscription::new(raw))
+    }
+
+    /// As [`subscription`](Self::subscription), and where a publisher latches (durability transient local), what it
+    /// published before comes too: for what holds until something else is said, as a goal does. Publishers that do not
+    /// latch are heard as well, which a subscription with [`Qos::latched`] would not be connected to.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn subscription_catching_up<M: Message>(
+        &self,
+        topic: &str,
+        qos: Qos,
+    ) -> Result<Subscription<M>, Error> {
+        self.inner.interfaces.message::<M>();
+        let hears = Hears {
+            latched: true,
+            ..Hears::default()
+        };
+        let raw = self.subscribe(topic, type_of::<M>(), qos, hears)?;
+        Ok(Subscription::new(raw))
     }
 
     /// Subscribes to a topic of any type, `package/msg/Type`, as CDR bytes.
@@ -283,7 +309,8 @@ impl Node {
         type_name: &str,
         qos: Qos,
     ) -> Result<RawSubscription, Error> {
-        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, true)
+        let type_name = TypeName::parse_message(type_name)?;
+        self.subscribe(topic, type_name, qos, Hears::default())
     }
 
     /// As [`raw_subscription`](Self::raw_subscription), but it does not hear what this context publishes: for a
@@ -297,7 +324,11 @@ impl Node {
         type_name: &str,
         qos: Qos,
     ) -> Result<RawSubscription, Error> {
-        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, false)
+        let hears = Hears {
+            own: false,
+            ..Hears::default()
+        };
+        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, hears)
     }
 
     fn subscribe(
@@ -305,7 +336,7 @@ impl Node {
         topic: &str,
         type_name: TypeName,
         qos: Qos,
-        hears_own: bool,
+        hears: Hears,
     ) -> Result<RawSubscription, Error> {
         let name = self.inner.name.resolve(topic, "topic")?;
         let qos = overrides::apply(
@@ -321,18 +352,42 @@ impl Node {
             name,
             type_name,
             qos,
-            hears_own,
+            hears_own: hears.own,
         };
-        let reader =
-            self.inner
-                .backend()
-                .reader(self.fully_qualified_name(), &endpoint, intake.sink())?;
+        let (backend, node) = (self.inner.backend(), self.fully_qualified_name());
+        let is_of_two = hears.latched && qos.durability == Durability::Volatile;
+        let sink = || match is_of_two {
+            true => intake.sink_of_two(),
+            false => intake.sink(),
+        };
+        let reader = backend.reader(node, &endpoint, sink())?;
+        let catch_up = is_of_two.then(|| {
+            let runtime = self.inner.context.runtime();
+            CatchUp::begin(runtime, backend, node.to_owned(), endpoint, sink())
+        });
         Ok(RawSubscription::new(
             intake,
             reader,
-            Arc::clone(self.inner.backend()),
+            Arc::clone(backend),
             self.shutdown(),
+            catch_up,
         ))
+    }
+}
+
+/// What a subscription hears beside what others publish from now on.
+#[derive(Clone, Copy)]
+struct Hears {
+    /// What this context publishes.
+    own: bool,
+    /// What was latched before.
+    latched: bool,
+}
+
+impl Default for Hears {
+    fn default() -> Self {
+        let (own, latched) = (true, false);
+        Self { own, latched }
     }
 }
 

@@ -112,11 +112,13 @@ impl RawPublisher {
             return;
         }
         let inner = &*self.inner;
-        inner.diagnostics.oversized(inner.writer.id(), len);
-        if !inner.has_warned_of_size.swap(true, Ordering::Relaxed) {
+        let id = inner.writer.id();
+        inner.diagnostics.oversized(id, len);
+        if inner.backend.foreign(&id) > 0 && !inner.has_warned_of_size.swap(true, Ordering::Relaxed)
+        {
             tracing::warn!(
-                "{}: a message of {len} bytes may not reach a stock ROS 2 machine (up to {SAFE_SAMPLE_BYTES} do); \
-                 it needs net.core.rmem_default and rmem_max of 4 MB there, and so do the nodes here",
+                "{}: a message of {len} bytes may not reach subscribers of another DDS implementation (up to \
+                 {SAFE_SAMPLE_BYTES} do) unless net.core.rmem_default and rmem_max are 4194304 on their machine",
                 inner.topic
             );
         }

@@ -1,10 +1,13 @@
 //! Subscriptions, typed and raw.
 
+mod catch_up;
 mod gaps;
+
+pub(crate) use catch_up::CatchUp;
 
 use crate::{
     Clock, Diagnostics, Shutdown,
-    backend::{Backend, Reader, Sink},
+    backend::{Backend, Reader, Sample, Sink},
     mailbox::Mailbox,
 };
 use bytes::Bytes;
@@ -12,7 +15,7 @@ use gaps::Gaps;
 use std::{
     marker::PhantomData,
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
 };
@@ -35,6 +38,8 @@ pub struct RawSubscription {
     reader: Box<dyn Reader>,
     backend: Arc<dyn Backend>,
     shutdown: Shutdown,
+    /// Of a subscription that takes latched messages too.
+    _catch_up: Option<CatchUp>,
 }
 
 /// What the receiving thread and the reader of a subscription share.
@@ -43,6 +48,7 @@ pub(crate) struct Intake {
     mailbox: Mailbox<Received<Bytes>>,
     undecodable: AtomicU64,
     lost: AtomicU64,
+    gaps: Mutex<Gaps>,
     diagnostics: Diagnostics,
     clock: Clock,
 }
@@ -60,6 +66,7 @@ impl Intake {
             mailbox: Mailbox::new(depth),
             undecodable,
             lost,
+            gaps: Mutex::default(),
             diagnostics,
             clock,
         })
@@ -68,29 +75,44 @@ impl Intake {
     /// What the middleware calls for each sample.
     pub(crate) fn sink(self: &Arc<Self>) -> Sink {
         let intake = Arc::clone(self);
-        let mut gaps = Gaps::default();
         Box::new(move |sample| match sample {
-            Ok(sample) => {
-                let lost = gaps.after(sample.writer, sample.sequence);
-                if lost > 0 {
-                    intake.lost.fetch_add(lost, Ordering::Relaxed);
-                    intake
-                        .diagnostics
-                        .count_drops(&format!("{}: lost in transport", intake.topic), lost);
-                }
-                intake.diagnostics.received(&intake.topic);
-                let received = Received {
-                    message: sample.bytes,
-                    received: intake.clock.now(),
-                };
-                if !intake.mailbox.push(received) {
-                    intake
-                        .diagnostics
-                        .count_drop(&format!("{}: queue full", intake.topic));
-                }
-            }
+            Ok(sample) => intake.take(sample),
             Err(reason) => intake.refuse(&reason),
         })
+    }
+
+    /// As [`sink`](Self::sink), for one of two readers that hear the same publishers: what the other has heard, or
+    /// something newer, is left.
+    pub(crate) fn sink_of_two(self: &Arc<Self>) -> Sink {
+        let intake = Arc::clone(self);
+        Box::new(move |sample| match sample {
+            Ok(sample) if intake.gaps().has(&sample.writer, sample.sequence) => {}
+            Ok(sample) => intake.take(sample),
+            Err(reason) => intake.refuse(&reason),
+        })
+    }
+
+    /// No invariant spans the lock.
+    fn gaps(&self) -> std::sync::MutexGuard<'_, Gaps> {
+        self.gaps.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn take(&self, sample: Sample) {
+        let lost = self.gaps().after(sample.writer, sample.sequence);
+        if lost > 0 {
+            self.lost.fetch_add(lost, Ordering::Relaxed);
+            self.diagnostics
+                .count_drops(&format!("{}: lost in transport", self.topic), lost);
+        }
+        self.diagnostics.received(&self.topic);
+        let received = Received {
+            message: sample.bytes,
+            received: self.clock.now(),
+        };
+        if !self.mailbox.push(received) {
+            self.diagnostics
+                .count_drop(&format!("{}: queue full", self.topic));
+        }
     }
 
     /// Counts a sample that is not a message, and reports the first.
@@ -112,6 +134,7 @@ impl RawSubscription {
         reader: Box<dyn Reader>,
         backend: Arc<dyn Backend>,
         shutdown: Shutdown,
+        catch_up: Option<CatchUp>,
     ) -> Self {
         intake
             .diagnostics
@@ -121,6 +144,7 @@ impl RawSubscription {
             reader,
             backend,
             shutdown,
+            _catch_up: catch_up,
         }
     }
 
@@ -263,7 +287,6 @@ impl<M: Message> Subscription<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::backend::Sample;
     use wm_msgs::std_msgs;
 
     fn sample(sequence: i64, bytes: Vec<u8>) -> Result<Sample, String> {

@@ -203,6 +203,71 @@ async fn messages_reach_another_participant_typed_and_raw() {
     there.close();
 }
 
+/// More than a reliable publisher's window, which rustdds would fill with what own subscriptions do not acknowledge.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_topic_that_a_context_reads_and_publishes_goes_on() {
+    const COUNT: usize = 700;
+    let both = node(&context(3), "both", "");
+    let there = context(3);
+    let other = node(&there, "other", "");
+    let qos = Qos::reliable(2 * COUNT);
+    let mut own = both.subscription::<Bool>("two_way", qos).unwrap();
+    let publisher = both.publisher::<Bool>("two_way", qos).unwrap();
+    let mut remote = other.subscription::<Bool>("two_way", qos).unwrap();
+    soon("connecting", publisher.wait_for_subscribers(2)).await;
+    soon("connecting", remote.wait_for_publishers(1)).await;
+    for _ in 0..COUNT {
+        let published = publisher.publish_when_ready(&Bool { data: true });
+        soon("room in the window", published).await.unwrap();
+        soon("what another gets", remote.recv()).await.unwrap();
+        soon("what is heard at home", own.recv()).await.unwrap();
+    }
+    assert!(publisher.wait_for_acknowledgments(PATIENCE).await.unwrap());
+    assert!(
+        own.try_recv().is_none() && remote.try_recv().is_none(),
+        "twice"
+    );
+    assert_eq!((own.lost(), remote.lost(), publisher.dropped()), (0, 0, 0));
+
+    // and the other way: what others publish there is heard, once
+    let answer = other.publisher::<Bool>("two_way", qos).unwrap();
+    soon("connecting", own.wait_for_publishers(2)).await;
+    soon("connecting", answer.wait_for_subscribers(2)).await;
+    answer.publish(&Bool { data: false }).unwrap();
+    let received = soon("another's message", own.recv()).await.unwrap();
+    assert!(!received.message.data);
+    assert_eq!(both.count_publishers("two_way").unwrap(), 2);
+}
+
+/// A goal, say: one is latched before anybody asks, another comes from a publisher that does not latch.
+#[tokio::test(flavor = "current_thread")]
+async fn who_catches_up_hears_publishers_that_latch_and_others() {
+    let (here, there) = (context(2), context(2));
+    let (talker, listener) = (node(&here, "setter", ""), node(&there, "seeker", ""));
+    let latched = talker.publisher("goal", Qos::latched(1)).unwrap();
+    latched.publish(&text("first")).unwrap();
+    let mut goals = listener
+        .subscription_catching_up::<std_msgs::String>("goal", Qos::reliable(10))
+        .unwrap();
+    let mut told = async |what| {
+        let received = soon(what, goals.recv()).await;
+        received.unwrap().message.data
+    };
+    assert_eq!(told("what was latched").await, "first");
+    // heard by both of its readers, told once
+    soon("connecting", latched.wait_for_subscribers(2)).await;
+    latched.publish(&text("second")).unwrap();
+    assert_eq!(told("what is latched").await, "second");
+
+    let live = talker.publisher("goal", Qos::reliable(10)).unwrap();
+    soon("connecting", live.wait_for_subscribers(1)).await;
+    live.publish(&text("third")).unwrap();
+    assert_eq!(told("what is not latched").await, "third");
+    latched.publish(&text("fourth")).unwrap();
+    assert_eq!(told("what is latched").await, "fourth");
+    assert_eq!((goals.lost(), goals.dropped()), (0, 0));
+}
+
 #[tokio::test(flavor = "current_thread")]
 async fn nodes_of_one_context_hear_each_other_and_late_ones_get_what_is_latched() {
     let here = context(1);
@@ -361,10 +426,25 @@ async fn incompatible_qos_is_told_by_policy() {
         }
     };
     for node in ["wm/talker", "wm/listener"] {
-        let status = soon("the warning", told(&format!("{node}: QoS of /wm/state"))).await;
+        let subject = format!("{node}: connections of /wm/state");
+        let status = soon("the warning", told(&subject)).await;
         assert_eq!(status.level, 1);
         let text = status.message;
         assert!(text.contains("incompatible Reliability"), "{text}");
+    }
+    let _texts = talker
+        .publisher::<std_msgs::String>("typed", Qos::reliable(1))
+        .unwrap();
+    let _flags = listener
+        .subscription::<Bool>("typed", Qos::reliable(1))
+        .unwrap();
+    let subject = "wm/listener: connections of /wm/typed";
+    let text = soon("the warning", told(subject)).await.message;
+    for part in [
+        "a publisher elsewhere is of type std_msgs/msg/String",
+        "here it is std_msgs/msg/Bool",
+    ] {
+        assert!(text.contains(part), "{text}");
     }
     assert_eq!((offered.subscribers(), wanted.publishers()), (0, 0));
 }

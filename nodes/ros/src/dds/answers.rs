@@ -2,7 +2,7 @@
 //! does, and a volatile writer's sample goes to none but the readers that it knows: an answer sent at once would be
 //! lost, and the call would never end. So it waits, as it does in rmw_fastrtps.
 
-use super::{Shared, local::is_same_participant, lock};
+use super::{local::is_same_participant, lock::lock, shared::Shared};
 use crate::backend::EndpointId;
 use std::{
     sync::{

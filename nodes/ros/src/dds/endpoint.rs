@@ -1,10 +1,12 @@
 //! Readers and writers of bytes.
 
 use super::{
-    Shared,
     answers::WaitingRoom,
     codec::{HEADER_LEN, Raw},
-    local::is_same_participant,
+    local::{WAITING, is_same_participant},
+    lock::lock,
+    parts::{Keep, LARGEST, peer_of},
+    shared::Shared,
 };
 use crate::{
     Durability, Error,
@@ -19,7 +21,7 @@ use rustdds::{
     no_key::{DataWriter, DeserializedCacheChange, SimpleDataReader},
     rpc::SampleIdentity,
 };
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use tokio::{runtime::Handle, task::AbortHandle};
 
 pub(super) struct DdsWriter {
@@ -32,6 +34,10 @@ pub(super) struct DdsWriter {
 struct WriterCore {
     writer: DataWriter<Bytes, Raw>,
     topic: String,
+    /// What is kept of messages in parts, where they may go so.
+    keep: Option<Keep>,
+    /// The last number on the topic. Held while a sample is sent, so that all readers get them in one order.
+    last: Mutex<i64>,
     shared: Arc<Shared>,
 }
 
@@ -42,6 +48,60 @@ impl WriterCore {
     }
 
     fn send(&self, sample: &Bytes, answers: Option<RequestId>) -> Result<Written, Error> {
+        let (id, mut last) = (self.id(), lock(&self.last));
+        if let Some(keep) = self.keep
+            && self.shared.parts.takes(&id, sample.len())
+        {
+            return self.send_in_parts(sample, keep, &mut last);
+        }
+        let written = self.send_whole(sample, answers, &mut last)?;
+        if let Written::Sent(sequence) = written {
+            self.shared.local.deliver(id, sequence, sample, answers);
+        }
+        Ok(written)
+    }
+
+    fn send_in_parts(&self, sample: &Bytes, keep: Keep, last: &mut i64) -> Result<Written, Error> {
+        let (id, parts) = (self.id(), &self.shared.parts);
+        if sample.len() > LARGEST {
+            return Err(Error::MessageTooLarge {
+                topic: self.topic.clone(),
+                len: sample.len(),
+                largest: LARGEST,
+            });
+        }
+        parts.open(id, keep, *last);
+        if parts.is_full(&id) {
+            return Ok(Written::WindowFull);
+        }
+        let (peers, has_others) = self.shared.readers_in_parts(&id);
+        let copy = match has_others {
+            false => 0,
+            true => match self.send_whole(sample, None, last)? {
+                Written::Sent(sequence) => sequence,
+                not_sent => return Ok(not_sent),
+            },
+        };
+        let number = self.shared.offer(&id, sample, copy, peers);
+        let Some(number) = number else {
+            return Err(Error::ShutDown(self.topic.clone()));
+        };
+        self.shared.local.deliver(id, number, sample, None);
+        Ok(Written::Sent(number))
+    }
+
+    /// On the topic, to readers elsewhere.
+    fn send_whole(
+        &self,
+        sample: &Bytes,
+        answers: Option<RequestId>,
+        last: &mut i64,
+    ) -> Result<Written, Error> {
+        if self.shared.is_alone {
+            // there is nobody elsewhere, and own readers would never acknowledge
+            *last += 1;
+            return Ok(Written::Sent(*last));
+        }
         let related = answers.map(|request| SampleIdentity {
             writer_guid: GUID::from_bytes(request.client),
             sequence_number: SequenceNumber::from(request.sequence),
@@ -53,9 +113,7 @@ impl WriterCore {
         match self.writer.write_with_options(sample.clone(), options) {
             Ok(identity) => {
                 let sequence = identity.sequence_number.into();
-                self.shared
-                    .local
-                    .deliver(self.id(), sequence, sample, answers);
+                *last = sequence;
                 Ok(Written::Sent(sequence))
             }
             Err(WriteError::WouldBlock { .. }) => Ok(Written::WindowFull),
@@ -72,10 +130,15 @@ impl DdsWriter {
         shared: &Arc<Shared>,
         runtime: &Handle,
     ) -> Self {
+        use rustdds::RTPSEntity as _;
+        // offers come from the first participant, and are for its writers
+        let is_of_first = peer_of(&writer.guid().to_bytes()) == shared.first;
         let this = Self {
             core: Arc::new(WriterCore {
                 writer,
                 topic: endpoint.name.clone(),
+                keep: Keep::of(endpoint).filter(|_| is_of_first),
+                last: Mutex::new(0),
                 shared: Arc::clone(shared),
             }),
             waiting: WaitingRoom::default(),
@@ -166,7 +229,9 @@ impl Writer for DdsWriter {
                     format!("wait for the readers of {}", self.core.topic),
                     error,
                 )
-            })
+            })?;
+            self.core.shared.parts.acknowledged(&self.id()).await;
+            Ok(())
         })
     }
 }
@@ -198,8 +263,12 @@ impl DdsReader {
         let inbox = if endpoint.hears_own {
             shared.local.add_reader(id, endpoint)
         } else {
-            Arc::new(Mailbox::new(1))
+            Arc::new(Mailbox::new(WAITING))
         };
+        let is_topic = endpoint.channel == Channel::Topic;
+        if is_topic {
+            shared.parts.add_reader(id, endpoint, &inbox);
+        }
         shared.nodes.add_endpoint(id, node, endpoint, false);
         shared.changed();
         let is_server = endpoint.channel == Channel::Request;
@@ -214,7 +283,7 @@ impl DdsReader {
                     Some(sample) = samples.next() => match sample {
                         Ok(change) => {
                             let writer = change.writer_guid().to_bytes();
-                            if is_same_participant(&id, &writer) {
+                            if book.is_own(&writer) {
                                 continue;
                             }
                             if began.is_some_and(|began| change.receive_instant < began) {
@@ -227,7 +296,11 @@ impl DdsReader {
                                 // from here on they come in their order, whatever becomes of the system's clock
                                 began = None;
                             }
-                            Ok(into_sample(change, is_server))
+                            let sample = into_sample(change, is_server);
+                            if is_topic && !book.parts.lets_in(&id, &sample) {
+                                continue;
+                            }
+                            Ok(sample)
                         }
                         Err(error) => Err(error.to_string()),
                     },

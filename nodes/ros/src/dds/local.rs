@@ -2,7 +2,10 @@
 //! multicast reflects its announcements, which is so on loopback; where it does connect them, its samples are
 //! ignored in favour of these.
 
-use super::{dds_name, dds_type, lock};
+use super::{
+    lock::lock,
+    names::{dds_name, dds_type},
+};
 use crate::{
     Durability, Qos,
     backend::{Endpoint, EndpointId, RequestId, Sample},
@@ -15,7 +18,7 @@ use std::{
 };
 
 /// Samples that may wait for a reader's task, which hands them on at once.
-const WAITING: usize = 512;
+pub(super) const WAITING: usize = 512;
 
 /// What makes two endpoints ends of one topic.
 #[derive(Clone, PartialEq, Eq)]

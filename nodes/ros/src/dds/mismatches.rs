@@ -1,8 +1,8 @@
-//! Endpoints on one topic that are not connected, since one asks for more than the other offers. It is the commonest
-//! riddle of ROS 2: each is logged once, by the policy that keeps the two apart, and stays on the diagnostics while both
-//! are there.
+//! Endpoints on one topic that do not understand each other, since one asks for more than the other offers, or is of
+//! another type. It is the commonest riddle of ROS 2: each is logged once, by the policy or types that keep the two apart,
+//! and stays on the diagnostics while both are there.
 
-use super::{lock, qos};
+use super::{lock::lock, qos};
 use crate::backend::EndpointId;
 use rustdds::QosPolicies;
 use std::{collections::BTreeMap, sync::Mutex};
@@ -61,6 +61,29 @@ impl Mismatches {
             qos::from_dds(requested),
             qos::from_dds(offered)
         );
+        self.know(own, other, text);
+    }
+
+    /// An endpoint elsewhere is of another type. rustdds connects the two all the same; others do not.
+    pub(super) fn types(
+        &self,
+        own: EndpointId,
+        other: EndpointId,
+        topic: &str,
+        (own_type, other_type): (&str, &str),
+        is_publisher: bool,
+    ) {
+        let what = match is_publisher {
+            true => "a publisher",
+            false => "a subscription",
+        };
+        let text = format!(
+            "{topic}: {what} elsewhere is of type {other_type}, here it is {own_type}: they do not understand each other"
+        );
+        self.know(own, other, text);
+    }
+
+    fn know(&self, own: EndpointId, other: EndpointId, text: String) {
         let mut known = lock(&self.known);
         if known.len() >= LIMIT {
             known.clear();
@@ -93,6 +116,19 @@ impl Mismatches {
 mod tests {
     use super::*;
     use crate::Qos;
+
+    #[test]
+    fn other_types_are_named() {
+        let mismatches = Mismatches::default();
+        let types = ("sensor_msgs/msg/Image", "std_msgs/msg/String");
+        mismatches.types([1; 16], [2; 16], "/camera/image_raw", types, true);
+        let [text] = &mismatches.of(&[1; 16])[..] else {
+            panic!("one is known")
+        };
+        for part in ["/camera/image_raw: a publisher", types.0, types.1] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
 
     #[test]
     fn a_mismatch_is_named_once_and_forgotten_with_its_endpoints() {

@@ -1,10 +1,14 @@
 //! Which endpoint belongs to which node, announced on `ros_discovery_info` as every ROS 2 participant does, so that
 //! `ros2 node list` and `ros2 node info` show it.
 
-use super::{codec::Raw, dds_name, dds_type, lock, ros_names};
+use super::{
+    codec::Raw,
+    lock::lock,
+    names::{dds_name, dds_type, ros_names},
+};
 use crate::{
     Error,
-    backend::{Endpoint, EndpointId, Seen},
+    backend::{Channel, Endpoint, EndpointId, Seen},
 };
 use bytes::Bytes;
 use ros2_client::{
@@ -131,6 +135,34 @@ impl Nodes {
             .seen
             .as_ref()
             .map(|seen| seen.name.clone())
+    }
+
+    /// The own endpoints that are to be connected to one elsewhere on this topic, but are of another type; with their type.
+    pub(super) fn of_other_type(
+        &self,
+        topic: &str,
+        type_name: &str,
+        is_writer: bool,
+    ) -> Vec<(EndpointId, String)> {
+        let table = lock(&self.table);
+        let seen = table.endpoints.values().filter_map(|own| own.seen.as_ref());
+        seen.filter(|seen| {
+            seen.channel == Channel::Topic
+                && seen.is_writer != is_writer
+                && seen.name == topic
+                && seen.type_name != type_name
+        })
+        .map(|seen| (seen.id, seen.type_name.clone()))
+        .collect()
+    }
+
+    /// Whether this process has a reader on the topic of `endpoint`.
+    pub(super) fn reads(&self, endpoint: &Endpoint) -> bool {
+        let table = lock(&self.table);
+        let mut seen = table.endpoints.values().filter_map(|own| own.seen.as_ref());
+        seen.any(|seen| {
+            !seen.is_writer && seen.channel == endpoint.channel && seen.name == endpoint.name
+        })
     }
 
     /// Announces that there are no nodes any more, and falls silent.

@@ -24,6 +24,11 @@ impl Gaps {
         *last = sequence.max(*last);
         u64::try_from(missing).unwrap_or(0)
     }
+
+    /// Whether this sample, or a later one of its publisher, has come.
+    pub(super) fn has(&self, writer: &EndpointId, sequence: i64) -> bool {
+        self.last.get(writer).is_some_and(|last| sequence <= *last)
+    }
 }
 
 #[cfg(test)]
@@ -40,5 +45,7 @@ mod tests {
         assert_eq!(gaps.after(a, 9), 2);
         assert_eq!(gaps.after(a, 8), 0, "late, not lost twice");
         assert_eq!(gaps.after(a, 10), 0);
+        assert!(gaps.has(&a, 9) && gaps.has(&a, 10) && !gaps.has(&a, 11));
+        assert!(gaps.has(&b, 1) && !gaps.has(&[3; 16], 1));
     }
 }

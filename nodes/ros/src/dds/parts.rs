@@ -1,0 +1,228 @@
+//! Large messages between participants of this suite, whatever the receive buffer of the machine.
+//!
+//! rustdds sends a sample as one burst of fragments. One of 512 KiB overflows Linux's default receive buffer of
+//! 208 KiB, and reliable readers fare no better, since its repairs are bursts as well. So a volatile writer of a topic
+//! goes over to parts with its first large message: it offers each message to the participants that read the topic and
+//! have a reader of parts, keeps as many as its history is deep, and sends the parts that they ask for. Each asks for
+//! a few at a time, so that nothing overflows, asks again for what does not come, and answers when it has a message;
+//! a reader that has stopped asks for nothing, and holds up nobody.
+//!
+//! Every participant reads a topic of its own ([`topic_of`]), which ROS does not show; who has something to say to it
+//! makes a writer for that. To readers of other kinds (rclpy, Cyclone DDS) the messages go on their topic as ever; this
+//! suite's readers hear them there too and leave them.
+//!
+//! Latched writers go on as ever: their late readers are served by the middleware.
+
+mod exchange;
+mod inbox;
+mod message;
+mod outbox;
+#[cfg(test)]
+mod tests;
+
+use super::{codec::Raw, lock::lock};
+use crate::{
+    Durability, Qos, Reliability,
+    backend::{Channel, Endpoint, EndpointId, Sample},
+    mailbox::Mailbox,
+};
+use bytes::Bytes;
+use inbox::Inbox;
+use message::PartMessage;
+use outbox::Outbox;
+use rustdds::{GUID, QosPolicies, no_key::DataWriter};
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+};
+use tokio::sync::Notify;
+
+pub(super) use exchange::exchange;
+pub(super) use message::LARGEST;
+pub(super) use outbox::Keep;
+
+/// A participant: the first bytes of the identities of its endpoints.
+pub(super) type Peer = [u8; 12];
+
+/// Something to say to a participant.
+#[derive(Clone, Debug)]
+struct Mail {
+    to: Peer,
+    message: PartMessage,
+}
+
+/// In front of the participant's identity; the number is the protocol's version.
+const TOPIC: &str = "wm/parts/1/";
+const TYPE: &str = "wm::Parts_";
+/// Samples that wait for the task that takes them, or for the thread that sends them.
+const DEPTH: usize = 64;
+
+/// Another participant that reads parts.
+struct Postbox {
+    reader: GUID,
+    /// Made when there is something to say.
+    writer: Option<DataWriter<Bytes, Raw>>,
+}
+
+/// A reader of a topic here.
+struct LocalReader {
+    inbox: Arc<Mailbox<Sample>>,
+    depth: usize,
+}
+
+#[derive(Default)]
+struct State {
+    outbox: Outbox,
+    inbox: Inbox,
+    postboxes: BTreeMap<Peer, Postbox>,
+    readers: BTreeMap<EndpointId, LocalReader>,
+    /// The last number that a reader took on the topic of a writer (in this order), before it was known that the
+    /// writer has gone over to parts.
+    heard: BTreeMap<(EndpointId, EndpointId), i64>,
+}
+
+/// The messages in parts of this participant.
+#[derive(Default)]
+pub(super) struct Parts {
+    state: Mutex<State>,
+    /// There may be something to do earlier than before.
+    is_earlier: Notify,
+    /// A reader has settled a message.
+    is_settled: Notify,
+}
+
+pub(super) fn peer_of(id: &EndpointId) -> Peer {
+    let mut peer = Peer::default();
+    peer.copy_from_slice(&id[..12]);
+    peer
+}
+
+fn topic_of(peer: &Peer) -> String {
+    peer.iter()
+        .fold(TOPIC.to_owned(), |name, byte| format!("{name}{byte:02x}"))
+}
+
+fn profile() -> QosPolicies {
+    super::qos::for_writer(Qos::best_effort(DEPTH))
+}
+
+impl Keep {
+    /// What a writer keeps whose messages may go in parts.
+    pub(super) fn of(endpoint: &Endpoint) -> Option<Self> {
+        let Qos {
+            reliability,
+            durability,
+            depth,
+        } = endpoint.qos;
+        if endpoint.channel != Channel::Topic || durability != Durability::Volatile {
+            return None;
+        }
+        Some(match reliability {
+            Reliability::BestEffort => Self::Last(depth),
+            Reliability::Reliable => Self::All(super::qos::RELIABLE_WINDOW.max(depth)),
+        })
+    }
+}
+
+impl Parts {
+    /// Whether a message goes in parts: it is large, or others of its writer went so before.
+    pub(super) fn takes(&self, writer: &EndpointId, len: usize) -> bool {
+        len > message::PART || lock(&self.state).outbox.has(writer)
+    }
+
+    /// From now on this writer's messages go in parts. `last` is the last number that it used on its topic.
+    pub(super) fn open(&self, writer: EndpointId, keep: Keep, last: i64) {
+        lock(&self.state).outbox.open(writer, keep, last);
+    }
+
+    /// Whether a reader has fallen so far behind that the writer takes nothing more.
+    pub(super) fn is_full(&self, writer: &EndpointId) -> bool {
+        lock(&self.state).outbox.is_full(writer)
+    }
+
+    /// Waits until every reader has what this writer has sent so far.
+    pub(super) async fn acknowledged(&self, writer: &EndpointId) {
+        let Some(last) = lock(&self.state).outbox.last(writer) else {
+            return;
+        };
+        loop {
+            let mut settled = std::pin::pin!(self.is_settled.notified());
+            settled.as_mut().enable();
+            if lock(&self.state).outbox.is_settled(writer, last) {
+                return;
+            }
+            settled.await;
+        }
+    }
+
+    /// What comes in parts for this reader goes into `inbox`.
+    pub(super) fn add_reader(
+        &self,
+        id: EndpointId,
+        endpoint: &Endpoint,
+        inbox: &Arc<Mailbox<Sample>>,
+    ) {
+        let depth = match endpoint.qos.reliability {
+            Reliability::BestEffort => endpoint.qos.depth,
+            // nothing of a reliable writer is left out: it stops when it is full
+            Reliability::Reliable => super::qos::RELIABLE_WINDOW.max(endpoint.qos.depth),
+        };
+        let inbox = Arc::clone(inbox);
+        lock(&self.state)
+            .readers
+            .insert(id, LocalReader { inbox, depth });
+    }
+
+    /// Whether a sample on the topic is for this reader: not where it has come in parts, or will.
+    pub(super) fn lets_in(&self, reader: &EndpointId, sample: &Sample) -> bool {
+        let mut state = lock(&self.state);
+        if let Some(base) = state.inbox.base(&sample.writer) {
+            return sample.sequence <= base;
+        }
+        if state.postboxes.contains_key(&peer_of(&sample.writer)) {
+            let key = (*reader, sample.writer);
+            state.heard.insert(key, sample.sequence);
+        }
+        true
+    }
+
+    /// A participant has a reader, which may be the one of parts. Told of each reader more than once.
+    pub(super) fn add_peer(&self, reader: GUID, topic: &str) {
+        let peer = peer_of(&reader.to_bytes());
+        if topic == topic_of(&peer) {
+            let writer = None;
+            let mut state = lock(&self.state);
+            let postbox = Postbox { reader, writer };
+            state.postboxes.entry(peer).or_insert(postbox);
+        }
+    }
+
+    /// An endpoint of another participant has gone.
+    pub(super) fn forget_other(&self, id: &EndpointId) {
+        let mut state = lock(&self.state);
+        let peer = peer_of(id);
+        let reader = state.postboxes.get(&peer).map(|postbox| postbox.reader);
+        if reader.is_some_and(|reader| reader.to_bytes() == *id) {
+            state.postboxes.remove(&peer);
+            state.outbox.forget_peer(&peer);
+            state.inbox.forget_peer(&peer);
+        }
+        state.inbox.forget_writer(id);
+        state.heard.retain(|(_, writer), _| writer != id);
+        drop(state);
+        self.is_settled.notify_waiters();
+    }
+
+    /// An endpoint of this participant has gone.
+    pub(super) fn forget_own(&self, id: &EndpointId) {
+        let mut state = lock(&self.state);
+        state.outbox.forget_writer(id);
+        state.readers.remove(id);
+        state.heard.retain(|(reader, _), _| reader != id);
+    }
+
+    /// Says nothing any more.
+    pub(super) fn leave(&self) {
+        lock(&self.state).postboxes.clear();
+    }
+}

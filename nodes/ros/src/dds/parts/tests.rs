@@ -1,0 +1,390 @@
+//! Writer's and readers' sides against each other, over a network that loses, repeats and mixes up, with a clock of its
+//! own: no DDS, no threads.
+
+use super::{
+    Mail, Peer,
+    inbox::{Inbox, Whole},
+    message::{PART, PartMessage},
+    outbox::{Keep, Outbox},
+};
+use bytes::Bytes;
+use proptest::prelude::*;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::{Duration, Instant},
+};
+
+const WRITER: [u8; 16] = [7; 16];
+const HOME: Peer = [7; 12];
+const STEP: Duration = Duration::from_millis(1);
+const DEPTH: usize = 5;
+
+/// One writer, and readers in other participants.
+struct Network {
+    now: Instant,
+    outbox: Outbox,
+    inboxes: BTreeMap<Peer, Inbox>,
+    /// Readers that have stopped: nothing comes to them, nothing from them.
+    stopped: BTreeSet<Peer>,
+    depth: usize,
+    /// What is on its way to whom, from whom.
+    flying: Vec<(Peer, Mail)>,
+    got: BTreeMap<Peer, Vec<Whole>>,
+    /// Says of each delivery what becomes of it.
+    fate: Box<dyn FnMut() -> Fate>,
+    /// The most parts that a reader had on the way at once.
+    most: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fate {
+    Arrives,
+    Lost,
+    Twice,
+    Last,
+}
+
+impl Network {
+    fn new(keep: Keep, depth: usize, readers: u8, fate: impl FnMut() -> Fate + 'static) -> Self {
+        let mut outbox = Outbox::default();
+        outbox.open(WRITER, keep, 10);
+        Self {
+            now: Instant::now(),
+            outbox,
+            inboxes: (0..readers)
+                .map(|reader| ([reader; 12], Inbox::default()))
+                .collect(),
+            stopped: BTreeSet::new(),
+            depth,
+            flying: Vec::new(),
+            got: BTreeMap::new(),
+            fate: Box::new(fate),
+            most: 0,
+        }
+    }
+
+    fn publish(&mut self, bytes: &Bytes) -> bool {
+        if self.outbox.is_full(&WRITER) {
+            return false;
+        }
+        let (peers, mut mail) = (self.inboxes.keys().copied().collect(), Vec::new());
+        self.outbox
+            .offer(self.now, &WRITER, bytes, 0, peers, &mut mail)
+            .unwrap();
+        self.flying
+            .extend(mail.into_iter().map(|mail| (HOME, mail)));
+        true
+    }
+
+    /// A millisecond: what is due is done, and what was on its way arrives, or not.
+    fn step(&mut self) {
+        self.now += STEP;
+        let mut mail = Vec::new();
+        let all: BTreeSet<Peer> = self.inboxes.keys().copied().collect();
+        self.outbox.repeat(self.now, |_| all.clone(), &mut mail);
+        self.flying.extend(mail.drain(..).map(|mail| (HOME, mail)));
+        let mut arriving: Vec<_> = self.flying.drain(..).collect();
+        let mut late = Vec::new();
+        arriving.retain(|delivery| {
+            let fate = (self.fate)();
+            if matches!(fate, Fate::Last | Fate::Twice) {
+                late.push(delivery.clone());
+            }
+            matches!(fate, Fate::Arrives | Fate::Twice)
+        });
+        let mut parts = BTreeMap::<Peer, usize>::new();
+        for (from, Mail { to, message }) in arriving.into_iter().chain(late) {
+            if self.stopped.contains(&from) || self.stopped.contains(&to) {
+                continue;
+            }
+            // as it is on the wire
+            let message = PartMessage::decode(&message.encode().unwrap()).unwrap();
+            match (message, self.inboxes.get_mut(&to)) {
+                (PartMessage::Offer { of, first, head }, Some(inbox)) => {
+                    inbox.offered(self.now, from, (of, first, head), self.depth, &mut mail);
+                }
+                (PartMessage::Part { of, index, bytes }, Some(inbox)) => {
+                    *parts.entry(to).or_default() += 1;
+                    inbox.came(self.now, of, index, bytes);
+                }
+                (PartMessage::Gone { id }, Some(inbox)) => inbox.gone(&id),
+                (PartMessage::Want { id, index }, None) => {
+                    self.outbox.wanted(self.now, from, id, index, &mut mail);
+                }
+                (PartMessage::Settled { id }, None) => self.outbox.settled(from, id),
+                (message, _) => panic!("{message:?} to the wrong side"),
+            }
+            let from = to;
+            self.flying.extend(mail.drain(..).map(|mail| (from, mail)));
+        }
+        self.most = self.most.max(parts.values().copied().max().unwrap_or(0));
+        for (peer, inbox) in &mut self.inboxes {
+            if self.stopped.contains(peer) {
+                continue;
+            }
+            let wholes = inbox.advance(self.now, &mut mail);
+            self.got.entry(*peer).or_default().extend(wholes);
+            self.flying.extend(mail.drain(..).map(|mail| (*peer, mail)));
+        }
+    }
+
+    fn numbers(&self, reader: u8) -> Vec<i64> {
+        let got = self.got.get(&[reader; 12]);
+        got.into_iter()
+            .flatten()
+            .map(|whole| whole.of.id.number)
+            .collect()
+    }
+}
+
+fn message(index: usize, len: usize) -> Bytes {
+    (0..len.max(1)).map(|at| (at / 7 + index) as u8).collect()
+}
+
+/// One in four is lost, comes twice, or comes behind the others; by a generator of Steele, Lea and Flood (SplitMix64).
+fn weather(mut seed: u64) -> impl FnMut() -> Fate {
+    move || {
+        seed = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (seed ^ (seed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        match (mixed ^ (mixed >> 31)) % 16 {
+            0 | 1 => Fate::Lost,
+            2 => Fate::Twice,
+            3 => Fate::Last,
+            _ => Fate::Arrives,
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Whatever the network does: every message of a reliable writer comes once, whole and in order, and then nothing
+    /// is kept of it.
+    #[test]
+    fn reliable_messages_come_once_and_in_order(
+        lengths in prop::collection::vec(1..4 * PART, 1..6),
+        seed in any::<u64>(),
+    ) {
+        let mut network = Network::new(Keep::All(9), 9, 2, weather(seed));
+        for (index, len) in lengths.iter().enumerate() {
+            prop_assert!(network.publish(&message(index, *len)));
+            network.step();
+        }
+        for _ in 0..30_000 {
+            network.step();
+            if network.outbox.is_settled(&WRITER, i64::MAX) { break; }
+        }
+        prop_assert!(network.outbox.is_settled(&WRITER, i64::MAX), "not settled");
+        prop_assert_eq!(network.outbox.due(), None);
+        for reader in 0..2 {
+            let numbers: Vec<i64> = (11..11 + lengths.len() as i64).collect();
+            prop_assert_eq!(network.numbers(reader), numbers);
+            for (index, whole) in network.got[&[reader; 12]].iter().enumerate() {
+                prop_assert_eq!(&whole.bytes, &message(index, lengths[index]));
+            }
+        }
+    }
+
+    /// A best-effort writer keeps its last messages only: what comes, comes whole, once and in order, the last among it.
+    #[test]
+    fn of_best_effort_the_last_comes(
+        number in 1usize..20,
+        seed in any::<u64>(),
+    ) {
+        let mut network = Network::new(Keep::Last(DEPTH), DEPTH, 1, weather(seed));
+        for index in 0..number {
+            network.publish(&message(index, 3 * PART));
+            network.step();
+        }
+        for _ in 0..5_000 {
+            network.step();
+        }
+        let numbers = network.numbers(0);
+        prop_assert!(numbers.is_sorted_by(|a, b| a < b), "{:?}", numbers);
+        prop_assert_eq!(numbers.last(), Some(&(10 + number as i64)));
+        for whole in &network.got[&[0; 12]] {
+            prop_assert_eq!(&whole.bytes, &message(whole.of.id.number as usize - 11, 3 * PART));
+        }
+    }
+}
+
+#[test]
+fn no_more_comes_at_once_than_a_receive_buffer_holds() {
+    let mut network = Network::new(Keep::Last(DEPTH), DEPTH, 1, || Fate::Arrives);
+    for index in 0..DEPTH {
+        network.publish(&message(index, 9 * PART));
+    }
+    for _ in 0..40 {
+        network.step();
+    }
+    assert_eq!(network.numbers(0), [11, 12, 13, 14, 15]);
+    assert!(network.most <= 3, "{} parts at once", network.most);
+}
+
+#[test]
+fn on_a_slow_network_parts_are_not_asked_for_again_and_again() {
+    const LATE: Duration = Duration::from_millis(70);
+    let (mut inbox, mut outbox, mut now) = (Inbox::default(), Outbox::default(), Instant::now());
+    let (reader, mut mail) = ([1; 12], Vec::new());
+    outbox.open(WRITER, Keep::Last(DEPTH), 0);
+    let bytes = message(0, 40 * PART);
+    outbox
+        .offer(now, &WRITER, &bytes, 0, [reader].into(), &mut mail)
+        .unwrap();
+    let Some(PartMessage::Offer { of, first, head }) = mail.pop().map(|mail| mail.message) else {
+        panic!("one offer")
+    };
+    inbox.offered(now, HOME, (of, first, head), DEPTH, &mut mail);
+    let (mut flying, mut asked, mut wholes) = (Vec::new(), 0, Vec::new());
+    while wholes.is_empty() && asked < 999 {
+        now += STEP;
+        wholes = inbox.advance(now, &mut mail);
+        for Mail { message, .. } in mail.drain(..) {
+            if let PartMessage::Want { index, .. } = message {
+                asked += 1;
+                flying.push((now + LATE, index));
+            }
+        }
+        flying.retain(|(arrives, index)| {
+            if *arrives <= now {
+                inbox.came(now, of, *index, bytes.slice(of.range(*index)));
+            }
+            *arrives > now
+        });
+    }
+    assert_eq!(wholes.len(), 1);
+    assert!(asked < 60, "39 parts were asked for {asked} times");
+}
+
+#[test]
+fn a_reader_that_has_stopped_holds_up_nobody_and_costs_what_the_writer_keeps() {
+    let mut network = Network::new(Keep::Last(DEPTH), DEPTH, 2, || Fate::Arrives);
+    network.stopped.insert([1; 12]);
+    for index in 0..50 {
+        network.publish(&message(index, 2 * PART));
+        for _ in 0..20 {
+            network.step();
+        }
+    }
+    assert_eq!(network.numbers(0), (11..61).collect::<Vec<_>>());
+    // it goes on: from the first that the writer still keeps
+    network.stopped.clear();
+    for _ in 0..3_000 {
+        network.step();
+    }
+    assert_eq!(network.numbers(1), [56, 57, 58, 59, 60]);
+    assert!(network.outbox.is_settled(&WRITER, i64::MAX));
+}
+
+#[test]
+fn a_reliable_writer_is_full_when_a_reader_takes_nothing_and_goes_on_without_it() {
+    let mut network = Network::new(Keep::All(3), 9, 2, || Fate::Arrives);
+    network.stopped.insert([1; 12]);
+    let taken = (0..9)
+        .filter(|index| network.publish(&message(*index, PART)))
+        .count();
+    assert_eq!(taken, 3);
+    network.outbox.forget_peer(&[1; 12]);
+    network.inboxes.remove(&[1; 12]);
+    for _ in 0..9 {
+        network.step();
+    }
+    assert_eq!(network.numbers(0), [11, 12, 13]);
+    assert!(network.publish(&message(3, PART)));
+}
+
+#[test]
+fn who_reads_no_more_is_not_waited_for() {
+    let mut outbox = Outbox::default();
+    outbox.open(WRITER, Keep::All(9), 0);
+    let (mut mail, now) = (Vec::new(), Instant::now());
+    outbox
+        .offer(
+            now,
+            &WRITER,
+            &message(0, PART),
+            0,
+            [[1; 12]].into(),
+            &mut mail,
+        )
+        .unwrap();
+    assert!(!outbox.is_settled(&WRITER, 1));
+    let due = outbox.due().unwrap();
+    outbox.repeat(due, |_| BTreeSet::new(), &mut mail);
+    assert!(outbox.is_settled(&WRITER, 1));
+}
+
+#[test]
+fn a_writer_that_has_stopped_does_not_hold_up_the_others() {
+    let (mut inbox, mut now, mut mail) = (Inbox::default(), Instant::now(), Vec::new());
+    let mut outboxes = [Outbox::default(), Outbox::default()];
+    for (outbox, byte) in outboxes.iter_mut().zip([1, 2]) {
+        outbox.open([byte; 16], Keep::Last(1), 0);
+        let bytes = message(0, 9 * PART);
+        outbox
+            .offer(now, &[byte; 16], &bytes, 0, [HOME].into(), &mut mail)
+            .unwrap();
+    }
+    for Mail { message, .. } in mail.drain(..) {
+        let PartMessage::Offer { of, first, head } = message else {
+            continue;
+        };
+        let mut from = HOME;
+        from.copy_from_slice(&of.id.writer[..12]);
+        inbox.offered(now, from, (of, first, head), 1, &mut Vec::new());
+    }
+    let (mut wholes, mut wants) = (Vec::new(), Vec::new());
+    for _ in 0..100 {
+        wholes.extend(inbox.advance(now, &mut wants));
+        for Mail { to, message } in wants.drain(..) {
+            let PartMessage::Want { id, index } = message else {
+                continue;
+            };
+            if to == [2; 12] {
+                outboxes[1].wanted(now, HOME, id, index, &mut mail);
+            }
+        }
+        for Mail { message, .. } in mail.drain(..) {
+            let PartMessage::Part { of, index, bytes } = message else {
+                continue;
+            };
+            inbox.came(now, of, index, bytes);
+        }
+        now += STEP;
+    }
+    assert_eq!(wholes.len(), 1);
+    assert_eq!(wholes[0].of.id.writer, [2; 16]);
+    now += Duration::from_secs(5);
+    inbox.advance(now, &mut wants);
+    assert!(
+        wants.iter().any(
+            |mail| matches!(&mail.message, PartMessage::Settled { id } if id.writer == [1; 16])
+        ),
+        "the other is given up"
+    );
+}
+
+#[test]
+fn only_the_writers_participant_speaks_of_what_it_has() {
+    let (mut outbox, mut mail) = (Outbox::default(), Vec::new());
+    outbox.open(WRITER, Keep::Last(1), 0);
+    let (now, bytes) = (Instant::now(), message(0, PART + 1));
+    outbox
+        .offer(now, &WRITER, &bytes, 0, [[1; 12]].into(), &mut mail)
+        .unwrap();
+    let PartMessage::Offer { of, .. } = mail[0].message else {
+        panic!("an offer")
+    };
+    outbox.wanted(now, [1; 12], of.id, 1, &mut mail);
+    outbox.wanted(now, [1; 12], of.id, 2, &mut mail);
+    let speakers: Vec<_> = mail.iter().map(|mail| mail.message.speaker()).collect();
+    assert_eq!(
+        speakers,
+        [Some(&WRITER); 3],
+        "an offer, a part, and what is gone"
+    );
+    let id = of.id;
+    assert_eq!(PartMessage::Want { id, index: 0 }.speaker(), None);
+    assert_eq!(PartMessage::Settled { id }.speaker(), None);
+}

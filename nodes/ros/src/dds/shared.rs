@@ -1,0 +1,181 @@
+//! What a participant's endpoints share: the book of who is there and who is connected.
+
+use super::{
+    datagram,
+    local::Local,
+    lock::lock,
+    mismatches::Mismatches,
+    names::ros_names,
+    nodes::Nodes,
+    parts::{Parts, Peer, peer_of},
+};
+use crate::backend::{Channel, EndpointId};
+use futures::StreamExt as _;
+use rustdds::{
+    DomainParticipant, DomainParticipantStatusEvent as Event, EndpointDescription,
+    StatusEvented as _,
+};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::{Arc, Mutex, OnceLock},
+};
+use tokio::sync::watch;
+
+/// Endpoints of others by the own endpoint that they are connected to.
+pub(super) type Matches = BTreeMap<EndpointId, BTreeSet<EndpointId>>;
+
+/// A participant beside the first; see [`super::second`].
+pub(super) struct Second {
+    pub(super) participant: DomainParticipant,
+    pub(super) publisher: rustdds::Publisher,
+}
+
+/// What the endpoints need of their participant, and keep alive for as long as they are held.
+pub(super) struct Shared {
+    /// `None` once closed.
+    pub(super) participant: Mutex<Option<DomainParticipant>>,
+    pub(super) publisher: rustdds::Publisher,
+    pub(super) first: Peer,
+    pub(super) second: Mutex<Option<Second>>,
+    pub(super) second_peer: OnceLock<Peer>,
+    pub(super) nodes: Nodes,
+    pub(super) local: Local,
+    pub(super) parts: Parts,
+    /// Connections to other participants.
+    pub(super) matches: Mutex<Matches>,
+    /// Writers of other participants that have not gone.
+    pub(super) writers: Mutex<BTreeSet<EndpointId>>,
+    pub(super) mismatches: Mismatches,
+    pub(super) is_on_loopback: bool,
+    /// Whether there are no other participants.
+    pub(super) is_alone: bool,
+    /// The largest answer to a client that is not on loopback \[byte\].
+    pub(super) largest_answer: usize,
+    pub(super) changes: watch::Sender<u64>,
+}
+
+impl Shared {
+    pub(super) fn changed(&self) {
+        self.changes.send_modify(|count| *count += 1);
+    }
+
+    /// The largest answer that reaches this client \[byte\].
+    pub(super) fn largest_answer(&self, own: &EndpointId, client: &EndpointId) -> usize {
+        match self.is_on_loopback && !is_foreign(own, client) {
+            true => datagram::LARGEST_ON_LOOPBACK,
+            false => self.largest_answer,
+        }
+    }
+
+    /// Notes where own endpoints on the topic of one elsewhere are of another type.
+    pub(super) fn compare_types(&self, other: &EndpointDescription, is_writer: bool) {
+        let Some((Channel::Topic, topic, type_name)) =
+            ros_names(&other.topic_name, &other.type_name)
+        else {
+            return;
+        };
+        let id = other.guid.to_bytes();
+        for (own, own_type) in self.nodes.of_other_type(&topic, &type_name, is_writer) {
+            let types = (own_type.as_str(), type_name.as_str());
+            self.mismatches.types(own, id, &topic, types, is_writer);
+        }
+    }
+
+    /// Whether the endpoint is of this process' participant or its second.
+    pub(super) fn is_own(&self, id: &EndpointId) -> bool {
+        let peer = peer_of(id);
+        peer == self.first || self.second_peer.get() == Some(&peer)
+    }
+
+    /// Whether this writer of another participant is still there.
+    pub(super) fn is_there(&self, writer: &EndpointId) -> bool {
+        lock(&self.writers).contains(writer)
+    }
+
+    /// Takes an endpoint off every list.
+    pub(super) fn forget(&self, id: &EndpointId) {
+        self.local.remove(id);
+        self.parts.forget_own(id);
+        lock(&self.matches).remove(id);
+        self.mismatches.forget_own(id);
+        self.nodes.remove_endpoint(id);
+        self.changed();
+    }
+}
+
+/// Whether the two are of different DDS implementations: an identity begins with its vendor's two bytes (RTPS 2.5, 8.2.4.3).
+pub(super) fn is_foreign(one: &EndpointId, other: &EndpointId) -> bool {
+    one.get(..2) != other.get(..2)
+}
+
+/// Keeps the book of who is connected to whom, from the participant's events.
+pub(super) async fn follow(
+    listener: rustdds::DomainParticipantStatusListener,
+    shared: Arc<Shared>,
+) {
+    let mut events = listener.as_async_status_stream();
+    while let Some(event) = events.next().await {
+        match event {
+            Event::RemoteReaderMatched {
+                local_writer: own,
+                remote_reader: other,
+            }
+            | Event::RemoteWriterMatched {
+                local_reader: own,
+                remote_writer: other,
+            } => {
+                let (own, other) = (own.to_bytes(), other.to_bytes());
+                if shared.is_own(&other) {
+                    continue;
+                }
+                lock(&shared.matches).entry(own).or_default().insert(other);
+            }
+            Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
+                shared.mismatches.forget_other(&guid.to_bytes());
+                shared.parts.forget_other(&guid.to_bytes());
+                lock(&shared.writers).remove(&guid.to_bytes());
+                lock(&shared.matches).retain(|_, others| {
+                    others.remove(&guid.to_bytes());
+                    !others.is_empty()
+                });
+            }
+            Event::RemoteReaderQosIncompatible {
+                local_writer,
+                remote_reader,
+                requested_qos,
+                offered_qos,
+            } => {
+                let (own, other) = (local_writer.to_bytes(), remote_reader.to_bytes());
+                let topic = shared.nodes.topic_of(&own);
+                shared
+                    .mismatches
+                    .subscription(own, other, topic, &requested_qos, &offered_qos);
+            }
+            Event::RemoteWriterQosIncompatible {
+                local_reader,
+                remote_writer,
+                requested_qos,
+                offered_qos,
+            } => {
+                let (own, other) = (local_reader.to_bytes(), remote_writer.to_bytes());
+                let topic = shared.nodes.topic_of(&own);
+                shared
+                    .mismatches
+                    .publisher(own, other, topic, &requested_qos, &offered_qos);
+            }
+            // told of own endpoints, too
+            Event::WriterDetected { writer: other } | Event::ReaderDetected { reader: other }
+                if shared.is_own(&other.guid.to_bytes()) => {}
+            Event::WriterDetected { writer } => {
+                lock(&shared.writers).insert(writer.guid.to_bytes());
+                shared.compare_types(&writer, true);
+            }
+            Event::ReaderDetected { reader } => {
+                shared.parts.add_peer(reader.guid, &reader.topic_name);
+                shared.compare_types(&reader, false);
+            }
+            _ => continue,
+        }
+        shared.changed();
+    }
+}
