@@ -2,6 +2,7 @@
 
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
+use wm_msgs::wm_msgs::{Reset, ResetResponse};
 use wm_ros::{Call, Error, Node};
 
 /// Calls that may wait for the loop, beside those that wait in their services.
@@ -67,4 +68,13 @@ pub(crate) fn answer<S: wm_msgs::Service>(call: Call<S>, response: &S::Response)
     if let Err(problem) = call.respond(response) {
         tracing::warn!("a call is not answered: {problem}");
     }
+}
+
+/// Answers a reset with what `reset` says that it did; the seed is none where the node keeps its own.
+pub(crate) fn answer_reset(call: Call<Reset>, reset: impl FnOnce(Option<u64>) -> String) {
+    let seed = (!call.request.keep_seed).then_some(call.request.seed);
+    let message = reset(seed);
+    tracing::info!("reset: {message}");
+    let success = true;
+    answer(call, &ResetResponse { success, message });
 }

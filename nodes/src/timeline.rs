@@ -72,6 +72,32 @@ pub struct Arrival {
     pub flushed: bool,
     /// Camera frames that are missing between this frame and the one before.
     pub missed_frames: u64,
+    /// A chunk that has come since the frame before, and had ended by then already: it says nothing.
+    pub late_chunk: Option<LateChunk>,
+}
+
+/// A chunk that came after its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LateChunk {
+    /// Its stamp.
+    pub stamp_ns: i64,
+    /// When its last action ends.
+    pub end_ns: i64,
+    /// The newest frame when it came.
+    pub newest_ns: i64,
+}
+
+impl std::fmt::Display for LateChunk {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "action chunk of {} had ended {:.1} s before the newest frame, that of {}, when it came: stamp it with the stamp \
+             of the image that it answers",
+            seconds_of(self.stamp_ns),
+            (self.newest_ns.saturating_sub(self.end_ns)) as f64 / 1e9,
+            seconds_of(self.newest_ns)
+        )
+    }
 }
 
 /// Why a frame, an action or a chunk is left out.
@@ -182,6 +208,7 @@ pub struct Timeline {
     context_frames: usize,
     frames: Frames,
     actions: Actions,
+    late_chunk: Option<LateChunk>,
     epoch: u64,
 }
 
@@ -196,6 +223,7 @@ impl Timeline {
             context_frames,
             frames: Frames::new(span_ns),
             actions: Actions::new(span_ns.saturating_add(timing.jump_ns)),
+            late_chunk: None,
             epoch: 0,
         }
     }
@@ -253,6 +281,9 @@ impl Timeline {
                 arrival.missed_frames = u64::try_from(periods - 1).unwrap_or(0);
             }
         }
+        // Where time jumped back, the chunk was of the time that begins.
+        let late_chunk = self.late_chunk.take();
+        arrival.late_chunk = late_chunk.filter(|late| late.end_ns <= stamp_ns);
         self.frames.push(Frame {
             stamp_ns,
             frame_id: frame_id.into(),
@@ -306,7 +337,21 @@ impl Timeline {
                 newest_ns,
             });
         }
-        self.actions.set_chunk(chunk)
+        self.actions.set_chunk(chunk)?;
+        let span_ns = chunk
+            .period
+            .to_nanos()
+            .saturating_mul(chunk.actions.len() as i64); // at most MAX_CHUNK
+        let end_ns = stamp_ns.saturating_add(span_ns);
+        let newest = self.frames.newest().map(|frame| frame.stamp_ns);
+        self.late_chunk = newest
+            .filter(|newest_ns| end_ns <= *newest_ns)
+            .map(|newest_ns| LateChunk {
+                stamp_ns,
+                end_ns,
+                newest_ns,
+            });
+        Ok(())
     }
 
     /// Takes note that the node's clock jumped back to `now`; whether that flushed anything. What has already come by
@@ -326,6 +371,7 @@ impl Timeline {
     pub fn clear(&mut self) {
         self.frames.clear();
         self.actions.clear();
+        self.late_chunk = None;
         self.epoch += 1;
     }
 

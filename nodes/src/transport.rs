@@ -2,7 +2,7 @@
 
 use anyhow::bail;
 use wm_msgs::sensor_msgs::{CompressedImage, Image};
-use wm_ros::{Descriptor, Node, Qos, Received, Subscription};
+use wm_ros::{Descriptor, Node, Publisher, Qos, Received, Subscription};
 
 use crate::encoder::CameraFrame;
 
@@ -57,6 +57,30 @@ impl Transports {
     }
 }
 
+/// The topic that carries the compressed images of `topic`. It is remapped with it.
+fn compressed_of(node: &Node, topic: &str) -> Result<String, wm_ros::Error> {
+    node.resolve_sibling(topic, "compressed")
+}
+
+/// Publishers of an image topic and its sibling, as far as they are used.
+pub type ImagePublishers = (Option<Publisher<Image>>, Option<Publisher<CompressedImage>>);
+
+/// Publishes `topic` and its sibling.
+///
+/// # Errors
+/// The graph refuses.
+pub fn publish_images(
+    node: &Node,
+    topic: &str,
+    transports: Transports,
+    qos: Qos,
+) -> Result<ImagePublishers, wm_ros::Error> {
+    let Transports { raw, compressed } = transports;
+    let raw = raw.then(|| node.publisher(topic, qos));
+    let compressed = compressed.then(|| node.publisher(&compressed_of(node, topic)?, qos));
+    Ok((raw.transpose()?, compressed.transpose()?))
+}
+
 /// Frames of an image topic, by whichever transports are used.
 pub struct ImageSubscription {
     raw: Option<Subscription<Image>>,
@@ -74,16 +98,36 @@ impl ImageSubscription {
         transports: Transports,
         qos: Qos,
     ) -> Result<Self, wm_ros::Error> {
-        Ok(Self {
-            raw: transports
-                .raw
-                .then(|| node.subscription(topic, qos))
-                .transpose()?,
-            compressed: transports
-                .compressed
-                .then(|| node.subscription(&format!("{topic}/compressed"), qos))
-                .transpose()?,
-        })
+        let Transports { raw, compressed } = transports;
+        let raw = raw.then(|| node.subscription(topic, qos));
+        let compressed = compressed.then(|| node.subscription(&compressed_of(node, topic)?, qos));
+        Self::of(raw, compressed)
+    }
+
+    /// Subscribes `topic` and its sibling for an image that holds until the next, as a goal does: one that was latched
+    /// before comes too.
+    ///
+    /// # Errors
+    /// The graph refuses.
+    pub fn catching_up(
+        node: &Node,
+        topic: &str,
+        transports: Transports,
+        qos: Qos,
+    ) -> Result<Self, wm_ros::Error> {
+        let Transports { raw, compressed } = transports;
+        let raw = raw.then(|| node.subscription_catching_up(topic, qos));
+        let compressed =
+            compressed.then(|| node.subscription_catching_up(&compressed_of(node, topic)?, qos));
+        Self::of(raw, compressed)
+    }
+
+    fn of(
+        raw: Option<Result<Subscription<Image>, wm_ros::Error>>,
+        compressed: Option<Result<Subscription<CompressedImage>, wm_ros::Error>>,
+    ) -> Result<Self, wm_ros::Error> {
+        let (raw, compressed) = (raw.transpose()?, compressed.transpose()?);
+        Ok(Self { raw, compressed })
     }
 
     /// The absolute topics that are subscribed.

@@ -23,7 +23,7 @@ use crate::{
     complaints::Complaints,
     model_choice::{self, ModelChoice},
     pool::Pool,
-    transport::Transports,
+    transport::{Transports, publish_images},
     work::Work,
 };
 
@@ -178,17 +178,12 @@ impl Managed for DecoderNode {
                 complaints: Complaints::new(node.diagnostics()),
             }),
         };
+        let (raws, jpegs) = publish_images(node, "predicted/image", transports, qos)?;
         Ok(Active {
             decoding,
             // Announced by an idle node, too: who waits for its topics is not to wait for ever.
-            raws: transports
-                .raw
-                .then(|| node.publisher("predicted/image", qos))
-                .transpose()?,
-            jpegs: transports
-                .compressed
-                .then(|| node.publisher("predicted/image/compressed", qos))
-                .transpose()?,
+            raws,
+            jpegs,
             diagnostics: node.diagnostics(),
         })
     }

@@ -21,7 +21,7 @@ use crate::{
     latent_message::LatentDtype,
     model_choice::{self, ModelChoice},
     timeline::Timing,
-    transport::Transports,
+    transport::{Transports, publish_images},
     work::Work,
 };
 use active::{Active, Awaited, Done, InFlight, Job, Resetter};
@@ -169,21 +169,15 @@ impl Managed for EnvNode {
         });
         // Reliable matches who asks for best effort too, and a policy must not miss a frame.
         let qos = Qos::reliable(10);
-        let transports = self.transports;
+        let (raws, jpegs) = publish_images(node, "/camera/image_raw", self.transports, qos)?;
         Ok(Active {
             resets: node.service("~/reset")?,
             steps: node.service("~/step")?,
             actions: node.subscription("action", qos)?,
             chunks: node.subscription("action_chunk", qos)?,
             successes: node.subscription("/task/success", qos)?,
-            raws: transports
-                .raw
-                .then(|| node.publisher("/camera/image_raw", qos))
-                .transpose()?,
-            jpegs: transports
-                .compressed
-                .then(|| node.publisher("/camera/image_raw/compressed", qos))
-                .transpose()?,
+            raws,
+            jpegs,
             instructions: node.publisher(INSTRUCTION, Qos::latched(1))?,
             observations: node.publisher("~/observation", Qos::reliable(OBSERVATIONS))?,
             work,
@@ -240,12 +234,12 @@ impl EnvNode {
                 received = active.actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
                     let taken = active.played.as_mut().map(|played| played.attached.action(&received.message));
-                    active.note(taken);
+                    active.note(taken, received.message.header.stamp);
                 }
                 received = active.chunks.recv() => {
                     let Some(received) = received else { return Ok(()) };
                     let taken = active.played.as_mut().map(|played| played.attached.chunk(&received.message));
-                    active.note(taken);
+                    active.note(taken, received.message.header.stamp);
                 }
                 received = active.successes.recv() => {
                     let Some(received) = received else { return Ok(()) };

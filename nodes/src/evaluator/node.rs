@@ -14,13 +14,11 @@ use wm_msgs::{
     builtin_interfaces::Time,
     sensor_msgs::{CompressedImage, Image},
     std_msgs::{Header, String as Text},
-    wm_msgs::{
-        Action, ActionCandidates, Assessment, Latent, Reset, ResetResponse, Timing as TimingMessage,
-    },
+    wm_msgs::{Action, ActionCandidates, Assessment, Latent, Reset, Timing as TimingMessage},
 };
 use wm_ros::{
-    Call, Clock, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher,
-    Qos, Received, Service, Subscription,
+    Clock, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos,
+    Received, Service, Subscription,
 };
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
@@ -29,6 +27,7 @@ use super::{
     EvaluatorStep, shown_steps, tile,
 };
 use crate::{
+    calls::answer_reset,
     complaints::Complaints,
     encoder::{CameraFrame, EncoderError, EncoderStep},
     env::INSTRUCTION,
@@ -38,7 +37,7 @@ use crate::{
     planner::Goal,
     pool::Pool,
     timeline::{Arrival, Timing, seconds},
-    transport::{ImageSubscription, Transports},
+    transport::{ImageSubscription, Transports, publish_images},
     work::Work,
 };
 
@@ -177,6 +176,7 @@ struct Active {
     jumps: watch::Receiver<u64>,
     clock: Clock,
     step: EvaluatorStep,
+    waiting: Option<Waiting>,
     assessments: Publisher<Assessment>,
     raws: Option<Publisher<Image>>,
     jpegs: Option<Publisher<CompressedImage>>,
@@ -264,10 +264,16 @@ impl Managed for EvaluatorNode {
         node.diagnostics().expect_input(input);
         let instructions = readings
             .is_some()
-            .then(|| node.subscription(INSTRUCTION, Qos::latched(1)))
+            .then(|| node.subscription_catching_up(INSTRUCTION, Qos::reliable(1)))
             .transpose()?;
+        let (raws, jpegs) = publish_images(node, "candidates/image", transports, qos)?;
         let mut active = Active {
-            goal_images: ImageSubscription::new(node, "goal/image", transports, Qos::reliable(10))?,
+            goal_images: ImageSubscription::catching_up(
+                node,
+                "goal/image",
+                transports,
+                Qos::reliable(10),
+            )?,
             latents,
             actions: node.subscription("action", Qos::reliable(10))?,
             candidates: node.subscription("action_candidates", Qos::reliable(10))?,
@@ -279,15 +285,10 @@ impl Managed for EvaluatorNode {
                 configured.timing,
                 configured.space.clone(),
             ),
+            waiting: None,
             assessments: node.publisher("assessment", Qos::reliable(10))?,
-            raws: transports
-                .raw
-                .then(|| node.publisher("candidates/image", qos))
-                .transpose()?,
-            jpegs: transports
-                .compressed
-                .then(|| node.publisher("candidates/image/compressed", qos))
-                .transpose()?,
+            raws,
+            jpegs,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
             goals: Goal::work(&configured.encoder, &self.pool),
@@ -310,7 +311,10 @@ impl Managed for EvaluatorNode {
                 }
                 finished = finished(&mut active.pictures) => active.pictured(finished.context("the decoder's thread")?)?,
                 finished = active.goals.finished() => match finished.context("the goal's thread")? {
-                    Ok(goal) => active.step.set_goal(goal),
+                    Ok(goal) => {
+                        tracing::info!("goal set: the image of {}", seconds(goal.stamp));
+                        active.step.set_goal(goal);
+                    }
                     Err(error) => active.complaints.left_out("bad_goal", &format_args!("goal image: {error}")),
                 },
                 finished = finished(&mut active.readings) => active.read(finished.context("the text tower's thread")?),
@@ -318,7 +322,7 @@ impl Managed for EvaluatorNode {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
                     active.told(&message);
                 }
-                Some(call) = active.resets.recv() => active.reset(call),
+                Some(call) = active.resets.recv() => answer_reset(call, |seed| active.step.reset(seed)),
                 Ok(()) = active.jumps.changed() => {
                     if active.step.clock_jumped(active.clock.now()) {
                         tracing::info!("/clock jumped back: history flushed");
@@ -339,10 +343,19 @@ impl Managed for EvaluatorNode {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
                     let taken = active.step.latent(&message);
                     active.note(taken);
+                    if active.waiting.as_ref().is_some_and(|waiting| !active.step.awaits_frame(&waiting.message)) {
+                        active.evaluate_waiting();
+                    }
                 }
+                () = overdue(&active.waiting) => active.evaluate_waiting(),
                 received = active.candidates.recv() => {
                     let Some(Received { message, received }) = received else { return Ok(()) };
-                    active.evaluate(&message, received);
+                    active.evaluate_waiting();
+                    if active.step.awaits_frame(&message) {
+                        active.wait(message, received);
+                    } else {
+                        active.evaluate(&message, received);
+                    }
                 }
             }
         }
@@ -350,6 +363,25 @@ impl Managed for EvaluatorNode {
 }
 
 impl Active {
+    fn wait(&mut self, message: ActionCandidates, receive: Time) {
+        let period_ns = self.step.timing().frame_period_ns;
+        let period = Duration::from_nanos(u64::try_from(period_ns).unwrap_or(0));
+        self.waiting = Some(Waiting {
+            message,
+            receive,
+            until: Instant::now() + period,
+        });
+    }
+
+    fn evaluate_waiting(&mut self) {
+        if let Some(Waiting {
+            message, receive, ..
+        }) = self.waiting.take()
+        {
+            self.evaluate(&message, receive);
+        }
+    }
+
     fn evaluate(&mut self, message: &ActionCandidates, receive: Time) {
         let request = match self.step.candidates(message) {
             Ok(request) => request,
@@ -370,7 +402,8 @@ impl Active {
             self.complaints.left_out(
                 "overload",
                 &format_args!(
-                    "candidates come faster than they are evaluated: those of {stamp} are left out"
+                    "candidates come faster than they are evaluated: those of {stamp} are left out; send fewer, shorter ones \
+                     or fewer times a second"
                 ),
             );
         }
@@ -453,18 +486,21 @@ impl Active {
             Err(error) => self.complaints.left_out(error.reason(), &error),
         }
     }
+}
 
-    fn reset(&mut self, call: Call<Reset>) {
-        let seed = (!call.request.keep_seed).then_some(call.request.seed);
-        let message = self.step.reset(seed);
-        tracing::info!("reset: {message}");
-        let response = ResetResponse {
-            success: true,
-            message,
-        };
-        if let Err(error) = call.respond(&response) {
-            tracing::warn!("reset is not answered: {error}");
-        }
+/// Candidates whose frame is on its way.
+struct Waiting {
+    message: ActionCandidates,
+    receive: Time,
+    /// After this they are evaluated from the newest frame.
+    until: Instant,
+}
+
+/// Never, where nothing waits.
+async fn overdue(waiting: &Option<Waiting>) {
+    match waiting {
+        Some(waiting) => tokio::time::sleep_until(waiting.until.into()).await,
+        None => std::future::pending().await,
     }
 }
 

@@ -187,8 +187,25 @@ impl EvaluatorStep {
         format!("forgot all frames and actions; seed {}", self.settings.seed)
     }
 
-    /// The evaluation of candidates from the newest frame on. As many steps are predicted as the shortest candidate
-    /// speaks of, so that all are compared at one moment; a step that it speaks of in part counts, its last action held.
+    /// How stamps make model steps.
+    pub fn timing(&self) -> Timing {
+        self.timeline.timing()
+    }
+
+    /// Whether candidates answer a frame that is still on its way, so that it is better to wait for it: a policy may be
+    /// faster than the encoder. Candidates that begin later than the next model step wait for nothing.
+    pub fn awaits_frame(&self, message: &ActionCandidates) -> bool {
+        let timing = self.timeline.timing();
+        let begins = message.chunks.iter().map(|chunk| chunk.header.stamp);
+        let Some((begin, newest)) = begins.max().zip(self.timeline.newest()) else {
+            return false;
+        };
+        let ahead_ns = begin.to_nanos().saturating_sub(newest.stamp_ns);
+        ahead_ns > timing.tolerance_ns && ahead_ns <= timing.step_ns()
+    }
+
+    /// The evaluation of candidates from the newest frame on. As many whole model steps are predicted as the shortest
+    /// candidate speaks of, and at least one, so that all are compared at one moment.
     ///
     /// # Errors
     /// [`EvaluatorError`] names the candidate that cannot be used, or what is missing.
@@ -223,15 +240,13 @@ impl EvaluatorStep {
                 .to_nanos()
                 .saturating_mul(chunk.actions.len() as i64);
             let end_ns = chunk.header.stamp.to_nanos().saturating_add(span_ns);
-            let left_ns = end_ns
-                .saturating_sub(observed_ns)
-                .saturating_sub(timing.tolerance_ns);
-            if left_ns <= 0 {
+            let left_ns = end_ns.saturating_sub(observed_ns);
+            if left_ns <= timing.tolerance_ns {
                 return Err(EvaluatorError::Past { index, observed_ns });
             }
-            let step_ns = timing.step_ns().max(1);
-            let steps = left_ns / step_ns + i64::from(left_ns % step_ns > 0);
-            horizon = horizon.min(usize::try_from(steps).unwrap_or(usize::MAX));
+            // A stamp that is a jitter early is of the step all the same.
+            let steps = left_ns.saturating_add(timing.tolerance_ns) / timing.step_ns().max(1);
+            horizon = horizon.min(usize::try_from(steps.max(1)).unwrap_or(usize::MAX));
             timelines.push(timeline);
         }
         let future = |timeline: &Timeline| {

@@ -10,17 +10,18 @@ use tokio::sync::watch;
 use wm_model::{LatentSpace, planner::PlannedActions};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
-    wm_msgs::{Action, ActionChunk, Latent, Plan, Reset, ResetResponse},
+    wm_msgs::{Action, ActionChunk, Latent, Plan, Reset},
 };
 use wm_ros::{
-    Call, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos, Received,
-    Service, Subscription,
+    Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos, Received, Service,
+    Subscription,
 };
 
 use super::{
     Goal, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerStep, parameters::Parameters,
 };
 use crate::{
+    calls::answer_reset,
     complaints::Complaints,
     encoder::{CameraFrame, EncoderError, EncoderStep},
     latent_message::{LATENT_QOS, LatentDtype},
@@ -154,7 +155,12 @@ impl Managed for PlannerNode {
         let input = Input::new("latents", [latents.topic()], "start the encoder");
         node.diagnostics().expect_input(input);
         Ok(Active {
-            images: ImageSubscription::new(node, "goal/image", self.transports, Qos::reliable(10))?,
+            images: ImageSubscription::catching_up(
+                node,
+                "goal/image",
+                self.transports,
+                Qos::reliable(10),
+            )?,
             latents,
             actions: node.subscription("action", Qos::reliable(10))?,
             chunks: node.subscription("action_chunk", Qos::reliable(10))?,
@@ -176,7 +182,7 @@ impl Managed for PlannerNode {
                 biased;
                 finished = active.searches.finished() => active.planned(finished.context("the planner's thread")?)?,
                 finished = active.goals.finished() => active.goal(finished.context("the goal's thread")?),
-                Some(call) = active.resets.recv() => active.reset(call),
+                Some(call) = active.resets.recv() => answer_reset(call, |seed| active.step.reset(seed)),
                 Ok(()) = active.jumps.changed() => {
                     if active.step.clock_jumped(self.node.now()) {
                         tracing::info!("/clock jumped back: history flushed");
@@ -211,25 +217,15 @@ impl Managed for PlannerNode {
 }
 
 impl Active {
-    fn reset(&mut self, call: Call<Reset>) {
-        let seed = (!call.request.keep_seed).then_some(call.request.seed);
-        let message = self.step.reset(seed);
-        tracing::info!("reset: {message}");
-        let response = ResetResponse {
-            success: true,
-            message,
-        };
-        if let Err(error) = call.respond(&response) {
-            tracing::warn!("reset is not answered: {error}");
-        }
-    }
-
     /// Reports what an input did; whether it was taken.
     fn note(&mut self, taken: Result<Arrival, PlannerError>) -> bool {
         match taken {
             Ok(arrival) => {
                 if arrival.flushed {
                     tracing::info!("stamps are more than a second apart: history flushed");
+                }
+                if let Some(late) = arrival.late_chunk {
+                    self.complaints.left_out("untimely_action", &late);
                 }
                 true
             }

@@ -7,16 +7,15 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use tokio::sync::watch;
-use wm_msgs::wm_msgs::{
-    Action, ActionChunk, Latent, Prediction, PredictionError, Reset, ResetResponse,
-};
+use wm_msgs::wm_msgs::{Action, ActionChunk, Latent, Prediction, PredictionError, Reset};
 use wm_ros::{
-    Call, Clock, Deadline, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs,
-    Parameter, Publisher, Qos, Received, Service, Subscription,
+    Clock, Deadline, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Parameter,
+    Publisher, Qos, Received, Service, Subscription,
 };
 
 use super::{PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout};
 use crate::{
+    calls::answer_reset,
     chunk_merging,
     complaints::Complaints,
     latent_message::{LATENT_QOS, LatentDtype},
@@ -206,7 +205,7 @@ impl Managed for PredictorNode {
                         active.complaints.left_out("rollout", &format_args!("{error:#}"));
                     }
                 }
-                Some(call) = active.resets.recv() => active.reset(call),
+                Some(call) = active.resets.recv() => answer_reset(call, |seed| active.shared.step().reset(seed)),
                 Ok(()) = active.jumps.changed() => {
                     let now = active.shared.clock.now();
                     if active.shared.step().clock_jumped(now) {
@@ -239,19 +238,6 @@ impl Managed for PredictorNode {
 }
 
 impl Active {
-    fn reset(&mut self, call: Call<Reset>) {
-        let seed = (!call.request.keep_seed).then_some(call.request.seed);
-        let message = self.shared.step().reset(seed);
-        tracing::info!("reset: {message}");
-        let response = ResetResponse {
-            success: true,
-            message,
-        };
-        if let Err(error) = call.respond(&response) {
-            tracing::warn!("reset is not answered: {error}");
-        }
-    }
-
     fn latent(
         &mut self,
         Received { message, received }: Received<Latent>,
@@ -291,6 +277,9 @@ impl Active {
         }
         if outcome.arrival.flushed {
             tracing::info!("stamps are more than a second apart: history flushed");
+        }
+        if let Some(late) = outcome.arrival.late_chunk {
+            self.complaints.left_out("untimely_action", &late);
         }
         if outcome.arrival.missed_frames > 0 {
             let text = format!(

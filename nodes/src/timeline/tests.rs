@@ -339,7 +339,7 @@ fn a_chunk_of_another_clock_is_refused_and_hinders_none() {
     assert_eq!(far.reason(), "untimely_action");
     let text = far.to_string();
     assert!(
-        text.contains("199999 s after the newest frame") || text.contains("200000 s after"),
+        text.contains("begins 200000 s after the newest frame"),
         "{text}"
     );
     timeline.chunk(&chunk(0, &[2.0])).unwrap();
@@ -401,4 +401,32 @@ mod merging {
             }
         }
     }
+}
+
+#[test]
+fn a_chunk_that_had_ended_when_it_came_is_named_once() {
+    let mut timeline = timeline(2);
+    see(&mut timeline, 10).unwrap();
+    // of another clock, or late: it ended with frame 8
+    timeline.chunk(&chunk(0, &[0.1; 8])).unwrap();
+    let late = see(&mut timeline, 11).unwrap().late_chunk.unwrap();
+    assert_eq!(late.stamp_ns, stamp(0).to_nanos());
+    let text = late.to_string();
+    assert!(
+        text.contains("had ended 0.4 s before") && text.contains("stamp it with"),
+        "{text}"
+    );
+    assert_eq!(see(&mut timeline, 12).unwrap().late_chunk, None, "once");
+    timeline.chunk(&chunk(11, &[0.1; 8])).unwrap();
+    assert_eq!(see(&mut timeline, 13).unwrap().late_chunk, None);
+}
+
+#[test]
+fn a_chunk_of_a_time_that_begins_anew_is_not_late() {
+    let mut timeline = timeline(2);
+    see(&mut timeline, 100).unwrap();
+    // a bag that loops: its chunk comes before its frame
+    timeline.chunk(&chunk(0, &[0.1; 8])).unwrap();
+    let arrival = see(&mut timeline, 0).unwrap();
+    assert!(arrival.flushed && arrival.late_chunk.is_none());
 }

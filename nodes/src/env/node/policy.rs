@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result};
 use tokio::time::Instant;
+use wm_msgs::builtin_interfaces::Time;
 use wm_ros::Publisher;
 
 use super::{
@@ -119,16 +120,26 @@ impl Active {
         Ok(())
     }
 
-    /// Reports what became of an action or a chunk; none: there is no episode that it could be for.
-    pub(super) fn note(&mut self, taken: Option<Result<bool, TimelineError>>) {
+    /// Reports what became of an action or a chunk of this stamp; none: there is no episode that it could be for.
+    pub(super) fn note(&mut self, taken: Option<Result<bool, TimelineError>>, stamp: Time) {
+        let shown = self.played.as_ref();
+        let shown = shown.map(|played| seconds(played.observation.jpeg.header.stamp));
         match taken {
             Some(Ok(true)) => {}
             Some(Ok(false)) => self.complaints.left_out(
                 "untimely_action",
-                &"an action is not of this moment: stamp it with the stamp of the image that it answers",
+                &format_args!(
+                    "the action of {} is not of this moment: stamp it with the stamp of the image that it answers, the newest \
+                     is that of {}",
+                    seconds(stamp),
+                    shown.as_deref().unwrap_or("none")
+                ),
             ),
             Some(Err(error)) => self.complaints.left_out("malformed_action", &error),
-            None => self.complaints.left_out("no_episode", &"an action came while no episode is played by topics"),
+            None => self.complaints.left_out(
+                "no_episode",
+                &"an action came while no episode is played by topics",
+            ),
         }
     }
 }

@@ -101,15 +101,14 @@ fn evaluator() -> EvaluatorStep {
 #[test]
 fn candidates_are_compared_at_one_moment() {
     let step = evaluator();
-    // Four and three model steps, the second in part.
+    // Four model steps, and two and a half: whole ones are compared.
     let asked = candidates(vec![chunk(2, 8, 0.02), chunk(2, 5, -0.02)]);
     let request = step.candidates(&asked).unwrap();
     let steps: Vec<usize> = request.candidates.iter().map(Vec::len).collect();
-    assert_eq!(steps, [3, 3]);
-    assert_eq!(
-        request.candidates[1][2][1].values[0], -0.02,
-        "the last one is held"
-    );
+    assert_eq!(steps, [2, 2]);
+    let short = candidates(vec![chunk(2, 1, 0.02)]);
+    let short = step.candidates(&short).unwrap();
+    assert_eq!(short.candidates[0].len(), 1, "one at least");
     // The action that was really taken at the observed moment is the first of both.
     assert_eq!(request.candidates[0][0][0].values[0], 0.01);
     assert_eq!(request.candidates[0][0][1].values[0], 0.02);
@@ -119,6 +118,22 @@ fn candidates_are_compared_at_one_moment() {
         5,
         "the horizon"
     );
+}
+
+#[test]
+fn candidates_wait_for_the_frame_that_they_answer() {
+    let mut step = evaluator();
+    // The newest frame is 2; a model step is two frames.
+    for (begin, awaits) in [(1, false), (2, false), (3, true), (4, true), (5, false)] {
+        let asked = candidates(vec![chunk(2, 8, 0.02), chunk(begin, 8, 0.02)]);
+        assert_eq!(step.awaits_frame(&asked), awaits, "{begin}");
+    }
+    let asked = candidates(vec![chunk(3, 8, 0.02)]);
+    let latent = encode_latent(&values(3), &space(), LatentDtype::F32, header(3)).unwrap();
+    step.latent(&latent).unwrap();
+    assert!(!step.awaits_frame(&asked), "it has come");
+    assert_eq!(step.candidates(&asked).unwrap().candidates[0].len(), 4);
+    assert!(!step.awaits_frame(&candidates(Vec::new())));
 }
 
 #[test]
