@@ -77,5 +77,5 @@ pub use qos::{Durability, Qos, Reliability};
 pub use run::{Component, run, run_together};
 pub use service::{Call, Client, RawCall, RawClient, RawService, Service};
 pub use shutdown::Shutdown;
-pub use subscription::{RawSubscription, Received, Subscription};
+pub use subscription::{Gaps, RawSubscription, Received, Subscription};
 pub use value::{Kind, ParameterType, Value};

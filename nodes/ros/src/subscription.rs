@@ -4,14 +4,14 @@ mod catch_up;
 mod gaps;
 
 pub(crate) use catch_up::CatchUp;
+pub use gaps::Gaps;
 
 use crate::{
     Clock, Diagnostics, Shutdown,
-    backend::{Backend, Reader, Sample, Sink},
+    backend::{Backend, EndpointId, Reader, Sample, Sink},
     mailbox::Mailbox,
 };
 use bytes::Bytes;
-use gaps::Gaps;
 use std::{
     marker::PhantomData,
     sync::{
@@ -48,7 +48,7 @@ pub(crate) struct Intake {
     mailbox: Mailbox<Received<Bytes>>,
     undecodable: AtomicU64,
     lost: AtomicU64,
-    gaps: Mutex<Gaps>,
+    gaps: Mutex<Gaps<EndpointId>>,
     diagnostics: Diagnostics,
     clock: Clock,
 }
@@ -93,7 +93,7 @@ impl Intake {
     }
 
     /// No invariant spans the lock.
-    fn gaps(&self) -> std::sync::MutexGuard<'_, Gaps> {
+    fn gaps(&self) -> std::sync::MutexGuard<'_, Gaps<EndpointId>> {
         self.gaps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -1,21 +1,28 @@
 //! Samples that never arrived, seen from the numbers of those that did.
 
-use crate::backend::EndpointId;
-use std::collections::BTreeMap;
+use std::{collections::HashMap, hash::Hash};
 
 /// Publishers that are remembered; beyond that a subscription has met more restarts than anybody counts gaps over.
 const MAX_WRITERS: usize = 64;
 
-/// The last number from each publisher.
-#[derive(Debug, Default)]
-pub(super) struct Gaps {
-    last: BTreeMap<EndpointId, i64>,
+/// The last number from each publisher, by what tells publishers apart.
+#[derive(Debug)]
+pub struct Gaps<Id> {
+    last: HashMap<Id, i64>,
 }
 
-impl Gaps {
+impl<Id> Default for Gaps<Id> {
+    fn default() -> Self {
+        Self {
+            last: HashMap::new(),
+        }
+    }
+}
+
+impl<Id: Eq + Hash> Gaps<Id> {
     /// How many samples of this publisher are missing in front of this one. What came before the first is not: a
-    /// subscription begins where it joins.
-    pub(super) fn after(&mut self, writer: EndpointId, sequence: i64) -> u64 {
+    /// subscription begins where it joins. A late sample is not missing twice.
+    pub fn after(&mut self, writer: Id, sequence: i64) -> u64 {
         if self.last.len() >= MAX_WRITERS && !self.last.contains_key(&writer) {
             self.last.clear();
         }
@@ -26,7 +33,7 @@ impl Gaps {
     }
 
     /// Whether this sample, or a later one of its publisher, has come.
-    pub(super) fn has(&self, writer: &EndpointId, sequence: i64) -> bool {
+    pub fn has(&self, writer: &Id, sequence: i64) -> bool {
         self.last.get(writer).is_some_and(|last| sequence <= *last)
     }
 }
@@ -38,7 +45,7 @@ mod tests {
     #[test]
     fn gaps_are_counted_for_each_publisher() {
         let mut gaps = Gaps::default();
-        let (a, b) = ([1; 16], [2; 16]);
+        let (a, b) = ('a', 'b');
         assert_eq!(gaps.after(a, 5), 0, "it joined here");
         assert_eq!(gaps.after(a, 6), 0);
         assert_eq!(gaps.after(b, 1), 0);
@@ -46,6 +53,6 @@ mod tests {
         assert_eq!(gaps.after(a, 8), 0, "late, not lost twice");
         assert_eq!(gaps.after(a, 10), 0);
         assert!(gaps.has(&a, 9) && gaps.has(&a, 10) && !gaps.has(&a, 11));
-        assert!(gaps.has(&b, 1) && !gaps.has(&[3; 16], 1));
+        assert!(gaps.has(&b, 1) && !gaps.has(&'c', 1));
     }
 }

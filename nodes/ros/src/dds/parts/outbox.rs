@@ -15,13 +15,13 @@ use std::{
 const PAUSE: Duration = Duration::from_millis(10);
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
-/// What a reliable writer keeps for a reader that does not take it before it is full \[byte\].
-const RELIABLE_BYTES: usize = 64 << 20;
+/// What a writer keeps for a reader that does not take it, whatever its depth \[byte\]; one message it keeps in any case.
+const MOST_BYTES: usize = 64 << 20;
 
 /// How much a writer keeps.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::dds) enum Keep {
-    /// The last messages, whoever has not taken the others.
+    /// The last messages, at most this many, whoever has not taken the others.
     Last(usize),
     /// All, until it is full with this many.
     All(usize),
@@ -41,6 +41,12 @@ struct Stream {
     base: i64,
     last: i64,
     kept: VecDeque<Kept>,
+}
+
+impl Stream {
+    fn kept_bytes(&self) -> usize {
+        self.kept.iter().map(|kept| kept.bytes.len()).sum()
+    }
 }
 
 /// The writers of this participant that have gone over to parts.
@@ -73,8 +79,7 @@ impl Outbox {
             .is_some_and(|stream| match stream.keep {
                 Keep::Last(_) => false,
                 Keep::All(number) => {
-                    let bytes: usize = stream.kept.iter().map(|kept| kept.bytes.len()).sum();
-                    stream.kept.len() >= number || bytes >= RELIABLE_BYTES
+                    stream.kept.len() >= number || stream.kept_bytes() >= MOST_BYTES
                 }
             })
     }
@@ -114,8 +119,10 @@ impl Outbox {
             });
         }
         if let Keep::Last(number) = stream.keep {
-            while stream.kept.len() > number.max(1) {
-                stream.kept.pop_front();
+            let mut bytes = stream.kept_bytes();
+            while stream.kept.len() > 1 && (stream.kept.len() > number || bytes > MOST_BYTES) {
+                let oldest = stream.kept.pop_front();
+                bytes -= oldest.map_or(0, |oldest| oldest.bytes.len());
             }
         }
         Some(stream.last)

@@ -4,7 +4,7 @@
 use super::{
     Mail, Peer,
     inbox::{Inbox, Whole},
-    message::{PART, PartMessage},
+    message::{MessageId, PART, PartMessage},
     outbox::{Keep, Outbox},
 };
 use bytes::Bytes;
@@ -275,6 +275,32 @@ fn a_reader_that_has_stopped_holds_up_nobody_and_costs_what_the_writer_keeps() {
     }
     assert_eq!(network.numbers(1), [56, 57, 58, 59, 60]);
     assert!(network.outbox.is_settled(&WRITER, i64::MAX));
+}
+
+#[test]
+fn of_very_large_messages_fewer_are_kept_than_the_depth_says() {
+    let (mut outbox, now, mut mail) = (Outbox::default(), Instant::now(), Vec::new());
+    outbox.open(WRITER, Keep::Last(DEPTH), 0);
+    let bytes = message(0, 30 << 20);
+    for _ in 0..3 {
+        let reader = [1; 12];
+        outbox
+            .offer(now, &WRITER, &bytes, 0, [reader].into(), &mut mail)
+            .unwrap();
+    }
+    mail.clear();
+    for number in 1..=3 {
+        let id = MessageId {
+            writer: WRITER,
+            number,
+        };
+        outbox.wanted(now, [1; 12], id, 1, &mut mail);
+    }
+    let is_kept: Vec<bool> = mail
+        .iter()
+        .map(|mail| matches!(mail.message, PartMessage::Part { .. }))
+        .collect();
+    assert_eq!(is_kept, [false, true, true], "64 MiB are kept");
 }
 
 #[test]
