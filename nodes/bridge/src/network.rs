@@ -17,6 +17,20 @@ const LOCAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 /// picture of 4096 x 2160.
 const LARGEST_MESSAGE: usize = 64 << 20;
 
+/// Batches of 64 KiB that wait for a link, for each priority that samples can have: Zenoh's most, instead of its 2. A packet
+/// that is lost several times holds up TCP for seconds, and a burst of samples fills 128 KiB in a few milliseconds; what
+/// finds no room is dropped. Memory is taken as it is needed.
+const WAITING_BATCHES: usize = 16;
+const SAMPLE_QUEUES: [&str; 7] = [
+    "transport/link/tx/queue/size/real_time",
+    "transport/link/tx/queue/size/interactive_high",
+    "transport/link/tx/queue/size/interactive_low",
+    "transport/link/tx/queue/size/data_high",
+    "transport/link/tx/queue/size/data",
+    "transport/link/tx/queue/size/data_low",
+    "transport/link/tx/queue/size/background",
+];
+
 /// The bridge's place in the Zenoh network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Mode {
@@ -128,6 +142,11 @@ impl NetworkArguments {
             let largest = json!(LARGEST_MESSAGE);
             values.push(("transport/link/rx/max_message_size", largest));
         }
+        for key in SAMPLE_QUEUES {
+            if is_unset(key) {
+                values.push((key, json!(WAITING_BATCHES)));
+            }
+        }
         if is_unset("timestamping/enabled") {
             // The history of latched topics is kept by time.
             values.push(("timestamping/enabled", json!(true)));
@@ -178,6 +197,10 @@ mod tests {
             config.pointer("/transport/link/rx/max_message_size"),
             Some(&json!(LARGEST_MESSAGE))
         );
+        for key in SAMPLE_QUEUES {
+            let batches = config.pointer(&format!("/{key}"));
+            assert_eq!(batches, Some(&json!(WAITING_BATCHES)), "{key}");
+        }
         for mode in ["router", "peer"] {
             let pointer = format!("/scouting/gossip/autoconnect/{mode}");
             assert_eq!(config.pointer(&pointer), Some(&json!([])), "{config}");

@@ -4,14 +4,20 @@ use super::Ends;
 use crate::{announcement::Subject, plan::Route};
 use anyhow::{Result, anyhow};
 use bytes::Bytes;
-use std::{any::Any, sync::Arc};
-use wm_ros::{Durability, Qos, RawPublisher};
+use std::{
+    any::Any,
+    sync::{Arc, Mutex, PoisonError},
+};
+use wm_ros::{Durability, Gaps, Qos, RawPublisher};
 use zenoh::{
     key_expr::OwnedKeyExpr,
     liveliness::LivelinessToken,
     sample::{Locality, Sample, SampleKind},
 };
 use zenoh_ext::{AdvancedSubscriberBuilderExt as _, HistoryConfig};
+
+/// Samples that DDS may at least take at once: what comes after the network has been held up, comes in one burst.
+const BURST: usize = 512;
 
 /// A topic on its way in. Its publisher on this side is there from the start, so that nodes see the topic; samples are
 /// fetched for as long as nodes subscribe to it. A latched topic is followed from then on: to begin anew would fetch its
@@ -33,11 +39,17 @@ impl Incoming {
     /// # Errors
     /// Its name or type is none of ROS, or one of the sides is closed.
     pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
+        let depth = match route.qos.durability {
+            Durability::Volatile => route.qos.depth.max(BURST),
+            // How many a late subscriber is given is the publisher's word.
+            Durability::TransientLocal => route.qos.depth,
+        };
+        let qos = Qos { depth, ..route.qos };
         let mut incoming = Self {
             key: ends.key_of(name)?,
             type_name: route.type_name.clone(),
             qos: route.qos,
-            publisher: ends.node.raw_publisher(name, &route.type_name, route.qos)?,
+            publisher: ends.node.raw_publisher(name, &route.type_name, qos)?,
             ends,
             subscriber: None,
             announced: None,
@@ -73,6 +85,8 @@ impl Incoming {
         let failed = |error| anyhow!("cannot subscribe to {}: {error}", self.key);
         let (publisher, diagnostics) = (self.publisher.clone(), self.ends.node.diagnostics());
         let input = format!("zenoh {}", self.key);
+        // Of publishers that number their samples, as `wm bridge` does for topics that are not latched.
+        let gaps = Mutex::new(Gaps::default());
         let subscriber = self
             .ends
             .session
@@ -83,6 +97,13 @@ impl Incoming {
                     return;
                 }
                 diagnostics.received(&input);
+                if let Some(source) = sample.source_info() {
+                    let mut gaps = gaps.lock().unwrap_or_else(PoisonError::into_inner);
+                    let missing = gaps.after(*source.source_id(), source.source_sn().into());
+                    if missing > 0 {
+                        diagnostics.count_drops(&format!("{input}: lost in transport"), missing);
+                    }
+                }
                 let bytes = Bytes::from(sample.payload().to_bytes().into_owned());
                 if let Err(error) = publisher.publish(bytes) {
                     tracing::debug!("{error}");

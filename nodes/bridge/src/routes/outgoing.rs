@@ -10,7 +10,9 @@ use zenoh::{
     Wait as _, key_expr::OwnedKeyExpr, liveliness::LivelinessToken, qos::CongestionControl,
     sample::Locality,
 };
-use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt as _, CacheConfig};
+use zenoh_ext::{
+    AdvancedPublisher, AdvancedPublisherBuilderExt as _, CacheConfig, MissDetectionConfig,
+};
 
 /// Samples that may at least wait for the network; policy DropOldest.
 const QUEUE: usize = 32;
@@ -76,7 +78,11 @@ async fn publish(
         .allowed_destination(Locality::Remote)
         .advanced();
     let publisher = match qos.durability {
-        Durability::Volatile => publisher.await,
+        // Zenoh drops without a word: the other end sees it by the numbers.
+        Durability::Volatile => {
+            let numbered = publisher.sample_miss_detection(MissDetectionConfig::default());
+            numbered.await
+        }
         Durability::TransientLocal => {
             let samples = qos.depth.saturating_mul(ends.settings.cache_multiplier);
             let cache = CacheConfig::default().max_samples(samples);

@@ -1,8 +1,9 @@
 """A slow and lossy link between two network namespaces: link.py NAMESPACE NAMESPACE DELAY_MS LOSS SEED
 
 Does in user space what `tc netem delay DELAY loss LOSS` does in the kernel, which many kernels come without: each
-namespace gets a device wm0 (10.99.0.1 and 10.99.0.2), and each packet arrives after the delay, or never. Prints "ready",
-and at the end of its standard input how many packets it carried and dropped.
+namespace gets a device wm0 (10.99.0.1 and 10.99.0.2), and each packet arrives after the delay, or never. Prints "ready".
+A number of seconds on a line of its standard input is an outage: nothing that comes within them arrives. At its end it
+prints how many packets came and how many of them were dropped.
 """
 
 import ctypes
@@ -43,6 +44,7 @@ def main():
     delay_s, loss, chance = float(delay_ms) / 1000, float(loss), random.Random(int(seed))
     devices = [tun(one, "10.99.0.1"), tun(other, "10.99.0.2")]
     waiting, count, dropped = [], 0, 0
+    back_at = 0.0
     print("ready", flush=True)
     while True:
         timeout = max(0.0, waiting[0][0] - time.monotonic()) if waiting else None
@@ -54,14 +56,17 @@ def main():
                 os.write(to, packet)
             except BlockingIOError:
                 dropped += 1
-        if sys.stdin in readable and not sys.stdin.read(1):
-            break
+        if sys.stdin in readable:
+            outage_s = sys.stdin.readline()
+            if not outage_s:
+                break
+            back_at = now + float(outage_s)
         for device in devices:
             if device not in readable:
                 continue
             packet = os.read(device, 65536)
             count += 1
-            if chance.random() < loss or len(waiting) >= MOST_WAITING:
+            if chance.random() < loss or now < back_at or len(waiting) >= MOST_WAITING:
                 dropped += 1
             else:
                 to = devices[1 - devices.index(device)]

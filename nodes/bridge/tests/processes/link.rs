@@ -3,7 +3,7 @@
 use crate::harness::{Process, Site, in_domain};
 use std::{
     fs::File,
-    io::{BufRead as _, BufReader},
+    io::{BufRead as _, BufReader, Write as _},
     os::fd::AsFd as _,
     path::Path,
     process::{Child, Command, Stdio},
@@ -117,7 +117,13 @@ impl Link {
         joining.join().unwrap()
     }
 
-    /// How many packets it carried and dropped.
+    /// Drops every packet from now on for so long.
+    pub fn fail_for(&mut self, outage: Duration) {
+        let input = self.relay.stdin.as_mut().unwrap();
+        writeln!(input, "{}", outage.as_secs_f64()).unwrap();
+    }
+
+    /// How many packets it was given, and dropped.
     pub fn finish(mut self) -> (u64, u64) {
         drop(self.relay.stdin.take());
         let line = self.line();

@@ -8,11 +8,12 @@ use crate::{
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
-    time::Instant,
+    time::{Duration, Instant},
 };
 use wm_bag::BagReader;
 use wm_msgs::{
     builtin_interfaces::Time,
+    diagnostic_msgs::DiagnosticArray,
     sensor_msgs::CompressedImage,
     wm_msgs::{Plan, Prediction, Reset, ResetRequest},
 };
@@ -23,6 +24,10 @@ const DESK: usize = 1;
 
 /// Predictions that the robot sends before it is counted what came: 75 observations of 8 steps, two rounds of the bag.
 const MESSAGES: usize = 600;
+/// After so many of them nothing arrives for a while, as when the robot drives out of reach. TCP tries again about 0.5, 1.1
+/// and 2.3 s after what was lost first.
+const BEFORE_OUTAGE: usize = 200;
+const OUTAGE: Duration = Duration::from_millis(1300);
 const GOALS: i32 = 5;
 /// Between two observations at the camera's 5 Hz; a round of the bag is further from the next.
 const NEXT_OBSERVATION_NS: i64 = 300_000_000;
@@ -136,6 +141,36 @@ async fn plans_answer_goals(desk: &Node) -> Vec<f64> {
     answered_in
 }
 
+/// What the nodes of a side say that they have dropped of the predictions, in the last of their reports.
+struct Drops {
+    reports: Subscription<DiagnosticArray>,
+    counted: BTreeMap<String, u64>,
+}
+
+impl Drops {
+    fn new(node: &Node) -> Self {
+        let qos = Qos::reliable(1000);
+        Self {
+            reports: node.subscription("/diagnostics", qos).unwrap(),
+            counted: BTreeMap::new(),
+        }
+    }
+
+    fn read(&mut self) -> &BTreeMap<String, u64> {
+        while let Some(report) = self.reports.try_recv() {
+            for status in &report.message.status {
+                for value in &status.values {
+                    if value.key.starts_with("dropped") && value.key.contains("predicted") {
+                        let reason = format!("{}: {}", status.name, value.key);
+                        self.counted.insert(reason, value.value.parse().unwrap());
+                    }
+                }
+            }
+        }
+        &self.counted
+    }
+}
+
 /// The value below which this part of them is.
 fn quantile(values: &mut [f64], part: f64) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
@@ -145,7 +180,7 @@ fn quantile(values: &mut [f64], part: f64) -> f64 {
 #[tokio::test(flavor = "multi_thread")]
 async fn predictions_and_plans_cross_50_ms_and_2_percent_loss() {
     let Some(wm) = wm() else { return };
-    let Some(link) = Link::new() else { return };
+    let Some(mut link) = Link::new() else { return };
     let bridge = |end, network: [&str; 2]| {
         let carried = ["--allow", "/wm/.*", "--queries-timeout", "20"];
         link.start(end, Path::new(BRIDGE), &[&network[..], &carried].concat())
@@ -158,6 +193,7 @@ async fn predictions_and_plans_cross_50_ms_and_2_percent_loss() {
     let qos = Qos::best_effort(MESSAGES);
     let subscribe = |node: &Node| node.subscription::<Prediction>("predicted", qos).unwrap();
     let mut desk_predicted = subscribe(&at_desk.node);
+    let mut drops = [&at_robot.node, &at_desk.node].map(Drops::new);
     let nodes = robot(&link, &wm);
     let mut changes = at_robot.node.graph_changes();
     soon("the bridge's subscription", async {
@@ -184,7 +220,12 @@ async fn predictions_and_plans_cross_50_ms_and_2_percent_loss() {
     {
         tokio::select! {
             all = &mut sending, if sent.is_none() => sent = Some(all),
-            delay = arrived.next(&mut desk_predicted) => delays.push(delay),
+            delay = arrived.next(&mut desk_predicted) => {
+                delays.push(delay);
+                if delays.len() == BEFORE_OUTAGE {
+                    link.fail_for(OUTAGE);
+                }
+            }
         }
     }
     let sent = sent.unwrap();
@@ -217,18 +258,22 @@ async fn predictions_and_plans_cross_50_ms_and_2_percent_loss() {
     let called_for = asked.elapsed();
     assert!(answer.success, "{}", answer.message);
 
+    let counted = drops.each_mut().map(Drops::read);
+    eprintln!("drops counted: {counted:?}");
     drop(nodes);
     let (packets, dropped) = link.finish();
     eprintln!("a call answered after {called_for:?}; {dropped} of {packets} packets dropped");
     assert!(dropped > 0, "nothing was lost on the link");
     assert!(called_for >= 2 * DELAY, "the answer came in {called_for:?}");
     assert!(delays.iter().all(|&delay| delay >= DELAY.as_secs_f64()));
-    // They are sent with best effort, and how fast the robot computes is the machine's; but the link has to keep up.
-    assert!(50 * lost <= MESSAGES, "{lost} of {MESSAGES} are lost");
-    // A packet that is lost several times holds up the stream for a second or two, a link that is too slow for ever more.
+    // They are sent with best effort, and how fast the robot computes is the machine's; but what comes during the outage
+    // waits for its end.
+    assert!(20 * lost <= MESSAGES, "{lost} of {MESSAGES} are lost");
+    // The outage, and a packet that is lost several times, hold up the stream for seconds; a link that is too slow for ever
+    // more.
     let longest = quantile(&mut delays, 1.0);
     assert!(
-        longest < 5.0,
+        longest < 8.0,
         "{longest} s late: {sent_hz} Hz became {arrived_hz} Hz"
     );
 }

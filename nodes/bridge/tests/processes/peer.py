@@ -78,6 +78,8 @@ def main():
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    # The bridge may not listen yet.
+    config.insert_json5("connect/timeout_ms", str(1000 * PATIENCE_S))
     config.insert_json5("scouting/multicast/enabled", "false")
     commands = {f.__name__: f for f in (subscribe, publish, call, announced, serve)}
     with zenoh.open(config) as session:

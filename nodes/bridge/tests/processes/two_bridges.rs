@@ -4,6 +4,7 @@ use crate::harness::{BRIDGE, Process, Site, bridge, fresh_domain, fresh_endpoint
 use rustix::process::Signal;
 use std::{process::Command, time::Duration};
 use wm_msgs::{
+    diagnostic_msgs::DiagnosticArray,
     std_msgs::String as Text,
     wm_msgs::{Reset, ResetRequest, ResetResponse},
 };
@@ -262,6 +263,72 @@ async fn of_two_bridges_in_one_domain_one_stands_by_until_the_other_is_gone() {
         }
         assert!(said_since < 150, "the second bridge does not take over");
     }
+}
+
+/// What the bridge of this side has counted, by the reason.
+async fn counted(reports: &mut Subscription<DiagnosticArray>, key: &str) -> u64 {
+    loop {
+        let report = soon("a report", reports.recv()).await.unwrap().message;
+        let mut values = report.status.iter().flat_map(|status| &status.values);
+        if let Some(value) = values.find(|value| value.key.contains(key)) {
+            return value.value.parse().unwrap();
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_full_network_drops_is_counted_at_the_other_end() {
+    // Zenoh has room for one batch of 64 KiB, and waits for no more: what takes several is dropped as a rule.
+    let config = tempfile::Builder::new()
+        .suffix(".json5")
+        .tempfile()
+        .unwrap();
+    let queue = r#"{ size: { data: 1 }, congestion_control: { drop: { wait_before_drop: 0,
+        max_wait_before_drop_fragments: 0 } } }"#;
+    let narrow = format!(
+        "{{ transport: {{ link: {{ tx: {{ queue: {queue} }} }} }},
+           plugins: {{ ros2dds: {{ reliable_routes_blocking: false }} }} }}"
+    );
+    std::fs::write(config.path(), narrow).unwrap();
+    let carried = ["--allow", "/wm/said"];
+    let file = config.path().to_str().unwrap();
+    let pair = pair(&[&carried[..], &["--config", file]].concat(), &carried);
+    let qos = Qos::reliable(1000);
+    let said = pair.here.node.publisher::<Text>("said", qos).unwrap();
+    let mut heard = pair.there.node.subscription::<Text>("said", qos).unwrap();
+    let reports = Qos::reliable(10);
+    let mut reports = pair
+        .there
+        .node
+        .subscription::<DiagnosticArray>("/diagnostics", reports)
+        .unwrap();
+    connected(&said, &heard).await;
+    said.publish(&text("first")).unwrap();
+    assert_eq!(next(&mut heard).await, "first");
+    let large = "x".repeat(1 << 20);
+    for _ in 0..10 {
+        said.publish(&text(&large)).unwrap();
+    }
+    // The one that comes closes the gap; those before it may be dropped too.
+    let (mut small, mut came) = (0, 0);
+    let sent = 'closed: loop {
+        small += 1;
+        said.publish(&text(&small.to_string())).unwrap();
+        let wait = Duration::from_millis(100);
+        while let Ok(received) = tokio::time::timeout(wait, heard.recv()).await {
+            came += 1;
+            if let Ok(number) = received.unwrap().message.data.parse::<u64>() {
+                break 'closed 10 + number;
+            }
+        }
+        assert!(small < 600, "nothing comes any more");
+    };
+    let lost = sent - came;
+    assert!(lost > 0, "{came} of {sent} came");
+    soon("the count", async {
+        while counted(&mut reports, "said: lost in transport").await != lost {}
+    })
+    .await;
 }
 
 #[test]
