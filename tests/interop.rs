@@ -381,7 +381,7 @@ fn parameters_are_visible_and_guarded() {
         );
     }
     predictor.signal(Signal::INT);
-    let (status, _) = predictor.finish(Duration::from_secs(5));
+    let (status, _) = predictor.finish(Duration::from_secs(30));
     assert!(
         status.success(),
         "a node that is asked to stop exits with 0, not {status}"
@@ -501,7 +501,7 @@ fn a_node_is_driven_through_its_lifecycle() {
     assert_eq!(goals, expected);
     assert_eq!(answer["of_node"], answer["of_rclpy"]);
 
-    let (status, _) = encoder.finish(Duration::from_secs(10));
+    let (status, _) = encoder.finish(Duration::from_secs(30));
     assert!(
         status.success(),
         "a node that is shut down exits with 0, not {status}"

@@ -199,6 +199,6 @@ fn an_installed_node_starts_as_ros_2_launch_starts_it() {
     let dtype = &answer["parameters"]["dtype"]["value"];
     assert_eq!(dtype, "f32", "the later file wins over encoder.yaml");
     encoder.signal(Signal::INT);
-    let (status, _) = encoder.finish(Duration::from_secs(5));
+    let (status, _) = encoder.finish(Duration::from_secs(30));
     assert!(status.success(), "{status}");
 }
