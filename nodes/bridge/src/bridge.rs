@@ -63,15 +63,15 @@ async fn carry(node: Node, config: zenoh::Config, settings: Settings) -> Result<
     loop {
         let endpoints = ends.node.remote_endpoints();
         let rival = rival(&own_id, &others.presences(), &endpoints);
-        if rival != standing_by_for {
-            report(&ends.node, rival.as_deref());
-            standing_by_for.clone_from(&rival);
-        }
         let wanted = match rival {
             None => plan(&endpoints, &others.announcements(), &ends.settings),
             Some(_) => BTreeMap::new(),
         };
         routes.follow(wanted).await;
+        if rival != standing_by_for {
+            report(&ends.node, rival.as_deref());
+            standing_by_for = rival;
+        }
         if others.refused() > 0 {
             let diagnostics = ends.node.diagnostics();
             diagnostics.set_value("announcements not heeded [total]", others.refused());

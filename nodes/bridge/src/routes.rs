@@ -15,13 +15,18 @@ use called::Called;
 use incoming::Incoming;
 use outgoing::Outgoing;
 use served::Served;
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 use tokio::task::AbortHandle;
 use wm_ros::Node;
 use zenoh::{Session, key_expr::OwnedKeyExpr, liveliness::LivelinessToken};
 
 /// Calls of one service that may be under way at once.
 const OPEN_CALLS: usize = 64;
+
+/// From when a way to the other side is known until it holds. Zenoh's routers tell each other at once of what is beyond a new
+/// neighbour, and compute their routes 100 ms later (TREES_COMPUTATION_DELAY_MS): what is sent meanwhile may end at the
+/// neighbour, samples and queries alike.
+const ROUTING: Duration = Duration::from_millis(300);
 
 /// Both sides, and what is carried between them.
 pub struct Ends {

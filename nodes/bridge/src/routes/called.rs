@@ -1,13 +1,15 @@
 //! A service on Zenoh to this side's clients.
 
-use super::{Ends, OPEN_CALLS, Task};
+use super::{Ends, OPEN_CALLS, ROUTING, Task};
 use crate::{announcement::Subject, plan::Route, request_header::RequestHeader};
 use anyhow::{Context as _, Result, anyhow, bail};
 use bytes::Bytes;
 use std::sync::Arc;
 use tokio::sync::Semaphore;
-use wm_ros::{RawCall, RawService};
-use zenoh::{key_expr::OwnedKeyExpr, liveliness::LivelinessToken, sample::Locality};
+use wm_ros::RawCall;
+use zenoh::{
+    key_expr::OwnedKeyExpr, liveliness::LivelinessToken, query::Querier, sample::Locality,
+};
 
 /// A service that is called on Zenoh. It is served on this side while another bridge announces it: a client that finds
 /// a server which nobody answers for would wait for ever.
@@ -41,16 +43,19 @@ impl Called {
     /// Begins or ends to serve it, and to announce this side's clients.
     ///
     /// # Errors
-    /// Its name or type is none of ROS, or one of the sides is closed.
+    /// The session is closed.
     pub async fn change(&mut self, route: &Route) -> Result<()> {
         self.serving = match (self.serving.take(), route.is_remote) {
             (_, false) => None,
             (Some(serving), true) => Some(serving),
             (None, true) => {
-                let node = &self.ends.node;
-                let service = node.raw_service_for_others(&self.name, &self.type_name)?;
-                let (ends, key) = (Arc::clone(&self.ends), self.key.clone());
-                Some(Task::spawn(serve(ends, service, key)))
+                let caller = Caller::new(Arc::clone(&self.ends), self.key.clone()).await?;
+                let (name, type_name) = (self.name.clone(), self.type_name.clone());
+                Some(Task::spawn(async move {
+                    if let Err(error) = serve(Arc::new(caller), &name, &type_name).await {
+                        tracing::error!("{name}: not served: {error:#}");
+                    }
+                }))
             }
         };
         self.token = match (self.token.take(), route.local) {
@@ -66,50 +71,83 @@ impl Called {
     }
 }
 
-async fn serve(ends: Arc<Ends>, mut service: RawService, key: OwnedKeyExpr) {
+/// Clients of this side see the service once their calls arrive.
+async fn serve(caller: Arc<Caller>, name: &str, type_name: &str) -> Result<()> {
+    caller.reach().await?;
+    tokio::time::sleep(ROUTING).await;
+    let node = &caller.ends.node;
+    let mut service = node.raw_service_for_others(name, type_name)?;
     let places = Arc::new(Semaphore::new(OPEN_CALLS));
     while let Some(call) = service.recv().await {
         // The service's own queue is bounded, and drops the oldest call.
-        let Ok(place) = Arc::clone(&places).acquire_owned().await else {
-            return;
-        };
-        let (ends, key) = (Arc::clone(&ends), key.clone());
+        let place = Arc::clone(&places).acquire_owned().await?;
+        let caller = Arc::clone(&caller);
         tokio::spawn(async move {
-            if let Err(error) = carry(&ends, call, &key).await {
+            if let Err(error) = caller.carry(call).await {
+                let key = &caller.key;
                 // ROS has no way to tell the client; it waits until it gives up.
                 tracing::warn!("a call of {key} is not answered: {error:#}");
-                let diagnostics = ends.node.diagnostics();
+                let diagnostics = caller.ends.node.diagnostics();
                 diagnostics.count_drop(&format!("calls of zenoh {key}: not answered"));
             }
             drop(place);
         });
     }
+    Ok(())
 }
 
-async fn carry(ends: &Ends, mut call: RawCall, key: &OwnedKeyExpr) -> Result<()> {
-    let timeout = ends.settings.queries_timeout;
-    let header = RequestHeader::of_call(call.id());
-    let replies = ends
-        .session
-        .get(key.clone())
-        .payload(std::mem::take(&mut call.request))
-        .attachment(header.to_bytes().to_vec())
-        .allowed_destination(Locality::Remote)
-        .timeout(timeout)
-        .await
-        .map_err(|error| anyhow!("{error}"))?;
-    let reply = replies.recv_async().await;
-    let reply = reply
-        .ok()
-        .with_context(|| format!("nothing came within {timeout:?}"))?;
-    match reply.result() {
-        Ok(sample) => {
-            let answer = Bytes::from(sample.payload().to_bytes().into_owned());
-            Ok(call.respond(answer)?)
+struct Caller {
+    ends: Arc<Ends>,
+    key: OwnedKeyExpr,
+    querier: Querier<'static>,
+}
+
+impl Caller {
+    async fn new(ends: Arc<Ends>, key: OwnedKeyExpr) -> Result<Self> {
+        let querier = ends
+            .session
+            .declare_querier(key.clone())
+            .allowed_destination(Locality::Remote)
+            .timeout(ends.settings.queries_timeout)
+            .await
+            .map_err(|error| anyhow!("cannot call {key}: {error}"))?;
+        Ok(Self { ends, key, querier })
+    }
+
+    async fn carry(&self, mut call: RawCall) -> Result<()> {
+        let header = RequestHeader::of_call(call.id());
+        let replies = self
+            .querier
+            .get()
+            .payload(std::mem::take(&mut call.request))
+            .attachment(header.to_bytes().to_vec())
+            .await
+            .map_err(|error| anyhow!("{error}"))?;
+        let reply = replies.recv_async().await;
+        // When the time is over, Zenoh itself answers that.
+        let reply = reply.ok().context("the other side gave no answer")?;
+        match reply.result() {
+            Ok(sample) => {
+                let answer = Bytes::from(sample.payload().to_bytes().into_owned());
+                Ok(call.respond(answer)?)
+            }
+            Err(error) => bail!(
+                "the other side says: {}",
+                String::from_utf8_lossy(&error.payload().to_bytes())
+            ),
         }
-        Err(error) => bail!(
-            "the other side says: {}",
-            String::from_utf8_lossy(&error.payload().to_bytes())
-        ),
+    }
+
+    /// Waits until Zenoh knows a way to the other side: it tells of the server before it does, and a query without a way is
+    /// answered by nobody, at once.
+    async fn reach(&self) -> Result<()> {
+        let failed = |error| anyhow!("cannot see who serves {}: {error}", self.key);
+        let listener = self.querier.matching_listener().await.map_err(failed)?;
+        let status = self.querier.matching_status().await.map_err(failed)?;
+        let mut is_matching = status.matching();
+        while !is_matching {
+            is_matching = listener.recv_async().await.map_err(failed)?.matching();
+        }
+        Ok(())
     }
 }

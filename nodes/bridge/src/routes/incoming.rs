@@ -1,12 +1,13 @@
 //! A topic from Zenoh to this side's subscriptions.
 
-use super::Ends;
+use super::{Ends, Task};
 use crate::{announcement::Subject, plan::Route};
 use anyhow::{Result, anyhow};
 use bytes::Bytes;
 use std::{
     any::Any,
     sync::{Arc, Mutex, PoisonError},
+    time::Duration,
 };
 use wm_ros::{Durability, Gaps, Qos, RawPublisher};
 use zenoh::{
@@ -19,16 +20,16 @@ use zenoh_ext::{AdvancedSubscriberBuilderExt as _, HistoryConfig};
 /// Samples that DDS may at least take at once: what comes after the network has been held up, comes in one burst.
 const BURST: usize = 512;
 
+/// How long this side's subscription is waited for to be connected, at most.
+const CONNECTING: Duration = Duration::from_secs(2);
+
 /// A topic on its way in. Its publisher on this side is there from the start, so that nodes see the topic; samples are
 /// fetched for as long as nodes subscribe to it. A latched topic is followed from then on: to begin anew would fetch its
 /// history, and publish it here, once more.
 pub struct Incoming {
-    ends: Arc<Ends>,
-    key: OwnedKeyExpr,
+    stream: Arc<Stream>,
     type_name: String,
-    qos: Qos,
-    publisher: RawPublisher,
-    subscriber: Option<Box<dyn Any + Send + Sync>>,
+    task: Option<Task>,
     /// What this side's subscriptions are announced with.
     announced: Option<(Qos, LivelinessToken)>,
 }
@@ -45,13 +46,16 @@ impl Incoming {
             Durability::TransientLocal => route.qos.depth,
         };
         let qos = Qos { depth, ..route.qos };
-        let mut incoming = Self {
+        let stream = Stream {
             key: ends.key_of(name)?,
-            type_name: route.type_name.clone(),
             qos: route.qos,
             publisher: ends.node.raw_publisher(name, &route.type_name, qos)?,
             ends,
-            subscriber: None,
+        };
+        let mut incoming = Self {
+            stream: Arc::new(stream),
+            type_name: route.type_name.clone(),
+            task: None,
             announced: None,
         };
         incoming.change(route).await?;
@@ -63,25 +67,50 @@ impl Incoming {
     /// # Errors
     /// The session is closed.
     pub async fn change(&mut self, route: &Route) -> Result<()> {
+        let stream = &self.stream;
         let Some(local) = route.local else {
             self.announced = None;
-            if self.qos.durability == Durability::Volatile {
-                self.subscriber = None;
+            if stream.qos.durability == Durability::Volatile {
+                self.task = None;
             }
             return Ok(());
         };
-        if self.subscriber.is_none() {
-            self.subscriber = Some(self.subscribe().await?);
-        }
+        self.task
+            .get_or_insert_with(|| Task::spawn(Arc::clone(stream).run()));
         if self.announced.as_ref().is_none_or(|(qos, _)| *qos != local) {
             let subject = Subject::Subscriber(local);
-            let token = self.ends.announce(subject, &self.key, &self.type_name);
+            let token = stream.ends.announce(subject, &stream.key, &self.type_name);
             self.announced = Some((local, token.await?));
         }
         Ok(())
     }
+}
+
+struct Stream {
+    ends: Arc<Ends>,
+    key: OwnedKeyExpr,
+    qos: Qos,
+    publisher: RawPublisher,
+}
+
+impl Stream {
+    async fn run(self: Arc<Self>) {
+        match self.subscribe().await {
+            Ok(subscriber) => {
+                let _held = subscriber;
+                std::future::pending::<()>().await;
+            }
+            Err(error) => tracing::error!("{}: not carried: {error:#}", self.key),
+        }
+    }
 
     async fn subscribe(&self) -> Result<Box<dyn Any + Send + Sync>> {
+        if self.qos.durability == Durability::Volatile {
+            // Who sees a subscriber on the other side sends: what comes before this side's is connected would be lost. One
+            // that asks for what no bridge can give is never connected.
+            let connected = self.publisher.wait_for_subscribers(1);
+            tokio::time::timeout(CONNECTING, connected).await.ok();
+        }
         let failed = |error| anyhow!("cannot subscribe to {}: {error}", self.key);
         let (publisher, diagnostics) = (self.publisher.clone(), self.ends.node.diagnostics());
         let input = format!("zenoh {}", self.key);

@@ -1,6 +1,6 @@
 //! A topic of this side's publishers to Zenoh.
 
-use super::{Ends, Task};
+use super::{Ends, ROUTING, Task};
 use crate::{announcement::Subject, limiter::Limiter, plan::Route};
 use anyhow::{Context as _, Result, anyhow};
 use bytes::Bytes;
@@ -126,6 +126,10 @@ impl Stream {
         loop {
             while !is_heard && !is_latched {
                 is_heard = listener.recv_async().await.map_err(failed)?.matching();
+            }
+            if !is_latched {
+                // Publishers of this side see a subscription once what they send arrives.
+                tokio::time::sleep(ROUTING).await;
             }
             let mut samples =
                 self.ends
