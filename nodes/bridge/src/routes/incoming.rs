@@ -1,12 +1,13 @@
 //! A topic from Zenoh to this side's subscriptions.
 
-use super::{Ends, Task};
+use super::{Ends, ROUTING, Task};
 use crate::{announcement::Subject, plan::Route};
 use anyhow::{Result, anyhow};
 use bytes::Bytes;
 use std::{
     any::Any,
-    sync::{Arc, Mutex, PoisonError},
+    collections::HashMap,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
 use wm_ros::{Durability, Gaps, Qos, RawPublisher};
@@ -14,6 +15,7 @@ use zenoh::{
     key_expr::OwnedKeyExpr,
     liveliness::LivelinessToken,
     sample::{Locality, Sample, SampleKind},
+    time::{NTP64, TimestampId},
 };
 use zenoh_ext::{AdvancedSubscriberBuilderExt as _, HistoryConfig};
 
@@ -23,12 +25,16 @@ const BURST: usize = 512;
 /// How long this side's subscription is waited for to be connected, at most.
 const CONNECTING: Duration = Duration::from_secs(2);
 
+/// Sources of a latched topic that are remembered; beyond that it has met more restarts than anybody repeats samples over.
+const MOST_SOURCES: usize = 64;
+
 /// A topic on its way in. Its publisher on this side is there from the start, so that nodes see the topic; samples are
-/// fetched for as long as nodes subscribe to it. A latched topic is followed from then on: to begin anew would fetch its
-/// history, and publish it here, once more.
+/// fetched for as long as nodes subscribe to it. A latched topic is followed from then on.
 pub struct Incoming {
     stream: Arc<Stream>,
     type_name: String,
+    /// Whether another bridge publishes the topic.
+    is_remote: bool,
     task: Option<Task>,
     /// What this side's subscriptions are announced with.
     announced: Option<(Qos, LivelinessToken)>,
@@ -51,10 +57,12 @@ impl Incoming {
             qos: route.qos,
             publisher: ends.node.raw_publisher(name, &route.type_name, qos)?,
             ends,
+            newest: Mutex::default(),
         };
         let mut incoming = Self {
             stream: Arc::new(stream),
             type_name: route.type_name.clone(),
+            is_remote: false,
             task: None,
             announced: None,
         };
@@ -68,6 +76,8 @@ impl Incoming {
     /// The session is closed.
     pub async fn change(&mut self, route: &Route) -> Result<()> {
         let stream = &self.stream;
+        let is_new = route.is_remote && !self.is_remote;
+        self.is_remote = route.is_remote;
         let Some(local) = route.local else {
             self.announced = None;
             if stream.qos.durability == Durability::Volatile {
@@ -75,8 +85,12 @@ impl Incoming {
             }
             return Ok(());
         };
-        self.task
-            .get_or_insert_with(|| Task::spawn(Arc::clone(stream).run()));
+        let is_latched = stream.qos.durability == Durability::TransientLocal;
+        // What another bridge holds is fetched when there is a way to it. Until then the subscription before this one goes on.
+        if self.task.is_none() || (is_latched && is_new) {
+            let before = self.task.take();
+            self.task = Some(Task::spawn(Arc::clone(stream).run(is_new, before)));
+        }
         if self.announced.as_ref().is_none_or(|(qos, _)| *qos != local) {
             let subject = Subject::Subscriber(local);
             let token = stream.ends.announce(subject, &stream.key, &self.type_name);
@@ -91,12 +105,18 @@ struct Stream {
     key: OwnedKeyExpr,
     qos: Qos,
     publisher: RawPublisher,
+    /// Of a latched topic, when the newest sample of each source was sent.
+    newest: Mutex<HashMap<TimestampId, NTP64>>,
 }
 
 impl Stream {
-    async fn run(self: Arc<Self>) {
-        match self.subscribe().await {
+    async fn run(self: Arc<Self>, is_new: bool, before: Option<Task>) {
+        if is_new && self.qos.durability == Durability::TransientLocal {
+            tokio::time::sleep(ROUTING).await;
+        }
+        match Arc::clone(&self).subscribe().await {
             Ok(subscriber) => {
+                drop(before);
                 let _held = subscriber;
                 std::future::pending::<()>().await;
             }
@@ -104,42 +124,40 @@ impl Stream {
         }
     }
 
-    async fn subscribe(&self) -> Result<Box<dyn Any + Send + Sync>> {
-        if self.qos.durability == Durability::Volatile {
+    async fn subscribe(self: Arc<Self>) -> Result<Box<dyn Any + Send + Sync>> {
+        let is_latched = self.qos.durability == Durability::TransientLocal;
+        if !is_latched {
             // Who sees a subscriber on the other side sends: what comes before this side's is connected would be lost. One
             // that asks for what no bridge can give is never connected.
             let connected = self.publisher.wait_for_subscribers(1);
             tokio::time::timeout(CONNECTING, connected).await.ok();
         }
         let failed = |error| anyhow!("cannot subscribe to {}: {error}", self.key);
-        let (publisher, diagnostics) = (self.publisher.clone(), self.ends.node.diagnostics());
         let input = format!("zenoh {}", self.key);
         // Of publishers that number their samples, as `wm bridge` does for topics that are not latched.
         let gaps = Mutex::new(Gaps::default());
+        let stream = Arc::clone(&self);
         let subscriber = self
             .ends
             .session
             .declare_subscriber(self.key.clone())
             .allowed_origin(Locality::Remote)
-            .callback(move |sample: Sample| {
-                if sample.kind() == SampleKind::Delete {
-                    return;
-                }
-                diagnostics.received(&input);
-                if let Some(source) = sample.source_info() {
-                    let mut gaps = gaps.lock().unwrap_or_else(PoisonError::into_inner);
-                    let missing = gaps.after(*source.source_id(), source.source_sn().into());
-                    if missing > 0 {
-                        diagnostics.count_drops(&format!("{input}: lost in transport"), missing);
+            .callback(move |sample: Sample| match is_latched {
+                true => stream.take_latched(&sample, &input),
+                false => {
+                    if let Some(source) = sample.source_info() {
+                        let sequence = source.source_sn().into();
+                        let missing = lock(&gaps).after(*source.source_id(), sequence);
+                        if missing > 0 {
+                            let diagnostics = stream.ends.node.diagnostics();
+                            diagnostics
+                                .count_drops(&format!("{input}: lost in transport"), missing);
+                        }
                     }
-                }
-                let bytes = Bytes::from(sample.payload().to_bytes().into_owned());
-                if let Err(error) = publisher.publish(bytes) {
-                    tracing::debug!("{error}");
-                    diagnostics.count_drop(&format!("{input}: not published"));
+                    stream.take(&sample, &input);
                 }
             });
-        if self.qos.durability == Durability::Volatile {
+        if !is_latched {
             return Ok(Box::new(subscriber.await.map_err(failed)?));
         }
         let history = HistoryConfig::default()
@@ -152,4 +170,39 @@ impl Stream {
             .await;
         Ok(Box::new(subscriber.map_err(failed)?))
     }
+
+    /// Takes a sample that the subscription before this one has not taken.
+    fn take_latched(&self, sample: &Sample, input: &str) {
+        let mut newest = lock(&self.newest);
+        if let Some(stamp) = sample.timestamp() {
+            if newest.len() >= MOST_SOURCES && !newest.contains_key(stamp.get_id()) {
+                newest.clear();
+            }
+            let time = *stamp.get_time();
+            let last = newest.insert(*stamp.get_id(), time);
+            if let Some(last) = last.filter(|last| *last >= time) {
+                newest.insert(*stamp.get_id(), last);
+                return;
+            }
+        }
+        self.take(sample, input);
+    }
+
+    fn take(&self, sample: &Sample, input: &str) {
+        if sample.kind() == SampleKind::Delete {
+            return;
+        }
+        let diagnostics = self.ends.node.diagnostics();
+        diagnostics.received(input);
+        let bytes = Bytes::from(sample.payload().to_bytes().into_owned());
+        if let Err(error) = self.publisher.publish(bytes) {
+            tracing::debug!("{error}");
+            diagnostics.count_drop(&format!("{input}: not published"));
+        }
+    }
+}
+
+/// A panic elsewhere leaves nothing half done under these locks.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

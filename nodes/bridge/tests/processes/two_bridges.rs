@@ -177,6 +177,25 @@ async fn who_comes_late_gets_what_is_latched() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_is_latched_comes_once_to_who_waited_for_the_link() {
+    let (domain_here, domain_there) = (fresh_domain(), fresh_domain());
+    let endpoint = fresh_endpoint();
+    let (here, there) = (Site::join(domain_here), Site::join(domain_there));
+    let map = here.node.publisher::<Text>("map", Qos::latched(1)).unwrap();
+    map.publish(&text("first")).unwrap();
+    let qos = Qos::latched(1);
+    let mut heard = there.node.subscription::<Text>("map", qos).unwrap();
+    let _bridge_there = bridge(domain_there, &["--connect", &endpoint]);
+    soon("the bridge", heard.wait_for_publishers(1)).await;
+    let _bridge_here = bridge(domain_here, &["--listen", &endpoint]);
+    assert_eq!(next(&mut heard).await, "first");
+    for state in ["second", "third"] {
+        map.publish(&text(state)).unwrap();
+        assert_eq!(next(&mut heard).await, state);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn lists_namespaces_and_rates_hold() {
     let pair = pair(
         &[
