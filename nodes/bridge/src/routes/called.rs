@@ -26,7 +26,7 @@ impl Called {
     /// Serves the service on this side, where it is there.
     ///
     /// # Errors
-    /// Its name or type is none of ROS, or one of the sides is closed.
+    /// Its name has no key expression, or the session is closed.
     pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let mut called = Self {
             key: ends.key_of(name)?,

@@ -76,21 +76,25 @@ impl Incoming {
     /// The session is closed.
     pub async fn change(&mut self, route: &Route) -> Result<()> {
         let stream = &self.stream;
+        let is_latched = stream.qos.durability == Durability::TransientLocal;
         let is_new = route.is_remote && !self.is_remote;
         self.is_remote = route.is_remote;
+        let is_due = match &self.task {
+            None => route.local.is_some(),
+            // What another bridge holds is fetched when there is a way to it. Until then the subscription before goes on.
+            Some(_) => is_latched && is_new,
+        };
+        if is_due {
+            let before = self.task.take();
+            self.task = Some(Task::spawn(Arc::clone(stream).run(is_new, before)));
+        }
         let Some(local) = route.local else {
             self.announced = None;
-            if stream.qos.durability == Durability::Volatile {
+            if !is_latched {
                 self.task = None;
             }
             return Ok(());
         };
-        let is_latched = stream.qos.durability == Durability::TransientLocal;
-        // What another bridge holds is fetched when there is a way to it. Until then the subscription before this one goes on.
-        if self.task.is_none() || (is_latched && is_new) {
-            let before = self.task.take();
-            self.task = Some(Task::spawn(Arc::clone(stream).run(is_new, before)));
-        }
         if self.announced.as_ref().is_none_or(|(qos, _)| *qos != local) {
             let subject = Subject::Subscriber(local);
             let token = stream.ends.announce(subject, &stream.key, &self.type_name);
@@ -175,15 +179,14 @@ impl Stream {
     fn take_latched(&self, sample: &Sample, input: &str) {
         let mut newest = lock(&self.newest);
         if let Some(stamp) = sample.timestamp() {
-            if newest.len() >= MOST_SOURCES && !newest.contains_key(stamp.get_id()) {
-                newest.clear();
-            }
-            let time = *stamp.get_time();
-            let last = newest.insert(*stamp.get_id(), time);
-            if let Some(last) = last.filter(|last| *last >= time) {
-                newest.insert(*stamp.get_id(), last);
+            let (source, time) = (*stamp.get_id(), *stamp.get_time());
+            if newest.get(&source).is_some_and(|last| *last >= time) {
                 return;
             }
+            if newest.len() >= MOST_SOURCES && !newest.contains_key(&source) {
+                newest.clear();
+            }
+            newest.insert(source, time);
         }
         self.take(sample, input);
     }
