@@ -41,7 +41,9 @@
 
 mod args;
 mod backend;
+pub mod calls;
 mod clock;
+pub mod complaints;
 mod context;
 mod dds;
 mod diagnostics;
@@ -78,4 +80,7 @@ pub use run::{Component, run, run_together};
 pub use service::{Call, Client, RawCall, RawClient, RawService, Service};
 pub use shutdown::Shutdown;
 pub use subscription::{Gaps, RawSubscription, Received, Subscription};
+
+/// The namespace of all nodes of the suite, unless `__ns` says otherwise.
+pub const NAMESPACE: &str = "/wm";
 pub use value::{Kind, ParameterType, Value};

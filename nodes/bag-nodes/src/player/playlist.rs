@@ -1,0 +1,160 @@
+//! What of a bag is played, and with which publishers.
+
+use super::{Settings, chunks::ActionChunks, restamp::begins_with_header};
+use crate::qos_overrides::KEEP_ALL_DEPTH;
+use anyhow::{Context as _, Result, bail};
+use std::collections::HashMap;
+use std::sync::Arc;
+use tracing::warn;
+use wm_bag::{BagReader, QosProfile};
+use wm_msgs::{Message as _, sensor_msgs::CompressedImage, wm_msgs::Action};
+use wm_ros::{Durability, Node, Qos, RawPublisher, Reliability};
+use wm_wire::goal::{camera_topic, last_frame};
+
+/// A topic that is played.
+pub(super) struct Track {
+    pub publisher: RawPublisher,
+    /// Whether its messages' stamps are moved.
+    pub is_restamped: bool,
+    /// Whether its subscribers acknowledge what they receive.
+    pub is_reliable: bool,
+    /// Whether `/clock` tells of each of its messages.
+    pub is_clocked: bool,
+}
+
+/// What is played.
+pub(super) struct Playlist {
+    pub tracks: HashMap<Arc<str>, Track>,
+    /// The bag's coming actions, where chunks are wanted.
+    pub chunks: Option<ActionChunks>,
+    /// The bag's last frame, where a goal is wanted.
+    pub goal: Option<CompressedImage>,
+}
+
+impl Playlist {
+    /// Reads what has to be known beforehand and makes the publishers. Reads the bag: not for an async context.
+    pub fn new(reader: &BagReader, settings: &Settings, node: &Node) -> Result<Self> {
+        for topic in settings
+            .topics
+            .named()
+            .iter()
+            .chain(&settings.clock_topics)
+            .filter(|topic| reader.topic(topic).is_none())
+        {
+            warn!("the bag has no topic {topic}");
+        }
+        let mut tracks = HashMap::new();
+        for topic in reader
+            .topics()
+            .iter()
+            .filter(|topic| settings.plays(&topic.name))
+        {
+            let has_header = begins_with_header(&topic.schema);
+            if settings.is_restamping && !has_header {
+                tracing::debug!(
+                    "{}: {} begins with no header: nothing to restamp",
+                    topic.name,
+                    topic.type_name
+                );
+            }
+            let qos = match settings.qos_overrides.get(topic.name.as_ref()) {
+                Some(qos) => *qos,
+                None => topic
+                    .qos()
+                    .map_or(Qos::reliable(10), |profile| offered(&profile)),
+            };
+            // Services' events and actions' feedback are recorded too, with types that are no message of a package.
+            if !topic.type_name.contains("/msg/") {
+                warn!("{}: {} is not played", topic.name, topic.type_name);
+                continue;
+            }
+            let publisher = node
+                .raw_publisher(&topic.name, &topic.type_name, qos)
+                .with_context(|| format!("topic {} of the bag", topic.name))?;
+            let track = Track {
+                publisher,
+                is_restamped: settings.is_restamping && has_header,
+                is_reliable: qos.reliability == Reliability::Reliable,
+                is_clocked: settings.clocks(&topic.name),
+            };
+            tracks.insert(topic.name.clone(), track);
+        }
+        if tracks.is_empty() {
+            let names: Vec<&str> = reader
+                .topics()
+                .iter()
+                .map(|topic| topic.name.as_ref())
+                .collect();
+            bail!(
+                "nothing to play in {}; its topics: {}",
+                reader.path().display(),
+                names.join(", ")
+            );
+        }
+        let chunks = match settings.chunk_length {
+            0 => None,
+            length => Some(read_chunks(reader, settings, length)?),
+        };
+        let goal = if settings.has_goal {
+            Some(last_frame(
+                reader,
+                &camera_topic(reader, &settings.camera_topic)?,
+            )?)
+        } else {
+            None
+        };
+        Ok(Self {
+            tracks,
+            chunks,
+            goal,
+        })
+    }
+}
+
+fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result<ActionChunks> {
+    let topic = settings.action_topic.as_str();
+    let has_actions = reader
+        .topic(topic)
+        .is_some_and(|found| found.type_name.as_ref() == Action::ros_name());
+    if !has_actions {
+        let names: Vec<&str> = reader
+            .topics()
+            .iter()
+            .map(|topic| topic.name.as_ref())
+            .collect();
+        bail!(
+            "the bag {} has no actions: no topic {topic} of {}; its topics: {}",
+            reader.path().display(),
+            Action::ros_name(),
+            names.join(", ")
+        );
+    }
+    // unreadable parts of the bag are reported when they are played
+    let mut actions = Vec::new();
+    for message in reader.messages().only_topics([topic]).flatten() {
+        match message.decode::<Action>() {
+            Ok(action) => actions.push((message.log_time_ns, action)),
+            Err(problem) => warn!("action left out of the chunks: {problem}"),
+        }
+    }
+    Ok(ActionChunks::new(actions, length)?)
+}
+
+/// The QoS of the bag's publisher, bounded.
+fn offered(profile: &QosProfile) -> Qos {
+    let depth = match usize::try_from(profile.depth) {
+        Ok(depth @ 1..) => depth.min(KEEP_ALL_DEPTH),
+        _ => KEEP_ALL_DEPTH,
+    };
+    Qos {
+        reliability: match profile.reliability {
+            wm_bag::Reliability::BestEffort => Reliability::BestEffort,
+            wm_bag::Reliability::Reliable => Reliability::Reliable,
+        },
+        durability: match profile.durability {
+            wm_bag::Durability::TransientLocal => Durability::TransientLocal,
+            wm_bag::Durability::Volatile => Durability::Volatile,
+        },
+        depth,
+    }
+}

@@ -1,0 +1,328 @@
+//! The recorder on the wire.
+
+mod book;
+mod command;
+
+use super::{
+    definitions,
+    losses::Loss,
+    options::{self, Options},
+    selection::common_qos,
+    writer::{Entry, Queue},
+};
+use crate::{
+    ending::Ending,
+    keyboard::{Key, Keyboard},
+};
+use anyhow::Result;
+use book::Book;
+use command::Command;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tracing::{info, warn};
+use wm_bag::QosProfile;
+use wm_msgs::{
+    builtin_interfaces::Time,
+    rosbag2_interfaces::{Empty, IsPausedResponse, RecordResponse, Stop, Success},
+};
+use wm_ros::{
+    Call, Diagnostics, Durability, Node, NodeArgs, Qos, RawSubscription, Reliability, TopicInfo,
+};
+use wm_ros::{calls::Calls, calls::answer};
+
+/// The node's default name.
+pub const NAME: &str = "recorder";
+
+/// Records until a signal. `DataLost` where messages did not get into the bag: those that found a queue full, those in
+/// no known form, and those that are missing in their publishers' numbering.
+///
+/// # Errors
+/// Names what is wrong with arguments or parameters, or why the bag cannot be written.
+pub fn run(args: &NodeArgs) -> Result<Ending> {
+    args.expect_no_rest()?;
+    let mut book = Book::default();
+    let result = wm_ros::run(
+        NAME,
+        wm_ros::NAMESPACE,
+        args,
+        async |node: Node| -> Result<()> {
+            let options = options::declare(&node)?;
+            node.seal_parameters()?;
+            serve(&node, &options, &mut book).await
+        },
+    );
+    // the bag is closed whatever happened, so that what was recorded can be read
+    book.end()?;
+    book.close()?;
+    result?;
+    Ok(Ending::lost_if(book.is_lossy))
+}
+
+/// Records into one bag after the other, as it is asked to.
+async fn serve(node: &Node, options: &Options, book: &mut Book) -> Result<()> {
+    book.begin(options, options.folder.clone()).await?;
+    let mut calls = command::serve(node, options.is_snapshot)?;
+    let keys = calls.sender();
+    // a key that finds the queue full is pressed again
+    let on_key = move |key| drop(keys.try_send(Command::Key(key)));
+    let has_keyboard = options.has_keyboard;
+    let keyboard = has_keyboard.then(|| Keyboard::listen(on_key)).flatten();
+    if keyboard.is_some() {
+        info!("space pauses and resumes");
+    }
+    let shutdown = node.shutdown();
+    let is_paused = Arc::new(AtomicBool::new(options.is_starting_paused));
+    if options.is_starting_paused {
+        info!("paused until it is resumed");
+    }
+    loop {
+        let Some(stopped) = record(node, options, &is_paused, &mut calls, book).await? else {
+            return Ok(());
+        };
+        book.end()?;
+        book.written().await;
+        book.close()?;
+        answer(stopped, &Empty::default());
+        loop {
+            tokio::select! {
+                () = shutdown.wait() => return Ok(()),
+                command = calls.next() => match command {
+                    Command::Record(call) => {
+                        let folder = match call.request.uri.as_str() {
+                            "" => options.folder.clone(),
+                            uri => PathBuf::from(uri),
+                        };
+                        let begun = book.begin(options, folder).await;
+                        answer(call, &RecordResponse {
+                            return_code: begun.is_err().into(),
+                            error_string: begun.as_ref().err().map(|e| format!("{e:#}")).unwrap_or_default(),
+                        });
+                        if begun.is_ok() {
+                            break;
+                        }
+                    }
+                    Command::Stop(call) => answer(call, &Empty::default()),
+                    Command::Snapshot(call) => answer(call, &Success { success: false }),
+                    Command::SplitBagfile(call) => answer(call, &Empty::default()),
+                    other => obey(other, &is_paused),
+                },
+            }
+        }
+    }
+}
+
+/// Records until the node's shutdown, or until the call that it gives; counts in the book what was lost.
+async fn record(
+    node: &Node,
+    options: &Options,
+    is_paused: &Arc<AtomicBool>,
+    calls: &mut Calls<Command>,
+    book: &mut Book,
+) -> Result<Option<Call<Stop>>> {
+    let Some(queue) = book.queue() else {
+        return Ok(None);
+    };
+    let prefixes = definitions::prefixes();
+    let shutdown = node.shutdown();
+    let (over, _) = watch::channel(false);
+    let mut types: BTreeMap<String, String> = BTreeMap::new();
+    let mut refused = BTreeSet::new();
+    let mut topics = JoinSet::new();
+    let mut changes = node.graph_changes();
+    let clock = node.clock();
+    // a simulated clock stands at 0 until /clock speaks: what came before would have no time
+    let mut has_time = !clock.is_simulated();
+    let stopped = loop {
+        let wanted = |topic: &TopicInfo| has_time && options.selection.wants(topic);
+        for topic in node.topics().into_iter().filter(wanted) {
+            match types.get(&topic.name) {
+                Some(known) if *known == topic.type_name => continue,
+                Some(known) => {
+                    if refused.insert((topic.name.clone(), topic.type_name.clone())) {
+                        warn!(
+                            "{} is recorded as {known}; not as {} too",
+                            topic.name, topic.type_name
+                        );
+                    }
+                    continue;
+                }
+                None => {}
+            }
+            types.insert(topic.name.clone(), topic.type_name.clone());
+            let loss = Arc::new(Loss::default());
+            let name: Arc<str> = topic.name.as_str().into();
+            let overrides = &options.qos_overrides;
+            let subscription = subscribe(node, &topic, &name, overrides, &queue, &prefixes)?;
+            book.losses.insert(name.clone(), Arc::clone(&loss));
+            let forward = Forward {
+                topic: name,
+                queue: queue.clone(),
+                is_paused: Arc::clone(is_paused),
+                loss,
+                diagnostics: node.diagnostics(),
+            };
+            topics.spawn(forward.run(subscription, over.subscribe()));
+        }
+        tokio::select! {
+            Ok(()) = changes.changed() => {}
+            () = clock.sleep_until(Time { sec: 0, nanosec: 1 }), if !has_time => has_time = true,
+            () = shutdown.wait() => break None,
+            Some(ended) = topics.join_next() => {
+                ended??;
+            }
+            command = calls.next() => match command {
+                Command::Stop(call) => break Some(call),
+                Command::Record(call) => answer(call, &RecordResponse {
+                    return_code: 1,
+                    error_string: "a recording is under way".to_owned(),
+                }),
+                Command::Snapshot(call) => {
+                    let success = queue.take_snapshot()?;
+                    info!("snapshot {}", if success { "taken" } else { "refused: the last is still being written" });
+                    answer(call, &Success { success });
+                }
+                Command::SplitBagfile(call) => {
+                    queue.offer(Entry::Split)?;
+                    answer(call, &Empty::default());
+                }
+                other => obey(other, is_paused),
+            },
+        }
+    };
+    // each ends by itself now, after its last message
+    over.send_replace(true);
+    while let Some(ended) = topics.join_next().await {
+        ended??;
+    }
+    Ok(stopped)
+}
+
+/// What can be asked for whether or not it records.
+fn obey(command: Command, is_paused: &AtomicBool) {
+    let set = |paused: bool| {
+        is_paused.store(paused, Ordering::Relaxed);
+        info!("{}", if paused { "paused" } else { "resumed" });
+    };
+    match command {
+        Command::Pause(call) => {
+            set(true);
+            answer(call, &Empty::default());
+        }
+        Command::Resume(call) => {
+            set(false);
+            answer(call, &Empty::default());
+        }
+        Command::IsPaused(call) => {
+            let paused = is_paused.load(Ordering::Relaxed);
+            answer(call, &IsPausedResponse { paused });
+        }
+        Command::Key(Key::Space) => set(!is_paused.load(Ordering::Relaxed)),
+        _ => {}
+    }
+}
+
+fn subscribe(
+    node: &Node,
+    topic: &TopicInfo,
+    name: &Arc<str>,
+    qos_overrides: &BTreeMap<String, Qos>,
+    queue: &Queue,
+    prefixes: &[PathBuf],
+) -> Result<RawSubscription> {
+    let schema = definitions::definition(&topic.type_name, prefixes).unwrap_or_else(|| {
+        warn!(
+            "{name}: no definition of {} on AMENT_PREFIX_PATH: recorded without one",
+            topic.type_name
+        );
+        definitions::unknown()
+    });
+    if let Err(error) = schema.type_hash(&topic.type_name) {
+        warn!("{name}: recorded without the hash of its type: {error}");
+    }
+    let qos = match qos_overrides.get(&topic.name) {
+        Some(qos) => *qos,
+        None => common_qos(&topic.publishers),
+    };
+    info!("recording {name} ({})", topic.type_name);
+    let type_name = topic.type_name.clone();
+    let recorded = Entry::Topic {
+        name: Arc::clone(name),
+        type_name,
+        schema,
+        qos: profile(topic.publishers.first()),
+    };
+    queue.offer(recorded)?;
+    Ok(node.raw_subscription(&topic.name, &topic.type_name, qos)?)
+}
+
+/// What the publisher offers, as the bag keeps it.
+fn profile(offered: Option<&Qos>) -> QosProfile {
+    let Some(qos) = offered else {
+        return QosProfile::reliable();
+    };
+    QosProfile {
+        reliability: match qos.reliability {
+            Reliability::BestEffort => wm_bag::Reliability::BestEffort,
+            Reliability::Reliable => wm_bag::Reliability::Reliable,
+        },
+        durability: match qos.durability {
+            Durability::Volatile => wm_bag::Durability::Volatile,
+            Durability::TransientLocal => wm_bag::Durability::TransientLocal,
+        },
+        depth: u32::try_from(qos.depth).unwrap_or(0),
+    }
+}
+
+/// What takes a topic's messages to the bag's thread.
+struct Forward {
+    topic: Arc<str>,
+    queue: Queue,
+    is_paused: Arc<AtomicBool>,
+    loss: Arc<Loss>,
+    diagnostics: Diagnostics,
+}
+
+impl Forward {
+    /// Until the shutdown, or until it is over.
+    async fn run(
+        self,
+        mut subscription: RawSubscription,
+        mut over: watch::Receiver<bool>,
+    ) -> Result<()> {
+        // after that, what still waits
+        loop {
+            let received = tokio::select! {
+                biased;
+                received = subscription.recv() => received,
+                _ = over.wait_for(|over| *over) => None,
+            };
+            let Some(received) = received.or_else(|| subscription.try_recv()) else {
+                break;
+            };
+            // no loss: it was asked for
+            if self.is_paused.load(Ordering::Relaxed) {
+                continue;
+            }
+            let entry = Entry::Message {
+                topic: Arc::clone(&self.topic),
+                log_time_ns: u64::try_from(received.received.to_nanos()).unwrap_or(0),
+                data: received.message,
+            };
+            if !self.queue.offer(entry)? {
+                self.loss.count_queues(1);
+                self.diagnostics
+                    .count_drop(&format!("{}: cache full", self.topic));
+            }
+        }
+        self.loss.count_queues(subscription.dropped());
+        self.loss.count_undecodable(subscription.undecodable());
+        self.loss.count_missing(subscription.lost());
+        Ok(())
+    }
+}

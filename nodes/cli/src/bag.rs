@@ -1,0 +1,66 @@
+//! `wm bag`.
+
+mod cut;
+mod parameters;
+mod play;
+mod record;
+mod recover;
+mod time;
+mod topic_options;
+
+use crate::{external, output::print};
+use anyhow::Result;
+use clap::Subcommand;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wm_bag::{BagReader, BagWarning};
+use wm_bag_nodes::ending::Ending;
+
+/// Bags.
+#[derive(Debug, Subcommand)]
+pub enum BagCommand {
+    /// Publish a bag's messages at their times
+    Play(play::PlayCommand),
+    /// Record topics into a new bag
+    Record(record::RecordCommand),
+    /// Show what a bag holds
+    Info {
+        /// The bag's folder, or one .mcap file
+        bag: PathBuf,
+    },
+    /// Make a sound bag of one that is cut off or damaged
+    Recover(recover::RecoverCommand),
+    /// Write a part of a bag: a time, some topics
+    Cut(cut::CutCommand),
+    /// Make bags of a data set: Bridge V2, DROID, LeRobot (the program wm-datasets)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Import(external::Arguments),
+    /// Make a data set of bags: LeRobot (the program wm-datasets)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Export(external::Arguments),
+}
+
+impl BagCommand {
+    /// Whether `--ros-args` may follow.
+    pub fn takes_ros_args(&self) -> bool {
+        matches!(self, Self::Play(_) | Self::Record(_))
+    }
+
+    /// Runs it.
+    pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
+        match self {
+            Self::Play(command) => command.run(ros_args),
+            Self::Record(command) => command.run(ros_args),
+            Self::Info { bag } => {
+                let summary = BagReader::open(&bag)?.summary();
+                print(format_args!("{summary}\n"))?;
+                let is_lost = summary.warnings.iter().any(BagWarning::is_loss);
+                Ok(Ending::lost_if(is_lost).into())
+            }
+            Self::Recover(command) => command.run(),
+            Self::Cut(command) => command.run(),
+            Self::Import(own) => own.exec("wm-datasets", ["import"], Vec::new()),
+            Self::Export(own) => own.exec("wm-datasets", ["export"], Vec::new()),
+        }
+    }
+}

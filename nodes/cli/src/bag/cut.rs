@@ -1,0 +1,83 @@
+//! `wm bag cut`.
+
+use super::{
+    time::{parse_seconds, parse_stamp_ns},
+    topic_options::TopicOptions,
+};
+use crate::output::print;
+use anyhow::Result;
+use clap::Args;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+use wm_bag::{BagWarning, CutEnd, CutStart};
+use wm_bag_nodes::ending::Ending;
+
+/// Cuts a bag.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "Messages, times, sequence numbers, schemas and QoS stay as they were. Of each topic that is transient_local,\n\
+    the last message before the start is kept too, since it still holds: with the start as its log time, so that\n\
+    it is played first, and with its own publish time.\n\n\
+    STAMP is what `wm bag info` shows: seconds since the epoch (1700000000.25) or a date (2023-11-14T22:13:20.25Z).\n\n\
+    Examples:\n  \
+    wm bag cut run part --start-offset 12.5 --duration 30\n  \
+    wm bag cut run part --start-time 2023-11-14T22:13:20Z --end-time 2023-11-14T22:14:00Z\n  \
+    wm bag cut run cameras -e '^/camera/' -x '/compressedDepth$'\n  \
+    wm bag cut run small --exclude-topics /camera/image_raw\n\n\
+    Exit codes: 0 done, 3 the bag is damaged and what can be read was kept, 1 failed."
+)]
+pub struct CutCommand {
+    /// The bag's folder, or one .mcap file
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+    /// Folder of the new bag
+    #[arg(value_name = "OUT")]
+    output: PathBuf,
+    /// Begin so long after the bag's first message, in seconds
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    start_offset: Option<Duration>,
+    /// End so long after the start, in seconds; a message of that very time is left out
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    duration: Option<Duration>,
+    /// Begin at this log time
+    #[arg(long, value_name = "STAMP", value_parser = parse_stamp_ns, conflicts_with = "start_offset")]
+    start_time: Option<u64>,
+    /// End before this log time
+    #[arg(long, value_name = "STAMP", value_parser = parse_stamp_ns, conflicts_with = "duration")]
+    end_time: Option<u64>,
+    #[command(flatten)]
+    topics: TopicOptions,
+}
+
+impl CutCommand {
+    /// Runs it.
+    pub fn run(self) -> Result<ExitCode> {
+        let start = match (self.start_offset, self.start_time) {
+            (Some(offset), _) => CutStart::After(offset),
+            (None, Some(time_ns)) => CutStart::At(time_ns),
+            (None, None) => CutStart::Beginning,
+        };
+        let end = match (self.duration, self.end_time) {
+            (Some(duration), _) => CutEnd::After(duration),
+            (None, Some(time_ns)) => CutEnd::Before(time_ns),
+            (None, None) => CutEnd::End,
+        };
+        let topics = self.topics.filter()?;
+        let part = wm_bag::cut(&self.input, &self.output, start, end, &topics)?;
+        print(format_args!(
+            "wrote {} message(s) of {} topic(s) to {}\n",
+            part.summary.message_count,
+            part.summary.topics.len(),
+            part.summary.path.display()
+        ))?;
+        for topic in &part.latched {
+            print(format_args!("kept what held at the start: {topic}\n"))?;
+        }
+        for warning in &part.warnings {
+            print(format_args!("Warning: {warning}\n"))?;
+        }
+        let is_lost = part.warnings.iter().any(BagWarning::is_loss);
+        Ok(Ending::lost_if(is_lost).into())
+    }
+}

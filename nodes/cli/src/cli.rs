@@ -1,0 +1,145 @@
+//! The command line.
+
+use crate::{bag, external, launch, model, node, report};
+use clap::{Parser, Subcommand};
+use std::path::Path;
+use std::process::ExitCode;
+use wm_launch::LaunchError;
+use wm_ros::ArgsError;
+
+/// Where the arguments for ROS begin.
+const ROS_ARGS: &str = "--ros-args";
+
+/// ROS 2 nodes that predict what a camera will see next for the actions that a robot takes, and plan with it.
+#[derive(Debug, Parser)]
+#[command(name = "wm", version, propagate_version = true)]
+#[command(
+    after_help = "Nodes and `bag play|record` take ROS arguments: --ros-args -r from:=to -p name:=value \
+    --params-file FILE -r __ns:=/x -r __node:=name --log-level LEVEL.\n\
+    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 finished with data lost."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Subcommands,
+}
+
+#[derive(Debug, Subcommand)]
+enum Subcommands {
+    /// Start the nodes of a ROS 2 YAML launch file and stop them together
+    Launch(launch::LaunchCommand),
+    /// Play, record, inspect, recover, cut, import and export bags
+    #[command(subcommand)]
+    Bag(Box<bag::BagCommand>),
+    /// Make bags with a simulated arm on a tabletop (the program wm-training)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Sim(external::Arguments),
+    /// Train the models from bags (the program wm-training)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Train(external::Arguments),
+    /// Measure models on bags that they were not trained on (the program wm-training)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Eval(external::Arguments),
+    /// Check, convert and run published models of other sizes
+    #[command(subcommand)]
+    Model(model::ModelCommand),
+    /// Score a recorded bag: its predictions against its frames
+    Report(report::ReportCommand),
+    /// Carry topics and services to other machines over Zenoh (the program wm-bridge)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Bridge(external::Arguments),
+    #[command(flatten)]
+    Node(node::NodeCommand),
+}
+
+/// A command with the arguments for ROS that came with it.
+pub struct Command {
+    command: Subcommands,
+    ros_args: Vec<String>,
+}
+
+/// Reads the command line; on wrong usage says so and ends the process with exit code 2.
+///
+/// A program that is called by a node's name, as by a link `lib/wm_nodes/encoder`, is that node.
+pub fn parse() -> Command {
+    let mut arguments: Vec<String> = std::env::args_os()
+        .map(|argument| argument.to_string_lossy().into_owned())
+        .collect();
+    let called = arguments
+        .first()
+        .and_then(|path| Path::new(path).file_name())
+        .map(|name| name.to_string_lossy());
+    if let Some(name) = called.filter(|name| node::NodeCommand::NAMES.contains(&name.as_ref())) {
+        let name = name.into_owned();
+        arguments.splice(..1, ["wm".to_owned(), name]);
+    }
+    let at = arguments
+        .iter()
+        .position(|argument| argument == ROS_ARGS)
+        .unwrap_or(arguments.len());
+    let ros_args = arguments.split_off(at);
+    let command = Cli::parse_from(arguments).command;
+    if !ros_args.is_empty() && !command.takes_ros_args() {
+        let error = clap::Error::raw(
+            clap::error::ErrorKind::UnknownArgument,
+            format!("this command takes no {ROS_ARGS}: it is no node\n"),
+        );
+        error.exit();
+    }
+    Command { command, ros_args }
+}
+
+impl Subcommands {
+    fn takes_ros_args(&self) -> bool {
+        match self {
+            Self::Node(_) | Self::Bridge(_) => true,
+            Self::Bag(command) => command.takes_ros_args(),
+            _ => false,
+        }
+    }
+}
+
+impl Command {
+    /// Runs it.
+    ///
+    /// # Errors
+    /// What failed, in words for the user.
+    pub fn run(self) -> anyhow::Result<ExitCode> {
+        match self.command {
+            Subcommands::Launch(command) => command.run(),
+            Subcommands::Bag(command) => command.run(self.ros_args),
+            Subcommands::Sim(own) => own.exec("wm-training", ["sim"], Vec::new()),
+            Subcommands::Train(own) => own.exec("wm-training", ["train"], Vec::new()),
+            Subcommands::Eval(own) => own.exec("wm-training", ["eval"], Vec::new()),
+            Subcommands::Model(command) => command.run(),
+            Subcommands::Report(command) => command.run(),
+            Subcommands::Bridge(own) => own.exec("wm-bridge", [], self.ros_args),
+            Subcommands::Node(command) => command.run(self.ros_args),
+        }
+    }
+}
+
+/// 2 where the user's arguments are wrong, a node's parameters among them, else 1.
+pub fn failure_code(error: &anyhow::Error) -> ExitCode {
+    let is_usage = error.is::<ArgsError>()
+        || error.downcast_ref().is_some_and(wm_ros::Error::is_usage)
+        || error.downcast_ref().is_some_and(LaunchError::is_usage);
+    ExitCode::from(if is_usage { 2 } else { 1 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_node_is_a_subcommand() {
+        for name in node::NodeCommand::NAMES {
+            assert!(Cli::command().find_subcommand(name).is_some(), "{name}");
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! `wm report`.
+
+use crate::output::print;
+use anyhow::Result;
+use clap::Args;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use wm_bag_nodes::ending::Ending;
+use wm_report::{files::write_report, score_bag, table::terminal_table};
+
+/// Scores a recorded bag.
+#[derive(Args, Debug)]
+pub struct ReportCommand {
+    /// Bag with camera frames and predictions: its folder, or one .mcap file
+    bag: PathBuf,
+    /// Folder for report.json, report.md and strip.png
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+impl ReportCommand {
+    /// Runs it.
+    pub fn run(self) -> Result<ExitCode> {
+        let (scorer, unreadable) = score_bag(&self.bag)?;
+        let (report, files) = write_report(&scorer, &self.bag.display().to_string(), &self.output)?;
+        print(terminal_table(&report))?;
+        for file in files {
+            print(format_args!("{}\n", file.display()))?;
+        }
+        for (topic, (count, reason)) in &unreadable {
+            eprintln!("wm: {topic}: {count} message(s) left out, the first: {reason}");
+        }
+        Ok(Ending::lost_if(!unreadable.is_empty()).into())
+    }
+}

@@ -1,0 +1,470 @@
+//! When to start, stop and give up processes: the launcher's decisions, without processes, clock or signals.
+//!
+//! The runner reports [`Event`]s and carries out the [`Order`]s that come back. A stop begins with SIGINT to
+//! every process; one that is still there after its `sigterm_timeout` gets SIGTERM, and after its
+//! `sigkill_timeout` SIGKILL. A second request to stop takes the next step at once.
+
+use super::plan::Process;
+use std::fmt;
+use std::time::Duration;
+
+/// How a process ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// By itself, with this exit code.
+    Code(i32),
+    /// By this signal.
+    Signal(i32),
+    /// It could not be started.
+    NotStarted,
+}
+
+impl fmt::Display for Exit {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Code(code) => write!(formatter, "exit code {code}"),
+            Self::Signal(9) => write!(formatter, "signal 9 (SIGKILL)"),
+            Self::Signal(6) => write!(formatter, "signal 6 (SIGABRT)"),
+            Self::Signal(11) => write!(formatter, "signal 11 (SIGSEGV)"),
+            Self::Signal(signal) => write!(formatter, "signal {signal}"),
+            Self::NotStarted => write!(formatter, "could not be started"),
+        }
+    }
+}
+
+/// The exit code by which a program of this suite says that it finished, with data lost on the way.
+pub const DATA_LOSS: i32 = 3;
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// Process `.0` ended.
+    Ended(usize, Exit),
+    /// The timer of process `.0`, armed when it was in step `.1`, ran out.
+    TimerElapsed(usize, Step),
+    /// The user, or the system, wants everything to stop.
+    StopRequested,
+}
+
+/// How far the stop of one process has come; also what a timer was armed for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Step {
+    /// Not started, or waiting to be started again.
+    Waiting,
+    /// Running.
+    Running,
+    /// Asked with SIGINT.
+    Interrupted,
+    /// Asked with SIGTERM.
+    Terminated,
+    /// Killed.
+    Killed,
+    /// Gone.
+    Ended,
+}
+
+/// The signals of a stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopSignal {
+    /// SIGINT.
+    Interrupt,
+    /// SIGTERM.
+    Terminate,
+    /// SIGKILL.
+    Kill,
+}
+
+/// What the runner has to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Start process `.0`.
+    Start(usize),
+    /// Send process `.0` a signal.
+    Send(usize, StopSignal),
+    /// Report [`Event::TimerElapsed`] for process `.0` and step `.1` after `.2`.
+    ArmTimer(usize, Step, Duration),
+    /// Tell the user.
+    Say(String),
+}
+
+/// The state of a launch.
+#[derive(Debug)]
+pub struct Supervisor {
+    processes: Vec<(Process, State)>,
+    is_stopping: bool,
+    failures: Vec<String>,
+    lost_data: Vec<String>,
+}
+
+#[derive(Debug)]
+struct State {
+    step: Step,
+    restarts: u32,
+}
+
+/// How a launch went.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outcome {
+    /// What failed, one sentence a process.
+    pub failures: Vec<String>,
+    /// Who finished with data lost.
+    pub lost_data: Vec<String>,
+}
+
+impl Outcome {
+    /// 0, 1 where a process failed, 3 where one lost data.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match (self.failures.is_empty(), self.lost_data.is_empty()) {
+            (true, true) => 0,
+            (true, false) => 3,
+            (false, _) => 1,
+        }
+    }
+}
+
+impl Supervisor {
+    /// A launch of `processes`, none of them started, and the orders that start them.
+    #[must_use]
+    pub fn new(processes: Vec<Process>) -> (Self, Vec<Order>) {
+        let orders = (0..processes.len()).map(Order::Start).collect();
+        let running = |process| {
+            (
+                process,
+                State {
+                    step: Step::Running,
+                    restarts: 0,
+                },
+            )
+        };
+        let processes = processes.into_iter().map(running).collect();
+        (
+            Self {
+                processes,
+                is_stopping: false,
+                failures: Vec::new(),
+                lost_data: Vec::new(),
+            },
+            orders,
+        )
+    }
+
+    /// Process `index`.
+    #[must_use]
+    pub fn process(&self, index: usize) -> Option<&Process> {
+        self.processes.get(index).map(|(process, _)| process)
+    }
+
+    /// How many processes are not gone for good.
+    #[must_use]
+    pub fn alive(&self) -> usize {
+        self.processes
+            .iter()
+            .filter(|(_, state)| state.step != Step::Ended)
+            .count()
+    }
+
+    /// Takes note of `event`; what to do about it.
+    pub fn on_event(&mut self, event: Event) -> Vec<Order> {
+        match event {
+            Event::Ended(index, exit) => self.on_ended(index, exit),
+            Event::TimerElapsed(index, step) => self.on_timer(index, step),
+            Event::StopRequested => self.stop(),
+        }
+    }
+
+    /// How it went, once nothing is alive.
+    #[must_use]
+    pub fn outcome(&self) -> Outcome {
+        Outcome {
+            failures: self.failures.clone(),
+            lost_data: self.lost_data.clone(),
+        }
+    }
+
+    fn on_ended(&mut self, index: usize, exit: Exit) -> Vec<Order> {
+        let Some((process, state)) = self.processes.get_mut(index) else {
+            return Vec::new();
+        };
+        let step = std::mem::replace(&mut state.step, Step::Ended);
+        let name = process.name.clone();
+        // the answer to a signal that we sent is no failure, unless it took SIGKILL
+        let was_asked = matches!(
+            (step, exit),
+            (
+                Step::Interrupted | Step::Terminated | Step::Killed,
+                Exit::Signal(2 | 15)
+            )
+        );
+        let problem = match exit {
+            Exit::Code(0) => None,
+            Exit::Code(DATA_LOSS) => {
+                self.lost_data.push(name.clone());
+                Some(format!(
+                    "{name} finished with data lost (exit code {DATA_LOSS})"
+                ))
+            }
+            _ if was_asked => None,
+            _ if step == Step::Killed => {
+                Some(format!("{name} did not stop when asked and was killed"))
+            }
+            _ => Some(format!("{name} failed: {exit}")),
+        };
+        let mut orders = Vec::new();
+        match &problem {
+            Some(problem) => {
+                orders.push(Order::Say(problem.clone()));
+                if exit != Exit::Code(DATA_LOSS) {
+                    self.failures.push(problem.clone());
+                }
+            }
+            None if step == Step::Running => orders.push(Order::Say(format!("{name} finished"))),
+            None => {}
+        }
+        if self.is_stopping {
+            return orders;
+        }
+        if let Some(respawn) = process.respawn {
+            let is_left = respawn.max_retries.is_none_or(|most| state.restarts < most);
+            if is_left {
+                state.restarts += 1;
+                state.step = Step::Waiting;
+                orders.push(Order::Say(format!(
+                    "{name} is started again (no. {})",
+                    state.restarts
+                )));
+                orders.push(Order::ArmTimer(index, Step::Waiting, respawn.delay));
+                return orders;
+            }
+            orders.push(Order::Say(format!(
+                "{name} is not started again: {} restart(s) used up",
+                state.restarts
+            )));
+        }
+        if process.ends_launch {
+            orders.push(Order::Say(format!(
+                "{name} has ended, and with it the launch: stopping the others"
+            )));
+            orders.extend(self.stop());
+        }
+        orders
+    }
+
+    fn on_timer(&mut self, index: usize, step: Step) -> Vec<Order> {
+        let Some((_, state)) = self.processes.get_mut(index) else {
+            return Vec::new();
+        };
+        // a timer of a step that is over says nothing
+        if state.step != step {
+            return Vec::new();
+        }
+        match step {
+            Step::Waiting => {
+                state.step = Step::Running;
+                vec![Order::Start(index)]
+            }
+            Step::Interrupted | Step::Terminated => self.escalate(index),
+            Step::Running | Step::Killed | Step::Ended => Vec::new(),
+        }
+    }
+
+    fn stop(&mut self) -> Vec<Order> {
+        self.is_stopping = true;
+        (0..self.processes.len())
+            .flat_map(|index| self.escalate(index))
+            .collect()
+    }
+
+    /// Takes the next step of stopping process `index`.
+    fn escalate(&mut self, index: usize) -> Vec<Order> {
+        let Some((process, state)) = self.processes.get_mut(index) else {
+            return Vec::new();
+        };
+        match state.step {
+            Step::Waiting => {
+                state.step = Step::Ended;
+                Vec::new()
+            }
+            Step::Running => {
+                state.step = Step::Interrupted;
+                vec![
+                    Order::Send(index, StopSignal::Interrupt),
+                    Order::ArmTimer(index, Step::Interrupted, process.sigterm_timeout),
+                ]
+            }
+            Step::Interrupted => {
+                state.step = Step::Terminated;
+                vec![
+                    Order::Say(format!(
+                        "{} goes on after SIGINT: sending SIGTERM",
+                        process.name
+                    )),
+                    Order::Send(index, StopSignal::Terminate),
+                    Order::ArmTimer(index, Step::Terminated, process.sigkill_timeout),
+                ]
+            }
+            Step::Terminated => {
+                state.step = Step::Killed;
+                vec![
+                    Order::Say(format!(
+                        "{} goes on after SIGTERM: sending SIGKILL",
+                        process.name
+                    )),
+                    Order::Send(index, StopSignal::Kill),
+                ]
+            }
+            Step::Killed | Step::Ended => Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::{Output, Program, Respawn};
+
+    fn process(name: &str) -> Process {
+        Process {
+            name: name.to_owned(),
+            node: None,
+            prefix: Vec::new(),
+            program: Program::Own,
+            arguments: Vec::new(),
+            environment: Vec::new(),
+            working_directory: None,
+            output: Output::Screen,
+            respawn: None,
+            ends_launch: false,
+            sigterm_timeout: Duration::from_secs(5),
+            sigkill_timeout: Duration::from_secs(4),
+        }
+    }
+
+    fn signals(orders: &[Order]) -> Vec<(usize, StopSignal)> {
+        let signal = |order: &Order| match order {
+            Order::Send(index, signal) => Some((*index, *signal)),
+            _ => None,
+        };
+        orders.iter().filter_map(signal).collect()
+    }
+
+    #[test]
+    fn the_end_of_the_player_stops_the_others_cleanly() {
+        let player = Process {
+            ends_launch: true,
+            ..process("player-1")
+        };
+        let (mut supervisor, orders) = Supervisor::new(vec![player, process("encoder-2")]);
+        assert_eq!(orders, [Order::Start(0), Order::Start(1)]);
+        let orders = supervisor.on_event(Event::Ended(0, Exit::Code(0)));
+        assert_eq!(signals(&orders), [(1, StopSignal::Interrupt)]);
+        supervisor.on_event(Event::Ended(1, Exit::Code(0)));
+        assert_eq!(
+            (supervisor.alive(), supervisor.outcome().exit_code()),
+            (0, 0)
+        );
+    }
+
+    #[test]
+    fn a_killed_node_is_a_failure_that_names_it_and_the_others_go_on() {
+        let (mut supervisor, _) = Supervisor::new(vec![process("encoder-1"), process("decoder-2")]);
+        let orders = supervisor.on_event(Event::Ended(0, Exit::Signal(9)));
+        assert!(signals(&orders).is_empty());
+        assert_eq!(supervisor.alive(), 1);
+        supervisor.on_event(Event::StopRequested);
+        supervisor.on_event(Event::Ended(1, Exit::Signal(2)));
+        let outcome = supervisor.outcome();
+        assert_eq!(outcome.exit_code(), 1);
+        assert_eq!(outcome.failures, ["encoder-1 failed: signal 9 (SIGKILL)"]);
+    }
+
+    #[test]
+    fn a_node_that_ignores_signals_is_killed_step_by_step() {
+        let (mut supervisor, _) = Supervisor::new(vec![process("stuck-1")]);
+        let orders = supervisor.on_event(Event::StopRequested);
+        assert!(orders.contains(&Order::ArmTimer(
+            0,
+            Step::Interrupted,
+            Duration::from_secs(5)
+        )));
+        let orders = supervisor.on_event(Event::TimerElapsed(0, Step::Interrupted));
+        assert_eq!(signals(&orders), [(0, StopSignal::Terminate)]);
+        assert!(
+            supervisor
+                .on_event(Event::TimerElapsed(0, Step::Interrupted))
+                .is_empty()
+        );
+        let orders = supervisor.on_event(Event::TimerElapsed(0, Step::Terminated));
+        assert_eq!(signals(&orders), [(0, StopSignal::Kill)]);
+        supervisor.on_event(Event::Ended(0, Exit::Signal(9)));
+        assert_eq!(
+            supervisor.outcome().failures,
+            ["stuck-1 did not stop when asked and was killed"]
+        );
+    }
+
+    #[test]
+    fn a_second_request_to_stop_does_not_wait() {
+        let (mut supervisor, _) = Supervisor::new(vec![process("slow-1")]);
+        supervisor.on_event(Event::StopRequested);
+        assert_eq!(
+            signals(&supervisor.on_event(Event::StopRequested)),
+            [(0, StopSignal::Terminate)]
+        );
+        assert_eq!(
+            signals(&supervisor.on_event(Event::StopRequested)),
+            [(0, StopSignal::Kill)]
+        );
+    }
+
+    #[test]
+    fn only_who_asks_is_started_again_and_only_so_often() {
+        let respawn = Respawn {
+            delay: Duration::from_millis(10),
+            max_retries: Some(1),
+        };
+        let (mut supervisor, _) = Supervisor::new(vec![Process {
+            respawn: Some(respawn),
+            ..process("a-1")
+        }]);
+        let orders = supervisor.on_event(Event::Ended(0, Exit::Code(1)));
+        assert!(orders.contains(&Order::ArmTimer(0, Step::Waiting, respawn.delay)));
+        assert_eq!(
+            supervisor.on_event(Event::TimerElapsed(0, Step::Waiting)),
+            [Order::Start(0)]
+        );
+        supervisor.on_event(Event::Ended(0, Exit::Code(1)));
+        assert_eq!(
+            (supervisor.alive(), supervisor.outcome().exit_code()),
+            (0, 1)
+        );
+    }
+
+    #[test]
+    fn a_stop_while_waiting_for_a_restart_starts_nothing() {
+        let respawn = Respawn {
+            delay: Duration::from_secs(1),
+            max_retries: None,
+        };
+        let (mut supervisor, _) = Supervisor::new(vec![Process {
+            respawn: Some(respawn),
+            ..process("a-1")
+        }]);
+        supervisor.on_event(Event::Ended(0, Exit::Code(0)));
+        supervisor.on_event(Event::StopRequested);
+        assert_eq!(supervisor.alive(), 0);
+        assert!(
+            supervisor
+                .on_event(Event::TimerElapsed(0, Step::Waiting))
+                .is_empty()
+        );
+    }
+
+    #[test]
+    fn lost_data_is_its_own_exit_code() {
+        let (mut supervisor, _) = Supervisor::new(vec![process("recorder-1")]);
+        supervisor.on_event(Event::StopRequested);
+        supervisor.on_event(Event::Ended(0, Exit::Code(DATA_LOSS)));
+        assert_eq!(supervisor.outcome().exit_code(), 3);
+    }
+}

@@ -1,0 +1,104 @@
+//! One prediction to one picture.
+
+use candle_core::{Device, Tensor};
+use image::RgbImage;
+use thiserror::Error;
+use wm_model::{Decoder, image::to_rgb};
+use wm_msgs::{
+    sensor_msgs::{CompressedImage, Image},
+    std_msgs::Header,
+    wm_msgs::Prediction,
+};
+
+use wm_wire::{
+    image_message::{ImageError, encode_image, encode_jpeg},
+    latent_message::{LatentError, decode_latent},
+};
+
+/// Why a prediction has no picture.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum DecoderError {
+    /// The latent message cannot be used.
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+    /// The decoder cannot compute it.
+    #[error(transparent)]
+    Model(#[from] wm_model::Error),
+    /// The picture cannot be compressed.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+}
+
+impl From<candle_core::Error> for DecoderError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::Model(error.into())
+    }
+}
+
+impl DecoderError {
+    /// Why a prediction is left out, for counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Latent(LatentError::Space { .. }) => "wrong_space",
+            Self::Latent(_) | Self::Model(_) | Self::Image(_) => "bad_prediction",
+        }
+    }
+}
+
+/// The decoder node's computation: a prediction to a picture.
+pub struct DecoderStep {
+    decoder: Box<dyn Decoder>,
+}
+
+impl DecoderStep {
+    /// A step that decodes with `decoder`.
+    pub fn new(decoder: Box<dyn Decoder>) -> Self {
+        Self { decoder }
+    }
+
+    /// The picture of a prediction, its latent checked against the decoder's space.
+    ///
+    /// # Errors
+    /// [`DecoderError::Latent`] where the latent is of another space or malformed, and the decoder's own.
+    pub fn decode(&self, prediction: &Prediction) -> Result<RgbImage, DecoderError> {
+        let space = self.decoder.space();
+        let values = decode_latent(&prediction.latent, space)?;
+        let latent = Tensor::from_vec(
+            values,
+            (1, space.height, space.width, space.channels),
+            &Device::Cpu,
+        )?;
+        Ok(to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?)
+    }
+
+    /// Bytes of a raw picture's pixels.
+    pub fn raw_bytes(&self) -> usize {
+        let (height, width) = self.decoder.output_size();
+        height * width * 3
+    }
+}
+
+/// The raw message of a picture, with the prediction's header.
+pub fn raw_message(picture: &RgbImage, prediction: &Prediction) -> Image {
+    encode_image(picture, header(prediction))
+}
+
+/// The JPEG message of a picture, with the prediction's header.
+///
+/// # Errors
+/// [`DecoderError::Image`].
+pub fn jpeg_message(
+    picture: &RgbImage,
+    prediction: &Prediction,
+    quality: u8,
+) -> Result<CompressedImage, DecoderError> {
+    Ok(encode_jpeg(picture, header(prediction), quality)?)
+}
+
+fn header(prediction: &Prediction) -> Header {
+    prediction.header.clone()
+}
+
+#[cfg(test)]
+mod tests;

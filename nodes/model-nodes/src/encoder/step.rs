@@ -1,0 +1,81 @@
+//! One image to one latent.
+
+use image::RgbImage;
+use thiserror::Error;
+use wm_model::{Encoder, image::preprocess};
+use wm_msgs::wm_msgs::Latent;
+
+use wm_wire::{
+    camera_frame::CameraFrame,
+    image_message::ImageError,
+    latent_message::{LatentDtype, LatentError, encode_latent},
+};
+
+/// Why an image has no latent.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum EncoderError {
+    /// The message is no image.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The encoder cannot compute it.
+    #[error(transparent)]
+    Model(#[from] wm_model::Error),
+    /// The latent does not fit its message.
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+}
+
+impl From<candle_core::Error> for EncoderError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::Model(error.into())
+    }
+}
+
+/// The encoder node's computation: an image message to a latent message of the same stamp.
+pub struct EncoderStep {
+    encoder: Box<dyn Encoder>,
+    dtype: LatentDtype,
+}
+
+impl EncoderStep {
+    /// A step that encodes with `encoder` and publishes numbers as `dtype`.
+    pub fn new(encoder: Box<dyn Encoder>, dtype: LatentDtype) -> Self {
+        Self { encoder, dtype }
+    }
+
+    /// The latent message of a frame.
+    ///
+    /// # Errors
+    /// [`EncoderError`] says whether the image, the model or the latent is at fault.
+    pub fn encode(&self, frame: &CameraFrame) -> Result<Latent, EncoderError> {
+        let values = self.encode_values(&frame.decode()?)?;
+        Ok(encode_latent(
+            &values,
+            self.encoder.space(),
+            self.dtype,
+            frame.header().clone(),
+        )?)
+    }
+
+    /// The latent of an image, row-major, channels last.
+    ///
+    /// # Errors
+    /// Those of the encoder.
+    pub fn encode_values(&self, rgb: &RgbImage) -> Result<Vec<f32>, EncoderError> {
+        let pixels = preprocess(rgb, self.encoder.input_size())?;
+        Ok(self
+            .encoder
+            .encode(&pixels)?
+            .flatten_all()?
+            .to_vec1::<f32>()?)
+    }
+
+    /// The space of its latents.
+    pub fn space(&self) -> &wm_model::LatentSpace {
+        self.encoder.space()
+    }
+}
+
+#[cfg(test)]
+mod tests;

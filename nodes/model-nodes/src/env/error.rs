@@ -1,0 +1,113 @@
+//! What can go wrong in the env.
+
+use thiserror::Error;
+use wm_bag::BagError;
+use wm_model::actions::ActionError;
+
+use crate::{encoder::EncoderError, predictor::PredictorError};
+use wm_wire::{goal::GoalError, image_message::ImageError, latent_message::LatentError};
+
+/// Why an episode does not begin or go on.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum EnvError {
+    /// More than one start, or none.
+    #[error("{0} of bag, image and topic are set; expected one, here or as parameters of the env")]
+    Starts(usize),
+    /// An offset that is no time.
+    #[error("bag_offset is {0} s; expected 0 or more")]
+    Offset(f64),
+    /// The bag has no frame there.
+    #[error("the bag {bag} has no camera frame at or after {offset_s:.3} s from its start")]
+    NoFrame {
+        /// The bag.
+        bag: String,
+        /// Where a frame was looked for \[s\].
+        offset_s: f64,
+    },
+    /// No image came.
+    #[error("no image came on {topic} within {seconds} s")]
+    Silent {
+        /// The camera's topic.
+        topic: String,
+        /// How long it was waited \[s\].
+        seconds: f64,
+    },
+    /// A name that is none.
+    #[error(
+        "the episode_id \"{0}\" is no name; expected 1 to 100 of letters, digits, \"_\", \"-\" and \".\", not \".\" first"
+    )]
+    Name(String),
+    /// An episode that is not there.
+    #[error("there is no episode \"{name}\"; there are: {known}")]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// Those that there are.
+        known: String,
+    },
+    /// No room.
+    #[error("{0} episodes are open, as many as max_episodes allows; close one")]
+    Full(usize),
+    /// Its steps are used up.
+    #[error("episode \"{name}\" has taken its {steps} steps; close it or reset it")]
+    Over {
+        /// The episode.
+        name: String,
+        /// Its steps.
+        steps: u32,
+    },
+    /// Nothing to do, or too much.
+    #[error("{0} actions; expected 1 to {max} (0 only with close)", max = crate::timeline::MAX_CHUNK)]
+    Count(usize),
+    /// Values that are no action.
+    #[error("action {index}: {source}")]
+    Action {
+        /// Which one of the call.
+        index: usize,
+        /// What is wrong with it.
+        source: ActionError,
+    },
+    /// The model predicted something that is no number.
+    #[error("step {step} of episode \"{name}\": {source}")]
+    Prediction {
+        /// The episode.
+        name: String,
+        /// Its step, from 1.
+        step: u32,
+        /// What is wrong with the latent.
+        source: LatentError,
+    },
+    /// The first frame is no image.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The image file cannot be read.
+    #[error("the image {path}: {source}")]
+    File {
+        /// The file.
+        path: String,
+        /// What is wrong with it.
+        source: std::io::Error,
+    },
+    /// The first frame has no latent.
+    #[error(transparent)]
+    Encoder(#[from] EncoderError),
+    /// The bag has no camera.
+    #[error(transparent)]
+    Camera(#[from] GoalError),
+    /// The history before the first frame cannot be used.
+    #[error(transparent)]
+    History(#[from] PredictorError),
+    /// A bag that cannot be read or written.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    /// The model cannot compute it.
+    #[error(transparent)]
+    Model(#[from] wm_model::Error),
+}
+
+impl From<candle_core::Error> for EnvError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::Model(error.into())
+    }
+}

@@ -1,0 +1,495 @@
+//! What an active env holds, and what it does next.
+
+use std::{
+    collections::{BTreeSet, VecDeque},
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use anyhow::Result;
+use tokio::time::Instant;
+use wm_msgs::{
+    builtin_interfaces::Time,
+    sensor_msgs::{CompressedImage, Image},
+    std_msgs::{Bool, String as Text},
+    wm_msgs::{
+        Action, ActionChunk, EnvObservation, EnvReset, EnvResetRequest, EnvResetResponse, EnvStep,
+        EnvStepRequest, EnvStepResponse, Timing as TimingMessage,
+    },
+};
+use wm_ros::{Call, Clock, Diagnostics, Publisher, Qos, Service, Subscription};
+
+use super::{
+    super::{Attached, Env, EnvError, Move, Moved, Observation, Start, parameters::Parameters},
+    EnvNode,
+};
+use crate::{timeline::Timing, work::Work};
+use wm_ros::complaints::Complaints;
+use wm_wire::{
+    camera_frame::CameraFrame,
+    transport::{ImageSubscription, Transports},
+};
+
+/// An observation that a policy does not answer is sent again: it may have been lost, or the policy started anew.
+pub(super) const RESEND: Duration = Duration::from_secs(1);
+/// How often the graph is asked whether a policy has come.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// What the env's thread is to do.
+pub(super) enum Job {
+    Reset {
+        request: EnvResetRequest,
+        start: Start,
+        begin: Time,
+    },
+    Step(Vec<Move>),
+}
+
+/// What it has done, and how long it took.
+pub(super) enum Done {
+    Reset(Result<Box<(EnvResetResponse, Observation)>, EnvError>),
+    Step {
+        moved: Vec<Result<Moved, EnvError>>,
+        start: Time,
+        end: Time,
+    },
+}
+
+/// Who waits for an answer; the topics are their own client.
+pub(super) enum Resetter {
+    Service(Box<Call<EnvReset>>),
+    Topics,
+}
+
+pub(super) enum Stepper {
+    Service { call: Call<EnvStep>, received: Time },
+    Topics,
+}
+
+pub(super) enum InFlight {
+    Nothing,
+    Reset(Resetter),
+    Steps(Vec<Stepper>),
+}
+
+/// A reset that waits for the image that it starts from.
+pub(super) struct Awaited {
+    pub(super) images: ImageSubscription,
+    pub(super) topic: String,
+    pub(super) request: EnvResetRequest,
+    pub(super) resetter: Resetter,
+    pub(super) until: Instant,
+}
+
+/// The episode that is played by topics.
+pub(super) struct Played {
+    pub(super) attached: Attached,
+    pub(super) observation: Observation,
+    /// When the next step may be made.
+    pub(super) due: Instant,
+    pub(super) published: Instant,
+    /// When this observation was published first.
+    pub(super) shown: Instant,
+    /// Whether the task was done, as somebody said; ends the episode.
+    pub(super) outcome: Option<bool>,
+    pub(super) is_over: bool,
+}
+
+pub(super) struct Active {
+    pub(super) resets: Service<EnvReset>,
+    pub(super) steps: Service<EnvStep>,
+    pub(super) actions: Subscription<Action>,
+    pub(super) chunks: Subscription<ActionChunk>,
+    pub(super) successes: Subscription<Bool>,
+    pub(super) raws: Option<Publisher<Image>>,
+    pub(super) jpegs: Option<Publisher<CompressedImage>>,
+    pub(super) instructions: Publisher<Text>,
+    /// Of episodes by service.
+    pub(super) observations: Publisher<EnvObservation>,
+    pub(super) work: Work<Job, Done>,
+    pub(super) in_flight: InFlight,
+    pub(super) waiting_resets: VecDeque<(EnvResetRequest, Resetter)>,
+    pub(super) waiting_steps: VecDeque<(Call<EnvStep>, Time)>,
+    /// When calls that wait are computed.
+    pub(super) gathered: Instant,
+    pub(super) awaited: Option<Awaited>,
+    pub(super) played: Option<Played>,
+    /// Episodes by topics that have begun.
+    pub(super) begun: u64,
+    pub(super) env: Arc<Mutex<Env>>,
+    pub(super) timing: Timing,
+    pub(super) clock: Clock,
+    pub(super) complaints: Complaints,
+    pub(super) diagnostics: Diagnostics,
+}
+
+impl Active {
+    /// Begins what can begin; whether everything is done that the env was started for.
+    pub(super) fn go_on(&mut self, node: &EnvNode) -> Result<bool> {
+        let now = Instant::now();
+        if self
+            .awaited
+            .as_ref()
+            .is_some_and(|awaited| awaited.until <= now)
+            && let Some(awaited) = self.awaited.take()
+        {
+            let error = EnvError::Silent {
+                topic: awaited.topic,
+                seconds: node.parameters.start_timeout.as_secs_f64(),
+            };
+            self.refuse_reset(awaited.resetter, &error)?;
+        }
+        let is_by_topics = node.parameters.episodes > 0;
+        if is_by_topics && self.played.is_none() && !self.is_resetting_topics() {
+            if self.begun == node.parameters.episodes {
+                return Ok(true);
+            }
+            if self.has_policy() {
+                let mut request = node.parameters.reset.clone();
+                request.seed = request.seed.wrapping_add(self.begun);
+                self.begun += 1;
+                self.waiting_resets.push_back((request, Resetter::Topics));
+                self.complaints.working("an episode is played by topics");
+            } else {
+                let (kind, text) = self.missing();
+                self.complaints.waiting(kind, true, &text);
+            }
+        }
+        self.remind(now)?;
+        if !matches!(self.in_flight, InFlight::Nothing) {
+            return Ok(false);
+        }
+        if let Some((request, resetter)) = self.waiting_resets.pop_front() {
+            self.reset(request, resetter, node)?;
+            return Ok(false);
+        }
+        self.step(now, node);
+        Ok(false)
+    }
+
+    fn is_resetting_topics(&self) -> bool {
+        let is_topics = |resetter: &Resetter| matches!(resetter, Resetter::Topics);
+        let in_flight = matches!(&self.in_flight, InFlight::Reset(resetter) if is_topics(resetter));
+        in_flight
+            || self
+                .waiting_resets
+                .iter()
+                .any(|(_, resetter)| is_topics(resetter))
+            || self
+                .awaited
+                .as_ref()
+                .is_some_and(|awaited| is_topics(&awaited.resetter))
+    }
+
+    /// When something is to be done though nothing comes.
+    pub(super) fn wake(&self, parameters: &Parameters) -> Instant {
+        let now = Instant::now();
+        let mut wake = now + RESEND;
+        if let Some(awaited) = &self.awaited {
+            wake = wake.min(awaited.until);
+        }
+        if matches!(self.in_flight, InFlight::Nothing) && !self.waiting_steps.is_empty() {
+            wake = wake.min(self.gathered);
+        }
+        match &self.played {
+            // What is due already waits for the policy, not for the time.
+            Some(played) if played.due > now => wake.min(played.due),
+            Some(_) => wake,
+            None if self.begun < parameters.episodes => wake.min(now + LOOK),
+            None => wake,
+        }
+    }
+
+    /// Begins a reset, or waits for the image that it starts from.
+    fn reset(
+        &mut self,
+        request: EnvResetRequest,
+        resetter: Resetter,
+        node: &EnvNode,
+    ) -> Result<()> {
+        match node.parameters.start(&request) {
+            Err(error) => self.refuse_reset(resetter, &error),
+            Ok(Start::Topic(topic)) => {
+                if self.awaited.is_some() {
+                    let error = EnvError::Silent {
+                        topic,
+                        seconds: 0.0,
+                    };
+                    return self.refuse_reset(resetter, &error);
+                }
+                match ImageSubscription::new(
+                    &node.node,
+                    &topic,
+                    Transports::BOTH,
+                    Qos::sensor_data(),
+                ) {
+                    Ok(images) => {
+                        self.awaited = Some(Awaited {
+                            images,
+                            topic,
+                            request,
+                            resetter,
+                            until: Instant::now() + node.parameters.start_timeout,
+                        });
+                        Ok(())
+                    }
+                    Err(error) => self.refuse_reset(resetter, &error),
+                }
+            }
+            Ok(start) => {
+                self.begin(request, start, resetter);
+                Ok(())
+            }
+        }
+    }
+
+    fn begin(&mut self, request: EnvResetRequest, start: Start, resetter: Resetter) {
+        let begin = self.clock.now();
+        self.in_flight = InFlight::Reset(resetter);
+        self.submit(Job::Reset {
+            request,
+            start,
+            begin,
+        });
+    }
+
+    pub(super) fn image(&mut self, frame: CameraFrame) {
+        if let Some(Awaited {
+            request, resetter, ..
+        }) = self.awaited.take()
+        {
+            // While something else is computed it waits for a newer image.
+            if matches!(self.in_flight, InFlight::Nothing) {
+                self.begin(request, Start::Frame(Box::new(frame)), resetter);
+            } else {
+                self.waiting_resets.push_front((request, resetter));
+            }
+        }
+    }
+
+    fn refuse_reset(&mut self, resetter: Resetter, error: &dyn std::fmt::Display) -> Result<()> {
+        match resetter {
+            Resetter::Service(call) => {
+                self.complaints.left_out("reset", error);
+                let response = EnvResetResponse {
+                    message: shortened(error),
+                    ..EnvResetResponse::default()
+                };
+                self.answer(call.respond(&response));
+                Ok(())
+            }
+            // Nobody is there to begin another one.
+            Resetter::Topics => anyhow::bail!("the episode does not begin: {error}"),
+        }
+    }
+
+    /// Makes the moves that wait, one an episode, as one batch.
+    fn step(&mut self, now: Instant, node: &EnvNode) {
+        let mut moves = Vec::new();
+        let mut steppers = Vec::new();
+        let played = self
+            .played
+            .as_ref()
+            .filter(|played| played.is_over || played.due <= now);
+        if let Some(played) = played {
+            let next = if played.is_over {
+                Some(Vec::new())
+            } else {
+                played.attached.next(node.parameters.hold)
+            };
+            if let Some(actions) = next {
+                moves.push(Move {
+                    episode_id: played.attached.episode_id().to_owned(),
+                    actions,
+                    close: played.is_over,
+                    outcome: played.outcome,
+                });
+                steppers.push(Stepper::Topics);
+            }
+        }
+        if !moves.is_empty() || self.gathered <= now {
+            self.gather(&mut moves, &mut steppers, node);
+        }
+        if !moves.is_empty() {
+            self.in_flight = InFlight::Steps(steppers);
+            self.submit(Job::Step(moves));
+        }
+    }
+
+    /// Adds the calls that wait, of each episode the first.
+    fn gather(&mut self, moves: &mut Vec<Move>, steppers: &mut Vec<Stepper>, node: &EnvNode) {
+        let own = self
+            .played
+            .as_ref()
+            .map(|played| played.attached.episode_id().to_owned());
+        let mut taken = BTreeSet::new();
+        let mut later = VecDeque::new();
+        for (call, received) in std::mem::take(&mut self.waiting_steps) {
+            let id = &call.request.episode_id;
+            if own.as_ref() == Some(id) {
+                let response = EnvStepResponse {
+                    message: format!("episode \"{id}\" is played by topics"),
+                    ..EnvStepResponse::default()
+                };
+                self.answer(call.respond(&response));
+            } else if moves.len() >= node.parameters.settings.max_episodes
+                || !taken.insert(id.clone())
+            {
+                later.push_back((call, received));
+            } else {
+                moves.push(as_move(&call.request));
+                steppers.push(Stepper::Service { call, received });
+            }
+        }
+        self.waiting_steps = later;
+    }
+
+    fn submit(&mut self, job: Job) {
+        // Nothing runs and nothing waits: `in_flight` says so.
+        if self.work.submit(job).is_some() {
+            tracing::error!("a job of the env was left out");
+        }
+    }
+
+    pub(super) fn done(&mut self, done: Done, node: &EnvNode) -> Result<()> {
+        let in_flight = std::mem::replace(&mut self.in_flight, InFlight::Nothing);
+        match (done, in_flight) {
+            (Done::Reset(begun), InFlight::Reset(resetter)) => match begun {
+                Ok(begun) => self.announce(*begun, resetter, node),
+                Err(error) => self.refuse_reset(resetter, &error),
+            },
+            (Done::Step { moved, start, end }, InFlight::Steps(steppers)) => {
+                let taken_ns = end.to_nanos().saturating_sub(start.to_nanos());
+                let taken = Duration::from_nanos(u64::try_from(taken_ns).unwrap_or(0));
+                self.diagnostics.latency("step").record(taken);
+                self.diagnostics.set_value("batch", steppers.len());
+                for (stepper, moved) in steppers.into_iter().zip(moved) {
+                    match stepper {
+                        Stepper::Service { call, received } => {
+                            match &moved {
+                                Ok(moved) => self.show(&call.request.episode_id, moved)?,
+                                Err(error) => self.complaints.left_out("step", error),
+                            }
+                            let response = response(moved, (received, start, end));
+                            self.answer(call.respond(&response));
+                        }
+                        Stepper::Topics => self.stepped(moved, node)?,
+                    }
+                }
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn announce(
+        &mut self,
+        (response, observation): (EnvResetResponse, Observation),
+        resetter: Resetter,
+        node: &EnvNode,
+    ) -> Result<()> {
+        tracing::info!(
+            "episode {} begins: \"{}\"",
+            response.episode_id,
+            response.instruction
+        );
+        match resetter {
+            Resetter::Service(call) => {
+                self.observations.publish(&EnvObservation {
+                    episode_id: response.episode_id.clone(),
+                    step: 0,
+                    image: observation.jpeg,
+                })?;
+                self.answer(call.respond(&response));
+                Ok(())
+            }
+            Resetter::Topics => {
+                self.instructions.publish(&Text {
+                    data: response.instruction,
+                })?;
+                self.publish(&observation)?;
+                let (now, stamp) = (Instant::now(), observation.jpeg.header.stamp);
+                let merging = node.parameters.merging;
+                self.played = Some(Played {
+                    attached: Attached::new(response.episode_id, self.timing, merging, stamp),
+                    observation,
+                    due: now,
+                    published: now,
+                    shown: now,
+                    outcome: None,
+                    is_over: false,
+                });
+                Ok(())
+            }
+        }
+    }
+
+    /// Sends what an episode by service has seen; it is on its way before the answer is.
+    fn show(&self, episode_id: &str, moved: &Moved) -> Result<()> {
+        // A move is a handful of steps, and they are counted.
+        let first = moved.steps.saturating_sub(moved.observations.len() as u32);
+        for (step, observation) in (first + 1..).zip(&moved.observations) {
+            self.observations.publish(&EnvObservation {
+                episode_id: episode_id.to_owned(),
+                step,
+                image: observation.jpeg.clone(),
+            })?;
+        }
+        Ok(())
+    }
+
+    fn answer(&mut self, answered: Result<(), wm_ros::Error>) {
+        if let Err(error) = answered {
+            self.complaints.left_out("answer", &error);
+        }
+    }
+}
+
+fn as_move(request: &EnvStepRequest) -> Move {
+    Move {
+        episode_id: request.episode_id.clone(),
+        actions: request.actions.clone(),
+        close: request.close,
+        outcome: match request.outcome {
+            EnvStepRequest::SUCCESS => Some(true),
+            EnvStepRequest::FAILURE => Some(false),
+            _ => None,
+        },
+    }
+}
+
+fn response(
+    moved: Result<Moved, EnvError>,
+    (receive, start, end): (Time, Time, Time),
+) -> EnvStepResponse {
+    match moved {
+        Ok(moved) => EnvStepResponse {
+            success: true,
+            message: String::new(),
+            stamp: moved.stamp,
+            steps: moved.steps,
+            truncated: moved.truncated,
+            bag: moved
+                .bag
+                .map(|bag| bag.display().to_string())
+                .unwrap_or_default(),
+            timing: TimingMessage {
+                capture: moved.capture,
+                receive,
+                start,
+                end,
+            },
+        },
+        Err(error) => EnvStepResponse {
+            message: shortened(&error),
+            ..EnvStepResponse::default()
+        },
+    }
+}
+
+/// What an answer says of an error. The middleware sends an answer in one datagram or not at all: RustDDS 0.15.1 writes
+/// fragments of a sample with a related sample identity that no peer can read. Images therefore go by a topic.
+fn shortened(error: &dyn std::fmt::Display) -> String {
+    const LONGEST: usize = 400;
+    error.to_string().chars().take(LONGEST).collect()
+}

@@ -1,0 +1,258 @@
+//! Where an episode begins.
+
+use std::{fs::File, io::Read as _, path::PathBuf, sync::Arc};
+
+use wm_bag::{BagMessage, BagReader};
+use wm_msgs::{
+    Message as _,
+    sensor_msgs::{CompressedImage, Image},
+    std_msgs::String as Text,
+    wm_msgs::{Action, EnvResetRequest},
+};
+
+use super::{EnvError, World};
+use crate::{
+    predictor::PredictorError,
+    timeline::{Timeline, Timing, Wait},
+};
+use wm_wire::{
+    camera_frame::CameraFrame,
+    goal::camera_topic,
+    image_message::{ImageError, MAX_COMPRESSED, decode_compressed},
+};
+
+/// Topic of the instruction, in bags and live.
+pub(crate) const INSTRUCTION: &str = "/task/instruction";
+const ACTION: &str = "/wm/action";
+const NANOS: f64 = 1e9;
+
+/// Where the first frame comes from.
+#[derive(Clone, Debug)]
+pub enum Start {
+    /// A bag, so many seconds after its first camera frame, with what came just before.
+    Bag {
+        /// Folder or `.mcap`.
+        path: PathBuf,
+        /// From the bag's start \[s\].
+        offset_s: f64,
+    },
+    /// A file.
+    Image(PathBuf),
+    /// The next image of a topic.
+    Topic(String),
+    /// An image that has come.
+    Frame(Box<CameraFrame>),
+}
+
+impl Start {
+    /// What a request asks for; none where it leaves that to the env's parameters.
+    ///
+    /// # Errors
+    /// [`EnvError::Starts`] where it asks for several, [`EnvError::Offset`].
+    pub fn of(request: &EnvResetRequest) -> Result<Option<Self>, EnvError> {
+        let asked = [&request.bag, &request.image, &request.topic];
+        match asked.map(String::is_empty) {
+            [true, true, true] => Ok(None),
+            [false, true, true] if request.bag_offset >= 0.0 && request.bag_offset.is_finite() => {
+                Ok(Some(Self::Bag {
+                    path: request.bag.clone().into(),
+                    offset_s: request.bag_offset,
+                }))
+            }
+            [false, true, true] => Err(EnvError::Offset(request.bag_offset)),
+            [true, false, true] => Ok(Some(Self::Image(request.image.clone().into()))),
+            [true, true, false] => Ok(Some(Self::Topic(request.topic.clone()))),
+            empty => Err(EnvError::Starts(
+                empty.iter().filter(|is_empty| !**is_empty).count(),
+            )),
+        }
+    }
+}
+
+/// What an episode begins with.
+#[derive(Debug)]
+pub(super) struct Opening {
+    /// Latents one model step apart, oldest first.
+    pub frames: Vec<Arc<[f32]>>,
+    /// The model actions between them.
+    pub actions: Vec<Vec<f32>>,
+    /// The camera's optical frame.
+    pub frame_id: String,
+    /// The bag's instruction.
+    pub instruction: Option<String>,
+}
+
+/// Reads and encodes what `start` names, with a history of `context_frames`.
+pub(super) fn open(
+    start: &Start,
+    world: &World,
+    timing: Timing,
+    context_frames: usize,
+) -> Result<Opening, EnvError> {
+    let frame = match start {
+        Start::Bag { path, offset_s } => {
+            let reader = BagReader::open(path)?;
+            return open_bag(&reader, *offset_s, world, timing, context_frames);
+        }
+        Start::Image(path) => CameraFrame::Compressed(read_image(path)?),
+        Start::Frame(frame) => (**frame).clone(),
+        // The node waits for its image first.
+        Start::Topic(topic) => {
+            return Err(EnvError::Silent {
+                topic: topic.clone(),
+                seconds: 0.0,
+            });
+        }
+    };
+    let latent = world.see(&frame.decode()?)?;
+    still(latent, &frame.header().frame_id, world, context_frames)
+}
+
+/// The robot stood still before the only frame that is known.
+fn still(
+    latent: Arc<[f32]>,
+    frame_id: &str,
+    world: &World,
+    context_frames: usize,
+) -> Result<Opening, EnvError> {
+    let frames = context_frames.clamp(1, world.window());
+    Ok(Opening {
+        actions: vec![world.standing_still()?; frames - 1],
+        frames: vec![latent; frames],
+        frame_id: frame_id.to_owned(),
+        instruction: None,
+    })
+}
+
+fn read_image(path: &PathBuf) -> Result<CompressedImage, EnvError> {
+    let failed = |source| EnvError::File {
+        path: path.display().to_string(),
+        source,
+    };
+    let mut data = Vec::new();
+    // One byte more than is accepted, so that a longer file is refused, not cut.
+    let limit = MAX_COMPRESSED as u64 + 1;
+    File::open(path)
+        .and_then(|file| file.take(limit).read_to_end(&mut data))
+        .map_err(failed)?;
+    let format = if data.starts_with(b"\x89PNG") {
+        "png"
+    } else {
+        "jpeg"
+    };
+    let image = CompressedImage {
+        format: format.into(),
+        data,
+        ..CompressedImage::default()
+    };
+    decode_compressed(&image)?;
+    Ok(image)
+}
+
+fn open_bag(
+    reader: &BagReader,
+    offset_s: f64,
+    world: &World,
+    timing: Timing,
+    context_frames: usize,
+) -> Result<Opening, EnvError> {
+    let camera = camera_topic(reader, "")?;
+    let instruction = match reader.messages().only_topics([INSTRUCTION]).next() {
+        Some(message) => Some(message?.decode::<Text>()?.data),
+        None => None,
+    };
+    // Offsets are checked to be finite and positive; a cast saturates.
+    let wanted_ns = reader.start_ns().saturating_add((offset_s * NANOS) as u64);
+    let history_ns = timing.step_ns().saturating_mul(context_frames as i64);
+    let from_ns = wanted_ns.saturating_sub(u64::try_from(history_ns).unwrap_or(0));
+    let mut timeline = Timeline::new(timing, context_frames);
+    // Stamps and images of the history: at most a few model steps at the camera's rate.
+    let mut frames: Vec<CameraFrame> = Vec::new();
+    let mut first = None;
+    for message in reader
+        .messages()
+        .only_topics([&*camera, ACTION])
+        .starting_at(from_ns)
+    {
+        let message = message?;
+        if &*message.topic == ACTION {
+            let action: Action = message.decode()?;
+            timeline.action(&action).map_err(PredictorError::from)?;
+            continue;
+        }
+        let frame = camera_frame(&message)?;
+        if message.log_time_ns >= wanted_ns {
+            first = Some(frame);
+            break;
+        }
+        frames.push(frame);
+    }
+    let Some(first) = first else {
+        return Err(EnvError::NoFrame {
+            bag: reader.path().display().to_string(),
+            offset_s,
+        });
+    };
+    // Only the frames of the context are worth encoding.
+    let first_ns = first.header().stamp.to_nanos();
+    let is_wanted = |frame: &CameraFrame| {
+        let before_ns = first_ns - frame.header().stamp.to_nanos();
+        let step_ns = timing.step_ns().max(1);
+        let steps = (before_ns + step_ns / 2) / step_ns;
+        steps >= 1 && (before_ns - steps * step_ns).abs() <= timing.tolerance_ns
+    };
+    frames.retain(is_wanted);
+    let mut newest = None;
+    for frame in frames.iter().chain([&first]) {
+        let latent = world.see(&frame.decode()?)?;
+        let header = frame.header();
+        newest = Some(Arc::clone(&latent));
+        timeline
+            .frame(header.stamp, &header.frame_id, latent)
+            .map_err(PredictorError::from)?;
+    }
+    let mut opening = match (timeline.context(), newest) {
+        (Ok(context), _) => Opening {
+            frames: context
+                .frames
+                .iter()
+                .map(|frame| Arc::clone(&frame.values))
+                .collect(),
+            actions: context
+                .actions
+                .iter()
+                .map(|step| {
+                    let values: Vec<_> = step.iter().map(|action| action.values).collect();
+                    world.model_action(&values)
+                })
+                .collect::<Result<_, _>>()?,
+            frame_id: first.header().frame_id.clone(),
+            instruction: None,
+        },
+        // The bag begins here, or has a gap, or no actions.
+        (Err(wait), Some(latent)) => {
+            if !matches!(wait, Wait::Context { .. }) {
+                tracing::warn!("the episode starts as if the robot had stood still: {wait}");
+            }
+            still(latent, &first.header().frame_id, world, context_frames)?
+        }
+        (Err(_), None) => {
+            return Err(EnvError::NoFrame {
+                bag: reader.path().display().to_string(),
+                offset_s,
+            });
+        }
+    };
+    opening.instruction = instruction;
+    Ok(opening)
+}
+
+fn camera_frame(message: &BagMessage) -> Result<CameraFrame, EnvError> {
+    if message.type_name.as_ref() == CompressedImage::ros_name() {
+        return Ok(CameraFrame::Compressed(message.decode()?));
+    }
+    if message.type_name.as_ref() == Image::ros_name() {
+        return Ok(CameraFrame::Raw(message.decode()?));
+    }
+    Err(ImageError::Format(message.type_name.to_string()).into())
+}

@@ -1,0 +1,181 @@
+//! From candidates to an assessment.
+
+use std::sync::Arc;
+
+use candle_core::{Device, Tensor};
+use wm_model::planner::{Dynamics as _, Target, TransitionDynamics};
+use wm_msgs::{
+    builtin_interfaces::{Duration, Time},
+    std_msgs::Header,
+    wm_msgs::{Assessment, CandidateAssessment, Timing as TimingMessage},
+};
+use wm_zoo::success_probe::{Instruction, SuccessClassifier};
+
+use super::{EvaluationRequest, EvaluatorError};
+use crate::predictor::{PredictorError, PredictorModel, context_tensor, past_actions};
+use wm_wire::latent_message::{LatentDtype, encode_latent};
+
+/// The transition model, how it predicts here, and what judges the predictions.
+#[derive(Clone, Debug)]
+pub struct EvaluatorModel {
+    model: PredictorModel,
+    integration_steps: usize,
+    probe: Option<Arc<SuccessClassifier>>,
+}
+
+/// What an evaluation found.
+#[derive(Clone, Debug)]
+pub struct Evaluation {
+    /// The message, but for its `timing`, which is the sender's to fill.
+    pub assessment: Assessment,
+    /// Predicted latents (candidates, steps, h, w, C), normalised.
+    pub latents: Tensor,
+}
+
+impl EvaluatorModel {
+    /// Evaluates with `model`, in `integration_steps` Euler steps a frame (0: what it was trained for).
+    pub fn new(model: PredictorModel, integration_steps: usize) -> Self {
+        let integration_steps = match integration_steps {
+            0 => model.transition.config().sampler.steps,
+            steps => steps,
+        };
+        Self {
+            model,
+            integration_steps,
+            probe: None,
+        }
+    }
+
+    /// The same, with a success probe of its latents.
+    pub fn with_probe(self, probe: Option<Arc<SuccessClassifier>>) -> Self {
+        Self { probe, ..self }
+    }
+
+    /// Predicts all candidates of a request in one batch.
+    ///
+    /// # Errors
+    /// [`EvaluatorError`] where the request does not fit the model, or a predicted latent is not finite.
+    pub fn evaluate(&self, request: &EvaluationRequest) -> Result<Evaluation, EvaluatorError> {
+        let PredictorModel {
+            transition,
+            space,
+            encoding,
+            ..
+        } = &self.model;
+        let observed = request
+            .context
+            .frames
+            .last()
+            .ok_or_else(|| wm_model::Error::Shape {
+                what: "the context",
+                expected: "at least one frame".into(),
+                found: vec![0],
+            })?;
+        let horizon = request.candidates.first().map_or(0, Vec::len);
+        let mut actions = Vec::new();
+        for step in request.candidates.iter().flatten() {
+            actions.extend(encoding.encode_step(step).map_err(PredictorError::from)?);
+        }
+        let count = request.candidates.len();
+        let actions =
+            Tensor::from_vec(actions, (count, horizon, encoding.action_dim), &Device::Cpu)?;
+        let context = context_tensor(&request.context, space)?;
+        let past = past_actions(&request.context, encoding)?;
+        let mut sampler = transition.config().sampler.clone();
+        sampler.steps = self.integration_steps;
+        let mut dynamics =
+            TransitionDynamics::new(transition, &sampler, &context, past.as_ref(), request.seed)?;
+        let latents = dynamics.rollout(&actions)?;
+        let probabilities =
+            self.probabilities(&context, &latents, request.instruction.as_deref())?;
+
+        let mut step_costs = vec![Vec::new(); count];
+        if let Some(goal) = &request.goal {
+            let target = Target::LastStep(Tensor::from_slice(
+                &goal.values,
+                space.shape(),
+                &Device::Cpu,
+            )?);
+            for step in 0..horizon {
+                let costs = target.costs(&latents.narrow(1, step, 1)?)?;
+                for (all, cost) in step_costs.iter_mut().zip(costs) {
+                    all.push(cost);
+                }
+            }
+        }
+        let step_ns = request.timing.step_ns();
+        let header = |stamp_ns| Header {
+            stamp: Time::from_nanos(stamp_ns),
+            frame_id: observed.frame_id.to_string(),
+        };
+        // Horizons are a handful of steps.
+        let end_ns = observed
+            .stamp_ns
+            .saturating_add(step_ns.saturating_mul(horizon as i64));
+        let last = latents
+            .narrow(1, horizon.saturating_sub(1), 1)?
+            .flatten_from(1)?
+            .to_vec2::<f32>()?;
+        let mut candidates = Vec::with_capacity(count);
+        let found = (0_u32..).zip(&last).zip(step_costs).zip(probabilities);
+        for (((index, values), step_costs), success_probability) in found {
+            candidates.push(CandidateAssessment {
+                index,
+                cost: step_costs.last().copied().unwrap_or(f32::NAN),
+                step_costs,
+                success_probability,
+                latent: encode_latent(values, space, LatentDtype::F16, header(end_ns))?,
+            });
+        }
+        let assessment = Assessment {
+            header: header(observed.stamp_ns),
+            policy: request.policy.clone(),
+            candidates_stamp: request.candidates_stamp,
+            best: best(&candidates),
+            candidates,
+            horizon: u32::try_from(horizon).unwrap_or(u32::MAX),
+            step_period: Duration::from_nanos(step_ns),
+            model: self.model.name.clone(),
+            model_hash: self.model.hash.clone(),
+            seed: request.seed,
+            timing: TimingMessage::default(),
+        };
+        Ok(Evaluation {
+            assessment,
+            latents,
+        })
+    }
+
+    /// Of each candidate the probability that its imagined episode does what is asked for, NaN where there is no probe or
+    /// no instruction. The probe was trained on whole episodes, `context` (1, H, h, w, C) is the newest of what was
+    /// observed: with the predicted `latents` (candidates, steps, h, w, C) behind it, this is as much of an episode as
+    /// is known. One by one, so that an episode's probability depends on no other.
+    fn probabilities(
+        &self,
+        context: &Tensor,
+        latents: &Tensor,
+        instruction: Option<&Instruction>,
+    ) -> Result<Vec<f32>, EvaluatorError> {
+        let count = latents.dim(0)?;
+        let (Some(probe), Some(instruction)) = (&self.probe, instruction) else {
+            return Ok(vec![f32::NAN; count]);
+        };
+        let observed = context.squeeze(0)?;
+        let of_one = |index| {
+            let episode = Tensor::cat(&[&observed, &latents.get(index)?], 0)?;
+            let probability = probe.probability(&episode, instruction);
+            Ok(probability.map_err(wm_model::Error::from)?)
+        };
+        (0..count).map(of_one).collect()
+    }
+}
+
+/// The candidate of least cost, the first of equals; -1 where no cost is a number.
+fn best(candidates: &[CandidateAssessment]) -> i32 {
+    let costs = candidates
+        .iter()
+        .filter(|candidate| candidate.cost.is_finite());
+    let best = costs.min_by(|a, b| a.cost.total_cmp(&b.cost));
+    best.and_then(|best| i32::try_from(best.index).ok())
+        .unwrap_or(-1)
+}

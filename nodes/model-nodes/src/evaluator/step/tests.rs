@@ -1,0 +1,246 @@
+#![allow(clippy::unwrap_used, clippy::indexing_slicing)]
+
+use wm_model::{
+    actions::ActionEncoding,
+    sampler::Rollout,
+    transition::{Transition, TransitionConfig},
+};
+use wm_msgs::{builtin_interfaces::Duration, std_msgs::Header, wm_msgs::ActionChunk};
+
+use super::*;
+use crate::{
+    evaluator::EvaluatorModel,
+    predictor::{PredictorModel, context_tensor, past_actions},
+};
+use wm_wire::latent_message::{LatentDtype, encode_latent};
+
+const PERIOD: i64 = 200_000_000;
+const START: i64 = 1_700_000_000_000_000_000;
+
+fn space() -> LatentSpace {
+    LatentSpace {
+        name: "test".into(),
+        hash: "00ff".into(),
+        height: 4,
+        width: 4,
+        channels: 4,
+    }
+}
+
+fn model() -> PredictorModel {
+    let config = TransitionConfig {
+        hidden: 64,
+        depth: 1,
+        heads: 2,
+        ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
+    };
+    PredictorModel {
+        transition: Transition::random(config, 3).unwrap().pack().unwrap(),
+        name: "test".into(),
+        hash: "beef".into(),
+        space: space(),
+        encoding: ActionEncoding::default(),
+    }
+}
+
+fn header(index: i64) -> Header {
+    Header {
+        stamp: Time::from_nanos(START + index * PERIOD),
+        frame_id: "camera".into(),
+    }
+}
+
+fn values(index: i64) -> Vec<f32> {
+    (0..64)
+        .map(|i| ((i + 7 * index) as f32 * 0.3).sin())
+        .collect()
+}
+
+fn action(index: i64, value: f32) -> Action {
+    Action {
+        header: header(index),
+        values: vec![value, 0.0, -value, 0.0, 0.0, 0.0, 1.0],
+    }
+}
+
+fn chunk(index: i64, count: i64, value: f32) -> ActionChunk {
+    ActionChunk {
+        header: header(index),
+        period: Duration::from_nanos(PERIOD),
+        actions: (0..count).map(|i| action(index + i, value)).collect(),
+        ..ActionChunk::default()
+    }
+}
+
+fn candidates(chunks: Vec<ActionChunk>) -> ActionCandidates {
+    ActionCandidates {
+        header: header(2),
+        policy: "test".into(),
+        chunks,
+    }
+}
+
+/// An evaluator that has seen frames 0 to 2 and the actions between.
+fn evaluator() -> EvaluatorStep {
+    let settings = EvaluatorSettings {
+        context_frames: 2,
+        horizon: 5,
+        max_candidates: 3,
+        seed: 9,
+    };
+    let mut step = EvaluatorStep::new(settings, Timing::new(PERIOD, 2), space());
+    for index in 0..3 {
+        step.action(&action(index, 0.01)).unwrap();
+        let latent =
+            encode_latent(&values(index), &space(), LatentDtype::F32, header(index)).unwrap();
+        step.latent(&latent).unwrap();
+    }
+    step
+}
+
+#[test]
+fn candidates_are_compared_at_one_moment() {
+    let step = evaluator();
+    // Four model steps, and two and a half: whole ones are compared.
+    let asked = candidates(vec![chunk(2, 8, 0.02), chunk(2, 5, -0.02)]);
+    let request = step.candidates(&asked).unwrap();
+    let steps: Vec<usize> = request.candidates.iter().map(Vec::len).collect();
+    assert_eq!(steps, [2, 2]);
+    let short = candidates(vec![chunk(2, 1, 0.02)]);
+    let short = step.candidates(&short).unwrap();
+    assert_eq!(short.candidates[0].len(), 1, "one at least");
+    // The action that was really taken at the observed moment is the first of both.
+    assert_eq!(request.candidates[0][0][0].values[0], 0.01);
+    assert_eq!(request.candidates[0][0][1].values[0], 0.02);
+    let long = candidates(vec![chunk(2, 40, 0.02)]);
+    assert_eq!(
+        step.candidates(&long).unwrap().candidates[0].len(),
+        5,
+        "the horizon"
+    );
+}
+
+#[test]
+fn candidates_wait_for_the_frame_that_they_answer() {
+    let mut step = evaluator();
+    // The newest frame is 2; a model step is two frames.
+    for (begin, awaits) in [(1, false), (2, false), (3, true), (4, true), (5, false)] {
+        let asked = candidates(vec![chunk(2, 8, 0.02), chunk(begin, 8, 0.02)]);
+        assert_eq!(step.awaits_frame(&asked), awaits, "{begin}");
+    }
+    let asked = candidates(vec![chunk(3, 8, 0.02)]);
+    let latent = encode_latent(&values(3), &space(), LatentDtype::F32, header(3)).unwrap();
+    step.latent(&latent).unwrap();
+    assert!(!step.awaits_frame(&asked), "it has come");
+    assert_eq!(step.candidates(&asked).unwrap().candidates[0].len(), 4);
+    assert!(!step.awaits_frame(&candidates(Vec::new())));
+}
+
+#[test]
+fn a_candidate_beyond_the_horizon_is_named_with_what_to_do() {
+    let step = evaluator();
+    // Five model steps of two actions after frame 2.
+    let last = candidates(vec![chunk(2, 4, 0.02), chunk(11, 4, 0.02)]);
+    assert!(step.candidates(&last).is_ok());
+    for beyond in [12, 1_000_000] {
+        let asked = candidates(vec![chunk(2, 4, 0.02), chunk(beyond, 4, 0.02)]);
+        let error = step.candidates(&asked).unwrap_err();
+        assert_eq!(error.reason(), "late_candidates");
+        let text = error.to_string();
+        assert!(
+            text.starts_with("candidate 1: ") && text.contains("stamp it with"),
+            "{text}"
+        );
+    }
+}
+
+#[test]
+fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best() {
+    let mut step = evaluator();
+    let model = model();
+    let asked = candidates(vec![
+        chunk(2, 4, 0.03),
+        chunk(2, 4, -0.03),
+        chunk(2, 4, 0.0),
+    ]);
+    let request = step.candidates(&asked).unwrap();
+    let without = EvaluatorModel::new(model.clone(), 1)
+        .evaluate(&request)
+        .unwrap()
+        .assessment;
+    assert_eq!(
+        (without.best, without.horizon, without.candidates.len()),
+        (-1, 2, 3)
+    );
+    assert!(
+        without
+            .candidates
+            .iter()
+            .all(|c| c.cost.is_nan() && c.step_costs.is_empty())
+    );
+    assert_eq!(without.candidates[0].latent.header, header(6));
+
+    // The goal is where the second candidate leads, by a rollout of its own.
+    let context = context_tensor(&request.context, &space()).unwrap();
+    let past = past_actions(&request.context, &model.encoding).unwrap();
+    let mut sampler = model.transition.config().sampler.clone();
+    sampler.steps = 1;
+    let mut rollout =
+        Rollout::new(&model.transition, &sampler, &context, past.as_ref(), 9).unwrap();
+    let mut reached = Vec::new();
+    for actions in &request.candidates[1] {
+        let encoded = model.encoding.encode_step(actions).unwrap();
+        let action =
+            candle_core::Tensor::from_vec(encoded, (1, 7), &candle_core::Device::Cpu).unwrap();
+        reached = rollout
+            .next(&action)
+            .unwrap()
+            .flatten_all()
+            .unwrap()
+            .to_vec1::<f32>()
+            .unwrap();
+    }
+    step.set_goal(Goal {
+        stamp: Time::default(),
+        values: reached.into(),
+    });
+    let request = step.candidates(&asked).unwrap();
+    let found = EvaluatorModel::new(model, 1)
+        .evaluate(&request)
+        .unwrap()
+        .assessment;
+    assert_eq!((found.best, found.candidates[1].cost), (1, 0.0));
+    assert!(found.candidates[0].cost > 0.0 && found.candidates[2].cost > 0.0);
+    assert_eq!(found.candidates[0].step_costs.len(), 2);
+    assert_eq!(found.candidates[0].step_costs[1], found.candidates[0].cost);
+    assert_eq!(
+        (found.policy.as_str(), found.model_hash.as_str(), found.seed),
+        ("test", "beef", 9)
+    );
+    assert_eq!(found.header.stamp, header(2).stamp);
+}
+
+#[test]
+fn candidates_that_cannot_be_used_are_named() {
+    let step = evaluator();
+    let refused = |chunks| {
+        step.candidates(&candidates(chunks))
+            .unwrap_err()
+            .to_string()
+    };
+    assert_eq!(refused(Vec::new()), "0 candidates; expected 1 to 3");
+    assert!(refused(vec![chunk(2, 4, 0.0); 4]).starts_with("4 candidates"));
+    let error = refused(vec![chunk(2, 4, 0.0), chunk(2, 4, f32::NAN)]);
+    assert!(
+        error.starts_with("candidate 1: action 0 of a chunk"),
+        "{error}"
+    );
+    assert!(
+        refused(vec![chunk(0, 2, 0.0)]).starts_with("candidate 0 ends before the observed frame")
+    );
+    let nothing = EvaluatorStep::new(step.settings, Timing::new(PERIOD, 2), space());
+    let error = nothing
+        .candidates(&candidates(vec![chunk(2, 4, 0.0)]))
+        .unwrap_err();
+    assert!(matches!(error, EvaluatorError::History(Wait::NoFrame)));
+}

@@ -1,0 +1,21 @@
+//! The nodes that compute: encoder, predictor, decoder, planner, evaluator and env, each `decode -> pure step -> encode`
+//! over `wm_ros`.
+//!
+//! A node's `step` module holds its whole behaviour and knows neither DDS nor a clock: it is tested with messages alone.
+//! Its `node` module holds the wires: parameters, topics, QoS, threads, diagnostics. All public topics and their QoS
+//! are in the repository's README.
+//!
+//! Not here: the models (`wm_model`), the ROS runtime (`wm_ros`), bags (`wm_bag`).
+
+pub mod chunk_merging;
+pub mod decoder;
+pub mod encoder;
+pub mod env;
+pub mod evaluator;
+pub mod model_choice;
+pub mod planner;
+pub mod pool;
+pub mod predictor;
+mod reset;
+pub mod timeline;
+pub mod work;

@@ -1,0 +1,58 @@
+//! What can go wrong in the planner.
+
+use thiserror::Error;
+use wm_model::{actions::ActionError, planner::PlanError};
+
+use crate::{predictor::PredictorError, timeline::TimelineError};
+use wm_wire::latent_message::LatentError;
+
+/// Why an input is left out, or there is no plan.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PlannerError {
+    /// A latent message that cannot be used.
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+    /// A frame or an action that does not fit the timeline.
+    #[error(transparent)]
+    Timeline(#[from] TimelineError),
+    /// Actions that cannot be encoded, or a plan that cannot be decoded.
+    #[error(transparent)]
+    Action(#[from] ActionError),
+    /// The search found nothing.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// The model cannot compute it.
+    #[error(transparent)]
+    Model(#[from] wm_model::Error),
+}
+
+impl From<candle_core::Error> for PlannerError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::Model(error.into())
+    }
+}
+
+impl From<PredictorError> for PlannerError {
+    fn from(error: PredictorError) -> Self {
+        match error {
+            PredictorError::Latent(error) => Self::Latent(error),
+            PredictorError::Timeline(error) => Self::Timeline(error),
+            PredictorError::Action(error) => Self::Action(error),
+            PredictorError::Model(error) => Self::Model(error),
+        }
+    }
+}
+
+impl PlannerError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Latent(error) => error.reason(),
+            Self::Timeline(error) => error.reason(),
+            Self::Action(_) => "malformed_action",
+            Self::Plan(_) => "no_plan",
+            Self::Model(_) => "model",
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! What can go wrong in the predictor.
+
+use thiserror::Error;
+use wm_model::actions::ActionError;
+
+use crate::timeline::TimelineError;
+use wm_wire::latent_message::LatentError;
+
+/// Why an input is left out, or a rollout ends.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PredictorError {
+    /// A latent message that cannot be used, or a predicted latent that is not finite.
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+    /// A frame, action or chunk that does not fit the timeline.
+    #[error(transparent)]
+    Timeline(#[from] TimelineError),
+    /// Actions that cannot be encoded for the model.
+    #[error(transparent)]
+    Action(#[from] ActionError),
+    /// The model cannot compute it.
+    #[error(transparent)]
+    Model(#[from] wm_model::Error),
+}
+
+impl From<candle_core::Error> for PredictorError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::Model(error.into())
+    }
+}
+
+impl PredictorError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Latent(error) => error.reason(),
+            Self::Timeline(error) => error.reason(),
+            Self::Action(_) => "malformed_action",
+            Self::Model(_) => "model",
+        }
+    }
+}

@@ -1,0 +1,335 @@
+#![allow(clippy::unwrap_used, clippy::indexing_slicing)]
+
+use wm_model::{
+    actions::ActionEncoding,
+    transition::{Transition, TransitionConfig},
+};
+use wm_msgs::{
+    builtin_interfaces::Duration,
+    std_msgs::Header,
+    wm_msgs::{LatentSpace as SpaceMessage, Prediction},
+};
+
+use super::*;
+use crate::{
+    predictor::{PredictorModel, RunningRollout},
+    timeline::TimelineError,
+};
+use wm_wire::latent_message::{LatentError, encode_latent};
+
+const PERIOD: i64 = 200_000_000;
+const START: i64 = 1_700_000_000_000_000_000;
+
+fn space() -> LatentSpace {
+    LatentSpace {
+        name: "test".into(),
+        hash: "00ff".into(),
+        height: 4,
+        width: 4,
+        channels: 4,
+    }
+}
+
+fn model() -> PredictorModel {
+    let config = TransitionConfig {
+        hidden: 64,
+        depth: 1,
+        heads: 2,
+        ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
+    };
+    PredictorModel {
+        transition: Transition::random(config, 3).unwrap().pack().unwrap(),
+        name: "test".into(),
+        hash: "beef".into(),
+        space: space(),
+        encoding: ActionEncoding::default(),
+    }
+}
+
+fn settings() -> PredictorSettings {
+    PredictorSettings {
+        horizon: 3,
+        context_frames: 2,
+        integration_steps: 1,
+        seed: 9,
+        dtype: LatentDtype::F32,
+    }
+}
+
+fn predictor() -> PredictorStep {
+    PredictorStep::new(settings(), Timing::new(PERIOD, 2), space())
+}
+
+fn stamp(index: i64) -> Time {
+    Time::from_nanos(START + index * PERIOD)
+}
+
+fn latent(index: i64) -> Latent {
+    let values: Vec<f32> = (0..64)
+        .map(|i| ((i as i64 + 7 * index) as f32 * 0.3).sin())
+        .collect();
+    let header = Header {
+        stamp: stamp(index),
+        frame_id: "camera".into(),
+    };
+    encode_latent(&values, &space(), LatentDtype::F32, header).unwrap()
+}
+
+fn action(index: i64) -> Action {
+    let header = Header {
+        stamp: stamp(index),
+        frame_id: "base".into(),
+    };
+    Action {
+        header,
+        values: vec![0.01 * (index % 5) as f32, 0.0, -0.01, 0.0, 0.1, 0.0, 1.0],
+    }
+}
+
+/// Feeds frames and actions of a span; gives the outcome of the last frame.
+fn feed(step: &mut PredictorStep, span: std::ops::RangeInclusive<i64>) -> LatentOutcome {
+    let mut last = None;
+    for index in span {
+        step.action(&action(index)).unwrap();
+        last = Some(step.latent(&latent(index), stamp(index)).unwrap());
+    }
+    last.unwrap()
+}
+
+fn run(model: &PredictorModel, outcome: LatentOutcome) -> Vec<PredictedStep> {
+    let rollout = RunningRollout::new(model, outcome.rollout.unwrap()).unwrap();
+    rollout.collect::<Result<_, _>>().unwrap()
+}
+
+#[test]
+fn a_rollout_says_what_it_was_computed_from() {
+    let (model, mut step) = (model(), predictor());
+    let predictions: Vec<Prediction> = run(&model, feed(&mut step, 0..=2))
+        .into_iter()
+        .map(|predicted| predicted.prediction)
+        .collect();
+    assert_eq!(predictions.len(), 3);
+    for (index, prediction) in predictions.iter().enumerate() {
+        let k = index as i64 + 1;
+        assert_eq!(prediction.header.stamp, stamp(2 + 2 * k));
+        assert_eq!(prediction.header.frame_id, "camera");
+        assert_eq!(prediction.latent.header, prediction.header);
+        assert_eq!(prediction.observed_stamp, stamp(2));
+        assert_eq!((prediction.step, prediction.horizon), (k as u32, 3));
+        assert_eq!(prediction.step_period, Duration::from_nanos(2 * PERIOD));
+        assert_eq!((prediction.seed, prediction.integration_steps), (9, 1));
+        assert_eq!(
+            (prediction.model.as_str(), prediction.model_hash.as_str()),
+            ("test", "beef")
+        );
+        assert_eq!(prediction.received_stamp, stamp(2));
+        assert_eq!(prediction.actions.len(), 2 * k as usize);
+        for (slot, assumed) in prediction.actions.iter().enumerate() {
+            assert_eq!(assumed.header.stamp, stamp(2 + slot as i64));
+            assert_eq!(assumed.values, action(2).values, "the last action, held");
+        }
+    }
+}
+
+#[test]
+fn the_same_messages_give_the_same_predictions_and_the_seed_changes_them() {
+    let model = model();
+    let predict = |seed: Option<u64>| {
+        let mut step = predictor();
+        if seed.is_some() {
+            step.reset(seed);
+        }
+        run(&model, feed(&mut step, 0..=4))
+    };
+    let bytes = |steps: &[PredictedStep]| -> Vec<Vec<u8>> {
+        steps
+            .iter()
+            .map(|step| step.prediction.latent.data.clone())
+            .collect()
+    };
+    assert_eq!(bytes(&predict(None)), bytes(&predict(Some(9))));
+    assert_ne!(bytes(&predict(None)), bytes(&predict(Some(10))));
+}
+
+#[test]
+fn the_chunk_is_assumed_and_changes_the_prediction() {
+    let model = model();
+    let held = run(&model, feed(&mut predictor(), 0..=2));
+    let mut step = predictor();
+    let chunk = ActionChunk {
+        header: Header {
+            stamp: stamp(2),
+            frame_id: "base".into(),
+        },
+        period: Duration::from_nanos(PERIOD),
+        actions: (2..9).map(action).collect(),
+        ..ActionChunk::default()
+    };
+    step.chunk(&chunk).unwrap();
+    let informed = run(&model, feed(&mut step, 0..=2));
+    let assumed: Vec<_> = informed[2]
+        .prediction
+        .actions
+        .iter()
+        .map(|action| action.values.clone())
+        .collect();
+    assert_eq!(
+        assumed,
+        (2..8).map(|index| action(index).values).collect::<Vec<_>>()
+    );
+    assert_ne!(held[0].values, informed[0].values);
+}
+
+#[test]
+fn predictions_are_scored_when_their_moment_comes() {
+    let (model, mut step) = (model(), predictor());
+    let predicted = run(&model, feed(&mut step, 0..=2));
+    for one in &predicted {
+        assert_eq!(step.predicted(one), None);
+    }
+    assert!(feed(&mut step, 3..=3).errors.is_empty());
+    let errors = feed(&mut step, 4..=4).errors;
+    assert_eq!(errors.len(), 1);
+    let values = |index: i64| decode_latent(&latent(index), &space()).unwrap();
+    let mse = wm_model::metrics::mean_squared_error(&predicted[0].values, &values(4)).unwrap();
+    let persistence = wm_model::metrics::mean_squared_error(&values(2), &values(4)).unwrap();
+    let error = &errors[0];
+    assert_eq!(
+        (error.header.stamp, error.observed_stamp, error.step),
+        (stamp(4), stamp(2), 1)
+    );
+    assert!(
+        (f64::from(error.mse) - mse).abs() < 1e-6
+            && (f64::from(error.persistence_mse) - persistence).abs() < 1e-6
+    );
+    assert!((f64::from(error.ratio) - mse / persistence).abs() < 1e-4);
+
+    // The frame of k = 2 never comes; that of k = 3 is scored all the same, and k = 2 is forgotten.
+    let errors = step.latent(&latent(8), stamp(8)).unwrap().errors;
+    assert_eq!(
+        errors.iter().map(|error| error.step).collect::<Vec<_>>(),
+        [3]
+    );
+}
+
+#[test]
+fn a_prediction_that_is_late_is_scored_at_once() {
+    let (model, mut step) = (model(), predictor());
+    let outcome = feed(&mut step, 0..=2);
+    feed(&mut step, 3..=4);
+    let predicted = run(&model, outcome);
+    assert_eq!(
+        step.predicted(&predicted[0]).map(|error| error.step),
+        Some(1)
+    );
+    assert_eq!(step.predicted(&predicted[1]), None);
+}
+
+#[test]
+fn a_loop_flushes_history_and_open_predictions() {
+    let (model, mut step) = (model(), predictor());
+    let predicted = run(&model, feed(&mut step, 0..=40));
+    for one in &predicted {
+        step.predicted(one);
+    }
+    let outcome = step.latent(&latent(0), stamp(0)).unwrap();
+    assert!(outcome.arrival.flushed && outcome.errors.is_empty());
+    assert_eq!(
+        outcome.rollout.unwrap_err(),
+        Wait::Context { have: 1, need: 2 }
+    );
+    assert_eq!(step.predicted(&predicted[1]), None, "of the time before");
+    // Up to the moments of the old predictions: only new ones may be scored, and there are none.
+    let again = feed(&mut step, 1..=46);
+    assert!(again.errors.is_empty() && again.rollout.is_ok());
+}
+
+#[test]
+fn bad_input_is_named_and_leaves_the_state_as_it_was() {
+    let mut step = predictor();
+    let before = feed(&mut step, 0..=2).rollout.unwrap();
+    let refused =
+        |step: &mut PredictorStep, latent: &Latent| step.latent(latent, stamp(9)).unwrap_err();
+
+    let foreign = Latent {
+        space: SpaceMessage {
+            name: "other".into(),
+            hash: "11".into(),
+        },
+        ..latent(3)
+    };
+    let error = refused(&mut step, &foreign);
+    assert!(
+        error
+            .to_string()
+            .contains("\"other\" (11); expected \"test\" (00ff)"),
+        "{error}"
+    );
+    assert_eq!(error.reason(), "wrong_space");
+
+    let mut nan = latent(3);
+    nan.data.splice(0..4, f32::NAN.to_le_bytes());
+    let error = refused(&mut step, &nan);
+    assert!(
+        matches!(
+            error,
+            PredictorError::Latent(LatentError::NotFinite { index: 0 })
+        ),
+        "{error}"
+    );
+
+    assert_eq!(refused(&mut step, &latent(2)).reason(), "duplicate");
+    assert_eq!(refused(&mut step, &latent(1)).reason(), "out_of_order");
+    let mut infinite = action(3);
+    infinite.values[0] = f32::INFINITY;
+    let error = step.action(&infinite).unwrap_err();
+    assert!(
+        matches!(
+            error,
+            PredictorError::Timeline(TimelineError::Action { .. })
+        ),
+        "{error}"
+    );
+
+    let after = step.request(before.received).unwrap();
+    assert_eq!(after.context.frames, before.context.frames);
+    assert_eq!(after.future, before.future);
+}
+
+#[test]
+fn without_actions_it_waits_and_says_so() {
+    let mut step = predictor();
+    for index in 0..4 {
+        step.latent(&latent(index), stamp(index)).unwrap();
+    }
+    let wait = step
+        .latent(&latent(4), stamp(4))
+        .unwrap()
+        .rollout
+        .unwrap_err();
+    assert!(matches!(wait, Wait::NoAction { .. }));
+    assert!(wait.to_string().contains("no action has come"), "{wait}");
+}
+
+#[test]
+fn a_prediction_fits_a_message_that_ros_can_receive() {
+    let large = LatentSpace {
+        height: 16,
+        width: 16,
+        channels: 96,
+        ..space()
+    };
+    let prediction = Prediction {
+        latent: encode_latent(
+            &vec![0.0; 24_576],
+            &large,
+            LatentDtype::F16,
+            Header::default(),
+        )
+        .unwrap(),
+        actions: (0..32).map(action).collect(),
+        ..Prediction::default()
+    };
+    // Beyond about 98 KB, Fast DDS's default receive buffer loses messages.
+    assert!(wm_msgs::cdr::to_bytes(&prediction).unwrap().len() < 98_000);
+}

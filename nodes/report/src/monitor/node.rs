@@ -1,0 +1,218 @@
+//! The monitor on the wire.
+
+use super::live_line::LiveLine;
+use crate::{Scorer, files::write_report, table::terminal_table};
+use anyhow::{Result, ensure};
+use image::RgbImage;
+use std::io::{IsTerminal as _, Write as _};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+use tokio::time::MissedTickBehavior;
+use tracing::warn;
+use wm_msgs::{
+    diagnostic_msgs::DiagnosticArray,
+    wm_msgs::{Plan, Prediction, PredictionError},
+};
+use wm_ros::{Descriptor, Diagnostics, Node, NodeArgs, Qos, Received, Subscription};
+use wm_wire::camera_frame::CameraFrame;
+use wm_wire::transport::{ImageSubscription, Transports};
+
+/// The node's default name.
+pub const NAME: &str = "monitor";
+
+/// Best effort, which matches every publisher; room for the rollouts that come while one frame is scored.
+const QOS: Qos = Qos::best_effort(64);
+
+/// How often the live line is renewed.
+const LIVE_PERIOD: Duration = Duration::from_millis(500);
+
+/// Runs the monitor until a signal, then writes the report, if there is anything to report of.
+///
+/// # Errors
+/// Names what is wrong with arguments or parameters, or the file that cannot be written.
+pub fn run(args: &NodeArgs) -> Result<()> {
+    args.expect_no_rest()?;
+    let mut monitor = None;
+    wm_ros::run(
+        NAME,
+        wm_ros::NAMESPACE,
+        args,
+        async |node: Node| -> Result<()> {
+            let (state, inputs) = start(&node)?;
+            watch(monitor.insert(state), inputs).await;
+            Ok(())
+        },
+    )?;
+    // after the node has left the graph, so that nothing hurries the writing
+    if let Some(Monitor { scorer, output, .. }) = monitor {
+        // as where the player found no bag: a table of nothing would hide why
+        if scorer.is_empty() {
+            warn!("no report: no frame, prediction or plan was seen");
+            return Ok(());
+        }
+        let (report, files) = write_report(&scorer, "live", &output)?;
+        print!("{}", terminal_table(&report));
+        for file in files {
+            println!("{}", file.display());
+        }
+    }
+    Ok(())
+}
+
+struct Monitor {
+    scorer: Scorer,
+    line: LiveLine,
+    is_live: bool,
+    output: PathBuf,
+    diagnostics: Diagnostics,
+    /// The transport (whether the raw one) by which predicted pictures are taken: that of the first.
+    takes_raw: Option<bool>,
+}
+
+struct Inputs {
+    camera: ImageSubscription,
+    predicted: Subscription<Prediction>,
+    pictures: ImageSubscription,
+    errors: Subscription<PredictionError>,
+    plans: Subscription<Plan>,
+    diagnostics: Subscription<DiagnosticArray>,
+}
+
+fn start(node: &Node) -> Result<(Monitor, Inputs)> {
+    let fixed = |text: &str| Descriptor::new(text).read_only();
+    let output = node
+        .declare(
+            "output",
+            "out/monitor".to_owned(),
+            fixed("folder of the report; relative to the working directory"),
+        )?
+        .get();
+    let is_live = node
+        .declare("live_line", true, fixed("show a line of what is happening"))?
+        .get();
+    let camera = node
+        .declare(
+            "camera_topic",
+            "/camera/image_raw".to_owned(),
+            fixed("the camera's topic; its sibling /compressed too"),
+        )?
+        .get();
+    let transports = Transports::declare(node)?;
+    node.seal_parameters()?;
+    ensure!(
+        !output.is_empty(),
+        "parameter \"output\" is empty: name the folder of the report"
+    );
+    let inputs = Inputs {
+        camera: ImageSubscription::new(node, &camera, transports, QOS)?,
+        predicted: node.subscription("predicted", QOS)?,
+        pictures: ImageSubscription::new(node, "predicted/image", Transports::BOTH, QOS)?,
+        errors: node.subscription("prediction_error", QOS)?,
+        plans: node.subscription("plan", QOS)?,
+        diagnostics: node.subscription("/diagnostics", QOS)?,
+    };
+    node.seal_endpoints()?;
+    let monitor = Monitor {
+        scorer: Scorer::default(),
+        line: LiveLine::default(),
+        is_live,
+        output: PathBuf::from(output),
+        diagnostics: node.diagnostics(),
+        takes_raw: None,
+    };
+    Ok((monitor, inputs))
+}
+
+async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
+    let mut ticks = tokio::time::interval(LIVE_PERIOD);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    loop {
+        tokio::select! {
+            received = inputs.camera.recv() => match received {
+                Some(received) => monitor.camera(&received.message),
+                None => break,
+            },
+            received = inputs.predicted.recv() => match received {
+                Some(received) => monitor.prediction(&received),
+                None => break,
+            },
+            Some(received) = inputs.pictures.recv() => monitor.picture(&received),
+            Some(received) = inputs.errors.recv() => monitor.scorer.error(&received.message),
+            Some(Received { message, .. }) = inputs.plans.recv() => {
+                monitor.line.plan(message.cost, message.time_taken.to_nanos());
+                monitor.scorer.plan(&message);
+            }
+            Some(received) = inputs.diagnostics.recv() => monitor.scorer.diagnostics(&received.message),
+            _ = ticks.tick() => monitor.show(),
+        }
+    }
+    if monitor.is_live && std::io::stderr().is_terminal() {
+        eprintln!();
+    }
+}
+
+impl Monitor {
+    fn camera(&mut self, frame: &CameraFrame) {
+        match frame.decode() {
+            Ok(rgb) => self.frame(frame.header().stamp.to_nanos(), rgb),
+            Err(problem) => self.left_out("camera image", &problem),
+        }
+    }
+
+    /// A predicted picture may come raw and compressed: it counts once.
+    fn picture(&mut self, received: &Received<CameraFrame>) {
+        let Received { message, received } = received;
+        let is_raw = matches!(message, CameraFrame::Raw(_));
+        if *self.takes_raw.get_or_insert(is_raw) != is_raw {
+            return;
+        }
+        let stamp_ns = message.header().stamp.to_nanos();
+        match message.decode() {
+            Ok(picture) => self.scorer.picture(stamp_ns, picture, received.to_nanos()),
+            Err(problem) => self.left_out("predicted image", &problem),
+        }
+    }
+
+    fn frame(&mut self, stamp_ns: i64, frame: RgbImage) {
+        let before = self.scorer.frame_count();
+        self.scorer.frame(stamp_ns, frame);
+        // a frame may come raw and compressed: it counts once
+        if self.scorer.frame_count() > before {
+            self.line.frame(Instant::now());
+        }
+    }
+
+    fn prediction(&mut self, received: &Received<Prediction>) {
+        let Received { message, received } = received;
+        let arrived_ns = received.to_nanos();
+        let latency_ns = arrived_ns.saturating_sub(message.observed_stamp.to_nanos());
+        self.line
+            .prediction(message.step, latency_ns, Instant::now());
+        self.scorer.prediction(message, arrived_ns);
+    }
+
+    fn left_out(&self, what: &str, problem: &dyn std::fmt::Display) {
+        self.diagnostics.count_drop(what);
+        warn!("{what} left out: {problem}");
+    }
+
+    /// On a terminal the line renews itself in place; elsewhere it is a line that begins with a carriage return, by
+    /// which `wm launch` knows it. A closed standard error is no reason to stop watching.
+    fn show(&mut self) {
+        if !self.is_live {
+            return;
+        }
+        let text = self.line.text(
+            Instant::now(),
+            self.scorer.last_error_ratio(),
+            self.scorer.drop_count(),
+        );
+        let mut screen = std::io::stderr();
+        let written = if screen.is_terminal() {
+            write!(screen, "\r\x1b[2K{text}").and_then(|()| screen.flush())
+        } else {
+            writeln!(screen, "\r{text}")
+        };
+        written.ok();
+    }
+}

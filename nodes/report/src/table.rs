@@ -1,0 +1,204 @@
+//! The report as a table for the terminal, and as Markdown.
+
+use super::figures::{Percentiles, Report, StepFigures};
+use std::fmt::Write as _;
+
+const HEADINGS: [&str; 11] = [
+    "k",
+    "n",
+    "PSNR dB",
+    "(held)",
+    "SSIM",
+    "(held)",
+    "latent ratio",
+    "p50 ms",
+    "p95 ms",
+    "p99 ms",
+    "missing",
+];
+
+/// The report in lines of text; "held" is the persistence baseline.
+#[must_use]
+pub fn terminal_table(report: &Report) -> String {
+    let rows: Vec<[String; 11]> = report.steps.iter().map(row).collect();
+    let mut widths = HEADINGS.map(str::len);
+    for row in &rows {
+        for (width, cell) in widths.iter_mut().zip(row) {
+            *width = (*width).max(cell.chars().count());
+        }
+    }
+    let mut text = heading(report);
+    let line = |cells: &mut dyn Iterator<Item = &str>| {
+        let padded: Vec<String> = cells
+            .zip(widths)
+            .map(|(cell, width)| format!("{cell:>width$}"))
+            .collect();
+        padded.join("  ")
+    };
+    // writing to a String cannot fail
+    writeln!(text, "{}", line(&mut HEADINGS.iter().copied())).ok();
+    for row in &rows {
+        writeln!(text, "{}", line(&mut row.iter().map(String::as_str))).ok();
+    }
+    text.push_str(&remarks(report, ""));
+    text
+}
+
+/// The report as Markdown.
+#[must_use]
+pub fn markdown(report: &Report) -> String {
+    let mut text = format!(
+        "# Predictions against what happened\n\n{}\n",
+        heading(report)
+    );
+    // writing to a String cannot fail
+    writeln!(
+        text,
+        "| {} |\n|{}",
+        HEADINGS.join(" | "),
+        "---:|".repeat(HEADINGS.len())
+    )
+    .ok();
+    for step in &report.steps {
+        writeln!(text, "| {} |", row(step).join(" | ")).ok();
+    }
+    writeln!(text, "\n{}", remarks(report, "- ")).ok();
+    if is_compared(report) {
+        text.push_str("![real, predicted and difference over the steps](strip.png)\n");
+    }
+    text
+}
+
+fn is_compared(report: &Report) -> bool {
+    report.steps.iter().any(|step| step.compared > 0)
+}
+
+fn heading(report: &Report) -> String {
+    let hash: String = report.model_hash.chars().take(12).collect();
+    format!(
+        "{}: {} frames at {:.2} Hz, {} observations, model {} {hash}, K = {} steps of {:.2} s\n",
+        report.source,
+        report.frames,
+        report.frame_rate_hz,
+        report.observations,
+        report.model,
+        report.horizon,
+        report.step_period_s,
+    )
+}
+
+fn row(step: &StepFigures) -> [String; 11] {
+    let number = |value: Option<f64>, digits: usize| match value {
+        Some(value) => format!("{value:.digits$}"),
+        None => "-".to_owned(),
+    };
+    let time = |pick: fn(&Percentiles) -> f64| number(step.received_latency.as_ref().map(pick), 1);
+    [
+        step.step.to_string(),
+        step.compared.to_string(),
+        number(step.psnr_db, 2),
+        number(step.persistence_psnr_db, 2),
+        number(step.ssim, 3),
+        number(step.persistence_ssim, 3),
+        number(step.latent_error_ratio, 3),
+        time(|latency| latency.p50_ms),
+        time(|latency| latency.p95_ms),
+        time(|latency| latency.p99_ms),
+        step.missing.to_string(),
+    ]
+}
+
+fn remarks(report: &Report, bullet: &str) -> String {
+    let mut text = String::new();
+    let mut add = |line: String| {
+        // writing to a String cannot fail
+        writeln!(text, "{bullet}{line}").ok();
+    };
+    add("n: pictures compared with the frame of their moment; held: the last observed frame held still; latent \
+         ratio: latent error of the model over that of holding still; ms: capture of the observed frame to the \
+         prediction's arrival"
+        .to_owned());
+    if !is_compared(report) {
+        add("nothing was compared: no predicted picture has a frame of its moment; an env's bag has no predicted \
+             pictures, since its frames are the predictions"
+            .to_owned());
+    }
+    if let Some(plans) = &report.plans {
+        let times = plans.time_taken.unwrap_or_default();
+        add(format!(
+            "{} plans in p50 {:.0} ms, p95 {:.0} ms; {} cut short by the deadline; cost {:.3} first, {:.3} last",
+            plans.plans,
+            times.p50_ms,
+            times.p95_ms,
+            plans.deadline_cuts,
+            plans.first_cost,
+            plans.last_cost
+        ));
+    }
+    if report.drops.is_empty() {
+        add("drops: none".to_owned());
+    }
+    for drops in &report.drops {
+        add(format!(
+            "dropped by {}: {} ({})",
+            drops.node, drops.total, drops.reason
+        ));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::figures::Drops;
+
+    fn report() -> Report {
+        let latency = Percentiles {
+            n: 9,
+            p50_ms: 40.04,
+            p95_ms: 61.0,
+            p99_ms: 99.9,
+            max_ms: 100.0,
+        };
+        let step = StepFigures {
+            step: 1,
+            compared: 9,
+            psnr_db: Some(28.456),
+            received_latency: Some(latency),
+            ..StepFigures::default()
+        };
+        let drops = vec![Drops {
+            node: "wm/encoder".to_owned(),
+            reason: "late".to_owned(),
+            total: 2,
+        }];
+        Report {
+            source: "live".to_owned(),
+            steps: vec![step],
+            drops,
+            ..Report::default()
+        }
+    }
+
+    #[test]
+    fn columns_line_up() {
+        let table = terminal_table(&report());
+        let lines: Vec<&str> = table.lines().collect();
+        assert_eq!(lines[1].len(), lines[2].len());
+        assert!(
+            lines[2].contains("28.46") && lines[2].contains("40.0") && lines[2].contains('-'),
+            "{table}"
+        );
+        assert!(table.contains("dropped by wm/encoder: 2 (late)"));
+    }
+
+    #[test]
+    fn markdown_has_a_cell_for_every_heading() {
+        let text = markdown(&report());
+        let rows: Vec<&str> = text.lines().filter(|line| line.starts_with('|')).collect();
+        assert_eq!(rows.len(), 3);
+        for row in rows {
+            assert_eq!(row.matches('|').count(), HEADINGS.len() + 1, "{row}");
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! A camera's frame, by either transport.
+
+use image::RgbImage;
+use wm_msgs::{
+    sensor_msgs::{CompressedImage, Image},
+    std_msgs::Header,
+};
+
+use crate::image_message::{ImageError, decode_compressed, decode_image};
+
+/// A frame by either transport.
+#[derive(Clone, Debug)]
+pub enum CameraFrame {
+    /// sensor_msgs/Image.
+    Raw(Image),
+    /// sensor_msgs/CompressedImage.
+    Compressed(CompressedImage),
+}
+
+impl CameraFrame {
+    /// Capture time and optical frame.
+    pub fn header(&self) -> &Header {
+        match self {
+            Self::Raw(image) => &image.header,
+            Self::Compressed(image) => &image.header,
+        }
+    }
+
+    /// The pixels.
+    ///
+    /// # Errors
+    /// [`ImageError`] names what is wrong with the message.
+    pub fn decode(&self) -> Result<RgbImage, ImageError> {
+        match self {
+            Self::Raw(image) => decode_image(image),
+            Self::Compressed(image) => decode_compressed(image),
+        }
+    }
+}
