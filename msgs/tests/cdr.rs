@@ -29,15 +29,17 @@ fn latent() -> impl Strategy<Value = Latent> {
         header(),
         "[a-z+]{0,9}",
         "[0-9a-f]{0,64}",
+        any::<u64>(),
         prop::collection::vec(any::<u8>(), 0..300),
     )
-        .prop_map(|(header, name, hash, data)| Latent {
+        .prop_map(|(header, name, hash, epoch, data)| Latent {
             header,
             space: LatentSpace { name, hash },
             height: 1,
             width: 2,
             channels: 3,
             dtype: Latent::BF16,
+            epoch,
             data,
         })
 }
@@ -62,6 +64,7 @@ fn prediction() -> impl Strategy<Value = Prediction> {
             step,
             horizon: 8,
             step_period: Duration::from_nanos(400_000_000),
+            epoch: latent.epoch,
             latent,
             actions,
             model_hash: model.clone(),

@@ -31,6 +31,8 @@ pub struct Latent {
     pub channels: u32,
     /// Type of one number: [`F32`](Self::F32), [`F16`](Self::F16) or [`BF16`](Self::BF16).
     pub dtype: u8,
+    /// Which stretch of time the frame is of; a later one has a greater number.
+    pub epoch: u64,
     /// `height` x `width` x `channels` little-endian numbers, row-major, channels last.
     #[serde(with = "serde_bytes")]
     pub data: Vec<u8>,
@@ -150,6 +152,8 @@ pub struct Prediction {
     pub latent: Latent,
     /// What it was conditioned on, from the observation up to step k.
     pub actions: Vec<Action>,
+    /// The predictor's history; a reset or a jump of time begins one with a greater number.
+    pub epoch: u64,
     /// Name of the transition model.
     pub model: String,
     /// Lower-case hex SHA-256 of its weights and configuration.
@@ -184,12 +188,18 @@ pub struct PredictionError {
 /// Actions that the planner found to bring the camera's latent to the goal's.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
-    /// `stamp`: capture time of the frame that the plan starts from.
+    /// `stamp`: capture time of the observed frame.
     pub header: Header,
-    /// The planned actions, clamped to the bounds; stamp + index x `period`.
+    /// The planned actions, clamped to the bounds; each header's stamp says when it begins.
     pub actions: Vec<Action>,
     /// Time of one planned action (one model step).
     pub period: Duration,
+    /// The dimensions that were searched; the others hold their state, deltas are 0.
+    pub searched: Vec<String>,
+    /// Model steps from the observed frame to the first action, predicted while the plan is made.
+    pub lead_steps: u32,
+    /// The planner's history; a reset or a jump of time begins one with a greater number.
+    pub epoch: u64,
     /// Mean squared latent error to the goal of the planned actions.
     pub cost: f32,
     /// The best cost after each iteration.

@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result};
 use wm_ros::{Descriptor, Node};
 
-use crate::timeline::ChunkMerging;
+use crate::history::ChunkMerging;
 
 /// Declares the parameter and reads it.
 ///

@@ -5,7 +5,7 @@ use wm_model::{Decoder, Encoder, actions::ActionEncoding, bundle::EMBEDDED};
 use wm_ros::{Descriptor, Node};
 use wm_zoo::{WorldModel, success_probe::SuccessClassifier};
 
-use crate::{predictor::PredictorModel, timeline::Timing};
+use crate::{history::Timing, predictor::PredictorModel};
 
 /// The chosen model.
 #[derive(Clone, Debug)]
@@ -86,10 +86,6 @@ impl OpenModel {
     /// Names what is missing or wrong in the weights.
     pub fn predictor(&self) -> Result<PredictorModel> {
         let bundled = self.model.transition().with_context(|| self.text.clone())?;
-        bundled
-            .encoding
-            .validate()
-            .with_context(|| self.text.clone())?;
         Ok(PredictorModel {
             transition: bundled.model,
             name: self.name.clone(),
@@ -103,5 +99,5 @@ impl OpenModel {
 /// Timing of a camera with `frame_period` \[s\] between frames and of the model's steps.
 pub fn timing(frame_period: f64, encoding: &ActionEncoding) -> Timing {
     // The parameter's descriptor keeps it within a minute.
-    Timing::new((frame_period * 1e9).round() as i64, encoding.frame_skip)
+    Timing::new((frame_period * 1e9).round() as i64, encoding.frame_skip())
 }

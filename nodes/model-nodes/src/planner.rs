@@ -15,4 +15,4 @@ pub use error::PlannerError;
 pub use goal::Goal;
 pub use model::PlannerModel;
 pub use node::{NAME, body, run};
-pub use step::{PlanRequest, PlanWait, PlannerSettings, PlannerStep};
+pub use step::{Lead, PlanRequest, PlanWait, PlannerSettings, PlannerStep, Unsent};

@@ -10,9 +10,10 @@ mod node;
 mod rollout;
 mod scoring;
 mod step;
+mod trust;
 
 pub use error::PredictorError;
 pub use node::{NAME, body, run};
 pub use rollout::{PredictedStep, PredictorModel, RolloutRequest, RunningRollout};
-pub(crate) use rollout::{context_tensor, past_actions};
-pub use step::{LatentOutcome, PredictorSettings, PredictorStep};
+pub use step::{Outcome, PredictorSettings, PredictorStep};
+pub use trust::{Doubt, Trust};

@@ -423,6 +423,13 @@ async fn public_topics_carry_what_they_should(
     );
     assert_eq!(plan.period, RosDuration::from_nanos(2 * PERIOD));
     assert!(plan.time_taken.to_nanos() > 0 && plan.cost.is_finite());
+    assert_eq!(plan.searched, ["dx", "dy", "dz", "droll", "dpitch", "dyaw"]);
+    assert!(plan.epoch > 0);
+    // It begins where the search is expected to be over.
+    let lead_ns = i64::from(plan.lead_steps) * 2 * PERIOD;
+    let begins_ns = plan.actions[0].header.stamp.to_nanos();
+    assert_eq!(begins_ns - plan.header.stamp.to_nanos(), lead_ns);
+    assert!(plan.lead_steps > 0);
     first + 3
 }
 
@@ -528,6 +535,9 @@ async fn bad_input_is_counted_and_survived(
 }
 
 async fn resets_and_jumps_flush(world: &mut World, next: i64) {
+    world.moment(next).await;
+    let epoch = world.predictions_from(next).await[0].epoch;
+    let next = next + 1;
     for client in &world.resets {
         let call = client.call(&ResetRequest {
             seed: 5,
@@ -547,6 +557,8 @@ async fn resets_and_jumps_flush(world: &mut World, next: i64) {
     }
     let predictions = world.predictions_from(next + 2).await;
     assert!(predictions.iter().all(|prediction| prediction.seed == 5));
+    let after_reset = predictions[0].epoch;
+    assert!(after_reset > epoch, "{after_reset} {epoch}");
 
     // The bag begins anew: the first prediction is from its third frame.
     for index in -40..-37 {
@@ -554,4 +566,5 @@ async fn resets_and_jumps_flush(world: &mut World, next: i64) {
     }
     let first = soon("a prediction after the jump", &mut world.predictions).await;
     assert_eq!(first.observed_stamp, stamp(-38));
+    assert!(first.epoch > after_reset);
 }

@@ -18,6 +18,7 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
+    time::Instant,
 };
 use wm_msgs::{Message, builtin_interfaces::Time, cdr};
 
@@ -28,6 +29,26 @@ pub struct Received<M> {
     pub message: M,
     /// When it came (node clock).
     pub received: Time,
+    /// When it came, by a clock that never jumps.
+    pub at: Instant,
+    /// Who sent it.
+    pub publisher: PublisherId,
+}
+
+/// A publisher in the whole graph: its DDS GUID.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct PublisherId(pub [u8; 16]);
+
+impl<M> Received<M> {
+    /// The same reception, of what `f` makes of the message.
+    pub fn map<N>(self, f: impl FnOnce(M) -> N) -> Received<N> {
+        Received {
+            message: f(self.message),
+            received: self.received,
+            at: self.at,
+            publisher: self.publisher,
+        }
+    }
 }
 
 /// The receiving end of a topic of any type: CDR bytes with their 4-byte header, as they were sent.
@@ -108,6 +129,8 @@ impl Intake {
         let received = Received {
             message: sample.bytes,
             received: self.clock.now(),
+            at: Instant::now(),
+            publisher: PublisherId(sample.writer),
         };
         if !self.mailbox.push(received) {
             self.diagnostics
@@ -245,6 +268,8 @@ impl<M: Message> Subscription<M> {
             Ok(message) => Some(Received {
                 message,
                 received: sample.received,
+                at: sample.at,
+                publisher: sample.publisher,
             }),
             Err(error) => {
                 self.raw.intake.refuse(&error.to_string());

@@ -172,6 +172,7 @@ pub fn encode_latent(
         width: side(space.width),
         channels: side(space.channels),
         dtype: dtype.to_wire(),
+        epoch: 0,
         data,
     })
 }

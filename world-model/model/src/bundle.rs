@@ -106,7 +106,7 @@ impl Bundle {
             return Err(disagrees(CONFIG_KEY, reason));
         }
         let (told, taken) = (
-            (encoding.action_dim, encoding.frame_skip),
+            (encoding.action_dim(), encoding.frame_skip()),
             (config.action_dim, config.frame_skip),
         );
         if told != taken {
@@ -142,7 +142,7 @@ mod tests {
             (config.latent_height, config.latent_width, config.channels),
             (space.height, space.width, space.channels)
         );
-        assert_eq!(config.action_dim, transition.encoding.action_dim);
+        assert_eq!(config.action_dim, transition.encoding.action_dim());
         assert!(EMBEDDED_AUTOENCODER.len() + EMBEDDED_TRANSITION.len() <= 12_000_000);
     }
 

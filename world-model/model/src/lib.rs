@@ -16,6 +16,7 @@ pub mod autoencoder;
 pub mod bundle;
 pub mod image;
 pub mod metrics;
+pub mod motion;
 pub mod ops;
 pub mod planner;
 pub mod sampler;

@@ -1,6 +1,6 @@
 //! Planning: which actions bring the latent that the camera sees to the latent of a goal.
 //!
-//! [`Cem`] is the cross-entropy method over a diagonal Gaussian of k x 7 action values. It asks a [`Dynamics`] what
+//! [`Cem`] is the cross-entropy method over a diagonal Gaussian of action values. It asks a [`Dynamics`] what
 //! candidates lead to and a [`Target`] what that costs; it holds no model, no clock and no robot. The transition model
 //! serves it by [`TransitionDynamics`], which shares one cached context and one fixed noise among all candidates.
 //!
@@ -8,6 +8,7 @@
 
 mod cem;
 mod error;
+mod partial;
 mod settings;
 mod target;
 mod transition_dynamics;
@@ -16,6 +17,7 @@ use candle_core::Tensor;
 
 pub use cem::{Cem, PlannedActions};
 pub use error::PlanError;
+pub use partial::Partial;
 pub use settings::{CemSettings, Returned};
 pub use target::Target;
 pub use transition_dynamics::TransitionDynamics;

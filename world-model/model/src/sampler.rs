@@ -47,9 +47,10 @@ pub struct Given<'a> {
     /// Noise that the new frame starts from, (candidates, H, W, C), or (1, H, W, C) for all of them; else it comes
     /// from the seed.
     pub noise: Option<&'a Tensor>,
-    /// The action that leads on from the new frame, (candidates, A), or (1, A) for all of them. Under
-    /// [`ActionAlignment::WithFrame`](crate::transition::ActionAlignment::WithFrame) it is fed with the frame, which
-    /// else gets zeros; it has to be the action of the next step then. Otherwise it is not used.
+    /// The action that leads on from the new frame, (candidates, A), or (1, A) for all of them: that of the next step.
+    /// Under [`ActionAlignment::WithFrame`](crate::transition::ActionAlignment::WithFrame) it is fed with the frame, as in
+    /// training, where every frame carries its own action; without it the last action goes on. Under the other
+    /// alignment it is not used.
     pub own_action: Option<&'a Tensor>,
 }
 
@@ -164,13 +165,18 @@ impl<'m> Rollout<'m> {
         })
     }
 
+    /// Length A of a model action.
+    pub fn action_dim(&self) -> usize {
+        self.model.config().action_dim
+    }
+
     /// Number of predictions made so far: k of the one last returned.
     pub fn steps_taken(&self) -> usize {
         self.steps_taken
     }
 
-    /// Predicts where `action` (candidates, A) leads from the last frame: (candidates, H, W, C).
-    /// The prediction is part of the context of the next one.
+    /// Predicts where `action` (candidates, A) leads from the last frame: (candidates, H, W, C), if it goes on
+    /// thereafter. The prediction is part of the context of the next one.
     ///
     /// # Errors
     /// If the shape does not fit, or an action is not finite.

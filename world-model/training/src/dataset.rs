@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use wm_bag::BagReader;
+use wm_model::actions::ActionSpace;
 
 use cache::Cache;
 
@@ -60,9 +61,8 @@ pub struct Episode {
     pub first_frame: usize,
     /// How many frames it has.
     pub frame_count: usize,
-    /// The action taken at each frame's time, in physical units: dx dy dz \[m\], droll dpitch dyaw \[rad\],
-    /// gripper \[0 closed .. 1 open\].
-    pub actions: Vec<[f32; 7]>,
+    /// What the robot does from each frame to the next, in the units of the dataset's action space.
+    pub actions: Vec<Vec<f32>>,
 }
 
 /// Decoded episodes; see the module's documentation.
@@ -70,6 +70,7 @@ pub struct Episode {
 pub struct Dataset {
     digest: String,
     size: (usize, usize),
+    space: ActionSpace,
     episodes: Vec<Episode>,
     frames: memmap2::Mmap,
     masks: Option<memmap2::Mmap>,
@@ -87,15 +88,17 @@ impl Dataset {
         size: (usize, usize),
     ) -> Result<Self, DatasetError> {
         let bags = find_bags(bags_root)?;
+        let space = common_space(&bags)?;
         let digest = digest(&bags, size)?;
         let cache = Cache::at(cache_dir, &digest);
         if !cache.is_complete() {
-            decode(&bags, size, &cache)?;
+            decode(&bags, size, &space, &cache)?;
         }
         let (episodes, frames, masks) = cache.open()?;
         Ok(Self {
             digest,
             size,
+            space,
             episodes,
             frames,
             masks,
@@ -106,6 +109,12 @@ impl Dataset {
     #[must_use]
     pub fn digest(&self) -> &str {
         &self.digest
+    }
+
+    /// What its actions are.
+    #[must_use]
+    pub fn action_space(&self) -> &ActionSpace {
+        &self.space
     }
 
     /// Height and width of the frames.
@@ -176,7 +185,8 @@ fn open_bag(bag: &Path) -> Result<BagReader, DatasetError> {
 
 fn digest(bags: &[PathBuf], size: (usize, usize)) -> Result<String, DatasetError> {
     let mut hash = Sha256::new();
-    hash.update(format!("{}x{}\n", size.0, size.1));
+    // The number counts up where frames or actions are made of the same bags in another way.
+    hash.update(format!("2 {}x{}\n", size.0, size.1));
     for bag in bags {
         hash.update(bag.file_name().unwrap_or_default().as_encoded_bytes());
         let io = |path: &Path| {
@@ -203,7 +213,33 @@ fn digest(bags: &[PathBuf], size: (usize, usize)) -> Result<String, DatasetError
         .collect())
 }
 
-fn decode(bags: &[PathBuf], size: (usize, usize), cache: &Cache) -> Result<(), DatasetError> {
+/// The action space that all bags share.
+fn common_space(bags: &[PathBuf]) -> Result<ActionSpace, DatasetError> {
+    let mut common: Option<(&PathBuf, ActionSpace)> = None;
+    for bag in bags {
+        let space = episode::action_space(&open_bag(bag)?, bag)?;
+        match &common {
+            None => common = Some((bag, space)),
+            Some((first, expected)) => {
+                let (own, others) = (first.display().to_string(), bag.display().to_string());
+                expected
+                    .expect_same(&space, &own, &others)
+                    .map_err(|error| DatasetError::Episode {
+                        bag: bag.clone(),
+                        what: error.to_string(),
+                    })?;
+            }
+        }
+    }
+    Ok(common.map_or_else(ActionSpace::bridge, |(_, space)| space))
+}
+
+fn decode(
+    bags: &[PathBuf],
+    size: (usize, usize),
+    space: &ActionSpace,
+    cache: &Cache,
+) -> Result<(), DatasetError> {
     let style = ProgressStyle::with_template("decoding {bar:40} {pos}/{len} bags, {eta} left")
         .unwrap_or_else(|_| ProgressStyle::default_bar());
     let progress = ProgressBar::new(bags.len() as u64).with_style(style);
@@ -212,7 +248,7 @@ fn decode(bags: &[PathBuf], size: (usize, usize), cache: &Cache) -> Result<(), D
     for group in bags.chunks(4 * rayon::current_num_threads()) {
         let decoded = group
             .par_iter()
-            .map(|bag| episode::decode(&open_bag(bag)?, bag, size))
+            .map(|bag| episode::decode(&open_bag(bag)?, bag, size, space))
             .collect::<Result<Vec<_>, _>>()?;
         for (bag, episode) in group.iter().zip(decoded) {
             writer.push(bag, episode)?;

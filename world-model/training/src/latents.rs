@@ -15,7 +15,7 @@ use half::f16;
 use indicatif::{ProgressBar, ProgressStyle};
 use memmap2::Mmap;
 use rayon::prelude::*;
-use wm_model::{Encoder, LatentSpace};
+use wm_model::{Encoder, LatentSpace, actions::ActionSpace};
 
 use crate::dataset::{Dataset, Episode};
 
@@ -28,6 +28,7 @@ pub struct Latents {
     space: LatentSpace,
     episodes: Vec<Episode>,
     digest: String,
+    actions: ActionSpace,
     values: Mmap,
 }
 
@@ -53,6 +54,7 @@ impl Latents {
             space,
             dataset.episodes().to_vec(),
             dataset.digest().to_owned(),
+            dataset.action_space().clone(),
         )
     }
 
@@ -62,6 +64,7 @@ impl Latents {
         space: LatentSpace,
         episodes: Vec<Episode>,
         digest: String,
+        actions: ActionSpace,
     ) -> Result<Self> {
         let file = File::open(path).with_context(|| path.display().to_string())?;
         // SAFETY: the cache is this program's own; whoever changes it during a training breaks only their own run.
@@ -78,6 +81,7 @@ impl Latents {
             space,
             episodes,
             digest,
+            actions,
             values,
         })
     }
@@ -92,6 +96,12 @@ impl Latents {
     #[must_use]
     pub fn episodes(&self) -> &[Episode] {
         &self.episodes
+    }
+
+    /// What the actions of its episodes are.
+    #[must_use]
+    pub fn action_space(&self) -> &ActionSpace {
+        &self.actions
     }
 
     /// Digest of the frames that the latents are of.

@@ -22,7 +22,7 @@ use candle_core::Var;
 use indicatif::{ProgressBar, ProgressStyle};
 use wm_model::{
     Autoencoder, Encoder, Weights,
-    actions::ActionEncoding,
+    actions::{Accumulation, ActionEncoding},
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
@@ -58,11 +58,18 @@ impl TrainTransitionArgs {
             None => None,
         };
         let config = self.config(&train)?;
-        let actions = ActionEncoding {
-            action_dim: config.action_dim,
-            frame_skip: config.frame_skip,
-            ..ActionEncoding::default()
-        };
+        let actions = ActionEncoding::new(
+            train.action_space().clone(),
+            config.action_dim,
+            config.frame_skip,
+            Accumulation::default(),
+        )?;
+        if let Some(held_out) = &held_out {
+            let (own, others) = ("the training's bags", "the held-out bags");
+            actions
+                .space()
+                .expect_same(held_out.action_space(), own, others)?;
+        }
         self.train(config, &actions, &train, held_out.as_ref())
     }
 
@@ -205,6 +212,9 @@ impl EvaluateTransitionArgs {
         let actions: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let space: wm_model::LatentSpace = weights.json(LATENT_SPACE_KEY)?;
         space.require(latents.space())?;
+        actions
+            .space()
+            .expect_same(latents.action_space(), "the model", "the bags")?;
         let model = Transition::from_weights(weights)?.pack()?;
         let evaluation = Evaluation::new(&latents, &actions, HORIZON, self.windows)?;
         println!(

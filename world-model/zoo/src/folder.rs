@@ -354,19 +354,17 @@ fn open_transition(description: &Description, folder: &Path) -> Result<Opened<Dy
         .or_insert_with(|| dit.action_dim.into());
     let encoding: ActionEncoding = parse(&serde_json::Value::Object(actions).to_string())?;
     let wrong = |reason: String| wm_model::Error::config("actions", reason);
-    encoding
-        .validate()
-        .map_err(|error| wrong(error.to_string()))?;
-    if encoding.action_dim != dit.action_dim {
+    if encoding.action_dim() != dit.action_dim {
         let reason = format!(
             "action_dim {}, expected {} of the configuration",
-            encoding.action_dim, dit.action_dim
+            encoding.action_dim(),
+            dit.action_dim
         );
         return Err(wrong(reason).into());
     }
     let published = dit.transition()?;
     let config = TransitionConfig {
-        frame_skip: encoding.frame_skip,
+        frame_skip: encoding.frame_skip(),
         parametrisation: part.parametrisation,
         action_alignment: part.action_alignment,
         sampler: part.sampler.clone().unwrap_or(published.sampler.clone()),

@@ -14,8 +14,8 @@ use super::{
     repeats::{Arrival, Repeats},
 };
 use crate::{
+    history::seconds,
     model_choice::{self, ModelChoice},
-    timeline::seconds,
     work::Work,
 };
 use wm_ros::complaints::Complaints;

@@ -11,6 +11,9 @@ use wm_wire::{
     latent_message::{LatentDtype, LatentError, encode_latent},
 };
 
+/// Least side of a picture that says anything of a scene \[px\].
+const LEAST_SIDE: u32 = 8;
+
 /// Why an image has no latent.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -18,6 +21,14 @@ pub enum EncoderError {
     /// The message is no image.
     #[error(transparent)]
     Image(#[from] ImageError),
+    /// A picture too small to show a scene.
+    #[error("picture of {width}x{height} pixels; each side must be at least {LEAST_SIDE}")]
+    Small {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
     /// The encoder cannot compute it.
     #[error(transparent)]
     Model(#[from] wm_model::Error),
@@ -61,8 +72,12 @@ impl EncoderStep {
     /// The latent of an image, row-major, channels last.
     ///
     /// # Errors
-    /// Those of the encoder.
+    /// [`EncoderError::Small`], and those of the encoder.
     pub fn encode_values(&self, rgb: &RgbImage) -> Result<Vec<f32>, EncoderError> {
+        let (width, height) = rgb.dimensions();
+        if width.min(height) < LEAST_SIDE {
+            return Err(EncoderError::Small { width, height });
+        }
         let pixels = preprocess(rgb, self.encoder.input_size())?;
         Ok(self
             .encoder

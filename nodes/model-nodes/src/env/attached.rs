@@ -1,28 +1,47 @@
 //! The episode that a policy plays by topics.
 
+use std::sync::Arc;
+
 use wm_msgs::{
     builtin_interfaces::Time,
+    std_msgs::Header,
     wm_msgs::{Action, ActionChunk},
 };
 
-use crate::timeline::{ChunkMerging, Timeline, TimelineError, Timing};
+use wm_model::{
+    actions::ActionEncoding,
+    motion::{Chunk, Motion, MotionSettings},
+};
+
+use crate::history::{ChunkMerging, HistoryError, Timing};
 
 /// Where an episode stands that is played by topics: what the policy has said so far of the moments to come.
 #[derive(Clone, Debug)]
 pub struct Attached {
     episode_id: String,
-    timeline: Timeline,
+    encoding: ActionEncoding,
+    motion: Motion,
     timing: Timing,
+    base_frame: String,
     stamp_ns: i64,
 }
 
 impl Attached {
-    /// An episode whose first observation is of `begin`.
-    pub fn new(episode_id: String, timing: Timing, merging: ChunkMerging, begin: Time) -> Self {
+    /// An episode of actions as `encoding` takes them, whose first observation is of `begin`.
+    pub fn new(
+        episode_id: String,
+        encoding: ActionEncoding,
+        timing: Timing,
+        merging: ChunkMerging,
+        begin: Time,
+    ) -> Self {
+        let settings = MotionSettings::of_period(timing.frame_period_ns);
         Self {
             episode_id,
-            timeline: Timeline::new(timing, 1).with_chunk_merging(merging),
+            encoding,
+            motion: Motion::new(settings).with_merging(merging),
             timing,
+            base_frame: String::new(),
             stamp_ns: begin.to_nanos(),
         }
     }
@@ -35,49 +54,93 @@ impl Attached {
     /// Takes an action; whether it came in time. One for a moment that has passed, or that is far ahead, is left out.
     ///
     /// # Errors
-    /// [`TimelineError`] says what is wrong with it.
-    pub fn action(&mut self, action: &Action) -> Result<bool, TimelineError> {
+    /// [`HistoryError`] says what is wrong with it.
+    pub fn action(&mut self, action: &Action) -> Result<bool, HistoryError> {
         let stamp_ns = action.header.stamp.to_nanos();
         let is_late = stamp_ns < self.stamp_ns - self.timing.tolerance_ns;
-        if is_late || stamp_ns > self.stamp_ns.saturating_add(self.timing.jump_ns) {
+        if is_late || self.is_far_ahead(stamp_ns) {
             return Ok(false);
         }
-        self.timeline.action(action).map(|_| true)
+        let values = self.parse(action, "action")?;
+        self.base_frame.clone_from(&action.header.frame_id);
+        self.motion.take(stamp_ns, values);
+        Ok(true)
     }
 
     /// Takes the actions to come; whether any of them is still to come. A chunk that is far ahead is left out.
     ///
     /// # Errors
-    /// [`TimelineError`] says what is wrong with the chunk.
-    pub fn chunk(&mut self, chunk: &ActionChunk) -> Result<bool, TimelineError> {
-        // Chunks are bounded; a period that is none is refused by the timeline.
-        let span_ns = chunk
-            .period
-            .to_nanos()
-            .saturating_mul(chunk.actions.len() as i64);
+    /// [`HistoryError`] says what is wrong with the chunk.
+    pub fn chunk(&mut self, chunk: &ActionChunk) -> Result<bool, HistoryError> {
         let stamp_ns = chunk.header.stamp.to_nanos();
-        let end_ns = stamp_ns.saturating_add(span_ns);
         // What is far ahead must not be the newest, which no later one may precede.
-        if stamp_ns > self.stamp_ns.saturating_add(self.timing.jump_ns) {
+        if self.is_far_ahead(stamp_ns) {
             return Ok(false);
         }
-        self.timeline.chunk(chunk)?;
+        let actions = chunk.actions.iter();
+        let actions = actions.map(|action| self.parse(action, "action of a chunk"));
+        let actions = actions.collect::<Result<_, _>>()?;
+        let space = self.encoding.space();
+        let parsed = Chunk::new(space, stamp_ns, chunk.period.to_nanos(), actions);
+        let parsed = parsed.map_err(HistoryError::Chunk)?;
+        if let Some(newest_ns) = self.motion.announced_ns()
+            && stamp_ns < newest_ns
+        {
+            return Err(HistoryError::OutOfOrder {
+                what: "action chunk",
+                stamp_ns,
+                newest_ns,
+            });
+        }
+        let end_ns = parsed.end_ns();
+        self.base_frame.clone_from(&chunk.header.frame_id);
+        self.motion.announce(parsed, space);
         Ok(end_ns > self.stamp_ns)
     }
 
-    /// The actions of the next step where the policy has said what it does now; with `hold`, its last action stands in
-    /// where it has not.
+    /// The actions of the next step, one for each frame period, where the policy has said what it does now; with `hold`,
+    /// its last action stands in where it has not.
     pub fn next(&self, hold: bool) -> Option<Vec<Action>> {
-        if !hold && !self.timeline.is_given(self.stamp_ns) {
+        let end_ns = self.timing.step_at(self.stamp_ns, 1);
+        let step = self
+            .motion
+            .step(&self.encoding, self.stamp_ns, end_ns)
+            .ok()?;
+        let begins_given = step.intervals.first().is_some_and(|first| first.is_given);
+        if !hold && !begins_given {
             return None;
         }
-        let actions = self.timeline.actions_of_step(self.stamp_ns).ok()?;
-        Some(actions.iter().map(|action| action.to_message()).collect())
+        let slots = self.timing.slots(self.stamp_ns);
+        let actions = step
+            .intervals
+            .into_iter()
+            .zip(slots)
+            .map(|(interval, slot_ns)| Action {
+                header: Header {
+                    stamp: Time::from_nanos(slot_ns),
+                    frame_id: self.base_frame.clone(),
+                },
+                values: interval.values,
+            });
+        Some(actions.collect())
     }
 
     /// Takes note of the observation that the last step led to.
     pub fn observed(&mut self, stamp: Time) {
         self.stamp_ns = stamp.to_nanos();
+    }
+
+    fn is_far_ahead(&self, stamp_ns: i64) -> bool {
+        stamp_ns > self.stamp_ns.saturating_add(self.timing.jump_ns)
+    }
+
+    fn parse(&self, action: &Action, what: &str) -> Result<Arc<[f32]>, HistoryError> {
+        let checked = self.encoding.space().check(&action.values);
+        checked.map_err(|source| HistoryError::Action {
+            what: what.into(),
+            source,
+        })?;
+        Ok(action.values.as_slice().into())
     }
 }
 
@@ -85,7 +148,7 @@ impl Attached {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use wm_msgs::{builtin_interfaces::Duration, std_msgs::Header};
+    use wm_msgs::builtin_interfaces::Duration;
 
     use super::*;
 
@@ -107,6 +170,7 @@ mod tests {
         let timing = Timing::new(PERIOD, 2);
         Attached::new(
             "one".into(),
+            ActionEncoding::default(),
             timing,
             ChunkMerging::Latest,
             Time::from_nanos(START),
@@ -141,16 +205,18 @@ mod tests {
         let chunk = ActionChunk {
             header: action(0, 0.0).header,
             period: Duration::from_nanos(PERIOD),
-            actions: (0..4).map(|index| action(index, index as f32)).collect(),
+            actions: (0..4)
+                .map(|index| action(index, index as f32 / 10.0))
+                .collect(),
             ..ActionChunk::default()
         };
         assert!(attached.chunk(&chunk).unwrap());
-        assert_eq!(firsts(attached.next(false)), Some(vec![0.0, 1.0]));
+        assert_eq!(firsts(attached.next(false)), Some(vec![0.0, 0.1]));
         attached.observed(Time::from_nanos(START + 2 * PERIOD));
-        assert_eq!(firsts(attached.next(false)), Some(vec![2.0, 3.0]));
+        assert_eq!(firsts(attached.next(false)), Some(vec![0.2, 0.3]));
         attached.observed(Time::from_nanos(START + 4 * PERIOD));
         assert_eq!(attached.next(false), None);
-        assert_eq!(firsts(attached.next(true)), Some(vec![3.0, 3.0]));
+        assert_eq!(firsts(attached.next(true)), Some(vec![0.3, 0.3]));
         assert!(!attached.chunk(&chunk).unwrap(), "all of it has passed");
     }
 

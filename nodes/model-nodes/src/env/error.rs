@@ -58,7 +58,7 @@ pub enum EnvError {
         steps: u32,
     },
     /// Nothing to do, or too much.
-    #[error("{0} actions; expected 1 to {max} (0 only with close)", max = crate::timeline::MAX_CHUNK)]
+    #[error("{0} actions; expected 1 to {max} (0 only with close)", max = crate::history::MAX_CHUNK)]
     Count(usize),
     /// Values that are no action.
     #[error("action {index}: {source}")]

@@ -11,14 +11,15 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use tokio::time::Instant;
+use wm_model::actions::ActionEncoding;
 use wm_msgs::wm_msgs::EnvResetRequest;
 use wm_ros::{Lifecycle, Managed, Node, NodeArgs, Qos, Received};
 
 use super::{Env, Start, World, parameters::Parameters, start::INSTRUCTION};
 use crate::{
     encoder::EncoderStep,
+    history::Timing,
     model_choice::{self, ModelChoice},
-    timeline::Timing,
     work::Work,
 };
 use active::{Active, Awaited, Done, InFlight, Job, Resetter};
@@ -82,6 +83,7 @@ struct EnvNode {
 struct Configured {
     env: Arc<Mutex<Env>>,
     timing: Timing,
+    encoding: ActionEncoding,
 }
 
 impl EnvNode {
@@ -141,10 +143,12 @@ impl Managed for EnvNode {
                 world.raw_bytes(),
             );
         }
+        let encoding = world.predictor().encoding.clone();
         let env = Env::new(world, parameters.settings.clone(), timing);
         Ok(Configured {
             env: Arc::new(Mutex::new(self.checked(env).await?)),
             timing,
+            encoding,
         })
     }
 
@@ -193,6 +197,7 @@ impl Managed for EnvNode {
             begun: 0,
             env: Arc::clone(&configured.env),
             timing: configured.timing,
+            encoding: configured.encoding.clone(),
             clock: node.clock(),
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),

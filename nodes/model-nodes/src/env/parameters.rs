@@ -7,7 +7,7 @@ use wm_msgs::wm_msgs::EnvResetRequest;
 use wm_ros::{Descriptor, Node};
 
 use super::{EnvError, EnvSettings, Start};
-use crate::{chunk_merging, timeline::ChunkMerging};
+use crate::{chunk_merging, history::ChunkMerging};
 
 /// What the parameters say, read once at the start.
 #[derive(Clone, Debug)]

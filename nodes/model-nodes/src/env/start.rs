@@ -1,10 +1,11 @@
 //! Where an episode begins.
 
-use std::{fs::File, io::Read as _, path::PathBuf, sync::Arc};
+use std::{fs::File, io::Read as _, path::PathBuf, sync::Arc, time::Instant};
 
 use wm_bag::{BagMessage, BagReader};
 use wm_msgs::{
     Message as _,
+    builtin_interfaces::Time,
     sensor_msgs::{CompressedImage, Image},
     std_msgs::String as Text,
     wm_msgs::{Action, EnvResetRequest},
@@ -12,9 +13,10 @@ use wm_msgs::{
 
 use super::{EnvError, World};
 use crate::{
+    history::{ChunkMerging, History, HistorySettings, Reception, Timing, Wait},
     predictor::PredictorError,
-    timeline::{Timeline, Timing, Wait},
 };
+use wm_ros::PublisherId;
 use wm_wire::{
     camera_frame::CameraFrame,
     goal::camera_topic,
@@ -165,7 +167,25 @@ fn open_bag(
     let wanted_ns = reader.start_ns().saturating_add((offset_s * NANOS) as u64);
     let history_ns = timing.step_ns().saturating_mul(context_frames as i64);
     let from_ns = wanted_ns.saturating_sub(u64::try_from(history_ns).unwrap_or(0));
-    let mut timeline = Timeline::new(timing, context_frames);
+    let settings = HistorySettings {
+        timing,
+        context_frames,
+        merging: ChunkMerging::default(),
+    };
+    let predictor = world.predictor();
+    // The bag's time is the only one.
+    let clock = Time::default();
+    let mut history = History::new(
+        settings,
+        predictor.space.clone(),
+        predictor.encoding.clone(),
+        clock,
+    );
+    let reception = Reception {
+        stamp: clock,
+        at: Instant::now(),
+        publisher: PublisherId::default(),
+    };
     // Stamps and images of the history: at most a few model steps at the camera's rate.
     let mut frames: Vec<CameraFrame> = Vec::new();
     let mut first = None;
@@ -177,7 +197,9 @@ fn open_bag(
         let message = message?;
         if &*message.topic == ACTION {
             let action: Action = message.decode()?;
-            timeline.action(&action).map_err(PredictorError::from)?;
+            history
+                .action(&action, clock)
+                .map_err(PredictorError::from)?;
             continue;
         }
         let frame = camera_frame(&message)?;
@@ -207,25 +229,20 @@ fn open_bag(
         let latent = world.see(&frame.decode()?)?;
         let header = frame.header();
         newest = Some(Arc::clone(&latent));
-        timeline
-            .frame(header.stamp, &header.frame_id, latent)
+        history
+            .observe(header, latent, 0, reception)
             .map_err(PredictorError::from)?;
     }
-    let mut opening = match (timeline.context(), newest) {
-        (Ok(context), _) => Opening {
-            frames: context
-                .frames
-                .iter()
+    let mut opening = match (history.moment(), newest) {
+        (Ok(moment), _) => Opening {
+            frames: (moment.earlier.iter().chain([&moment.observed]))
                 .map(|frame| Arc::clone(&frame.values))
                 .collect(),
-            actions: context
-                .actions
-                .iter()
-                .map(|step| {
-                    let values: Vec<_> = step.iter().map(|action| action.values).collect();
-                    world.model_action(&values)
-                })
-                .collect::<Result<_, _>>()?,
+            actions: moment
+                .past
+                .into_iter()
+                .map(|step| step.model.values)
+                .collect(),
             frame_id: first.header().frame_id.clone(),
             instruction: None,
         },

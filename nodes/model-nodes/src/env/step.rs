@@ -7,7 +7,6 @@ use std::{
 };
 
 use image::RgbImage;
-use wm_model::actions::{PHYSICAL_DIM, physical};
 use wm_msgs::{
     builtin_interfaces::{Duration, Time},
     sensor_msgs::CompressedImage,
@@ -20,8 +19,9 @@ use super::{
     episode::Episode,
     recording::Recording,
     start::{Opening, open},
+    world::Row,
 };
-use crate::timeline::{MAX_CHUNK, Timing};
+use crate::history::{MAX_CHUNK, Timing};
 use wm_wire::{
     image_message::encode_jpeg,
     latent_message::{LatentDtype, encode_latent},
@@ -105,8 +105,8 @@ impl Session {
 /// A move under way.
 struct Running {
     session: Session,
-    /// The camera-rate actions of each step to take, in messages and in numbers.
-    todo: Vec<Vec<(Action, [f32; PHYSICAL_DIM])>>,
+    /// The camera-rate actions of each step to take, and their model action.
+    todo: Vec<(Vec<Action>, Vec<f32>)>,
     observations: Vec<Observation>,
     capture_ns: i64,
     failure: Option<EnvError>,
@@ -285,21 +285,20 @@ impl Env {
                 steps: session.steps(),
             });
         }
-        let parsed = asked.actions.iter().enumerate().map(|(index, action)| {
-            let values = physical(&action.values);
-            values
-                .map(|values| (action.clone(), values))
-                .map_err(|source| EnvError::Action { index, source })
-        });
-        let parsed = parsed.collect::<Result<Vec<_>, _>>()?;
-        let mut todo: Vec<Vec<_>> = parsed
-            .chunks(self.timing.frame_skip.max(1))
-            .map(<[_]>::to_vec)
-            .collect();
-        for step in &mut todo {
+        let space = self.world.predictor().encoding.space();
+        for (index, action) in asked.actions.iter().enumerate() {
+            let checked = space.check(&action.values);
+            checked.map_err(|source| EnvError::Action { index, source })?;
+        }
+        let skip = self.timing.frame_skip;
+        let mut todo = Vec::with_capacity(count.div_ceil(skip));
+        for step in asked.actions.chunks(skip) {
+            let mut step = step.to_vec();
             if let Some(last) = step.last().cloned() {
-                step.resize(self.timing.frame_skip.max(1), last);
+                step.resize(skip, last);
             }
+            let action = self.world.model_action(&step)?;
+            todo.push((step, action));
         }
         todo.truncate(left as usize);
         let Some(session) = self.sessions.remove(&asked.episode_id) else {
@@ -319,27 +318,30 @@ impl Env {
         let mut active = Vec::new();
         for (asked, running) in moves.iter().zip(running) {
             let Ok(running) = running else { continue };
-            let Some(actions) = running.todo.get(round) else {
+            let Some((_, action)) = running.todo.get(round) else {
                 continue;
             };
             if running.failure.is_some() {
                 continue;
             }
-            let values: Vec<_> = actions.iter().map(|(_, values)| *values).collect();
-            match self.world.model_action(&values) {
-                Ok(action) => active.push((asked, running, action)),
-                Err(error) => running.failure = Some(error),
-            }
+            // The newest frame carries the action after it; where none is known, this one goes on.
+            let next = running.todo.get(round + 1).map_or(action, |(_, next)| next);
+            let (action, next) = (action.clone(), next.clone());
+            active.push((asked, running, action, next));
         }
         let rows: Vec<_> = active
             .iter()
-            .map(|(_, running, action)| (&running.session.episode, action.as_slice()))
+            .map(|(_, running, action, next)| Row {
+                episode: &running.session.episode,
+                action,
+                next,
+            })
             .collect();
         let predicted = self.world.predict(&rows);
         drop(rows);
         match predicted {
             Ok(latents) => {
-                for ((asked, running, action), latent) in active.into_iter().zip(latents) {
+                for ((asked, running, action, _), latent) in active.into_iter().zip(latents) {
                     let name = &asked.episode_id;
                     if let Err(error) = self.take(name, running, round, action, latent) {
                         running.failure = Some(error);
@@ -349,7 +351,7 @@ impl Env {
             Err(error) => {
                 // The batch has failed as a whole: each of its episodes says so.
                 let text = error.to_string();
-                for (_, running, _) in active {
+                for (_, running, _, _) in active {
                     running.failure =
                         Some(wm_model::Error::config("the batch", text.clone()).into());
                 }
@@ -385,8 +387,12 @@ impl Env {
         session.stamp_ns = stamp_ns;
         if let Some(recording) = &mut session.recording {
             let mut taken = Vec::new();
-            let actions = running.todo.get(round).into_iter().flatten();
-            for ((action, _), slot_ns) in actions.zip(self.timing.slots(from_ns)) {
+            let actions = running
+                .todo
+                .get(round)
+                .into_iter()
+                .flat_map(|(step, _)| step);
+            for (action, slot_ns) in actions.zip(self.timing.slots(from_ns)) {
                 let mut action = action.clone();
                 action.header.stamp = Time::from_nanos(slot_ns);
                 recording.action(&action)?;
@@ -401,6 +407,8 @@ impl Env {
                 step_period: Duration::from_nanos(self.timing.step_ns()),
                 latent: encoded,
                 actions: taken,
+                // An episode is one history.
+                epoch: 0,
                 model: model.name.clone(),
                 model_hash: model.hash.clone(),
                 seed: session.episode.seed(),

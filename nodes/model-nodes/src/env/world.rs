@@ -6,13 +6,24 @@ use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_model::{
     Decoder, LatentSpace,
-    actions::{GRIPPER, PHYSICAL_DIM},
+    actions::ActionError,
     image::to_rgb,
-    sampler::{Noise, Rollout, Sampler},
+    sampler::{Given, Noise, Rollout, Sampler},
 };
+use wm_msgs::wm_msgs::Action;
 
 use super::{EnvError, episode::Episode};
 use crate::{encoder::EncoderStep, predictor::PredictorModel};
+
+/// A step to predict.
+#[derive(Clone, Copy)]
+pub(super) struct Row<'a> {
+    pub episode: &'a Episode,
+    /// Its model action.
+    pub action: &'a [f32],
+    /// The one after it.
+    pub next: &'a [f32],
+}
 
 /// Encoder, transition model and decoder of one latent space.
 pub struct World {
@@ -95,32 +106,37 @@ impl World {
         Ok(to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?)
     }
 
-    /// The model action of a robot that stands still with an open gripper.
+    /// The model action of a robot that stands still: no change, and states at their middle; a gripper is open.
     pub(super) fn standing_still(&self) -> Result<Vec<f32>, EnvError> {
-        let mut still = [0.0_f32; PHYSICAL_DIM];
-        if let Some(gripper) = still.get_mut(GRIPPER) {
-            *gripper = 1.0;
-        }
-        self.model_action(&vec![still; self.predictor.encoding.frame_skip])
+        let encoding = &self.predictor.encoding;
+        let dimensions = encoding.space().dimensions().iter();
+        let still: Vec<f32> = dimensions
+            .map(|dimension| match dimension.kind.is_gripper() {
+                true => 1.0 / dimension.scale + dimension.offset,
+                false => dimension.offset,
+            })
+            .collect();
+        self.encode(&vec![still; encoding.frame_skip()])
     }
 
     /// The model action of the camera-rate actions of one step.
-    pub(super) fn model_action(
-        &self,
-        actions: &[[f32; PHYSICAL_DIM]],
-    ) -> Result<Vec<f32>, EnvError> {
-        let encoded = self.predictor.encoding.encode_step(actions);
-        Ok(encoded.map_err(crate::predictor::PredictorError::from)?)
+    pub(super) fn model_action(&self, actions: &[Action]) -> Result<Vec<f32>, EnvError> {
+        let values: Vec<_> = actions.iter().map(|action| &action.values).collect();
+        self.encode(&values)
+    }
+
+    fn encode<V: AsRef<[f32]>>(&self, intervals: &[V]) -> Result<Vec<f32>, EnvError> {
+        let encoded = self.predictor.encoding.encode_step(intervals);
+        Ok(encoded
+            .map_err(|source: ActionError| crate::predictor::PredictorError::from(source))?
+            .values)
     }
 
     /// The latents to which each episode's model action leads, in their order. Episodes whose histories are of one
     /// length are computed together.
-    pub(super) fn predict(&self, rows: &[(&Episode, &[f32])]) -> Result<Vec<Arc<[f32]>>, EnvError> {
+    pub(super) fn predict(&self, rows: &[Row<'_>]) -> Result<Vec<Arc<[f32]>>, EnvError> {
         let mut order: Vec<usize> = (0..rows.len()).collect();
-        let length = |index: &usize| {
-            rows.get(*index)
-                .map_or(0, |(episode, _)| episode.frames().len())
-        };
+        let length = |index: &usize| rows.get(*index).map_or(0, |row| row.episode.frames().len());
         order.sort_by_key(length);
         let mut predicted: Vec<(usize, Arc<[f32]>)> = Vec::with_capacity(rows.len());
         for alike in order.chunk_by(|a, b| length(a) == length(b)) {
@@ -137,17 +153,16 @@ impl World {
     }
 
     /// As [`Self::predict`], of episodes whose histories are of one length.
-    fn predict_alike(&self, rows: &[(&Episode, &[f32])]) -> Result<Vec<Arc<[f32]>>, EnvError> {
+    fn predict_alike(&self, rows: &[Row<'_>]) -> Result<Vec<Arc<[f32]>>, EnvError> {
         let (height, width, channels) = self.space().shape();
-        let action_dim = self.predictor.encoding.action_dim;
+        let action_dim = self.predictor.encoding.action_dim();
         let (batch, frames) = (
             rows.len(),
-            rows.first()
-                .map_or(0, |(episode, _)| episode.frames().len()),
+            rows.first().map_or(0, |row| row.episode.frames().len()),
         );
         let context: Vec<f32> = rows
             .iter()
-            .flat_map(|(episode, _)| episode.frames().flat_map(|frame| frame.iter().copied()))
+            .flat_map(|row| row.episode.frames().flat_map(|frame| frame.iter().copied()))
             .collect();
         let context = Tensor::from_vec(
             context,
@@ -156,26 +171,32 @@ impl World {
         )?;
         let past: Vec<f32> = rows
             .iter()
-            .flat_map(|(episode, _)| episode.actions().flatten().copied())
+            .flat_map(|row| row.episode.actions().flatten().copied())
             .collect();
         let past = (frames > 1)
             .then(|| Tensor::from_vec(past, (batch, frames - 1, action_dim), &Device::Cpu))
             .transpose()?;
-        let action: Vec<f32> = rows
-            .iter()
-            .flat_map(|(_, action)| action.iter().copied())
-            .collect();
-        let action = Tensor::from_vec(action, (batch, action_dim), &Device::Cpu)?;
+        let stack = |of: fn(&Row<'_>) -> Vec<f32>| {
+            let values: Vec<f32> = rows.iter().flat_map(of).collect();
+            Tensor::from_vec(values, (batch, action_dim), &Device::Cpu)
+        };
+        let action = stack(|row| row.action.to_vec())?;
+        let next = stack(|row| row.next.to_vec())?;
         let noise: Vec<Noise> = rows
             .iter()
-            .map(|(episode, _)| Noise {
-                seed: episode.seed(),
-                first_step: episode.steps(),
+            .map(|row| Noise {
+                seed: row.episode.seed(),
+                first_step: row.episode.steps(),
             })
             .collect();
         let model = &self.predictor.transition;
         let mut rollout = Rollout::batch(model, &self.sampler, &context, past.as_ref(), &noise)?;
-        let latents = rollout.next(&action)?.flatten_from(1)?.to_vec2::<f32>()?;
+        let given = Given {
+            own_action: Some(&next),
+            ..Given::default()
+        };
+        let latents = rollout.next_given(&action, given)?;
+        let latents = latents.flatten_from(1)?.to_vec2::<f32>()?;
         Ok(latents.into_iter().map(Into::into).collect())
     }
 }

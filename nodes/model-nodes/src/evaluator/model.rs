@@ -3,16 +3,12 @@
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use wm_model::planner::{Dynamics as _, Target, TransitionDynamics};
-use wm_msgs::{
-    builtin_interfaces::{Duration, Time},
-    std_msgs::Header,
-    wm_msgs::{Assessment, CandidateAssessment, Timing as TimingMessage},
-};
+use wm_model::{motion::StepAction, planner::Target, sampler::Given};
+use wm_msgs::wm_msgs::{Assessment, CandidateAssessment, Timing as TimingMessage};
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{EvaluationRequest, EvaluatorError};
-use crate::predictor::{PredictorError, PredictorModel, context_tensor, past_actions};
+use crate::{history::stack, predictor::PredictorModel};
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 /// The transition model, how it predicts here, and what judges the predictions.
@@ -57,35 +53,35 @@ impl EvaluatorModel {
     /// [`EvaluatorError`] where the request does not fit the model, or a predicted latent is not finite.
     pub fn evaluate(&self, request: &EvaluationRequest) -> Result<Evaluation, EvaluatorError> {
         let PredictorModel {
-            transition,
-            space,
-            encoding,
-            ..
+            transition, space, ..
         } = &self.model;
-        let observed = request
-            .context
-            .frames
-            .last()
-            .ok_or_else(|| wm_model::Error::Shape {
-                what: "the context",
-                expected: "at least one frame".into(),
-                found: vec![0],
-            })?;
-        let horizon = request.candidates.first().map_or(0, Vec::len);
-        let mut actions = Vec::new();
-        for step in request.candidates.iter().flatten() {
-            actions.extend(encoding.encode_step(step).map_err(PredictorError::from)?);
-        }
-        let count = request.candidates.len();
-        let actions =
-            Tensor::from_vec(actions, (count, horizon, encoding.action_dim), &Device::Cpu)?;
-        let context = context_tensor(&request.context, space)?;
-        let past = past_actions(&request.context, encoding)?;
+        let moment = &request.moment;
+        let (horizon, count) = (request.horizon, request.candidates.len());
+        // (candidates, A) of one step.
+        let actions = |step: usize| -> Result<Tensor, EvaluatorError> {
+            let of_step = request
+                .candidates
+                .iter()
+                .filter_map(|steps| steps.get(step));
+            let of_step: Vec<StepAction> = of_step.cloned().collect();
+            stack(&of_step)?.ok_or(EvaluatorError::Count { count, max: count })
+        };
+        let context = moment.context(space)?;
         let mut sampler = transition.config().sampler.clone();
         sampler.steps = self.integration_steps;
-        let mut dynamics =
-            TransitionDynamics::new(transition, &sampler, &context, past.as_ref(), request.seed)?;
-        let latents = dynamics.rollout(&actions)?;
+        let mut rollout = moment.rollout(transition, space, &sampler, request.seed)?;
+        rollout.prepare()?;
+        let mut rollout = rollout.candidates(count)?;
+        let mut latents = Vec::with_capacity(horizon);
+        for step in 0..horizon {
+            let next = actions(step + 1)?;
+            let given = Given {
+                own_action: Some(&next),
+                ..Given::default()
+            };
+            latents.push(rollout.next_given(&actions(step)?, given)?);
+        }
+        let latents = Tensor::stack(&latents, 1)?;
         let probabilities =
             self.probabilities(&context, &latents, request.instruction.as_deref())?;
 
@@ -103,15 +99,6 @@ impl EvaluatorModel {
                 }
             }
         }
-        let step_ns = request.timing.step_ns();
-        let header = |stamp_ns| Header {
-            stamp: Time::from_nanos(stamp_ns),
-            frame_id: observed.frame_id.to_string(),
-        };
-        // Horizons are a handful of steps.
-        let end_ns = observed
-            .stamp_ns
-            .saturating_add(step_ns.saturating_mul(horizon as i64));
         let last = latents
             .narrow(1, horizon.saturating_sub(1), 1)?
             .flatten_from(1)?
@@ -124,17 +111,22 @@ impl EvaluatorModel {
                 cost: step_costs.last().copied().unwrap_or(f32::NAN),
                 step_costs,
                 success_probability,
-                latent: encode_latent(values, space, LatentDtype::F16, header(end_ns))?,
+                latent: encode_latent(
+                    values,
+                    space,
+                    LatentDtype::F16,
+                    moment.header_after(horizon),
+                )?,
             });
         }
         let assessment = Assessment {
-            header: header(observed.stamp_ns),
+            header: moment.header_after(0),
             policy: request.policy.clone(),
             candidates_stamp: request.candidates_stamp,
             best: best(&candidates),
             candidates,
             horizon: u32::try_from(horizon).unwrap_or(u32::MAX),
-            step_period: Duration::from_nanos(step_ns),
+            step_period: moment.step_period(),
             model: self.model.name.clone(),
             model_hash: self.model.hash.clone(),
             seed: request.seed,

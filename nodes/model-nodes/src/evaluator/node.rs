@@ -9,12 +9,14 @@ use anyhow::{Context as _, Result};
 use candle_core::IndexOp as _;
 use image::RgbImage;
 use tokio::{sync::watch, task::JoinError};
-use wm_model::{Decoder, LatentSpace, image::to_rgb};
+use wm_model::{Decoder, LatentSpace, actions::ActionEncoding, image::to_rgb};
 use wm_msgs::{
     builtin_interfaces::Time,
     sensor_msgs::{CompressedImage, Image},
     std_msgs::{Header, String as Text},
-    wm_msgs::{Action, ActionCandidates, Assessment, Latent, Reset, Timing as TimingMessage},
+    wm_msgs::{
+        Action, ActionCandidates, ActionChunk, Assessment, Latent, Reset, Timing as TimingMessage,
+    },
 };
 use wm_ros::{
     Clock, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos,
@@ -27,13 +29,16 @@ use super::{
     EvaluatorStep, shown_steps, tile,
 };
 use crate::{
+    chunk_merging,
     encoder::{EncoderError, EncoderStep},
     env::INSTRUCTION,
+    history::{
+        Arrival, ChunkMerging, History, HistoryError, HistorySettings, Reception, note, seconds,
+    },
     model_choice::{self, ModelChoice},
     planner::Goal,
     pool::Pool,
     reset::answer_reset,
-    timeline::{Arrival, Timing, seconds},
     work::Work,
 };
 use wm_ros::complaints::Complaints;
@@ -89,6 +94,8 @@ struct EvaluatorNode {
 
 struct Parameters {
     settings: EvaluatorSettings,
+    context_frames: usize,
+    merging: ChunkMerging,
     integration_steps: usize,
     frame_period: f64,
     columns: usize,
@@ -106,14 +113,22 @@ impl Parameters {
         let seed = Descriptor::new("seed of the noise").read_only();
         let period =
             Descriptor::new("time from one camera frame to the next [s], as the model was trained");
+        let age = Descriptor::new(
+            "greatest age of the newest frame, by when it was received, at which candidates are evaluated [s]",
+        );
         Ok(Self {
+            context_frames: count(
+                "context_frames",
+                2,
+                (1, 64),
+                "observed frames that a prediction starts from",
+            )?,
+            merging: chunk_merging::declare(node)?,
             settings: EvaluatorSettings {
-                context_frames: count(
-                    "context_frames",
-                    2,
-                    (1, 64),
-                    "observed frames that a prediction starts from",
-                )?,
+                max_age: Duration::from_secs_f64(
+                    node.declare("max_age", 2.0, age.floats(0.01, 3600.0).read_only())?
+                        .get(),
+                ),
                 horizon: count(
                     "horizon",
                     8,
@@ -157,8 +172,9 @@ struct Configured {
     decoder: Option<Arc<Mutex<Box<dyn Decoder>>>>,
     /// None: the model has none, and there are no probabilities.
     probe: Option<Arc<SuccessClassifier>>,
-    timing: Timing,
+    history: HistorySettings,
     space: LatentSpace,
+    encoding: ActionEncoding,
 }
 
 /// An evaluation with the times that its message tells.
@@ -172,6 +188,7 @@ struct Active {
     goal_images: ImageSubscription,
     latents: Subscription<Latent>,
     actions: Subscription<Action>,
+    chunks: Subscription<ActionChunk>,
     candidates: Subscription<ActionCandidates>,
     /// Where there is a probe that reads them.
     instructions: Option<Subscription<Text>>,
@@ -206,8 +223,12 @@ impl Managed for EvaluatorNode {
         })
         .await??;
         let probe = probe.map(Arc::new);
-        let timing = model_choice::timing(self.parameters.frame_period, &model.encoding);
-        let space = model.space.clone();
+        let history = HistorySettings {
+            timing: model_choice::timing(self.parameters.frame_period, &model.encoding),
+            context_frames: self.parameters.context_frames,
+            merging: self.parameters.merging,
+        };
+        let (space, encoding) = (model.space.clone(), model.encoding.clone());
         tracing::info!("evaluating with {} in latent space {space}", model.name);
         Ok(Configured {
             encoder: Arc::new(Mutex::new(EncoderStep::new(encoder, LatentDtype::F32))),
@@ -217,8 +238,9 @@ impl Managed for EvaluatorNode {
             ),
             probe,
             decoder: decoder.map(|decoder| Arc::new(Mutex::new(decoder))),
-            timing,
+            history,
             space,
+            encoding,
         })
     }
 
@@ -262,6 +284,12 @@ impl Managed for EvaluatorNode {
             .on(&self.pool)
         });
         let qos = Qos::best_effort(4);
+        let history = History::new(
+            configured.history,
+            configured.space.clone(),
+            configured.encoding.clone(),
+            node.now(),
+        );
         let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
         let input = Input::new("latents", [latents.topic()], "start the encoder");
         node.diagnostics().expect_input(input);
@@ -283,11 +311,8 @@ impl Managed for EvaluatorNode {
             resets: node.service("~/reset")?,
             jumps: node.clock().jumps(),
             clock: node.clock(),
-            step: EvaluatorStep::new(
-                self.parameters.settings,
-                configured.timing,
-                configured.space.clone(),
-            ),
+            chunks: node.subscription("action_chunk", Qos::reliable(10))?,
+            step: EvaluatorStep::new(self.parameters.settings, history),
             waiting: None,
             assessments: node.publisher("assessment", Qos::reliable(10))?,
             raws,
@@ -325,7 +350,10 @@ impl Managed for EvaluatorNode {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
                     active.told(&message);
                 }
-                Some(call) = active.resets.recv() => answer_reset(call, |seed| active.step.reset(seed)),
+                Some(call) = active.resets.recv() => {
+                    let now = active.clock.now();
+                    answer_reset(call, |seed| active.step.reset(seed, now));
+                },
                 Ok(()) = active.jumps.changed() => {
                     if active.step.clock_jumped(active.clock.now()) {
                         tracing::info!("/clock jumped back: history flushed");
@@ -338,13 +366,18 @@ impl Managed for EvaluatorNode {
                     }
                 }
                 received = active.actions.recv() => {
-                    let Some(Received { message, .. }) = received else { return Ok(()) };
-                    let taken = active.step.action(&message);
+                    let Some(received) = received else { return Ok(()) };
+                    let taken = active.step.action(&received.message, received.received);
+                    active.note(taken);
+                }
+                received = active.chunks.recv() => {
+                    let Some(received) = received else { return Ok(()) };
+                    let taken = active.step.chunk(&received.message, received.received);
                     active.note(taken);
                 }
                 received = active.latents.recv() => {
-                    let Some(Received { message, .. }) = received else { return Ok(()) };
-                    let taken = active.step.latent(&message);
+                    let Some(received) = received else { return Ok(()) };
+                    let taken = active.step.latent(&received.message, Reception::from(&received));
                     active.note(taken);
                     if active.waiting.as_ref().is_some_and(|waiting| !active.step.awaits_frame(&waiting.message)) {
                         active.evaluate_waiting();
@@ -352,7 +385,7 @@ impl Managed for EvaluatorNode {
                 }
                 () = overdue(&active.waiting) => active.evaluate_waiting(),
                 received = active.candidates.recv() => {
-                    let Some(Received { message, received }) = received else { return Ok(()) };
+                    let Some(Received { message, received, .. }) = received else { return Ok(()) };
                     active.evaluate_waiting();
                     if active.step.awaits_frame(&message) {
                         active.wait(message, received);
@@ -386,17 +419,15 @@ impl Active {
     }
 
     fn evaluate(&mut self, message: &ActionCandidates, receive: Time) {
-        let request = match self.step.candidates(message) {
+        let request = match self
+            .step
+            .candidates(message, Instant::now(), self.clock.now())
+        {
             Ok(request) => request,
             Err(error) => return self.complaints.left_out(error.reason(), &error),
         };
-        let observed_ns = request
-            .context
-            .frames
-            .last()
-            .map_or(0, |frame| frame.stamp_ns);
         let timing = TimingMessage {
-            capture: Time::from_nanos(observed_ns),
+            capture: Time::from_nanos(request.moment.observed.stamp_ns),
             receive,
             ..TimingMessage::default()
         };
@@ -480,14 +511,8 @@ impl Active {
         }
     }
 
-    fn note(&mut self, taken: Result<Arrival, EvaluatorError>) {
-        match taken {
-            Ok(arrival) if arrival.flushed => {
-                tracing::info!("stamps are more than a second apart: history flushed");
-            }
-            Ok(_) => {}
-            Err(error) => self.complaints.left_out(error.reason(), &error),
-        }
+    fn note(&mut self, taken: Result<Arrival, HistoryError>) {
+        note(&mut self.complaints, taken);
     }
 }
 

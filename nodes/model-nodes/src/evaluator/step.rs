@@ -1,28 +1,31 @@
 //! The evaluator's state.
 
-use std::sync::Arc;
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use thiserror::Error;
-use wm_model::LatentSpace;
+use wm_model::motion::StepAction;
 use wm_msgs::{
     builtin_interfaces::Time,
-    wm_msgs::{Action, ActionCandidates, Latent},
+    wm_msgs::{Action, ActionCandidates, ActionChunk, Latent},
 };
 use wm_zoo::success_probe::Instruction;
 
 use super::Task;
 use crate::{
+    history::{Arrival, History, HistoryError, Moment, Reception, Timing, Wait, seconds},
     planner::Goal,
     predictor::PredictorError,
-    timeline::{Arrival, Context, PhysicalAction, Timeline, TimelineError, Timing, Wait, seconds},
 };
-use wm_wire::latent_message::{LatentError, decode_latent};
+use wm_wire::latent_message::LatentError;
 
 /// What can be chosen of an evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EvaluatorSettings {
-    /// Frames that a prediction starts from.
-    pub context_frames: usize,
+    /// Greatest age of the newest frame, by when it was received.
+    pub max_age: Duration,
     /// Model steps that are predicted at most.
     pub horizon: usize,
     /// Candidates of one message at most.
@@ -35,12 +38,9 @@ pub struct EvaluatorSettings {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum EvaluatorError {
-    /// A latent message that cannot be used.
+    /// A predicted latent that is not finite.
     #[error(transparent)]
     Latent(#[from] LatentError),
-    /// A frame or an action that does not fit the timeline.
-    #[error(transparent)]
-    Timeline(#[from] TimelineError),
     /// No candidate, or too many.
     #[error("{count} candidates; expected 1 to {max}")]
     Count {
@@ -55,7 +55,7 @@ pub enum EvaluatorError {
         /// Which one.
         index: usize,
         /// What is wrong with it.
-        source: TimelineError,
+        source: HistoryError,
     },
     /// All of a chunk lies before the observed frame.
     #[error("candidate {index} ends before the observed frame of {}: stamp it with the stamp of the image that it answers", seconds(Time::from_nanos(*.observed_ns)))]
@@ -67,7 +67,7 @@ pub enum EvaluatorError {
     },
     /// The history is not complete.
     #[error(transparent)]
-    History(#[from] Wait),
+    Waiting(#[from] Wait),
     /// The model cannot compute it.
     #[error(transparent)]
     Predictor(#[from] PredictorError),
@@ -87,14 +87,13 @@ impl EvaluatorError {
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Latent(error) => error.reason(),
-            Self::Timeline(error) => error.reason(),
             Self::Candidate {
-                source: TimelineError::Ahead { .. },
+                source: HistoryError::Ahead { .. } | HistoryError::OutOfOrder { .. },
                 ..
             } => "late_candidates",
             Self::Count { .. } | Self::Candidate { .. } => "malformed_candidates",
             Self::Past { .. } => "late_candidates",
-            Self::History(_) => "no_history",
+            Self::Waiting(_) => "no_history",
             Self::Predictor(_) | Self::Model(_) => "model",
         }
     }
@@ -107,36 +106,34 @@ pub struct EvaluationRequest {
     pub policy: String,
     /// Stamp of its message.
     pub candidates_stamp: Time,
-    /// Context frames and the actions between them; the last frame is the observation.
-    pub context: Context,
-    /// Of each candidate, the camera-rate actions of each model step; equally many steps for all.
-    pub candidates: Vec<Vec<Vec<PhysicalAction>>>,
+    /// The observation.
+    pub moment: Moment,
+    /// The actions of each candidate for each predicted model step, and for one more.
+    pub candidates: Vec<Vec<StepAction>>,
+    /// Model steps to predict.
+    pub horizon: usize,
     /// What to reach, where that is known.
     pub goal: Option<Goal>,
     /// What to do, where that is known and has been read.
     pub instruction: Option<Arc<Instruction>>,
     /// Seed of the noise.
     pub seed: u64,
-    /// How stamps make model steps.
-    pub timing: Timing,
 }
 
 /// The evaluator node's state: messages in, evaluation requests out.
 pub struct EvaluatorStep {
     settings: EvaluatorSettings,
-    space: LatentSpace,
-    timeline: Timeline,
+    history: History,
     goal: Option<Goal>,
     task: Task,
 }
 
 impl EvaluatorStep {
-    /// An evaluator that has seen nothing.
-    pub fn new(settings: EvaluatorSettings, timing: Timing, space: LatentSpace) -> Self {
+    /// An evaluator over an empty `history`.
+    pub fn new(settings: EvaluatorSettings, history: History) -> Self {
         Self {
             settings,
-            space,
-            timeline: Timeline::new(timing, settings.context_frames),
+            history,
             goal: None,
             task: Task::default(),
         }
@@ -145,21 +142,29 @@ impl EvaluatorStep {
     /// Takes a latent.
     ///
     /// # Errors
-    /// [`EvaluatorError`]: the latent is left out.
-    pub fn latent(&mut self, latent: &Latent) -> Result<Arrival, EvaluatorError> {
-        let values: Arc<[f32]> = decode_latent(latent, &self.space)?.into();
-        let header = &latent.header;
-        Ok(self
-            .timeline
-            .frame(header.stamp, &header.frame_id, values)?)
+    /// [`HistoryError`]: it is left out.
+    pub fn latent(
+        &mut self,
+        latent: &Latent,
+        reception: Reception,
+    ) -> Result<Arrival, HistoryError> {
+        self.history.latent(latent, reception)
     }
 
     /// Takes an action that was taken.
     ///
     /// # Errors
-    /// [`EvaluatorError::Timeline`]: the action is left out.
-    pub fn action(&mut self, action: &Action) -> Result<Arrival, EvaluatorError> {
-        Ok(self.timeline.action(action)?)
+    /// [`HistoryError`]: it is left out.
+    pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
+        self.history.action(action, now)
+    }
+
+    /// Takes the actions that are under way: what the robot does before a candidate begins.
+    ///
+    /// # Errors
+    /// [`HistoryError`]: it is left out.
+    pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Arrival, HistoryError> {
+        self.history.chunk(chunk, now)
     }
 
     /// Takes a goal.
@@ -174,72 +179,81 @@ impl EvaluatorStep {
 
     /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
-        self.timeline.clock_jumped(now)
+        self.history.clock_jumped(now)
     }
 
     /// Forgets all history and takes a new seed where one is given; says what was done. Goal and task
     /// stay.
-    pub fn reset(&mut self, seed: Option<u64>) -> String {
-        self.timeline.clear();
+    pub fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
+        self.history.reset(now);
         if let Some(seed) = seed {
             self.settings.seed = seed;
         }
         format!("forgot all frames and actions; seed {}", self.settings.seed)
     }
 
+    /// The history's epoch: what was computed of an earlier one is of the past.
+    pub fn epoch(&self) -> u64 {
+        self.history.epoch()
+    }
+
     /// How stamps make model steps.
     pub fn timing(&self) -> Timing {
-        self.timeline.timing()
+        self.history.timing()
     }
 
     /// Whether candidates answer a frame that is still on its way, so that it is better to wait for it: a policy may be
     /// faster than the encoder. Candidates that begin later than the next model step wait for nothing.
     pub fn awaits_frame(&self, message: &ActionCandidates) -> bool {
-        let timing = self.timeline.timing();
+        let timing = self.history.timing();
         let begins = message.chunks.iter().map(|chunk| chunk.header.stamp);
-        let Some((begin, newest)) = begins.max().zip(self.timeline.newest()) else {
+        let Some((begin, newest)) = begins.max().zip(self.history.newest()) else {
             return false;
         };
         let ahead_ns = begin.to_nanos().saturating_sub(newest.stamp_ns);
         ahead_ns > timing.tolerance_ns && ahead_ns <= timing.step_ns()
     }
 
-    /// The evaluation of candidates from the newest frame on. As many whole model steps are predicted as the shortest
-    /// candidate speaks of, and at least one, so that all are compared at one moment.
+    /// The evaluation of candidates from the newest frame on, at `now` (`clock` by the node's clock). As many whole model
+    /// steps are predicted as the shortest candidate speaks of, and at least one, so that all are compared at one moment.
     ///
     /// # Errors
     /// [`EvaluatorError`] names the candidate that cannot be used, or what is missing.
     pub fn candidates(
         &self,
         message: &ActionCandidates,
+        now: Instant,
+        clock: Time,
     ) -> Result<EvaluationRequest, EvaluatorError> {
         let (count, max) = (message.chunks.len(), self.settings.max_candidates);
         if count == 0 || count > max {
             return Err(EvaluatorError::Count { count, max });
         }
-        let timing = self.timeline.timing();
-        let observed_ns = self.timeline.newest().ok_or(Wait::NoFrame)?.stamp_ns;
+        let timing = self.history.timing();
+        let observed_ns = self.history.newest().ok_or(Wait::NoFrame)?.stamp_ns;
         let mut horizon = self.settings.horizon;
-        // A handful of steps.
-        let beyond_ns = observed_ns.saturating_add(timing.step_ns() * horizon as i64);
-        let mut timelines = Vec::with_capacity(count);
+        let beyond_ns = timing.step_at(observed_ns, horizon);
+        let mut histories = Vec::with_capacity(count);
         for (index, chunk) in message.chunks.iter().enumerate() {
-            let mut timeline = self.timeline.clone();
+            let mut history = self.history.clone();
             let wrong = |source| EvaluatorError::Candidate { index, source };
-            timeline.chunk(chunk).map_err(wrong)?;
+            if history.chunk(chunk, clock).map_err(wrong)?.held_back {
+                return Err(EvaluatorError::Past { index, observed_ns });
+            }
             let stamp_ns = chunk.header.stamp.to_nanos();
             if stamp_ns >= beyond_ns {
-                return Err(wrong(TimelineError::Ahead {
+                return Err(wrong(HistoryError::Ahead {
+                    what: "action chunk",
                     stamp_ns,
                     newest_ns: observed_ns,
                 }));
             }
-            // The timeline has refused what is longer than MAX_CHUNK or has no period.
+            // The history has refused what is too long or has no period.
             let span_ns = chunk
                 .period
                 .to_nanos()
                 .saturating_mul(chunk.actions.len() as i64);
-            let end_ns = chunk.header.stamp.to_nanos().saturating_add(span_ns);
+            let end_ns = stamp_ns.saturating_add(span_ns);
             let left_ns = end_ns.saturating_sub(observed_ns);
             if left_ns <= timing.tolerance_ns {
                 return Err(EvaluatorError::Past { index, observed_ns });
@@ -247,28 +261,26 @@ impl EvaluatorStep {
             // A stamp that is a jitter early is of the step all the same.
             let steps = left_ns.saturating_add(timing.tolerance_ns) / timing.step_ns().max(1);
             horizon = horizon.min(usize::try_from(steps.max(1)).unwrap_or(usize::MAX));
-            timelines.push(timeline);
+            histories.push(history);
         }
-        let future = |timeline: &Timeline| {
-            let starts = (0..horizon).map(|step| observed_ns + timing.step_ns() * step as i64);
-            starts
-                .map(|start_ns| timeline.actions_of_step(start_ns))
-                .collect::<Result<_, _>>()
+        // One more than is predicted: the last frame carries the action after it.
+        let candidates = histories.iter().map(|history| history.future(horizon + 1));
+        let candidates = candidates.collect::<Result<_, _>>()?;
+        // A chunk may say what was done where an action itself is missing.
+        let moment = match histories.first() {
+            Some(first) => first.moment()?,
+            None => self.history.moment()?,
         };
-        let context = match timelines.first() {
-            // A chunk may say what was done where an action itself is missing.
-            Some(first) => first.context()?,
-            None => self.timeline.context()?,
-        };
+        moment.expect_fresh(now, self.settings.max_age)?;
         Ok(EvaluationRequest {
             policy: message.policy.clone(),
             candidates_stamp: message.header.stamp,
-            context,
-            candidates: timelines.iter().map(future).collect::<Result<_, _>>()?,
+            moment,
+            candidates,
+            horizon,
             goal: self.goal.clone(),
             instruction: self.task.instruction(),
             seed: self.settings.seed,
-            timing,
         })
     }
 }

@@ -3,7 +3,7 @@
 use thiserror::Error;
 use wm_model::{actions::ActionError, planner::PlanError};
 
-use crate::{predictor::PredictorError, timeline::TimelineError};
+use crate::{history::HistoryError, predictor::PredictorError};
 use wm_wire::latent_message::LatentError;
 
 /// Why an input is left out, or there is no plan.
@@ -13,12 +13,23 @@ pub enum PlannerError {
     /// A latent message that cannot be used.
     #[error(transparent)]
     Latent(#[from] LatentError),
-    /// A frame or an action that does not fit the timeline.
+    /// A frame or an action that is left out.
     #[error(transparent)]
-    Timeline(#[from] TimelineError),
+    History(#[from] HistoryError),
     /// Actions that cannot be encoded, or a plan that cannot be decoded.
     #[error(transparent)]
     Action(#[from] ActionError),
+    /// A dimension to search that there is not.
+    #[error("parameter search names {name:?}; the model's actions are {space}")]
+    Searched {
+        /// The name.
+        name: String,
+        /// The action space, in words.
+        space: String,
+    },
+    /// The settings have no JSON form.
+    #[error("the plan's settings: {0}")]
+    Settings(#[from] serde_json::Error),
     /// The search found nothing.
     #[error(transparent)]
     Plan(#[from] PlanError),
@@ -37,7 +48,7 @@ impl From<PredictorError> for PlannerError {
     fn from(error: PredictorError) -> Self {
         match error {
             PredictorError::Latent(error) => Self::Latent(error),
-            PredictorError::Timeline(error) => Self::Timeline(error),
+            PredictorError::History(error) => Self::History(error),
             PredictorError::Action(error) => Self::Action(error),
             PredictorError::Model(error) => Self::Model(error),
         }
@@ -49,9 +60,9 @@ impl PlannerError {
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Latent(error) => error.reason(),
-            Self::Timeline(error) => error.reason(),
+            Self::History(error) => error.reason(),
             Self::Action(_) => "malformed_action",
-            Self::Plan(_) => "no_plan",
+            Self::Plan(_) | Self::Searched { .. } | Self::Settings(_) => "no_plan",
             Self::Model(_) => "model",
         }
     }

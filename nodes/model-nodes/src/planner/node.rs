@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use tokio::sync::watch;
-use wm_model::{LatentSpace, planner::PlannedActions};
+use wm_model::{LatentSpace, actions::ActionEncoding, planner::PlannedActions};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
     wm_msgs::{Action, ActionChunk, Latent, Plan, Reset},
@@ -22,10 +22,10 @@ use super::{
 };
 use crate::{
     encoder::{EncoderError, EncoderStep},
+    history::{Arrival, History, HistoryError, HistorySettings, Reception, Wait, note, seconds},
     model_choice::{self, ModelChoice},
     pool::Pool,
     reset::answer_reset,
-    timeline::{Arrival, Timing, Wait, seconds},
     work::{Stop, Work},
 };
 use wm_ros::complaints::Complaints;
@@ -81,8 +81,9 @@ struct PlannerNode {
 struct Configured {
     encoder: Arc<Mutex<EncoderStep>>,
     model: Arc<PlannerModel>,
-    timing: Timing,
+    history: HistorySettings,
     space: LatentSpace,
+    encoding: ActionEncoding,
 }
 
 type Planned = (
@@ -120,8 +121,12 @@ impl Managed for PlannerNode {
         })
         .await??;
         let parameters = &self.parameters;
-        let timing = model_choice::timing(parameters.frame_period, &model.encoding);
-        let space = model.space.clone();
+        let history = HistorySettings {
+            timing: model_choice::timing(parameters.frame_period, &model.encoding),
+            context_frames: parameters.context_frames,
+            merging: parameters.merging,
+        };
+        let (space, encoding) = (model.space.clone(), model.encoding.clone());
         tracing::info!("planning with {} in latent space {space}", model.name);
         let integration_steps = match parameters.integration_steps {
             0 => model.transition.config().sampler.steps,
@@ -130,6 +135,7 @@ impl Managed for PlannerNode {
         let model = PlannerModel::new(
             model,
             parameters.cem()?,
+            &parameters.search,
             integration_steps,
             parameters.max_translation,
             parameters.max_rotation,
@@ -138,8 +144,9 @@ impl Managed for PlannerNode {
         Ok(Configured {
             encoder: Arc::new(Mutex::new(encoder)),
             model: Arc::new(model),
-            timing,
+            history,
             space,
+            encoding,
         })
     }
 
@@ -153,7 +160,12 @@ impl Managed for PlannerNode {
             (request, found, started.elapsed())
         })
         .on(&self.pool);
-        let (settings, space) = (self.parameters.settings(), configured.space.clone());
+        let history = History::new(
+            configured.history,
+            configured.space.clone(),
+            configured.encoding.clone(),
+            node.now(),
+        );
         let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
         let input = Input::new("latents", [latents.topic()], "start the encoder");
         node.diagnostics().expect_input(input);
@@ -169,7 +181,7 @@ impl Managed for PlannerNode {
             chunks: node.subscription("action_chunk", Qos::reliable(10))?,
             resets: node.service("~/reset")?,
             jumps: node.clock().jumps(),
-            step: PlannerStep::new(settings, configured.timing, space),
+            step: PlannerStep::new(self.parameters.settings(), history),
             plans: node.publisher("plan", Qos::reliable(10))?,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
@@ -185,7 +197,10 @@ impl Managed for PlannerNode {
                 biased;
                 finished = active.searches.finished() => active.planned(finished.context("the planner's thread")?)?,
                 finished = active.goals.finished() => active.goal(finished.context("the goal's thread")?),
-                Some(call) = active.resets.recv() => answer_reset(call, |seed| active.step.reset(seed)),
+                Some(call) = active.resets.recv() => {
+                    let now = self.node.now();
+                    answer_reset(call, |seed| active.step.reset(seed, now));
+                },
                 Ok(()) = active.jumps.changed() => {
                     if active.step.clock_jumped(self.node.now()) {
                         tracing::info!("/clock jumped back: history flushed");
@@ -198,18 +213,18 @@ impl Managed for PlannerNode {
                     }
                 }
                 received = active.actions.recv() => {
-                    let Some(Received { message, .. }) = received else { return Ok(()) };
-                    let taken = active.step.action(&message);
+                    let Some(received) = received else { return Ok(()) };
+                    let taken = active.step.action(&received.message, received.received);
                     active.note(taken);
                 }
                 received = active.chunks.recv() => {
-                    let Some(Received { message, .. }) = received else { return Ok(()) };
-                    let taken = active.step.chunk(&message).map(|()| Arrival::default());
+                    let Some(received) = received else { return Ok(()) };
+                    let taken = active.step.chunk(&received.message, received.received);
                     active.note(taken);
                 }
                 received = active.latents.recv() => {
-                    let Some(Received { message, .. }) = received else { return Ok(()) };
-                    let taken = active.step.latent(&message);
+                    let Some(received) = received else { return Ok(()) };
+                    let taken = active.step.latent(&received.message, Reception::from(&received));
                     if active.note(taken) {
                         active.plan();
                     }
@@ -221,22 +236,8 @@ impl Managed for PlannerNode {
 
 impl Active {
     /// Reports what an input did; whether it was taken.
-    fn note(&mut self, taken: Result<Arrival, PlannerError>) -> bool {
-        match taken {
-            Ok(arrival) => {
-                if arrival.flushed {
-                    tracing::info!("stamps are more than a second apart: history flushed");
-                }
-                if let Some(late) = arrival.late_chunk {
-                    self.complaints.left_out("untimely_action", &late);
-                }
-                true
-            }
-            Err(error) => {
-                self.complaints.left_out(error.reason(), &error);
-                false
-            }
-        }
+    fn note(&mut self, taken: Result<Arrival, HistoryError>) -> bool {
+        note(&mut self.complaints, taken)
     }
 
     fn goal(&mut self, goal: Result<Goal, EncoderError>) {
@@ -254,7 +255,7 @@ impl Active {
 
     /// Starts a search where one is due, or says what it waits for.
     fn plan(&mut self) {
-        match self.step.request() {
+        match self.step.request(Instant::now()) {
             Ok(request) => {
                 self.complaints.working("planning");
                 if self.searches.submit(request).is_some() {
@@ -284,16 +285,15 @@ impl Active {
                 // A search takes seconds: far below what 64 bits of nanoseconds hold.
                 plan.time_taken = RosDuration::from_nanos(taken.as_nanos() as i64);
                 self.diagnostics.latency("plan").record(taken);
-                if self.step.planned(&request, &actions) {
-                    self.plans.publish(&plan)?;
-                } else {
-                    self.complaints.left_out(
-                        "stale_plan",
-                        &format_args!(
-                            "the plan from {} came after a new goal, a reset or a jump of time",
-                            seconds(plan.header.stamp)
-                        ),
-                    );
+                match self.step.planned(&request, &actions, taken, Instant::now()) {
+                    Ok(()) => self.plans.publish(&plan)?,
+                    Err(unsent) => {
+                        let stamp = seconds(plan.header.stamp);
+                        let text = format_args!(
+                            "the plan from the frame of {stamp} is not sent: {unsent}"
+                        );
+                        self.complaints.left_out(unsent.reason(), &text);
+                    }
                 }
             }
             Err(error) => self.complaints.left_out(error.reason(), &error),

@@ -6,10 +6,13 @@ use anyhow::{Result, bail};
 use wm_model::planner::{CemSettings, Returned};
 use wm_ros::{Descriptor, Node};
 
-use super::PlannerSettings;
+use super::{Lead, PlannerSettings};
+use crate::{chunk_merging, history::ChunkMerging};
 
 /// Largest population, iteration count and the like that is accepted: far beyond use, within every integer type.
 const MANY: i64 = 1_000_000;
+/// How long the first search is taken to be where there is no deadline.
+const FIRST_SEARCH: Duration = Duration::from_secs(1);
 
 /// What the parameters say, read once at the start.
 #[derive(Clone, Debug)]
@@ -22,9 +25,16 @@ pub(super) struct Parameters {
     initial_std: f32,
     std_floor: f32,
     returned: String,
-    context_frames: usize,
+    /// Frames that a plan starts from.
+    pub context_frames: usize,
     plan_period: f64,
     seed: u64,
+    max_age: f64,
+    lead_steps: Option<usize>,
+    /// How overlapping chunks join.
+    pub merging: ChunkMerging,
+    /// Dimensions to search; none: all but grippers.
+    pub search: Vec<String>,
     /// Euler steps a predicted frame.
     pub integration_steps: usize,
     /// Bound of each translation in one model step \[m\].
@@ -62,7 +72,29 @@ impl Parameters {
             "seed of the first plan's candidates and noise; each later plan adds 1",
         )
         .read_only();
+        let search = Descriptor::new(
+            "dimensions of the action space that are searched; empty: all but grippers, which hold their state",
+        );
+        let lead = Descriptor::new(
+            "model steps from the observed frame to the first planned action, for which the robot's motion is predicted; -1: as \
+             many as the last searches took",
+        );
+        let lead = node
+            .declare("lead_steps", -1_i64, lead.integers(-1, 16).read_only())?
+            .get();
         Ok(Self {
+            max_age: number(
+                "max_age",
+                2.0,
+                0.01,
+                3600.0,
+                "greatest age of the newest frame, by when it was received, at which a plan is made or sent [s]",
+            )?,
+            lead_steps: usize::try_from(lead).ok(),
+            merging: chunk_merging::declare(node)?,
+            search: node
+                .declare("search", Vec::<String>::new(), search.read_only())?
+                .get(),
             population: count("population", 32, 2, "candidates an iteration")?,
             iterations: count("iterations", 3, 1, "iterations a plan")?,
             elites: count(
@@ -164,9 +196,15 @@ impl Parameters {
     /// Settings of the state.
     pub(super) fn settings(&self) -> PlannerSettings {
         PlannerSettings {
-            context_frames: self.context_frames,
             // The descriptor keeps it within an hour.
             plan_period_ns: (self.plan_period * 1e9) as i64,
+            max_age: Duration::from_secs_f64(self.max_age),
+            lead: match self.lead_steps {
+                Some(steps) => Lead::Steps(steps),
+                None => Lead::Measured {
+                    first: self.deadline.unwrap_or(FIRST_SEARCH),
+                },
+            },
             seed: self.seed,
         }
     }

@@ -1,50 +1,110 @@
 //! The planner's state.
 
-use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use thiserror::Error;
-use wm_model::{LatentSpace, planner::PlannedActions};
+use wm_model::{motion::StepAction, planner::PlannedActions};
 use wm_msgs::{
     builtin_interfaces::Time,
     wm_msgs::{Action, ActionChunk, Latent},
 };
 
-use super::{Goal, PlannerError};
-use crate::timeline::{Arrival, Context, Timeline, Timing, Wait};
-use wm_wire::latent_message::decode_latent;
+use super::Goal;
+use crate::history::{Arrival, History, HistoryError, Moment, Reception, Wait};
+
+/// Searches that the lead of the next one is estimated from.
+const RECENT: usize = 4;
+/// Model steps that a plan may begin after its observation at most: beyond that a prediction says little.
+const MOST_LEAD: usize = 16;
 
 /// What can be chosen of when to plan and from what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlannerSettings {
-    /// Frames that a plan starts from.
-    pub context_frames: usize,
     /// Least time between the observations of two plans for one goal \[ns\].
     pub plan_period_ns: i64,
+    /// Greatest age of the newest frame, by when it was received, at which a plan is made or sent.
+    pub max_age: Duration,
+    /// When a plan begins.
+    pub lead: Lead,
     /// Seed of the first plan; each later one adds 1, so that a plan does not repeat the candidates of the last.
     pub seed: u64,
+}
+
+/// When a plan begins: a search takes time, in which the robot goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lead {
+    /// When the search will be over, as the last ones were; before the first one it takes `first`.
+    Measured {
+        /// How long the first search is taken to be.
+        first: Duration,
+    },
+    /// So many model steps after the observation.
+    Steps(usize),
 }
 
 /// All that a plan is computed from.
 #[derive(Clone, Debug)]
 pub struct PlanRequest {
-    /// The timeline's epoch.
-    pub epoch: u64,
-    /// Context frames and the actions between them; the last frame is the observation.
-    pub context: Context,
-    /// The frame of the actions' deltas, as the robot names it; empty where no action has come.
-    pub base_frame: Arc<str>,
+    /// The observation.
+    pub moment: Moment,
+    /// What the robot does until the plan begins, one a model step, and what it would do then.
+    pub until: Vec<StepAction>,
     /// What to reach.
     pub goal: Goal,
-    /// First mean of the search: the last plan for this goal, shifted by the model steps that have passed.
-    pub start: Option<Vec<Vec<f32>>>,
+    /// First mean of the search: the last plan for this goal, without what has passed of it.
+    pub start: Option<PlannedActions>,
     /// Seed of the candidates and of the noise.
     pub seed: u64,
-    /// How stamps make model steps.
-    pub timing: Timing,
+}
+
+impl PlanRequest {
+    /// Model steps from the observation to the plan's first action.
+    pub fn lead_steps(&self) -> usize {
+        self.until.len().saturating_sub(1)
+    }
+
+    /// When the plan begins \[ns\].
+    pub fn begin_ns(&self) -> i64 {
+        let moment = &self.moment;
+        moment
+            .timing
+            .step_at(moment.observed.stamp_ns, self.lead_steps())
+    }
+}
+
+/// Why a plan that was made is not sent.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum Unsent {
+    /// There is another goal, or another history.
+    #[error("it came after a new goal, a reset or a jump of time")]
+    Superseded,
+    /// No frame has come for long: nobody knows what the robot has done since.
+    #[error(transparent)]
+    Stale(Wait),
+    /// Its last action would be over.
+    #[error(
+        "it took {taken_s:.1} s, and its last action would be over: raise horizon, or lower deadline or population"
+    )]
+    Late {
+        /// Since the observation was received \[s\].
+        taken_s: f64,
+    },
+}
+
+impl Unsent {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Superseded => "stale_plan",
+            Self::Stale(_) => "stale_frame",
+            Self::Late { .. } => "late_plan",
+        }
+    }
 }
 
 /// Why there is nothing to plan.
-#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum PlanWait {
     /// No goal is set.
@@ -58,30 +118,35 @@ pub enum PlanWait {
     Recent,
 }
 
+/// The last plan for the goal.
 struct LastPlan {
-    observed_ns: i64,
-    actions: Option<PlannedActions>,
+    begin_ns: i64,
+    actions: PlannedActions,
 }
 
 /// The planner node's state: messages in, plan requests out.
 pub struct PlannerStep {
     settings: PlannerSettings,
-    space: LatentSpace,
-    timeline: Timeline,
+    history: History,
     goal: Option<Goal>,
+    /// Observation of the newest request for the goal \[ns\].
+    requested_ns: Option<i64>,
     last: Option<LastPlan>,
+    /// How long the last searches took, the newest last.
+    searches: Vec<Duration>,
     seed: u64,
 }
 
 impl PlannerStep {
-    /// A planner that has seen nothing.
-    pub fn new(settings: PlannerSettings, timing: Timing, space: LatentSpace) -> Self {
+    /// A planner over an empty `history`.
+    pub fn new(settings: PlannerSettings, history: History) -> Self {
         Self {
             settings,
-            space,
-            timeline: Timeline::new(timing, settings.context_frames),
+            history,
             goal: None,
+            requested_ns: None,
             last: None,
+            searches: Vec::new(),
             seed: settings.seed,
         }
     }
@@ -89,103 +154,139 @@ impl PlannerStep {
     /// Takes a latent; [`Self::request`] then says whether to plan.
     ///
     /// # Errors
-    /// [`PlannerError`]: the latent is left out.
-    pub fn latent(&mut self, latent: &Latent) -> Result<Arrival, PlannerError> {
-        let values: Arc<[f32]> = decode_latent(latent, &self.space)?.into();
-        let arrival = self
-            .timeline
-            .frame(latent.header.stamp, &latent.header.frame_id, values)?;
-        self.note(arrival);
+    /// [`HistoryError`]: it is left out.
+    pub fn latent(
+        &mut self,
+        latent: &Latent,
+        reception: Reception,
+    ) -> Result<Arrival, HistoryError> {
+        let arrival = self.history.latent(latent, reception)?;
+        if arrival.flushed {
+            self.forget_plans();
+        }
         Ok(arrival)
     }
 
     /// Takes an action that was taken.
     ///
     /// # Errors
-    /// [`PlannerError::Timeline`]: the action is left out.
-    pub fn action(&mut self, action: &Action) -> Result<Arrival, PlannerError> {
-        let arrival = self.timeline.action(action)?;
-        self.note(arrival);
-        Ok(arrival)
+    /// [`HistoryError`]: it is left out.
+    pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
+        self.history.action(action, now)
     }
 
-    /// Takes the actions to come, which say what was done where an action itself is missing.
+    /// Takes the actions to come.
     ///
     /// # Errors
-    /// [`PlannerError::Timeline`]: the chunk is left out.
-    pub fn chunk(&mut self, chunk: &ActionChunk) -> Result<(), PlannerError> {
-        Ok(self.timeline.chunk(chunk)?)
+    /// [`HistoryError`]: it is left out.
+    pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Arrival, HistoryError> {
+        self.history.chunk(chunk, now)
     }
 
     /// Takes a goal, row-major values of the planner's own latent space. The next plan starts anew.
     pub fn set_goal(&mut self, goal: Goal) {
         self.goal = Some(goal);
-        self.last = None;
+        self.forget_plans();
     }
 
-    /// The plan to make now.
+    /// The plan to make at `now`.
     ///
     /// # Errors
     /// [`PlanWait`] says what is missing.
-    pub fn request(&mut self) -> Result<PlanRequest, PlanWait> {
+    pub fn request(&mut self, now: Instant) -> Result<PlanRequest, PlanWait> {
         let goal = self.goal.clone().ok_or(PlanWait::NoGoal)?;
-        let context = self.timeline.context()?;
-        let observed_ns = context.frames.last().ok_or(Wait::NoFrame)?.stamp_ns;
-        let timing = self.timeline.timing();
-        let mut start = None;
-        if let Some(last) = &self.last {
+        let moment = self.history.moment()?;
+        moment.expect_fresh(now, self.settings.max_age)?;
+        let observed_ns = moment.observed.stamp_ns;
+        if let Some(requested_ns) = self.requested_ns {
             // A stamp that is a jitter early is due all the same.
-            let since_ns = observed_ns - last.observed_ns;
-            if since_ns
-                < self
-                    .settings
-                    .plan_period_ns
-                    .saturating_sub(timing.tolerance_ns)
-                    .max(1)
-            {
+            let due_ns = self.settings.plan_period_ns - moment.timing.tolerance_ns;
+            if observed_ns - requested_ns < due_ns.max(1) {
                 return Err(PlanWait::Recent);
             }
-            start = last
-                .actions
-                .as_ref()
-                .and_then(|actions| shifted(actions, since_ns, timing.step_ns()));
         }
-        self.last = Some(LastPlan {
-            observed_ns,
-            actions: None,
-        });
-        let seed = self.seed;
-        self.seed = self.seed.wrapping_add(1);
-        Ok(PlanRequest {
-            epoch: self.timeline.epoch(),
-            base_frame: self.timeline.base_frame(),
-            context,
+        let until = self.history.future(self.lead_steps(&moment, now) + 1)?;
+        let mut request = PlanRequest {
+            moment,
+            until,
             goal,
-            start,
-            seed,
-            timing,
-        })
+            start: None,
+            seed: self.seed,
+        };
+        request.start = self.last.as_ref().and_then(|last| {
+            let step_ns = request.moment.timing.step_ns();
+            let since_ns = request.begin_ns() - last.begin_ns;
+            let passed = usize::try_from((since_ns + step_ns / 2) / step_ns.max(1)).ok()?;
+            last.actions.without(passed)
+        });
+        self.requested_ns = Some(observed_ns);
+        self.seed = self.seed.wrapping_add(1);
+        Ok(request)
     }
 
-    /// Takes note of what a request led to: the start of the next search. False, and nothing is noted, where time has
-    /// jumped, or the goal has changed, since: the plan is stale.
-    #[must_use]
-    pub fn planned(&mut self, request: &PlanRequest, actions: &PlannedActions) -> bool {
-        if request.epoch != self.timeline.epoch() || self.goal.as_ref() != Some(&request.goal) {
-            return false;
+    /// Model steps in which the search will be over.
+    fn lead_steps(&self, moment: &Moment, now: Instant) -> usize {
+        let search = match self.settings.lead {
+            Lead::Steps(steps) => return steps.min(MOST_LEAD),
+            Lead::Measured { first } => self.searches.iter().max().copied().unwrap_or(first),
+        };
+        let age = now.saturating_duration_since(moment.observed.reception.at);
+        let step = Duration::from_nanos(moment.timing.step_ns().unsigned_abs());
+        let steps = (age + search).as_secs_f64() / step.as_secs_f64().max(1e-9);
+        // A handful; a cast saturates.
+        (steps.ceil() as usize).min(MOST_LEAD)
+    }
+
+    /// Takes note of what a request led to, in `taken`: the start of the next search, and how far ahead it has to
+    /// begin.
+    ///
+    /// # Errors
+    /// [`Unsent`] says why the plan must not be sent at `now`.
+    pub fn planned(
+        &mut self,
+        request: &PlanRequest,
+        actions: &PlannedActions,
+        taken: Duration,
+        now: Instant,
+    ) -> Result<(), Unsent> {
+        if self.searches.len() == RECENT {
+            self.searches.remove(0);
         }
-        let observed_ns = request.context.frames.last().map(|frame| frame.stamp_ns);
-        if let Some(last) = &mut self.last
-            && Some(last.observed_ns) == observed_ns
-        {
-            last.actions = Some(actions.clone());
+        self.searches.push(taken);
+        let moment = &request.moment;
+        if moment.epoch != self.history.epoch() || self.goal.as_ref() != Some(&request.goal) {
+            return Err(Unsent::Superseded);
         }
-        true
+        self.last = Some(LastPlan {
+            begin_ns: request.begin_ns(),
+            actions: actions.clone(),
+        });
+        if let Some(newest) = self.history.newest() {
+            let age = now.saturating_duration_since(newest.reception.at);
+            if age > self.settings.max_age {
+                return Err(Unsent::Stale(Wait::Stale {
+                    age_s: age.as_secs_f64(),
+                    max_s: self.settings.max_age.as_secs_f64(),
+                }));
+            }
+        }
+        let since = now.saturating_duration_since(moment.observed.reception.at);
+        let end_ns = moment
+            .timing
+            .step_at(request.begin_ns(), actions.actions.len());
+        let left_ns = end_ns - moment.observed.stamp_ns;
+        if since.as_nanos() > u128::from(left_ns.unsigned_abs()) {
+            return Err(Unsent::Late {
+                taken_s: since.as_secs_f64(),
+            });
+        }
+        Ok(())
     }
 
     /// Forgets all history and the last plan, and takes a new seed where one is given. The goal stays: it is the user's.
-    pub fn reset(&mut self, seed: Option<u64>) -> String {
-        self.flush();
+    pub fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
+        self.history.reset(now);
+        self.forget_plans();
         if let Some(seed) = seed {
             self.seed = seed;
         }
@@ -200,39 +301,19 @@ impl PlannerStep {
         )
     }
 
-    /// Forgets all history.
-    fn flush(&mut self) {
-        self.timeline.clear();
-        self.last = None;
-    }
-
     /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
-        let has_flushed = self.timeline.clock_jumped(now);
+        let has_flushed = self.history.clock_jumped(now);
         if has_flushed {
-            self.last = None;
+            self.forget_plans();
         }
         has_flushed
     }
 
-    fn note(&mut self, arrival: Arrival) {
-        if arrival.flushed {
-            self.last = None;
-        }
+    fn forget_plans(&mut self) {
+        self.requested_ns = None;
+        self.last = None;
     }
-}
-
-/// A plan made `since_ns` ago, as the start of the next one; none where all its steps have passed.
-fn shifted(plan: &PlannedActions, since_ns: i64, step_ns: i64) -> Option<Vec<Vec<f32>>> {
-    let passed = usize::try_from((since_ns + step_ns / 2) / step_ns.max(1)).ok()?;
-    if passed >= plan.actions.len() {
-        return None;
-    }
-    let mut shifted = plan.clone();
-    for _ in 0..passed {
-        shifted.actions = shifted.shifted();
-    }
-    Some(shifted.actions)
 }
 
 #[cfg(test)]

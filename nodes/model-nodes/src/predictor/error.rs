@@ -3,7 +3,7 @@
 use thiserror::Error;
 use wm_model::actions::ActionError;
 
-use crate::timeline::TimelineError;
+use crate::history::HistoryError;
 use wm_wire::latent_message::LatentError;
 
 /// Why an input is left out, or a rollout ends.
@@ -13,9 +13,9 @@ pub enum PredictorError {
     /// A latent message that cannot be used, or a predicted latent that is not finite.
     #[error(transparent)]
     Latent(#[from] LatentError),
-    /// A frame, action or chunk that does not fit the timeline.
+    /// A frame, action or chunk that is left out.
     #[error(transparent)]
-    Timeline(#[from] TimelineError),
+    History(#[from] HistoryError),
     /// Actions that cannot be encoded for the model.
     #[error(transparent)]
     Action(#[from] ActionError),
@@ -35,7 +35,7 @@ impl PredictorError {
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Latent(error) => error.reason(),
-            Self::Timeline(error) => error.reason(),
+            Self::History(error) => error.reason(),
             Self::Action(_) => "malformed_action",
             Self::Model(_) => "model",
         }

@@ -13,12 +13,16 @@ use wm_ros::{
     Publisher, Qos, Received, Service, Subscription,
 };
 
-use super::{PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout};
+use super::{
+    Outcome, PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout,
+};
 use crate::{
     chunk_merging,
+    history::{
+        Arrival, ChunkMerging, History, HistoryError, HistorySettings, Reception, note, seconds,
+    },
     model_choice::{self, ModelChoice},
     reset::answer_reset,
-    timeline::{ChunkMerging, Wait, seconds},
     work::{Stop, Work},
 };
 use wm_ros::complaints::Complaints;
@@ -154,14 +158,19 @@ impl Managed for PredictorNode {
         let settings = PredictorSettings {
             // Descriptors keep these within small positive ranges; a seed is any 64 bits.
             horizon: parameters.horizon.get() as usize,
-            context_frames: parameters.context_frames as usize,
             integration_steps: 1,
             seed: parameters.seed as u64,
             dtype: LatentDtype::F16,
         };
-        let timing = model_choice::timing(parameters.frame_period, &model.encoding);
-        let step = PredictorStep::new(settings, timing, model.space.clone())
-            .with_chunk_merging(parameters.merging);
+        let history = HistorySettings {
+            timing: model_choice::timing(parameters.frame_period, &model.encoding),
+            // The descriptor keeps it positive.
+            context_frames: parameters.context_frames as usize,
+            merging: parameters.merging,
+        };
+        let (space, encoding) = (model.space.clone(), model.encoding.clone());
+        let history = History::new(history, space, encoding, node.now());
+        let step = PredictorStep::new(settings, history);
         let shared = Shared {
             step: Arc::new(Mutex::new(step)),
             model: Arc::clone(model),
@@ -205,7 +214,10 @@ impl Managed for PredictorNode {
                         active.complaints.left_out("rollout", &format_args!("{error:#}"));
                     }
                 }
-                Some(call) = active.resets.recv() => answer_reset(call, |seed| active.shared.step().reset(seed)),
+                Some(call) = active.resets.recv() => {
+                    let now = active.shared.clock.now();
+                    answer_reset(call, |seed| active.shared.step().reset(seed, now));
+                },
                 Ok(()) = active.jumps.changed() => {
                     let now = active.shared.clock.now();
                     if active.shared.step().clock_jumped(now) {
@@ -214,23 +226,17 @@ impl Managed for PredictorNode {
                 }
                 received = active.actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = active.shared.step().action(&received.message);
-                    match taken {
-                        Ok(arrival) if arrival.flushed => tracing::info!("stamps are more than a second apart: history flushed"),
-                        Ok(_) => {}
-                        Err(error) => active.complaints.left_out(error.reason(), &error),
-                    }
+                    let taken = active.shared.step().action(&received.message, received.received);
+                    active.note(taken);
                 }
                 received = active.chunks.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = active.shared.step().chunk(&received.message);
-                    if let Err(error) = taken {
-                        active.complaints.left_out(error.reason(), &error);
-                    }
+                    let taken = active.shared.step().chunk(&received.message, received.received);
+                    active.outcome(taken, seconds(received.message.header.stamp))?;
                 }
                 received = active.latents.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    active.latent(received, &self.parameters)?;
+                    active.latent(&received, &self.parameters)?;
                 }
             }
         }
@@ -238,13 +244,7 @@ impl Managed for PredictorNode {
 }
 
 impl Active {
-    fn latent(
-        &mut self,
-        Received { message, received }: Received<Latent>,
-        parameters: &Parameters,
-    ) -> Result<()> {
-        let arrived = Instant::now();
-        let stamp = seconds(message.header.stamp);
+    fn latent(&mut self, received: &Received<Latent>, parameters: &Parameters) -> Result<()> {
         let horizon = parameters.horizon.get() as usize;
         let integration_steps = match parameters.integration_steps.get() {
             0 => self.shared.model.transition.config().sampler.steps,
@@ -254,18 +254,9 @@ impl Active {
         let outcome = {
             let mut step = self.shared.step();
             step.set(horizon, integration_steps);
-            step.latent(&message, received)
+            step.latent(&received.message, Reception::from(received))
         };
-        let outcome = match outcome {
-            Ok(outcome) => outcome,
-            Err(error) => {
-                self.complaints.left_out(error.reason(), &error);
-                return Ok(());
-            }
-        };
-        for error in &outcome.errors {
-            self.shared.errors.publish(error)?;
-        }
+        self.outcome(outcome, seconds(received.message.header.stamp))?;
         let unscored = self.shared.step().unscored();
         if unscored > self.unscored {
             self.complaints.left_out_many(
@@ -275,24 +266,27 @@ impl Active {
             );
             self.unscored = unscored;
         }
-        if outcome.arrival.flushed {
-            tracing::info!("stamps are more than a second apart: history flushed");
+        Ok(())
+    }
+
+    /// Reports what an input did, and starts the rollout that is due.
+    fn outcome(&mut self, outcome: Result<Outcome, HistoryError>, stamp: String) -> Result<()> {
+        let (arrival, rest) = match outcome {
+            Ok(outcome) => (Ok(outcome.arrival), Some((outcome.errors, outcome.rollout))),
+            Err(error) => (Err(error), None),
+        };
+        note(&mut self.complaints, arrival);
+        let Some((errors, rollout)) = rest else {
+            return Ok(());
+        };
+        for error in &errors {
+            self.shared.errors.publish(error)?;
         }
-        if let Some(late) = outcome.arrival.late_chunk {
-            self.complaints.left_out("untimely_action", &late);
-        }
-        if outcome.arrival.missed_frames > 0 {
-            let text = format!(
-                "{} frames are missing before that of {}",
-                outcome.arrival.missed_frames, stamp
-            );
-            self.complaints
-                .left_out_many("gap", outcome.arrival.missed_frames, &text);
-        }
-        match outcome.rollout {
-            Ok(request) => {
+        match rollout {
+            None => {}
+            Some(Ok(request)) => {
                 self.complaints.working("predicting");
-                if self.work.submit((request, arrived)).is_some() {
+                if self.work.submit((request, Instant::now())).is_some() {
                     self.complaints.left_out(
                         "overload",
                         &format_args!(
@@ -301,12 +295,13 @@ impl Active {
                     );
                 }
             }
-            Err(wait) => {
-                let is_usual = matches!(wait, Wait::NoFrame | Wait::Context { .. });
-                self.complaints.waiting(kind(&wait), is_usual, &wait);
-            }
+            Some(Err(wait)) => self.complaints.waiting(wait.kind(), wait.is_usual(), &wait),
         }
         Ok(())
+    }
+
+    fn note(&mut self, arrival: Result<Arrival, HistoryError>) {
+        note(&mut self.complaints, arrival);
     }
 }
 
@@ -323,7 +318,7 @@ impl Shared {
         let rollout = RunningRollout::new(&self.model, request)?;
         for (index, predicted) in rollout.enumerate() {
             let mut predicted = predicted?;
-            if stop.is_asked() || predicted.epoch != self.step().epoch() {
+            if stop.is_asked() || predicted.prediction.epoch != self.step().epoch() {
                 return Ok(());
             }
             predicted.prediction.ready_stamp = self.clock.now();
@@ -347,15 +342,5 @@ impl Shared {
         };
         self.diagnostics.took(deadline, taken);
         Ok(())
-    }
-}
-
-/// Waits of one kind are said once.
-fn kind(wait: &Wait) -> &'static str {
-    match wait {
-        Wait::NoFrame => "no frame",
-        Wait::Context { .. } => "context",
-        Wait::Gap { .. } => "gap",
-        Wait::NoAction { .. } => "no action",
     }
 }

@@ -5,7 +5,7 @@ use std::{collections::VecDeque, sync::Arc};
 use wm_model::metrics::mean_squared_error;
 use wm_msgs::{builtin_interfaces::Time, std_msgs::Header, wm_msgs::PredictionError};
 
-use crate::timeline::Frame;
+use crate::history::Frame;
 
 /// Most predictions that wait for their moment, whatever the horizon.
 const MAX_PENDING: usize = 8192;
@@ -73,6 +73,10 @@ impl Scoring {
         if let Some(seen) = seen {
             return Some(pending.score(seen));
         }
+        // A rollout that was made again, with the actions that came after its frame, replaces the first.
+        self.pending.retain(|other| {
+            (other.step, other.observed.stamp_ns) != (pending.step, pending.observed.stamp_ns)
+        });
         while self.pending.len() >= self.capacity.max(1) {
             self.pending.pop_front();
             self.given_up += 1;

@@ -2,26 +2,23 @@
 
 use std::sync::Arc;
 
-use wm_model::LatentSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
     wm_msgs::{Action, ActionChunk, Latent, PredictionError},
 };
+use wm_wire::latent_message::LatentDtype;
 
 use super::{
-    PredictedStep, PredictorError, RolloutRequest,
+    Doubt, PredictedStep, RolloutRequest, Trust,
     scoring::{Pending, Scoring},
 };
-use crate::timeline::{Arrival, ChunkMerging, Timeline, Timing, Wait};
-use wm_wire::latent_message::{LatentDtype, decode_latent};
+use crate::history::{Arrival, History, HistoryError, Reception, Wait};
 
 /// What can be chosen of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PredictorSettings {
     /// Model steps K of a rollout.
     pub horizon: usize,
-    /// Frames that a rollout starts from.
-    pub context_frames: usize,
     /// Euler steps a predicted frame.
     pub integration_steps: usize,
     /// Seed of the noise; the same for every rollout, so that a prediction does not depend on how many came before.
@@ -30,98 +27,100 @@ pub struct PredictorSettings {
     pub dtype: LatentDtype,
 }
 
-/// What a latent brought about.
+/// What an input brought about.
 #[derive(Debug)]
-pub struct LatentOutcome {
-    /// What it did to the timeline.
+pub struct Outcome {
+    /// What it did to the history.
     pub arrival: Arrival,
     /// How the predictions of its moment did.
     pub errors: Vec<PredictionError>,
-    /// The rollout that starts from it, or what that waits for.
-    pub rollout: Result<RolloutRequest, Wait>,
+    /// The rollout that is due, or what that waits for; none where none is due.
+    pub rollout: Option<Result<RolloutRequest, Wait>>,
 }
 
 /// The predictor node's state: messages in, rollout requests and prediction errors out.
 #[derive(Clone, Debug)]
 pub struct PredictorStep {
     settings: PredictorSettings,
-    space: LatentSpace,
-    timeline: Timeline,
+    history: History,
     scoring: Scoring,
+    trust: Trust,
 }
 
 impl PredictorStep {
-    /// A predictor that has seen nothing.
-    pub fn new(settings: PredictorSettings, timing: Timing, space: LatentSpace) -> Self {
+    /// A predictor over an empty `history`.
+    pub fn new(settings: PredictorSettings, history: History) -> Self {
         let mut step = Self {
             settings,
-            space,
-            timeline: Timeline::new(timing, settings.context_frames),
+            history,
             scoring: Scoring::default(),
+            trust: Trust::default(),
         };
         step.set(settings.horizon, settings.integration_steps);
         step
     }
 
-    /// The same predictor, which merges overlapping chunks by `merging`.
-    #[must_use]
-    pub fn with_chunk_merging(mut self, merging: ChunkMerging) -> Self {
-        self.timeline = self.timeline.with_chunk_merging(merging);
-        self
-    }
-
-    /// Takes a latent, received at `received` by the node's clock.
+    /// Takes a latent.
     ///
     /// # Errors
-    /// [`PredictorError`]: the latent is left out, the state is as before.
+    /// [`HistoryError`]: it is left out, the state is as before.
     pub fn latent(
         &mut self,
         latent: &Latent,
-        received: Time,
-    ) -> Result<LatentOutcome, PredictorError> {
-        let values: Arc<[f32]> = decode_latent(latent, &self.space)?.into();
-        let arrival = self
-            .timeline
-            .frame(latent.header.stamp, &latent.header.frame_id, values)?;
+        reception: Reception,
+    ) -> Result<Outcome, HistoryError> {
+        let arrival = self.history.latent(latent, reception)?;
         if arrival.flushed {
-            self.scoring.clear();
+            self.forget();
         }
-        let tolerance_ns = self.timeline.timing().tolerance_ns;
-        let errors = match self.timeline.newest() {
-            Some(seen) => self.scoring.seen(seen, tolerance_ns),
-            None => Vec::new(),
+        let tolerance_ns = self.history.timing().tolerance_ns;
+        let errors = match self.history.newest() {
+            Some(seen) if !arrival.held_back => self.scoring.seen(seen, tolerance_ns),
+            _ => Vec::new(),
         };
-        Ok(LatentOutcome {
+        if let Some(seen) = self.history.newest().filter(|_| !arrival.held_back) {
+            self.trust.seen(seen);
+        }
+        errors.iter().for_each(|error| self.trust.scored(error));
+        let is_due = arrival.is_due && !arrival.held_back;
+        Ok(Outcome {
+            rollout: is_due.then(|| self.request()),
             arrival,
             errors,
-            rollout: self.request(received),
         })
     }
 
     /// Takes an action that was taken.
     ///
     /// # Errors
-    /// [`PredictorError::Timeline`]: the action is left out.
-    pub fn action(&mut self, action: &Action) -> Result<Arrival, PredictorError> {
-        let arrival = self.timeline.action(action)?;
-        if arrival.flushed {
-            self.scoring.clear();
-        }
-        Ok(arrival)
+    /// [`HistoryError`]: it is left out.
+    pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
+        self.history.action(action, now)
     }
 
-    /// Takes the actions to come.
+    /// Takes the actions to come. Where they answer the newest frame, its rollout is due again: a policy is slower than
+    /// the encoder.
     ///
     /// # Errors
-    /// [`PredictorError::Timeline`]: the chunk is left out, the one before stays.
-    pub fn chunk(&mut self, chunk: &ActionChunk) -> Result<(), PredictorError> {
-        Ok(self.timeline.chunk(chunk)?)
+    /// [`HistoryError`]: it is left out, the one before stays.
+    pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Outcome, HistoryError> {
+        let arrival = self.history.chunk(chunk, now)?;
+        let rollout = match arrival.is_due.then(|| self.request()) {
+            // What is missing was said when the frame came.
+            Some(Err(_)) | None => None,
+            request => request,
+        };
+        Ok(Outcome {
+            arrival,
+            errors: Vec::new(),
+            rollout,
+        })
     }
 
     /// Takes note of a prediction that was made. Where its moment has come already, its error is returned at once.
     /// One of an earlier epoch is ignored.
     pub fn predicted(&mut self, step: &PredictedStep) -> Option<PredictionError> {
-        if step.epoch != self.epoch() {
+        if step.prediction.epoch != self.epoch() {
             return None;
         }
         let due_ns = step.prediction.header.stamp.to_nanos();
@@ -131,14 +130,15 @@ impl PredictorStep {
             step: step.prediction.step,
             predicted: Arc::clone(&step.values),
         };
-        let tolerance_ns = self.timeline.timing().tolerance_ns;
-        self.scoring
-            .add(pending, self.timeline.near(due_ns, tolerance_ns))
+        let error = self.scoring.add(pending, self.history.near(due_ns));
+        error.iter().for_each(|error| self.trust.scored(error));
+        error
     }
 
     /// Forgets all history and takes a new seed where one is given; says what was done.
-    pub fn reset(&mut self, seed: Option<u64>) -> String {
-        self.flush();
+    pub fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
+        self.history.reset(now);
+        self.forget();
         if let Some(seed) = seed {
             self.settings.seed = seed;
         }
@@ -148,19 +148,23 @@ impl PredictorStep {
         )
     }
 
-    /// Forgets all history.
-    fn flush(&mut self) {
-        self.timeline.clear();
-        self.scoring.clear();
-    }
-
     /// Takes note that the node's clock jumped back to `now`; whether that flushed the history.
     pub fn clock_jumped(&mut self, now: Time) -> bool {
-        let has_flushed = self.timeline.clock_jumped(now);
+        let has_flushed = self.history.clock_jumped(now);
         if has_flushed {
-            self.scoring.clear();
+            self.forget();
         }
         has_flushed
+    }
+
+    fn forget(&mut self) {
+        self.scoring.clear();
+        self.trust.clear();
+    }
+
+    /// What speaks against the predictions of the last seconds.
+    pub fn doubt(&self) -> Option<Doubt> {
+        self.trust.doubt()
     }
 
     /// Predictions that were given up before their moment came, since too many waited.
@@ -168,39 +172,28 @@ impl PredictorStep {
         self.scoring.given_up()
     }
 
-    /// Settings of the next rollouts. The number of context frames is fixed when the state is made.
+    /// Settings of the next rollouts.
     pub fn set(&mut self, horizon: usize, integration_steps: usize) {
         self.settings.horizon = horizon;
-        let skip = self.timeline.timing().frame_skip;
+        let skip = self.history.timing().frame_skip;
         self.scoring.make_room(horizon, skip);
         self.settings.integration_steps = integration_steps;
     }
 
     /// Counts up with every flush.
     pub fn epoch(&self) -> u64 {
-        self.timeline.epoch()
+        self.history.epoch()
     }
 
-    fn request(&self, received: Time) -> Result<RolloutRequest, Wait> {
-        let context = self.timeline.context()?;
-        let timing = self.timeline.timing();
-        let observed_ns = context.frames.last().ok_or(Wait::NoFrame)?.stamp_ns;
-        // Horizons are a handful of steps.
-        let future = (0..self.settings.horizon)
-            .map(|step| {
-                self.timeline
-                    .actions_of_step(observed_ns + timing.step_ns() * step as i64)
-            })
-            .collect::<Result<_, _>>()?;
+    fn request(&self) -> Result<RolloutRequest, Wait> {
         Ok(RolloutRequest {
-            epoch: self.epoch(),
-            context,
-            future,
-            received,
+            moment: self.history.moment()?,
+            // One more than is predicted: the last frame carries the action after it.
+            future: self.history.future(self.settings.horizon + 1)?,
+            horizon: self.settings.horizon,
             seed: self.settings.seed,
             integration_steps: self.settings.integration_steps,
             dtype: self.settings.dtype,
-            timing,
         })
     }
 }

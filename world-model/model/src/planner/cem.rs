@@ -25,12 +25,17 @@ pub struct PlannedActions {
 }
 
 impl PlannedActions {
-    /// The mean to start the next search from, one model step later: this plan without its first step, a zero action
-    /// at the end.
-    pub fn shifted(&self) -> Vec<Vec<f32>> {
-        let rest = self.actions.iter().skip(1).cloned();
-        let still = self.actions.last().map(|last| vec![0.0; last.len()]);
-        rest.chain(still).collect()
+    /// What is left of the plan when its first `passed` steps are over, going on with the last one: the mean to start
+    /// the next search from. None where nothing is left.
+    pub fn without(&self, passed: usize) -> Option<Self> {
+        let left = self.actions.get(passed..)?;
+        let last = left.last()?;
+        let going_on = std::iter::repeat_n(last, passed);
+        let actions = left.iter().chain(going_on).cloned().collect();
+        Some(Self {
+            actions,
+            ..self.clone()
+        })
     }
 }
 
@@ -91,7 +96,7 @@ impl Cem {
 
     /// Searches for actions that bring `dynamics` to `target`.
     ///
-    /// `start` is the first mean, one action a step ([`PlannedActions::shifted`] of the last plan); zeros without it.
+    /// `start` is the first mean, one action a step ([`PlannedActions::without`] of the last plan); zeros without it.
     /// `out_of_time` is asked before each batch of candidates but the first, so that there is a plan however late it is.
     ///
     /// # Errors

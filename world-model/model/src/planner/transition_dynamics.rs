@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use super::Dynamics;
 use crate::{
     Result,
-    sampler::{Rollout, Sampler},
+    sampler::{Given, Rollout, Sampler},
     transition::PackedTransition,
 };
 
@@ -30,12 +30,17 @@ impl<'m> TransitionDynamics<'m> {
         actions: Option<&Tensor>,
         noise_seed: u64,
     ) -> Result<Self> {
-        let mut start = Rollout::new(model, sampler, context, actions, noise_seed)?;
+        Self::after(Rollout::new(model, sampler, context, actions, noise_seed)?)
+    }
+
+    /// Dynamics that go on where a rollout is.
+    ///
+    /// # Errors
+    /// Where the model fails.
+    pub fn after(mut start: Rollout<'m>) -> Result<Self> {
         start.prepare()?;
-        Ok(Self {
-            start,
-            action_dim: model.config().action_dim,
-        })
+        let action_dim = start.action_dim();
+        Ok(Self { start, action_dim })
     }
 }
 
@@ -48,9 +53,15 @@ impl Dynamics for TransitionDynamics<'_> {
         let (count, steps, _) = actions.dims3()?;
         let mut rollout = self.start.candidates(count)?;
         let mut latents = Vec::with_capacity(steps);
+        let at = |step: usize| actions.narrow(1, step, 1)?.squeeze(1)?.contiguous();
         for step in 0..steps {
-            let action = actions.narrow(1, step, 1)?.squeeze(1)?.contiguous()?;
-            latents.push(rollout.next(&action)?);
+            // After the last step the last action goes on.
+            let own = at((step + 1).min(steps - 1))?;
+            let given = Given {
+                own_action: Some(&own),
+                ..Given::default()
+            };
+            latents.push(rollout.next_given(&at(step)?, given)?);
         }
         Ok(Tensor::stack(&latents, 1)?)
     }

@@ -67,8 +67,10 @@ fn uncached(
         // Actions first..first + window lead from each clean frame to the next, the last one to
         // the new frame.
         let between = actions.narrow(0, first, window).unwrap();
+        // The last action goes on.
+        let own = between.narrow(0, window - 1, 1).unwrap();
         let fed = match config.action_alignment {
-            ActionAlignment::WithFrame => Tensor::cat(&[&between, &zero], 0),
+            ActionAlignment::WithFrame => Tensor::cat(&[&between, &own], 0),
             ActionAlignment::WithResult => Tensor::cat(&[&zero, &between], 0),
         };
         let fed = fed.unwrap().unsqueeze(0).unwrap();

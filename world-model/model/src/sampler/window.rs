@@ -179,18 +179,16 @@ impl Window {
         })
     }
 
-    /// What is fed with the frame to be predicted, whose action was pushed last; `own` is the one
-    /// that leads on from it, if it is known.
+    /// What is fed with the frame to be predicted, to which the action that was pushed last leads; `own` is the one that
+    /// leads on from it, if it is known. Otherwise the last one goes on: no frame that a model was trained on had none.
     pub(super) fn action_of_new_frame(
         &self,
         c: &TransitionConfig,
         own: Option<Batched>,
     ) -> Batched {
-        let fed = match c.action_alignment {
-            ActionAlignment::WithResult => self.actions.back().cloned(),
-            ActionAlignment::WithFrame => own,
-        };
-        fed.unwrap_or_else(|| no_action(c))
+        let own = own.filter(|_| c.action_alignment == ActionAlignment::WithFrame);
+        own.or_else(|| self.actions.back().cloned())
+            .unwrap_or_else(|| no_action(c))
     }
 
     /// What is fed with frame `i`, if it is known by now.

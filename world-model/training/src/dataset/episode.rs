@@ -2,6 +2,10 @@ use std::path::Path;
 
 use image::{GrayImage, RgbImage, imageops::FilterType};
 use wm_bag::{BagMessage, BagReader};
+use wm_model::{
+    actions::ActionSpace,
+    motion::{Motion, MotionSettings},
+};
 use wm_msgs::{sensor_msgs::CompressedImage, sensor_msgs::Image, wm_msgs::Action};
 
 use super::DatasetError;
@@ -10,6 +14,8 @@ const COMPRESSED: &str = "/camera/image_raw/compressed";
 const RAW: &str = "/camera/image_raw";
 const MASK: &str = "/camera/mask/compressed";
 const ACTION: &str = "/wm/action";
+/// Key of a bag's `custom_data` that says what its actions are, as JSON.
+pub(super) const ACTION_SPACE: &str = "action_space";
 
 /// The decoded pictures and actions of one bag.
 pub(super) struct Decoded {
@@ -17,16 +23,17 @@ pub(super) struct Decoded {
     pub frames: Vec<u8>,
     /// Masks one after another, height x width bytes each; empty where the bag has none.
     pub masks: Vec<u8>,
-    /// One action a frame.
-    pub actions: Vec<[f32; 7]>,
+    /// What the robot does from each frame to the next, in the units of the action space.
+    pub actions: Vec<Vec<f32>>,
 }
 
-/// Decodes every frame of `bag` at `size` (height, width) and gives each the action taken at its time: the nearest in
-/// time, at most half a frame period away.
+/// Decodes the frames of `bag` at `size` (height, width), at the rate of the action space, with what the robot does from
+/// each to the next.
 pub(super) fn decode(
     reader: &BagReader,
     bag: &Path,
     size: (usize, usize),
+    space: &ActionSpace,
 ) -> Result<Decoded, DatasetError> {
     let refused = |what: String| DatasetError::Episode {
         bag: bag.to_owned(),
@@ -44,7 +51,7 @@ pub(super) fn decode(
     };
     let mut frames: Vec<(i64, Vec<u8>)> = Vec::new();
     let mut masks = Vec::new();
-    let mut actions: Vec<(i64, [f32; 7])> = Vec::new();
+    let mut actions: Vec<(i64, Vec<f32>)> = Vec::new();
     for message in reader.messages().only_topics([camera, MASK, ACTION]) {
         let message = message.map_err(|source| DatasetError::Bag {
             bag: bag.to_owned(),
@@ -59,9 +66,10 @@ pub(super) fn decode(
         match &*message.topic {
             ACTION => {
                 let action: Action = message.decode().map_err(|e| undecodable(e.to_string()))?;
-                let values = wm_model::actions::physical(&action.values)
+                space
+                    .check(&action.values)
                     .map_err(|e| undecodable(e.to_string()))?;
-                actions.push((action.header.stamp.to_nanos(), values));
+                actions.push((action.header.stamp.to_nanos(), action.values));
             }
             MASK => {
                 let mask = compressed(&message).map_err(undecodable)?.1.into_luma8();
@@ -87,47 +95,113 @@ pub(super) fn decode(
             frames.len()
         )));
     }
-    let actions = align(&frames, &actions).map_err(refused)?;
+    let stamps: Vec<i64> = frames.iter().map(|(stamp_ns, _)| *stamp_ns).collect();
+    let kept = thinned(&stamps, space).map_err(refused)?;
+    let stamps: Vec<i64> = kept
+        .iter()
+        .filter_map(|index| stamps.get(*index).copied())
+        .collect();
+    let actions = align(&stamps, space, actions).map_err(refused)?;
+    let mask_bytes = size.0 * size.1;
+    let masks: Vec<&[u8]> = masks.chunks_exact(mask_bytes).collect();
+    let of_kept = |index: &usize| masks.get(*index).copied().unwrap_or_default();
     Ok(Decoded {
-        frames: frames.into_iter().flat_map(|(_, frame)| frame).collect(),
-        masks,
+        frames: kept
+            .iter()
+            .filter_map(|index| frames.get(*index))
+            .flat_map(|(_, frame)| frame.iter().copied())
+            .collect(),
+        masks: kept.iter().flat_map(of_kept).copied().collect(),
         actions,
     })
 }
 
-fn align(frames: &[(i64, Vec<u8>)], actions: &[(i64, [f32; 7])]) -> Result<Vec<[f32; 7]>, String> {
-    if actions.is_empty() {
-        return Err(format!("no actions: expected messages on {ACTION}"));
-    }
-    let mut gaps = Vec::with_capacity(frames.len());
-    for ((before, _), (after, _)) in frames.iter().zip(frames.iter().skip(1)) {
+/// What a bag's actions are: what its metadata says, else Bridge V2's.
+pub(super) fn action_space(reader: &BagReader, bag: &Path) -> Result<ActionSpace, DatasetError> {
+    let Some(text) = reader.note(ACTION_SPACE) else {
+        return Ok(ActionSpace::bridge());
+    };
+    serde_json::from_str(text).map_err(|error| DatasetError::Episode {
+        bag: bag.to_owned(),
+        what: format!("{ACTION_SPACE} in metadata.yaml: {error}"),
+    })
+}
+
+/// Indices of the frames that are a period of the action space's rate apart: all of them, or, of a faster camera, as
+/// many as a model sees.
+fn thinned(stamps: &[i64], space: &ActionSpace) -> Result<Vec<usize>, String> {
+    let mut gaps = Vec::with_capacity(stamps.len());
+    for (before, after) in stamps.iter().zip(stamps.iter().skip(1)) {
         if after <= before {
             return Err(format!(
                 "camera stamps do not rise: {after} ns follows {before} ns"
             ));
         }
-        gaps.push(after.abs_diff(*before));
+        gaps.push(after - before);
     }
     // The median: a jittery pair of frames says nothing of the rate.
     gaps.sort_unstable();
-    let tolerance = gaps.get(gaps.len() / 2).map_or(u64::MAX, |gap| gap / 2);
-    let last = frames.len() - 1;
-    let mut aligned = Vec::with_capacity(frames.len());
-    for (index, (stamp, _)) in frames.iter().enumerate() {
-        let near = actions
-            .iter()
-            .min_by_key(|(at, _)| at.abs_diff(*stamp))
-            .filter(|(at, _)| at.abs_diff(*stamp) <= tolerance);
-        match (near, aligned.last()) {
-            (Some((_, values)), _) => aligned.push(*values),
-            // After the last frame nothing need be done any more: some data sets record no action for it.
-            (None, Some(before)) if index == last => aligned.push(*before),
-            (None, _) => {
-                return Err(format!(
-                    "no message on {ACTION} within half a period of the frame at {stamp} ns"
-                ));
-            }
+    // A rate is at least 0.01 Hz.
+    let period_ns = (1e9 / space.rate()) as i64;
+    let gap_ns = gaps.get(gaps.len() / 2).copied().unwrap_or(period_ns);
+    if gap_ns > period_ns + period_ns / 2 {
+        return Err(format!(
+            "the camera gives a frame every {:.2} s; actions of {} Hz need one every {:.2} s",
+            gap_ns as f64 / 1e9,
+            space.rate(),
+            period_ns as f64 / 1e9
+        ));
+    }
+    let mut kept: Vec<usize> = Vec::new();
+    let mut due_ns = i64::MIN;
+    for (index, stamp_ns) in stamps.iter().enumerate() {
+        if *stamp_ns >= due_ns {
+            kept.push(index);
+            due_ns = stamp_ns.saturating_add(period_ns - period_ns / 4);
         }
+    }
+    Ok(kept)
+}
+
+/// What the robot does from each of these moments to the next; after the last one the motion goes on for as long.
+fn align(
+    stamps: &[i64],
+    space: &ActionSpace,
+    actions: Vec<(i64, Vec<f32>)>,
+) -> Result<Vec<Vec<f32>>, String> {
+    if actions.is_empty() {
+        return Err(format!("no actions: expected messages on {ACTION}"));
+    }
+    let period_ns = (1e9 / space.rate()) as i64;
+    let mut motion = Motion::new(MotionSettings {
+        keep_ns: i64::MAX,
+        ..MotionSettings::of_period(period_ns)
+    });
+    // In parts, so that no episode is too long for what a motion keeps.
+    let mut actions = actions.into_iter().peekable();
+    let mut aligned = Vec::with_capacity(stamps.len());
+    for (index, stamp_ns) in stamps.iter().enumerate() {
+        let end_ns = match stamps.get(index + 1) {
+            Some(next_ns) => *next_ns,
+            None => stamp_ns.saturating_add(period_ns),
+        };
+        while let Some((at_ns, values)) =
+            actions.next_if(|(at_ns, _)| *at_ns <= end_ns.saturating_add(period_ns))
+        {
+            motion.take(at_ns, values.into());
+        }
+        let Some(interval) = motion.between(space, *stamp_ns, end_ns) else {
+            return Err(format!(
+                "no message on {ACTION} at or before the frame at {stamp_ns} ns"
+            ));
+        };
+        // After the last frame nothing need be done any more: some data sets record no action for it.
+        if !interval.is_given && index + 1 < stamps.len() {
+            return Err(format!(
+                "no message on {ACTION} within a period of the frame at {stamp_ns} ns"
+            ));
+        }
+        aligned.push(interval.values);
     }
     Ok(aligned)
 }

@@ -74,12 +74,12 @@ impl<'a> ClipSource<'a> {
     }
 
     pub(super) fn action_dim(&self) -> usize {
-        self.encoding.action_dim
+        self.encoding.action_dim()
     }
 
     /// Camera frames from the first to the last of a clip.
     fn span(&self) -> usize {
-        (self.frames - 1) * self.encoding.frame_skip + 1
+        (self.frames - 1) * self.encoding.frame_skip() + 1
     }
 
     /// A clip anywhere in any episode.
@@ -104,7 +104,8 @@ impl<'a> ClipSource<'a> {
         clips.collect()
     }
 
-    /// Appends a clip's latents (frames, h, w, C) and the model actions between them (frames - 1, A).
+    /// Appends a clip's latents (frames, h, w, C) and the model action of each frame (frames, A): what leads from it to the
+    /// next one. That of the last frame is in the episode too, but for an episode's end, where the action before goes on.
     pub(super) fn load(
         &self,
         clip: Clip,
@@ -112,17 +113,19 @@ impl<'a> ClipSource<'a> {
         actions: &mut Vec<f32>,
     ) -> Result<()> {
         let episode = &self.latents.episodes()[clip.episode];
-        let skip = self.encoding.frame_skip;
+        let skip = self.encoding.frame_skip();
         for i in 0..self.frames {
             self.latents
                 .read(episode.first_frame + clip.start + i * skip, latents)?;
         }
-        for i in 0..self.frames - 1 {
+        for i in 0..self.frames {
             let first = clip.start + i * skip;
-            actions.extend(
-                self.encoding
-                    .encode_step(&episode.actions[first..first + skip])?,
-            );
+            // An episode's last frames have no whole step after them.
+            let first = first.min(episode.actions.len().saturating_sub(skip));
+            let step = self
+                .encoding
+                .encode_step(&episode.actions[first..first + skip])?;
+            actions.extend(step.values);
         }
         Ok(())
     }

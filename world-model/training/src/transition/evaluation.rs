@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use wm_model::{
     actions::ActionEncoding,
     planner::{Cem, CemSettings, Returned, Target, TransitionDynamics},
-    sampler::{Rollout, Sampler},
+    sampler::{Given, Rollout, Sampler},
     transition::PackedTransition,
 };
 
@@ -85,13 +85,13 @@ impl Evaluation {
             Ok(Case {
                 first_frame: source.first_frame(clip),
                 frames: Tensor::from_vec(frames, (n, h, w, c), &Device::Cpu)?,
-                actions: Tensor::from_vec(actions, (n - 1, source.action_dim()), &Device::Cpu)?,
+                actions: Tensor::from_vec(actions, (n, source.action_dim()), &Device::Cpu)?,
             })
         });
         Ok(Self {
             cases: cases.collect::<Result<_>>()?,
             horizon,
-            frame_skip: encoding.frame_skip,
+            frame_skip: encoding.frame_skip(),
         })
     }
 
@@ -177,7 +177,14 @@ impl Evaluation {
         let told = self.changed(index, change)?;
         let mut rollout = Rollout::new(model, sampler, &context, Some(&past), SEED)?;
         (0..self.horizon)
-            .map(|k| Ok(rollout.next(&told.narrow(0, k, 1)?)?))
+            .map(|k| {
+                let own = told.narrow(0, k + 1, 1)?;
+                let given = Given {
+                    own_action: Some(&own),
+                    ..Given::default()
+                };
+                Ok(rollout.next_given(&told.narrow(0, k, 1)?, given)?)
+            })
             .collect()
     }
 
@@ -193,11 +200,11 @@ impl Evaluation {
         self.cases.get(index).context("no such window")
     }
 
-    /// The actions (K, A) that the prediction of a window is told.
+    /// The actions (K + 1, A) that the prediction of a window is told: the last frame carries one too.
     fn changed(&self, index: usize, change: ActionChange) -> Result<Tensor> {
         let of = |index: usize| -> Result<Tensor> {
             let case = self.case(index)?;
-            Ok(case.actions.narrow(0, CONTEXT - 1, self.horizon)?)
+            Ok(case.actions.narrow(0, CONTEXT - 1, self.horizon + 1)?)
         };
         let own = of(index)?;
         Ok(match change {

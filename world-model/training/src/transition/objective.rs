@@ -132,14 +132,21 @@ impl Batch {
             clips.load(clips.draw(rng), &mut latents, &mut actions)?;
         }
         let latents = Tensor::from_vec(latents, (b, n, h, w, c), &Device::Cpu)?;
-        let mut actions = Tensor::from_vec(actions, (b, n - 1, a), &Device::Cpu)?;
+        let mut actions = Tensor::from_vec(actions, (b, n, a), &Device::Cpu)?;
         if objective.action_dropout > 0.0 {
             actions = drop_actions(&actions, objective.action_dropout, rng)?;
         }
         let later = n - past;
         let zero = |frames| Tensor::zeros((b, frames, a), DType::F32, &Device::Cpu);
         let actions = match model.config().action_alignment {
-            ActionAlignment::WithFrame => Tensor::cat(&[actions, zero(later)?], 1)?,
+            // Every frame carries its own action, those to be learned too, as in the authors' release.
+            ActionAlignment::WithFrame => Tensor::cat(
+                &[
+                    actions.narrow(1, 0, n - 1)?,
+                    actions.narrow(1, past, later)?,
+                ],
+                1,
+            )?,
             ActionAlignment::WithResult => Tensor::cat(
                 &[
                     zero(1)?,
@@ -253,4 +260,36 @@ fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
         .map(|_| StandardNormal.sample(rng))
         .collect();
     Ok(Tensor::from_vec(values, dims, &Device::Cpu)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng as _;
+
+    use super::super::{
+        tests::{config, encoding, moving, objective},
+        trainable,
+    };
+    use super::*;
+
+    /// As in the authors' release: no frame of a clip has zeros in place of its action, those to be learned neither.
+    #[test]
+    fn every_frame_carries_its_own_recorded_action() {
+        let dir = tempfile::tempdir().unwrap();
+        let latents = moving(dir.path(), 4, 1);
+        let encoding = encoding();
+        let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
+        let config = config(Parametrisation::Velocity, ActionAlignment::WithFrame);
+        let (_, model) = trainable(&config, 3).unwrap();
+        let objective = objective();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let batch = Batch::draw(&objective, &model, &clips, &mut rng).unwrap();
+        // Frames 0 to 3 clean, then 2 to 4 to be learned.
+        let actions = batch.actions.narrow(2, 0, 1).unwrap().squeeze(2).unwrap();
+        for row in actions.to_vec2::<f32>().unwrap() {
+            assert_eq!(row.len(), 7);
+            assert_eq!(row[4..6], row[2..4]);
+            assert!(row.iter().all(|value| *value != 0.0), "{row:?}");
+        }
+    }
 }

@@ -3,6 +3,7 @@ use std::path::Path;
 use half::f16;
 use wm_model::{
     LatentSpace,
+    actions::{Accumulation, ActionSpace},
     transition::{ActionAlignment, Parametrisation},
 };
 
@@ -14,7 +15,7 @@ const CHANNELS: usize = 2;
 const FRAMES: usize = 12;
 
 /// Episodes in which dx moves the first channel as a whole, by an amount that nothing but the action tells.
-fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
+pub(super) fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
     let mut bytes = Vec::new();
     let mut list = Vec::new();
     let mut state = seed;
@@ -34,7 +35,7 @@ fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
                 .wrapping_add(1_442_695_040_888_963_407);
             let step = (state >> 40) as f32 / (1 << 24) as f32 * 2.0 - 1.0;
             level += step;
-            actions.push([step / 35.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+            actions.push(vec![step / 35.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
         }
         list.push(Episode {
             name: format!("episode {index}"),
@@ -52,17 +53,17 @@ fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
         width: SIDE,
         channels: CHANNELS,
     };
-    Latents::map(&path, space, list, "digest".into()).unwrap()
+    Latents::map(&path, space, list, "digest".into(), ActionSpace::bridge()).unwrap()
 }
 
-fn encoding() -> ActionEncoding {
-    ActionEncoding {
-        frame_skip: 1,
-        ..ActionEncoding::default()
-    }
+pub(super) fn encoding() -> ActionEncoding {
+    ActionEncoding::new(ActionSpace::bridge(), 7, 1, Accumulation::Mean).unwrap()
 }
 
-fn config(parametrisation: Parametrisation, action_alignment: ActionAlignment) -> TransitionConfig {
+pub(super) fn config(
+    parametrisation: Parametrisation,
+    action_alignment: ActionAlignment,
+) -> TransitionConfig {
     TransitionConfig {
         hidden: 32,
         depth: 1,
@@ -75,7 +76,7 @@ fn config(parametrisation: Parametrisation, action_alignment: ActionAlignment) -
     }
 }
 
-fn objective() -> Objective {
+pub(super) fn objective() -> Objective {
     Objective {
         clips: 8,
         micro_batch: 2,

@@ -23,7 +23,9 @@ use super::{
     super::{Attached, Env, EnvError, Move, Moved, Observation, Start, parameters::Parameters},
     EnvNode,
 };
-use crate::{timeline::Timing, work::Work};
+use wm_model::actions::ActionEncoding;
+
+use crate::{history::Timing, work::Work};
 use wm_ros::complaints::Complaints;
 use wm_wire::{
     camera_frame::CameraFrame,
@@ -118,6 +120,7 @@ pub(super) struct Active {
     pub(super) begun: u64,
     pub(super) env: Arc<Mutex<Env>>,
     pub(super) timing: Timing,
+    pub(super) encoding: ActionEncoding,
     pub(super) clock: Clock,
     pub(super) complaints: Complaints,
     pub(super) diagnostics: Diagnostics,
@@ -411,7 +414,13 @@ impl Active {
                 let (now, stamp) = (Instant::now(), observation.jpeg.header.stamp);
                 let merging = node.parameters.merging;
                 self.played = Some(Played {
-                    attached: Attached::new(response.episode_id, self.timing, merging, stamp),
+                    attached: Attached::new(
+                        response.episode_id,
+                        self.encoding.clone(),
+                        self.timing,
+                        merging,
+                        stamp,
+                    ),
                     observation,
                     due: now,
                     published: now,

@@ -12,7 +12,7 @@ use super::{
     EnvNode,
     active::{Active, InFlight, RESEND},
 };
-use crate::timeline::{TimelineError, seconds};
+use crate::history::{HistoryError, seconds};
 use wm_wire::image_message::encode_image;
 
 /// How long a policy may take before it is asked after.
@@ -119,7 +119,7 @@ impl Active {
     }
 
     /// Reports what became of an action or a chunk of this stamp; none: there is no episode that it could be for.
-    pub(super) fn note(&mut self, taken: Option<Result<bool, TimelineError>>, stamp: Time) {
+    pub(super) fn note(&mut self, taken: Option<Result<bool, HistoryError>>, stamp: Time) {
         let shown = self.played.as_ref();
         let shown = shown.map(|played| seconds(played.observation.jpeg.header.stamp));
         match taken {

@@ -5,8 +5,8 @@ use wm_bag::{BagReader, BagWriter, WriterOptions};
 use wm_model::{
     Autoencoder, AutoencoderConfig,
     actions::ActionEncoding,
-    sampler::Rollout,
-    transition::{Transition, TransitionConfig},
+    sampler::{Given, Rollout},
+    transition::{ActionAlignment, Transition, TransitionConfig},
 };
 use wm_msgs::std_msgs;
 
@@ -20,7 +20,13 @@ const START: i64 = 1_700_000_000_000_000_000;
 /// Frames of the model's window: it slides from the third step on.
 const WINDOW: usize = 5;
 
+mod same_moment;
+
 fn world() -> World {
+    world_of(ActionAlignment::WithResult)
+}
+
+fn world_of(action_alignment: ActionAlignment) -> World {
     let config = AutoencoderConfig {
         name: "test".into(),
         height: 32,
@@ -34,6 +40,7 @@ fn world() -> World {
         depth: 1,
         heads: 2,
         max_frames: WINDOW,
+        action_alignment,
         ..TransitionConfig::preset("tiny", space.shape(), 2, 7).unwrap()
     };
     let predictor = PredictorModel {
@@ -48,15 +55,22 @@ fn world() -> World {
 }
 
 fn env(output: Option<PathBuf>) -> Env {
-    let settings = EnvSettings {
+    env_of(world(), output)
+}
+
+fn env_of(world: World, output: Option<PathBuf>) -> Env {
+    Env::new(world, settings(output), Timing::new(PERIOD, 2))
+}
+
+fn settings(output: Option<PathBuf>) -> EnvSettings {
+    EnvSettings {
         max_episodes: 3,
         max_steps: 50,
         context_frames: 2,
         jpeg_quality: 95,
         instruction: "wait".into(),
         output,
-    };
-    Env::new(world(), settings, Timing::new(PERIOD, 2))
+    }
 }
 
 fn stamp(ns: i64) -> Time {
@@ -226,7 +240,12 @@ fn episodes_side_by_side_are_what_they_are_alone() {
 /// The sampler's own rollout, which keeps what it has computed, gives the same latents.
 #[test]
 fn an_episode_is_the_samplers_rollout() {
-    let world = world();
+    for alignment in [ActionAlignment::WithFrame, ActionAlignment::WithResult] {
+        expect_the_samplers_rollout(&world_of(alignment));
+    }
+}
+
+fn expect_the_samplers_rollout(world: &World) {
     let still = world.standing_still().unwrap();
     let first = world.see(&picture(60)).unwrap();
     let mut episode = Episode::new(
@@ -246,13 +265,26 @@ fn an_episode_is_the_samplers_rollout() {
     let past = tensor(&still, &[1, 7]);
     let mut rollout = Rollout::new(&model.transition, &sampler, &context, Some(&past), 4).unwrap();
     for k in 0..8 {
-        let action = world.model_action(&[[0.01 * k as f32; 7]; 2]).unwrap();
-        let expected = rollout.next(&tensor(&action, &[1, 7])).unwrap();
-        let latent = world
-            .predict(&[(&episode, &action)])
-            .unwrap()
-            .pop()
+        let of = |k: usize| {
+            world
+                .model_action(&vec![action(0.01 * k as f32); 2])
+                .unwrap()
+        };
+        let (action, next) = (of(k), of(k + 1));
+        let own = tensor(&next, &[1, 7]);
+        let given = Given {
+            own_action: Some(&own),
+            ..Given::default()
+        };
+        let expected = rollout
+            .next_given(&tensor(&action, &[1, 7]), given)
             .unwrap();
+        let row = Row {
+            episode: &episode,
+            action: &action,
+            next: &next,
+        };
+        let latent = world.predict(&[row]).unwrap().pop().unwrap();
         assert_eq!(
             expected.flatten_all().unwrap().to_vec1::<f32>().unwrap(),
             latent.to_vec(),
@@ -357,10 +389,7 @@ fn a_bag_gives_the_history_before_its_frame() {
         world.see(&frame.decode().unwrap()).unwrap()
     };
     assert_eq!(opening.frames, [see(3), see(5)]);
-    let between = [3, 4].map(|index| {
-        let values = action(0.01 * index as f32).values;
-        <[f32; 7]>::try_from(values).unwrap()
-    });
+    let between = [3, 4].map(|index| action(0.01 * index as f32));
     assert_eq!(opening.actions, [world.model_action(&between).unwrap()]);
     assert_eq!(opening.instruction.as_deref(), Some("lift"));
     assert_eq!(opening.frame_id, "camera");

@@ -1,17 +1,21 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+use candle_core::{Device, Tensor};
 use wm_model::{
+    LatentSpace,
     actions::ActionEncoding,
-    sampler::Rollout,
+    sampler::Given,
     transition::{Transition, TransitionConfig},
 };
-use wm_msgs::{builtin_interfaces::Duration, std_msgs::Header, wm_msgs::ActionChunk};
+use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header, wm_msgs::ActionChunk};
 
 use super::*;
 use crate::{
     evaluator::EvaluatorModel,
-    predictor::{PredictorModel, context_tensor, past_actions},
+    history::{ChunkMerging, HistorySettings},
+    predictor::PredictorModel,
 };
+use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 const PERIOD: i64 = 200_000_000;
@@ -66,7 +70,7 @@ fn action(index: i64, value: f32) -> Action {
 fn chunk(index: i64, count: i64, value: f32) -> ActionChunk {
     ActionChunk {
         header: header(index),
-        period: Duration::from_nanos(PERIOD),
+        period: Period::from_nanos(PERIOD),
         actions: (0..count).map(|i| action(index + i, value)).collect(),
         ..ActionChunk::default()
     }
@@ -80,22 +84,49 @@ fn candidates(chunks: Vec<ActionChunk>) -> ActionCandidates {
     }
 }
 
+fn history() -> History {
+    let settings = HistorySettings {
+        timing: Timing::new(PERIOD, 2),
+        context_frames: 2,
+        merging: ChunkMerging::Latest,
+    };
+    let encoding = ActionEncoding::default();
+    History::new(settings, space(), encoding, Time::default())
+}
+
+/// Sees frame `index`.
+fn see(step: &mut EvaluatorStep, index: i64) {
+    let latent = encode_latent(&values(index), &space(), LatentDtype::F32, header(index)).unwrap();
+    let reception = Reception {
+        stamp: Time::default(),
+        at: Instant::now(),
+        publisher: PublisherId::default(),
+    };
+    step.latent(&latent, reception).unwrap();
+}
+
 /// An evaluator that has seen frames 0 to 2 and the actions between.
 fn evaluator() -> EvaluatorStep {
     let settings = EvaluatorSettings {
-        context_frames: 2,
+        max_age: Duration::from_secs(60),
         horizon: 5,
         max_candidates: 3,
         seed: 9,
     };
-    let mut step = EvaluatorStep::new(settings, Timing::new(PERIOD, 2), space());
+    let mut step = EvaluatorStep::new(settings, history());
     for index in 0..3 {
-        step.action(&action(index, 0.01)).unwrap();
-        let latent =
-            encode_latent(&values(index), &space(), LatentDtype::F32, header(index)).unwrap();
-        step.latent(&latent).unwrap();
+        step.action(&action(index, 0.01), Time::default()).unwrap();
+        see(&mut step, index);
     }
     step
+}
+
+/// What the node does when candidates come.
+fn ask(
+    step: &EvaluatorStep,
+    asked: &ActionCandidates,
+) -> Result<EvaluationRequest, EvaluatorError> {
+    step.candidates(asked, Instant::now(), Time::default())
 }
 
 #[test]
@@ -103,21 +134,19 @@ fn candidates_are_compared_at_one_moment() {
     let step = evaluator();
     // Four model steps, and two and a half: whole ones are compared.
     let asked = candidates(vec![chunk(2, 8, 0.02), chunk(2, 5, -0.02)]);
-    let request = step.candidates(&asked).unwrap();
+    let request = ask(&step, &asked).unwrap();
+    assert_eq!(request.horizon, 2);
+    // And what each does after them.
     let steps: Vec<usize> = request.candidates.iter().map(Vec::len).collect();
-    assert_eq!(steps, [2, 2]);
+    assert_eq!(steps, [3, 3]);
     let short = candidates(vec![chunk(2, 1, 0.02)]);
-    let short = step.candidates(&short).unwrap();
-    assert_eq!(short.candidates[0].len(), 1, "one at least");
+    let short = ask(&step, &short).unwrap();
+    assert_eq!(short.horizon, 1, "one at least");
     // The action that was really taken at the observed moment is the first of both.
-    assert_eq!(request.candidates[0][0][0].values[0], 0.01);
-    assert_eq!(request.candidates[0][0][1].values[0], 0.02);
+    assert_eq!(request.candidates[0][0].intervals[0].values[0], 0.01);
+    assert_eq!(request.candidates[0][0].intervals[1].values[0], 0.02);
     let long = candidates(vec![chunk(2, 40, 0.02)]);
-    assert_eq!(
-        step.candidates(&long).unwrap().candidates[0].len(),
-        5,
-        "the horizon"
-    );
+    assert_eq!(ask(&step, &long).unwrap().horizon, 5, "the horizon");
 }
 
 #[test]
@@ -129,10 +158,9 @@ fn candidates_wait_for_the_frame_that_they_answer() {
         assert_eq!(step.awaits_frame(&asked), awaits, "{begin}");
     }
     let asked = candidates(vec![chunk(3, 8, 0.02)]);
-    let latent = encode_latent(&values(3), &space(), LatentDtype::F32, header(3)).unwrap();
-    step.latent(&latent).unwrap();
+    see(&mut step, 3);
     assert!(!step.awaits_frame(&asked), "it has come");
-    assert_eq!(step.candidates(&asked).unwrap().candidates[0].len(), 4);
+    assert_eq!(ask(&step, &asked).unwrap().horizon, 4);
     assert!(!step.awaits_frame(&candidates(Vec::new())));
 }
 
@@ -141,10 +169,10 @@ fn a_candidate_beyond_the_horizon_is_named_with_what_to_do() {
     let step = evaluator();
     // Five model steps of two actions after frame 2.
     let last = candidates(vec![chunk(2, 4, 0.02), chunk(11, 4, 0.02)]);
-    assert!(step.candidates(&last).is_ok());
+    assert!(ask(&step, &last).is_ok());
     for beyond in [12, 1_000_000] {
         let asked = candidates(vec![chunk(2, 4, 0.02), chunk(beyond, 4, 0.02)]);
-        let error = step.candidates(&asked).unwrap_err();
+        let error = ask(&step, &asked).unwrap_err();
         assert_eq!(error.reason(), "late_candidates");
         let text = error.to_string();
         assert!(
@@ -163,7 +191,7 @@ fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best
         chunk(2, 4, -0.03),
         chunk(2, 4, 0.0),
     ]);
-    let request = step.candidates(&asked).unwrap();
+    let request = ask(&step, &asked).unwrap();
     let without = EvaluatorModel::new(model.clone(), 1)
         .evaluate(&request)
         .unwrap()
@@ -181,30 +209,31 @@ fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best
     assert_eq!(without.candidates[0].latent.header, header(6));
 
     // The goal is where the second candidate leads, by a rollout of its own.
-    let context = context_tensor(&request.context, &space()).unwrap();
-    let past = past_actions(&request.context, &model.encoding).unwrap();
     let mut sampler = model.transition.config().sampler.clone();
     sampler.steps = 1;
-    let mut rollout =
-        Rollout::new(&model.transition, &sampler, &context, past.as_ref(), 9).unwrap();
+    let moment = &request.moment;
+    let mut rollout = moment
+        .rollout(&model.transition, &space(), &sampler, 9)
+        .unwrap();
+    let tensor = |action: &StepAction| {
+        Tensor::from_slice(&action.model.values, (1, 7), &Device::Cpu).unwrap()
+    };
+    let actions = &request.candidates[1];
     let mut reached = Vec::new();
-    for actions in &request.candidates[1] {
-        let encoded = model.encoding.encode_step(actions).unwrap();
-        let action =
-            candle_core::Tensor::from_vec(encoded, (1, 7), &candle_core::Device::Cpu).unwrap();
-        reached = rollout
-            .next(&action)
-            .unwrap()
-            .flatten_all()
-            .unwrap()
-            .to_vec1::<f32>()
-            .unwrap();
+    for (action, next) in actions.iter().zip(&actions[1..]) {
+        let next = tensor(next);
+        let given = Given {
+            own_action: Some(&next),
+            ..Given::default()
+        };
+        let latent = rollout.next_given(&tensor(action), given).unwrap();
+        reached = latent.flatten_all().unwrap().to_vec1::<f32>().unwrap();
     }
     step.set_goal(Goal {
         stamp: Time::default(),
         values: reached.into(),
     });
-    let request = step.candidates(&asked).unwrap();
+    let request = ask(&step, &asked).unwrap();
     let found = EvaluatorModel::new(model, 1)
         .evaluate(&request)
         .unwrap()
@@ -223,11 +252,7 @@ fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best
 #[test]
 fn candidates_that_cannot_be_used_are_named() {
     let step = evaluator();
-    let refused = |chunks| {
-        step.candidates(&candidates(chunks))
-            .unwrap_err()
-            .to_string()
-    };
+    let refused = |chunks| ask(&step, &candidates(chunks)).unwrap_err().to_string();
     assert_eq!(refused(Vec::new()), "0 candidates; expected 1 to 3");
     assert!(refused(vec![chunk(2, 4, 0.0); 4]).starts_with("4 candidates"));
     let error = refused(vec![chunk(2, 4, 0.0), chunk(2, 4, f32::NAN)]);
@@ -238,9 +263,34 @@ fn candidates_that_cannot_be_used_are_named() {
     assert!(
         refused(vec![chunk(0, 2, 0.0)]).starts_with("candidate 0 ends before the observed frame")
     );
-    let nothing = EvaluatorStep::new(step.settings, Timing::new(PERIOD, 2), space());
-    let error = nothing
-        .candidates(&candidates(vec![chunk(2, 4, 0.0)]))
-        .unwrap_err();
-    assert!(matches!(error, EvaluatorError::History(Wait::NoFrame)));
+    let nothing = EvaluatorStep::new(step.settings, history());
+    let error = ask(&nothing, &candidates(vec![chunk(2, 4, 0.0)])).unwrap_err();
+    assert!(matches!(error, EvaluatorError::Waiting(Wait::NoFrame)));
+}
+
+#[test]
+fn candidates_are_not_assessed_from_a_frame_that_is_too_old() {
+    let step = evaluator();
+    let asked = candidates(vec![chunk(2, 4, 0.0)]);
+    let later = Instant::now() + Duration::from_secs(61);
+    let error = step.candidates(&asked, later, Time::default()).unwrap_err();
+    assert!(
+        matches!(error, EvaluatorError::Waiting(Wait::Stale { .. })),
+        "{error}"
+    );
+    assert_eq!(error.reason(), "no_history");
+    assert!(error.to_string().contains("max_age"), "{error}");
+}
+
+/// What the robot does until a candidate begins is what it was told to do.
+#[test]
+fn the_chunk_under_way_is_done_until_a_candidate_begins() {
+    let mut step = evaluator();
+    step.chunk(&chunk(2, 8, 0.05), Time::default()).unwrap();
+    let request = ask(&step, &candidates(vec![chunk(5, 8, 0.02)])).unwrap();
+    let steps = request.candidates[0]
+        .iter()
+        .flat_map(|step| &step.intervals);
+    let metres: Vec<f32> = steps.map(|interval| interval.values[0]).take(5).collect();
+    assert_eq!(metres, [0.01, 0.05, 0.05, 0.02, 0.02]);
 }

@@ -1,5 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+use std::time::Instant;
+
 use candle_core::Tensor;
 use serde_json::json;
 use tempfile::TempDir;
@@ -12,10 +14,11 @@ use wm_zoo::{WorldModel, folder::write_random_weights, success_probe::SuccessCla
 
 use super::*;
 use crate::{
-    evaluator::{EvaluatorModel, EvaluatorSettings, EvaluatorStep},
-    predictor::{PredictorModel, context_tensor},
-    timeline::Timing,
+    evaluator::{EvaluationRequest, EvaluatorModel, EvaluatorSettings, EvaluatorStep},
+    history::{ChunkMerging, History, HistorySettings, Reception, Timing},
+    predictor::PredictorModel,
 };
+use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 const PERIOD: i64 = 200_000_000;
@@ -95,19 +98,31 @@ fn candidates(values: &[f32]) -> ActionCandidates {
 /// An evaluator that has seen frames 0 to 2 and the actions between.
 fn evaluator(model: &PredictorModel) -> EvaluatorStep {
     let settings = EvaluatorSettings {
-        context_frames: 2,
+        max_age: std::time::Duration::from_secs(60),
         horizon: 5,
         max_candidates: 8,
         seed: 9,
     };
-    let mut step = EvaluatorStep::new(settings, Timing::new(PERIOD, 2), model.space.clone());
+    let history = HistorySettings {
+        timing: Timing::new(PERIOD, 2),
+        context_frames: 2,
+        merging: ChunkMerging::Latest,
+    };
+    let (space, encoding) = (model.space.clone(), model.encoding.clone());
+    let history = History::new(history, space, encoding, Time::default());
+    let mut step = EvaluatorStep::new(settings, history);
+    let reception = Reception {
+        stamp: Time::default(),
+        at: Instant::now(),
+        publisher: PublisherId::default(),
+    };
     for index in 0..3 {
-        step.action(&action(index, 0.01)).unwrap();
+        step.action(&action(index, 0.01), Time::default()).unwrap();
         let values: Vec<f32> = (0..128)
             .map(|i| ((i + 7 * index) as f32 * 0.3).sin())
             .collect();
         let latent = encode_latent(&values, &model.space, LatentDtype::F32, header(index)).unwrap();
-        step.latent(&latent).unwrap();
+        step.latent(&latent, reception).unwrap();
     }
     step
 }
@@ -123,6 +138,12 @@ fn instruct(step: &mut EvaluatorStep, probe: &SuccessClassifier, words: &str) {
     step.task_mut().read(words, read);
 }
 
+/// What the node does when candidates come.
+fn ask(step: &EvaluatorStep, asked: &ActionCandidates) -> EvaluationRequest {
+    let request = step.candidates(asked, Instant::now(), Time::default());
+    request.unwrap()
+}
+
 fn probabilities(candidates: &[CandidateAssessment]) -> Vec<f32> {
     candidates.iter().map(|c| c.success_probability).collect()
 }
@@ -134,7 +155,7 @@ fn each_candidate_has_the_probability_of_its_own_episode_and_of_the_instruction(
     instruct(&mut step, &probe, "open the drawer");
     let model = EvaluatorModel::new(predictor.clone(), 0).with_probe(Some(Arc::clone(&probe)));
     let of = |step: &EvaluatorStep, values: &[f32]| {
-        let request = step.candidates(&candidates(values)).unwrap();
+        let request = ask(step, &candidates(values));
         probabilities(&model.evaluate(&request).unwrap().assessment.candidates)
     };
     let close = |a: &[f32], b: &[f32]| {
@@ -152,9 +173,9 @@ fn each_candidate_has_the_probability_of_its_own_episode_and_of_the_instruction(
     assert!(close(&of(&step, &[0.0]), &opening[1..2]));
 
     // It is that of the observed frames with the predicted ones behind.
-    let request = step.candidates(&candidates(&[0.04, 0.0, -0.04])).unwrap();
+    let request = ask(&step, &candidates(&[0.04, 0.0, -0.04]));
     let latents = model.evaluate(&request).unwrap().latents;
-    let context = context_tensor(&request.context, &predictor.space).unwrap();
+    let context = request.moment.context(&predictor.space).unwrap();
     let instruction = probe.instruction("open the drawer").unwrap();
     for (index, found) in opening.iter().enumerate() {
         let parts = [context.get(0).unwrap(), latents.get(index).unwrap()];
@@ -177,7 +198,7 @@ fn there_is_no_probability_without_a_probe_or_an_instruction_and_costs_are_the_s
     let with = without.clone().with_probe(Some(Arc::clone(&probe)));
     let asked = candidates(&[0.04, -0.04]);
     let found = |model: &EvaluatorModel, step: &EvaluatorStep| {
-        let request = step.candidates(&asked).unwrap();
+        let request = ask(step, &asked);
         model.evaluate(&request).unwrap().assessment.candidates
     };
     assert!(

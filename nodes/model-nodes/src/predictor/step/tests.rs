@@ -1,6 +1,9 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+use std::time::Instant;
+
 use wm_model::{
+    LatentSpace,
     actions::ActionEncoding,
     transition::{Transition, TransitionConfig},
 };
@@ -12,10 +15,11 @@ use wm_msgs::{
 
 use super::*;
 use crate::{
+    history::{ChunkMerging, HistorySettings, Timing},
     predictor::{PredictorModel, RunningRollout},
-    timeline::TimelineError,
 };
-use wm_wire::latent_message::{LatentError, encode_latent};
+use wm_ros::PublisherId;
+use wm_wire::latent_message::{LatentError, decode_latent, encode_latent};
 
 const PERIOD: i64 = 200_000_000;
 const START: i64 = 1_700_000_000_000_000_000;
@@ -49,7 +53,6 @@ fn model() -> PredictorModel {
 fn settings() -> PredictorSettings {
     PredictorSettings {
         horizon: 3,
-        context_frames: 2,
         integration_steps: 1,
         seed: 9,
         dtype: LatentDtype::F32,
@@ -57,11 +60,26 @@ fn settings() -> PredictorSettings {
 }
 
 fn predictor() -> PredictorStep {
-    PredictorStep::new(settings(), Timing::new(PERIOD, 2), space())
+    let history = HistorySettings {
+        timing: Timing::new(PERIOD, 2),
+        context_frames: 2,
+        merging: ChunkMerging::Latest,
+    };
+    let encoding = ActionEncoding::default();
+    let history = History::new(history, space(), encoding, Time::default());
+    PredictorStep::new(settings(), history)
 }
 
 fn stamp(index: i64) -> Time {
     Time::from_nanos(START + index * PERIOD)
+}
+
+fn reception(index: i64) -> Reception {
+    Reception {
+        stamp: stamp(index),
+        at: Instant::now(),
+        publisher: PublisherId::default(),
+    }
 }
 
 fn latent(index: i64) -> Latent {
@@ -87,17 +105,28 @@ fn action(index: i64) -> Action {
 }
 
 /// Feeds frames and actions of a span; gives the outcome of the last frame.
-fn feed(step: &mut PredictorStep, span: std::ops::RangeInclusive<i64>) -> LatentOutcome {
+fn feed(step: &mut PredictorStep, span: std::ops::RangeInclusive<i64>) -> Outcome {
     let mut last = None;
     for index in span {
-        step.action(&action(index)).unwrap();
-        last = Some(step.latent(&latent(index), stamp(index)).unwrap());
+        step.action(&action(index), stamp(index)).unwrap();
+        last = Some(step.latent(&latent(index), reception(index)).unwrap());
     }
     last.unwrap()
 }
 
-fn run(model: &PredictorModel, outcome: LatentOutcome) -> Vec<PredictedStep> {
-    let rollout = RunningRollout::new(model, outcome.rollout.unwrap()).unwrap();
+/// The action of `index` and all to come, until that of `end`, as a policy announces them.
+fn chunk(index: i64, end: i64) -> ActionChunk {
+    ActionChunk {
+        header: action(index).header,
+        period: Duration::from_nanos(PERIOD),
+        actions: (index..end).map(action).collect(),
+        ..ActionChunk::default()
+    }
+}
+
+fn run(model: &PredictorModel, outcome: Outcome) -> Vec<PredictedStep> {
+    let request = outcome.rollout.unwrap().unwrap();
+    let rollout = RunningRollout::new(model, request).unwrap();
     rollout.collect::<Result<_, _>>().unwrap()
 }
 
@@ -123,10 +152,12 @@ fn a_rollout_says_what_it_was_computed_from() {
             ("test", "beef")
         );
         assert_eq!(prediction.received_stamp, stamp(2));
+        assert_eq!(prediction.epoch, step.epoch());
         assert_eq!(prediction.actions.len(), 2 * k as usize);
         for (slot, assumed) in prediction.actions.iter().enumerate() {
             assert_eq!(assumed.header.stamp, stamp(2 + slot as i64));
-            assert_eq!(assumed.values, action(2).values, "the last action, held");
+            assert_eq!(assumed.header.frame_id, "base");
+            assert_eq!(assumed.values, action(2).values, "the last motion goes on");
         }
     }
 }
@@ -137,7 +168,7 @@ fn the_same_messages_give_the_same_predictions_and_the_seed_changes_them() {
     let predict = |seed: Option<u64>| {
         let mut step = predictor();
         if seed.is_some() {
-            step.reset(seed);
+            step.reset(seed, Time::default());
         }
         run(&model, feed(&mut step, 0..=4))
     };
@@ -156,16 +187,7 @@ fn the_chunk_is_assumed_and_changes_the_prediction() {
     let model = model();
     let held = run(&model, feed(&mut predictor(), 0..=2));
     let mut step = predictor();
-    let chunk = ActionChunk {
-        header: Header {
-            stamp: stamp(2),
-            frame_id: "base".into(),
-        },
-        period: Duration::from_nanos(PERIOD),
-        actions: (2..9).map(action).collect(),
-        ..ActionChunk::default()
-    };
-    step.chunk(&chunk).unwrap();
+    step.chunk(&chunk(2, 9), stamp(2)).unwrap();
     let informed = run(&model, feed(&mut step, 0..=2));
     let assumed: Vec<_> = informed[2]
         .prediction
@@ -205,10 +227,42 @@ fn predictions_are_scored_when_their_moment_comes() {
     assert!((f64::from(error.ratio) - mse / persistence).abs() < 1e-4);
 
     // The frame of k = 2 never comes; that of k = 3 is scored all the same, and k = 2 is forgotten.
-    let errors = step.latent(&latent(8), stamp(8)).unwrap().errors;
+    let errors = step.latent(&latent(8), reception(8)).unwrap().errors;
     assert_eq!(
         errors.iter().map(|error| error.step).collect::<Vec<_>>(),
         [3]
+    );
+}
+
+/// A policy answers an image after the encoder does: the rollout of its frame is made again.
+#[test]
+fn a_chunk_after_the_latent_of_its_image_makes_the_rollout_due_again() {
+    let (model, mut step) = (model(), predictor());
+    let held = run(&model, feed(&mut step, 0..=2));
+    for one in &held {
+        step.predicted(one);
+    }
+    let outcome = step.chunk(&chunk(2, 10), stamp(2)).unwrap();
+    assert!(outcome.arrival.is_due);
+    let informed = run(&model, outcome);
+    assert_eq!(informed[0].prediction.observed_stamp, stamp(2));
+    assert_eq!(informed[0].prediction.actions[1].values, action(3).values);
+    assert_ne!(held[0].values, informed[0].values);
+    for one in &informed {
+        assert_eq!(step.predicted(one), None);
+    }
+    // Only the second prediction of each moment is scored.
+    feed(&mut step, 3..=3);
+    let errors = feed(&mut step, 4..=4).errors;
+    assert_eq!(errors.len(), 1);
+    let seen = decode_latent(&latent(4), &space()).unwrap();
+    let mse = wm_model::metrics::mean_squared_error(&informed[0].values, &seen).unwrap();
+    assert!((f64::from(errors[0].mse) - mse).abs() < 1e-6);
+
+    let ahead = step.chunk(&chunk(6, 10), stamp(4)).unwrap();
+    assert!(
+        ahead.rollout.is_none(),
+        "it answers a frame that is on its way"
     );
 }
 
@@ -232,24 +286,45 @@ fn a_loop_flushes_history_and_open_predictions() {
     for one in &predicted {
         step.predicted(one);
     }
-    let outcome = step.latent(&latent(0), stamp(0)).unwrap();
+    // One frame may be a broken stamp; the second says that time has jumped.
+    let outcome = feed(&mut step, 0..=0);
+    assert!(outcome.arrival.held_back && outcome.rollout.is_none());
+    let outcome = feed(&mut step, 1..=1);
     assert!(outcome.arrival.flushed && outcome.errors.is_empty());
     assert_eq!(
-        outcome.rollout.unwrap_err(),
+        outcome.rollout.unwrap().unwrap_err(),
         Wait::Context { have: 1, need: 2 }
     );
     assert_eq!(step.predicted(&predicted[1]), None, "of the time before");
     // Up to the moments of the old predictions: only new ones may be scored, and there are none.
-    let again = feed(&mut step, 1..=46);
-    assert!(again.errors.is_empty() && again.rollout.is_ok());
+    for index in 2..=46 {
+        let again = feed(&mut step, index..=index);
+        assert!(again.errors.is_empty() && again.rollout.unwrap().is_ok());
+    }
+}
+
+#[test]
+fn one_odd_stamp_neither_flushes_nor_scores_nor_predicts() {
+    let (model, mut step) = (model(), predictor());
+    let predicted = run(&model, feed(&mut step, 0..=2));
+    for one in &predicted {
+        step.predicted(one);
+    }
+    let mut odd = latent(4);
+    odd.header.stamp = stamp(-18_000);
+    let outcome = step.latent(&odd, reception(3)).unwrap();
+    assert!(outcome.arrival.held_back && outcome.errors.is_empty() && outcome.rollout.is_none());
+    let next = feed(&mut step, 3..=4);
+    assert_eq!((next.errors.len(), next.arrival.flushed), (1, false));
+    assert!(next.rollout.unwrap().is_ok());
 }
 
 #[test]
 fn bad_input_is_named_and_leaves_the_state_as_it_was() {
     let mut step = predictor();
-    let before = feed(&mut step, 0..=2).rollout.unwrap();
+    let before = feed(&mut step, 0..=2).rollout.unwrap().unwrap();
     let refused =
-        |step: &mut PredictorStep, latent: &Latent| step.latent(latent, stamp(9)).unwrap_err();
+        |step: &mut PredictorStep, latent: &Latent| step.latent(latent, reception(9)).unwrap_err();
 
     let foreign = Latent {
         space: SpaceMessage {
@@ -273,7 +348,7 @@ fn bad_input_is_named_and_leaves_the_state_as_it_was() {
     assert!(
         matches!(
             error,
-            PredictorError::Latent(LatentError::NotFinite { index: 0 })
+            HistoryError::Latent(LatentError::NotFinite { index: 0 })
         ),
         "{error}"
     );
@@ -282,17 +357,15 @@ fn bad_input_is_named_and_leaves_the_state_as_it_was() {
     assert_eq!(refused(&mut step, &latent(1)).reason(), "out_of_order");
     let mut infinite = action(3);
     infinite.values[0] = f32::INFINITY;
-    let error = step.action(&infinite).unwrap_err();
-    assert!(
-        matches!(
-            error,
-            PredictorError::Timeline(TimelineError::Action { .. })
-        ),
-        "{error}"
-    );
+    let error = step.action(&infinite, stamp(3)).unwrap_err();
+    assert!(matches!(error, HistoryError::Action { .. }), "{error}");
 
-    let after = step.request(before.received).unwrap();
-    assert_eq!(after.context.frames, before.context.frames);
+    let after = step.request().unwrap();
+    let (before_moment, moment) = (before.moment, after.moment);
+    assert_eq!(moment.epoch, before_moment.epoch);
+    assert_eq!(moment.observed, before_moment.observed);
+    assert_eq!(moment.earlier, before_moment.earlier);
+    assert_eq!(moment.past, before_moment.past);
     assert_eq!(after.future, before.future);
 }
 
@@ -300,12 +373,13 @@ fn bad_input_is_named_and_leaves_the_state_as_it_was() {
 fn without_actions_it_waits_and_says_so() {
     let mut step = predictor();
     for index in 0..4 {
-        step.latent(&latent(index), stamp(index)).unwrap();
+        step.latent(&latent(index), reception(index)).unwrap();
     }
     let wait = step
-        .latent(&latent(4), stamp(4))
+        .latent(&latent(4), reception(4))
         .unwrap()
         .rollout
+        .unwrap()
         .unwrap_err();
     assert!(matches!(wait, Wait::NoAction { .. }));
     assert!(wait.to_string().contains("no action has come"), "{wait}");

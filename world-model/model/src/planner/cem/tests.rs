@@ -267,8 +267,14 @@ fn a_shifted_plan_is_a_warm_start() {
         &target,
         1,
     );
-    assert_eq!(good.shifted()[..2], good.actions[1..]);
-    assert_eq!(good.shifted()[2], [0.0, 0.0]);
+    let left = good.without(1).unwrap();
+    assert_eq!(left.actions[..2], good.actions[1..]);
+    assert_eq!(
+        left.actions[2], good.actions[2],
+        "it goes on with its last action"
+    );
+    assert_eq!(good.without(0).unwrap(), good);
+    assert_eq!(good.without(3), None);
     let cem = Cem::new(few.clone(), &BOUNDS).unwrap();
     let warm = cem
         .plan(

@@ -2,6 +2,11 @@
 
 use std::{collections::VecDeque, sync::Arc};
 
+use super::Reception;
+
+/// Frames that the camera's period is measured over.
+const RECENT: usize = 5;
+
 /// One observed frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
@@ -11,6 +16,8 @@ pub struct Frame {
     pub frame_id: Arc<str>,
     /// Its normalised latent, row-major, channels last.
     pub values: Arc<[f32]>,
+    /// When and from whom it came.
+    pub reception: Reception,
 }
 
 /// Frames in the order of their stamps, as many as fit a span of time.
@@ -36,10 +43,9 @@ impl Frames {
     pub(super) fn push(&mut self, frame: Frame) {
         let oldest_ns = frame.stamp_ns.saturating_sub(self.span_ns);
         self.frames.push_back(frame);
-        while self
-            .frames
-            .front()
-            .is_some_and(|frame| frame.stamp_ns < oldest_ns)
+        // Two stay for the camera's period.
+        while self.frames.len() > 2
+            && (self.frames.front()).is_some_and(|frame| frame.stamp_ns < oldest_ns)
         {
             self.frames.pop_front();
         }
@@ -58,6 +64,16 @@ impl Frames {
         self.frames
             .front()
             .is_some_and(|frame| frame.stamp_ns <= stamp_ns)
+    }
+
+    /// From one frame to the next, the least of the last few: a lost frame says nothing of the camera \[ns\].
+    pub(super) fn period_ns(&self) -> Option<i64> {
+        let newest = self.frames.iter().rev().take(RECENT);
+        let before = self.frames.iter().rev().skip(1);
+        let gaps = newest
+            .zip(before)
+            .map(|(later, earlier)| later.stamp_ns - earlier.stamp_ns);
+        gaps.min()
     }
 
     pub(super) fn clear(&mut self) {

@@ -1,0 +1,582 @@
+//! What was observed and done, aligned in time: the one picture of the moment that predictor, planner, evaluator and env
+//! share.
+//!
+//! Latents, actions and chunks arrive each with a stamp; the transition model counts in model steps of several camera
+//! frames. A [`History`] holds the last few of all of them and answers with a [`Moment`] (the context of the newest
+//! frame) and what happens in the steps after it ([`History::future`]), by stamps alone. It knows no clock and no
+//! topic: the same messages give the same moments.
+//!
+//! A history is of one camera, one latent space and one stretch of time, its *epoch*. Where time jumps (a bag that loops,
+//! a simulation that restarts, a camera that was away), and where somebody asks for it, a new epoch begins and all frames
+//! are forgotten. One odd stamp is no jump: time has jumped when two frames in a row say so.
+
+mod camera;
+mod error;
+mod frames;
+mod held_back;
+mod moment;
+mod note;
+mod reception;
+mod timing;
+mod wait;
+
+use std::{sync::Arc, time::Duration};
+
+use wm_model::{
+    LatentSpace,
+    actions::{ActionEncoding, ActionError},
+    motion::{Chunk, Motion, MotionSettings, StepAction},
+};
+use wm_msgs::{
+    builtin_interfaces::Time,
+    std_msgs::Header,
+    wm_msgs::{Action, ActionChunk, Latent},
+};
+use wm_wire::latent_message::decode_latent;
+
+pub use error::HistoryError;
+pub use frames::Frame;
+pub use moment::Moment;
+pub(crate) use moment::stack;
+pub(crate) use note::note;
+pub use reception::Reception;
+pub use timing::Timing;
+pub use wait::Wait;
+pub use wm_model::motion::{ChunkMerging, MAX_CHUNK};
+
+use camera::{Admission, Camera};
+use frames::Frames;
+use held_back::HeldBack;
+
+/// A policy answers a frame before it has passed the encoder, and may be slow, but not by this much \[ns\]: its clock is
+/// not the frames'.
+const FAR_AHEAD_NS: i64 = 60_000_000_000;
+/// Clocks of machines that are not synchronised well differ by less \[ns\].
+const CLOCKS_DIFFER_NS: i64 = 10_000_000_000;
+/// A camera that is silent for so many frame periods, and at least a second, may be replaced by another.
+const SILENT_FRAMES: u32 = 5;
+
+/// What can be chosen of a history.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HistorySettings {
+    /// How stamps make model steps.
+    pub timing: Timing,
+    /// Frames of a context, one model step apart; at least 1.
+    pub context_frames: usize,
+    /// How overlapping chunks join.
+    pub merging: ChunkMerging,
+}
+
+/// What an input did to the history.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Arrival {
+    /// A new epoch has begun, and what was observed before is forgotten.
+    pub flushed: bool,
+    /// It may be of a time that time is about to jump to: it waits for the next frame to say so.
+    pub held_back: bool,
+    /// Inputs that were held back for a jump of time that did not come.
+    pub untimely: u64,
+    /// Camera frames that are missing between this frame and the one before.
+    pub missed_frames: u64,
+    /// Whether a model step is due: frames faster than the model's are kept, but not each is worth a prediction. Of a
+    /// chunk: whether it answers the newest frame.
+    pub is_due: bool,
+    /// A chunk that has come since the frame before, and had ended by then already: it says nothing.
+    pub late_chunk: Option<LateChunk>,
+}
+
+/// A chunk that came after its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LateChunk {
+    /// Its stamp.
+    pub stamp_ns: i64,
+    /// When its last action ends.
+    pub end_ns: i64,
+    /// The newest frame when it came.
+    pub newest_ns: i64,
+}
+
+impl std::fmt::Display for LateChunk {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "action chunk of {} had ended {:.1} s before the newest frame, that of {}, when it came: stamp it with the stamp \
+             of the image that it answers",
+            seconds_of(self.stamp_ns),
+            (self.newest_ns.saturating_sub(self.end_ns)) as f64 / 1e9,
+            seconds_of(self.newest_ns)
+        )
+    }
+}
+
+/// The last frames of one camera, and the robot's actions.
+#[derive(Clone, Debug)]
+pub struct History {
+    settings: HistorySettings,
+    space: LatentSpace,
+    encoding: ActionEncoding,
+    frames: Frames,
+    motion: Motion,
+    camera: Option<Camera>,
+    /// Of the latents' publisher.
+    source_epoch: u64,
+    held_back: HeldBack,
+    base_frame: Arc<str>,
+    /// Stamp of the last frame that was due.
+    due_ns: Option<i64>,
+    late_chunk: Option<LateChunk>,
+    epoch: u64,
+}
+
+impl History {
+    /// An empty history of latents of `space` and actions as `encoding` takes them, begun at `begin` by the node's
+    /// clock.
+    pub fn new(
+        settings: HistorySettings,
+        space: LatentSpace,
+        encoding: ActionEncoding,
+        begin: Time,
+    ) -> Self {
+        let timing = settings.timing;
+        let span_ns = timing.step_at(0, settings.context_frames.max(1));
+        let motion = MotionSettings {
+            keep_ns: span_ns.saturating_add(timing.jump_ns),
+            ..MotionSettings::of_period(timing.frame_period_ns)
+        };
+        Self {
+            space,
+            encoding,
+            frames: Frames::new(span_ns),
+            motion: Motion::new(motion).with_merging(settings.merging),
+            camera: None,
+            source_epoch: 0,
+            held_back: HeldBack::default(),
+            base_frame: "".into(),
+            due_ns: None,
+            late_chunk: None,
+            epoch: epoch_after(0, begin),
+            settings,
+        }
+    }
+
+    /// How stamps make model steps.
+    pub fn timing(&self) -> Timing {
+        self.settings.timing
+    }
+
+    /// The space of its latents.
+    pub fn space(&self) -> &LatentSpace {
+        &self.space
+    }
+
+    /// How physical actions become the model's.
+    pub fn encoding(&self) -> &ActionEncoding {
+        &self.encoding
+    }
+
+    /// The stretch of time that the history is of. Later ones have greater numbers: what was computed of an earlier one
+    /// is of the past.
+    pub fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    /// Takes a latent.
+    ///
+    /// # Errors
+    /// [`HistoryError`]: it is left out, and the history is as before.
+    pub fn latent(
+        &mut self,
+        latent: &Latent,
+        reception: Reception,
+    ) -> Result<Arrival, HistoryError> {
+        let values = decode_latent(latent, &self.space)?.into();
+        self.observe(&latent.header, values, latent.epoch, reception)
+    }
+
+    /// Takes the values of a latent of the history's space, of its publisher's `source_epoch`.
+    ///
+    /// # Errors
+    /// As [`Self::latent`].
+    pub fn observe(
+        &mut self,
+        header: &Header,
+        values: Arc<[f32]>,
+        source_epoch: u64,
+        reception: Reception,
+    ) -> Result<Arrival, HistoryError> {
+        let stamp_ns = stamp_of("frame", header.stamp, reception.stamp)?;
+        let mut arrival = Arrival::default();
+        let frame_id = header.frame_id.as_str();
+        match &mut self.camera {
+            None => {
+                self.camera = Some(Camera::new(frame_id, &reception));
+                self.source_epoch = source_epoch;
+            }
+            Some(camera) => {
+                let period =
+                    Duration::from_nanos(self.settings.timing.frame_period_ns.unsigned_abs());
+                let silence = (period * SILENT_FRAMES).max(Duration::from_secs(1));
+                let admission = camera.admit(frame_id, &reception, silence)?;
+                if admission == Admission::Same && source_epoch < self.source_epoch {
+                    return Err(HistoryError::OldEpoch {
+                        epoch: source_epoch,
+                        newest: self.source_epoch,
+                    });
+                }
+                if admission == Admission::TakenOver || source_epoch > self.source_epoch {
+                    self.source_epoch = source_epoch;
+                    self.begin_around(stamp_ns, reception.stamp);
+                    arrival.flushed = true;
+                }
+            }
+        }
+        let frame = Frame {
+            stamp_ns,
+            frame_id: frame_id.into(),
+            values,
+            reception,
+        };
+        self.frame(frame, arrival)
+    }
+
+    fn frame(&mut self, frame: Frame, mut arrival: Arrival) -> Result<Arrival, HistoryError> {
+        let (stamp_ns, timing) = (frame.stamp_ns, self.timing());
+        let newest = self.frames.newest().map(|newest| newest.stamp_ns);
+        match newest {
+            None => {
+                self.motion
+                    .retain_around(stamp_ns, timing.jump_ns.max(FAR_AHEAD_NS));
+            }
+            Some(newest_ns) if self.is_jump(stamp_ns, newest_ns) => {
+                match self.held_back.confirm(frame, timing.jump_ns) {
+                    None => {
+                        arrival.held_back = true;
+                        return Ok(arrival);
+                    }
+                    Some((before, now)) => {
+                        let clock = now.reception.stamp;
+                        self.begin_around(before.stamp_ns, clock);
+                        let first = self.frame(before, Arrival::default())?;
+                        let mut arrival = self.frame(now, first)?;
+                        arrival.flushed = true;
+                        return Ok(arrival);
+                    }
+                }
+            }
+            Some(newest_ns) if stamp_ns == newest_ns => {
+                return Err(HistoryError::Duplicate { stamp_ns });
+            }
+            Some(newest_ns) if stamp_ns < newest_ns => {
+                return Err(HistoryError::OutOfOrder {
+                    what: "frame",
+                    stamp_ns,
+                    newest_ns,
+                });
+            }
+            Some(newest_ns) => {
+                let period_ns = timing.frame_period_ns;
+                let periods = (stamp_ns - newest_ns + period_ns / 2) / period_ns;
+                arrival.missed_frames = u64::try_from(periods - 1).unwrap_or(0);
+            }
+        }
+        arrival.untimely += self.held_back.discard();
+        // Where time jumped back, the chunk was of the time that begins.
+        let late_chunk = self.late_chunk.take();
+        arrival.late_chunk = late_chunk.filter(|late| late.end_ns <= stamp_ns);
+        let due_after_ns = timing.frame_period_ns - timing.tolerance_ns;
+        arrival.is_due = (self.due_ns).is_none_or(|due_ns| stamp_ns - due_ns >= due_after_ns);
+        if arrival.is_due {
+            self.due_ns = Some(stamp_ns);
+        }
+        self.frames.push(frame);
+        if self.slow_camera().is_some() {
+            // Said as what it is, not as frames that are missing.
+            arrival.missed_frames = 0;
+        }
+        Ok(arrival)
+    }
+
+    /// Takes an action that the robot took; one of the same stamp replaces the earlier one.
+    ///
+    /// # Errors
+    /// [`HistoryError`]: it is left out.
+    pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
+        let stamp_ns = stamp_of("action", action.header.stamp, now)?;
+        let values = self.parse(action, || "action".into())?;
+        self.expect_near("action", stamp_ns)?;
+        let base_frame = action.header.frame_id.as_str();
+        if *self.base_frame != *base_frame {
+            self.base_frame = base_frame.into();
+        }
+        if self.is_before_jump(stamp_ns) {
+            self.held_back.action(stamp_ns, values);
+            return Ok(Arrival {
+                held_back: true,
+                ..Arrival::default()
+            });
+        }
+        self.motion.take(stamp_ns, values);
+        Ok(Arrival::default())
+    }
+
+    /// Takes the actions to come; they replace what was announced before for the same time, or are merged with it.
+    ///
+    /// # Errors
+    /// [`HistoryError`]: it is left out, the one before stays.
+    pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Arrival, HistoryError> {
+        let stamp_ns = stamp_of("action chunk", chunk.header.stamp, now)?;
+        self.expect_near("action chunk", stamp_ns)?;
+        let actions = chunk
+            .actions
+            .iter()
+            .enumerate()
+            .map(|(index, action)| self.parse(action, || format!("action {index} of a chunk")));
+        let actions = actions.collect::<Result<Vec<_>, _>>()?;
+        let space = self.encoding.space();
+        let parsed = Chunk::new(space, stamp_ns, chunk.period.to_nanos(), actions);
+        let parsed = parsed.map_err(HistoryError::Chunk)?;
+        // A policy may be slow: what counts is whether any of its actions is of this time.
+        if self.is_before_jump(parsed.end_ns()) {
+            self.held_back.chunk(parsed);
+            return Ok(Arrival {
+                held_back: true,
+                ..Arrival::default()
+            });
+        }
+        if let Some(newest_ns) = self.motion.announced_ns()
+            && stamp_ns < newest_ns
+        {
+            return Err(HistoryError::OutOfOrder {
+                what: "action chunk",
+                stamp_ns,
+                newest_ns,
+            });
+        }
+        let end_ns = parsed.end_ns();
+        self.motion.announce(parsed, self.encoding.space());
+        let newest = self.frames.newest().map(|frame| frame.stamp_ns);
+        self.late_chunk = newest
+            .filter(|newest_ns| end_ns <= *newest_ns)
+            .map(|newest_ns| LateChunk {
+                stamp_ns,
+                end_ns,
+                newest_ns,
+            });
+        let timing = self.timing();
+        let answers = |newest_ns: i64| {
+            end_ns > newest_ns
+                && stamp_ns <= newest_ns.saturating_add(timing.tolerance_ns)
+                && stamp_ns > newest_ns.saturating_sub(timing.step_ns())
+        };
+        Ok(Arrival {
+            is_due: newest.is_some_and(answers),
+            ..Arrival::default()
+        })
+    }
+
+    /// Takes note that the node's clock jumped back to `now`; whether a new epoch began. What has already come by the
+    /// new time stays.
+    pub fn clock_jumped(&mut self, now: Time) -> bool {
+        let now_ns = now.to_nanos();
+        let newest = self.frames.newest().map(|frame| frame.stamp_ns);
+        let newest = newest.max(self.motion.newest_taken_ns());
+        let jump_ns = self.timing().jump_ns;
+        if newest.is_none_or(|newest_ns| now_ns >= newest_ns.saturating_sub(jump_ns)) {
+            return false;
+        }
+        self.begin_around(now_ns, now);
+        true
+    }
+
+    /// Forgets everything and begins a new epoch.
+    pub fn reset(&mut self, now: Time) {
+        self.motion.clear();
+        self.held_back.discard();
+        self.begin(now);
+    }
+
+    /// The newest frame.
+    pub fn newest(&self) -> Option<&Frame> {
+        self.frames.newest()
+    }
+
+    /// The frame nearest to a stamp, where one lies within the tolerance.
+    pub fn near(&self, stamp_ns: i64) -> Option<&Frame> {
+        self.frames.near(stamp_ns, self.timing().tolerance_ns)
+    }
+
+    /// The moment of the newest frame.
+    ///
+    /// # Errors
+    /// [`Wait`] says what is missing.
+    pub fn moment(&self) -> Result<Moment, Wait> {
+        let timing = self.timing();
+        let observed = self.frames.newest().ok_or(Wait::NoFrame)?;
+        let need = self.settings.context_frames.max(1);
+        let mut frames = vec![observed];
+        for back in 1..need {
+            let wanted_ns = observed.stamp_ns - timing.step_at(0, back);
+            match self.frames.near(wanted_ns, timing.tolerance_ns) {
+                Some(frame) => frames.push(frame),
+                None => {
+                    return Err(if let Some(slow) = self.slow_camera() {
+                        slow
+                    } else if self.frames.reach_back_to(wanted_ns) {
+                        Wait::Gap {
+                            missing_ns: wanted_ns,
+                        }
+                    } else {
+                        let have = frames.len();
+                        Wait::Context { have, need }
+                    });
+                }
+            }
+        }
+        frames.reverse();
+        let between = frames.iter().zip(frames.iter().skip(1));
+        let past = between.map(|(from, to)| self.step(from.stamp_ns, to.stamp_ns));
+        let past = past.collect::<Result<Vec<_>, _>>()?;
+        frames.pop();
+        Ok(Moment {
+            epoch: self.epoch,
+            source_epoch: self.source_epoch,
+            observed: observed.clone(),
+            earlier: frames.into_iter().cloned().collect(),
+            past,
+            base_frame: Arc::clone(&self.base_frame),
+            timing,
+        })
+    }
+
+    /// What happens in the model steps after the newest frame: what was taken or is announced, and beyond that the last
+    /// action goes on.
+    ///
+    /// # Errors
+    /// [`Wait`] says what is missing.
+    pub fn future(&self, steps: usize) -> Result<Vec<StepAction>, Wait> {
+        let timing = self.timing();
+        let start_ns = self.frames.newest().ok_or(Wait::NoFrame)?.stamp_ns;
+        let begin = |step| timing.step_at(start_ns, step);
+        (0..steps)
+            .map(|step| self.step(begin(step), begin(step + 1)))
+            .collect()
+    }
+
+    fn step(&self, from_ns: i64, to_ns: i64) -> Result<StepAction, Wait> {
+        let step = self.motion.step(&self.encoding, from_ns, to_ns);
+        // Every action was checked when it came: only that there is none can be wrong.
+        step.map_err(|error| Wait::NoAction {
+            needed_ns: match error {
+                ActionError::Unknown { at_ns } => at_ns,
+                _ => from_ns,
+            },
+        })
+    }
+
+    fn parse(
+        &self,
+        action: &Action,
+        what: impl FnOnce() -> String,
+    ) -> Result<Arc<[f32]>, HistoryError> {
+        match self.encoding.space().check(&action.values) {
+            Ok(()) => Ok(action.values.as_slice().into()),
+            Err(source) => Err(HistoryError::Action {
+                what: what(),
+                source,
+            }),
+        }
+    }
+
+    fn slow_camera(&self) -> Option<Wait> {
+        let timing = self.timing();
+        let camera_ns = self.frames.period_ns()?;
+        let needed_ns = timing.frame_period_ns;
+        (camera_ns > needed_ns + needed_ns / 2).then(|| {
+            let seconds = |ns: i64| ns as f64 / 1e9;
+            Wait::SlowCamera {
+                camera_s: seconds(camera_ns),
+                frame_s: seconds(needed_ns),
+                step_s: seconds(camera_ns) * timing.frame_skip as f64,
+            }
+        })
+    }
+
+    fn is_jump(&self, stamp_ns: i64, newest_ns: i64) -> bool {
+        stamp_ns.saturating_sub(newest_ns).saturating_abs() > self.timing().jump_ns
+    }
+
+    /// Whether what is stamped so lies so far back that it is of another time.
+    fn is_before_jump(&self, stamp_ns: i64) -> bool {
+        let newest = self.frames.newest();
+        newest
+            .is_some_and(|newest| stamp_ns < newest.stamp_ns.saturating_sub(self.timing().jump_ns))
+    }
+
+    fn expect_near(&self, what: &'static str, stamp_ns: i64) -> Result<(), HistoryError> {
+        match self.frames.newest() {
+            Some(newest) if stamp_ns > newest.stamp_ns.saturating_add(FAR_AHEAD_NS) => {
+                Err(HistoryError::Ahead {
+                    what,
+                    stamp_ns,
+                    newest_ns: newest.stamp_ns,
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Begins a new epoch at a time that has jumped to `stamp_ns`. Actions outrun frames, which pass through the
+    /// encoder first: those around the new time belong to it and stay.
+    fn begin_around(&mut self, stamp_ns: i64, now: Time) {
+        let jump_ns = self.timing().jump_ns;
+        self.motion.retain_around(stamp_ns, jump_ns);
+        let space = self.encoding.space();
+        self.held_back
+            .release(&mut self.motion, space, stamp_ns, jump_ns);
+        self.begin(now);
+    }
+
+    fn begin(&mut self, now: Time) {
+        self.frames.clear();
+        self.due_ns = None;
+        self.late_chunk = None;
+        self.epoch = epoch_after(self.epoch, now);
+    }
+}
+
+/// A number for a stretch of time that begins: by the clock, so that it is greater than those before a restart too, and
+/// greater than `last` in any case.
+pub(crate) fn epoch_after(last: u64, now: Time) -> u64 {
+    let by_clock = u64::try_from(now.to_nanos()).unwrap_or(0);
+    by_clock.max(last.saturating_add(1))
+}
+
+/// A message's stamp in nanoseconds.
+fn stamp_of(what: &'static str, stamp: Time, now: Time) -> Result<i64, HistoryError> {
+    if stamp.sec < 0 || stamp.nanosec >= 1_000_000_000 {
+        return Err(HistoryError::Stamp {
+            what,
+            sec: stamp.sec,
+            nanosec: stamp.nanosec,
+        });
+    }
+    let (stamp_ns, now_ns) = (stamp.to_nanos(), now.to_nanos());
+    // A node that waits for /clock has no time yet.
+    if now_ns > 0 && stamp_ns > now_ns.saturating_add(CLOCKS_DIFFER_NS) {
+        let ahead_s = (stamp_ns - now_ns) as f64 / 1e9;
+        return Err(HistoryError::Future { what, ahead_s });
+    }
+    Ok(stamp_ns)
+}
+
+/// A stamp as people read it.
+pub fn seconds(stamp: Time) -> String {
+    format!("{}.{:09} s", stamp.sec, stamp.nanosec)
+}
+
+fn seconds_of(stamp_ns: i64) -> String {
+    seconds(Time::from_nanos(stamp_ns))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,117 @@
+//! Why an input is left out.
+
+use thiserror::Error;
+use wm_model::actions::ActionError;
+use wm_wire::latent_message::LatentError;
+
+use super::seconds_of;
+
+/// Why a frame, an action or a chunk is left out.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum HistoryError {
+    /// A latent message that cannot be used.
+    #[error(transparent)]
+    Latent(#[from] LatentError),
+    /// A stamp that is no time.
+    #[error(
+        "{what} is stamped {sec} s and {nanosec} ns: expected a time after 1970 and less than 1e9 ns"
+    )]
+    Stamp {
+        /// `frame`, `action` or `action chunk`.
+        what: &'static str,
+        /// Its seconds.
+        sec: i32,
+        /// Its nanoseconds.
+        nanosec: u32,
+    },
+    /// A frame of a time that has not come.
+    #[error(
+        "{what} is stamped {ahead_s:.1} s ahead of this node's clock: synchronise the clocks of the machines, or set \
+         use_sim_time on all nodes of a replay"
+    )]
+    Future {
+        /// `frame`, `action` or `action chunk`.
+        what: &'static str,
+        /// How far it is ahead \[s\].
+        ahead_s: f64,
+    },
+    /// The same stamp again.
+    #[error("frame of {} has already come: left out", seconds_of(*.stamp_ns))]
+    Duplicate {
+        /// Its stamp.
+        stamp_ns: i64,
+    },
+    /// Older than the newest, by less than a jump of time.
+    #[error("{what} of {} came after that of {}: out of order, left out", seconds_of(*.stamp_ns), seconds_of(*.newest_ns))]
+    OutOfOrder {
+        /// `frame` or `action chunk`.
+        what: &'static str,
+        /// Its stamp.
+        stamp_ns: i64,
+        /// The newest stamp before it.
+        newest_ns: i64,
+    },
+    /// Another camera's frame.
+    #[error(
+        "latent of camera frame \"{frame_id}\"{}, but the history is of \"{expected}\": give each camera an encoder and \
+         a predictor in a namespace of their own (--ros-args -r __ns:=/wm/CAMERA)",
+        if *.is_other_publisher { " from another publisher" } else { "" }
+    )]
+    WrongFrame {
+        /// Its optical frame.
+        frame_id: String,
+        /// The history's.
+        expected: String,
+        /// Whether it came from another publisher.
+        is_other_publisher: bool,
+    },
+    /// A latent of a history that is over.
+    #[error("latent of epoch {epoch}, but epoch {newest} has begun: left out")]
+    OldEpoch {
+        /// Its epoch.
+        epoch: u64,
+        /// The newest epoch of its publisher.
+        newest: u64,
+    },
+    /// Values that are no action.
+    #[error("{what}: {source}")]
+    Action {
+        /// Where it came from.
+        what: String,
+        /// What is wrong with it.
+        source: ActionError,
+    },
+    /// A chunk that says nothing about when or what.
+    #[error("{0}")]
+    Chunk(ActionError),
+    /// An action or chunk so far ahead that it answers no frame that has come.
+    #[error(
+        "{what} begins {} s after the newest frame, that of {}: stamp it with the stamp of the image that it answers",
+        (*.stamp_ns - *.newest_ns) / 1_000_000_000, seconds_of(*.newest_ns)
+    )]
+    Ahead {
+        /// `action` or `action chunk`.
+        what: &'static str,
+        /// Its stamp.
+        stamp_ns: i64,
+        /// The newest frame's.
+        newest_ns: i64,
+    },
+}
+
+impl HistoryError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Latent(error) => error.reason(),
+            Self::Stamp { .. } | Self::Future { .. } => "bad_stamp",
+            Self::Duplicate { .. } => "duplicate",
+            Self::OutOfOrder { .. } => "out_of_order",
+            Self::WrongFrame { .. } => "wrong_frame",
+            Self::OldEpoch { .. } => "old_epoch",
+            Self::Ahead { .. } => "untimely_action",
+            Self::Action { .. } | Self::Chunk(_) => "malformed_action",
+        }
+    }
+}

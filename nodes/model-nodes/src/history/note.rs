@@ -1,0 +1,34 @@
+//! What nodes say of their inputs.
+
+use wm_ros::complaints::Complaints;
+
+use super::{Arrival, HistoryError};
+
+/// Counts and names what became of an input; whether it was taken.
+pub(crate) fn note(complaints: &mut Complaints, arrival: Result<Arrival, HistoryError>) -> bool {
+    let arrival = match arrival {
+        Ok(arrival) => arrival,
+        Err(error) => {
+            complaints.left_out(error.reason(), &error);
+            return false;
+        }
+    };
+    if arrival.flushed {
+        tracing::info!(
+            "a new history begins: time has jumped, or the camera or the encoder is another"
+        );
+    }
+    if arrival.untimely > 0 {
+        let text =
+            "stamps are far from those of the frames, and no second frame confirms a jump of time";
+        complaints.left_out_many("untimely", arrival.untimely, &text);
+    }
+    if let Some(late) = arrival.late_chunk {
+        complaints.left_out("untimely_action", &late);
+    }
+    if arrival.missed_frames > 0 {
+        let text = format!("{} camera frames are missing", arrival.missed_frames);
+        complaints.left_out_many("gap", arrival.missed_frames, &text);
+    }
+    true
+}

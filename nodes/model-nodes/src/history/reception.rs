@@ -1,0 +1,27 @@
+//! How a message came.
+
+use std::time::Instant;
+
+use wm_msgs::builtin_interfaces::Time;
+use wm_ros::{PublisherId, Received};
+
+/// When and from whom a message came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reception {
+    /// By the node's clock; zero while `/clock` has not come.
+    pub stamp: Time,
+    /// By a clock that never jumps.
+    pub at: Instant,
+    /// Who sent it.
+    pub publisher: PublisherId,
+}
+
+impl<M> From<&Received<M>> for Reception {
+    fn from(received: &Received<M>) -> Self {
+        Self {
+            stamp: received.received,
+            at: received.at,
+            publisher: received.publisher,
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! How stamps make model steps.
+
+/// How stamps make model steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Timing {
+    /// From one camera frame to the next, as the model counts them \[ns\].
+    pub frame_period_ns: i64,
+    /// Camera frames of one model step.
+    pub frame_skip: usize,
+    /// How far a stamp may lie from where it is looked for \[ns\].
+    pub tolerance_ns: i64,
+    /// How far a stamp must lie from the newest to mean that time jumped, not that a message was late or lost \[ns\].
+    pub jump_ns: i64,
+}
+
+impl Timing {
+    /// Timing of a camera with `frame_period_ns` between frames: a quarter of that as tolerance; five of them, and at
+    /// least a second, as jump.
+    pub fn new(frame_period_ns: i64, frame_skip: usize) -> Self {
+        let frame_period_ns = frame_period_ns.max(1);
+        Self {
+            frame_period_ns,
+            frame_skip: frame_skip.max(1),
+            tolerance_ns: frame_period_ns / 4,
+            jump_ns: frame_period_ns.saturating_mul(5).max(1_000_000_000),
+        }
+    }
+
+    /// One model step \[ns\].
+    pub fn step_ns(&self) -> i64 {
+        // A skip is a handful of frames.
+        self.frame_period_ns.saturating_mul(self.frame_skip as i64)
+    }
+
+    /// Begin of the model step number `index` after one that begins at `start_ns` \[ns\].
+    pub fn step_at(&self, start_ns: i64, index: usize) -> i64 {
+        // Horizons are a handful of steps.
+        start_ns.saturating_add(self.step_ns().saturating_mul(index as i64))
+    }
+
+    /// Begins of the camera frames within the model step that begins at `start_ns` \[ns\].
+    pub fn slots(self, start_ns: i64) -> impl Iterator<Item = i64> {
+        (0..self.frame_skip as i64).map(move |index| start_ns + index * self.frame_period_ns)
+    }
+}

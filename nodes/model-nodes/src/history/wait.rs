@@ -1,0 +1,74 @@
+//! What a context waits for.
+
+use thiserror::Error;
+
+use super::seconds_of;
+
+/// Why there is no context yet. None of these is a fault: each passes when more has arrived.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum Wait {
+    /// No frame at all.
+    #[error("no frame has come yet")]
+    NoFrame,
+    /// The history is still short.
+    #[error("{have} of {need} context frames have come")]
+    Context {
+        /// Context frames at hand.
+        have: usize,
+        /// Context frames that the model needs.
+        need: usize,
+    },
+    /// A frame that the context needs is missing.
+    #[error("the frame of {} is missing: a gap in the context", seconds_of(*.missing_ns))]
+    Gap {
+        /// Where it should be.
+        missing_ns: i64,
+    },
+    /// The camera is slower than the model's frames.
+    #[error(
+        "the camera gives a frame every {camera_s:.2} s, the model needs one every {frame_s:.2} s: give it a faster camera, or \
+         set frame_period:={camera_s:.2} on all nodes of the model to predict in steps of {step_s:.2} s"
+    )]
+    SlowCamera {
+        /// From one of its frames to the next \[s\].
+        camera_s: f64,
+        /// What the model needs \[s\].
+        frame_s: f64,
+        /// A model step at the camera's rate \[s\].
+        step_s: f64,
+    },
+    /// Nothing says what the robot does.
+    #[error("no action has come for {} or before", seconds_of(*.needed_ns))]
+    NoAction {
+        /// The moment whose action is needed.
+        needed_ns: i64,
+    },
+    /// The newest frame is too old to act on.
+    #[error("the newest frame came {age_s:.1} s ago; at most {max_s:.1} s are accepted (max_age)")]
+    Stale {
+        /// Since it was received \[s\].
+        age_s: f64,
+        /// The greatest age \[s\].
+        max_s: f64,
+    },
+}
+
+impl Wait {
+    /// One word: waits of one kind are said once.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::NoFrame => "no frame",
+            Self::Context { .. } => "context",
+            Self::Gap { .. } => "gap",
+            Self::SlowCamera { .. } => "slow camera",
+            Self::NoAction { .. } => "no action",
+            Self::Stale { .. } => "stale",
+        }
+    }
+
+    /// Whether every start goes through it.
+    pub fn is_usual(&self) -> bool {
+        matches!(self, Self::NoFrame | Self::Context { .. })
+    }
+}

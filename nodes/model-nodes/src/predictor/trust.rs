@@ -1,0 +1,205 @@
+//! Whether the predictions are to be trusted, measured while they are made.
+
+use std::{collections::VecDeque, fmt};
+
+use wm_msgs::wm_msgs::PredictionError;
+
+use crate::history::Frame;
+
+/// What is judged \[ns\]: a moment in which nothing moves, or a hand passes the camera, says nothing.
+const SPAN_NS: i64 = 5_000_000_000;
+/// Fewest frames or errors in that span that are judged.
+const LEAST: usize = 8;
+/// Latents are normalised: of the training's, 0.3 % of the values lie beyond so many standard deviations.
+const FAR: f32 = 3.0;
+/// Part of the values beyond that at which pictures are unlike the training's. The bundled model's latents have 0.3 to
+/// 0.8 % on the simulator's pictures, and 2 to 13 % on real ones (61 frames of Bridge V2).
+const UNLIKE: f32 = 0.015;
+/// Squared latent change, normalised, below which nothing moves, so that holding still cannot be beaten.
+const STILL: f64 = 1e-3;
+
+/// What speaks against the predictions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Doubt {
+    /// The camera shows what the model was not trained on.
+    UnlikeTraining {
+        /// Part of the latents' values that are far from the training's.
+        part: f32,
+    },
+    /// The last frame held still is as close to what came.
+    NoBetterThanPersistence {
+        /// Squared latent error of the first step over that of the last frame, held still.
+        ratio: f64,
+    },
+}
+
+impl fmt::Display for Doubt {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnlikeTraining { part } => write!(
+                f,
+                "the camera shows pictures unlike those that the model was trained on ({:.1} % of the latent's values are far \
+                 out, in training 0.3 %): predictions and plans mean little; use a model that was trained on such pictures \
+                 (parameter model)",
+                100.0 * part
+            ),
+            Self::NoBetterThanPersistence { ratio } => write!(
+                f,
+                "the predictions are no better than the last frame held still (squared latent error {ratio:.2} times as large, \
+                 over the last seconds): check the model, and that the actions are those of this robot and stamped like its \
+                 images"
+            ),
+        }
+    }
+}
+
+/// The last seconds of what speaks for or against the predictions.
+#[derive(Clone, Debug, Default)]
+pub struct Trust {
+    /// Stamp, and the part of values that are far out.
+    frames: VecDeque<(i64, f32)>,
+    /// Stamp, error and persistence error of first steps.
+    errors: VecDeque<(i64, f64, f64)>,
+}
+
+impl Trust {
+    /// Takes note of an observed latent.
+    pub fn seen(&mut self, frame: &Frame) {
+        let far = frame
+            .values
+            .iter()
+            .filter(|value| value.abs() > FAR)
+            .count();
+        let part = far as f32 / frame.values.len().max(1) as f32;
+        self.frames.push_back((frame.stamp_ns, part));
+        forget(&mut self.frames, |(stamp_ns, _)| *stamp_ns);
+    }
+
+    /// Takes note of how a prediction did; only first steps count, where a model is best.
+    pub fn scored(&mut self, error: &PredictionError) {
+        if error.step != 1 {
+            return;
+        }
+        let stamp_ns = error.header.stamp.to_nanos();
+        let squares = (error.mse.into(), error.persistence_mse.into());
+        self.errors.push_back((stamp_ns, squares.0, squares.1));
+        forget(&mut self.errors, |(stamp_ns, ..)| *stamp_ns);
+    }
+
+    /// What speaks against the predictions of the last seconds, the cause before its effect.
+    pub fn doubt(&self) -> Option<Doubt> {
+        if self.frames.len() >= LEAST {
+            let sum: f32 = self.frames.iter().map(|(_, part)| part).sum();
+            let part = sum / self.frames.len() as f32;
+            if part > UNLIKE {
+                return Some(Doubt::UnlikeTraining { part });
+            }
+        }
+        let count = self.errors.len();
+        let error: f64 = self.errors.iter().map(|(_, error, _)| error).sum();
+        let still: f64 = self.errors.iter().map(|(.., still)| still).sum();
+        let is_moving = count >= LEAST && still / count as f64 > STILL;
+        let ratio = error / still;
+        // NaN is no better either.
+        let is_better = ratio < 1.0;
+        (is_moving && !is_better).then_some(Doubt::NoBetterThanPersistence { ratio })
+    }
+
+    /// Forgets what was measured: another history begins.
+    pub fn clear(&mut self) {
+        self.frames.clear();
+        self.errors.clear();
+    }
+}
+
+fn forget<T>(all: &mut VecDeque<T>, stamp_ns: impl Fn(&T) -> i64) {
+    let Some(newest_ns) = all.back().map(&stamp_ns) else {
+        return;
+    };
+    let is_old = |first: &T| stamp_ns(first) < newest_ns.saturating_sub(SPAN_NS);
+    while all.front().is_some_and(&is_old) {
+        all.pop_front();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::time::Instant;
+
+    use wm_msgs::{builtin_interfaces::Time, std_msgs::Header};
+    use wm_ros::PublisherId;
+
+    use super::*;
+    use crate::history::Reception;
+
+    const PERIOD: i64 = 200_000_000;
+
+    fn frame(index: i64, far: usize) -> Frame {
+        let mut values = vec![0.5; 100];
+        values.iter_mut().take(far).for_each(|value| *value = -4.0);
+        Frame {
+            stamp_ns: index * PERIOD,
+            frame_id: "camera".into(),
+            values: values.into(),
+            reception: Reception {
+                stamp: Time::default(),
+                at: Instant::now(),
+                publisher: PublisherId::default(),
+            },
+        }
+    }
+
+    fn error(index: i64, mse: f32, persistence_mse: f32) -> PredictionError {
+        PredictionError {
+            header: Header {
+                stamp: Time::from_nanos(index * PERIOD),
+                ..Header::default()
+            },
+            step: 1,
+            mse,
+            persistence_mse,
+            ..PredictionError::default()
+        }
+    }
+
+    #[test]
+    fn pictures_unlike_the_trainings_are_named_after_seconds_and_not_at_once() {
+        let mut trust = Trust::default();
+        for index in 0..7 {
+            trust.seen(&frame(index, 6));
+            assert_eq!(trust.doubt(), None);
+        }
+        trust.seen(&frame(7, 6));
+        let text = trust.doubt().unwrap().to_string();
+        assert!(text.contains("6.0 % of the latent"), "{text}");
+        for index in 8..60 {
+            trust.seen(&frame(index, 0));
+        }
+        assert_eq!(trust.doubt(), None, "the span is over");
+        assert!(trust.frames.len() <= 26);
+    }
+
+    #[test]
+    fn predictions_that_do_not_beat_the_last_frame_are_named_where_something_moves() {
+        let doubt = |mse, persistence_mse| {
+            let mut trust = Trust::default();
+            (0..20).for_each(|index| trust.scored(&error(index, mse, persistence_mse)));
+            trust.doubt()
+        };
+        assert_eq!(doubt(0.2, 0.5), None);
+        assert_eq!(doubt(2e-4, 1e-4), None, "nothing moves");
+        let text = doubt(0.6, 0.5).unwrap().to_string();
+        assert!(text.contains("1.20 times"), "{text}");
+        assert!(doubt(f32::NAN, 0.5).is_some());
+        let mut later = Trust::default();
+        (0..20).for_each(|index| {
+            later.scored(&PredictionError {
+                step: 2,
+                ..error(index, 0.6, 0.5)
+            })
+        });
+        assert_eq!(later.doubt(), None, "only the first step is judged");
+    }
+}

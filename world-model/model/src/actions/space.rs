@@ -1,0 +1,465 @@
+//! What the values of an action are: the description that a model, a bag and a robot have to share.
+
+use std::{collections::BTreeSet, fmt};
+
+use serde::{Deserialize, Serialize};
+
+use super::ActionError;
+
+/// Most values that an action may have.
+pub const MAX_DIMENSIONS: usize = 32;
+/// Longest name of an action space or of one of its dimensions.
+const MAX_NAME: usize = 64;
+/// A value this many times beyond the clip of its dimension is no motion of a robot but a broken message.
+const IMPLAUSIBLE: f32 = 20.0;
+
+/// What one value of an action stands for, and so how it adds up over time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Kind {
+    /// Change of the end effector's position along one axis of the robot's base. Changes add up.
+    TranslationDelta,
+    /// Change of the end effector's orientation. Three in a row are roll, pitch and yaw about the fixed axes of the
+    /// robot's base (REP 103), and compose as rotations.
+    RotationDelta,
+    /// Change of a joint's angle or position. Changes add up.
+    JointDelta,
+    /// Position of the end effector along one axis. The last one holds.
+    Position,
+    /// One angle of the end effector's orientation. The last one holds.
+    Orientation,
+    /// Angle or position of a joint. The last one holds.
+    JointPosition,
+    /// Opening of a gripper that is either open (1) or closed (0). The last one holds.
+    GripperBinary,
+    /// Opening of a gripper. The last one holds.
+    GripperContinuous,
+}
+
+impl Kind {
+    /// Whether the value is a change over time; otherwise it is a state, which holds until the next one.
+    pub fn is_delta(self) -> bool {
+        matches!(
+            self,
+            Self::TranslationDelta | Self::RotationDelta | Self::JointDelta
+        )
+    }
+
+    /// Whether the value is a gripper's opening.
+    pub fn is_gripper(self) -> bool {
+        matches!(self, Self::GripperBinary | Self::GripperContinuous)
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::TranslationDelta => "translation delta",
+            Self::RotationDelta => "rotation delta",
+            Self::JointDelta => "joint delta",
+            Self::Position => "position",
+            Self::Orientation => "orientation",
+            Self::JointPosition => "joint position",
+            Self::GripperBinary => "binary gripper",
+            Self::GripperContinuous => "gripper",
+        }
+    }
+}
+
+/// One value of an action.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dimension {
+    /// Its name, for example `dx`.
+    pub name: String,
+    /// Its unit, for example `m`, `rad`, or `1` for none.
+    pub unit: String,
+    /// What it stands for.
+    pub kind: Kind,
+    /// The value whose model unit is 0; only states have one.
+    #[serde(default)]
+    pub offset: f32,
+    /// Model units in one `unit`. A delta is scaled per interval of the space's rate.
+    #[serde(default = "one")]
+    pub scale: f32,
+    /// Greatest magnitude in model units: what lies beyond is clipped.
+    #[serde(default = "one")]
+    pub clip: f32,
+}
+
+fn one() -> f32 {
+    1.0
+}
+
+impl Dimension {
+    /// Greatest magnitude of a value \[unit\] that a message may carry.
+    pub fn limit(&self) -> f32 {
+        self.offset.abs() + IMPLAUSIBLE * self.clip / self.scale.abs()
+    }
+}
+
+/// What the values of an action are, and the rate at which a model's actions are defined.
+///
+/// ```
+/// use wm_model::actions::ActionSpace;
+///
+/// let space = ActionSpace::bridge();
+/// assert_eq!(space.len(), 7);
+/// assert_eq!(space.to_string(), "bridge_v2: dx dy dz [m, translation delta], droll dpitch dyaw [rad, rotation delta], \
+///                                gripper [1, binary gripper]");
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawSpace")]
+pub struct ActionSpace {
+    name: String,
+    rate: f64,
+    dimensions: Vec<Dimension>,
+}
+
+/// As it is written, before it is known to make sense.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawSpace {
+    name: String,
+    #[serde(default = "bridge_rate")]
+    rate: f64,
+    dimensions: Vec<Dimension>,
+}
+
+fn bridge_rate() -> f64 {
+    ActionSpace::BRIDGE_RATE
+}
+
+impl TryFrom<RawSpace> for ActionSpace {
+    type Error = ActionError;
+
+    fn try_from(raw: RawSpace) -> Result<Self, ActionError> {
+        Self::new(raw.name, raw.rate, raw.dimensions)
+    }
+}
+
+impl ActionSpace {
+    /// Rate of Bridge V2's actions \[Hz\].
+    pub const BRIDGE_RATE: f64 = 5.0;
+
+    /// A space of 1 to [`MAX_DIMENSIONS`] values whose model actions are defined at `rate` \[Hz\].
+    ///
+    /// # Errors
+    /// [`ActionError::Space`] names the first thing that cannot serve.
+    pub fn new(name: String, rate: f64, dimensions: Vec<Dimension>) -> Result<Self, ActionError> {
+        let space = Self {
+            name,
+            rate,
+            dimensions,
+        };
+        match space.problem() {
+            None => Ok(space),
+            Some(problem) => Err(ActionError::Space(problem)),
+        }
+    }
+
+    /// Bridge V2's: dx dy dz \[m\], droll dpitch dyaw \[rad\] in the robot's base frame, and the gripper's opening, with
+    /// the scales and clips of the authors' release.
+    pub fn bridge() -> Self {
+        Self::end_effector_deltas((35.0, 1.74), (5.6, 1.39))
+    }
+
+    /// As [`Self::bridge`], with other (scale, clip) of translations and rotations.
+    pub(super) fn end_effector_deltas(translation: (f32, f32), rotation: (f32, f32)) -> Self {
+        let dimension = |name: &str, unit: &str, kind, (scale, clip)| Dimension {
+            name: name.into(),
+            unit: unit.into(),
+            kind,
+            offset: 0.0,
+            scale,
+            clip,
+        };
+        let mut dimensions = Vec::with_capacity(7);
+        for name in ["dx", "dy", "dz"] {
+            dimensions.push(dimension(name, "m", Kind::TranslationDelta, translation));
+        }
+        for name in ["droll", "dpitch", "dyaw"] {
+            dimensions.push(dimension(name, "rad", Kind::RotationDelta, rotation));
+        }
+        dimensions.push(dimension("gripper", "1", Kind::GripperBinary, (1.0, 1.0)));
+        Self {
+            name: "bridge_v2".into(),
+            rate: Self::BRIDGE_RATE,
+            dimensions,
+        }
+    }
+
+    fn problem(&self) -> Option<String> {
+        let is_name = |name: &str| !name.is_empty() && name.chars().count() <= MAX_NAME;
+        if !is_name(&self.name) {
+            return Some(format!("a name of 1 to {MAX_NAME} characters is needed"));
+        }
+        if !(1..=MAX_DIMENSIONS).contains(&self.dimensions.len()) {
+            return Some(format!(
+                "{} dimensions; expected 1 to {MAX_DIMENSIONS}",
+                self.dimensions.len()
+            ));
+        }
+        if !(self.rate.is_finite() && (0.01..=1000.0).contains(&self.rate)) {
+            return Some(format!("rate is {} Hz; expected 0.01 to 1000", self.rate));
+        }
+        let mut names = BTreeSet::new();
+        for dimension in &self.dimensions {
+            let name = &dimension.name;
+            if !is_name(name) || !names.insert(name) {
+                return Some(format!(
+                    "dimension {name:?}: a name of its own of 1 to {MAX_NAME} characters is needed"
+                ));
+            }
+            if !(dimension.scale.is_finite() && dimension.scale != 0.0) {
+                return Some(format!("{name}: scale must be finite and not 0"));
+            }
+            if !(dimension.clip.is_finite() && dimension.clip > 0.0) {
+                return Some(format!("{name}: clip must be finite and above 0"));
+            }
+            if !dimension.offset.is_finite()
+                || (dimension.kind.is_delta() && dimension.offset != 0.0)
+            {
+                return Some(format!("{name}: offset must be finite, and 0 for a delta"));
+            }
+        }
+        let is_rotation = |dimension: &&Dimension| dimension.kind == Kind::RotationDelta;
+        let mut rest = self.dimensions.iter().peekable();
+        while let Some(dimension) = rest.next() {
+            if is_rotation(&dimension)
+                && (rest.next_if(is_rotation).is_none() || rest.next_if(is_rotation).is_none())
+            {
+                return Some(format!(
+                    "{}: rotation deltas come in threes: roll, pitch, yaw",
+                    dimension.name
+                ));
+            }
+        }
+        None
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Rate at which the model's actions are defined \[Hz\].
+    pub fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    /// The values, in order; at least one.
+    pub fn dimensions(&self) -> &[Dimension] {
+        &self.dimensions
+    }
+
+    /// Values of an action.
+    #[allow(clippy::len_without_is_empty)] // never empty
+    pub fn len(&self) -> usize {
+        self.dimensions.len()
+    }
+
+    /// Indices of the first of each three rotation deltas.
+    pub(crate) fn rotations(&self) -> impl Iterator<Item = usize> + '_ {
+        let is_rotation =
+            |(_, dimension): &(usize, &Dimension)| dimension.kind == Kind::RotationDelta;
+        let indices = self.dimensions.iter().enumerate().filter(is_rotation);
+        // Three in a row each, as `new` made sure.
+        indices.step_by(3).map(|(index, _)| index)
+    }
+
+    /// Checks the values of a message.
+    ///
+    /// # Errors
+    /// [`ActionError::Length`] names both sides, [`ActionError::NotFinite`], and [`ActionError::Implausible`] for a value
+    /// that no robot moves by in one action.
+    pub fn check(&self, values: &[f32]) -> Result<(), ActionError> {
+        if values.len() != self.len() {
+            return Err(ActionError::Length {
+                expected: self.len(),
+                actual: values.len(),
+                space: self.to_string(),
+            });
+        }
+        for (index, (value, dimension)) in values.iter().zip(&self.dimensions).enumerate() {
+            if !value.is_finite() {
+                return Err(ActionError::NotFinite {
+                    index,
+                    value: *value,
+                });
+            }
+            if value.abs() > dimension.limit() {
+                return Err(ActionError::Implausible {
+                    name: dimension.name.clone(),
+                    value: *value,
+                    limit: dimension.limit(),
+                    unit: dimension.unit.clone(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether `other` has the same values: names, units and kinds. Rates, scales and clips may differ: they say how a
+    /// model takes the values, not what they are.
+    ///
+    /// # Errors
+    /// [`ActionError::Mismatch`] names both sides, `own` and `others` being what they belong to.
+    pub fn expect_same(&self, other: &Self, own: &str, others: &str) -> Result<(), ActionError> {
+        let alike = |(a, b): (&Dimension, &Dimension)| {
+            (&a.name, &a.unit, a.kind) == (&b.name, &b.unit, b.kind)
+        };
+        if self.len() == other.len() && self.dimensions.iter().zip(&other.dimensions).all(alike) {
+            return Ok(());
+        }
+        Err(ActionError::Mismatch {
+            expected: format!("{own} takes {self}"),
+            actual: format!("{others} has {other}"),
+        })
+    }
+}
+
+/// The name, and the dimensions grouped by unit and kind.
+impl fmt::Display for ActionSpace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:", self.name)?;
+        let alike = |a: &Dimension, b: &Dimension| (&a.unit, a.kind) == (&b.unit, b.kind);
+        for (index, group) in self.dimensions.chunk_by(alike).enumerate() {
+            write!(f, "{}", if index == 0 { " " } else { ", " })?;
+            for (index, dimension) in group.iter().enumerate() {
+                let gap = if index == 0 { "" } else { " " };
+                write!(f, "{gap}{}", dimension.name)?;
+            }
+            if let Some(first) = group.first() {
+                write!(f, " [{}, {}]", first.unit, first.kind.name())?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    fn dimension(name: &str, kind: Kind) -> Dimension {
+        Dimension {
+            name: name.into(),
+            unit: "rad".into(),
+            kind,
+            offset: 0.0,
+            scale: 2.0,
+            clip: 1.0,
+        }
+    }
+
+    fn space(dimensions: Vec<Dimension>) -> Result<ActionSpace, ActionError> {
+        ActionSpace::new("test".into(), 10.0, dimensions)
+    }
+
+    #[test]
+    fn one_to_thirty_two_dimensions() {
+        let joints = |count: usize| {
+            let joint = |index| dimension(&format!("joint_{index}"), Kind::JointPosition);
+            space((0..count).map(joint).collect())
+        };
+        assert_eq!(joints(1).unwrap().len(), 1);
+        assert_eq!(joints(32).unwrap().len(), 32);
+        for count in [0, 33] {
+            let error = joints(count).unwrap_err().to_string();
+            assert!(error.contains(&format!("{count} dimensions")), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_serve_is_named() {
+        let delta = |name| dimension(name, Kind::RotationDelta);
+        for (dimensions, named) in [
+            (vec![delta("roll"), delta("pitch")], "in threes"),
+            (vec![dimension("a", Kind::JointDelta); 2], "name of its own"),
+            (
+                vec![Dimension {
+                    clip: 0.0,
+                    ..dimension("grip", Kind::GripperContinuous)
+                }],
+                "grip: clip",
+            ),
+            (
+                vec![Dimension {
+                    scale: f32::NAN,
+                    ..dimension("grip", Kind::GripperContinuous)
+                }],
+                "grip: scale",
+            ),
+        ] {
+            let error = space(dimensions).unwrap_err().to_string();
+            assert!(error.contains(named), "{error}");
+        }
+        let two_arms = ["a", "b", "c", "d", "e", "f"].map(delta);
+        let two_arms = space(two_arms.to_vec()).unwrap();
+        assert_eq!(two_arms.rotations().collect::<Vec<_>>(), [0, 3]);
+    }
+
+    #[test]
+    fn it_is_read_back_and_nonsense_is_not() {
+        let bridge = ActionSpace::bridge();
+        let text = serde_json::to_string(&bridge).unwrap();
+        assert_eq!(serde_json::from_str::<ActionSpace>(&text).unwrap(), bridge);
+        for (text, named) in [
+            (r#"{"name": "x", "dimensions": []}"#, "0 dimensions"),
+            (r#"{"name": "x", "dimensions": [], "rat": 5}"#, "rat"),
+            (
+                r#"{"name": "x", "dimensions": [{"name": "a", "unit": "m", "kind": "delta"}]}"#,
+                "translation_delta",
+            ),
+        ] {
+            let error = serde_json::from_str::<ActionSpace>(text)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(named), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_mismatch_names_both_sides() {
+        let joints = space(vec![dimension("shoulder", Kind::JointDelta)]).unwrap();
+        let error = ActionSpace::bridge()
+            .expect_same(&joints, "the model", "the bag")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("the model takes bridge_v2: dx dy dz"),
+            "{error}"
+        );
+        assert!(error.contains("the bag has test: shoulder"), "{error}");
+        let faster = ActionSpace {
+            rate: 30.0,
+            ..ActionSpace::bridge()
+        };
+        assert_eq!(ActionSpace::bridge().expect_same(&faster, "", ""), Ok(()));
+    }
+
+    #[test]
+    fn values_that_no_robot_moves_by_are_refused() {
+        let space = ActionSpace::bridge();
+        let good = [0.01, -0.02, 0.005, 0.1, -0.05, 0.0, 1.0];
+        assert_eq!(space.check(&good), Ok(()));
+        for (index, value, named) in [
+            (0, 1e38, "dx"),
+            (4, -1e38, "dpitch"),
+            (6, 1e38, "gripper"),
+            (2, f32::NAN, "value 2"),
+        ] {
+            let mut bad = good;
+            bad[index] = value;
+            let error = space.check(&bad).unwrap_err().to_string();
+            assert!(error.contains(named), "{error}");
+        }
+        let error = space.check(&good[..6]).unwrap_err().to_string();
+        assert!(
+            error.contains("6 values") && error.contains("dyaw"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,44 @@
+//! Rotations as roll, pitch and yaw about fixed axes (REP 103), composed and divided as rotations.
+
+use nalgebra::UnitQuaternion;
+
+/// The rotation of roll, pitch and yaw \[rad\]: about x, then y, then z of the fixed frame.
+pub(crate) fn from_angles([roll, pitch, yaw]: [f32; 3]) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_euler_angles(roll.into(), pitch.into(), yaw.into())
+}
+
+/// Roll, pitch and yaw \[rad\] of a rotation.
+pub(crate) fn to_angles(rotation: &UnitQuaternion<f64>) -> [f32; 3] {
+    let (roll, pitch, yaw) = rotation.euler_angles();
+    // Angles need no more than f32 has.
+    [roll as f32, pitch as f32, yaw as f32]
+}
+
+/// `share` of the rotation of `angles`, at constant angular velocity: a half applied twice is the whole.
+pub(crate) fn share(angles: [f32; 3], share: f64) -> UnitQuaternion<f64> {
+    from_angles(angles).powf(share)
+}
+
+/// The angles of `times` of the rotation of `angles`.
+pub(crate) fn multiple(angles: [f32; 3], times: f64) -> [f32; 3] {
+    if times == 1.0 {
+        return angles;
+    }
+    to_angles(&share(angles, times))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn parts_compose_to_the_whole(angles in prop::array::uniform3(-0.5_f32..0.5), part in 0.0_f64..1.0) {
+            let whole = share(angles, 1.0 - part) * share(angles, part);
+            for (found, angle) in to_angles(&whole).iter().zip(angles) {
+                prop_assert!((found - angle).abs() < 1e-6);
+            }
+        }
+    }
+}
