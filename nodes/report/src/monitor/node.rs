@@ -51,7 +51,7 @@ pub fn run(args: &NodeArgs) -> Result<()> {
             return Ok(());
         }
         let (report, files) = write_report(&scorer, "live", &output)?;
-        let mut result = terminal_table(&report).to_string();
+        let mut result = terminal_table(&report);
         for file in files {
             result.push_str(&format!("{}\n", file.display()));
         }
