@@ -28,6 +28,8 @@ use crate::{
     Environment, Error, Qos,
     backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, Sink, Writer},
 };
+pub(crate) use parts::decode_part;
+
 use endpoint::{DdsReader, DdsWriter};
 use local::Local;
 use lock::lock;

@@ -92,6 +92,9 @@ pub enum Error {
          start the node again"
     )]
     MiddlewareEnded,
+    /// A thread or task of the process has panicked.
+    #[error("{0}")]
+    Panicked(String),
     /// The context was closed, or the process is being shut down.
     #[error("{0} is over: the context is shut down")]
     ShutDown(String),

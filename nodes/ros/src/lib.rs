@@ -49,6 +49,8 @@ mod dds;
 mod diagnostics;
 mod environment;
 mod error;
+#[doc(hidden)]
+pub mod fuzzing;
 mod lifecycle;
 pub mod logging;
 mod mailbox;

@@ -105,14 +105,19 @@ fn in_graph<'a, E: From<Error>>(
         .map_err(|source| Error::io("start the runtime", source))?;
     let context = Context::new(&Environment::from_env(args)?)?;
     context.listen_for_signals()?;
+    logging::panics::end_process(context.shutdown());
     let bodies = start(&context)?;
     let result = runtime.block_on(until_late(bodies, context.shutdown()));
     let result = match result {
         Ok(()) if context.has_failed() => Err(Error::MiddlewareEnded.into()),
-        result => result,
+        Ok(()) => {
+            logging::panics::first().map_or(Ok(()), |panic| Err(Error::Panicked(panic).into()))
+        }
+        Err(error) => Err(error),
     };
     runtime.shutdown_timeout(BLOCKING_GRACE);
     context.close();
+    logging::flush();
     result
 }
 

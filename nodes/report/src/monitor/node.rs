@@ -51,10 +51,11 @@ pub fn run(args: &NodeArgs) -> Result<()> {
             return Ok(());
         }
         let (report, files) = write_report(&scorer, "live", &output)?;
-        print!("{}", terminal_table(&report));
+        let mut result = terminal_table(&report);
         for file in files {
-            println!("{}", file.display());
+            result.push_str(&format!("{}\n", file.display()));
         }
+        wm_ros::logging::print(result);
     }
     Ok(())
 }
@@ -147,7 +148,7 @@ async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
         }
     }
     if monitor.is_live && std::io::stderr().is_terminal() {
-        eprintln!();
+        wm_ros::logging::last_words("");
     }
 }
 
@@ -207,12 +208,12 @@ impl Monitor {
             self.scorer.last_error_ratio(),
             self.scorer.drop_count(),
         );
-        let mut screen = std::io::stderr();
-        let written = if screen.is_terminal() {
-            write!(screen, "\r\x1b[2K{text}").and_then(|()| screen.flush())
+        let mut screen = wm_ros::logging::stderr();
+        let written = if std::io::stderr().is_terminal() {
+            write!(screen, "\r\x1b[2K{text}")
         } else {
             writeln!(screen, "\r{text}")
         };
-        written.ok();
+        written.and_then(|()| screen.flush()).ok();
     }
 }

@@ -261,6 +261,10 @@ fn diagnostics(node: &Node) -> Result<(), Error> {
         beat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             beat.tick().await;
+            match logging::take_dropped() {
+                0 => {}
+                dropped => diagnostics.count_drops("unread log lines", dropped),
+            }
             let status = diagnostics.report(Instant::now(), &Of(&*backend));
             let header = Header {
                 stamp: clock.now(),

@@ -83,18 +83,22 @@ impl Book {
             return Ok(());
         };
         let summary = recording.finish()?;
-        println!(
-            "recorded {} message(s) of {} topic(s) to {}",
+        let mut text = format!(
+            "recorded {} message(s) of {} topic(s) to {}\n",
             summary.message_count,
             summary.topics.len(),
             summary.path.display()
         );
         for (topic, loss) in std::mem::take(&mut self.losses) {
             if loss.total() > 0 {
-                println!("lost {} message(s) of {topic}: {loss}", loss.total());
+                text.push_str(&format!(
+                    "lost {} message(s) of {topic}: {loss}\n",
+                    loss.total()
+                ));
                 self.is_lossy = true;
             }
         }
+        wm_ros::logging::print(text);
         Ok(())
     }
 }
