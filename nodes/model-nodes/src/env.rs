@@ -18,6 +18,7 @@ mod node;
 mod parameters;
 mod recording;
 mod start;
+mod start_root;
 mod step;
 mod world;
 
@@ -26,5 +27,6 @@ pub use error::EnvError;
 pub use node::{NAME, body, run};
 pub(crate) use start::INSTRUCTION;
 pub use start::Start;
+pub use start_root::StartRoot;
 pub use step::{Env, EnvSettings, Move, Moved, Observation};
 pub use world::World;

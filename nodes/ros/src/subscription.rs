@@ -86,8 +86,14 @@ impl Intake {
     pub(crate) fn sink_of_two(self: &Arc<Self>) -> Sink {
         let intake = Arc::clone(self);
         Box::new(move |sample| match sample {
-            Ok(sample) if intake.gaps().has(&sample.writer, sample.sequence) => {}
-            Ok(sample) => intake.take(sample),
+            Ok(sample) => {
+                // Held until the sample is kept: two threads may serve the readers, and one that comes twice, or late, would
+                // count as one that found the queue full.
+                let mut gaps = intake.gaps();
+                if let Some(lost) = gaps.after_new(sample.writer, sample.sequence) {
+                    intake.keep(sample, lost);
+                }
+            }
             Err(reason) => intake.refuse(&reason),
         })
     }
@@ -99,6 +105,10 @@ impl Intake {
 
     fn take(&self, sample: Sample) {
         let lost = self.gaps().after(sample.writer, sample.sequence);
+        self.keep(sample, lost);
+    }
+
+    fn keep(&self, sample: Sample, lost: u64) {
         if lost > 0 {
             self.lost.fetch_add(lost, Ordering::Relaxed);
             self.diagnostics
@@ -316,6 +326,30 @@ mod tests {
         }
         let now = std::time::Instant::now();
         diagnostics.report(now, &Alone).swap_remove(0)
+    }
+
+    /// A goal subscription asks its publisher twice: for what is latched, and for what comes.
+    #[test]
+    fn of_two_readers_each_sample_is_taken_once_whoever_is_first() {
+        const SAMPLES: i64 = 20_000;
+        let (diagnostics, depth) = (Diagnostics::new("/wm/test"), 40_000);
+        let intake = Intake::new("/wm/goal".into(), depth, diagnostics, Clock::new());
+        let together = std::sync::Barrier::new(2);
+        std::thread::scope(|threads| {
+            for _ in 0..2 {
+                let (mut sink, together) = (intake.sink_of_two(), &together);
+                threads.spawn(move || {
+                    together.wait();
+                    for sequence in 1..=SAMPLES {
+                        sink(sample(sequence, Vec::new()));
+                    }
+                });
+            }
+        });
+        let taken = std::iter::from_fn(|| intake.mailbox.try_pop()).count();
+        let lost = intake.lost.load(Ordering::Relaxed);
+        // What one reader is behind with is left for good: neither taken twice nor lost.
+        assert_eq!((taken as u64, lost), (SAMPLES as u64, 0));
     }
 
     #[test]

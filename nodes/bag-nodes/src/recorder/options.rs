@@ -1,8 +1,9 @@
 //! What is recorded and how it is written, from the node's parameters.
 
 use super::{
+    place::{Existing, Place},
     selection::Selection,
-    writer::{CACHE_BYTES, CHUNK_TIME},
+    writer::{CACHE_BYTES, CHUNK_TIME, SYNC_INTERVAL},
 };
 use crate::qos_overrides;
 use anyhow::{Result, bail, ensure};
@@ -15,10 +16,8 @@ use wm_ros::{Descriptor, Node, Qos};
 /// What the parameters say.
 #[derive(Clone)]
 pub(super) struct Options {
-    /// Folder of the new bag.
-    pub folder: PathBuf,
-    /// Whether a bag that is there already is replaced.
-    pub is_overwriting: bool,
+    /// Where bags are made.
+    pub place: Place,
     pub selection: Selection,
     /// Quality of service of topics that is not to be their publishers'.
     pub qos_overrides: BTreeMap<String, Qos>,
@@ -66,7 +65,19 @@ pub(super) fn declare(node: &Node) -> Result<Options> {
         "",
         "folder of the new bag; relative to the working directory",
     )?;
-    let is_overwriting = flag("overwrite", "replace a bag that is there already")?;
+    let is_overwriting = flag(
+        "overwrite",
+        "replace a bag that is at output already, once the new one holds a message",
+    )?;
+    let is_renaming = flag(
+        "rename_existing",
+        "give what is at output already a name with its time, and begin the new bag there",
+    )?;
+    let root = text(
+        "root",
+        "",
+        "folder below which ~/record may make bags; empty: the folder that output is in",
+    )?;
     let named = topics(
         "topics",
         "topics to record; empty: all that are not hidden, or those of regex and topic_types",
@@ -144,9 +155,18 @@ pub(super) fn declare(node: &Node) -> Result<Options> {
         !folder.is_empty(),
         "parameter \"output\" is empty: name the folder of the new bag"
     );
+    ensure!(
+        !(is_overwriting && is_renaming),
+        "\"overwrite\" and \"rename_existing\": give one of them"
+    );
+    let existing = match (is_overwriting, is_renaming) {
+        (true, _) => Existing::Replaced,
+        (_, true) => Existing::Renamed,
+        _ => Existing::Refused,
+    };
+    let root = (!root.is_empty()).then(|| PathBuf::from(root));
     Ok(Options {
-        folder: PathBuf::from(folder),
-        is_overwriting,
+        place: Place::new(PathBuf::from(folder), root, existing)?,
         selection,
         qos_overrides: qos_overrides::read(qos_overrides_path.as_ref())?,
         is_snapshot,
@@ -154,6 +174,7 @@ pub(super) fn declare(node: &Node) -> Result<Options> {
         has_keyboard,
         writer: WriterOptions {
             chunk_duration: Some(CHUNK_TIME),
+            sync_interval: Some(SYNC_INTERVAL),
             compression: compression(&format)?,
             preset: storage_preset(&preset)?,
             max_file_bytes: Some(max_file_bytes).filter(|bytes| *bytes > 0),

@@ -61,9 +61,15 @@ pub struct RecordCommand {
     /// What is logged: debug, info, warn, error or fatal
     #[arg(long, value_name = "LEVEL")]
     log_level: Option<String>,
-    /// Replace a bag that is there already
-    #[arg(long)]
+    /// Replace a bag that is there already, once the new one holds a message
+    #[arg(long, conflicts_with = "rename_existing")]
     overwrite: bool,
+    /// Give what is there already a name with its time
+    #[arg(long)]
+    rename_existing: bool,
+    /// Folder below which ~/record may make bags [default: the folder that DIR is in]
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
     /// Begin the bag's next file (name_1.mcap and so on) at this size; 0: never
     #[arg(short = 'b', long, value_name = "BYTES")]
     max_bag_size: Option<i64>,
@@ -109,6 +115,8 @@ impl RecordCommand {
         let mut parameters = Parameters::new();
         parameters.set("output", &self.output)?;
         parameters.set("overwrite", self.overwrite)?;
+        parameters.set("rename_existing", self.rename_existing)?;
+        parameters.set_some("root", self.root)?;
         self.topics.parameters(&mut parameters)?;
         parameters.set_list("topic_types", &self.topic_types)?;
         parameters.set_list("exclude_topic_types", &self.exclude_topic_types)?;

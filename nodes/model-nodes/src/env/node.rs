@@ -21,7 +21,7 @@ use crate::{
     timeline::Timing,
     work::Work,
 };
-use active::{Active, Awaited, Done, InFlight, Job, Resetter};
+use active::{Active, Awaited, Done, InFlight, Job};
 use wm_ros::complaints::Complaints;
 use wm_wire::{
     camera_frame::CameraFrame,
@@ -32,8 +32,6 @@ use wm_wire::{
 /// The node's default name.
 pub const NAME: &str = "env";
 
-/// Calls that came together are computed together: how long the first of them waits for the others. Far below a step.
-const GATHER: Duration = Duration::from_millis(5);
 /// Observations by service that may wait for a client: a chunk of each of some episodes.
 const OBSERVATIONS: usize = 64;
 /// How long the last observation may take to reach the policy.
@@ -223,16 +221,10 @@ impl EnvNode {
             tokio::select! {
                 biased;
                 finished = active.work.finished() => active.done(finished.context("the env's thread")?, self)?,
-                Some(call) = active.resets.recv() => {
-                    let request = call.request.clone();
-                    active.waiting_resets.push_back((request, Resetter::Service(Box::new(call))));
-                }
+                Some(call) = active.resets.recv() => active.take_reset(call)?,
                 call = active.steps.recv() => {
                     let Some(call) = call else { return Ok(()) };
-                    if active.waiting_steps.is_empty() {
-                        active.gathered = Instant::now() + GATHER;
-                    }
-                    active.waiting_steps.push_back((call, active.clock.now()));
+                    active.take_step(call, self.parameters.settings.max_episodes);
                 }
                 received = active.actions.recv() => {
                     let Some(received) = received else { return Ok(()) };

@@ -6,7 +6,7 @@ use anyhow::Result;
 use wm_msgs::wm_msgs::EnvResetRequest;
 use wm_ros::{Descriptor, Node};
 
-use super::{EnvError, EnvSettings, Start};
+use super::{EnvError, EnvSettings, Start, StartRoot};
 use crate::{chunk_merging, timeline::ChunkMerging};
 
 /// What the parameters say, read once at the start.
@@ -14,6 +14,8 @@ use crate::{chunk_merging, timeline::ChunkMerging};
 pub(super) struct Parameters {
     /// What is asked of an episode that is played by topics, and where the others begin that do not say so.
     pub reset: EnvResetRequest,
+    /// Where the bags and images are that a call may name.
+    pub start_root: StartRoot,
     /// Settings of the state.
     pub settings: EnvSettings,
     /// Episodes computed together at most.
@@ -84,6 +86,11 @@ impl Parameters {
                 seed: node.declare("seed", 0_i64, seed.read_only())?.get() as u64,
                 ..EnvResetRequest::default()
             },
+            start_root: StartRoot::new(&text(
+                "start_root",
+                ".",
+                "folder below which bags and images are that ~/reset may name; empty: it may name none",
+            )?)?,
             settings: EnvSettings {
                 max_episodes: count(
                     "max_episodes",
@@ -153,7 +160,7 @@ impl Parameters {
     /// Where an episode begins: as the request says, else as the parameters do.
     pub(super) fn start(&self, request: &EnvResetRequest) -> Result<Start, EnvError> {
         match Start::of(request)? {
-            Some(start) => Ok(start),
+            Some(start) => self.start_root.admit(start),
             None => Start::of(&self.reset)?.ok_or(EnvError::Starts(0)),
         }
     }

@@ -29,7 +29,8 @@ const LIVE_PERIOD: Duration = Duration::from_millis(500);
 /// Runs the monitor until a signal, then writes the report, if there is anything to report of.
 ///
 /// # Errors
-/// Names what is wrong with arguments or parameters, or the file that cannot be written.
+/// Names what is wrong with arguments or parameters, the file that cannot be written, or the topic on which nothing was
+/// seen that a report needs.
 pub fn run(args: &NodeArgs) -> Result<()> {
     args.expect_no_rest()?;
     let mut monitor = None;
@@ -44,20 +45,10 @@ pub fn run(args: &NodeArgs) -> Result<()> {
         },
     )?;
     // after the node has left the graph, so that nothing hurries the writing
-    if let Some(Monitor { scorer, output, .. }) = monitor {
-        // as where the player found no bag: a table of nothing would hide why
-        if scorer.is_empty() {
-            warn!("no report: no frame, prediction or plan was seen");
-            return Ok(());
-        }
-        let (report, files) = write_report(&scorer, "live", &output)?;
-        let mut result = terminal_table(&report);
-        for file in files {
-            result.push_str(&format!("{}\n", file.display()));
-        }
-        wm_ros::logging::print(result);
+    match monitor {
+        Some(monitor) => monitor.report(),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 struct Monitor {
@@ -65,9 +56,17 @@ struct Monitor {
     line: LiveLine,
     is_live: bool,
     output: PathBuf,
+    topics: Topics,
     diagnostics: Diagnostics,
     /// The transport (whether the raw one) by which predicted pictures are taken: that of the first.
     takes_raw: Option<bool>,
+}
+
+/// The names of what a report needs, for who has to look for them.
+struct Topics {
+    camera: String,
+    predicted: String,
+    plan: String,
 }
 
 struct Inputs {
@@ -113,11 +112,17 @@ fn start(node: &Node) -> Result<(Monitor, Inputs)> {
         diagnostics: node.subscription("/diagnostics", QOS)?,
     };
     node.seal_endpoints()?;
+    let topics = Topics {
+        camera: node.resolve(&camera)?,
+        predicted: inputs.predicted.topic().to_owned(),
+        plan: inputs.plans.topic().to_owned(),
+    };
     let monitor = Monitor {
         scorer: Scorer::default(),
         line: LiveLine::default(),
         is_live,
         output: PathBuf::from(output),
+        topics,
         diagnostics: node.diagnostics(),
         takes_raw: None,
     };
@@ -153,6 +158,37 @@ async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
 }
 
 impl Monitor {
+    /// Writes the report and shows its table. A monitor that has not seen what it was started for has failed.
+    fn report(self) -> Result<()> {
+        let Topics {
+            camera,
+            predicted,
+            plan,
+        } = &self.topics;
+        // as where the player found no bag: a table of nothing would hide why
+        ensure!(
+            !self.scorer.is_empty(),
+            "no report: no frame came on {camera} or {camera}/compressed, no prediction on {predicted}, no plan on {plan}"
+        );
+        let (report, files) = write_report(&self.scorer, "live", &self.output)?;
+        let mut result = terminal_table(&report);
+        for file in files {
+            result.push_str(&format!("{}\n", file.display()));
+        }
+        wm_ros::logging::print(result);
+        ensure!(
+            report.frames > 0,
+            "no frame came on {camera} or {camera}/compressed: nothing could be compared; is the parameter \
+             \"camera_topic\" the camera's?"
+        );
+        ensure!(
+            !self.scorer.is_without_predictions(),
+            "no prediction came on {predicted}, although {}",
+            report.frames_in_words()
+        );
+        Ok(())
+    }
+
     fn camera(&mut self, frame: &CameraFrame) {
         match frame.decode() {
             Ok(rgb) => self.frame(frame.header().stamp.to_nanos(), rgb),

@@ -35,6 +35,11 @@ pub(super) const RESEND: Duration = Duration::from_secs(1);
 /// How often the graph is asked whether a policy has come.
 const LOOK: Duration = Duration::from_millis(100);
 
+/// Calls of one kind that may wait; each holds its request.
+const MOST_WAITING: usize = 64;
+/// Calls that came together are computed together: how long the first of them waits for the others. Far below a step.
+const GATHER: Duration = Duration::from_millis(5);
+
 /// What the env's thread is to do.
 pub(super) enum Job {
     Reset {
@@ -200,6 +205,34 @@ impl Active {
         }
     }
 
+    /// Takes a call in; one too many is refused at once.
+    pub(super) fn take_reset(&mut self, call: Call<EnvReset>) -> Result<()> {
+        let request = call.request.clone();
+        let resetter = Resetter::Service(Box::new(call));
+        let waiting = self.waiting_resets.len();
+        if waiting >= MOST_WAITING {
+            return self.refuse_reset(resetter, &EnvError::Busy(waiting));
+        }
+        self.waiting_resets.push_back((request, resetter));
+        Ok(())
+    }
+
+    /// As [`take_reset`](Self::take_reset). Of each episode a step may wait, and the next.
+    pub(super) fn take_step(&mut self, call: Call<EnvStep>, most_episodes: usize) {
+        let waiting = self.waiting_steps.len();
+        if waiting >= MOST_WAITING.max(2 * most_episodes) {
+            let error = EnvError::Busy(waiting);
+            self.complaints.left_out("step", &error);
+            let now = self.clock.now();
+            self.answer(call.respond(&response(Err(error), (now, now, now))));
+            return;
+        }
+        if self.waiting_steps.is_empty() {
+            self.gathered = Instant::now() + GATHER;
+        }
+        self.waiting_steps.push_back((call, self.clock.now()));
+    }
+
     /// Begins a reset, or waits for the image that it starts from.
     fn reset(
         &mut self,
@@ -356,7 +389,15 @@ impl Active {
         match (done, in_flight) {
             (Done::Reset(begun), InFlight::Reset(resetter)) => match begun {
                 Ok(begun) => self.announce(*begun, resetter, node),
-                Err(error) => self.refuse_reset(resetter, &error),
+                Err(error) => {
+                    let error = match &resetter {
+                        Resetter::Service(call) if names_file(&call.request) => {
+                            error.without_file()
+                        }
+                        _ => error,
+                    };
+                    self.refuse_reset(resetter, &error)
+                }
             },
             (Done::Step { moved, start, end }, InFlight::Steps(steppers)) => {
                 let taken_ns = end.to_nanos().saturating_sub(start.to_nanos());
@@ -443,6 +484,11 @@ impl Active {
             self.complaints.left_out("answer", &error);
         }
     }
+}
+
+/// Whether the caller, and not the env's own parameters, says which file the episode starts from.
+fn names_file(request: &EnvResetRequest) -> bool {
+    !request.bag.is_empty() || !request.image.is_empty()
 }
 
 fn as_move(request: &EnvStepRequest) -> Move {
