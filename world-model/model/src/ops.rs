@@ -45,5 +45,5 @@ pub use layer_norm::layer_norm;
 pub use linear::linear;
 pub use packed_linear::PackedLinear;
 pub use rms_norm_modulate::rms_norm_modulate;
-pub use rotary::RotaryTable;
+pub use rotary::{RopeLayout, RotaryTable};
 pub use swiglu::swiglu;

@@ -2,6 +2,7 @@
 
 use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
+use wm_model::ops::RopeLayout;
 use wm_model::sampler::Sampler;
 use wm_model::transition::{
     ActionAlignment, PackedTransition, Parametrisation, Transition, TransitionConfig,
@@ -52,6 +53,9 @@ pub struct DitConfig {
     /// column in the view, view).
     #[serde(default = "one_view")]
     pub views: usize,
+    /// Positions of several views: `reference` (the default, and every published checkpoint's) or `by_view`.
+    #[serde(default)]
+    pub rope_layout: RopeLayout,
     /// Values of an action.
     pub action_dim: usize,
     /// Frames that the model sees at most, the new one included.
@@ -88,6 +92,7 @@ impl DitConfig {
             latent_height,
             latent_width,
             views: self.views,
+            rope_layout: self.rope_layout,
             channels: self.channels,
             action_dim: self.action_dim,
             max_frames: self.max_frames,

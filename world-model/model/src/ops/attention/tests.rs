@@ -2,6 +2,7 @@ use candle_core::Device;
 
 use super::super::form::tests::{check_refused, check_same, random};
 use super::*;
+use crate::ops::{RopeLayout, RotaryTable};
 
 /// Root-mean-square normalisation and rotation of one head's channels, as they are defined; `angle(pair)`.
 fn prepared(x: &[f32], angle: impl Fn(usize) -> f64) -> Vec<f64> {
@@ -88,13 +89,20 @@ fn the_kernel_is_the_plain_form() {
     let forcing = |query: usize, key: usize| key == query || key < [1, 2, 1, 2][query];
     for dim in [4, 12, 16, 64] {
         let space = |rotary, visible| AttentionPattern::new(Axis::Space, heads, rotary, visible);
+        let views = |layout| RotaryTable::views(2, 3, 2, layout, dim);
         let time = |positions: &[usize], visible: fn(usize, usize) -> bool| {
             let rotary = RotaryTable::sequence(positions, dim);
             AttentionPattern::new(Axis::Time, heads, rotary, visible)
         };
         for (what, pattern, t, n) in [
             ("grid", space(RotaryTable::grid(3, 4, dim), all), 2, 12),
-            ("views", space(RotaryTable::views(2, 3, 2, dim), all), 2, 12),
+            ("views", space(views(RopeLayout::ByView), all), 2, 12),
+            (
+                "views as in the reference",
+                space(views(RopeLayout::Reference), all),
+                2,
+                12,
+            ),
             ("causal", time(&[0, 1, 2, 3, 4], causal), 5, 3),
             ("forcing", time(&[0, 1, 1, 2], forcing), 4, 3),
             ("one frame", time(&[3], all), 1, 3),
