@@ -21,7 +21,7 @@ use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::preprocess::{Normalisation, resize_bicubic};
-use super::{Block, PatchEmbedding, Rotary};
+use super::{Block, BlockNames, PatchEmbedding, Rotary};
 use crate::Result;
 use crate::layers::LayerNorm;
 use crate::loader::Loader;
@@ -214,7 +214,7 @@ fn rotary(config: &VjepaConfig, dtype: DType, device: &Device) -> Result<Rotary>
 
 fn block(config: &VjepaConfig, loader: &Loader<'_>) -> Result<Block> {
     let sizes = (config.hidden, config.heads, config.mlp_width());
-    Block::load_timm(loader, sizes, LAYER_NORM_EPS)
+    Block::load(loader, &BlockNames::TIMM, sizes, LAYER_NORM_EPS)
 }
 
 #[cfg(test)]
