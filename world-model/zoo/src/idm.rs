@@ -285,7 +285,7 @@ pub fn pearson(predicted: &Tensor, truth: &Tensor, components: usize) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
     use candle_core::Device;
 
     #[test]

@@ -37,6 +37,7 @@ mod tokenizer;
 
 use candle_core::{DType, Tensor};
 
+pub(crate) use classifier::{Instructed, Judge};
 pub use classifier::{Instruction, SuccessClassifier};
 pub use config::SuccessProbeConfig;
 pub use tokenizer::InstructionTokenizer;
@@ -185,7 +186,7 @@ impl SuccessProbe {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
     use candle_core::Device;
 
     /// A tokenizer.json of eleven words, in the form of Gemma's but for its model.

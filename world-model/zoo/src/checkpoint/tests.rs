@@ -392,6 +392,39 @@ fn damage_is_found_by_the_archives_checksums() {
 }
 
 #[test]
+fn no_damaged_byte_changes_a_value() {
+    let mut pickle = Pickler::new();
+    pickle.dict(&[
+        ("a", &|p| p.tensor("FloatStorage", "0", 0, &[2], &[1])),
+        ("b", &|p| p.tensor("FloatStorage", "1", 1, &[1], &[1])),
+    ]);
+    let storages = [("0", f32s(&[1.25, 2.0])), ("1", f32s(&[-3.5, 7.0]))];
+    let file = torch_file(pickle.finish(), &storages);
+    let read = |bytes: Vec<u8>| -> Result<Vec<(String, Vec<f32>)>> {
+        let checkpoint = Checkpoint::from_bytes("damaged.pt", bytes)?;
+        let read = |name: &str| {
+            let tensor = checkpoint.tensor(name, DType::F32)?;
+            Ok((name.to_owned(), tensor.flatten_all()?.to_vec1()?))
+        };
+        checkpoint.names().map(read).collect()
+    };
+    let whole = read(file.clone()).unwrap();
+    let mut refused = 0;
+    for place in 0..file.len() {
+        for mask in [1, 0x10, 0x80, 0xff] {
+            let mut damaged = file.clone();
+            damaged[place] ^= mask;
+            match read(damaged) {
+                Ok(values) => assert_eq!(values, whole, "byte {place} ^ {mask:#x}"),
+                Err(_) => refused += 1,
+            }
+        }
+    }
+    // Stamps, attributes and the headers in front of the members are of no effect.
+    assert!(refused > file.len() * 2, "{refused} of {}", file.len() * 4);
+}
+
+#[test]
 fn a_torch_file_without_checksums_is_read() {
     // As `torch.serialization.set_crc32_options(False)` has it: zero in every header of the central directory.
     let mut pickle = Pickler::new();

@@ -14,7 +14,8 @@ use crate::checkpoint::Average;
 use crate::layers::packed_format;
 use crate::{Checkpoint, Compute, Engine, Loader, Result};
 
-/// Width of the wide head of all published models that have one (architecture.md section 1).
+/// Width of the wide head of all published models that have one (the paper, appendix B, table
+/// "Architecture size and compute").
 const WIDE: usize = 2048;
 
 /// Which last layers a transition model has.
@@ -28,7 +29,7 @@ pub enum Head {
     Wide,
 }
 
-/// Sizes of a transition model, architecture.md section 2. JSON example, DiT-L on V-JEPA 2.1's native latents:
+/// Sizes of a transition model (`docs/architecture.md#transition-model`). JSON example, DiT-L on V-JEPA 2.1's native latents:
 ///
 /// ```json
 /// {"hidden": 1024, "depth": 24, "heads": 16, "channels": 1024, "patch": 1, "grid": [16, 16],
