@@ -34,7 +34,7 @@ pub enum PooledProbe {
     /// A linear layer on each frame.
     Linear(LinearProbe),
     /// A transformer block over the frames.
-    Temporal(TemporalProbe),
+    Temporal(Box<TemporalProbe>),
     /// How far each frame has come.
     Progress(ProgressProbe),
 }
@@ -97,7 +97,9 @@ impl PooledProbeConfig {
     pub(crate) fn load(&self, loader: &Loader<'_>) -> Result<PooledProbe> {
         Ok(match self {
             Self::Linear(config) => PooledProbe::Linear(LinearProbe::load(config, loader)?),
-            Self::Temporal(config) => PooledProbe::Temporal(TemporalProbe::load(config, loader)?),
+            Self::Temporal(config) => {
+                PooledProbe::Temporal(Box::new(TemporalProbe::load(config, loader)?))
+            }
             Self::Progress(config) => PooledProbe::Progress(ProgressProbe::load(config, loader)?),
         })
     }

@@ -183,7 +183,7 @@ mod tests {
         let description = Description::read(&folder.path().join(FILE)).unwrap();
         let path = folder.path().join("web-dino/config.json");
         let written = write_configurations(&description, folder.path()).unwrap();
-        assert_eq!(written, [path.clone()]);
+        assert_eq!(written, std::slice::from_ref(&path));
         let config: crate::vit::WebDinoConfig =
             parse(&std::fs::read_to_string(&path).unwrap()).unwrap();
         assert_eq!(config, crate::vit::WebDinoConfig::vit_large());
