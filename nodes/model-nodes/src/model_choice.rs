@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result};
 use wm_model::{Decoder, Encoder, actions::ActionEncoding, bundle::EMBEDDED};
 use wm_ros::{Descriptor, Node};
-use wm_zoo::{WorldModel, success_probe::SuccessClassifier};
+use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
 use crate::{predictor::PredictorModel, timeline::Timing};
 
@@ -41,7 +41,7 @@ impl ModelChoice {
     /// Names what is missing or wrong in it, or what does not fit together.
     pub fn open(&self) -> Result<OpenModel> {
         let text = format!("parameter model is \"{}\"", self.name);
-        let model = WorldModel::open(&self.name).with_context(|| text.clone())?;
+        let model = ModelFolder::open(&self.name).with_context(|| text.clone())?;
         let name = self.name.clone();
         Ok(OpenModel { name, text, model })
     }
@@ -52,7 +52,7 @@ pub struct OpenModel {
     name: String,
     /// What errors begin with.
     text: String,
-    model: WorldModel,
+    model: ModelFolder,
 }
 
 impl OpenModel {
