@@ -186,7 +186,7 @@ fn a_model_is_trained_at_the_shift_that_its_weights_are_sampled_with() {
     ] {
         let out = dir.path().join(format!("{preset} {expected}"));
         let mut line = format!(
-            "train --bags= --autoencoder= --preset={preset} --hidden=32 --depth=1 --heads=2 --frames=5 --steps=1"
+            "train --bags=b --autoencoder=a --preset={preset} --hidden=32 --depth=1 --heads=2 --frames=5 --steps=1"
         );
         if let Some(shift) = shift {
             line += &format!(" --shift={shift}");
