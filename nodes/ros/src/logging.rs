@@ -5,8 +5,9 @@ mod record;
 
 use crate::{
     NodeArgs,
-    backend::{Writer, Written},
+    backend::{WhenFull, Writer, Written},
     clock::system_nanos,
+    payload::Payload,
     rcl_interfaces::Log,
 };
 use record::Record;
@@ -148,7 +149,8 @@ fn publish(writer: &dyn Writer, event: &Event<'_>, logger: &str, text: String, s
     };
     // A record that cannot be sent has been printed; reporting it would only make another.
     if let Ok(bytes) = cdr::to_bytes(&log) {
-        let _: Result<Written, _> = writer.write(&bytes.into(), None);
+        let payload = Payload::Cdr(bytes.into());
+        let _: Result<Written, _> = writer.write(&payload, None, WhenFull::DropOldest);
     }
 }
 

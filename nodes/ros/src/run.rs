@@ -108,7 +108,7 @@ fn in_graph<'a, E: From<Error>>(
     let bodies = start(&context)?;
     let result = runtime.block_on(until_late(bodies, context.shutdown()));
     let result = match result {
-        Ok(()) if context.has_failed() => Err(Error::MiddlewareEnded.into()),
+        Ok(()) => context.failure().map_or(Ok(()), |error| Err(error.into())),
         result => result,
     };
     runtime.shutdown_timeout(BLOCKING_GRACE);
