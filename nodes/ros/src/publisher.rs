@@ -237,11 +237,25 @@ impl<M: Message> Publisher<M> {
     /// # Errors
     /// The message has no CDR form, or the middleware failed.
     pub fn publish(&self, message: &M) -> Result<(), Error> {
-        let payload = match self.raw.inner.writer.audience() {
-            Audience { here: true, .. } => Payload::of(Arc::new(message.clone())),
-            Audience { here: false, .. } => Payload::Cdr(cdr::to_bytes(message)?.into()),
-        };
-        self.raw.publish_payload(&payload)
+        match self.payload(message)? {
+            Some(payload) => self.raw.publish_payload(&payload),
+            None => Ok(()),
+        }
+    }
+
+    /// What to send of a message; `None` where nobody would get it.
+    fn payload(&self, message: &M) -> Result<Option<Payload>, Error> {
+        let inner = &*self.raw.inner;
+        Ok(match inner.writer.audience() {
+            Audience { here: true, .. } => Some(Payload::of(Arc::new(message.clone()))),
+            Audience {
+                elsewhere: true, ..
+            } => Some(Payload::Cdr(cdr::to_bytes(message)?.into())),
+            Audience { .. } => {
+                inner.diagnostics.sent(&inner.topic);
+                None
+            }
+        })
     }
 
     /// Publishes a message without copying it: subscriptions of this context get the very same one.
@@ -258,8 +272,10 @@ impl<M: Message> Publisher<M> {
     /// # Errors
     /// As [`publish`](Self::publish).
     pub async fn publish_when_ready(&self, message: &M) -> Result<(), Error> {
-        let payload = Payload::of(Arc::new(message.clone()));
-        self.raw.publish_payload_when_ready(&payload).await
+        match self.payload(message)? {
+            Some(payload) => self.raw.publish_payload_when_ready(&payload).await,
+            None => Ok(()),
+        }
     }
 
     /// The topic's absolute name.

@@ -76,6 +76,10 @@ async fn a_message_is_encoded_only_for_those_who_need_bytes() {
     let publisher = talker.publisher::<Counted>("counted", qos).unwrap();
     let subscribe = |node: &Node| node.subscription::<Counted>("counted", qos).unwrap();
 
+    // nobody
+    publisher.publish(&Counted(0)).unwrap();
+    assert_eq!(counts(), (0, 0));
+
     // nodes of one context
     let (mut one, mut two) = (subscribe(&talker), subscribe(&listener));
     publisher.publish(&Counted(1)).unwrap();

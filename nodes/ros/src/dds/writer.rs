@@ -369,7 +369,7 @@ impl Writer for DdsWriter {
     fn audience(&self) -> Audience {
         Audience {
             here: self.core.shared.local.matched(&self.id()) > 0,
-            elsewhere: self.core.is_heard_elsewhere(),
+            elsewhere: self.core.is_latched || self.core.is_heard_elsewhere(),
         }
     }
 
