@@ -31,8 +31,9 @@
 //! # Promises
 //! - Nothing is lost in silence: queues have a named policy and count what they drop, samples that cannot be
 //!   decoded or never arrived are counted, and all of it is on `/diagnostics`.
-//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples, or
-//!   64 MiB of large ones.
+//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples (or their depth, if that is
+//!   more) and 64 MiB. A subscription that falls further behind loses the oldest; the others lose nothing.
+//! - Messages between nodes of one [`Context`] are shared, not encoded.
 //! - Loopback unless asked otherwise; see [`Environment`].
 //!
 //! # Not here
@@ -57,6 +58,7 @@ mod mailbox;
 mod names;
 mod node;
 mod parameters;
+mod payload;
 mod publisher;
 mod qos;
 mod rcl_interfaces;

@@ -13,8 +13,9 @@ pub use outlet::Unblocked;
 
 use crate::{
     NodeArgs,
-    backend::{Writer, Written},
+    backend::{WhenFull, Writer, Written},
     clock::system_nanos,
+    payload::Payload,
     rcl_interfaces::Log,
 };
 use outlet::{STDERR, STDOUT};
@@ -197,7 +198,8 @@ fn publish(writer: &dyn Writer, event: &Event<'_>, logger: &str, text: String, s
     };
     // A record that cannot be sent has been printed; reporting it would only make another.
     if let Ok(bytes) = cdr::to_bytes(&log) {
-        let _: Result<Written, _> = writer.write(&bytes.into(), None);
+        let payload = Payload::Cdr(bytes.into());
+        let _: Result<Written, _> = writer.write(&payload, None, WhenFull::DropOldest);
     }
 }
 

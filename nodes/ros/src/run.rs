@@ -113,9 +113,12 @@ fn in_graph<'a, E: From<Error>>(
     let bodies = start(&context)?;
     let result = runtime.block_on(until_late(bodies, context.shutdown()));
     let result = match result {
-        Ok(()) if context.has_failed() => Err(Error::MiddlewareEnded.into()),
         Ok(()) => {
-            logging::panics::first().map_or(Ok(()), |panic| Err(Error::Panicked(panic).into()))
+            let panicked = || logging::panics::first().map(Error::ThreadPanicked);
+            context
+                .failure()
+                .or_else(panicked)
+                .map_or(Ok(()), |error| Err(error.into()))
         }
         Err(error) => Err(error),
     };

@@ -2,8 +2,9 @@
 
 use crate::{
     Error, Shutdown,
-    backend::{Backend, EndpointId, Reader, RequestId, Sample, Sink, Writer, Written},
+    backend::{Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, Writer, Written},
     mailbox::Mailbox,
+    payload::Payload,
 };
 use bytes::Bytes;
 use std::{
@@ -53,10 +54,17 @@ pub struct Call<S: wm_msgs::Service> {
 pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<(RequestId, Bytes)>>) -> Sink {
     Box::new(move |sample| match sample {
         Ok(Sample {
-            bytes,
+            payload,
             request: Some(id),
             ..
         }) => {
+            let bytes = match payload.into_cdr() {
+                Ok(bytes) => bytes,
+                Err(error) => {
+                    tracing::warn!("{name}: a call is skipped: {error}");
+                    return;
+                }
+            };
             if !calls.push((id, bytes)) {
                 tracing::warn!(
                     "{name}: more than {WAITING_CALLS} calls wait, the oldest is dropped"
@@ -78,7 +86,7 @@ pub(crate) fn answering_sink(
 ) -> Sink {
     Box::new(move |sample| {
         let Ok(Sample {
-            bytes,
+            payload,
             request: Some(id),
             ..
         }) = sample
@@ -86,7 +94,9 @@ pub(crate) fn answering_sink(
             tracing::warn!("{name}: a call that cannot be read or answered is skipped");
             return;
         };
-        let answered = answer(&bytes)
+        let answered = payload
+            .into_cdr()
+            .and_then(|request| answer(&request))
             .map_err(Error::from)
             .and_then(|answer| send(&*writer, &name, answer.into(), id));
         if let Err(error) = answered {
@@ -96,8 +106,8 @@ pub(crate) fn answering_sink(
 }
 
 fn send(writer: &dyn Writer, name: &str, answer: Bytes, id: RequestId) -> Result<(), Error> {
-    match writer.write(&answer, Some(id))? {
-        Written::Sent(_) | Written::Held => Ok(()),
+    match writer.write(&Payload::Cdr(answer), Some(id), WhenFull::DropOldest)? {
+        Written::Sent { .. } | Written::Held => Ok(()),
         Written::WindowFull => Err(Error::middleware(
             format!("answer {name}"),
             "clients do not take their answers",
@@ -228,11 +238,12 @@ pub struct Client<S> {
 pub(crate) fn answer_sink(client: EndpointId, pending: Pending) -> Sink {
     Box::new(move |sample| {
         if let Ok(Sample {
-            bytes,
+            payload,
             request: Some(id),
             ..
         }) = sample
             && id.client == client
+            && let Ok(bytes) = payload.into_cdr()
         {
             let waiting = pending
                 .lock()
@@ -287,8 +298,9 @@ impl RawClient {
         let (answer, _waiting) = {
             // Held over the write, so that the answer cannot come before it is waited for.
             let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
-            let sequence = match self.writer.write(&request, None)? {
-                Written::Sent(sequence) => sequence,
+            let payload = Payload::Cdr(request);
+            let sequence = match self.writer.write(&payload, None, WhenFull::DropOldest)? {
+                Written::Sent { number, .. } => number,
                 Written::Held | Written::WindowFull => {
                     return Err(Error::middleware(
                         format!("call {}", self.name),

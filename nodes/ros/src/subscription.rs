@@ -10,6 +10,7 @@ use crate::{
     Clock, Diagnostics, Shutdown,
     backend::{Backend, EndpointId, Reader, Sample, Sink},
     mailbox::Mailbox,
+    payload::Payload,
 };
 use bytes::Bytes;
 use std::{
@@ -19,7 +20,7 @@ use std::{
         atomic::{AtomicU64, Ordering},
     },
 };
-use wm_msgs::{Message, builtin_interfaces::Time, cdr};
+use wm_msgs::{Message, builtin_interfaces::Time, cdr::CdrError};
 
 /// A message and when it came.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +29,15 @@ pub struct Received<M> {
     pub message: M,
     /// When it came (node clock).
     pub received: Time,
+}
+
+impl<M: Clone> Received<Arc<M>> {
+    fn into_owned(self) -> Received<M> {
+        Received {
+            message: Arc::unwrap_or_clone(self.message),
+            received: self.received,
+        }
+    }
 }
 
 /// The receiving end of a topic of any type: CDR bytes with their 4-byte header, as they were sent.
@@ -42,10 +52,13 @@ pub struct RawSubscription {
     _catch_up: Option<CatchUp>,
 }
 
+/// Reads a message from what a sample carries.
+type Read<T> = fn(Payload) -> Result<T, CdrError>;
+
 /// What the receiving thread and the reader of a subscription share.
 pub(crate) struct Intake {
     topic: String,
-    mailbox: Mailbox<Received<Bytes>>,
+    mailbox: Mailbox<Received<Payload>>,
     undecodable: AtomicU64,
     lost: AtomicU64,
     gaps: Mutex<Gaps<EndpointId>>,
@@ -116,12 +129,24 @@ impl Intake {
         }
         self.diagnostics.received(&self.topic);
         let received = Received {
-            message: sample.bytes,
+            message: sample.payload,
             received: self.clock.now(),
         };
         if !self.mailbox.push(received) {
             self.diagnostics
                 .count_drop(&format!("{}: queue full", self.topic));
+        }
+    }
+
+    /// What `read` makes of a sample; `None`, counted, where it makes nothing.
+    fn read<T>(&self, sample: Received<Payload>, read: Read<T>) -> Option<Received<T>> {
+        let Received { message, received } = sample;
+        match read(message) {
+            Ok(message) => Some(Received { message, received }),
+            Err(error) => {
+                self.refuse(&error.to_string());
+                None
+            }
         }
     }
 
@@ -160,16 +185,34 @@ impl RawSubscription {
 
     /// Waits for a sample; `None` once the context is shut down. Cancel safe.
     pub async fn recv(&mut self) -> Option<Received<Bytes>> {
-        tokio::select! {
-            biased;
-            () = self.shutdown.wait() => None,
-            sample = self.intake.mailbox.pop() => sample,
-        }
+        self.recv_as(Payload::into_cdr).await
     }
 
     /// A sample that is there already; also after the shutdown, to read what still waits.
     pub fn try_recv(&mut self) -> Option<Received<Bytes>> {
-        self.intake.mailbox.try_pop()
+        self.try_recv_as(Payload::into_cdr)
+    }
+
+    async fn recv_as<T>(&mut self, read: Read<T>) -> Option<Received<T>> {
+        loop {
+            let sample = tokio::select! {
+                biased;
+                () = self.shutdown.wait() => None,
+                sample = self.intake.mailbox.pop() => sample,
+            };
+            if let Some(received) = self.intake.read(sample?, read) {
+                return Some(received);
+            }
+        }
+    }
+
+    fn try_recv_as<T>(&mut self, read: Read<T>) -> Option<Received<T>> {
+        loop {
+            let sample = self.intake.mailbox.try_pop()?;
+            if let Some(received) = self.intake.read(sample, read) {
+                return Some(received);
+            }
+        }
     }
 
     /// The topic's absolute name.
@@ -230,37 +273,21 @@ impl<M: Message> Subscription<M> {
         }
     }
 
-    /// Waits for a message; `None` once the context is shut down. Cancel safe.
+    /// Waits for a message; `None` once the context is shut down. Cancel safe. A message of this context that others
+    /// hold too is copied; [`recv_shared`](Self::recv_shared) saves the copy.
     pub async fn recv(&mut self) -> Option<Received<M>> {
-        loop {
-            let sample = self.raw.recv().await?;
-            if let Some(message) = self.decode(&sample) {
-                return Some(message);
-            }
-        }
+        self.recv_shared().await.map(Received::into_owned)
+    }
+
+    /// As [`recv`](Self::recv), without a copy: a message of this context is the one that was published.
+    pub async fn recv_shared(&mut self) -> Option<Received<Arc<M>>> {
+        self.raw.recv_as(Payload::into_message).await
     }
 
     /// A message that is there already; also after the shutdown, to read what still waits.
     pub fn try_recv(&mut self) -> Option<Received<M>> {
-        loop {
-            let sample = self.raw.try_recv()?;
-            if let Some(message) = self.decode(&sample) {
-                return Some(message);
-            }
-        }
-    }
-
-    fn decode(&self, sample: &Received<Bytes>) -> Option<Received<M>> {
-        match cdr::from_bytes(&sample.message) {
-            Ok(message) => Some(Received {
-                message,
-                received: sample.received,
-            }),
-            Err(error) => {
-                self.raw.intake.refuse(&error.to_string());
-                None
-            }
-        }
+        let received = self.raw.try_recv_as(Payload::into_message);
+        received.map(Received::into_owned)
     }
 
     /// The topic's absolute name.
@@ -297,11 +324,11 @@ impl<M: Message> Subscription<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wm_msgs::std_msgs;
+    use wm_msgs::{cdr, std_msgs};
 
     fn sample(sequence: i64, bytes: Vec<u8>) -> Result<Sample, String> {
         Ok(Sample {
-            bytes: bytes.into(),
+            payload: Payload::Cdr(bytes.into()),
             writer: [1; 16],
             sequence,
             request: None,
@@ -379,8 +406,8 @@ mod tests {
         let mailbox = &intake.mailbox;
         let mut decoded = Vec::new();
         while let Some(received) = mailbox.try_pop() {
-            match cdr::from_bytes::<std_msgs::String>(&received.message) {
-                Ok(message) => decoded.push(message.data),
+            match received.message.into_message::<std_msgs::String>() {
+                Ok(message) => decoded.push(message.data.clone()),
                 Err(error) => intake.refuse(&error.to_string()),
             }
         }
