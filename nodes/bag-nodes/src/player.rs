@@ -19,5 +19,5 @@ pub mod restamp;
 mod settings;
 mod source;
 
-pub use node::{NAME, body, run};
-pub use settings::Settings;
+pub use node::{NODE, body, run};
+pub use settings::{Parameters, Settings};

@@ -18,4 +18,4 @@ mod options;
 pub mod selection;
 mod writer;
 
-pub use node::{NAME, run};
+pub use node::{NODE, run};

@@ -3,6 +3,7 @@
 use crate::{
     Diagnostics, Error, Shutdown,
     backend::{Backend, Writer, Written},
+    lifecycle::Gate,
 };
 use bytes::Bytes;
 use std::{
@@ -19,7 +20,7 @@ use wm_msgs::{Message, cdr};
 /// fragments, which a default receive buffer of 212 kB loses part of.
 const SAFE_SAMPLE_BYTES: usize = 98_000;
 
-/// The sending end of a topic, for messages of any type as CDR bytes.
+/// The sending end of a topic, for messages of any type as CDR bytes. A managed node that is not active sends nothing.
 #[derive(Clone)]
 pub struct RawPublisher {
     inner: Arc<Inner>,
@@ -33,6 +34,8 @@ struct Inner {
     shutdown: Shutdown,
     dropped: AtomicU64,
     has_warned_of_size: AtomicBool,
+    /// Of a managed node.
+    gate: Option<Gate>,
 }
 
 impl RawPublisher {
@@ -42,6 +45,7 @@ impl RawPublisher {
         backend: Arc<dyn Backend>,
         diagnostics: Diagnostics,
         shutdown: Shutdown,
+        gate: Option<Gate>,
     ) -> Self {
         let (dropped, has_warned_of_size) = (AtomicU64::new(0), AtomicBool::new(false));
         diagnostics.add_endpoint(writer.id(), &topic, true);
@@ -54,6 +58,7 @@ impl RawPublisher {
                 shutdown,
                 dropped,
                 has_warned_of_size,
+                gate,
             }),
         }
     }
@@ -65,12 +70,20 @@ impl RawPublisher {
     /// The bytes are not little-endian CDR, or the middleware failed.
     pub fn publish(&self, sample: Bytes) -> Result<(), Error> {
         let inner = &*self.inner;
+        if self.is_closed() {
+            return Ok(());
+        }
         self.warn_of_size(sample.len());
         match inner.writer.write(&sample, None)? {
             Written::Sent(_) | Written::Held => inner.diagnostics.sent(&inner.topic),
             Written::WindowFull => self.drop_one(),
         }
         Ok(())
+    }
+
+    /// Whether the node is managed and not active.
+    fn is_closed(&self) -> bool {
+        self.inner.gate.as_ref().is_some_and(|gate| !gate.is_open())
     }
 
     fn drop_one(&self) {
@@ -93,6 +106,9 @@ impl RawPublisher {
     /// As [`publish`](Self::publish).
     pub async fn publish_when_ready(&self, sample: Bytes) -> Result<(), Error> {
         let inner = &*self.inner;
+        if self.is_closed() {
+            return Ok(());
+        }
         self.warn_of_size(sample.len());
         while inner.writer.write(&sample, None)? == Written::WindowFull {
             tokio::select! {

@@ -141,7 +141,7 @@ impl Entry {
 
 impl Recording {
     /// Creates the bag. At most `cache_bytes` of messages wait for the disk, and in snapshot mode as many for being
-    /// asked for.
+    /// asked for. The thread that writes is `nice` steps below this one.
     ///
     /// # Errors
     /// Where the folder cannot be made, or holds something already.
@@ -150,6 +150,7 @@ impl Recording {
         options: WriterOptions,
         cache_bytes: usize,
         is_snapshot: bool,
+        nice: i32,
     ) -> Result<Self> {
         let writer = BagWriter::create(folder, options)?;
         let (queue, entries) = mpsc::channel();
@@ -165,6 +166,10 @@ impl Recording {
         let thread = std::thread::Builder::new()
             .name("bag".to_owned())
             .spawn(move || {
+                // Linux has a priority for each thread, where POSIX has one for the process.
+                if let Err(error) = rustix::process::nice(nice) {
+                    tracing::warn!("recording at the usual priority: {error}");
+                }
                 let result = write(writer, &entries, &waiting);
                 if let Err(error) = &result {
                     *failure.lock().unwrap_or_else(PoisonError::into_inner) =
@@ -297,7 +302,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let recording =
-            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false).unwrap();
+            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false, 0).unwrap();
         let queue = recording.queue().unwrap();
         let topic: Arc<str> = "/note".into();
         let schema = type_schema::<std_msgs::String>();
@@ -428,7 +433,7 @@ mod tests {
         let bag = folder.path().join("bag");
         remove_old(&bag).unwrap();
         let recording =
-            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false).unwrap();
+            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false, 0).unwrap();
         recording.finish().unwrap();
         remove_old(&bag).unwrap();
         assert_eq!(std::fs::read_dir(&bag).unwrap().count(), 0);
