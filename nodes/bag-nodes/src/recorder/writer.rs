@@ -384,7 +384,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let mut recording =
-            Recording::create(&bag, WriterOptions::default(), 64 << 10, true).unwrap();
+            Recording::create(&bag, WriterOptions::default(), 64 << 10, true, 0).unwrap();
         let queue = recording.queue().unwrap();
         let topic: Arc<str> = "/note".into();
         let entry = Entry::Topic {

@@ -90,6 +90,7 @@ mod tests {
 
     crate::parameters! {
         /// Of a test.
+        #[expect(dead_code, reason = "only its table is looked at")]
         struct Parameters {
             /// Least standard deviation [model units].
             std_floor: f64 = 1e-6, in 1e-9..=10.0;

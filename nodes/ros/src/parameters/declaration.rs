@@ -285,6 +285,7 @@ mod tests {
 
     parameters! {
         /// Of a test.
+        #[expect(dead_code, reason = "only its table is looked at")]
         struct All {
             /// A number.
             /// Of two lines.
