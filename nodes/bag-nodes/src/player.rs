@@ -21,5 +21,5 @@ mod settings;
 mod source;
 
 pub use check::check;
-pub use node::{NAME, body, run};
-pub use settings::Settings;
+pub use node::{NODE, body, run};
+pub use settings::{Parameters, Settings};

@@ -20,4 +20,4 @@ mod place;
 pub mod selection;
 mod writer;
 
-pub use node::{NAME, run};
+pub use node::{NODE, run};

@@ -24,7 +24,7 @@ mod world;
 
 pub use attached::Attached;
 pub use error::EnvError;
-pub use node::{NAME, body, run};
+pub use node::{NODE, body};
 pub(crate) use start::INSTRUCTION;
 pub use start::Start;
 pub use start_root::StartRoot;

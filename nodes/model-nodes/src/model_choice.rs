@@ -1,8 +1,7 @@
 //! Which world model a node uses: the parameter `model`, and what of the model each node needs.
 
 use anyhow::{Context as _, Result};
-use wm_model::{Decoder, Encoder, actions::ActionEncoding, bundle::EMBEDDED};
-use wm_ros::{Descriptor, Node};
+use wm_model::{Decoder, Encoder, actions::ActionEncoding};
 use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
 use crate::{predictor::PredictorModel, timeline::Timing};
@@ -13,26 +12,10 @@ pub struct ModelChoice {
     name: String,
 }
 
-/// Declares the parameter `model` and reads it.
-///
-/// # Errors
-/// The parameter is of another type.
-pub fn declare(node: &Node) -> Result<ModelChoice> {
-    let text = format!("world model: {EMBEDDED} (embedded), or a folder of weights");
-    let name = node
-        .declare(
-            "model",
-            EMBEDDED.to_owned(),
-            Descriptor::new(text).read_only(),
-        )?
-        .get();
-    Ok(ModelChoice { name })
-}
-
 impl ModelChoice {
-    /// What the parameter says.
-    pub fn name(&self) -> &str {
-        &self.name
+    /// The model of this name: the embedded one's, or a folder of weights.
+    pub fn new(name: String) -> Self {
+        Self { name }
     }
 
     /// Opens the model, for as long as its parts are loaded.
@@ -56,6 +39,11 @@ pub struct OpenModel {
 }
 
 impl OpenModel {
+    /// What the parameter `model` says.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// The encoder.
     ///
     /// # Errors

@@ -12,7 +12,7 @@ mod scoring;
 mod step;
 
 pub use error::PredictorError;
-pub use node::{NAME, body, run};
+pub use node::{NODE, body};
 pub use rollout::{PredictedStep, PredictorModel, RolloutRequest, RunningRollout};
 pub(crate) use rollout::{context_tensor, past_actions};
 pub use step::{LatentOutcome, PredictorSettings, PredictorStep};

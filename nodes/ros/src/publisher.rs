@@ -3,6 +3,7 @@
 use crate::{
     Diagnostics, Error, Shutdown,
     backend::{Audience, Backend, WhenFull, Writer, Written},
+    lifecycle::Gate,
     payload::Payload,
 };
 use bytes::Bytes;
@@ -25,7 +26,7 @@ const PATIENCE_WITH_READERS: Duration = Duration::from_secs(5);
 /// Room in a full window is looked for again after this time.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// The sending end of a topic, for messages of any type as CDR bytes.
+/// The sending end of a topic, for messages of any type as CDR bytes. A managed node that is not active sends nothing.
 #[derive(Clone)]
 pub struct RawPublisher {
     inner: Arc<Inner>,
@@ -39,6 +40,8 @@ struct Inner {
     shutdown: Shutdown,
     dropped: AtomicU64,
     has_warned_of_size: AtomicBool,
+    /// Of a managed node.
+    gate: Option<Gate>,
 }
 
 impl RawPublisher {
@@ -48,6 +51,7 @@ impl RawPublisher {
         backend: Arc<dyn Backend>,
         diagnostics: Diagnostics,
         shutdown: Shutdown,
+        gate: Option<Gate>,
     ) -> Self {
         let (dropped, has_warned_of_size) = (AtomicU64::new(0), AtomicBool::new(false));
         diagnostics.add_endpoint(writer.id(), &topic, true);
@@ -60,6 +64,7 @@ impl RawPublisher {
                 shutdown,
                 dropped,
                 has_warned_of_size,
+                gate,
             }),
         }
     }
@@ -75,6 +80,9 @@ impl RawPublisher {
     }
 
     pub(crate) fn publish_payload(&self, payload: &Payload) -> Result<(), Error> {
+        if self.is_closed() {
+            return Ok(());
+        }
         let written = self.inner.writer.write(payload, None, WhenFull::DropOldest);
         match written? {
             Written::Sent { dropped, .. } => self.sent(payload, dropped),
@@ -82,6 +90,11 @@ impl RawPublisher {
             Written::WindowFull => self.count_drops(1),
         }
         Ok(())
+    }
+
+    /// Whether the node is managed and not active.
+    fn is_closed(&self) -> bool {
+        self.inner.gate.as_ref().is_some_and(|gate| !gate.is_open())
     }
 
     fn sent(&self, payload: &Payload, dropped: u64) {
@@ -119,6 +132,9 @@ impl RawPublisher {
 
     async fn publish_payload_when_ready(&self, payload: &Payload) -> Result<(), Error> {
         let inner = &*self.inner;
+        if self.is_closed() {
+            return Ok(());
+        }
         let patience = tokio::time::sleep(PATIENCE_WITH_READERS);
         let mut patience = std::pin::pin!(patience);
         let mut when_full = WhenFull::Refuse;

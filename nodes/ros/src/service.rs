@@ -3,6 +3,7 @@
 use crate::{
     Error, Shutdown,
     backend::{Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, Writer, Written},
+    lifecycle::{Gate, Gated},
     mailbox::Mailbox,
     payload::Payload,
 };
@@ -26,6 +27,8 @@ pub struct RawService {
     writer: Arc<dyn Writer>,
     _reader: Box<dyn Reader>,
     shutdown: Shutdown,
+    /// Of a service that refuses calls while its managed node is not active.
+    refusals: Option<Arc<Refusals>>,
 }
 
 /// A call of a [`RawService`] to be answered.
@@ -35,6 +38,89 @@ pub struct RawCall {
     service: String,
     id: RequestId,
     writer: Arc<dyn Writer>,
+    refusal: Refusal,
+}
+
+/// The refusal of a call, sent where the call is dropped without an answer: its client waits for one.
+struct Refusal(Option<(Arc<Refusals>, RequestId)>);
+
+impl Drop for Refusal {
+    fn drop(&mut self) {
+        if let Some((refusals, id)) = self.0.take() {
+            refusals.send(id);
+        }
+    }
+}
+
+/// Refuses the calls of a managed node that is not active.
+pub(crate) struct Refusals {
+    name: String,
+    gate: Gate,
+    calls: Arc<Mailbox<(RequestId, Bytes)>>,
+    writer: Arc<dyn Writer>,
+    refuse: Refuse,
+}
+
+/// The answer that refuses a call, as CDR, from the reason.
+pub(crate) type Refuse = Box<dyn Fn(&str) -> Result<Vec<u8>, cdr::CdrError> + Send + Sync>;
+
+impl Refusals {
+    pub(crate) fn new(
+        name: String,
+        gate: Gate,
+        calls: Arc<Mailbox<(RequestId, Bytes)>>,
+        writer: Arc<dyn Writer>,
+        refuse: Refuse,
+    ) -> Arc<Self> {
+        let refusals = Arc::new(Self {
+            name,
+            gate,
+            calls,
+            writer,
+            refuse,
+        });
+        let gated: Arc<dyn Gated> = refusals.clone();
+        refusals.gate.add(Arc::downgrade(&gated));
+        refusals
+    }
+
+    fn send(&self, id: RequestId) {
+        let reason = format!("{}: the node is not active", self.name);
+        let sent = (self.refuse)(&reason)
+            .map_err(Error::from)
+            .and_then(|answer| send(&*self.writer, &self.name, answer.into(), id));
+        if let Err(error) = sent {
+            tracing::debug!("{}: a call is not refused: {error}", self.name);
+        }
+    }
+
+    fn refuse_waiting(&self) {
+        while let Some((id, _)) = self.calls.try_pop() {
+            self.send(id);
+        }
+    }
+}
+
+impl Gated for Refusals {
+    fn opened(&self, _: &dyn Backend) {
+        self.refuse_waiting();
+    }
+
+    fn closed(&self) {
+        self.refuse_waiting();
+    }
+}
+
+/// As [`call_sink`], but calls that come while the node is not active are refused at once.
+pub(crate) fn refusing_sink(refusals: &Arc<Refusals>) -> Sink {
+    let refusals = Arc::clone(refusals);
+    let mut sink = call_sink(refusals.name.clone(), Arc::clone(&refusals.calls));
+    Box::new(move |sample| match sample {
+        Ok(Sample {
+            request: Some(id), ..
+        }) if !refusals.gate.is_open() => refusals.send(id),
+        sample => sink(sample),
+    })
 }
 
 /// The serving end of a service `S`.
@@ -122,6 +208,7 @@ impl RawService {
         writer: Arc<dyn Writer>,
         reader: Box<dyn Reader>,
         shutdown: Shutdown,
+        refusals: Option<Arc<Refusals>>,
     ) -> Self {
         Self {
             name,
@@ -129,6 +216,7 @@ impl RawService {
             writer,
             _reader: reader,
             shutdown,
+            refusals,
         }
     }
 
@@ -144,6 +232,7 @@ impl RawService {
             service: self.name.clone(),
             id,
             writer: Arc::clone(&self.writer),
+            refusal: Refusal(self.refusals.clone().map(|refusals| (refusals, id))),
         })
     }
 
@@ -163,7 +252,8 @@ impl RawCall {
     ///
     /// # Errors
     /// The bytes are not little-endian CDR, or the middleware failed.
-    pub fn respond(self, response: Bytes) -> Result<(), Error> {
+    pub fn respond(mut self, response: Bytes) -> Result<(), Error> {
+        self.refusal.0 = None;
         send(&*self.writer, &self.service, response, self.id)
     }
 }

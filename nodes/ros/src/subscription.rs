@@ -9,11 +9,13 @@ pub use gaps::Gaps;
 use crate::{
     Clock, Diagnostics, Shutdown,
     backend::{Backend, EndpointId, Reader, Sample, Sink},
+    lifecycle::{Gate, Gated},
     mailbox::Mailbox,
     payload::Payload,
 };
 use bytes::Bytes;
 use std::{
+    collections::BTreeMap,
     marker::PhantomData,
     sync::{
         Arc, Mutex, PoisonError,
@@ -64,7 +66,14 @@ pub(crate) struct Intake {
     gaps: Mutex<Gaps<EndpointId>>,
     diagnostics: Diagnostics,
     clock: Clock,
+    /// Of a managed node.
+    gate: Option<Gate>,
+    /// The newest sample of each latching publisher, for the next activation of a managed node.
+    latched: Mutex<BTreeMap<EndpointId, Received<Bytes>>>,
 }
+
+/// Latching publishers that are remembered: far more than a topic has.
+const MAX_LATCHING: usize = 16;
 
 impl Intake {
     pub(crate) fn new(
@@ -72,9 +81,10 @@ impl Intake {
         depth: usize,
         diagnostics: Diagnostics,
         clock: Clock,
+        gate: Option<Gate>,
     ) -> Arc<Self> {
         let (undecodable, lost) = (AtomicU64::new(0), AtomicU64::new(0));
-        Arc::new(Self {
+        let intake = Arc::new(Self {
             topic,
             mailbox: Mailbox::new(depth),
             undecodable,
@@ -82,7 +92,14 @@ impl Intake {
             gaps: Mutex::default(),
             diagnostics,
             clock,
-        })
+            gate,
+            latched: Mutex::default(),
+        });
+        if let Some(gate) = &intake.gate {
+            let gated: Arc<dyn Gated> = intake.clone();
+            gate.add(Arc::downgrade(&gated));
+        }
+        intake
     }
 
     /// What the middleware calls for each sample.
@@ -111,6 +128,38 @@ impl Intake {
         })
     }
 
+    /// As [`sink_of_two`](Self::sink_of_two), for the reader that hears latching publishers alone. A managed node that
+    /// is activated hears what they have latched, as a new subscription would.
+    pub(crate) fn sink_of_latched(self: &Arc<Self>) -> Sink {
+        let intake = Arc::clone(self);
+        let mut sink = self.sink_of_two();
+        Box::new(move |sample| {
+            if let Ok(sample) = &sample
+                && intake.gate.is_some()
+            {
+                intake.remember(sample);
+            }
+            sink(sample);
+        })
+    }
+
+    fn remember(&self, sample: &Sample) {
+        let received = Received {
+            message: sample.bytes.clone(),
+            received: self.clock.now(),
+        };
+        let mut latched = self.latched();
+        if latched.len() >= MAX_LATCHING && !latched.contains_key(&sample.writer) {
+            latched.pop_first();
+        }
+        latched.insert(sample.writer, received);
+    }
+
+    /// No invariant spans the lock.
+    fn latched(&self) -> std::sync::MutexGuard<'_, BTreeMap<EndpointId, Received<Bytes>>> {
+        self.latched.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// No invariant spans the lock.
     fn gaps(&self) -> std::sync::MutexGuard<'_, Gaps<EndpointId>> {
         self.gaps.lock().unwrap_or_else(PoisonError::into_inner)
@@ -118,6 +167,10 @@ impl Intake {
 
     fn take(&self, sample: Sample) {
         let lost = self.gaps().after(sample.writer, sample.sequence);
+        // what comes to an inactive node is nobody's loss
+        if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
+            return;
+        }
         self.keep(sample, lost);
     }
 
@@ -160,6 +213,25 @@ impl Intake {
         }
         self.diagnostics
             .count_drop(&format!("{}: undecodable", self.topic));
+    }
+}
+
+impl Gated for Intake {
+    fn opened(&self, backend: &dyn Backend) {
+        self.mailbox.clear();
+        let mut latched = self.latched();
+        if latched.is_empty() {
+            return;
+        }
+        let seen = backend.seen();
+        latched.retain(|writer, _| seen.iter().any(|seen| seen.id == *writer));
+        for received in latched.values() {
+            self.mailbox.push(received.clone());
+        }
+    }
+
+    fn closed(&self) {
+        self.mailbox.clear();
     }
 }
 
@@ -382,7 +454,13 @@ mod tests {
     #[test]
     fn what_is_lost_dropped_or_undecodable_is_counted_and_the_stream_goes_on() {
         let diagnostics = Diagnostics::new("/wm/test");
-        let intake = Intake::new("/wm/text".into(), 2, diagnostics.clone(), Clock::new());
+        let intake = Intake::new(
+            "/wm/text".into(),
+            2,
+            diagnostics.clone(),
+            Clock::new(),
+            None,
+        );
         let mut sink = intake.sink();
         let text = |text: &str| cdr::to_bytes(&std_msgs::String { data: text.into() }).unwrap();
         sink(sample(1, text("dropped")));

@@ -7,7 +7,7 @@ mod news;
 use super::{
     definitions,
     losses::Loss,
-    options::{self, Options},
+    options::{Options, Parameters},
     selection::common_qos,
     writer::{Entry, Queue},
 };
@@ -21,6 +21,7 @@ use command::Command;
 use news::News;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::sync::{
     Arc,
     atomic::{AtomicBool, Ordering},
@@ -34,12 +35,21 @@ use wm_msgs::{
     rosbag2_interfaces::{Empty, IsPausedResponse, RecordResponse, Stop, Success},
 };
 use wm_ros::{
-    Call, Diagnostics, Durability, Node, NodeArgs, Qos, RawSubscription, Reliability, TopicInfo,
+    Call, Diagnostics, Durability, EndpointSet as _, Node, NodeArgs, NodeDefinition,
+    ParameterSet as _, Qos, RawSubscription, Reliability, TopicInfo,
 };
 use wm_ros::{calls::Calls, calls::answer};
 
-/// The node's default name.
-pub const NAME: &str = "recorder";
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
+    name: "recorder",
+    about: "Records topics, as they are found, into a bag.",
+    parameters: Parameters::specs,
+    endpoints: command::Services::specs,
+    is_managed: false,
+    run: |args| run(args).map(ExitCode::from),
+    component: None,
+};
 
 /// More topics than this are not recorded: whoever makes so many does not mean well, and each has a queue.
 const MOST_TOPICS: usize = 2000;
@@ -53,12 +63,13 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
     let mut book = Book::default();
     let result = wm_ros::run(
-        NAME,
+        NODE.name,
         wm_ros::NAMESPACE,
         args,
         async |node: Node| -> Result<()> {
-            let options = options::declare(&node)?;
+            let parameters = Parameters::declare(&node)?;
             node.seal_parameters()?;
+            let options = Options::new(parameters, &node)?;
             serve(&node, &options, &mut book).await
         },
     );
@@ -72,7 +83,7 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
 /// Records into one bag after the other, as it is asked to.
 async fn serve(node: &Node, options: &Options, book: &mut Book) -> Result<()> {
     book.begin_first(options).await?;
-    let mut calls = command::serve(node, options.is_snapshot)?;
+    let mut calls = command::serve(node)?;
     let keys = calls.sender();
     // a key that finds the queue full is pressed again
     let on_key = move |key| drop(keys.try_send(Command::Key(key)));

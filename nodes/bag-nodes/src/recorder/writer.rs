@@ -145,7 +145,7 @@ impl Entry {
 
 impl Recording {
     /// Creates the bag. At most `cache_bytes` of messages wait for the disk, and in snapshot mode as many for being
-    /// asked for.
+    /// asked for. The thread that writes is `nice` steps below this one.
     ///
     /// # Errors
     /// Where the folder cannot be made, or holds something already.
@@ -154,6 +154,7 @@ impl Recording {
         options: WriterOptions,
         cache_bytes: usize,
         is_snapshot: bool,
+        nice: i32,
     ) -> Result<Self> {
         let writer = BagWriter::create(folder, options)?;
         let (queue, entries) = mpsc::channel();
@@ -169,6 +170,10 @@ impl Recording {
         let thread = std::thread::Builder::new()
             .name("bag".to_owned())
             .spawn(move || {
+                // Linux has a priority for each thread, where POSIX has one for the process.
+                if let Err(error) = rustix::process::nice(nice) {
+                    tracing::warn!("recording at the usual priority: {error}");
+                }
                 let result = write(writer, &entries, &waiting);
                 if let Err(error) = &result {
                     *failure.lock().unwrap_or_else(PoisonError::into_inner) =
@@ -279,7 +284,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let recording =
-            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false).unwrap();
+            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false, 0).unwrap();
         let queue = recording.queue().unwrap();
         let topic: Arc<str> = "/note".into();
         let schema = type_schema::<std_msgs::String>();
@@ -361,7 +366,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let mut recording =
-            Recording::create(&bag, WriterOptions::default(), 64 << 10, true).unwrap();
+            Recording::create(&bag, WriterOptions::default(), 64 << 10, true, 0).unwrap();
         let queue = recording.queue().unwrap();
         let topic: Arc<str> = "/note".into();
         let entry = Entry::Topic {

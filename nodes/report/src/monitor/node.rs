@@ -6,6 +6,7 @@ use anyhow::{Result, ensure};
 use image::RgbImage;
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use tokio::time::MissedTickBehavior;
 use tracing::warn;
@@ -13,15 +14,29 @@ use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     wm_msgs::{Plan, Prediction, PredictionError},
 };
-use wm_ros::{Descriptor, Diagnostics, Node, NodeArgs, Qos, Received, Subscription};
+use wm_ros::{
+    Diagnostics, EndpointSet as _, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
+    Received, Subscription,
+};
 use wm_wire::camera_frame::CameraFrame;
 use wm_wire::transport::{ImageSubscription, Transports};
 
-/// The node's default name.
-pub const NAME: &str = "monitor";
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
+    name: "monitor",
+    about: "Shows a live line, and reports at the end how well the predictions came true.",
+    parameters: Parameters::specs,
+    endpoints: Inputs::specs,
+    is_managed: false,
+    run: |args| run(args).map(|()| ExitCode::SUCCESS),
+    component: None,
+};
 
 /// Best effort, which matches every publisher; room for the rollouts that come while one frame is scored.
 const QOS: Qos = Qos::best_effort(64);
+
+/// The camera's topic, unless a parameter names another.
+const CAMERA: &str = "/camera/image_raw";
 
 /// How often the live line is renewed.
 const LIVE_PERIOD: Duration = Duration::from_millis(500);
@@ -35,7 +50,7 @@ pub fn run(args: &NodeArgs) -> Result<()> {
     args.expect_no_rest()?;
     let mut monitor = None;
     wm_ros::run(
-        NAME,
+        NODE.name,
         wm_ros::NAMESPACE,
         args,
         async |node: Node| -> Result<()> {
@@ -69,59 +84,67 @@ struct Topics {
     plan: String,
 }
 
-struct Inputs {
-    camera: ImageSubscription,
-    predicted: Subscription<Prediction>,
-    pictures: ImageSubscription,
-    errors: Subscription<PredictionError>,
-    plans: Subscription<Plan>,
-    diagnostics: Subscription<DiagnosticArray>,
+wm_ros::parameters! {
+    /// What the parameters say.
+    struct Parameters {
+        /// Folder of the report; relative to the working directory.
+        output: PathBuf = "out/monitor";
+        /// Show a line of what is happening.
+        live_line: bool = true;
+        /// The camera's topic; its sibling /compressed too.
+        camera_topic: String = CAMERA;
+        /// Image transport of the camera. With both, a frame that comes twice counts once.
+        _image_transport as "image_transport": Transports = "both";
+    }
+}
+
+wm_ros::endpoints! {
+    /// Topics.
+    struct Inputs {
+        /// The camera's frames; the parameter camera_topic names another topic.
+        camera: ImageSubscription = CAMERA, qos(QOS), made(|node, _, qos| {
+            let topic: String = node.parameter("camera_topic")?;
+            ImageSubscription::new(node, &topic, Transports::of(node), qos)
+        });
+        /// Predicted latents.
+        predicted: Subscription<Prediction> = "predicted", qos(QOS);
+        /// Predicted pictures.
+        pictures: ImageSubscription = "predicted/image", qos(QOS), made(|node, topic, qos| {
+            ImageSubscription::new(node, topic, Transports::BOTH, qos)
+        });
+        /// How far predictions were off.
+        errors: Subscription<PredictionError> = "prediction_error", qos(QOS);
+        /// Plans.
+        plans: Subscription<Plan> = "plan", qos(QOS);
+        /// How the nodes fare.
+        diagnostics: Subscription<DiagnosticArray> = "/diagnostics", qos(QOS);
+    }
 }
 
 fn start(node: &Node) -> Result<(Monitor, Inputs)> {
-    let fixed = |text: &str| Descriptor::new(text).read_only();
-    let output = node
-        .declare(
-            "output",
-            "out/monitor".to_owned(),
-            fixed("folder of the report; relative to the working directory"),
-        )?
-        .get();
-    let is_live = node
-        .declare("live_line", true, fixed("show a line of what is happening"))?
-        .get();
-    let camera = node
-        .declare(
-            "camera_topic",
-            "/camera/image_raw".to_owned(),
-            fixed("the camera's topic; its sibling /compressed too"),
-        )?
-        .get();
-    let transports = Transports::declare(node)?;
+    let Parameters {
+        output,
+        live_line,
+        camera_topic,
+        ..
+    } = Parameters::declare(node)?;
     node.seal_parameters()?;
     ensure!(
-        !output.is_empty(),
+        !output.as_os_str().is_empty(),
         "parameter \"output\" is empty: name the folder of the report"
     );
-    let inputs = Inputs {
-        camera: ImageSubscription::new(node, &camera, transports, QOS)?,
-        predicted: node.subscription("predicted", QOS)?,
-        pictures: ImageSubscription::new(node, "predicted/image", Transports::BOTH, QOS)?,
-        errors: node.subscription("prediction_error", QOS)?,
-        plans: node.subscription("plan", QOS)?,
-        diagnostics: node.subscription("/diagnostics", QOS)?,
-    };
+    let inputs = Inputs::make(node)?;
     node.seal_endpoints()?;
     let topics = Topics {
-        camera: node.resolve(&camera)?,
+        camera: node.resolve(&camera_topic)?,
         predicted: inputs.predicted.topic().to_owned(),
         plan: inputs.plans.topic().to_owned(),
     };
     let monitor = Monitor {
         scorer: Scorer::default(),
         line: LiveLine::default(),
-        is_live,
-        output: PathBuf::from(output),
+        is_live: live_line,
+        output,
         topics,
         diagnostics: node.diagnostics(),
         takes_raw: None,

@@ -2,7 +2,7 @@
 //! alive and does nothing.
 //!
 //! The body is asked to end as by a signal, so that a recorder still closes its bag, and `run` returns
-//! [`Error::Panicked`](crate::Error::Panicked). A process that does not end in time ends with code 101, which is that of
+//! [`Error::ThreadPanicked`](crate::Error::ThreadPanicked). A process that does not end in time ends with code 101, which is that of
 //! a panic in `main`. Where a panic becomes an error of its own, as in a job of a node, that error is returned instead.
 
 use super::outlet::STDERR;

@@ -40,7 +40,7 @@ pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     node.declare(
         "use_sim_time",
         false,
-        Descriptor::new("whether the clock follows /clock instead of the system"),
+        Descriptor::new("Whether the clock follows /clock instead of the system."),
     )?;
     parameter_services(node)?;
     logger_services(node)?;
@@ -217,7 +217,7 @@ fn logger_services(node: &Node) -> Result<(), Error> {
 }
 
 fn type_service(node: &Node) -> Result<(), Error> {
-    let descriptor = Descriptor::new("whether the node has the service ~/get_type_description");
+    let descriptor = Descriptor::new("Whether the node has the service ~/get_type_description.");
     let is_wanted = node.declare(
         "start_type_description_service",
         true,

@@ -51,6 +51,7 @@ impl Book {
                 options.writer,
                 options.cache_bytes,
                 options.is_snapshot,
+                options.nice,
             )?;
             info!("recording to {}", folder.display());
             Ok(recording)
