@@ -93,7 +93,7 @@ pub use qos::{Durability, Qos, Reliability};
 pub use run::{Component, run, run_together};
 pub use service::{Call, Client, RawCall, RawClient, RawService, Service};
 pub use shutdown::Shutdown;
-pub use subscription::{Gaps, RawSubscription, Received, Subscription};
+pub use subscription::{Gaps, PublisherId, RawSubscription, Received, Subscription};
 
 /// The namespace of all nodes of the suite, unless `__ns` says otherwise.
 pub const NAMESPACE: &str = "/wm";

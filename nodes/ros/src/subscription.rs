@@ -21,6 +21,7 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU64, Ordering},
     },
+    time::Instant,
 };
 use wm_msgs::{Message, builtin_interfaces::Time, cdr::CdrError};
 
@@ -31,14 +32,31 @@ pub struct Received<M> {
     pub message: M,
     /// When it came (node clock).
     pub received: Time,
+    /// When it came, by a clock that never jumps.
+    pub at: Instant,
+    /// Who sent it.
+    pub publisher: PublisherId,
+}
+
+/// A publisher in the whole graph: its DDS GUID.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct PublisherId(pub [u8; 16]);
+
+impl<M> Received<M> {
+    /// The same reception, of what `f` makes of the message.
+    pub fn map<N>(self, f: impl FnOnce(M) -> N) -> Received<N> {
+        Received {
+            message: f(self.message),
+            received: self.received,
+            at: self.at,
+            publisher: self.publisher,
+        }
+    }
 }
 
 impl<M: Clone> Received<Arc<M>> {
     fn into_owned(self) -> Received<M> {
-        Received {
-            message: Arc::unwrap_or_clone(self.message),
-            received: self.received,
-        }
+        self.map(Arc::unwrap_or_clone)
     }
 }
 
@@ -69,7 +87,7 @@ pub(crate) struct Intake {
     /// Of a managed node.
     gate: Option<Gate>,
     /// The newest sample of each latching publisher, for the next activation of a managed node.
-    latched: Mutex<BTreeMap<EndpointId, Received<Bytes>>>,
+    latched: Mutex<BTreeMap<EndpointId, Received<Payload>>>,
 }
 
 /// Latching publishers that are remembered: far more than a topic has.
@@ -144,10 +162,7 @@ impl Intake {
     }
 
     fn remember(&self, sample: &Sample) {
-        let received = Received {
-            message: sample.bytes.clone(),
-            received: self.clock.now(),
-        };
+        let received = self.received(sample.writer, sample.payload.clone());
         let mut latched = self.latched();
         if latched.len() >= MAX_LATCHING && !latched.contains_key(&sample.writer) {
             latched.pop_first();
@@ -156,7 +171,7 @@ impl Intake {
     }
 
     /// No invariant spans the lock.
-    fn latched(&self) -> std::sync::MutexGuard<'_, BTreeMap<EndpointId, Received<Bytes>>> {
+    fn latched(&self) -> std::sync::MutexGuard<'_, BTreeMap<EndpointId, Received<Payload>>> {
         self.latched.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -167,40 +182,55 @@ impl Intake {
 
     fn take(&self, sample: Sample) {
         let lost = self.gaps().after(sample.writer, sample.sequence);
-        // what comes to an inactive node is nobody's loss
-        if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
-            return;
-        }
         self.keep(sample, lost);
     }
 
     fn keep(&self, sample: Sample, lost: u64) {
+        // what comes to an inactive node is nobody's loss
+        if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
+            return;
+        }
         if lost > 0 {
             self.lost.fetch_add(lost, Ordering::Relaxed);
             self.diagnostics
                 .count_drops(&format!("{}: lost in transport", self.topic), lost);
         }
         self.diagnostics.received(&self.topic);
-        let received = Received {
-            message: sample.payload,
-            received: self.clock.now(),
-        };
+        let received = self.received(sample.writer, sample.payload);
         if !self.mailbox.push(received) {
             self.diagnostics
                 .count_drop(&format!("{}: queue full", self.topic));
         }
     }
 
+    fn received(&self, writer: EndpointId, message: Payload) -> Received<Payload> {
+        Received {
+            message,
+            received: self.clock.now(),
+            at: Instant::now(),
+            publisher: PublisherId(writer),
+        }
+    }
+
     /// What `read` makes of a sample; `None`, counted, where it makes nothing.
     fn read<T>(&self, sample: Received<Payload>, read: Read<T>) -> Option<Received<T>> {
-        let Received { message, received } = sample;
-        match read(message) {
-            Ok(message) => Some(Received { message, received }),
-            Err(error) => {
-                self.refuse(&error.to_string());
-                None
-            }
+        let mut refused = None;
+        let read = sample.map(|payload| read(payload).map_err(|error| refused = Some(error)).ok());
+        if let Some(error) = refused {
+            self.refuse(&error.to_string());
         }
+        let Received {
+            message,
+            received,
+            at,
+            publisher,
+        } = read;
+        message.map(|message| Received {
+            message,
+            received,
+            at,
+            publisher,
+        })
     }
 
     /// Counts a sample that is not a message, and reports the first.

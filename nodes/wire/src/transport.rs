@@ -200,13 +200,10 @@ impl ImageSubscription {
     /// The next frame by either transport; `None` after shutdown. Cancel safe.
     pub async fn recv(&mut self) -> Option<Received<CameraFrame>> {
         tokio::select! {
-            received = recv_from(&mut self.raw) => {
-                received.map(|Received { message, received }| Received { message: CameraFrame::Raw(message), received })
+            received = recv_from(&mut self.raw) => received.map(|received| received.map(CameraFrame::Raw)),
+            received = recv_from(&mut self.compressed) => {
+                received.map(|received| received.map(CameraFrame::Compressed))
             }
-            received = recv_from(&mut self.compressed) => received.map(|Received { message, received }| Received {
-                message: CameraFrame::Compressed(message),
-                received,
-            }),
         }
     }
 }

@@ -221,7 +221,9 @@ impl Monitor {
 
     /// A predicted picture may come raw and compressed: it counts once.
     fn picture(&mut self, received: &Received<CameraFrame>) {
-        let Received { message, received } = received;
+        let Received {
+            message, received, ..
+        } = received;
         let is_raw = matches!(message, CameraFrame::Raw(_));
         if *self.takes_raw.get_or_insert(is_raw) != is_raw {
             return;
@@ -243,7 +245,9 @@ impl Monitor {
     }
 
     fn prediction(&mut self, received: &Received<Prediction>) {
-        let Received { message, received } = received;
+        let Received {
+            message, received, ..
+        } = received;
         let arrived_ns = received.to_nanos();
         let latency_ns = arrived_ns.saturating_sub(message.observed_stamp.to_nanos());
         self.line
