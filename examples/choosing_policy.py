@@ -1,9 +1,9 @@
-"""A policy that looks before it acts: of three candidate chunks for every camera image it takes the one that the evaluator
-predicts to end nearest to the goal.
+"""A policy that looks before it acts. For each camera image it offers three candidate chunks and takes the one that is
+predicted to end nearest to the goal.
 
 usage: python examples/choosing_policy.py [--goal IMAGE] [--images N]        (ROS 2 sourced, wm_msgs built)
 
-Beside it run `wm encoder` and `wm evaluator`, and a camera: the robot's, or `wm env`. Without --goal, another publishes it.
+It needs `wm encoder`, `wm evaluator` and a camera: the robot's, or `wm env`. Without --goal, publish the goal yourself.
 """
 
 import argparse
@@ -19,14 +19,14 @@ from rclpy.time import Time
 from sensor_msgs.msg import CompressedImage
 from wm_msgs.msg import Action, ActionCandidates, ActionChunk, Assessment
 
-PERIOD = Duration(nanosec=200_000_000)  # of the actions, as of a camera at 5 Hz
-PREDICTED = 6  # actions of a candidate: three model steps of the bundled model
-TAKEN = 2  # of the best one, until the next image: one model step
-SIDEWAYS = [0.02, 0.0, -0.02]  # [m] of each action: to the left, nowhere, to the right
+PERIOD = Duration(nanosec=200_000_000)  # time that one action takes; here that of a camera frame at 5 Hz
+PREDICTED = 6  # actions per candidate: three model steps of the bundled model
+TAKEN = 2  # actions taken of the best one before the next image: one model step
+SIDEWAYS = [0.02, 0.0, -0.02]  # dy of each action [m]: left, none, right
 
 parser = argparse.ArgumentParser()
-parser.add_argument("--goal", type=pathlib.Path, help="JPEG or PNG of how it should look in the end")
-parser.add_argument("--images", type=int, default=0, help="end after so many different images; 0: never")
+parser.add_argument("--goal", type=pathlib.Path, help="JPEG or PNG of how the scene should look in the end")
+parser.add_argument("--images", type=int, default=0, help="stop after this many different images; 0: never")
 arguments = parser.parse_args()
 rclpy.init()
 node = rclpy.create_node("choosing_policy")
@@ -61,9 +61,9 @@ def see(image):
         seen.append(image)
     chunks = [chunk_of(image, sideways) for sideways in SIDEWAYS]
     if len(seen) == 1:
-        take(chunks[1])  # a prediction needs two images and what was done between them
+        take(chunks[1])  # a prediction needs two images and the action between them
     elif stamp_of(image.header.stamp) not in answered:
-        # an image that comes again has not been answered: the evaluator may not have been ready
+        # the env repeats an image until it is answered; the evaluator may not have been ready the first time
         candidates.publish(ActionCandidates(header=image.header, policy="choosing_policy", chunks=chunks))
 
 

@@ -2,30 +2,29 @@
 
 usage: python examples/openvla_policy.py [--model openvla/openvla-7b] [--instruction TEXT]
 
-It needs ROS 2 with wm_msgs, and from PyPI torch, transformers==4.40.1, tokenizers==0.19.1, timm==0.9.10, pillow and
-numpy (the versions that the checkpoint names), 16 GB of GPU memory, and the checkpoint (`huggingface-cli download`).
-The instruction is that of /task/instruction, which `wm env` publishes, unless --instruction gives one.
+It needs ROS 2 with wm_msgs; torch, transformers==4.40.1, tokenizers==0.19.1, timm==0.9.10, pillow and numpy from PyPI
+(the versions that the checkpoint asks for); 16 GB of GPU memory; and the checkpoint (`huggingface-cli download`). The
+instruction comes from /task/instruction, which `wm env` publishes, unless --instruction gives one.
 
-What needs no weights is in functions that import nothing but numpy and pillow: `prompt`, `prepare`, `normalized`,
-`unnormalize`.
+The functions that need no weights, `prompt`, `prepare`, `normalized` and `unnormalize`, import only numpy and pillow.
 """
 
 import io
 
 import numpy as np
 
-STATISTICS = "bridge_orig"  # of the data set whose actions the model is to speak
-BINS = 256  # of each action coordinate between -1 and 1; tokens count down from the end of the vocabulary
-SIDE = 224  # of the model's picture [px]
+STATISTICS = "bridge_orig"  # the dataset whose action statistics scale the output
+BINS = 256  # bins per action dimension, from -1 to 1; tokens count down from the end of the vocabulary
+SIDE = 224  # height and width of the model's input [px]
 
 
 def prompt(instruction):
-    """The text that the model was trained with; instructions were lower-case there."""
+    """The prompt that the model was trained with; its instructions were lower-case."""
     return f"In: What action should the robot take to {instruction.strip().lower()}?\nOut:"
 
 
 def prepare(data, center_crop=False):
-    """The picture (PIL, RGB, SIDE x SIDE) of a compressed image's bytes.
+    """A compressed image's bytes as the model's input: a PIL image, RGB, SIDE x SIDE.
 
     `center_crop` keeps the middle 90 % of the area, for checkpoints that were fine-tuned with random crops.
     """
@@ -41,7 +40,7 @@ def prepare(data, center_crop=False):
 
 
 def normalized(tokens, vocabulary):
-    """Actions in -1 to 1 of the model's last tokens: the centres of the bins, of which there is one fewer than edges."""
+    """The model's last tokens as actions in -1 to 1: the centres of the bins, one fewer than there are edges."""
     edges = np.linspace(-1.0, 1.0, BINS)
     centres = (edges[:-1] + edges[1:]) / 2.0
     return centres[np.clip(vocabulary - np.asarray(tokens) - 1, 0, len(centres) - 1)]
@@ -50,8 +49,8 @@ def normalized(tokens, vocabulary):
 def unnormalize(action, statistics):
     """The physical action: dx dy dz [m], droll dpitch dyaw [rad], gripper 0 closed to 1 open.
 
-    `statistics` is the checkpoint's `norm_stats[STATISTICS]["action"]`: q01 and q99 of each coordinate, between which -1
-    to 1 is spread, and `mask`, false for those that stay as they are (the gripper, which is 0 to 1 already).
+    `statistics` is the checkpoint's `norm_stats[STATISTICS]["action"]`. -1 and 1 map to q01 and q99 of each dimension;
+    dimensions whose `mask` is false stay as they are (the gripper, which is 0 to 1 already).
     """
     action = np.asarray(action, dtype=np.float64)
     low, high = (np.asarray(statistics[key], dtype=np.float64) for key in ("q01", "q99"))
@@ -66,7 +65,7 @@ def unnormalize(action, statistics):
 
 
 class OpenVla:
-    """The model with its weights."""
+    """OpenVLA with its weights."""
 
     def __init__(self, name):
         import torch
@@ -74,7 +73,7 @@ class OpenVla:
 
         self.device = "cuda" if torch.cuda.is_available() else "cpu"
         self.dtype = torch.bfloat16
-        # The checkpoint brings its own model code: look at it before you trust it.
+        # The checkpoint brings its own Python code: read it before you trust it.
         self.processor = AutoProcessor.from_pretrained(name, trust_remote_code=True)
         self.model = AutoModelForVision2Seq.from_pretrained(
             name, torch_dtype=self.dtype, low_cpu_mem_usage=True, trust_remote_code=True
@@ -86,7 +85,7 @@ class OpenVla:
         import torch
 
         inputs = self.processor(prompt(instruction), prepare(data)).to(self.device, dtype=self.dtype)
-        # The token of a space, with which every training prompt ended.
+        # 29871 is the token of a space, which ended every training prompt.
         if not torch.all(inputs["input_ids"][:, -1] == 29871):
             space = torch.tensor([[29871]], device=self.device)
             inputs["input_ids"] = torch.cat((inputs["input_ids"], space), dim=1)
@@ -137,7 +136,7 @@ def main():
 
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
     node.create_subscription(String, "/task/instruction", listen, latched)
-    # The newest image only: an answer to an older one is an answer too late.
+    # Only the newest image: an answer to an older one would be too late.
     newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(CompressedImage, "/camera/image_raw/compressed", act, newest)
     try:

@@ -1,4 +1,4 @@
-"""What OpenVLA's adapter does without weights: python examples/test_openvla_policy.py"""
+"""Tests of what openvla_policy.py does without weights: python examples/test_openvla_policy.py"""
 
 import io
 import unittest
@@ -7,13 +7,13 @@ import numpy as np
 from openvla_policy import BINS, SIDE, normalized, prepare, prompt, unnormalize
 from PIL import Image
 
-# Coordinates as those of bridge_orig: metres, radians, and a gripper that is not normalised.
+# Statistics like those of bridge_orig: metres, radians, and a gripper that is not normalised.
 STATISTICS = {
     "q01": [-0.0287, -0.0417, -0.0261, -0.0809, -0.0929, -0.2072, 0.0],
     "q99": [0.0283, 0.0409, 0.0402, 0.0819, 0.0779, 0.2038, 1.0],
     "mask": [True] * 6 + [False],
 }
-# Of Llama's 32000 tokens the last 256 are actions; the checkpoint pads the vocabulary to 32064.
+# The last 256 of Llama's 32000 tokens are actions; the checkpoint pads the vocabulary to 32064.
 VOCABULARY = 32000
 
 

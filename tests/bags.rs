@@ -1,13 +1,15 @@
 //! Player and recorder under the control of a real rclpy.
 
-use std::time::Duration;
+use std::{path::Path, time::Duration};
 
 use serde_json::{Value, json};
 use wm_bag::BagReader;
 
-use crate::harness::{Process, Signal, WM, bundled_bag, fresh_domain, peers, rclpy, wm};
+use crate::harness::{
+    Process, Signal, WM, bundled_bag, fresh_domain, peers, rclpy, tool, wait_until, wm,
+};
 
-fn steps(peers: &std::path::Path, domain: u16, args: &[&str]) -> Vec<Value> {
+fn steps(peers: &Path, domain: u16, args: &[&str]) -> Vec<Value> {
     let args = [&["--seconds", "30"], args].concat();
     let peer = Process::start(rclpy(peers, domain, "rosbag2.py", &args));
     let (status, stdout) = peer.finish(Duration::from_secs(120));
@@ -231,6 +233,152 @@ fn a_recorder_is_paused_split_and_begins_another_bag() {
     );
     let of_second = numbers(&at("second"));
     assert!(of_second.first() > of_first.last());
+}
+
+/// A folder with a file in it that a recorder could take for an old bag.
+fn recorded(folder: &Path) {
+    std::fs::create_dir_all(folder).expect("a new folder");
+    std::fs::write(folder.join("a.mcap"), "recorded").expect("a new file");
+}
+
+fn is_kept(folder: &Path) -> bool {
+    std::fs::read(folder.join("a.mcap")).is_ok_and(|bytes| bytes == b"recorded")
+}
+
+/// The recorder was told to overwrite: that is for the bag that its user named, never for one that a peer asks for.
+#[test]
+fn no_peer_takes_a_recording_away() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let root = dir.path().join("root");
+    let [first, foreign, outside] =
+        ["root/first", "root/foreign", "outside"].map(|name| dir.path().join(name));
+    recorded(&foreign);
+    recorded(&outside);
+    std::os::unix::fs::symlink(&outside, root.join("link")).expect("a new link");
+    let path = first.to_string_lossy();
+    let _recorder = Process::start(wm(
+        domain,
+        &["bag", "record", "-a", "--overwrite", "-o", &path],
+    ));
+    let record = |uri: &str| format!(r#"record={{"uri": "{uri}"}}"#);
+    let refused = [
+        record(&path),
+        record("first"),
+        record(&foreign.to_string_lossy()),
+        record("foreign"),
+        record("../outside"),
+        record(&outside.to_string_lossy()),
+        record("link"),
+        record("link/new"),
+    ];
+    let mut args = vec!["--publish", "/count", "/wm/recorder", "is_paused", "stop"];
+    args.extend(refused.iter().map(String::as_str));
+    let (empty, below) = (record(""), record("day/second"));
+    args.extend([&empty, "stop", &below, "stop"]);
+    let made = steps(&peers, domain, &args);
+    let answers: Vec<&Value> = made.iter().map(|step| &step["response"]).collect();
+    for (uri, answer) in refused.iter().zip(&answers[2..]) {
+        assert_eq!(answer["return_code"], 1, "{uri}");
+        assert_ne!(answer["error_string"], "", "{uri}");
+    }
+    let begun = json!({"return_code": 0, "error_string": ""});
+    assert_eq!([answers[10], answers[12]], [&begun; 2]);
+    assert!(is_kept(&foreign) && is_kept(&outside));
+    let messages = |bag: &Path| BagReader::open(bag).expect("a bag").message_count();
+    assert!(messages(&first) > 0, "it is as it was when it was closed");
+    assert!(messages(&root.join("day/second")) > 0);
+    let mut names: Vec<String> = std::fs::read_dir(&root)
+        .expect("the root")
+        .map(|entry| entry.expect("an entry").file_name())
+        .map(|name| name.to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    assert_eq!(names.len(), 5, "{names:?}");
+    assert!(names[2].starts_with("first_2"), "{names:?}");
+    assert!(messages(&root.join(&names[2])) > 0);
+    assert_eq!(std::fs::read_dir(&outside).expect("a folder").count(), 1);
+}
+
+/// DDS allows names that ROS does not, and anybody may publish: neither they nor many topics end a recorder, or drown its
+/// own log.
+#[test]
+fn topics_with_odd_names_and_many_topics_are_no_reason_to_end() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let (bag, log) = (dir.path().join("bag"), dir.path().join("log"));
+    let mut command = wm(
+        domain,
+        &["bag", "record", "-a", "-o", &bag.to_string_lossy()],
+    );
+    command.stderr(std::fs::File::create(&log).expect("a new file"));
+    let recorder = Process::start(command);
+    let said = || std::fs::read_to_string(&log).expect("the log");
+    let odd = ["rt/a-b", "rt/../../etc", "rt/1st"];
+    let many: Vec<String> = (0..300)
+        .map(|number| format!("rt/many/topic_{number}"))
+        .collect();
+    let names: Vec<&str> = odd
+        .into_iter()
+        .chain(many.iter().map(String::as_str))
+        .collect();
+    let _peer = Process::start(tool(&peers, domain, "odd_names.py", &names));
+    let file = bag.join("bag_0.mcap");
+    let is_recorded = |name: &str| {
+        let reader = BagReader::open(&file).expect("what there is of the bag");
+        let topic = reader.topic(name);
+        topic.is_some_and(|topic| topic.message_count > 0)
+    };
+    wait_until("odd names", Duration::from_secs(60), || {
+        odd.iter()
+            .all(|name| said().contains(&format!("{} (std_msgs", &name[2..])))
+    });
+    wait_until("the last topic", Duration::from_secs(60), || {
+        is_recorded("/many/topic_299")
+    });
+    recorder.signal(Signal::INT);
+    let (status, stdout) = recorder.finish(Duration::from_secs(30));
+    assert!(matches!(status.code(), Some(0 | 3)), "{status}: {}", said());
+    assert!(!stdout.contains("of /rosout"), "{stdout}");
+    assert_eq!(said().matches("is not recorded").count(), odd.len());
+    let reader = BagReader::open(&bag).expect("the bag");
+    assert!(odd.iter().all(|name| reader.topic(&name[2..]).is_none()));
+}
+
+#[test]
+fn a_recording_that_is_there_stays_unless_its_user_says_otherwise() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let bag = dir.path().join("bag");
+    let path = bag.to_string_lossy().into_owned();
+    let others = || {
+        let paths = std::fs::read_dir(dir.path()).expect("the folder");
+        let paths = paths.map(|entry| entry.expect("an entry").path());
+        paths.filter(|path| *path != bag).collect::<Vec<_>>()
+    };
+    let record = |renamed: usize| {
+        let args = ["bag", "record", "-a", "-o", &path, "--rename-existing"];
+        let recorder = Process::start(wm(fresh_domain(), &args));
+        let file = bag.join("bag_0.mcap");
+        wait_until("a recording", Duration::from_secs(30), || {
+            others().len() == renamed && file.is_file()
+        });
+        recorder.signal(Signal::INT);
+        let (status, _) = recorder.finish(Duration::from_secs(30));
+        assert!(status.success(), "{status}");
+    };
+    recorded(&bag);
+    record(1);
+    assert!(is_kept(&others()[0]));
+    record(2);
+
+    // and by default it is refused
+    let run = wm(fresh_domain(), &["bag", "record", "-a", "-o", &path]).output();
+    let run = run.expect("wm runs");
+    assert_eq!(run.status.code(), Some(1));
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert!(said.contains("is there already"), "{said}");
 }
 
 #[test]

@@ -33,7 +33,7 @@ fn cyclone_reads_what_rclpy_reads_and_its_chunks_are_predicted() {
     let Some(peers) = peers() else { return };
     let _alone = whole_suite();
     let domain = fresh_domain();
-    let settings = root().join("launch-configs/config/player.yaml");
+    let settings = root().join("launch-configs/config/jobs.yaml");
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
     // The bag without the chunks that the player would announce: here the policy does.
     let _player = Process::start(wm(

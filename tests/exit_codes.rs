@@ -1,10 +1,15 @@
 //! How commands end that cannot do what they were asked.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
 
-use wm_bag::{BagReader, BagWriter, WriterOptions};
+use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};
+use wm_msgs::wm_msgs::Prediction;
 
-use crate::harness::{bundled_bag, fresh_domain, whole_suite, wm};
+use crate::harness::{Process, Signal, bundled_bag, fresh_domain, wait_until, whole_suite, wm};
 
 /// Exit code, standard output and standard error of `wm` with these arguments.
 fn run(args: &[&str]) -> (Option<i32>, String, String) {
@@ -27,6 +32,170 @@ fn a_replay_of_no_bag_says_so_once_and_leaves_no_report() {
     assert_eq!(stderr.matches("/no/such/bag").count(), 1, "{stderr}");
     assert!(!stdout.contains("PSNR"), "{stdout}");
     assert!(!out.path().join("report.json").exists());
+}
+
+/// What is in a folder, by path from there, with each file's bytes.
+fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            found.extend(contents(&path));
+        } else {
+            let bytes = std::fs::read(&path).expect("a file");
+            found.insert(path, bytes);
+        }
+    }
+    found
+}
+
+#[test]
+fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
+    let _alone = whole_suite();
+    let out = tempfile::tempdir().expect("a temporary directory");
+    let bag = out.path().join("bag");
+    std::fs::create_dir(&bag).expect("a new folder");
+    for name in ["bag/bag_0.mcap", "bag/metadata.yaml", "report.md"] {
+        std::fs::write(out.path().join(name), name).expect("a new file");
+    }
+    let before = contents(out.path());
+    let output = format!("output:={}", out.path().display());
+    let launch = |arguments: &[&str]| {
+        let file = "launch-configs/replay.launch.yaml";
+        run(&[&["launch", file, &output][..], arguments].concat())
+    };
+    let (code, _, stderr) = launch(&["bag:=nope"]);
+    assert_eq!(code, Some(1), "{stderr}");
+    assert!(
+        stderr.contains("player-7") && stderr.contains("nope"),
+        "{stderr}"
+    );
+    // Nothing has started that could have taken it away first.
+    assert!(!stderr.contains("[recorder"), "{stderr}");
+
+    // A camera that the bag does not have is such a mistake, too; the error names those that it has.
+    let (code, _, stderr) = launch(&["camera:=/front/image_raw"]);
+    assert_eq!(code, Some(1), "{stderr}");
+    for named in ["/front/image_raw", "/camera/image_raw/compressed"] {
+        assert!(stderr.contains(named), "{named}: {stderr}");
+    }
+    assert!(!stderr.contains("[recorder"), "{stderr}");
+    assert_eq!(contents(out.path()), before);
+}
+
+#[test]
+fn a_monitor_that_saw_nothing_says_what_it_waited_for() {
+    let out = tempfile::tempdir().expect("a temporary directory");
+    let (code, text) = interrupted_monitor(out.path(), None);
+    assert_eq!(code, Some(1), "{text}");
+    for topic in ["/camera/image_raw/compressed", "/wm/predicted", "/wm/plan"] {
+        assert!(text.contains(topic), "{topic}: {text}");
+    }
+    // A camera alone is no job, either.
+    let (code, text) = interrupted_monitor(out.path(), Some(&bundled_bag()));
+    assert_eq!(code, Some(1), "{text}");
+    assert!(
+        text.contains("/wm/predicted") && text.contains("Hz"),
+        "{text}"
+    );
+    assert!(out.path().join("report.json").exists());
+}
+
+#[test]
+fn the_report_of_a_bag_without_predictions_is_none() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let at = |name: &str| dir.path().join(name).to_string_lossy().into_owned();
+    let mut writer = BagWriter::create(at("bag"), WriterOptions::default()).expect("a new bag");
+    let bundled = BagReader::open(bundled_bag()).expect("the bundled bag");
+    for message in bundled.messages() {
+        let message = message.expect("a whole message");
+        let topic = bundled.topic(&message.topic).expect("its topic");
+        let (name, time) = (&*message.topic, message.log_time_ns);
+        writer
+            .write_raw(name, &topic.type_name, &topic.schema, time, &message.data)
+            .expect("it is written");
+    }
+    // The predictor was there, and made nothing.
+    writer
+        .add_topic::<Prediction>("/wm/predicted", QosProfile::sensor_data())
+        .expect("a new topic");
+    writer.finish().expect("the bag's end");
+    let (code, _, stderr) = run(&["report", &at("bag"), "-o", &at("out")]);
+    assert_eq!(code, Some(1), "{stderr}");
+    assert!(
+        stderr.contains("no prediction") && stderr.contains("5.00 Hz"),
+        "{stderr}"
+    );
+}
+
+/// A node that SIGINT ends before it has its handlers dies of it, and a launch then shows it as failed beside, or in place
+/// of, the one that has: so they come before anything that takes time, such as sockets.
+#[test]
+fn a_node_heeds_signals_before_it_joins_the_graph() {
+    /// The number of SIGINT, as a bit of `SigCgt`.
+    const SIGINT: u64 = 1 << (2 - 1);
+    let out = tempfile::tempdir().expect("a temporary directory");
+    let output = format!("output:={}/bag", out.path().display());
+    let node = Process::start(wm(
+        fresh_domain(),
+        &["recorder", "--ros-args", "-p", &output],
+    ));
+    let proc = PathBuf::from(format!("/proc/{}", node.pid().as_raw_nonzero()));
+    let catches = || {
+        let status = std::fs::read_to_string(proc.join("status")).expect("the process runs");
+        let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+        let mask = u64::from_str_radix(mask.expect("a mask").trim(), 16);
+        mask.expect("a number") & SIGINT != 0
+    };
+    let has_udp = || {
+        let table = std::fs::read_to_string(proc.join("net/udp")).expect("the process runs");
+        let inodes: Vec<&str> = table
+            .lines()
+            .filter_map(|line| line.split_whitespace().nth(9))
+            .collect();
+        let links = std::fs::read_dir(proc.join("fd")).expect("the process runs");
+        links
+            .filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok())
+            .any(|link| {
+                let inode = link.to_string_lossy();
+                let inode = inode
+                    .strip_prefix("socket:[")
+                    .and_then(|text| text.strip_suffix(']'));
+                inode.is_some_and(|inode| inodes.contains(&inode))
+            })
+    };
+    let start = Instant::now();
+    while !has_udp() {
+        assert!(start.elapsed() < Duration::from_secs(30), "no socket");
+    }
+    assert!(catches(), "a signal would end it now");
+    node.signal(Signal::INT);
+    let (status, _) = node.finish(Duration::from_secs(30));
+    assert_eq!(status.code(), Some(0), "{status}");
+}
+
+/// Exit code and standard error of a monitor that gets SIGINT once it works, or once a bag has been played to it.
+fn interrupted_monitor(out: &Path, bag: Option<&Path>) -> (Option<i32>, String) {
+    let (domain, log) = (fresh_domain(), out.join("log"));
+    let output = format!("output:={}", out.display());
+    let mut command = wm(domain, &["monitor", "--ros-args", "-p", &output]);
+    let file = std::fs::File::create(&log).expect("a new file");
+    command.stderr(file);
+    let monitor = Process::start(command);
+    let said = || std::fs::read_to_string(&log).expect("the log");
+    let is_working = || said().contains("camera ");
+    wait_until("the live line", Duration::from_secs(30), is_working);
+    if let Some(bag) = bag {
+        let wait = ["--wait-for", "/camera/image_raw/compressed"];
+        let topics = ["--topics", "/camera/image_raw/compressed"];
+        let play = ["bag", "play", &bag.to_string_lossy()];
+        let player = Process::start(wm(domain, &[&play[..], &wait, &topics].concat()));
+        let (status, _) = player.finish(Duration::from_secs(60));
+        assert!(status.success(), "{status}");
+    }
+    monitor.signal(Signal::INT);
+    let (status, _) = monitor.finish(Duration::from_secs(30));
+    (status.code(), said())
 }
 
 #[test]

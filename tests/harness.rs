@@ -139,23 +139,31 @@ pub struct Process {
 impl Process {
     /// Starts `command`; its stderr goes to the test's own, its stdout to [`Self::finish`].
     pub fn start(mut command: Command) -> Self {
-        let name = format!("{command:?}");
-        command.stdin(Stdio::null()).stdout(Stdio::piped());
-        // A group of its own: what the process started ends with it.
-        command.process_group(0);
-        let mut child = command
-            .spawn()
-            .unwrap_or_else(|error| panic!("could not start {name}: {error}"));
-        let mut stdout = child.stdout.take().expect("stdout is piped");
+        command.stdout(Stdio::piped());
+        let mut process = Self::start_with_output(command);
+        let mut stdout = process.child.stdout.take().expect("stdout is piped");
         let reader = std::thread::spawn(move || {
             let mut text = String::new();
             let _ = stdout.read_to_string(&mut text);
             text
         });
+        process.stdout = Some(reader);
+        process
+    }
+
+    /// Starts `command`, whose stdout goes where it says.
+    pub fn start_with_output(mut command: Command) -> Self {
+        let name = format!("{command:?}");
+        command.stdin(Stdio::null());
+        // A group of its own: what the process started ends with it.
+        command.process_group(0);
+        let child = command
+            .spawn()
+            .unwrap_or_else(|error| panic!("could not start {name}: {error}"));
         Self {
             child,
             name,
-            stdout: Some(reader),
+            stdout: None,
         }
     }
 
@@ -184,8 +192,11 @@ impl Process {
             );
             std::thread::sleep(Duration::from_millis(20));
         };
-        let reader = self.stdout.take().expect("taken here only");
-        (status, reader.join().expect("the reader does not panic"))
+        let stdout = match self.stdout.take() {
+            Some(reader) => reader.join().expect("the reader does not panic"),
+            None => String::new(),
+        };
+        (status, stdout)
     }
 }
 

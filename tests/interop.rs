@@ -435,6 +435,37 @@ fn a_node_tells_its_types_and_loggers_and_changes_parameters_whole() {
     assert_eq!(descriptors[0]["read_only"], false);
 }
 
+/// Review C2.2: each round used to leave the endpoints of the one before in the graph of Fast DDS, and a call to an
+/// inactive node hung.
+#[test]
+fn endpoints_stay_the_same_over_deactivation_and_an_inactive_node_refuses_calls() {
+    let Some(peers) = peers() else { return };
+    let domain = fresh_domain();
+    let _predictor = Process::start(wm(
+        domain,
+        &["predictor", "--ros-args", "-p", "autostart:=false"],
+    ));
+    let args = ["--seconds", "20", "--rounds", "3", "/wm/predictor"];
+    let peer = Process::start(rclpy(&peers, domain, "endpoints.py", &args));
+    let (status, stdout) = peer.finish(Duration::from_secs(120));
+    assert!(status.success(), "endpoints.py: {status}");
+    let answer: Value = serde_json::from_str(&stdout).expect("endpoints.py prints JSON");
+    let rounds = answer["rounds"].as_array().expect("rounds");
+    assert_eq!(rounds.len(), 4, "{answer}");
+    for round in rounds {
+        assert_eq!(round["publishers"], 1, "of /wm/predicted: {answer}");
+        assert_eq!(round["subscriptions"], 1, "of /wm/latent: {answer}");
+        assert_eq!(round["servers"], 1, "of ~/reset: {answer}");
+        let refusal = &round["inactive"];
+        assert_eq!(refusal["success"], false, "{answer}");
+        let message = refusal["message"].as_str().expect("a message");
+        assert!(message.contains("not active"), "{message}");
+    }
+    for round in &rounds[1..] {
+        assert_eq!(round["active"]["success"], true, "{answer}");
+    }
+}
+
 #[test]
 fn a_node_is_driven_through_its_lifecycle() {
     let Some(peers) = peers() else { return };

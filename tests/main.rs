@@ -8,6 +8,7 @@ mod exit_codes;
 mod faults;
 mod harness;
 mod interop;
+mod output;
 mod packages;
 mod policy;
 mod replay;

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-use wm_bag::BagReader;
+use wm_bag::{BagReader, BagWriter, WriterOptions};
 use wm_msgs::diagnostic_msgs::DiagnosticArray;
 
 use crate::harness::{Process, Signal, bundled_bag, fresh_domain, wait_until, whole_suite, wm};
@@ -48,6 +48,52 @@ fn four_nodes_of_one_process_do_the_same() {
         let is_node = |name: &String| name.contains(node);
         assert!(nodes.iter().any(is_node), "{node} is missing: {nodes:?}");
     }
+}
+
+/// The bundled bag as another robot would have recorded it.
+fn renamed_bag(path: &Path) {
+    let reader = BagReader::open(bundled_bag()).expect("the bundled bag");
+    let mut writer = BagWriter::create(path, WriterOptions::default()).expect("a new bag");
+    let renamed = |name: &str| match name {
+        "/camera/image_raw/compressed" => "/front/image_raw/compressed".to_owned(),
+        "/wm/action" => "/arm/action".to_owned(),
+        other => other.to_owned(),
+    };
+    for topic in reader.topics() {
+        let (name, qos) = (renamed(&topic.name), &topic.qos_yaml);
+        let added = writer.add_topic_raw(&name, &topic.type_name, &topic.schema, qos);
+        added.expect("a new topic");
+    }
+    for message in reader.messages() {
+        let message = message.expect("a whole message");
+        let topic = reader.topic(&message.topic).expect("its topic");
+        let (name, time_ns) = (renamed(&message.topic), message.log_time_ns);
+        writer
+            .write_raw(
+                &name,
+                &topic.type_name,
+                &topic.schema,
+                time_ns,
+                &message.data,
+            )
+            .expect("it is written");
+    }
+    writer.finish().expect("the bag's end");
+}
+
+#[test]
+fn a_bag_whose_camera_and_actions_have_other_names_is_replayed() {
+    let _alone = whole_suite();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let (bag, out) = (dir.path().join("robot"), dir.path().join("out"));
+    renamed_bag(&bag);
+    let bag = format!("bag:={}", bag.display());
+    let names = ["camera:=/front/image_raw", "action:=/arm/action"];
+    main_job(&out, &[&[bag.as_str()][..], &names].concat());
+    let report = std::fs::read(out.join("report.json")).expect("report.json is written");
+    let report: serde_json::Value = serde_json::from_slice(&report).expect("report.json is JSON");
+    assert!(report["steps"][0]["n"].as_u64() > Some(0), "{report}");
+    assert!(report["plans"]["plans"].as_u64() > Some(0), "{report}");
 }
 
 #[test]

@@ -29,13 +29,15 @@
 //! - Messages come in log-time order, across files; those of the same time in the order of the file.
 //! - Memory is bounded by the chunks that overlap in time (one, in most bags), never by the file.
 //! - CDR bytes are handed over as they were written; nothing is decoded unless asked for.
-//! - The writer hands each finished chunk to the operating system: a killed process loses at most the open chunk.
+//! - The writer hands each finished chunk to the operating system: a killed process loses at most the open chunk,
+//!   and with a [`sync_interval`](WriterOptions::sync_interval) a power cut at most that interval and the open chunk.
 //! - Any bytes in a file give messages or an error, never a panic; every length is held against a named limit.
 //!
 //! # What it does not do
 //! sqlite3 bags, the file and message compression of rosbag2 (chunk compression of MCAP is read), attachments. No ROS
 //! and no clock: playing and recording live in the nodes.
 
+mod aside;
 mod cut;
 mod error;
 mod metadata;
@@ -49,6 +51,7 @@ mod topic_filter;
 mod warning;
 mod writer;
 
+pub use aside::{free_name, set_aside};
 pub use cut::{Cut, CutEnd, CutStart, cut};
 pub use error::BagError;
 pub use qos::{Durability, QosProfile, Reliability};

@@ -1,6 +1,7 @@
 use std::{
     collections::BTreeMap,
     fs,
+    io::Write as _,
     path::{Path, PathBuf},
 };
 
@@ -140,13 +141,14 @@ impl Metadata {
                 "expected at most {MAX_BYTES} bytes, got {size}"
             )));
         }
-        let text = fs::read_to_string(&path).map_err(|error| BagError::io(&path, error))?;
+        let bytes = fs::read(&path).map_err(|error| BagError::io(&path, error))?;
+        let text = String::from_utf8(bytes).map_err(|error| wrong(error.to_string()))?;
         let document: Document = serde_yaml_ng::from_str(&text)
             .map_err(|error| wrong(format!("not the metadata of a rosbag2 bag: {error}")))?;
         Ok(Some(document.rosbag2_bagfile_information))
     }
 
-    /// Writes the bag's metadata in one step, so that a reader sees all of it or none.
+    /// Writes the bag's metadata in one step, so that a reader sees all of it or none, after a power cut too.
     pub fn write(self, dir: &Path) -> Result<(), BagError> {
         let path = dir.join(FILE_NAME);
         let text = serde_yaml_ng::to_string(&Document {
@@ -157,9 +159,22 @@ impl Metadata {
             reason: error.to_string(),
         })?;
         let unfinished = dir.join("metadata.yaml.tmp");
-        fs::write(&unfinished, text).map_err(|error| BagError::io(&unfinished, error))?;
-        fs::rename(&unfinished, &path).map_err(|error| BagError::io(&path, error))
+        let write = || {
+            let mut file = fs::File::create(&unfinished)?;
+            file.write_all(text.as_bytes())?;
+            // Without this, a power cut after the rename may leave an empty metadata.yaml.
+            file.sync_all()
+        };
+        write().map_err(|error| BagError::io(&unfinished, error))?;
+        fs::rename(&unfinished, &path).map_err(|error| BagError::io(&path, error))?;
+        sync_folder(dir)
     }
+}
+
+/// Waits until the names of the files in `dir` are on the disk.
+pub(crate) fn sync_folder(dir: &Path) -> Result<(), BagError> {
+    let synced = fs::File::open(dir).and_then(|folder| folder.sync_all());
+    synced.map_err(|error| BagError::io(dir, error))
 }
 
 #[cfg(test)]

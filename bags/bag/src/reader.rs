@@ -41,22 +41,33 @@ impl BagReader {
     ///
     /// # Errors
     /// No such path, not a bag, empty, another storage than MCAP, rosbag2's file or message compression, messages
-    /// in another encoding than CDR, or a topic with two types. A truncated or partly damaged file is no error:
-    /// see [`warnings`](Self::warnings).
+    /// in another encoding than CDR, or a topic with two types. A truncated or partly damaged file is no error, nor is a
+    /// damaged `metadata.yaml` beside `.mcap` files: see [`warnings`](Self::warnings).
     pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
         let path = path.as_ref();
         let found = fs::metadata(path).map_err(|source| BagError::io(path, source))?;
         let mut warnings = Vec::new();
         let (files, metadata) = if found.is_dir() {
-            let metadata = Metadata::read(path)?;
-            match &metadata {
-                Some(metadata) => (listed_files(path, metadata)?, Some(metadata.clone())),
-                None => {
+            match Metadata::read(path) {
+                Ok(Some(metadata)) => (listed_files(path, &metadata)?, Some(metadata)),
+                Ok(None) => {
                     warnings.push(BagWarning::NoMetadata {
                         dir: path.to_owned(),
                     });
                     (mcap_files(path)?, None)
                 }
+                Err(BagError::Metadata { path: file, reason }) => match mcap_files(path) {
+                    Ok(files) => {
+                        warnings.push(BagWarning::BadMetadata { file, reason });
+                        (files, None)
+                    }
+                    // There is nothing else to read.
+                    Err(BagError::Empty { .. }) => {
+                        return Err(BagError::Metadata { path: file, reason });
+                    }
+                    Err(error) => return Err(error),
+                },
+                Err(error) => return Err(error),
             }
         } else {
             (vec![path.to_owned()], None)

@@ -39,6 +39,14 @@ pub enum BagWarning {
         /// The bag.
         dir: PathBuf,
     },
+    /// `metadata.yaml` cannot be understood (it is empty after a power cut, for example); the `.mcap` files were taken by
+    /// name.
+    BadMetadata {
+        /// The `metadata.yaml`.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// `metadata.yaml` counts other messages than the files hold.
     CountDiffers {
         /// The bag.
@@ -95,6 +103,13 @@ impl fmt::Display for BagWarning {
                     f,
                     "{} has no metadata.yaml: its .mcap files are read in the order of their names",
                     dir.display()
+                )
+            }
+            Self::BadMetadata { file, reason } => {
+                write!(
+                    f,
+                    "{} is damaged ({reason}): the .mcap files beside it are read in the order of their names",
+                    file.display()
                 )
             }
             Self::CountDiffers {

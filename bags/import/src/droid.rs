@@ -71,6 +71,7 @@ fn episode(located: &Located, jpeg_quality: u8) -> Result<Episode, ImportError> 
     let names = (1..).map(|number| format!("{JOINT_PREFIX}{number}"));
     Episode {
         source: located.annotation.clone(),
+        record: None,
         // From 0.01 s to 10 s, see `period`.
         period_ns: (period_s.unwrap_or_default() * 1e9).round() as u64,
         cameras,

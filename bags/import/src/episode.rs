@@ -35,11 +35,16 @@ pub(crate) struct Joints {
     pub positions: Vec<Vec<f64>>,
 }
 
+/// Key of the bag's `custom_data` under which its origin stands ([`Episode::origin`]).
+pub const ORIGIN: &str = "wm.import.source";
+
 /// One episode, decoded.
 #[derive(Debug)]
 pub(crate) struct Episode {
     /// The file it came from.
     pub source: PathBuf,
+    /// Its number in that file, from 0, where the file holds several.
+    pub record: Option<u64>,
     /// Time from one frame to the next.
     pub period_ns: u64,
     /// Each with as many frames as there are `actions`.
@@ -58,6 +63,7 @@ impl Default for Episode {
     fn default() -> Self {
         Self {
             source: PathBuf::new(),
+            record: None,
             period_ns: BRIDGE_PERIOD_NS,
             cameras: Vec::new(),
             actions: Vec::new(),
@@ -120,9 +126,25 @@ impl Episode {
         Ok(self)
     }
 
+    /// Where in `src` it came from: the file, and after `#` its number there.
+    pub fn origin(&self, src: &Path) -> String {
+        let below = self.source.strip_prefix(src).unwrap_or(&self.source);
+        let file = match below.as_os_str().is_empty() {
+            // `src` is the file itself.
+            true => self.source.file_name().map(Path::new),
+            false => Some(below),
+        };
+        let file = file.unwrap_or(below).display();
+        match self.record {
+            Some(record) => format!("{file}#{record}"),
+            None => file.to_string(),
+        }
+    }
+
     /// Writes the episode as a bag, its first frame at `start_ns`.
-    pub fn write(&self, bag: &Path, start_ns: u64) -> Result<(), ImportError> {
+    pub fn write(&self, bag: &Path, start_ns: u64, origin: &str) -> Result<(), ImportError> {
         let mut writer = BagWriter::create(bag, WriterOptions::default())?;
+        writer.note(ORIGIN, origin);
         let cameras: Vec<(String, String)> = self
             .cameras
             .iter()
@@ -273,15 +295,31 @@ mod tests {
     }
 
     #[test]
+    fn the_origin_is_told_from_the_folder_that_was_imported() {
+        let origin = |source: &str, record, src: &str| {
+            let source = source.into();
+            let episode = Episode {
+                source,
+                record,
+                ..Episode::default()
+            };
+            episode.origin(Path::new(src))
+        };
+        assert_eq!(origin("in/train/a-00001", Some(7), "in"), "train/a-00001#7");
+        assert_eq!(origin("in/clip.mp4", None, "in/clip.mp4"), "clip.mp4");
+    }
+
+    #[test]
     fn an_episode_becomes_the_promised_topics() {
         let dir = tempfile::tempdir().unwrap();
         let bag = dir.path().join("episode_000000");
         episode(3)
             .check()
             .unwrap()
-            .write(&bag, 1_000_000_000)
+            .write(&bag, 1_000_000_000, "made.up")
             .unwrap();
         let reader = BagReader::open(&bag).unwrap();
+        assert_eq!(reader.note(ORIGIN), Some("made.up"));
         let topics: Vec<(&str, &str, u64)> = reader
             .topics()
             .iter()

@@ -42,6 +42,7 @@ pub mod video;
 use std::path::{Path, PathBuf};
 
 use episode::Episode;
+pub use episode::ORIGIN;
 pub use error::ImportError;
 pub use jpeg::jpeg;
 use source::Source;
@@ -118,7 +119,7 @@ fn write(
     {
         let episode = episode?;
         let bag = out.join(format!("episode_{number:06}"));
-        episode.write(&bag, options.start_ns)?;
+        episode.write(&bag, options.start_ns, &episode.origin(src))?;
         tracing::info!(
             source = %episode.source.display(), bag = %bag.display(),
             frames = episode.actions.len(), cameras = episode.cameras.len(), "imported"

@@ -117,6 +117,7 @@ fn episode(
     };
     Episode {
         source: file.to_owned(),
+        record: Some(number),
         cameras: bridge_cameras(cameras),
         actions,
         states,

@@ -10,6 +10,7 @@ mod video;
 
 use std::{
     fs,
+    io::ErrorKind,
     path::{Path, PathBuf},
 };
 
@@ -71,17 +72,58 @@ pub struct Exported {
 ///
 /// # Errors
 /// A bag cannot be read, has no camera or no `/wm/action`, or another state, action or picture size than the first; a
-/// number is not finite; a picture is not JPEG, PNG or RGB, or of an odd size; or `out` is not empty.
+/// number is not finite; a picture is not JPEG, PNG or RGB, or of an odd size; or `out` is not empty. Nothing is at `out`
+/// then that was not there before.
 pub fn export(
     bags: &[PathBuf],
     out: &Path,
     options: &ExportOptions,
 ) -> Result<Exported, LeRobotError> {
-    fs::create_dir_all(out).map_err(|source| LeRobotError::io(out, source))?;
-    let mut entries = fs::read_dir(out).map_err(|source| LeRobotError::io(out, source))?;
-    if entries.next().is_some() {
-        return Err(LeRobotError::Exists(out.to_owned()));
+    let unfinished = Unfinished::begin(out)?;
+    let exported = write(bags, &unfinished.folder, options)?;
+    unfinished.finish()?;
+    Ok(exported)
+}
+
+/// A dataset that is being written, beside where it is to be: a refusal leaves nothing of it.
+struct Unfinished<'a> {
+    folder: PathBuf,
+    out: &'a Path,
+}
+
+impl<'a> Unfinished<'a> {
+    /// # Errors
+    /// There is something at `out`, or no folder can be made beside it.
+    fn begin(out: &'a Path) -> Result<Self, LeRobotError> {
+        let is_free = match fs::read_dir(out) {
+            Ok(mut entries) => entries.next().is_none(),
+            Err(error) => error.kind() == ErrorKind::NotFound,
+        };
+        let name = out.file_name().filter(|_| is_free);
+        let name = name.ok_or_else(|| LeRobotError::Exists(out.to_owned()))?;
+        // Of this process, so that two exports do not meet.
+        let name = format!(".{}.{}", name.to_string_lossy(), std::process::id());
+        let folder = out.with_file_name(name);
+        if let Some(parent) = out.parent() {
+            fs::create_dir_all(parent).map_err(|source| LeRobotError::io(parent, source))?;
+        }
+        fs::create_dir(&folder).map_err(|source| LeRobotError::io(&folder, source))?;
+        Ok(Self { folder, out })
     }
+
+    fn finish(self) -> Result<(), LeRobotError> {
+        fs::rename(&self.folder, self.out).map_err(|source| LeRobotError::io(self.out, source))
+    }
+}
+
+impl Drop for Unfinished<'_> {
+    fn drop(&mut self) {
+        // After a success it is not there any more.
+        fs::remove_dir_all(&self.folder).ok();
+    }
+}
+
+fn write(bags: &[PathBuf], out: &Path, options: &ExportOptions) -> Result<Exported, LeRobotError> {
     let mut writer: Option<DatasetWriter> = None;
     let mut resampled = Vec::new();
     for bag in bags {

@@ -5,3 +5,8 @@ pub mod keyboard;
 pub mod player;
 pub mod qos_overrides;
 pub mod recorder;
+
+use wm_ros::NodeDefinition;
+
+/// All of them.
+pub const NODES: &[NodeDefinition<anyhow::Error>] = &[player::NODE, recorder::NODE];

@@ -11,6 +11,7 @@
 //!
 //! Not here: reading bags (`wm_bag`).
 
+mod check;
 pub mod chunks;
 mod node;
 pub mod playback;
@@ -19,5 +20,6 @@ pub mod restamp;
 mod settings;
 mod source;
 
-pub use node::{NAME, body, run};
-pub use settings::Settings;
+pub use check::check;
+pub use node::{NODE, body, run};
+pub use settings::{Parameters, Settings};

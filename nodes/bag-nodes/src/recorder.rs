@@ -6,7 +6,8 @@
 //! the open chunk. Whatever does not get there is counted, topic by topic and cause by cause, and reported at the end
 //! ([`losses`]).
 //!
-//! Keys and the services of rosbag2's recorder pause it, split its bag, close it and begin another. In snapshot mode it
+//! Keys and the services of rosbag2's recorder pause it, split its bag, close it and begin another. Where bags may be
+//! made, and that none ever takes the place of another because a peer asked, is in `place`. In snapshot mode it
 //! holds the latest messages back and writes them when it is asked to.
 //!
 //! Not here: the bag's format (`wm_bag`).
@@ -15,7 +16,8 @@ pub mod definitions;
 pub mod losses;
 mod node;
 mod options;
+mod place;
 pub mod selection;
 mod writer;
 
-pub use node::{NAME, run};
+pub use node::{NODE, run};

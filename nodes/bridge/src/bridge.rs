@@ -17,6 +17,8 @@ const SETTLE: Duration = Duration::from_millis(20);
 /// How long what runs on threads of its own may take to end.
 const GRACE: Duration = Duration::from_millis(200);
 const THREADS: usize = 2;
+/// When both sides are known, as a rule: a pattern that has matched nothing by then is told of.
+const KNOWN: Duration = Duration::from_secs(10);
 
 /// Runs the bridge until a signal.
 ///
@@ -60,6 +62,9 @@ async fn carry(node: Node, config: zenoh::Config, settings: Settings) -> Result<
     });
     let mut routes = Routes::new(Arc::clone(&ends));
     let mut standing_by_for = None;
+    let known = tokio::time::sleep(KNOWN);
+    tokio::pin!(known);
+    let mut is_known = false;
     loop {
         let endpoints = ends.node.remote_endpoints();
         let rival = rival(&own_id, &others.presences(), &endpoints);
@@ -79,6 +84,10 @@ async fn carry(node: Node, config: zenoh::Config, settings: Settings) -> Result<
         tokio::select! {
             biased;
             () = shutdown.wait() => break,
+            () = &mut known, if !is_known => {
+                is_known = true;
+                warn_of_unmatched(&ends.settings);
+            }
             () = others.changed() => {}
             changed = changes.changed() => if changed.is_err() { break },
         }
@@ -102,6 +111,14 @@ fn rival(own_id: &str, others: &[Presence], endpoints: &[RemoteEndpoint]) -> Opt
     let here = others.iter().filter(is_here);
     let first = here.map(|presence| presence.bridge.as_str()).min()?;
     (first < own_id).then(|| first.to_owned())
+}
+
+fn warn_of_unmatched(settings: &Settings) {
+    for pattern in settings.unmatched() {
+        tracing::warn!(
+            "allow or deny \"{pattern}\" has matched no name so far; it has to match a whole name, as \".*/image.*\" does"
+        );
+    }
 }
 
 fn report(node: &Node, rival: Option<&str>) {

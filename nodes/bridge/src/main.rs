@@ -29,7 +29,7 @@ fn main() -> ExitCode {
     match arguments.and_then(bridge::run) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("wm-bridge: {error:#}");
+            wm_ros::logging::last_words(format_args!("wm-bridge: {error:#}"));
             ExitCode::from(if arguments::is_usage(&error) { 2 } else { 1 })
         }
     }

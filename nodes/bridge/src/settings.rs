@@ -4,7 +4,11 @@
 use crate::key::{Namespace, NamespaceError};
 use regex::Regex;
 use serde::Deserialize;
-use std::time::Duration;
+use std::{
+    collections::BTreeSet,
+    sync::atomic::{AtomicBool, Ordering},
+    time::Duration,
+};
 use wm_ros::Role;
 use zenoh::qos::Priority;
 
@@ -112,18 +116,44 @@ pub enum SettingsError {
     Timeout(f32),
 }
 
+/// An expression for whole names, and whether there was such a name.
+#[derive(Debug)]
+struct Pattern {
+    /// As it was given.
+    text: String,
+    whole: Regex,
+    has_matched: AtomicBool,
+}
+
+impl Pattern {
+    fn is_match(&self, name: &str) -> bool {
+        let is_match = self.whole.is_match(name);
+        self.has_matched.fetch_or(is_match, Ordering::Relaxed);
+        is_match
+    }
+}
+
 /// Names that are carried, for one role.
 #[derive(Debug, Default)]
 struct Filter {
     /// `None`: every name.
-    allow: Option<Vec<Regex>>,
-    deny: Vec<Regex>,
+    allow: Option<Vec<Pattern>>,
+    deny: Vec<Pattern>,
 }
 
 impl Filter {
     fn admits(&self, name: &str) -> bool {
-        let any = |patterns: &[Regex]| patterns.iter().any(|pattern| pattern.is_match(name));
-        self.allow.as_deref().is_none_or(any) && !any(&self.deny)
+        // Each is asked, also where one has decided: it may be the only name that it matches.
+        let any = |patterns: &[Pattern]| {
+            let matches = patterns.iter().filter(|pattern| pattern.is_match(name));
+            matches.count() > 0
+        };
+        let (allowed, denied) = (self.allow.as_deref().is_none_or(any), any(&self.deny));
+        allowed && !denied
+    }
+
+    fn patterns(&self) -> impl Iterator<Item = &Pattern> {
+        self.allow.iter().flatten().chain(&self.deny)
     }
 }
 
@@ -215,6 +245,25 @@ impl Settings {
         !name.contains("/_action/") && filter.admits(name)
     }
 
+    /// The expressions of `allow` and `deny` that have matched no name so far, in no role: mistakes, most often.
+    pub fn unmatched(&self) -> BTreeSet<&str> {
+        let filters = [
+            &self.publishers,
+            &self.subscribers,
+            &self.servers,
+            &self.clients,
+        ];
+        let patterns = || filters.into_iter().flat_map(Filter::patterns);
+        let of = |has_matched: bool| {
+            let is_so = move |p: &&Pattern| p.has_matched.load(Ordering::Relaxed) == has_matched;
+            patterns()
+                .filter(is_so)
+                .map(|pattern| pattern.text.as_str())
+        };
+        let matched: BTreeSet<&str> = of(true).collect();
+        of(false).filter(|text| !matched.contains(text)).collect()
+    }
+
     /// The shortest time between two samples of a topic that go out.
     pub fn period(&self, name: &str) -> Option<Duration> {
         first_match(&self.periods, name)
@@ -232,13 +281,19 @@ fn first_match<T: Copy>(rules: &[(Regex, T)], name: &str) -> Option<T> {
 }
 
 /// The expressions of a file and of the command line, each for a whole name.
-fn patterns(names: Option<&Names>, more: &[String]) -> Result<Vec<Regex>, SettingsError> {
+fn patterns(names: Option<&Names>, more: &[String]) -> Result<Vec<Pattern>, SettingsError> {
     let of_file = match names {
         None => &[],
         Some(Names::One(name)) => std::slice::from_ref(name),
         Some(Names::Several(names)) => names.as_slice(),
     };
-    let whole = |name: &String| pattern(&format!("^(?:{name})$"));
+    let whole = |name: &String| {
+        Ok(Pattern {
+            text: name.clone(),
+            whole: pattern(&format!("^(?:{name})$"))?,
+            has_matched: AtomicBool::new(false),
+        })
+    };
     of_file.iter().chain(more).map(whole).collect()
 }
 
@@ -317,6 +372,24 @@ mod tests {
         assert!(!settings.admits(Role::Subscription, "/wm/latent"));
         assert!(settings.admits(Role::Server, "/wm/planner/reset"));
         assert!(!settings.admits(Role::Client, "/wm/planner/reset"));
+    }
+
+    /// `image` is found in many names and is the whole of none.
+    #[test]
+    fn a_pattern_that_matches_no_whole_name_is_known() {
+        let options = Options {
+            deny: words(&["image", ".*/image.*", "/camera/.*"]),
+            ..Options::default()
+        };
+        let settings = settings(
+            r#"{"allow": {"publishers": ["/camera/.*", "/tf"]}}"#,
+            options,
+        );
+        let settings = settings.unwrap();
+        assert_eq!(settings.unmatched().len(), 4);
+        settings.admits(Role::Publisher, "/camera/image_raw");
+        let unmatched: Vec<&str> = settings.unmatched().into_iter().collect();
+        assert_eq!(unmatched, ["/tf", "image"]);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! `wm bag`.
 
 mod cut;
+mod parameter_flags;
 mod parameters;
 mod play;
 mod record;

@@ -68,7 +68,7 @@ pub fn parse() -> Command {
         .first()
         .and_then(|path| Path::new(path).file_name())
         .map(|name| name.to_string_lossy());
-    if let Some(name) = called.filter(|name| node::NodeCommand::NAMES.contains(&name.as_ref())) {
+    if let Some(name) = called.filter(|name| node::is_node(name)) {
         let name = name.into_owned();
         arguments.splice(..1, ["wm".to_owned(), name]);
     }
@@ -91,7 +91,8 @@ pub fn parse() -> Command {
 impl Subcommands {
     fn takes_ros_args(&self) -> bool {
         match self {
-            Self::Node(_) | Self::Bridge(_) => true,
+            Self::Node(command) => command.takes_ros_args(),
+            Self::Bridge(_) => true,
             Self::Bag(command) => command.takes_ros_args(),
             _ => false,
         }
@@ -138,7 +139,8 @@ mod tests {
 
     #[test]
     fn every_node_is_a_subcommand() {
-        for name in node::NodeCommand::NAMES {
+        for node in node::definitions() {
+            let name = node.name;
             assert!(Cli::command().find_subcommand(name).is_some(), "{name}");
         }
     }

@@ -4,9 +4,15 @@ use crate::output::print;
 use anyhow::{Context as _, Result};
 use clap::Args;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wm_launch::{LaunchError, Plan, System, plan::Program, runner};
+use wm_bag_nodes::player;
+use wm_launch::{
+    LaunchError, Plan, System,
+    plan::{Process, Program},
+    runner,
+};
+use wm_ros::NodeArgs;
 
 /// Starts the nodes of a launch file.
 #[derive(Args, Debug)]
@@ -50,6 +56,7 @@ impl LaunchCommand {
             print(describe(&plan)?)?;
             return Ok(ExitCode::SUCCESS);
         }
+        check_bags(&plan)?;
         // one thread: the kernel ties the processes' fate to the thread that started them
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -57,6 +64,22 @@ impl LaunchCommand {
         let outcome = runtime.block_on(runner::run(plan)).context("the launch")?;
         Ok(ExitCode::from(outcome.exit_code()))
     }
+}
+
+/// That the players of a plan find their bags is known before anything starts. One that is started again may wait for its
+/// bag.
+fn check_bags(plan: &Plan) -> Result<()> {
+    let is_own = |process: &&Process| process.program == Program::Own && process.respawn.is_none();
+    for process in plan.processes.iter().filter(is_own) {
+        if let Some((name, words)) = process.arguments.split_first()
+            && name == player::NAME
+        {
+            let folder = process.working_directory.as_deref();
+            player::check(&NodeArgs::parse(words)?, folder.unwrap_or(Path::new("")))
+                .with_context(|| format!("{} cannot play", process.name))?;
+        }
+    }
+    Ok(())
 }
 
 /// The command lines of a plan, as a shell would take them.

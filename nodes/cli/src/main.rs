@@ -48,7 +48,7 @@ fn main() -> ExitCode {
     match command.run() {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("wm: {error:#}");
+            wm_ros::logging::last_words(format_args!("wm: {error:#}"));
             cli::failure_code(&error)
         }
     }

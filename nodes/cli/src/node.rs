@@ -1,72 +1,165 @@
 //! The nodes as commands.
 
+use crate::output::print;
 use anyhow::Result;
-use clap::{Args, Subcommand};
+use clap::{Arg, ArgAction, ArgMatches, Command, FromArgMatches, Subcommand, error::ErrorKind};
 use std::process::ExitCode;
-use wm_bag_nodes::{player, recorder};
-use wm_model_nodes::{decoder, encoder, env, evaluator, planner, predictor};
-use wm_report::monitor;
-use wm_ros::{Component, NodeArgs};
+use wm_ros::{Component, NodeArgs, NodeDefinition};
 
-/// A node.
-#[derive(Debug, Subcommand)]
+/// A node, for this program.
+type Definition = NodeDefinition<anyhow::Error>;
+
+/// The nodes that there are, in the order of the help.
+pub fn definitions() -> impl Iterator<Item = &'static Definition> {
+    wm_model_nodes::NODES
+        .iter()
+        .chain(wm_bag_nodes::NODES)
+        .chain([&wm_report::monitor::NODE])
+}
+
+fn definition(name: &str) -> Option<&'static Definition> {
+    definitions().find(|definition| definition.name == name)
+}
+
+/// Whether there is such a node.
+pub fn is_node(name: &str) -> bool {
+    definition(name).is_some()
+}
+
+/// Several nodes in one process.
+const TOGETHER: &str = "run";
+/// What there is.
+const LIST: &str = "nodes";
+
+/// Ids of the arguments.
+const ARGUMENTS: &str = "arguments";
+const PRINT_PARAMS: &str = "print-params";
+const TOPICS: &str = "topics";
+
+/// A node, several, or what there is to know of them.
+#[derive(Clone)]
 pub enum NodeCommand {
-    /// Node: camera frames to latents
-    Encoder(NodeArguments),
-    /// Node: latents and actions to predicted latents
-    Predictor(NodeArguments),
-    /// Node: predicted latents to pictures
-    Decoder(NodeArguments),
-    /// Node: actions that bring the camera to a goal image
-    Planner(NodeArguments),
-    /// Node: what each of a policy's candidate chunks would do
-    Evaluator(NodeArguments),
-    /// Node: the world model as the environment of a policy
-    Env(NodeArguments),
-    /// Node: a bag's messages at their times
-    Player(NodeArguments),
-    /// Node: topics into a bag
-    Recorder(NodeArguments),
-    /// Nodes of one process: encoder, predictor, decoder, planner, or some of them
-    #[command(name = "run")]
-    Together(TogetherArguments),
-    /// Node: a live line, and at the end how well the predictions came true
-    Monitor(NodeArguments),
+    /// Runs one, with the arguments before `--ros-args`.
+    One(&'static Definition, Vec<String>),
+    /// Runs several in one process.
+    Together(Vec<String>),
+    /// Prints a node's parameter file.
+    PrintParams(&'static Definition),
+    /// Lists the nodes, or else their topics and services.
+    List {
+        /// As a Markdown table.
+        topics: bool,
+    },
 }
 
-/// What a node takes before `--ros-args`.
-#[derive(Args, Debug)]
-pub struct NodeArguments {
-    /// The node's own arguments, for example --interface lo; its parameters (`--ros-args -p NAME:=VALUE`) are in
-    /// launch-configs/config, and one that is not known gets the list of all
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-    arguments: Vec<String>,
+impl std::fmt::Debug for NodeCommand {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::One(node, arguments) => write!(f, "{} {}", node.name, arguments.join(" ")),
+            Self::Together(arguments) => write!(f, "{TOGETHER} {}", arguments.join(" ")),
+            Self::PrintParams(node) => write!(f, "{} --{PRINT_PARAMS}", node.name),
+            Self::List { topics } => write!(f, "{LIST} {topics}"),
+        }
+    }
 }
 
-/// What several nodes take before `--ros-args`.
-#[derive(Args, Debug)]
-pub struct TogetherArguments {
-    /// The nodes: encoder, predictor, decoder, planner, evaluator; and --interface
-    #[arg(required = true, trailing_var_arg = true, allow_hyphen_values = true)]
-    arguments: Vec<String>,
+/// Everything before `--ros-args`.
+fn arguments(help: &'static str) -> Arg {
+    Arg::new(ARGUMENTS)
+        .help(help)
+        .num_args(0..)
+        .trailing_var_arg(true)
+        .allow_hyphen_values(true)
+}
+
+fn command(definition: &Definition) -> Command {
+    let print_params = Arg::new(PRINT_PARAMS)
+        .long(PRINT_PARAMS)
+        .help("Print an annotated parameter file with the defaults, and end")
+        .action(ArgAction::SetTrue);
+    Command::new(definition.name)
+        .about(format!("{} (node)", definition.about.trim_end_matches('.')))
+        .arg(print_params)
+        .arg(arguments(
+            "The node's own arguments, for example --interface lo; parameters go after --ros-args",
+        ))
+        .after_help(definition.help())
+}
+
+/// The nodes that can share a process.
+fn composable() -> String {
+    let nodes = definitions().filter(|definition| definition.component.is_some());
+    nodes
+        .map(|definition| definition.name)
+        .collect::<Vec<_>>()
+        .join(", ")
+}
+
+impl Subcommand for NodeCommand {
+    fn augment_subcommands(mut parent: Command) -> Command {
+        for definition in definitions() {
+            parent = parent.subcommand(command(definition));
+        }
+        let together = Command::new(TOGETHER)
+            .about("Run several nodes in one process, where messages between them stay in memory")
+            .arg(arguments("The nodes, and --interface").required(true))
+            .after_help(format!("Nodes: {}", composable()));
+        let topics = Arg::new(TOPICS)
+            .long(TOPICS)
+            .help("List their topics and services, with types and QoS, as a Markdown table")
+            .action(ArgAction::SetTrue);
+        let list = Command::new(LIST).about("List the nodes").arg(topics);
+        parent.subcommand(together).subcommand(list)
+    }
+
+    fn augment_subcommands_for_update(parent: Command) -> Command {
+        Self::augment_subcommands(parent)
+    }
+
+    fn has_subcommand(name: &str) -> bool {
+        name == TOGETHER || name == LIST || is_node(name)
+    }
+}
+
+impl FromArgMatches for NodeCommand {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let missing = || clap::Error::new(ErrorKind::MissingSubcommand);
+        let (name, own) = matches.subcommand().ok_or_else(missing)?;
+        let words = || {
+            let words = own.get_many::<String>(ARGUMENTS).into_iter().flatten();
+            words.cloned().collect()
+        };
+        match name {
+            TOGETHER => Ok(Self::Together(words())),
+            LIST => Ok(Self::List {
+                topics: own.get_flag(TOPICS),
+            }),
+            name => {
+                let node = definition(name).ok_or_else(missing)?;
+                Ok(match own.get_flag(PRINT_PARAMS) {
+                    true => Self::PrintParams(node),
+                    false => Self::One(node, words()),
+                })
+            }
+        }
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
 }
 
 /// The node of this name, for a process with others; ends the process where there is none.
 fn component(name: &str) -> Component<anyhow::Error> {
-    match name {
-        encoder::NAME => Component::new(encoder::NAME, encoder::body),
-        predictor::NAME => Component::new(predictor::NAME, predictor::body),
-        decoder::NAME => Component::new(decoder::NAME, decoder::body),
-        planner::NAME => Component::new(planner::NAME, planner::body),
-        evaluator::NAME => Component::new(evaluator::NAME, evaluator::body),
-        other => {
-            let kind = clap::error::ErrorKind::InvalidValue;
-            let message = format!(
-                "`{other}` is none of encoder, predictor, decoder, planner and evaluator\n"
-            );
-            clap::Error::raw(kind, message).exit()
-        }
-    }
+    let Some(component) = definition(name).and_then(|definition| definition.component) else {
+        let message = format!(
+            "`{name}` cannot run in one process with others; these can: {}\n",
+            composable()
+        );
+        clap::Error::raw(ErrorKind::InvalidValue, message).exit()
+    };
+    component()
 }
 
 fn run_together(args: &NodeArgs) -> Result<()> {
@@ -74,35 +167,79 @@ fn run_together(args: &NodeArgs) -> Result<()> {
     wm_ros::run_together(wm_ros::NAMESPACE, args, components)
 }
 
+fn list() -> String {
+    let line = |node: &Definition| format!("{:10} {}\n", node.name, node.about);
+    definitions().map(line).collect()
+}
+
+fn table() -> String {
+    let head = "| node | | name | type | QoS | |\n|---|---|---|---|---|---|\n";
+    let rows = definitions().map(Definition::table_rows);
+    std::iter::once(head.to_owned()).chain(rows).collect()
+}
+
 impl NodeCommand {
-    /// The nodes' names.
-    pub const NAMES: [&str; 9] = [
-        "encoder",
-        "predictor",
-        "decoder",
-        "planner",
-        "evaluator",
-        "env",
-        "player",
-        "recorder",
-        "monitor",
-    ];
+    /// Whether `--ros-args` may follow.
+    pub fn takes_ros_args(&self) -> bool {
+        matches!(self, Self::One(..) | Self::Together(_))
+    }
 
     /// Runs the node until a signal, or its end.
     pub fn run(self, ros_args: Vec<String>) -> Result<ExitCode> {
         let args = |own: Vec<String>| NodeArgs::parse(own.into_iter().chain(ros_args));
-        let done = |()| ExitCode::SUCCESS;
         match self {
-            Self::Encoder(own) => encoder::run(&args(own.arguments)?).map(done),
-            Self::Predictor(own) => predictor::run(&args(own.arguments)?).map(done),
-            Self::Decoder(own) => decoder::run(&args(own.arguments)?).map(done),
-            Self::Planner(own) => planner::run(&args(own.arguments)?).map(done),
-            Self::Evaluator(own) => evaluator::run(&args(own.arguments)?).map(done),
-            Self::Env(own) => env::run(&args(own.arguments)?).map(done),
-            Self::Player(own) => player::run(&args(own.arguments)?).map(ExitCode::from),
-            Self::Recorder(own) => recorder::run(&args(own.arguments)?).map(ExitCode::from),
-            Self::Together(own) => run_together(&args(own.arguments)?).map(done),
-            Self::Monitor(own) => monitor::run(&args(own.arguments)?).map(done),
+            Self::One(node, own) => return (node.run)(&args(own)?),
+            Self::Together(own) => run_together(&args(own)?)?,
+            Self::PrintParams(node) => print(node.params_file())?,
+            Self::List { topics: true } => print(table())?,
+            Self::List { topics: false } => print(list())?,
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wm_ros::Direction;
+
+    /// Files that users read and copy say what the nodes do.
+    #[test]
+    fn the_committed_parameter_files_are_those_that_the_nodes_print() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../launch-configs/config");
+        for node in definitions() {
+            let path = format!("{folder}/{}.yaml", node.name);
+            let committed = std::fs::read_to_string(&path).unwrap_or_default();
+            assert_eq!(
+                committed,
+                node.params_file(),
+                "{path}: write it anew with `wm {} --print-params`",
+                node.name
+            );
+        }
+    }
+
+    #[test]
+    fn every_node_says_what_it_is() {
+        for node in definitions() {
+            let help = node.help();
+            for spec in (node.parameters)() {
+                let text = spec.descriptor.description;
+                assert!(
+                    text.starts_with(|first: char| first.is_uppercase()) && text.ends_with('.'),
+                    "{}: {text}",
+                    node.name
+                );
+                assert!(help.contains(&format!("\n  {}  ", spec.name)), "{help}");
+            }
+            for spec in (node.endpoints)() {
+                assert_eq!(spec.qos.is_none(), spec.direction == Direction::Served);
+                assert!(
+                    help.contains(&format!("  {}  {}", spec.name, spec.type_name)),
+                    "{help}"
+                );
+            }
+            assert!(node.about.ends_with('.'), "{}", node.about);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! `wm report`.
 
 use crate::output::print;
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -30,6 +30,15 @@ impl ReportCommand {
         for (topic, (count, reason)) in &unreadable {
             eprintln!("wm: {topic}: {count} message(s) left out, the first: {reason}");
         }
+        ensure!(
+            report.frames > 0,
+            "no frame of the bag's camera could be read: nothing was compared"
+        );
+        ensure!(
+            !scorer.is_without_predictions(),
+            "no prediction of the bag could be read, although {}",
+            report.frames_in_words()
+        );
         Ok(Ending::lost_if(!unreadable.is_empty()).into())
     }
 }

@@ -10,7 +10,7 @@ use super::{
 };
 use rustix::process::{Pid, Signal, kill_process_group, set_parent_process_death_signal};
 use std::collections::HashMap;
-use std::io::{self, Stderr, Stdout};
+use std::io;
 use std::os::unix::process::ExitStatusExt as _;
 use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -18,6 +18,7 @@ use tokio::io::{AsyncBufReadExt as _, AsyncRead, BufReader};
 use tokio::process::{Child, Command};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
+use wm_ros::logging::{self, Unblocked};
 
 /// A longer line of a process is shown in pieces of this many bytes.
 const LINE_LIMIT: usize = 16 * 1024;
@@ -41,7 +42,7 @@ enum Report {
 /// # Errors
 /// Where signals cannot be listened for. What happens to the processes is in the outcome.
 pub async fn run(plan: Plan) -> io::Result<Outcome> {
-    let console = Console::new(io::stdout(), io::stderr(), terminal_columns());
+    let console = Console::new(logging::stdout(), logging::stderr(), terminal_columns());
     let (reports, mut inbox) = mpsc::channel(LINES_WAITING);
     let mut launch = Launch {
         console,
@@ -81,6 +82,7 @@ pub async fn run(plan: Plan) -> io::Result<Outcome> {
     for failure in &outcome.failures {
         launch.say(&format!("FAILED: {failure}"));
     }
+    logging::flush();
     Ok(outcome)
 }
 
@@ -92,7 +94,7 @@ fn terminal_columns() -> Option<usize> {
 }
 
 struct Launch {
-    console: Console<Stdout, Stderr>,
+    console: Console<Unblocked, Unblocked>,
     reports: mpsc::Sender<Report>,
     /// The process groups of the living processes.
     groups: HashMap<usize, Pid>,

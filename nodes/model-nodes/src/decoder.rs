@@ -6,5 +6,5 @@ mod node;
 mod rollouts;
 mod step;
 
-pub use node::{NAME, body, run};
+pub use node::{NODE, body};
 pub use step::{DecoderError, DecoderStep, jpeg_message, raw_message};

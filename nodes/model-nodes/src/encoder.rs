@@ -7,5 +7,5 @@ mod node;
 mod repeats;
 mod step;
 
-pub use node::{NAME, body, run};
+pub use node::{NODE, body};
 pub use step::{EncoderError, EncoderStep};

@@ -18,13 +18,15 @@ mod node;
 mod parameters;
 mod recording;
 mod start;
+mod start_root;
 mod step;
 mod world;
 
 pub use attached::Attached;
 pub use error::EnvError;
-pub use node::{NAME, body, run};
+pub use node::{NODE, body};
 pub(crate) use start::INSTRUCTION;
 pub use start::Start;
+pub use start_root::StartRoot;
 pub use step::{Env, EnvSettings, Move, Moved, Observation};
 pub use world::World;

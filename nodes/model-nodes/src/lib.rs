@@ -7,15 +7,27 @@
 //!
 //! Not here: the models (`wm_model`), the ROS runtime (`wm_ros`), bags (`wm_bag`).
 
-pub mod chunk_merging;
+mod chunk_merging;
 pub mod decoder;
 pub mod encoder;
 pub mod env;
 pub mod evaluator;
+pub mod harness;
 pub mod history;
 pub mod model_choice;
 pub mod planner;
 pub mod pool;
 pub mod predictor;
-mod reset;
 pub mod work;
+
+use wm_ros::NodeDefinition;
+
+/// All of them. A node that is new is named here, and `wm` has it: as a command, in `wm run` and in the help.
+pub const NODES: &[NodeDefinition<anyhow::Error>] = &[
+    encoder::NODE,
+    predictor::NODE,
+    decoder::NODE,
+    planner::NODE,
+    evaluator::NODE,
+    env::NODE,
+];

@@ -1,9 +1,8 @@
 //! Which world model a node uses: the parameter `model`, and what of the model each node needs.
 
 use anyhow::{Context as _, Result};
-use wm_model::{Decoder, Encoder, actions::ActionEncoding, bundle::EMBEDDED};
-use wm_ros::{Descriptor, Node};
-use wm_zoo::{WorldModel, success_probe::SuccessClassifier};
+use wm_model::{Decoder, Encoder, actions::ActionEncoding};
+use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
 use crate::{history::Timing, predictor::PredictorModel};
 
@@ -13,26 +12,10 @@ pub struct ModelChoice {
     name: String,
 }
 
-/// Declares the parameter `model` and reads it.
-///
-/// # Errors
-/// The parameter is of another type.
-pub fn declare(node: &Node) -> Result<ModelChoice> {
-    let text = format!("world model: {EMBEDDED} (embedded), or a folder of weights");
-    let name = node
-        .declare(
-            "model",
-            EMBEDDED.to_owned(),
-            Descriptor::new(text).read_only(),
-        )?
-        .get();
-    Ok(ModelChoice { name })
-}
-
 impl ModelChoice {
-    /// What the parameter says.
-    pub fn name(&self) -> &str {
-        &self.name
+    /// The model of this name: the embedded one's, or a folder of weights.
+    pub fn new(name: String) -> Self {
+        Self { name }
     }
 
     /// Opens the model, for as long as its parts are loaded.
@@ -41,7 +24,7 @@ impl ModelChoice {
     /// Names what is missing or wrong in it, or what does not fit together.
     pub fn open(&self) -> Result<OpenModel> {
         let text = format!("parameter model is \"{}\"", self.name);
-        let model = WorldModel::open(&self.name).with_context(|| text.clone())?;
+        let model = ModelFolder::open(&self.name).with_context(|| text.clone())?;
         let name = self.name.clone();
         Ok(OpenModel { name, text, model })
     }
@@ -52,10 +35,15 @@ pub struct OpenModel {
     name: String,
     /// What errors begin with.
     text: String,
-    model: WorldModel,
+    model: ModelFolder,
 }
 
 impl OpenModel {
+    /// What the parameter `model` says.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// The encoder.
     ///
     /// # Errors

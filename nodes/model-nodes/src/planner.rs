@@ -8,11 +8,10 @@ mod error;
 mod goal;
 mod model;
 mod node;
-mod parameters;
 mod step;
 
 pub use error::PlannerError;
 pub use goal::Goal;
 pub use model::PlannerModel;
-pub use node::{NAME, body, run};
-pub use step::{Lead, PlanRequest, PlanWait, PlannerSettings, PlannerStep, Unsent};
+pub use node::{NODE, body};
+pub use step::{PlanRequest, PlanWait, PlannerSettings, PlannerStep};

@@ -3,27 +3,12 @@
 use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
-use wm_ros::{Descriptor, Node};
 
 /// The threads; copies are the same ones.
 #[derive(Clone, Debug)]
 pub struct Pool(Arc<rayon::ThreadPool>);
 
 impl Pool {
-    /// As the node's parameter `nice` says, which it declares; `nice` is its default (as of nice(1), 0 to 19).
-    ///
-    /// # Errors
-    /// A parameter out of range; no threads.
-    pub fn declare(node: &Node, nice: i64) -> Result<Self> {
-        let descriptor = Descriptor::new(
-            "how far computing gives way to other nodes and programs, as nice(1): 0 to 19",
-        )
-        .integers(0, 19)
-        .read_only();
-        let nice = node.declare("nice", nice, descriptor)?.get() as i32;
-        Self::new(node.name(), nice)
-    }
-
     /// As many threads as rayon has by default, named after the node and `nice` steps below this process.
     ///
     /// # Errors

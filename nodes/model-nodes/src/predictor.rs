@@ -13,7 +13,7 @@ mod step;
 mod trust;
 
 pub use error::PredictorError;
-pub use node::{NAME, body, run};
+pub use node::{NODE, body};
 pub use rollout::{PredictedStep, PredictorModel, RolloutRequest, RunningRollout};
 pub use step::{Outcome, PredictorSettings, PredictorStep};
 pub use trust::{Doubt, Trust};

@@ -74,7 +74,10 @@ fn svae() -> Value {
 fn write(folder: &Path, model: &Value) -> LatentSpace {
     std::fs::write(folder.join(folder::FILE), model.to_string()).unwrap();
     folder::write_random_weights(folder, 1).unwrap();
-    ModelFolder::open(folder).unwrap().space().unwrap()
+    ModelFolder::open(&folder.to_string_lossy())
+        .unwrap()
+        .space()
+        .unwrap()
 }
 
 /// What the nodes say.

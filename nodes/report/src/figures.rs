@@ -29,6 +29,26 @@ pub struct Report {
     pub drops: Vec<Drops>,
 }
 
+impl Report {
+    /// The frames and their rate, and what to do about a rate that is no usual one of a model.
+    #[must_use]
+    pub fn frames_in_words(&self) -> String {
+        let Self {
+            frames,
+            frame_rate_hz,
+            ..
+        } = self;
+        match frame_rate_hz {
+            rate if *rate > 0.0 => format!(
+                "{frames} frames came at {rate:.2} Hz; predictor and planner expect one every \"frame_period\" (0.2 s by \
+                 default): set that parameter of both to {:.3} s where the camera is slower",
+                1.0 / rate
+            ),
+            _ => format!("{frames} frame(s) came"),
+        }
+    }
+}
+
 /// The figures of step k.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepFigures {

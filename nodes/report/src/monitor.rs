@@ -6,4 +6,4 @@
 mod live_line;
 mod node;
 
-pub use node::{NAME, run};
+pub use node::{NODE, run};

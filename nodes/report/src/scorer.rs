@@ -259,6 +259,12 @@ impl Scorer {
         self.frame_count == 0 && self.steps.is_empty() && self.plans == 0
     }
 
+    /// Whether no prediction was seen so far.
+    #[must_use]
+    pub fn is_without_predictions(&self) -> bool {
+        self.steps.is_empty()
+    }
+
     /// Camera frames seen so far.
     #[must_use]
     pub fn frame_count(&self) -> u64 {
@@ -277,7 +283,7 @@ impl Scorer {
         self.last_error_ratio
     }
 
-    /// The rollout with the most motion of those that were seen whole.
+    /// The rollout with the most motion of those of which the most steps were seen.
     #[must_use]
     pub fn shown_rollout(&self) -> Option<&ShownRollout> {
         self.rollouts.best()

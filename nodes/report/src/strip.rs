@@ -24,7 +24,7 @@ const BACKGROUND: Rgb<u8> = Rgb([24, 24, 28]);
 const BLANK: Rgb<u8> = Rgb([40, 40, 46]);
 const INK: Rgb<u8> = Rgb([230, 230, 230]);
 
-/// Rows real, predicted, difference; columns the observation and every step, with the PSNR of the prediction and of
+/// Rows real, predicted, difference; columns the observation and every step that was seen, with the PSNR of the prediction and of
 /// the observation held still, and what these are. `period_s` is the time of a step.
 #[must_use]
 pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
@@ -77,18 +77,18 @@ pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     paste(&rollout.observed, column_left(0), 0);
     paste(&blank, column_left(0), 1);
     paste(&blank, column_left(0), 2);
-    for (column, (real, predicted)) in (1..).zip(&rollout.steps) {
+    for (column, (real, predicted)) in (1..).zip(rollout.steps.values()) {
         let x = column_left(column);
         paste(real, x, 0);
         paste(predicted, x, 1);
         paste(&difference(real, predicted), x, 2);
     }
     write(&mut strip, "observed", column_left(0), GAP, INK);
-    for (column, (real, predicted)) in (1..).zip(&rollout.steps) {
+    for (column, (step, (real, predicted))) in (1..).zip(&rollout.steps) {
         let x = column_left(column);
         write(
             &mut strip,
-            &format!("k={column} +{:.1}s", f64::from(column) * period_s),
+            &format!("k={step} +{:.1}s", f64::from(*step) * period_s),
             x,
             GAP,
             INK,
@@ -137,7 +137,7 @@ mod tests {
     #[test]
     fn every_step_has_its_column() {
         let grey = |level| Arc::new(RgbImage::from_pixel(128, 128, Rgb([level; 3])));
-        let steps = vec![(grey(100), grey(110)), (grey(120), grey(150))];
+        let steps = [(1, (grey(100), grey(110))), (4, (grey(120), grey(150)))].into();
         let rollout = ShownRollout {
             observed_ns: 0,
             observed: grey(90),

@@ -44,9 +44,9 @@ pub fn terminal_table(report: &Report) -> String {
     text
 }
 
-/// The report as Markdown.
+/// The report as Markdown; it shows the strip only where there is one.
 #[must_use]
-pub fn markdown(report: &Report) -> String {
+pub fn markdown(report: &Report, has_strip: bool) -> String {
     let mut text = format!(
         "# Predictions against what happened\n\n{}\n",
         heading(report)
@@ -63,7 +63,7 @@ pub fn markdown(report: &Report) -> String {
         writeln!(text, "| {} |", row(step).join(" | ")).ok();
     }
     writeln!(text, "\n{}", remarks(report, "- ")).ok();
-    if is_compared(report) {
+    if has_strip {
         text.push_str("![real, predicted and difference over the steps](strip.png)\n");
     }
     text
@@ -194,11 +194,13 @@ mod tests {
 
     #[test]
     fn markdown_has_a_cell_for_every_heading() {
-        let text = markdown(&report());
+        let text = markdown(&report(), true);
         let rows: Vec<&str> = text.lines().filter(|line| line.starts_with('|')).collect();
         assert_eq!(rows.len(), 3);
         for row in rows {
             assert_eq!(row.matches('|').count(), HEADINGS.len() + 1, "{row}");
         }
+        assert!(text.contains("strip.png"));
+        assert!(!markdown(&report(), false).contains("strip.png"));
     }
 }

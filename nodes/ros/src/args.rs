@@ -8,7 +8,7 @@ mod remap;
 pub use log_level::LogLevels;
 pub(crate) use remap::{Remap, Target};
 
-use crate::value::Value;
+use crate::{Error, ParameterError, ParameterType, names::NodeName, value::Value};
 use params_file::Section;
 use std::path::{Path, PathBuf};
 
@@ -128,6 +128,31 @@ impl NodeArgs {
     /// The words outside `--ros-args`, for the node's own command line.
     pub fn rest(&self) -> &[String] {
         &self.rest
+    }
+
+    /// The value given for a parameter of the node that has these defaults, before there is such a node.
+    ///
+    /// # Errors
+    /// The node's name is none, or the value is of another type.
+    pub fn given<T: ParameterType>(
+        &self,
+        default_name: &str,
+        default_namespace: &str,
+        parameter: &str,
+    ) -> Result<Option<T>, Error> {
+        let node = NodeName::new(default_name, default_namespace, self)?.fully_qualified;
+        let is_it = |given: &&Override| given.name == parameter && given.section.matches(&node);
+        let Some(given) = self.overrides.iter().rfind(is_it) else {
+            return Ok(None);
+        };
+        let wrong = || ParameterError::WrongType {
+            node: node.as_str().into(),
+            parameter: parameter.into(),
+            expected: T::KIND,
+            got: given.value.clone(),
+            origin: given.origin.as_str().into(),
+        };
+        Ok(Some(T::from_value(&given.value).ok_or_else(wrong)?))
     }
 
     /// For nodes that have no command line of their own.
@@ -280,6 +305,21 @@ mod tests {
         assert_eq!(
             value("a:=/dev/video0").unwrap(),
             Value::String("/dev/video0".into())
+        );
+    }
+
+    #[test]
+    fn a_value_is_known_before_there_is_a_node() {
+        let line =
+            "--ros-args -r __node:=second -p bag:=a -p second:bag:=b -p player:bag:=c -p n:=1";
+        let args = parse(line).unwrap();
+        let given = |name: &str| args.given::<String>("player", "/wm", name);
+        assert_eq!(given("bag").unwrap().as_deref(), Some("b"));
+        assert_eq!(given("other").unwrap(), None);
+        let error = given("n").unwrap_err().to_string();
+        assert!(
+            error.contains("expects") && error.contains("-p n:=1"),
+            "{error}"
         );
     }
 

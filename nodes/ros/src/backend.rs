@@ -2,8 +2,7 @@
 //! Everything above it (parameters, services, logs, clocks) is written once, in these terms; a second middleware
 //! implements these traits and nothing else.
 
-use crate::{Error, Qos, names::TypeName};
-use bytes::Bytes;
+use crate::{Error, Qos, names::TypeName, payload::Payload};
 use futures::future::BoxFuture;
 use tokio::sync::watch;
 
@@ -40,8 +39,7 @@ pub(crate) struct RequestId {
 /// A sample that came in.
 #[derive(Clone, Debug)]
 pub(crate) struct Sample {
-    /// CDR with its 4-byte header.
-    pub(crate) bytes: Bytes,
+    pub(crate) payload: Payload,
     pub(crate) writer: EndpointId,
     pub(crate) sequence: i64,
     /// The request that it belongs to.
@@ -54,19 +52,48 @@ pub(crate) type Sink = Box<dyn FnMut(Result<Sample, String>) + Send>;
 /// What became of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Written {
-    /// It is on its way, with this number.
-    Sent(i64),
+    /// It is on its way.
+    Sent {
+        /// Its place in the writer's numbering.
+        number: i64,
+        /// Older samples that were dropped for readers that have fallen behind.
+        dropped: u64,
+    },
     /// An answer whose client is not connected yet: it is sent as soon as it is, or dropped with a warning.
     Held,
     /// The readers have not acknowledged enough: it was not taken.
     WindowFull,
 }
 
+/// What happens to a sample of a reliable writer when its readers have fallen too far behind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum WhenFull {
+    /// The oldest samples are dropped for the readers that have not taken them.
+    DropOldest,
+    /// The new sample is not taken.
+    Refuse,
+}
+
+/// Who would get a sample now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Audience {
+    /// Readers of this context.
+    pub(crate) here: bool,
+    /// Readers elsewhere, or any that may join and ask for what was sent before.
+    pub(crate) elsewhere: bool,
+}
+
 /// Sends samples. Dropping it takes the endpoint out of the graph.
 pub(crate) trait Writer: Send + Sync {
     fn id(&self) -> EndpointId;
-    /// Never blocks.
-    fn write(&self, sample: &Bytes, answers: Option<RequestId>) -> Result<Written, Error>;
+    fn audience(&self) -> Audience;
+    /// Never blocks. The sample is encoded only if it leaves the process.
+    fn write(
+        &self,
+        payload: &Payload,
+        answers: Option<RequestId>,
+        when_full: WhenFull,
+    ) -> Result<Written, Error>;
     /// Waits until every matched reliable reader has everything.
     fn acknowledged(&self) -> BoxFuture<'_, Result<(), Error>>;
 }
@@ -110,8 +137,8 @@ pub(crate) trait Backend: Send + Sync {
     fn mismatches(&self, endpoint: &EndpointId) -> Vec<String>;
     /// Counts changes of what is seen and matched.
     fn changes(&self) -> watch::Receiver<u64>;
-    /// Whether it still receives and sends. Once it does not, it never will again.
-    fn is_alive(&self) -> bool;
+    /// Why it no longer receives or sends as it should. Once that is so, it stays so.
+    fn failure(&self) -> Option<Error>;
     /// Leaves the graph. Readers and writers that are still held do nothing from then on.
     fn close(&self);
 }

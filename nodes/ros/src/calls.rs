@@ -1,42 +1,38 @@
 //! Calls of several services, gathered for one loop that answers them in turn.
 
-use crate::{Call, Error, Node};
+use crate::{Call, Service};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
 /// Calls that may wait for the loop, beside those that wait in their services.
 const WAITING: usize = 16;
 
-/// What serves a node's services for as long as it lives; each call comes out as a `C`.
+/// What gathers the calls of services for as long as it lives; each comes out as a `C`.
 pub struct Calls<C> {
-    node: Node,
     sender: mpsc::Sender<C>,
     receiver: mpsc::Receiver<C>,
     services: JoinSet<()>,
 }
 
-impl<C: Send + 'static> Calls<C> {
+impl<C: Send + 'static> Default for Calls<C> {
     /// No service yet.
-    pub fn new(node: &Node) -> Self {
+    fn default() -> Self {
         let (sender, receiver) = mpsc::channel(WAITING);
         Self {
-            node: node.clone(),
             sender,
             receiver,
             services: JoinSet::new(),
         }
     }
+}
 
-    /// Serves `S` as `~/name`. To be called inside a tokio runtime.
-    ///
-    /// # Errors
-    /// The middleware failed.
-    pub fn serve<S: wm_msgs::Service>(
+impl<C: Send + 'static> Calls<C> {
+    /// Takes the calls of `service`, too. To be called inside a tokio runtime.
+    pub fn add<S: wm_msgs::Service>(
         &mut self,
-        name: &str,
+        mut service: Service<S>,
         wrap: impl Fn(Call<S>) -> C + Send + 'static,
-    ) -> Result<(), Error> {
-        let mut service = self.node.service::<S>(&format!("~/{name}"))?;
+    ) {
         let sender = self.sender.clone();
         self.services.spawn(async move {
             while let Some(call) = service.recv().await {
@@ -45,7 +41,6 @@ impl<C: Send + 'static> Calls<C> {
                 }
             }
         });
-        Ok(())
     }
 
     /// Where other things than calls, such as keys, are put in between.

@@ -6,7 +6,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::{Diagnostics, Level};
+use crate::{
+    Diagnostics, Level,
+    logging::printable::{OF_OTHERS, printable},
+};
 
 /// Kinds of warnings that are told apart; texts hold what others send, and could be many.
 const KINDS: usize = 64;
@@ -41,6 +44,8 @@ impl Complaints {
     pub fn left_out_many(&mut self, reason: &'static str, number: u64, error: &dyn Display) {
         self.diagnostics.count_drops(reason, number);
         let now = Instant::now();
+        // It names what a peer has sent, and goes to the log and to /diagnostics.
+        let error = printable(&error.to_string(), OF_OTHERS);
         let text = format!("{reason}: {error}");
         if let Some((subject, level, advice)) = remedy(reason) {
             self.diagnostics

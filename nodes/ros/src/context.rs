@@ -2,16 +2,13 @@
 
 use crate::{Environment, Error, Shutdown, backend::Backend, dds::Dds};
 use std::{
-    sync::{
-        Arc, Mutex, PoisonError, Weak,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, Mutex, PoisonError, Weak},
     thread::JoinHandle,
     time::Duration,
 };
 use tokio::{runtime::Handle, sync::oneshot};
 
-/// How often the middleware is asked whether it lives.
+/// How often the middleware is asked whether it still works.
 const PULSE: Duration = Duration::from_secs(1);
 
 /// A participant in the graph and a thread that receives for it: subscriptions, services, parameters, clocks and
@@ -26,8 +23,8 @@ struct Inner {
     runtime: Handle,
     thread: Mutex<Option<Thread>>,
     shutdown: Shutdown,
-    /// Whether the middleware has ended by itself.
-    has_failed: AtomicBool,
+    /// Why the middleware has ended by itself.
+    failure: Mutex<Option<Error>>,
 }
 
 struct Thread {
@@ -63,7 +60,7 @@ impl Context {
             runtime: handle,
             thread,
             shutdown: Shutdown::new(),
-            has_failed: AtomicBool::new(false),
+            failure: Mutex::default(),
         });
         inner.runtime.spawn(watch(Arc::downgrade(&inner)));
         Ok(Self { inner })
@@ -89,9 +86,9 @@ impl Context {
         self.inner.close();
     }
 
-    /// Whether the context ended since the middleware did.
-    pub(crate) fn has_failed(&self) -> bool {
-        self.inner.has_failed.load(Ordering::Relaxed)
+    /// Why the context has ended by itself, told once.
+    pub(crate) fn failure(&self) -> Option<Error> {
+        self.inner.failure().take()
     }
 
     pub(crate) fn backend(&self) -> &Arc<dyn Backend> {
@@ -103,14 +100,14 @@ impl Context {
     }
 }
 
-/// Ends the context when its middleware has ended: a node that nobody hears is better gone, so that who supervises it
+/// Ends the context when its middleware has failed: a node that nobody hears is better gone, so that who supervises it
 /// starts it again.
 async fn watch(inner: Weak<Inner>) {
     loop {
         tokio::time::sleep(PULSE).await;
         let Some(inner) = inner.upgrade() else { return };
-        if !inner.backend.is_alive() {
-            inner.has_failed.store(true, Ordering::Relaxed);
+        if let Some(failure) = inner.backend.failure() {
+            *inner.failure() = Some(failure);
             inner.shutdown.trigger();
             return;
         }
@@ -118,6 +115,11 @@ async fn watch(inner: Weak<Inner>) {
 }
 
 impl Inner {
+    /// No invariant spans the lock.
+    fn failure(&self) -> std::sync::MutexGuard<'_, Option<Error>> {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn close(&self) {
         self.shutdown.trigger();
         let thread = self

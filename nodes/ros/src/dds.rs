@@ -2,18 +2,23 @@
 //! which node an endpoint belongs to).
 //!
 //! What is minded here, each at its place:
-//! - a reliable writer's window is bounded ([`qos::RELIABLE_WINDOW`]), since KeepLast alone would let a stopped
-//!   reader hold 8192 samples in memory;
+//! - a reliable writer's window moves on ([`window`], [`wire`]), since rustdds' own only closes: a stopped reader would
+//!   silence the topic for all;
+//! - sockets hear only the interfaces that were asked for ([`confine`]), since rustdds binds them to all;
 //! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
 //!   descriptors, and its spinner keeps the participant alive;
 //! - large messages go in parts ([`parts`]), since their bursts overflow the receive buffers of Linux;
-//! - a participant's writers and readers are connected here, since rustdds does not do it on loopback;
+//! - large answers are sent by ourselves ([`wire`]), since rustdds spoils them;
+//! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
+//! - what is believed of the graph is compared with what rustdds knows ([`reconcile`]), since its events may be lost;
+//! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would be deaf;
 //! - the participant goes last, after its readers and writers, or the others never hear that it left.
 
 mod answers;
 mod codec;
+mod confine;
 mod datagram;
-mod endpoint;
+mod failure;
 mod local;
 mod lock;
 mod mismatches;
@@ -21,27 +26,37 @@ mod names;
 mod nodes;
 mod parts;
 mod qos;
+mod reader;
+mod reconcile;
+mod rtps;
 mod second;
 mod shared;
+#[cfg(test)]
+mod tests;
+mod window;
+mod wire;
+mod writer;
 
 use crate::{
     Environment, Error, Qos,
     backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, Sink, Writer},
 };
-use endpoint::{DdsReader, DdsWriter};
+pub(crate) use parts::decode_part;
+
+use futures::FutureExt as _;
 use local::Local;
 use lock::lock;
 use mismatches::Mismatches;
 use names::{dds_name, dds_type, ros_names};
 use nodes::Nodes;
 use parts::{Parts, peer_of};
+use reader::DdsReader;
+use reconcile::{OwnEndpoints, Suspects};
 use rustdds::{DomainParticipant, RTPSEntity as _};
 use shared::{Shared, follow, is_foreign};
-use std::{
-    collections::BTreeSet,
-    sync::{Arc, Mutex, OnceLock},
-};
+use std::sync::{Arc, Mutex, OnceLock};
 use tokio::{runtime::Handle, sync::watch};
+use writer::DdsWriter;
 
 /// A participant of a DDS domain.
 pub(crate) struct Dds {
@@ -57,7 +72,8 @@ impl Dds {
     pub(crate) fn join(environment: &Environment, runtime: Handle) -> Result<Arc<Self>, Error> {
         let failed =
             |error| Error::middleware(format!("join DDS domain {}", environment.domain_id), error);
-        let participant = second::participant(environment)?;
+        let wire = wire::Wire::open().map_err(|source| Error::io("open a UDP socket", source))?;
+        let participant = second::participant(environment, &wire)?;
         let defaults = rustdds::QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&defaults).map_err(failed)?;
         let subscriber = participant.create_subscriber(&defaults).map_err(failed)?;
@@ -74,6 +90,10 @@ impl Dds {
             matches: Mutex::default(),
             writers: Mutex::default(),
             mismatches: Mismatches::default(),
+            own: OwnEndpoints::default(),
+            suspects: Suspects::default(),
+            wire,
+            failure: Arc::default(),
             is_on_loopback: environment.is_on_loopback(),
             is_alone: environment.is_alone(),
             largest_answer: datagram::largest_answer(),
@@ -81,8 +101,14 @@ impl Dds {
         });
         // the first endpoint of all: who knows a topic's readers knows how they take large messages
         let parts = shared.parts_reader(&subscriber, &id)?;
-        runtime.spawn(follow(events, Arc::clone(&shared)));
-        runtime.spawn(parts::exchange(parts, Arc::clone(&shared)));
+        let spawn = |task, future| drop(shared.failure.watch(&runtime, task, future));
+        spawn("discovery", follow(events, Arc::clone(&shared)).boxed());
+        let exchange = parts::exchange(parts, Arc::clone(&shared));
+        spawn("large messages", exchange.boxed());
+        if !environment.is_alone() {
+            let reconciled = reconcile::keep_reconciled(Arc::clone(&shared));
+            spawn("discovery's book", reconciled.boxed());
+        }
         Ok(Arc::new(Self {
             id,
             subscriber,
@@ -155,6 +181,7 @@ impl Backend for Dds {
 
     fn writer(&self, node: &str, endpoint: &Endpoint) -> Result<Box<dyn Writer>, Error> {
         let qos = qos::for_writer(endpoint.qos);
+        let announced = qos.clone();
         let failed = |error| Error::middleware(format!("publish {}", endpoint.name), error);
         let writer = if self.goes_apart(endpoint) {
             self.writer_apart(endpoint, qos)?
@@ -165,6 +192,8 @@ impl Backend for Dds {
         };
         let (writer, shared) = (writer.map_err(failed)?, &self.shared);
         let writer = DdsWriter::new(writer, endpoint, node, shared, &self.runtime);
+        let name = dds_name(endpoint);
+        shared.own.add(writer.id(), name, announced, true);
         self.compare_types(writer.id(), endpoint, true);
         Ok(Box::new(writer))
     }
@@ -180,10 +209,12 @@ impl Backend for Dds {
         let began = rustdds::Timestamp::now();
         let reader = self
             .subscriber
-            .create_simple_datareader_no_key(&topic, Some(qos))
+            .create_simple_datareader_no_key(&topic, Some(qos.clone()))
             .map_err(|error| Error::middleware(format!("subscribe to {}", endpoint.name), error))?;
         let (shared, runtime) = (&self.shared, &self.runtime);
         let reader = DdsReader::new(reader, began, endpoint, node, shared, sink, runtime);
+        let name = dds_name(endpoint);
+        shared.own.add(reader.id(), name, qos, false);
         self.compare_types(reader.id(), endpoint, false);
         Ok(Box::new(reader))
     }
@@ -232,15 +263,12 @@ impl Backend for Dds {
     }
 
     fn matched(&self, endpoint: &EndpointId) -> usize {
-        let elsewhere = lock(&self.shared.matches)
-            .get(endpoint)
-            .map_or(0, BTreeSet::len);
-        elsewhere + self.shared.local.matched(endpoint)
+        self.shared.matched(endpoint).len() + self.shared.local.matched(endpoint)
     }
 
     fn foreign(&self, endpoint: &EndpointId) -> usize {
-        let matches = lock(&self.shared.matches);
-        let others = matches.get(endpoint).into_iter().flatten();
+        let others = self.shared.matched(endpoint);
+        let others = others.iter();
         others.filter(|other| is_foreign(endpoint, other)).count()
     }
 
@@ -252,14 +280,19 @@ impl Backend for Dds {
         self.shared.changes.subscribe()
     }
 
-    fn is_alive(&self) -> bool {
+    fn failure(&self) -> Option<Error> {
+        // within a process no reader goes by the wall clock
+        if let Some(failure) = self.shared.failure.check(!self.shared.is_alone) {
+            return Some(failure);
+        }
         // The thread that does discovery takes the command, or is gone: rustdds 0.15.1 ends its threads where the
         // system interrupts their waiting, as it does when a process is stopped and continued.
         let participant = lock(&self.shared.participant);
         let asserted = participant
             .as_ref()
             .map(DomainParticipant::assert_liveliness);
-        asserted.is_none_or(|asserted| asserted.is_ok())
+        let has_ended = asserted.is_some_and(|asserted| asserted.is_err());
+        has_ended.then_some(Error::MiddlewareEnded)
     }
 
     fn close(&self) {
@@ -271,73 +304,17 @@ impl Backend for Dds {
     }
 }
 
+/// How long a writer whose window is full waits for room \[ms\]: long enough for what [`wire`] sends to itself to take
+/// effect, too short to hold up a node.
+const WAIT_FOR_ROOM_MS: i64 = 5;
+
 impl From<Qos> for rustdds::policy::Reliability {
     fn from(qos: Qos) -> Self {
         match qos.reliability {
             crate::Reliability::BestEffort => Self::BestEffort,
-            // zero: a full window is reported at once instead of blocking the node
             crate::Reliability::Reliable => Self::Reliable {
-                max_blocking_time: rustdds::Duration::ZERO,
+                max_blocking_time: rustdds::Duration::from_millis(WAIT_FOR_ROOM_MS),
             },
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{names::tests::endpoint, *};
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn an_answer_waits_until_its_client_can_hear_it() {
-        const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
-        let environment = Environment {
-            domain_id: 100 + (std::process::id() % 20) as u16,
-            reach: crate::Reach::Localhost,
-        };
-        let join = || Dds::join(&environment, Handle::current()).unwrap();
-        let (server, client) = (join(), join());
-        let (calls, mut called) = tokio::sync::mpsc::unbounded_channel();
-        let sink = move |sample: Result<crate::backend::Sample, String>| {
-            calls.send(sample.unwrap().request.unwrap()).unwrap();
-        };
-        let _requests = server
-            .reader("/server", &endpoint(Channel::Request), Box::new(sink))
-            .unwrap();
-        let answers = server
-            .writer("/server", &endpoint(Channel::Response))
-            .unwrap();
-        let requests = client
-            .writer("/client", &endpoint(Channel::Request))
-            .unwrap();
-        let sample = bytes::Bytes::from_static(&[0, 1, 0, 0, 7, 0, 0, 0]);
-
-        let mut changes = client.changes();
-        while client.matched(&requests.id()) == 0 {
-            tokio::time::timeout(PATIENCE, changes.changed())
-                .await
-                .unwrap()
-                .unwrap();
-        }
-        requests.write(&sample, None).unwrap();
-        let request = tokio::time::timeout(PATIENCE, called.recv())
-            .await
-            .unwrap()
-            .unwrap();
-        // The client has no reader yet: an answer sent now would reach nobody.
-        let written = answers.write(&sample, Some(request)).unwrap();
-        assert_eq!(written, crate::backend::Written::Held);
-
-        let (heard, mut hears) = tokio::sync::mpsc::unbounded_channel();
-        let sink = move |sample: Result<crate::backend::Sample, String>| {
-            heard.send(sample.unwrap().bytes).unwrap();
-        };
-        let _answers = client
-            .reader("/client", &endpoint(Channel::Response), Box::new(sink))
-            .unwrap();
-        let answer = tokio::time::timeout(PATIENCE, hears.recv())
-            .await
-            .unwrap()
-            .unwrap();
-        assert_eq!(answer, sample);
     }
 }

@@ -4,9 +4,9 @@
 //! peer on the same host once for each, which stalls rustdds' reliable readers; and the middleware believes the
 //! lengths that a datagram claims, so that a stranger's six datagrams can make it allocate gigabytes. A robot's
 //! network is therefore an explicit choice: `--interface eth0`, or `ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`. The
-//! middleware's unicast sockets are open on every address all the same (only announcements and multicast follow the
-//! interface): on a network with strangers, put a firewall on UDP ports 7400 + 250 x domain and up, and cap the
-//! process's memory (`systemd-run -p MemoryMax=...`).
+//! middleware binds its sockets to every address all the same; a socket filter drops what arrives elsewhere (module
+//! `dds::confine`). On a network with strangers, add a firewall and cap the process's memory: `launch-configs/network/`
+//! has both.
 //!
 //! Loopback mostly has no multicast: participants then announce themselves to the first twelve of the domain on this
 //! host, so that any two find each other as long as one of them is among those.
@@ -91,7 +91,7 @@ impl Environment {
         addresses.is_some_and(|addresses| addresses.iter().all(IpAddr::is_loopback))
     }
 
-    /// The addresses to bind discovery to; `None` for every interface.
+    /// The addresses whose interfaces are used; `None` for every interface.
     pub(crate) fn addresses(&self) -> Option<Vec<IpAddr>> {
         match &self.reach {
             Reach::Localhost => Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]),

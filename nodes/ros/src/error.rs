@@ -64,10 +64,7 @@ pub enum Error {
         representation: u16,
     },
     /// An answer that does not fit into one datagram, which this middleware cannot send.
-    #[error(
-        "cannot answer on {service}: {len} bytes do not fit into one datagram to that client, which takes {largest}; a network \
-         of a larger MTU does"
-    )]
+    #[error("cannot answer on {service}: {len} bytes, at most {largest} fit into one datagram")]
     AnswerTooLarge {
         /// The service.
         service: String,
@@ -92,6 +89,28 @@ pub enum Error {
          start the node again"
     )]
     MiddlewareEnded,
+    /// A thread of the process has panicked.
+    #[error("{0}")]
+    ThreadPanicked(String),
+    /// A task that receives or sends for all nodes of the process has panicked.
+    #[error(
+        "the task `{task}` has panicked: {message}; the node cannot go on: start it again, and report this"
+    )]
+    Panicked {
+        /// What the task does.
+        task: &'static str,
+        /// What it panicked with.
+        message: String,
+    },
+    /// The system's clock was set back, which makes rustdds' best-effort readers deaf for as long.
+    #[error(
+        "the system's clock was set back by {by:.1?}: the DDS library would drop what it receives for as long: start the \
+         node again"
+    )]
+    ClockStepped {
+        /// How far.
+        by: std::time::Duration,
+    },
     /// The context was closed, or the process is being shut down.
     #[error("{0} is over: the context is shut down")]
     ShutDown(String),

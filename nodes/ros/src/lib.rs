@@ -25,14 +25,17 @@
 //! # Concepts
 //! - [`Context`]: the process's place in the graph, with one thread that receives for all its nodes.
 //! - [`Node`]: a name in the graph, which makes publishers, subscriptions, services and parameters.
+//! - [`parameters!`] and [`endpoints!`]: the parameters, topics and services of a node, each declared once.
+//! - [`NodeDefinition`]: a node as data, from which come its command, its help and its parameter file.
 //! - [`Lifecycle`]: makes a node a managed one, which is configured and activated when it is asked to.
 //! - [`Shutdown`]: ends every `recv` on SIGINT and SIGTERM.
 //!
 //! # Promises
 //! - Nothing is lost in silence: queues have a named policy and count what they drop, samples that cannot be
 //!   decoded or never arrived are counted, and all of it is on `/diagnostics`.
-//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples, or
-//!   64 MiB of large ones.
+//! - Memory is bounded: subscriptions by their depth, reliable publishers by 512 samples (or their depth, if that is
+//!   more) and 64 MiB. A subscription that falls further behind loses the oldest; the others lose nothing.
+//! - Messages between nodes of one [`Context`] are shared, not encoded.
 //! - Loopback unless asked otherwise; see [`Environment`].
 //!
 //! # Not here
@@ -46,15 +49,20 @@ mod clock;
 pub mod complaints;
 mod context;
 mod dds;
+mod definition;
 mod diagnostics;
+mod endpoints;
 mod environment;
 mod error;
+#[doc(hidden)]
+pub mod fuzzing;
 mod lifecycle;
 pub mod logging;
 mod mailbox;
 mod names;
 mod node;
 mod parameters;
+mod payload;
 mod publisher;
 mod qos;
 mod rcl_interfaces;
@@ -68,12 +76,18 @@ mod value;
 pub use args::{ArgsError, LogLevels, NodeArgs};
 pub use clock::Clock;
 pub use context::Context;
+pub use definition::NodeDefinition;
 pub use diagnostics::{Deadline, Diagnostics, Input, Latency, Level};
+#[doc(hidden)]
+pub use endpoints::made_by;
+pub use endpoints::{Direction, Endpoint, EndpointSet, EndpointSpec};
 pub use environment::{Environment, Reach};
 pub use error::Error;
 pub use lifecycle::{Lifecycle, Machine, Managed, Outcome, Refused, State, Transition};
 pub use node::{Node, RemoteEndpoint, Role, TopicInfo};
-pub use parameters::{Descriptor, Parameter, ParameterError, Range};
+pub use parameters::{
+    Descriptor, Field, Parameter, ParameterError, ParameterSet, ParameterSpec, Range,
+};
 pub use publisher::{Publisher, RawPublisher};
 pub use qos::{Durability, Qos, Reliability};
 pub use run::{Component, run, run_together};

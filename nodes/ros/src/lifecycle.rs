@@ -4,16 +4,18 @@
 //! A node says with [`Managed`] what it makes when it is configured and activated; [`Lifecycle`] makes and drops it when
 //! somebody asks. What a node holds in a state is thus a value, and what it no longer holds is gone.
 
+mod gate;
 mod machine;
 mod services;
 mod state;
 mod transition;
 
+pub(crate) use gate::{Gate, Gated};
 pub use machine::{Machine, Refused};
 pub use state::State;
 pub use transition::{Outcome, Transition};
 
-use crate::{Call, Descriptor, Error, Level, Node, Publisher, Qos, Service};
+use crate::{Call, Error, Level, Node, ParameterSpec, Publisher, Qos, Service};
 use std::{
     fmt::Display,
     pin::pin,
@@ -30,20 +32,23 @@ const FAREWELL: Duration = Duration::from_millis(500);
 
 /// What a node does when it is told to.
 pub trait Managed {
-    /// What it holds when it is configured: weights. Cleaning up drops it.
+    /// What it holds from configure to cleanup: weights, publishers, subscriptions, services.
     type Configured;
-    /// What it holds while it is active: subscriptions, publishers, history. Deactivating drops it.
+    /// What it holds while it is active: history, work under way. Deactivating drops it.
     type Active;
     /// What can go wrong.
     type Error: From<Error> + Display;
 
-    /// Loads what the work takes.
+    /// Loads what the work takes, and makes the endpoints. Those that are made by this handle of the node are silent
+    /// while the node is not active: publishers send nothing, subscriptions skip what arrives (a latched message is
+    /// delivered on activation), services made by [`Node::service_or_refuse`] refuse.
     ///
     /// # Errors
     /// Whatever keeps it from that; the node stays unconfigured.
-    fn configure(&self) -> impl Future<Output = Result<Self::Configured, Self::Error>>;
+    fn configure(&self, node: &Node)
+    -> impl Future<Output = Result<Self::Configured, Self::Error>>;
 
-    /// Subscribes and announces what it publishes.
+    /// Begins anew: nothing of an earlier activation is left.
     ///
     /// # Errors
     /// Whatever keeps it from that; the node stays inactive.
@@ -53,7 +58,11 @@ pub trait Managed {
     ///
     /// # Errors
     /// What it cannot go on after: the node ends with it.
-    fn run(&self, active: &mut Self::Active) -> impl Future<Output = Result<(), Self::Error>>;
+    fn run(
+        &self,
+        configured: &mut Self::Configured,
+        active: &mut Self::Active,
+    ) -> impl Future<Output = Result<(), Self::Error>>;
 }
 
 /// The lifecycle of one node.
@@ -79,12 +88,7 @@ impl Lifecycle {
     /// # Errors
     /// An `autostart` that is not a bool, or the middleware failed.
     pub fn new(node: &Node) -> Result<Self, Error> {
-        let descriptor = Descriptor::new(
-            "whether the node configures and activates itself, or waits for ~/change_state",
-        );
-        let autostart = node
-            .declare("autostart", true, descriptor.read_only())?
-            .get();
+        let autostart = autostart().declare(node)?;
         let machine = Arc::new(Mutex::new(Machine::default()));
         services::serve(node, &machine)?;
         Ok(Self {
@@ -111,7 +115,13 @@ impl Lifecycle {
             if asked.transition.goal == State::ShuttingDown {
                 return Ok(self.end(asked).await?);
             }
-            let configured = match managed.configure().await {
+            let gate = Gate::default();
+            let configured = managed.configure(&self.node.behind(&gate)).await;
+            let configured = configured.and_then(|configured| {
+                self.node.seal_endpoints()?;
+                Ok(configured)
+            });
+            let mut configured = match configured {
                 Ok(configured) => configured,
                 Err(error) if is_starting => return Err(error),
                 Err(error) => {
@@ -136,11 +146,7 @@ impl Lifecycle {
                     _ => {}
                 }
                 self.node.diagnostics().stand_down();
-                let activated = managed.activate(&configured).and_then(|active| {
-                    self.node.seal_endpoints()?;
-                    Ok(active)
-                });
-                let mut active = match activated {
+                let mut active = match managed.activate(&configured) {
                     Ok(active) => active,
                     Err(error) if is_starting => return Err(error),
                     Err(error) => {
@@ -149,15 +155,17 @@ impl Lifecycle {
                     }
                 };
                 is_starting = false;
+                self.node.open(&gate);
                 self.say(State::Active);
                 self.succeed(asked)?;
                 let asked = {
-                    let mut working = pin!(managed.run(&mut active));
+                    let mut working = pin!(managed.run(&mut configured, &mut active));
                     tokio::select! {
                         result = &mut working => return result,
                         asked = self.asked(None) => asked,
                     }
                 };
+                gate.close();
                 let Some(asked) = asked else { return Ok(()) };
                 drop(active);
                 self.node.diagnostics().stand_down();
@@ -255,6 +263,12 @@ impl Lifecycle {
     fn machine(&self) -> MutexGuard<'_, Machine> {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The parameter of every managed node.
+pub(crate) fn autostart() -> ParameterSpec {
+    let text = "Whether the node configures and activates itself, or waits for ~/change_state.";
+    ParameterSpec::of::<bool>("autostart", text, true)
 }
 
 fn answer(call: Call<ChangeState>, success: bool) {

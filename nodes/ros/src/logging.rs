@@ -1,19 +1,30 @@
 //! Logs as ROS 2 writes them: `[INFO] [sec.nsec] [node]: text` on stderr, and the same record on `/rosout`.
+//!
+//! Control characters are escaped and long records cut, since they hold what peers send. Nobody waits for the reader of
+//! stderr: where nobody reads it, the oldest lines are dropped and counted.
 
 pub(crate) mod levels;
+mod outlet;
+pub(crate) mod panics;
+pub(crate) mod printable;
 mod record;
+
+pub use outlet::Unblocked;
 
 use crate::{
     NodeArgs,
-    backend::{Writer, Written},
+    backend::{WhenFull, Writer, Written},
     clock::system_nanos,
+    payload::Payload,
     rcl_interfaces::Log,
 };
+use outlet::{STDERR, STDOUT};
+use printable::printable;
 use record::Record;
 use std::{
     cell::Cell,
-    io::Write as _,
     sync::{Arc, Mutex, PoisonError},
+    time::Duration,
 };
 use tracing::{Event, Level, Subscriber, span};
 use tracing_subscriber::{
@@ -68,6 +79,45 @@ pub fn init(args: &NodeArgs) {
     tracing::subscriber::set_global_default(subscriber).ok();
 }
 
+/// How long the end of a process waits for whoever reads its output.
+const LAST_LINES: Duration = Duration::from_millis(500);
+
+/// Standard error, which nobody has to wait for: a line that its reader has no room for waits, and is dropped in the end.
+#[must_use]
+pub fn stderr() -> Unblocked {
+    Unblocked::new(&STDERR)
+}
+
+/// Standard output, likewise.
+#[must_use]
+pub fn stdout() -> Unblocked {
+    Unblocked::new(&STDOUT)
+}
+
+/// Prints the result of a node on standard output, and waits for its reader for half a second at most.
+pub fn print(text: impl std::fmt::Display) {
+    // where stdout is gone there is nobody to tell
+    STDOUT.push(text.to_string().into_bytes()).ok();
+    STDOUT.flush(LAST_LINES);
+}
+
+/// Says on standard error, as a line of its own, why the process ends, and waits for its reader for half a second at most.
+pub fn last_words(text: impl std::fmt::Display) {
+    STDERR.push(format!("{text}\n").into_bytes()).ok();
+    STDERR.flush(LAST_LINES);
+}
+
+/// Waits, for half a second at most, until what was said is read.
+pub fn flush() {
+    STDERR.flush(LAST_LINES);
+    STDOUT.flush(LAST_LINES);
+}
+
+/// Lines that nobody read and that were dropped since this was last asked.
+pub(crate) fn take_dropped() -> u64 {
+    STDERR.take_dropped() + STDOUT.take_dropped()
+}
+
 /// The node that a span belongs to.
 struct NodeOfSpan(String);
 
@@ -93,7 +143,7 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
         }
         let mut record = Record::default();
         event.record(&mut record);
-        let text = record.into_text();
+        let text = printable(&record.into_text(), printable::RECORD);
         let stamp = system_nanos();
         let of_span = context.event_scope(event).and_then(|scope| {
             scope
@@ -112,7 +162,7 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
             seconds(stamp)
         );
         // where stderr is gone there is nobody to tell
-        std::io::stderr().lock().write_all(line.as_bytes()).ok();
+        STDERR.push(line.into_bytes()).ok();
         if let Some(Rosout {
             logger,
             writer: Some(writer),
@@ -148,7 +198,8 @@ fn publish(writer: &dyn Writer, event: &Event<'_>, logger: &str, text: String, s
     };
     // A record that cannot be sent has been printed; reporting it would only make another.
     if let Ok(bytes) = cdr::to_bytes(&log) {
-        let _: Result<Written, _> = writer.write(&bytes.into(), None);
+        let payload = Payload::Cdr(bytes.into());
+        let _: Result<Written, _> = writer.write(&payload, None, WhenFull::DropOldest);
     }
 }
 

@@ -80,6 +80,11 @@ impl<T> Mailbox<T> {
         }
     }
 
+    /// Drops what waits. It was not wanted, so it is not counted.
+    pub(crate) fn clear(&self) {
+        self.state().items.clear();
+    }
+
     /// Ends the stream: a waiting reader wakes up.
     pub(crate) fn close(&self) {
         self.state().closed = true;

@@ -13,11 +13,12 @@ use crate::{
     Clock, Context, Descriptor, Diagnostics, Durability, Error, NodeArgs, Parameter, Publisher,
     Qos, RawPublisher, RawSubscription, Service, Shutdown, Subscription,
     backend::{Backend, Channel, Endpoint, Reader, Writer},
+    lifecycle::Gate,
     logging,
     mailbox::Mailbox,
     names::{NodeName, TypeName},
     parameters::Parameters,
-    service::{self, Client, RawClient, RawService, WAITING_CALLS},
+    service::{self, Client, RawClient, RawService, Refusals, Refuse, WAITING_CALLS},
     subscription::{CatchUp, Intake},
     value::{ParameterType, Value},
 };
@@ -32,6 +33,8 @@ const SERVICE_QOS: Qos = Qos::reliable(10);
 #[derive(Clone)]
 pub struct Node {
     inner: Arc<Inner>,
+    /// What the endpoints that this handle makes heed.
+    gate: Option<Gate>,
 }
 
 struct Inner {
@@ -79,9 +82,23 @@ impl Node {
         };
         let node = Self {
             inner: Arc::new(inner),
+            gate: None,
         };
         builtin::start(&node, args)?;
         Ok(node)
+    }
+
+    /// The same node; the endpoints that this handle makes are silent while the gate is closed.
+    pub(crate) fn behind(&self, gate: &Gate) -> Self {
+        Self {
+            inner: Arc::clone(&self.inner),
+            gate: Some(gate.clone()),
+        }
+    }
+
+    /// Opens the gate of endpoints that were made [`behind`](Self::behind) it.
+    pub(crate) fn open(&self, gate: &Gate) {
+        gate.open(&**self.inner.backend());
     }
 
     /// The base name, for example `encoder`.
@@ -174,7 +191,7 @@ impl Node {
     }
 
     /// To be called once all endpoints are made: a `qos_overrides` that none of them took is an error, one from a
-    /// section that other nodes share (`/**`) a warning. A managed node is asked when it has been activated.
+    /// section that other nodes share (`/**`) a warning. A managed node is asked when it has been configured.
     ///
     /// # Errors
     /// Names the override, where it came from, and the parameters that there are.
@@ -261,6 +278,7 @@ impl Node {
             Arc::clone(self.inner.backend()),
             self.diagnostics(),
             self.shutdown(),
+            self.gate.clone(),
         ))
     }
 
@@ -346,7 +364,13 @@ impl Node {
             "subscription",
             qos,
         )?;
-        let intake = Intake::new(name.clone(), qos.depth, self.diagnostics(), self.clock());
+        let intake = Intake::new(
+            name.clone(),
+            qos.depth,
+            self.diagnostics(),
+            self.clock(),
+            self.gate.clone(),
+        );
         let endpoint = Endpoint {
             channel: Channel::Topic,
             name,
@@ -356,14 +380,15 @@ impl Node {
         };
         let (backend, node) = (self.inner.backend(), self.fully_qualified_name());
         let is_of_two = hears.latched && qos.durability == Durability::Volatile;
-        let sink = || match is_of_two {
+        let sink = match is_of_two {
             true => intake.sink_of_two(),
             false => intake.sink(),
         };
-        let reader = backend.reader(node, &endpoint, sink())?;
+        let reader = backend.reader(node, &endpoint, sink)?;
         let catch_up = is_of_two.then(|| {
             let runtime = self.inner.context.runtime();
-            CatchUp::begin(runtime, backend, node.to_owned(), endpoint, sink())
+            let sink = intake.sink_of_latched();
+            CatchUp::begin(runtime, backend, node.to_owned(), endpoint, sink)
         });
         Ok(RawSubscription::new(
             intake,
@@ -399,7 +424,28 @@ impl Node {
     /// A name that ROS does not allow, or the middleware failed.
     pub fn service<S: wm_msgs::Service>(&self, name: &str) -> Result<Service<S>, Error> {
         self.inner.interfaces.service::<S>();
-        let raw = self.inner.service(name, type_of_service::<S>(), true)?;
+        let raw = self
+            .inner
+            .service(name, type_of_service::<S>(), true, None)?;
+        Ok(Service::new(raw))
+    }
+
+    /// As [`service`](Self::service), for a managed node: while it is not active, and where a call is dropped without an
+    /// answer, the client gets what `refuse` makes of the reason.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn service_or_refuse<S: wm_msgs::Service>(
+        &self,
+        name: &str,
+        refuse: impl Fn(&str) -> S::Response + Send + Sync + 'static,
+    ) -> Result<Service<S>, Error> {
+        self.inner.interfaces.service::<S>();
+        let refuse: Refuse = Box::new(move |reason| cdr::to_bytes(&refuse(reason)));
+        let refusing = self.gate.clone().map(|gate| (gate, refuse));
+        let raw = self
+            .inner
+            .service(name, type_of_service::<S>(), true, refusing)?;
         Ok(Service::new(raw))
     }
 
@@ -410,7 +456,7 @@ impl Node {
     /// A name that ROS does not allow, or the middleware failed.
     pub fn raw_service_for_others(&self, name: &str, type_name: &str) -> Result<RawService, Error> {
         self.inner
-            .service(name, TypeName::parse_service(type_name)?, false)
+            .service(name, TypeName::parse_service(type_name)?, false, None)
     }
 
     /// Serves `S` with a handler for as long as the node lives. The handler runs on the thread that receives for
@@ -474,11 +520,20 @@ impl Inner {
         name: &str,
         type_name: TypeName,
         hears_own: bool,
+        refusing: Option<(Gate, Refuse)>,
     ) -> Result<RawService, Error> {
         let name = self.name.resolve(name, "service")?;
         let calls = Arc::new(Mailbox::new(WAITING_CALLS));
         let writer = self.writer(Channel::Response, &name, type_name.clone(), SERVICE_QOS)?;
-        let sink = service::call_sink(name.clone(), Arc::clone(&calls));
+        let writer: Arc<dyn Writer> = Arc::from(writer);
+        let refusals = refusing.map(|(gate, refuse)| {
+            let (calls, writer) = (Arc::clone(&calls), Arc::clone(&writer));
+            Refusals::new(name.clone(), gate, calls, writer, refuse)
+        });
+        let sink = match &refusals {
+            Some(refusals) => service::refusing_sink(refusals),
+            None => service::call_sink(name.clone(), Arc::clone(&calls)),
+        };
         let endpoint = Endpoint {
             channel: Channel::Request,
             name,
@@ -492,9 +547,10 @@ impl Inner {
         Ok(RawService::new(
             endpoint.name,
             calls,
-            Arc::from(writer),
+            writer,
             reader,
             self.context.shutdown(),
+            refusals,
         ))
     }
 

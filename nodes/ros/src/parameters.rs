@@ -1,9 +1,11 @@
 //! Parameters: declared by a node with a type, a description and a range; given by the command line and files;
 //! changed by the parameter services. One rule for all of them: a value that does not fit is refused, by name.
 
+mod declaration;
 mod descriptor;
 pub(crate) mod services;
 
+pub use declaration::{Field, ParameterSet, ParameterSpec};
 pub use descriptor::{Descriptor, Range};
 
 use crate::{
@@ -66,6 +68,23 @@ pub enum ParameterError {
         /// Where it came from.
         origin: Box<str>,
     },
+    /// The text is none of those that are allowed.
+    #[error(
+        "{node}: parameter `{parameter}` expects {expected}, got {got}{}",
+        from(origin)
+    )]
+    NotAChoice {
+        /// The node's full name.
+        node: Box<str>,
+        /// The parameter.
+        parameter: Box<str>,
+        /// The texts that are allowed, in words.
+        expected: Box<str>,
+        /// The value that came.
+        got: Value,
+        /// Where it came from.
+        origin: Box<str>,
+    },
     /// It is fixed once the node runs.
     #[error("{node}: parameter `{parameter}` is read-only; give it when the node is started")]
     ReadOnly {
@@ -97,7 +116,10 @@ impl ParameterError {
     pub(crate) fn is_usage(&self) -> bool {
         matches!(
             self,
-            Self::Undeclared { .. } | Self::WrongType { .. } | Self::OutOfRange { .. }
+            Self::Undeclared { .. }
+                | Self::WrongType { .. }
+                | Self::OutOfRange { .. }
+                | Self::NotAChoice { .. }
         )
     }
 }
@@ -322,6 +344,13 @@ impl Parameters {
                 node,
                 parameter,
                 expected: range.clone(),
+                got: value,
+                origin,
+            }),
+            _ if !descriptor.offers(&value) => Err(ParameterError::NotAChoice {
+                node,
+                parameter,
+                expected: descriptor.choices_in_words().into(),
                 got: value,
                 origin,
             }),

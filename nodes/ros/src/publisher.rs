@@ -2,7 +2,9 @@
 
 use crate::{
     Diagnostics, Error, Shutdown,
-    backend::{Backend, Writer, Written},
+    backend::{Audience, Backend, WhenFull, Writer, Written},
+    lifecycle::Gate,
+    payload::Payload,
 };
 use bytes::Bytes;
 use std::{
@@ -19,7 +21,12 @@ use wm_msgs::{Message, cdr};
 /// fragments, which a default receive buffer of 212 kB loses part of.
 const SAFE_SAMPLE_BYTES: usize = 98_000;
 
-/// The sending end of a topic, for messages of any type as CDR bytes.
+/// A publisher that waits for its readers gives up on those that have not caught up after this time.
+const PATIENCE_WITH_READERS: Duration = Duration::from_secs(5);
+/// Room in a full window is looked for again after this time.
+const RETRY: Duration = Duration::from_millis(10);
+
+/// The sending end of a topic, for messages of any type as CDR bytes. A managed node that is not active sends nothing.
 #[derive(Clone)]
 pub struct RawPublisher {
     inner: Arc<Inner>,
@@ -33,6 +40,8 @@ struct Inner {
     shutdown: Shutdown,
     dropped: AtomicU64,
     has_warned_of_size: AtomicBool,
+    /// Of a managed node.
+    gate: Option<Gate>,
 }
 
 impl RawPublisher {
@@ -42,6 +51,7 @@ impl RawPublisher {
         backend: Arc<dyn Backend>,
         diagnostics: Diagnostics,
         shutdown: Shutdown,
+        gate: Option<Gate>,
     ) -> Self {
         let (dropped, has_warned_of_size) = (AtomicU64::new(0), AtomicBool::new(false));
         diagnostics.add_endpoint(writer.id(), &topic, true);
@@ -54,57 +64,104 @@ impl RawPublisher {
                 shutdown,
                 dropped,
                 has_warned_of_size,
+                gate,
             }),
         }
     }
 
-    /// Publishes a sample: little-endian CDR with its 4-byte header. Never blocks. Policy DropNewest: where a
-    /// reliable reader has fallen so far behind that the window is full, the sample is dropped and counted.
+    /// Publishes a sample: little-endian CDR with its 4-byte header. Never blocks. Policy DropOldest: a reliable
+    /// subscription that has fallen too far behind loses its oldest samples, and they are counted; the others get
+    /// every sample.
     ///
     /// # Errors
     /// The bytes are not little-endian CDR, or the middleware failed.
     pub fn publish(&self, sample: Bytes) -> Result<(), Error> {
-        let inner = &*self.inner;
-        self.warn_of_size(sample.len());
-        match inner.writer.write(&sample, None)? {
-            Written::Sent(_) | Written::Held => inner.diagnostics.sent(&inner.topic),
-            Written::WindowFull => self.drop_one(),
+        self.publish_payload(&Payload::Cdr(sample))
+    }
+
+    pub(crate) fn publish_payload(&self, payload: &Payload) -> Result<(), Error> {
+        if self.is_closed() {
+            return Ok(());
+        }
+        let written = self.inner.writer.write(payload, None, WhenFull::DropOldest);
+        match written? {
+            Written::Sent { dropped, .. } => self.sent(payload, dropped),
+            Written::Held => self.sent(payload, 0),
+            Written::WindowFull => self.count_drops(1),
         }
         Ok(())
     }
 
-    fn drop_one(&self) {
+    /// Whether the node is managed and not active.
+    fn is_closed(&self) -> bool {
+        self.inner.gate.as_ref().is_some_and(|gate| !gate.is_open())
+    }
+
+    fn sent(&self, payload: &Payload, dropped: u64) {
         let inner = &*self.inner;
-        if inner.dropped.fetch_add(1, Ordering::Relaxed) == 0 {
+        if let Some(len) = payload.encoded_len() {
+            self.warn_of_size(len);
+        }
+        if dropped > 0 {
+            self.count_drops(dropped);
+        }
+        inner.diagnostics.sent(&inner.topic);
+    }
+
+    fn count_drops(&self, number: u64) {
+        let inner = &*self.inner;
+        if inner.dropped.fetch_add(number, Ordering::Relaxed) == 0 {
             tracing::warn!(
-                "{}: a reader has fallen behind, samples are dropped",
+                "{}: a subscription has fallen behind; its oldest samples are dropped",
                 inner.topic
             );
         }
-        inner
-            .diagnostics
-            .count_drop(&format!("{}: a reader is behind", inner.topic));
+        let reason = format!("{}: a subscription is behind", inner.topic);
+        inner.diagnostics.count_drops(&reason, number);
     }
 
-    /// Publishes a sample, waiting until readers that have fallen behind have caught up. Policy Block. A shutdown
-    /// ends the wait; the sample is then dropped and counted.
+    /// Publishes a sample, waiting until subscriptions that have fallen behind have caught up. Policy Block, for at
+    /// most 5 s: then the slow ones lose their oldest samples, and they are counted. A shutdown ends the wait; the
+    /// sample is then dropped and counted.
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
     pub async fn publish_when_ready(&self, sample: Bytes) -> Result<(), Error> {
+        self.publish_payload_when_ready(&Payload::Cdr(sample)).await
+    }
+
+    async fn publish_payload_when_ready(&self, payload: &Payload) -> Result<(), Error> {
         let inner = &*self.inner;
-        self.warn_of_size(sample.len());
-        while inner.writer.write(&sample, None)? == Written::WindowFull {
+        if self.is_closed() {
+            return Ok(());
+        }
+        let patience = tokio::time::sleep(PATIENCE_WITH_READERS);
+        let mut patience = std::pin::pin!(patience);
+        let mut when_full = WhenFull::Refuse;
+        loop {
+            match inner.writer.write(payload, None, when_full)? {
+                Written::Sent { dropped, .. } => {
+                    self.sent(payload, dropped);
+                    return Ok(());
+                }
+                Written::Held => {
+                    self.sent(payload, 0);
+                    return Ok(());
+                }
+                Written::WindowFull => {}
+            }
             tokio::select! {
                 acknowledged = inner.writer.acknowledged() => acknowledged?,
+                () = &mut patience, if when_full == WhenFull::Refuse => {
+                    when_full = WhenFull::DropOldest;
+                }
+                () = tokio::time::sleep(RETRY), if when_full == WhenFull::DropOldest => {}
                 () = inner.shutdown.wait() => {
-                    self.drop_one();
+                    self.count_drops(1);
                     return Ok(());
                 }
             }
         }
-        inner.diagnostics.sent(&inner.topic);
-        Ok(())
     }
 
     fn warn_of_size(&self, len: usize) {
@@ -129,7 +186,7 @@ impl RawPublisher {
         &self.inner.topic
     }
 
-    /// Samples dropped so far because a reader was behind.
+    /// Samples dropped so far for subscriptions that were behind, each counted once for each of them.
     pub fn dropped(&self) -> u64 {
         self.inner.dropped.load(Ordering::Relaxed)
     }
@@ -190,22 +247,51 @@ impl<M: Message> Publisher<M> {
         }
     }
 
-    /// Publishes a message. Never blocks; see [`RawPublisher::publish`].
+    /// Publishes a message. Never blocks; see [`RawPublisher::publish`]. It is encoded only for subscriptions outside
+    /// this context, and copied once for those inside; [`publish_shared`](Self::publish_shared) saves the copy.
     ///
     /// # Errors
     /// The message has no CDR form, or the middleware failed.
     pub fn publish(&self, message: &M) -> Result<(), Error> {
-        self.raw.publish(cdr::to_bytes(message)?.into())
+        match self.payload(message)? {
+            Some(payload) => self.raw.publish_payload(&payload),
+            None => Ok(()),
+        }
     }
 
-    /// Publishes a message, waiting until readers that have fallen behind have caught up.
+    /// What to send of a message; `None` where nobody would get it.
+    fn payload(&self, message: &M) -> Result<Option<Payload>, Error> {
+        let inner = &*self.raw.inner;
+        Ok(match inner.writer.audience() {
+            Audience { here: true, .. } => Some(Payload::of(Arc::new(message.clone()))),
+            Audience {
+                elsewhere: true, ..
+            } => Some(Payload::Cdr(cdr::to_bytes(message)?.into())),
+            Audience { .. } => {
+                inner.diagnostics.sent(&inner.topic);
+                None
+            }
+        })
+    }
+
+    /// Publishes a message without copying it: subscriptions of this context get the very same one.
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_shared(&self, message: Arc<M>) -> Result<(), Error> {
+        self.raw.publish_payload(&Payload::of(message))
+    }
+
+    /// Publishes a message, waiting until subscriptions that have fallen behind have caught up; see
+    /// [`RawPublisher::publish_when_ready`].
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
     pub async fn publish_when_ready(&self, message: &M) -> Result<(), Error> {
-        self.raw
-            .publish_when_ready(cdr::to_bytes(message)?.into())
-            .await
+        match self.payload(message)? {
+            Some(payload) => self.raw.publish_payload_when_ready(&payload).await,
+            None => Ok(()),
+        }
     }
 
     /// The topic's absolute name.
@@ -213,7 +299,7 @@ impl<M: Message> Publisher<M> {
         self.raw.topic()
     }
 
-    /// Messages dropped so far because a reader was behind.
+    /// Messages dropped so far for subscriptions that were behind, each counted once for each of them.
     pub fn dropped(&self) -> u64 {
         self.raw.dropped()
     }

@@ -1,6 +1,6 @@
 //! The frame of a process of nodes.
 
-use crate::{Context, Environment, Error, Node, NodeArgs, Shutdown, logging};
+use crate::{Context, Environment, Error, Node, NodeArgs, Shutdown, logging, shutdown::Signals};
 use futures::{
     StreamExt as _,
     future::{FutureExt as _, LocalBoxFuture},
@@ -103,16 +103,28 @@ fn in_graph<'a, E: From<Error>>(
         .enable_all()
         .build()
         .map_err(|source| Error::io("start the runtime", source))?;
+    let inside = runtime.enter();
+    // before anything that takes time
+    let signals = Signals::catch()?;
     let context = Context::new(&Environment::from_env(args)?)?;
-    context.listen_for_signals()?;
+    signals.ask(&context.shutdown());
+    drop(inside);
+    logging::panics::end_process(context.shutdown());
     let bodies = start(&context)?;
     let result = runtime.block_on(until_late(bodies, context.shutdown()));
     let result = match result {
-        Ok(()) if context.has_failed() => Err(Error::MiddlewareEnded.into()),
-        result => result,
+        Ok(()) => {
+            let panicked = || logging::panics::first().map(Error::ThreadPanicked);
+            context
+                .failure()
+                .or_else(panicked)
+                .map_or(Ok(()), |error| Err(error.into()))
+        }
+        Err(error) => Err(error),
     };
     runtime.shutdown_timeout(BLOCKING_GRACE);
     context.close();
+    logging::flush();
     result
 }
 

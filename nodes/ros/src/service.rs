@@ -2,8 +2,10 @@
 
 use crate::{
     Error, Shutdown,
-    backend::{Backend, EndpointId, Reader, RequestId, Sample, Sink, Writer, Written},
+    backend::{Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, Writer, Written},
+    lifecycle::{Gate, Gated},
     mailbox::Mailbox,
+    payload::Payload,
 };
 use bytes::Bytes;
 use std::{
@@ -25,6 +27,8 @@ pub struct RawService {
     writer: Arc<dyn Writer>,
     _reader: Box<dyn Reader>,
     shutdown: Shutdown,
+    /// Of a service that refuses calls while its managed node is not active.
+    refusals: Option<Arc<Refusals>>,
 }
 
 /// A call of a [`RawService`] to be answered.
@@ -34,6 +38,89 @@ pub struct RawCall {
     service: String,
     id: RequestId,
     writer: Arc<dyn Writer>,
+    refusal: Refusal,
+}
+
+/// The refusal of a call, sent where the call is dropped without an answer: its client waits for one.
+struct Refusal(Option<(Arc<Refusals>, RequestId)>);
+
+impl Drop for Refusal {
+    fn drop(&mut self) {
+        if let Some((refusals, id)) = self.0.take() {
+            refusals.send(id);
+        }
+    }
+}
+
+/// Refuses the calls of a managed node that is not active.
+pub(crate) struct Refusals {
+    name: String,
+    gate: Gate,
+    calls: Arc<Mailbox<(RequestId, Bytes)>>,
+    writer: Arc<dyn Writer>,
+    refuse: Refuse,
+}
+
+/// The answer that refuses a call, as CDR, from the reason.
+pub(crate) type Refuse = Box<dyn Fn(&str) -> Result<Vec<u8>, cdr::CdrError> + Send + Sync>;
+
+impl Refusals {
+    pub(crate) fn new(
+        name: String,
+        gate: Gate,
+        calls: Arc<Mailbox<(RequestId, Bytes)>>,
+        writer: Arc<dyn Writer>,
+        refuse: Refuse,
+    ) -> Arc<Self> {
+        let refusals = Arc::new(Self {
+            name,
+            gate,
+            calls,
+            writer,
+            refuse,
+        });
+        let gated: Arc<dyn Gated> = refusals.clone();
+        refusals.gate.add(Arc::downgrade(&gated));
+        refusals
+    }
+
+    fn send(&self, id: RequestId) {
+        let reason = format!("{}: the node is not active", self.name);
+        let sent = (self.refuse)(&reason)
+            .map_err(Error::from)
+            .and_then(|answer| send(&*self.writer, &self.name, answer.into(), id));
+        if let Err(error) = sent {
+            tracing::debug!("{}: a call is not refused: {error}", self.name);
+        }
+    }
+
+    fn refuse_waiting(&self) {
+        while let Some((id, _)) = self.calls.try_pop() {
+            self.send(id);
+        }
+    }
+}
+
+impl Gated for Refusals {
+    fn opened(&self, _: &dyn Backend) {
+        self.refuse_waiting();
+    }
+
+    fn closed(&self) {
+        self.refuse_waiting();
+    }
+}
+
+/// As [`call_sink`], but calls that come while the node is not active are refused at once.
+pub(crate) fn refusing_sink(refusals: &Arc<Refusals>) -> Sink {
+    let refusals = Arc::clone(refusals);
+    let mut sink = call_sink(refusals.name.clone(), Arc::clone(&refusals.calls));
+    Box::new(move |sample| match sample {
+        Ok(Sample {
+            request: Some(id), ..
+        }) if !refusals.gate.is_open() => refusals.send(id),
+        sample => sink(sample),
+    })
 }
 
 /// The serving end of a service `S`.
@@ -53,10 +140,17 @@ pub struct Call<S: wm_msgs::Service> {
 pub(crate) fn call_sink(name: String, calls: Arc<Mailbox<(RequestId, Bytes)>>) -> Sink {
     Box::new(move |sample| match sample {
         Ok(Sample {
-            bytes,
+            payload,
             request: Some(id),
             ..
         }) => {
+            let bytes = match payload.into_cdr() {
+                Ok(bytes) => bytes,
+                Err(error) => {
+                    tracing::warn!("{name}: a call is skipped: {error}");
+                    return;
+                }
+            };
             if !calls.push((id, bytes)) {
                 tracing::warn!(
                     "{name}: more than {WAITING_CALLS} calls wait, the oldest is dropped"
@@ -78,7 +172,7 @@ pub(crate) fn answering_sink(
 ) -> Sink {
     Box::new(move |sample| {
         let Ok(Sample {
-            bytes,
+            payload,
             request: Some(id),
             ..
         }) = sample
@@ -86,7 +180,9 @@ pub(crate) fn answering_sink(
             tracing::warn!("{name}: a call that cannot be read or answered is skipped");
             return;
         };
-        let answered = answer(&bytes)
+        let answered = payload
+            .into_cdr()
+            .and_then(|request| answer(&request))
             .map_err(Error::from)
             .and_then(|answer| send(&*writer, &name, answer.into(), id));
         if let Err(error) = answered {
@@ -96,8 +192,8 @@ pub(crate) fn answering_sink(
 }
 
 fn send(writer: &dyn Writer, name: &str, answer: Bytes, id: RequestId) -> Result<(), Error> {
-    match writer.write(&answer, Some(id))? {
-        Written::Sent(_) | Written::Held => Ok(()),
+    match writer.write(&Payload::Cdr(answer), Some(id), WhenFull::DropOldest)? {
+        Written::Sent { .. } | Written::Held => Ok(()),
         Written::WindowFull => Err(Error::middleware(
             format!("answer {name}"),
             "clients do not take their answers",
@@ -112,6 +208,7 @@ impl RawService {
         writer: Arc<dyn Writer>,
         reader: Box<dyn Reader>,
         shutdown: Shutdown,
+        refusals: Option<Arc<Refusals>>,
     ) -> Self {
         Self {
             name,
@@ -119,6 +216,7 @@ impl RawService {
             writer,
             _reader: reader,
             shutdown,
+            refusals,
         }
     }
 
@@ -134,6 +232,7 @@ impl RawService {
             service: self.name.clone(),
             id,
             writer: Arc::clone(&self.writer),
+            refusal: Refusal(self.refusals.clone().map(|refusals| (refusals, id))),
         })
     }
 
@@ -153,7 +252,8 @@ impl RawCall {
     ///
     /// # Errors
     /// The bytes are not little-endian CDR, or the middleware failed.
-    pub fn respond(self, response: Bytes) -> Result<(), Error> {
+    pub fn respond(mut self, response: Bytes) -> Result<(), Error> {
+        self.refusal.0 = None;
         send(&*self.writer, &self.service, response, self.id)
     }
 }
@@ -228,11 +328,12 @@ pub struct Client<S> {
 pub(crate) fn answer_sink(client: EndpointId, pending: Pending) -> Sink {
     Box::new(move |sample| {
         if let Ok(Sample {
-            bytes,
+            payload,
             request: Some(id),
             ..
         }) = sample
             && id.client == client
+            && let Ok(bytes) = payload.into_cdr()
         {
             let waiting = pending
                 .lock()
@@ -287,8 +388,9 @@ impl RawClient {
         let (answer, _waiting) = {
             // Held over the write, so that the answer cannot come before it is waited for.
             let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
-            let sequence = match self.writer.write(&request, None)? {
-                Written::Sent(sequence) => sequence,
+            let payload = Payload::Cdr(request);
+            let sequence = match self.writer.write(&payload, None, WhenFull::DropOldest)? {
+                Written::Sent { number, .. } => number,
                 Written::Held | Written::WindowFull => {
                     return Err(Error::middleware(
                         format!("call {}", self.name),

@@ -2,7 +2,10 @@
 
 use crate::Error;
 use std::sync::Arc;
-use tokio::sync::watch;
+use tokio::{
+    signal::unix::{Signal, SignalKind, signal},
+    sync::watch,
+};
 
 /// A handle on the end: any clone may ask for it, every clone sees it.
 #[derive(Clone, Debug)]
@@ -42,21 +45,41 @@ impl Shutdown {
     /// # Errors
     /// The operating system refuses the handlers.
     pub fn listen_for_signals(&self) -> Result<(), Error> {
-        use tokio::signal::unix::{SignalKind, signal};
+        Signals::catch()?.ask(self);
+        Ok(())
+    }
+}
+
+/// SIGINT and SIGTERM, which no longer end the process by themselves: those that come before there is anybody to hear of
+/// them are kept. A process that a signal ends while it starts looks like one that has failed.
+pub(crate) struct Signals {
+    interrupt: Signal,
+    terminate: Signal,
+}
+
+impl Signals {
+    /// Call it inside a tokio runtime.
+    ///
+    /// # Errors
+    /// The operating system refuses the handlers.
+    pub(crate) fn catch() -> Result<Self, Error> {
         let install = |kind| signal(kind).map_err(|source| Error::io("listen for signals", source));
-        let (mut interrupt, mut terminate) = (
-            install(SignalKind::interrupt())?,
-            install(SignalKind::terminate())?,
-        );
-        let shutdown = self.clone();
+        Ok(Self {
+            interrupt: install(SignalKind::interrupt())?,
+            terminate: install(SignalKind::terminate())?,
+        })
+    }
+
+    /// Lets them ask for the end. Call it inside the same runtime.
+    pub(crate) fn ask(mut self, shutdown: &Shutdown) {
+        let shutdown = shutdown.clone();
         tokio::spawn(async move {
             tokio::select! {
-                _ = interrupt.recv() => {}
-                _ = terminate.recv() => {}
+                _ = self.interrupt.recv() => {}
+                _ = self.terminate.recv() => {}
             }
             shutdown.trigger();
         });
-        Ok(())
     }
 }
 

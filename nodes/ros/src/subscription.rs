@@ -9,10 +9,13 @@ pub use gaps::Gaps;
 use crate::{
     Clock, Diagnostics, Shutdown,
     backend::{Backend, EndpointId, Reader, Sample, Sink},
+    lifecycle::{Gate, Gated},
     mailbox::Mailbox,
+    payload::Payload,
 };
 use bytes::Bytes;
 use std::{
+    collections::BTreeMap,
     marker::PhantomData,
     sync::{
         Arc, Mutex, PoisonError,
@@ -20,7 +23,7 @@ use std::{
     },
     time::Instant,
 };
-use wm_msgs::{Message, builtin_interfaces::Time, cdr};
+use wm_msgs::{Message, builtin_interfaces::Time, cdr::CdrError};
 
 /// A message and when it came.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,6 +54,12 @@ impl<M> Received<M> {
     }
 }
 
+impl<M: Clone> Received<Arc<M>> {
+    fn into_owned(self) -> Received<M> {
+        self.map(Arc::unwrap_or_clone)
+    }
+}
+
 /// The receiving end of a topic of any type: CDR bytes with their 4-byte header, as they were sent.
 ///
 /// At most `depth` samples of its QoS wait to be read; policy DropOldest.
@@ -63,16 +72,26 @@ pub struct RawSubscription {
     _catch_up: Option<CatchUp>,
 }
 
+/// Reads a message from what a sample carries.
+type Read<T> = fn(Payload) -> Result<T, CdrError>;
+
 /// What the receiving thread and the reader of a subscription share.
 pub(crate) struct Intake {
     topic: String,
-    mailbox: Mailbox<Received<Bytes>>,
+    mailbox: Mailbox<Received<Payload>>,
     undecodable: AtomicU64,
     lost: AtomicU64,
     gaps: Mutex<Gaps<EndpointId>>,
     diagnostics: Diagnostics,
     clock: Clock,
+    /// Of a managed node.
+    gate: Option<Gate>,
+    /// The newest sample of each latching publisher, for the next activation of a managed node.
+    latched: Mutex<BTreeMap<EndpointId, Received<Payload>>>,
 }
+
+/// Latching publishers that are remembered: far more than a topic has.
+const MAX_LATCHING: usize = 16;
 
 impl Intake {
     pub(crate) fn new(
@@ -80,9 +99,10 @@ impl Intake {
         depth: usize,
         diagnostics: Diagnostics,
         clock: Clock,
+        gate: Option<Gate>,
     ) -> Arc<Self> {
         let (undecodable, lost) = (AtomicU64::new(0), AtomicU64::new(0));
-        Arc::new(Self {
+        let intake = Arc::new(Self {
             topic,
             mailbox: Mailbox::new(depth),
             undecodable,
@@ -90,7 +110,14 @@ impl Intake {
             gaps: Mutex::default(),
             diagnostics,
             clock,
-        })
+            gate,
+            latched: Mutex::default(),
+        });
+        if let Some(gate) = &intake.gate {
+            let gated: Arc<dyn Gated> = intake.clone();
+            gate.add(Arc::downgrade(&gated));
+        }
+        intake
     }
 
     /// What the middleware calls for each sample.
@@ -107,10 +134,45 @@ impl Intake {
     pub(crate) fn sink_of_two(self: &Arc<Self>) -> Sink {
         let intake = Arc::clone(self);
         Box::new(move |sample| match sample {
-            Ok(sample) if intake.gaps().has(&sample.writer, sample.sequence) => {}
-            Ok(sample) => intake.take(sample),
+            Ok(sample) => {
+                // Held until the sample is kept: two threads may serve the readers, and one that comes twice, or late, would
+                // count as one that found the queue full.
+                let mut gaps = intake.gaps();
+                if let Some(lost) = gaps.after_new(sample.writer, sample.sequence) {
+                    intake.keep(sample, lost);
+                }
+            }
             Err(reason) => intake.refuse(&reason),
         })
+    }
+
+    /// As [`sink_of_two`](Self::sink_of_two), for the reader that hears latching publishers alone. A managed node that
+    /// is activated hears what they have latched, as a new subscription would.
+    pub(crate) fn sink_of_latched(self: &Arc<Self>) -> Sink {
+        let intake = Arc::clone(self);
+        let mut sink = self.sink_of_two();
+        Box::new(move |sample| {
+            if let Ok(sample) = &sample
+                && intake.gate.is_some()
+            {
+                intake.remember(sample);
+            }
+            sink(sample);
+        })
+    }
+
+    fn remember(&self, sample: &Sample) {
+        let received = self.received(sample.writer, sample.payload.clone());
+        let mut latched = self.latched();
+        if latched.len() >= MAX_LATCHING && !latched.contains_key(&sample.writer) {
+            latched.pop_first();
+        }
+        latched.insert(sample.writer, received);
+    }
+
+    /// No invariant spans the lock.
+    fn latched(&self) -> std::sync::MutexGuard<'_, BTreeMap<EndpointId, Received<Payload>>> {
+        self.latched.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// No invariant spans the lock.
@@ -120,22 +182,55 @@ impl Intake {
 
     fn take(&self, sample: Sample) {
         let lost = self.gaps().after(sample.writer, sample.sequence);
+        self.keep(sample, lost);
+    }
+
+    fn keep(&self, sample: Sample, lost: u64) {
+        // what comes to an inactive node is nobody's loss
+        if self.gate.as_ref().is_some_and(|gate| !gate.is_open()) {
+            return;
+        }
         if lost > 0 {
             self.lost.fetch_add(lost, Ordering::Relaxed);
             self.diagnostics
                 .count_drops(&format!("{}: lost in transport", self.topic), lost);
         }
         self.diagnostics.received(&self.topic);
-        let received = Received {
-            message: sample.bytes,
-            received: self.clock.now(),
-            at: Instant::now(),
-            publisher: PublisherId(sample.writer),
-        };
+        let received = self.received(sample.writer, sample.payload);
         if !self.mailbox.push(received) {
             self.diagnostics
                 .count_drop(&format!("{}: queue full", self.topic));
         }
+    }
+
+    fn received(&self, writer: EndpointId, message: Payload) -> Received<Payload> {
+        Received {
+            message,
+            received: self.clock.now(),
+            at: Instant::now(),
+            publisher: PublisherId(writer),
+        }
+    }
+
+    /// What `read` makes of a sample; `None`, counted, where it makes nothing.
+    fn read<T>(&self, sample: Received<Payload>, read: Read<T>) -> Option<Received<T>> {
+        let mut refused = None;
+        let read = sample.map(|payload| read(payload).map_err(|error| refused = Some(error)).ok());
+        if let Some(error) = refused {
+            self.refuse(&error.to_string());
+        }
+        let Received {
+            message,
+            received,
+            at,
+            publisher,
+        } = read;
+        message.map(|message| Received {
+            message,
+            received,
+            at,
+            publisher,
+        })
     }
 
     /// Counts a sample that is not a message, and reports the first.
@@ -148,6 +243,25 @@ impl Intake {
         }
         self.diagnostics
             .count_drop(&format!("{}: undecodable", self.topic));
+    }
+}
+
+impl Gated for Intake {
+    fn opened(&self, backend: &dyn Backend) {
+        self.mailbox.clear();
+        let mut latched = self.latched();
+        if latched.is_empty() {
+            return;
+        }
+        let seen = backend.seen();
+        latched.retain(|writer, _| seen.iter().any(|seen| seen.id == *writer));
+        for received in latched.values() {
+            self.mailbox.push(received.clone());
+        }
+    }
+
+    fn closed(&self) {
+        self.mailbox.clear();
     }
 }
 
@@ -173,16 +287,34 @@ impl RawSubscription {
 
     /// Waits for a sample; `None` once the context is shut down. Cancel safe.
     pub async fn recv(&mut self) -> Option<Received<Bytes>> {
-        tokio::select! {
-            biased;
-            () = self.shutdown.wait() => None,
-            sample = self.intake.mailbox.pop() => sample,
-        }
+        self.recv_as(Payload::into_cdr).await
     }
 
     /// A sample that is there already; also after the shutdown, to read what still waits.
     pub fn try_recv(&mut self) -> Option<Received<Bytes>> {
-        self.intake.mailbox.try_pop()
+        self.try_recv_as(Payload::into_cdr)
+    }
+
+    async fn recv_as<T>(&mut self, read: Read<T>) -> Option<Received<T>> {
+        loop {
+            let sample = tokio::select! {
+                biased;
+                () = self.shutdown.wait() => None,
+                sample = self.intake.mailbox.pop() => sample,
+            };
+            if let Some(received) = self.intake.read(sample?, read) {
+                return Some(received);
+            }
+        }
+    }
+
+    fn try_recv_as<T>(&mut self, read: Read<T>) -> Option<Received<T>> {
+        loop {
+            let sample = self.intake.mailbox.try_pop()?;
+            if let Some(received) = self.intake.read(sample, read) {
+                return Some(received);
+            }
+        }
     }
 
     /// The topic's absolute name.
@@ -243,39 +375,21 @@ impl<M: Message> Subscription<M> {
         }
     }
 
-    /// Waits for a message; `None` once the context is shut down. Cancel safe.
+    /// Waits for a message; `None` once the context is shut down. Cancel safe. A message of this context that others
+    /// hold too is copied; [`recv_shared`](Self::recv_shared) saves the copy.
     pub async fn recv(&mut self) -> Option<Received<M>> {
-        loop {
-            let sample = self.raw.recv().await?;
-            if let Some(message) = self.decode(&sample) {
-                return Some(message);
-            }
-        }
+        self.recv_shared().await.map(Received::into_owned)
+    }
+
+    /// As [`recv`](Self::recv), without a copy: a message of this context is the one that was published.
+    pub async fn recv_shared(&mut self) -> Option<Received<Arc<M>>> {
+        self.raw.recv_as(Payload::into_message).await
     }
 
     /// A message that is there already; also after the shutdown, to read what still waits.
     pub fn try_recv(&mut self) -> Option<Received<M>> {
-        loop {
-            let sample = self.raw.try_recv()?;
-            if let Some(message) = self.decode(&sample) {
-                return Some(message);
-            }
-        }
-    }
-
-    fn decode(&self, sample: &Received<Bytes>) -> Option<Received<M>> {
-        match cdr::from_bytes(&sample.message) {
-            Ok(message) => Some(Received {
-                message,
-                received: sample.received,
-                at: sample.at,
-                publisher: sample.publisher,
-            }),
-            Err(error) => {
-                self.raw.intake.refuse(&error.to_string());
-                None
-            }
-        }
+        let received = self.raw.try_recv_as(Payload::into_message);
+        received.map(Received::into_owned)
     }
 
     /// The topic's absolute name.
@@ -312,11 +426,11 @@ impl<M: Message> Subscription<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wm_msgs::std_msgs;
+    use wm_msgs::{cdr, std_msgs};
 
     fn sample(sequence: i64, bytes: Vec<u8>) -> Result<Sample, String> {
         Ok(Sample {
-            bytes: bytes.into(),
+            payload: Payload::Cdr(bytes.into()),
             writer: [1; 16],
             sequence,
             request: None,
@@ -343,10 +457,40 @@ mod tests {
         diagnostics.report(now, &Alone).swap_remove(0)
     }
 
+    /// A goal subscription asks its publisher twice: for what is latched, and for what comes.
+    #[test]
+    fn of_two_readers_each_sample_is_taken_once_whoever_is_first() {
+        const SAMPLES: i64 = 20_000;
+        let (diagnostics, depth) = (Diagnostics::new("/wm/test"), 40_000);
+        let intake = Intake::new("/wm/goal".into(), depth, diagnostics, Clock::new());
+        let together = std::sync::Barrier::new(2);
+        std::thread::scope(|threads| {
+            for _ in 0..2 {
+                let (mut sink, together) = (intake.sink_of_two(), &together);
+                threads.spawn(move || {
+                    together.wait();
+                    for sequence in 1..=SAMPLES {
+                        sink(sample(sequence, Vec::new()));
+                    }
+                });
+            }
+        });
+        let taken = std::iter::from_fn(|| intake.mailbox.try_pop()).count();
+        let lost = intake.lost.load(Ordering::Relaxed);
+        // What one reader is behind with is left for good: neither taken twice nor lost.
+        assert_eq!((taken as u64, lost), (SAMPLES as u64, 0));
+    }
+
     #[test]
     fn what_is_lost_dropped_or_undecodable_is_counted_and_the_stream_goes_on() {
         let diagnostics = Diagnostics::new("/wm/test");
-        let intake = Intake::new("/wm/text".into(), 2, diagnostics.clone(), Clock::new());
+        let intake = Intake::new(
+            "/wm/text".into(),
+            2,
+            diagnostics.clone(),
+            Clock::new(),
+            None,
+        );
         let mut sink = intake.sink();
         let text = |text: &str| cdr::to_bytes(&std_msgs::String { data: text.into() }).unwrap();
         sink(sample(1, text("dropped")));
@@ -370,8 +514,8 @@ mod tests {
         let mailbox = &intake.mailbox;
         let mut decoded = Vec::new();
         while let Some(received) = mailbox.try_pop() {
-            match cdr::from_bytes::<std_msgs::String>(&received.message) {
-                Ok(message) => decoded.push(message.data),
+            match received.message.into_message::<std_msgs::String>() {
+                Ok(message) => decoded.push(message.data.clone()),
                 Err(error) => intake.refuse(&error.to_string()),
             }
         }

@@ -6,10 +6,17 @@ use std::{
     cell::{Cell, RefCell},
     time::Duration,
 };
-use wm_msgs::lifecycle_msgs::{
-    ChangeState, ChangeStateRequest, EmptyRequest, GetState, Transition, TransitionEvent,
+use wm_msgs::{
+    lifecycle_msgs::{
+        ChangeState, ChangeStateRequest, EmptyRequest, GetState, Transition, TransitionEvent,
+    },
+    std_msgs::String as Text,
+    wm_msgs::{Reset, ResetRequest, ResetResponse},
 };
-use wm_ros::{Context, Environment, Error, Lifecycle, Managed, Node, NodeArgs, Qos, Reach};
+use wm_ros::{
+    Client, Context, Environment, Error, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos, Reach,
+    Received, Service, Subscription, calls::answer,
+};
 
 /// Far above anything that discovery takes; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -56,7 +63,7 @@ impl<'a> Managed for &'a Diary {
     type Active = Held<'a>;
     type Error = Error;
 
-    async fn configure(&self) -> Result<Held<'a>, Error> {
+    async fn configure(&self, _: &Node) -> Result<Held<'a>, Error> {
         if !self.has_failed.replace(true) {
             return Err(Error::ShutDown("the first configuration".into()));
         }
@@ -69,7 +76,7 @@ impl<'a> Managed for &'a Diary {
         Ok(Held(self, "deactivated"))
     }
 
-    async fn run(&self, _: &mut Held<'a>) -> Result<(), Error> {
+    async fn run(&self, _: &mut Held<'a>, _: &mut Held<'a>) -> Result<(), Error> {
         self.note("running");
         std::future::pending().await
     }
@@ -173,4 +180,153 @@ async fn a_node_that_starts_by_itself_ends_with_what_keeps_it_from_that() {
             .borrow()
             .ends_with(&["deactivated", "cleaned up"])
     );
+}
+
+/// Repeats what it hears, and serves a reset that it answers only when it is asked to.
+struct Echo;
+
+struct EchoEndpoints {
+    heard: Subscription<Text>,
+    latched: Subscription<Text>,
+    said: Publisher<Text>,
+    resets: Service<Reset>,
+}
+
+impl Managed for Echo {
+    type Configured = EchoEndpoints;
+    type Active = ();
+    type Error = Error;
+
+    async fn configure(&self, node: &Node) -> Result<EchoEndpoints, Error> {
+        let qos = Qos::reliable(10);
+        let said = node.publisher("said", qos)?;
+        // rclcpp's publishers of managed nodes drop it as silently
+        said.publish(&text("of an inactive node"))?;
+        Ok(EchoEndpoints {
+            heard: node.subscription("heard", qos)?,
+            latched: node.subscription_catching_up("latched", qos)?,
+            said,
+            resets: node.service_or_refuse("~/reset", |reason| ResetResponse {
+                success: false,
+                message: reason.to_owned(),
+            })?,
+        })
+    }
+
+    fn activate(&self, _: &EchoEndpoints) -> Result<(), Error> {
+        Ok(())
+    }
+
+    async fn run(&self, endpoints: &mut EchoEndpoints, (): &mut ()) -> Result<(), Error> {
+        let mut held = Vec::new();
+        loop {
+            tokio::select! {
+                Some(Received { message, .. }) = endpoints.heard.recv() => endpoints.said.publish(&message)?,
+                Some(Received { message, .. }) = endpoints.latched.recv() => {
+                    endpoints.said.publish(&text(&format!("latched {}", message.data)))?;
+                }
+                Some(call) = endpoints.resets.recv() => {
+                    if call.request.seed == 0 {
+                        held.push(call);
+                        endpoints.said.publish(&text("held"))?;
+                    } else {
+                        answer(call, &ResetResponse { success: true, message: String::new() });
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn text(data: &str) -> Text {
+    Text {
+        data: data.to_owned(),
+    }
+}
+
+async fn change(client: &Client<ChangeState>, label: &str) {
+    let transition = Transition {
+        id: 0,
+        label: label.to_owned(),
+    };
+    let answer = client.call(&ChangeStateRequest { transition }).await;
+    assert!(answer.unwrap().success, "{label}");
+}
+
+async fn next(subscription: &mut Subscription<Text>) -> String {
+    let received = tokio::time::timeout(PATIENCE, subscription.recv()).await;
+    received.unwrap().unwrap().message.data
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn endpoints_live_from_configure_to_cleanup_and_are_silent_while_inactive() {
+    let (here, there) = (context(1), context(1));
+    let echo = node(&here, "echo", "--ros-args -p autostart:=false");
+    let lifecycle = Lifecycle::new(&echo).unwrap();
+    let manager = node(&there, "manager", "");
+    let qos = Qos::reliable(10);
+    let to_echo = manager.publisher::<Text>("heard", qos).unwrap();
+    let latching = manager
+        .publisher::<Text>("latched", Qos::latched(1))
+        .unwrap();
+    let mut said = manager.subscription::<Text>("said", qos).unwrap();
+    let changes = manager.client::<ChangeState>("echo/change_state").unwrap();
+    let resets = manager.client::<Reset>("echo/reset").unwrap();
+    let reset = |seed| ResetRequest {
+        seed,
+        keep_seed: false,
+    };
+    let told = async {
+        latching.publish(&text("goal")).unwrap();
+        changes.wait_for_service().await;
+        change(&changes, "configure").await;
+        said.wait_for_publishers(1).await;
+        to_echo.wait_for_subscribers(1).await;
+        // the second reader of the latched topic
+        latching.wait_for_subscribers(2).await;
+        resets.wait_for_service().await;
+
+        let refusal = resets.call(&reset(7)).await.unwrap();
+        assert!(
+            !refusal.success
+                && refusal
+                    .message
+                    .contains("/wm/echo/reset: the node is not active"),
+            "{refusal:?}"
+        );
+        to_echo.publish(&text("too early")).unwrap();
+        assert!(to_echo.wait_for_acknowledgments(PATIENCE).await.unwrap());
+        for round in 0..3 {
+            change(&changes, "activate").await;
+            // the first that is heard: neither what came before nor what was said before
+            assert_eq!(next(&mut said).await, "latched goal", "round {round}");
+            to_echo.publish(&text("now")).unwrap();
+            assert_eq!(next(&mut said).await, "now");
+            assert!(resets.call(&reset(7)).await.unwrap().success);
+            // a call that is under way when the node is deactivated is refused, too
+            let left = reset(0);
+            let under_way = resets.call(&left);
+            let deactivated = async {
+                assert_eq!(next(&mut said).await, "held");
+                change(&changes, "deactivate").await;
+            };
+            let (refusal, ()) = tokio::join!(under_way, deactivated);
+            assert!(!refusal.unwrap().success);
+            to_echo.publish(&text("inactive")).unwrap();
+            assert!(to_echo.wait_for_acknowledgments(PATIENCE).await.unwrap());
+            assert_eq!(
+                (
+                    manager.count_publishers("said").unwrap(),
+                    to_echo.subscribers()
+                ),
+                (1, 1)
+            );
+        }
+        change(&changes, "shutdown").await;
+    };
+    let both = async { tokio::join!(lifecycle.run(Echo), told) };
+    let (ended, ()) = tokio::time::timeout(PATIENCE * 3, both).await.unwrap();
+    ended.unwrap();
+    // nothing of what an inactive node does not hear is a loss
+    assert!(said.try_recv().is_none());
 }

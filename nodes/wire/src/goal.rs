@@ -1,7 +1,7 @@
 //! The bag's last frame, as goal for the planner.
 
 use thiserror::Error;
-use wm_bag::{BagError, BagMessage, BagReader};
+use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
 use wm_msgs::{
     Message as _,
     sensor_msgs::{CompressedImage, Image},
@@ -30,14 +30,16 @@ pub enum GoalError {
         topics: String,
     },
     /// A topic that is not there, or no camera's.
-    #[error("topic {topic:?} is no camera topic of the bag {bag}; its topics: {topics}")]
+    #[error(
+        "the bag {bag} has no camera images on {topic} or {topic}/compressed; it has them on: {cameras}"
+    )]
     Topic {
         /// The topic that was asked for.
         topic: String,
         /// The bag.
         bag: String,
-        /// Its topics.
-        topics: String,
+        /// Its camera topics.
+        cameras: String,
     },
     /// The camera's topic is empty.
     #[error("topic {0:?} has no readable message")]
@@ -55,40 +57,49 @@ pub enum GoalError {
     },
 }
 
-/// The camera topic of a bag: `wanted`, or, where that is empty, the first camera topic by name, compressed ones
-/// (which are smaller) before raw ones, and masks last.
+/// The camera topic of a bag: `wanted` or its sibling `/compressed`, or, where `wanted` is empty, the first camera topic
+/// by name. Compressed ones (which are smaller) come before raw ones, and masks last.
 ///
 /// # Errors
 /// Where there is none.
 pub fn camera_topic(reader: &BagReader, wanted: &str) -> Result<String, GoalError> {
     let (compressed, raw) = (CompressedImage::ros_name(), Image::ros_name());
     let bag = reader.path().display().to_string();
-    let names: Vec<&str> = reader
+    let mut cameras: Vec<_> = reader
         .topics()
         .iter()
-        .map(|topic| topic.name.as_ref())
+        .filter(|topic| {
+            let type_name = topic.type_name.as_ref();
+            (type_name == compressed || type_name == raw) && topic.message_count > 0
+        })
         .collect();
-    let topics = names.join(", ");
-    let cameras = reader.topics().iter().filter(|topic| {
-        let is_image = topic.type_name.as_ref() == compressed || topic.type_name.as_ref() == raw;
-        is_image && topic.message_count > 0 && (wanted.is_empty() || topic.name.as_ref() == wanted)
-    });
-    let best = cameras.min_by_key(|topic| {
+    cameras.sort_by_key(|topic| {
         (
             topic.name.contains("mask"),
             topic.type_name.as_ref() != compressed,
             topic.name.clone(),
         )
     });
-    match best {
+    if cameras.is_empty() {
+        let topics = names(reader.topics().iter());
+        return Err(GoalError::NoCamera { bag, topics });
+    }
+    let is_wanted = |name: &str| {
+        wanted.is_empty() || name == wanted || name.strip_suffix("/compressed") == Some(wanted)
+    };
+    match cameras.iter().find(|topic| is_wanted(&topic.name)) {
         Some(topic) => Ok(topic.name.to_string()),
-        None if wanted.is_empty() => Err(GoalError::NoCamera { bag, topics }),
         None => Err(GoalError::Topic {
             topic: wanted.to_owned(),
             bag,
-            topics,
+            cameras: names(cameras.into_iter()),
         }),
     }
+}
+
+fn names<'a>(topics: impl Iterator<Item = &'a TopicInfo>) -> String {
+    let names: Vec<&str> = topics.map(|topic| topic.name.as_ref()).collect();
+    names.join(", ")
 }
 
 /// The last frame of a camera topic, as JPEG or PNG. A compressed one is handed on as it is.
@@ -171,7 +182,7 @@ mod tests {
         );
         let error = camera_topic(&reader, "/other").unwrap_err().to_string();
         assert!(
-            error.contains("\"/other\"") && error.contains("/camera/image_raw"),
+            error.contains("on /other or") && error.ends_with("on: /camera/image_raw"),
             "{error}"
         );
     }

@@ -1,8 +1,10 @@
 //! The two transports of an image topic: raw, and compressed on the sibling `<topic>/compressed`.
 
-use anyhow::bail;
 use wm_msgs::sensor_msgs::{CompressedImage, Image};
-use wm_ros::{Descriptor, Node, Publisher, Qos, Received, Subscription};
+use wm_ros::{
+    Direction, Endpoint, EndpointSpec, Field, Node, Parameter, Publisher, Qos, Received,
+    Subscription,
+};
 
 use crate::camera_frame::CameraFrame;
 
@@ -22,38 +24,28 @@ impl Transports {
         compressed: true,
     };
 
-    /// By the value of a parameter: `raw`, `compressed` or `both`.
-    ///
-    /// # Errors
-    /// Names a value that is none of these.
-    pub fn parse(name: &str) -> anyhow::Result<Self> {
-        Ok(match name {
-            "raw" => Self {
-                raw: true,
-                compressed: false,
-            },
-            "compressed" => Self {
-                raw: false,
-                compressed: true,
-            },
-            "both" => Self::BOTH,
-            other => {
-                bail!("parameter image_transport is \"{other}\"; expected raw, compressed or both")
-            }
-        })
+    /// Those of the node's parameter `image_transport`; both, where it has none.
+    pub fn of(node: &Node) -> Self {
+        let name: Result<String, _> = node.parameter("image_transport");
+        name.map_or(Self::BOTH, |name| Self::named(&name))
     }
 
-    /// Declares the parameter `image_transport` and reads it.
-    ///
-    /// # Errors
-    /// As [`Self::parse`], and where the parameter is of another type.
-    pub fn declare(node: &Node) -> anyhow::Result<Self> {
-        let descriptor = Descriptor::new("image transport: raw, compressed or both").read_only();
-        Self::parse(
-            &node
-                .declare("image_transport", "both".to_owned(), descriptor)?
-                .get(),
-        )
+    /// The parameter's choices leave no other name than these three.
+    fn named(name: &str) -> Self {
+        Self {
+            raw: name != "compressed",
+            compressed: name != "raw",
+        }
+    }
+}
+
+/// The parameter `image_transport`.
+impl Field for Transports {
+    type Ros = String;
+    const CHOICES: &'static [&'static str] = &["raw", "compressed", "both"];
+
+    fn read(parameter: Parameter<String>) -> Option<Self> {
+        Some(Self::named(&parameter.get()))
     }
 }
 
@@ -62,23 +54,95 @@ fn compressed_of(node: &Node, topic: &str) -> Result<String, wm_ros::Error> {
     node.resolve_sibling(topic, "compressed")
 }
 
-/// Publishers of an image topic and its sibling, as far as they are used.
-pub type ImagePublishers = (Option<Publisher<Image>>, Option<Publisher<CompressedImage>>);
+/// A picture by each transport that is used.
+#[derive(Clone, Debug, Default)]
+pub struct Pictures {
+    /// sensor_msgs/Image.
+    pub raw: Option<Image>,
+    /// sensor_msgs/CompressedImage.
+    pub compressed: Option<CompressedImage>,
+}
 
-/// Publishes `topic` and its sibling.
-///
-/// # Errors
-/// The graph refuses.
-pub fn publish_images(
-    node: &Node,
-    topic: &str,
-    transports: Transports,
-    qos: Qos,
-) -> Result<ImagePublishers, wm_ros::Error> {
-    let Transports { raw, compressed } = transports;
-    let raw = raw.then(|| node.publisher(topic, qos));
-    let compressed = compressed.then(|| node.publisher(&compressed_of(node, topic)?, qos));
-    Ok((raw.transpose()?, compressed.transpose()?))
+/// Publishers of an image topic and its sibling, as far as the parameter `image_transport` uses them.
+pub struct ImagePublisher {
+    raw: Option<Publisher<Image>>,
+    compressed: Option<Publisher<CompressedImage>>,
+}
+
+impl ImagePublisher {
+    /// Publishes a picture by the transports that are used.
+    ///
+    /// # Errors
+    /// As [`Publisher::publish`].
+    pub fn publish(&self, pictures: &Pictures) -> Result<(), wm_ros::Error> {
+        if let (Some(raw), Some(publisher)) = (&pictures.raw, &self.raw) {
+            publisher.publish(raw)?;
+        }
+        if let (Some(compressed), Some(publisher)) = (&pictures.compressed, &self.compressed) {
+            publisher.publish(compressed)?;
+        }
+        Ok(())
+    }
+
+    /// The publisher of compressed pictures, where they are used.
+    pub fn compressed(&self) -> Option<&Publisher<CompressedImage>> {
+        self.compressed.as_ref()
+    }
+
+    /// How many subscriptions are connected to either topic.
+    pub fn subscribers(&self) -> usize {
+        self.raw.as_ref().map_or(0, Publisher::subscribers)
+            + self.compressed.as_ref().map_or(0, Publisher::subscribers)
+    }
+
+    /// The absolute topics that are published, the compressed one first.
+    pub fn topics(&self) -> Vec<&str> {
+        let compressed = self.compressed.as_ref().map(Publisher::topic);
+        compressed
+            .into_iter()
+            .chain(self.raw.as_ref().map(Publisher::topic))
+            .collect()
+    }
+}
+
+/// An image topic and its sibling.
+fn specs(direction: Direction, name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
+    let compressed = format!("{name}/compressed");
+    vec![
+        EndpointSpec::topic::<Image>(direction, name, qos, text),
+        EndpointSpec::topic::<CompressedImage>(
+            direction,
+            &compressed,
+            qos,
+            "The same, compressed.",
+        ),
+    ]
+}
+
+impl Endpoint for ImagePublisher {
+    fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
+        specs(Direction::Published, name, qos, text)
+    }
+
+    fn make(node: &Node, name: &str, qos: Qos) -> Result<Self, wm_ros::Error> {
+        let Transports { raw, compressed } = Transports::of(node);
+        let raw = raw.then(|| node.publisher(name, qos)).transpose()?;
+        let compressed = compressed.then(|| node.publisher(&compressed_of(node, name)?, qos));
+        Ok(Self {
+            raw,
+            compressed: compressed.transpose()?,
+        })
+    }
+}
+
+impl Endpoint for ImageSubscription {
+    fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
+        specs(Direction::Subscribed, name, qos, text)
+    }
+
+    fn make(node: &Node, name: &str, qos: Qos) -> Result<Self, wm_ros::Error> {
+        Self::new(node, name, Transports::of(node), qos)
+    }
 }
 
 /// Frames of an image topic, by whichever transports are used.
@@ -104,18 +168,13 @@ impl ImageSubscription {
         Self::of(raw, compressed)
     }
 
-    /// Subscribes `topic` and its sibling for an image that holds until the next, as a goal does: one that was latched
-    /// before comes too.
+    /// Subscribes `topic` and its sibling, by the transports of the parameter `image_transport`, for an image that holds
+    /// until the next, as a goal does: one that was latched before comes too.
     ///
     /// # Errors
     /// The graph refuses.
-    pub fn catching_up(
-        node: &Node,
-        topic: &str,
-        transports: Transports,
-        qos: Qos,
-    ) -> Result<Self, wm_ros::Error> {
-        let Transports { raw, compressed } = transports;
+    pub fn catching_up(node: &Node, topic: &str, qos: Qos) -> Result<Self, wm_ros::Error> {
+        let Transports { raw, compressed } = Transports::of(node);
         let raw = raw.then(|| node.subscription_catching_up(topic, qos));
         let compressed =
             compressed.then(|| node.subscription_catching_up(&compressed_of(node, topic)?, qos));

@@ -29,9 +29,9 @@ pub enum Bundle {
     Folder(PathBuf),
 }
 
-/// A transition model with what is needed to use it.
+/// A loaded world model: the transition model with what is needed to use it.
 #[derive(Clone, Debug)]
-pub struct BundledTransition {
+pub struct WorldModel {
     /// The model.
     pub model: PackedTransition,
     /// Lower-case hex SHA-256 of its weights and of all that says how they are used: configuration, action encoding,
@@ -68,11 +68,20 @@ impl Bundle {
         }
     }
 
+    /// Whether there is a transition model beside encoder and decoder.
+    #[must_use]
+    pub fn has_transition(&self) -> bool {
+        match self {
+            Self::Embedded => true,
+            Self::Folder(folder) => folder.join(TRANSITION_FILE).exists(),
+        }
+    }
+
     /// Loads the transition model, and checks that it belongs to the autoencoder beside it.
     ///
     /// # Errors
     /// As [`Self::autoencoder`]; and when the model was trained in another latent space.
-    pub fn transition(&self) -> Result<BundledTransition> {
+    pub fn transition(&self) -> Result<WorldModel> {
         let weights = match self {
             Self::Embedded => Weights::from_static("embedded transition", EMBEDDED_TRANSITION)?,
             Self::Folder(folder) => Weights::open(folder.join(TRANSITION_FILE))?,
@@ -116,7 +125,7 @@ impl Bundle {
             );
             return Err(disagrees(ACTIONS_KEY, reason));
         }
-        Ok(BundledTransition {
+        Ok(WorldModel {
             model,
             hash,
             encoding,

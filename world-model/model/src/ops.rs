@@ -1,7 +1,7 @@
 //! Tensor operations that the stock library is slow at.
 //!
-//! Those for training take tensors and have exact gradients, and a plain [`Form`] of stock operations
-//! for other devices than the CPU and for reference; those for inference
+//! Those for training take tensors and the [`Engine`] that is to compute, and have exact gradients on both: our kernels,
+//! or candle's operations for other devices than the CPU and for reference. Those for inference
 //! ([`PackedLinear`], `block_attention`, `temporal_attention`) take plain slices, and weights that
 //! were packed once. Activations of convolutions are in NHWC order (image, row, column, channel).
 //! Work is spread over the threads of rayon, and results do not depend on how many there are.
@@ -12,8 +12,8 @@ pub(crate) mod block_attention;
 mod conv;
 mod dense_attention;
 mod element;
+mod engine;
 pub(crate) mod exponential;
-mod form;
 pub(crate) mod gated_residual;
 mod group_norm;
 pub(crate) mod host;
@@ -38,12 +38,12 @@ pub use conv::{
 };
 pub use dense_attention::{AttentionShape, ScoreMask, dense_attention};
 pub use element::PackedFormat;
-pub use form::Form;
+pub use engine::Engine;
 pub use gated_residual::gated_residual;
 pub use group_norm::{Activation, group_norm};
 pub use layer_norm::layer_norm;
 pub use linear::linear;
 pub use packed_linear::PackedLinear;
 pub use rms_norm_modulate::rms_norm_modulate;
-pub use rotary::RotaryTable;
+pub use rotary::{RopeLayout, RotaryTable};
 pub use swiglu::swiglu;

@@ -46,7 +46,7 @@ pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
 
-use crate::ops::{AttentionPattern, Axis, Form, PackedFormat};
+use crate::ops::{AttentionPattern, Axis, Engine, PackedFormat};
 use crate::{Error, Result, Weights};
 use block::Block;
 use embedding::{Embedding, Patches};
@@ -67,12 +67,12 @@ pub struct Transition {
     blocks: Vec<Block>,
     head: Head,
     spatial: Arc<AttentionPattern>,
-    form: Form,
+    engine: Engine,
 }
 
 impl Transition {
     /// Builds the model from tensors that `source` supplies by name and shape. It computes on the device that they are
-    /// on. Kernels on the CPU take f32; the plain form takes parameters of 16 bits too, and multiplies in their format:
+    /// on. Kernels on the CPU take f32; plain tensor operations takes parameters of 16 bits too, and multiplies in their format:
     /// everything but products is f32.
     ///
     /// # Errors
@@ -96,7 +96,7 @@ impl Transition {
             blocks,
             head,
             spatial: Arc::new(spatial),
-            form: Form::default(),
+            engine: Engine::default(),
         })
     }
 
@@ -104,7 +104,7 @@ impl Transition {
     #[must_use]
     pub fn plain(self) -> Self {
         Self {
-            form: Form::Plain,
+            engine: Engine::Candle,
             ..self
         }
     }
@@ -177,17 +177,17 @@ impl Transition {
                 found: x.dims().to_vec(),
             });
         }
-        let form = self.form;
+        let engine = self.engine;
         let temporal = Arc::new(pattern.attention(self.config.heads, self.config.head_dim())?);
         let patches = Patches::of(x, self.config.patch)?;
-        let mut tokens = self.embedding.tokens(form, &patches)?;
+        let mut tokens = self.embedding.tokens(engine, &patches)?;
         let condition =
             self.embedding
-                .condition(form, &tau.flatten_all()?, &action.flatten_to(1)?)?;
+                .condition(engine, &tau.flatten_all()?, &action.flatten_to(1)?)?;
         for block in &self.blocks {
-            tokens = block.forward(form, &tokens, &condition, &self.spatial, &temporal)?;
+            tokens = block.forward(engine, &tokens, &condition, &self.spatial, &temporal)?;
         }
-        let out = self.head.forward(form, &tokens, &condition)?;
+        let out = self.head.forward(engine, &tokens, &condition)?;
         Patches::into_grid(&out, (b, t), &self.config)
     }
 

@@ -1,5 +1,5 @@
 //! Every operation that the transition model trains through, its gradient against finite
-//! differences, in both forms.
+//! differences, on both engines.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use wm_model::ops::{
-    AttentionPattern, Axis, Form, RotaryTable, attention, gated_residual, linear,
+    AttentionPattern, Axis, Engine, RotaryTable, attention, gated_residual, linear,
     rms_norm_modulate, swiglu,
 };
 
@@ -26,20 +26,20 @@ fn values(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
-/// Checks both forms of an operation.
+/// Checks an operation on both engines.
 fn check(
     name: &str,
     shapes: &[&[usize]],
-    f: impl Fn(Form, &[Tensor]) -> candle_core::Result<Tensor>,
+    f: impl Fn(Engine, &[Tensor]) -> candle_core::Result<Tensor>,
 ) {
-    for form in [Form::Kernel, Form::Plain] {
-        check_form(&format!("{name}, {form:?}"), shapes, |t| f(form, t));
+    for engine in [Engine::Cpu, Engine::Candle] {
+        check_engine(&format!("{name}, {engine:?}"), shapes, |t| f(engine, t));
     }
 }
 
 /// Compares the gradient of a random linear function of `f`'s result, for every input, with
 /// central differences at every 7th value.
-fn check_form(
+fn check_engine(
     name: &str,
     shapes: &[&[usize]],
     f: impl Fn(&[Tensor]) -> candle_core::Result<Tensor>,
@@ -93,11 +93,11 @@ fn check_form(
 
 #[test]
 fn linear_has_its_gradient() {
-    check("linear", &[&[2, 5, 16], &[9, 16], &[9]], |form, t| {
-        linear(form, &t[0], &t[1], Some(&t[2]))
+    check("linear", &[&[2, 5, 16], &[9, 16], &[9]], |engine, t| {
+        linear(engine, &t[0], &t[1], Some(&t[2]))
     });
-    check("linear without bias", &[&[3, 16], &[9, 16]], |form, t| {
-        linear(form, &t[0], &t[1], None)
+    check("linear without bias", &[&[3, 16], &[9, 16]], |engine, t| {
+        linear(engine, &t[0], &t[1], None)
     });
 }
 
@@ -106,7 +106,7 @@ fn rms_norm_modulate_has_its_gradient() {
     check(
         "rms_norm_modulate",
         &[&[1, 2, 3, 24], &[2, 72]],
-        |form, t| rms_norm_modulate(form, &t[0], &t[1], 2, 0),
+        |engine, t| rms_norm_modulate(engine, &t[0], &t[1], 2, 0),
     );
 }
 
@@ -115,13 +115,13 @@ fn gated_residual_has_its_gradient() {
     check(
         "gated_residual",
         &[&[1, 2, 3, 16], &[1, 2, 3, 16], &[2, 48]],
-        |form, t| gated_residual(form, &t[0], &t[1], &t[2], 1),
+        |engine, t| gated_residual(engine, &t[0], &t[1], &t[2], 1),
     );
 }
 
 #[test]
 fn swiglu_has_its_gradient() {
-    check("swiglu", &[&[3, 40]], |form, t| swiglu(form, &t[0]));
+    check("swiglu", &[&[3, 40]], |engine, t| swiglu(engine, &t[0]));
 }
 
 #[test]
@@ -129,8 +129,8 @@ fn spatial_attention_has_its_gradient() {
     let rotary = RotaryTable::grid(2, 3, 16);
     let pattern = AttentionPattern::new(Axis::Space, 2, rotary, |_, _| true).unwrap();
     let pattern = Arc::new(pattern);
-    check("spatial attention", &[&[1, 2, 6, 96]], |form, t| {
-        attention(form, &t[0], &pattern)
+    check("spatial attention", &[&[1, 2, 6, 96]], |engine, t| {
+        attention(engine, &t[0], &pattern)
     });
 }
 
@@ -140,7 +140,7 @@ fn temporal_attention_has_its_gradient() {
     let visible = |query: usize, key: usize| key <= query && key != 1;
     let visible = move |query: usize, key: usize| query == key || visible(query, key);
     let pattern = Arc::new(AttentionPattern::new(Axis::Time, 2, rotary, visible).unwrap());
-    check("temporal attention", &[&[2, 4, 3, 96]], |form, t| {
-        attention(form, &t[0], &pattern)
+    check("temporal attention", &[&[2, 4, 3, 96]], |engine, t| {
+        attention(engine, &t[0], &pattern)
     });
 }

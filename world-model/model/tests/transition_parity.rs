@@ -8,7 +8,7 @@ use std::path::Path;
 use candle_core::{Device, Tensor};
 use serde_json::Value;
 use wm_model::Weights;
-use wm_model::ops::PackedFormat;
+use wm_model::ops::{PackedFormat, RopeLayout};
 use wm_model::transition::{PackedTransition, Transition, TransitionConfig};
 
 /// Difference allowed, as a part of the largest velocity.
@@ -48,6 +48,10 @@ fn config(case: &Value) -> TransitionConfig {
         heads: size("heads").unwrap(),
         wide_head: size("wide"),
         views: size("views").unwrap_or(1),
+        rope_layout: match case.get("rope_layout") {
+            Some(layout) => serde_json::from_value(layout.clone()).unwrap(),
+            None => RopeLayout::default(),
+        },
         ..TransitionConfig::preset("dit-s", latent, size("patch").unwrap(), 10).unwrap()
     }
 }
@@ -59,8 +63,8 @@ fn velocities_are_those_of_pytorch() {
     let cases = cases.as_object().unwrap();
     assert_eq!(
         cases.len(),
-        5,
-        "plain and wide head, patch 1 and 2, several views"
+        7,
+        "plain and wide head, patch 1 and 2, several views in both layouts"
     );
     for (name, case) in cases {
         let config = config(case);

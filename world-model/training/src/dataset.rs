@@ -162,12 +162,23 @@ fn find_bags(root: &Path) -> Result<Vec<PathBuf>, DatasetError> {
         path: root.to_owned(),
         source,
     };
-    let mut bags = Vec::new();
+    let (mut bags, mut others) = (Vec::new(), Vec::new());
     for entry in std::fs::read_dir(root).map_err(io)? {
         let path = entry.map_err(io)?.path();
         if path.join("metadata.yaml").is_file() {
             bags.push(path);
+        } else if path.is_dir() {
+            others.push(path.display().to_string());
         }
+    }
+    if !others.is_empty() {
+        others.sort();
+        tracing::warn!(
+            "{} folder(s) left out, which have no metadata.yaml (`wm bag recover` makes one for a recording that was cut \
+             off): {}",
+            others.len(),
+            others.join(", ")
+        );
     }
     if bags.is_empty() {
         return Err(DatasetError::Empty(root.to_owned()));

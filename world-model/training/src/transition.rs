@@ -108,7 +108,7 @@ impl TrainTransitionArgs {
             self.final_rate,
         );
         let workers = Workers::new(self.threads()?)?;
-        let objective = self.objective()?;
+        let objective = self.objective(&config)?;
         println!(
             "{} parameters, {} episodes, {} threads",
             config.parameter_count(),
@@ -180,7 +180,7 @@ impl TrainTransitionArgs {
 
     /// What a checkpoint must have been made for, to be resumed.
     fn run_description(&self, config: &TransitionConfig, latents: &Latents) -> Result<String> {
-        let objective = self.objective()?;
+        let objective = self.objective(config)?;
         Ok(format!(
             "{} {} latents {} of {} seed {} rate {} warm-up {} steps {} final {} average {}",
             serde_json::to_string(config)?,

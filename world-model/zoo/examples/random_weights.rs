@@ -1,5 +1,6 @@
-//! Writes random weights for the `model.json` of a folder, to try the nodes, the transport and the speed of a model with
-//! before there are trained ones. Files that are there are kept.
+//! Makes a folder with a `model.json` into a model with random weights, to try the nodes, the transport and the speed of
+//! a model before there are trained ones. Configurations of published encoders and the latent's statistics are filled in
+//! too; a tokenizer is not. Files that are there are kept.
 //!
 //! `cargo run --release -p wm_zoo --example random_weights -- DIR [SEED]`
 

@@ -32,6 +32,7 @@ mod names;
 mod pickle;
 mod safetensors_index;
 mod state_dict;
+mod storage;
 mod torch_index;
 mod values;
 
@@ -154,8 +155,8 @@ impl Checkpoint {
     /// The values of the tensor `name`, which must be floating-point numbers, as `dtype`, on the CPU.
     ///
     /// # Errors
-    /// If there is no such tensor, it holds other numbers or one that is not finite, or `dtype` is none of f32, f16
-    /// and bf16.
+    /// If there is no such tensor, it holds other numbers or one that is not finite, its bytes in a torch file are not
+    /// those of the archive's CRC-32, or `dtype` is none of f32, f16 and bf16.
     pub fn tensor(&self, name: &str, dtype: DType) -> Result<Tensor> {
         let entry = self.entry(name)?;
         if !entry.element.is_float() {
@@ -166,6 +167,7 @@ impl Checkpoint {
             }
             .into());
         }
+        self.verify(entry)?;
         let storage = values::read(&self.bytes, entry, dtype)?;
         if !values::are_finite(&storage) {
             return Err(wm_model::Error::TensorNotFinite {
@@ -239,6 +241,19 @@ impl Checkpoint {
             }
         }
         weights
+    }
+
+    /// Checks the values of `entry` against the checksum that the file states of them, if it states one.
+    fn verify(&self, entry: &Entry) -> Result<()> {
+        let Some(storage) = &entry.storage else {
+            return Ok(());
+        };
+        storage
+            .verify(&self.bytes)
+            .map_err(|reason| Error::Corrupt {
+                file: self.file.clone(),
+                reason,
+            })
     }
 
     fn entry(&self, name: &str) -> Result<&Entry> {

@@ -3,7 +3,8 @@
 //! A model is built without weights, and what it asks of a checkpoint is counted. The operations of a layer are twice
 //! the values of its weight for every place that it is applied at (a multiplication and an addition), and for
 //! attention the products of queries with keys and of weights with values; norms, activations and additions are not
-//! counted. Conventions of the paper's table (architecture.md section 1):
+//! counted. Conventions of the paper's table
+//! "Architecture size and compute" (appendix B):
 //!
 //! - everything for one 256x256 frame; of the DiT one velocity evaluation of a clip of 10 frames, divided by 10,
 //!   without patch and action embedding;
@@ -30,6 +31,7 @@ pub use autoencoder::{
     cosmos_decoder, cosmos_encoder, pixel_decoder, sd3_decoder, sd3_encoder, va_vae_decoder,
     va_vae_encoder,
 };
+pub(crate) use probe::pooled_probe;
 pub use probe::{siglip2_text, success_probe};
 pub use transition::{CLIP_FRAMES, transition};
 pub use vit::{siglip2, vjepa, web_dino};

@@ -200,7 +200,7 @@ fn relu6(x: &Tensor) -> Result<Tensor> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
     use candle_core::Device;
 
     #[test]

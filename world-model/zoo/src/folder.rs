@@ -35,6 +35,7 @@
 mod decoder;
 mod description;
 mod encoder;
+mod fit;
 mod probe;
 mod random;
 mod source;
@@ -47,7 +48,7 @@ use std::sync::OnceLock;
 use sha2::{Digest as _, Sha256};
 use wm_model::actions::ActionEncoding;
 use wm_model::autoencoder::{MEAN, Normalisation, STD};
-use wm_model::bundle::BundledTransition;
+use wm_model::bundle::WorldModel;
 use wm_model::transition::{PackedTransition, TransitionConfig};
 use wm_model::{Decoder, Encoder, LatentSpace};
 
@@ -66,7 +67,8 @@ use crate::svae::{Svae, SvaeConfig};
 use crate::{Checkpoint, Error, Result};
 use decoder::{DecoderConfig, FolderDecoder};
 use encoder::{EncoderConfig, FolderEncoder, canonical};
-use probe::{Probe, TextTower};
+use fit::{check_decoder, check_transition, latent};
+use probe::Probe;
 use source::Source;
 
 /// Name of the description in a folder.
@@ -97,7 +99,7 @@ struct Pictures {
 
 /// An open model folder, checked as a whole; values are read when a part is asked for.
 #[derive(Debug)]
-pub struct ModelFolder {
+pub struct DescribedFolder {
     description: Description,
     encoder: Opened<EncoderConfig>,
     adapter: Option<Opened<SvaeConfig>>,
@@ -111,7 +113,7 @@ pub struct ModelFolder {
     space: OnceLock<LatentSpace>,
 }
 
-impl ModelFolder {
+impl DescribedFolder {
     /// Whether `folder` is a model of this form.
     pub fn is_one(folder: &Path) -> bool {
         folder.join(FILE).is_file()
@@ -127,14 +129,12 @@ impl ModelFolder {
         let path = folder.join(FILE);
         let file = path.display().to_string();
         let description = Description::read(&path)?;
-        let in_part = |role| {
-            let file = file.clone();
-            move |error| Error::Part {
-                file,
-                role,
-                reason: Box::new(error),
-            }
+        let error_of = |role, error| Error::Part {
+            file: file.clone(),
+            role,
+            reason: Box::new(error),
         };
+        let in_part = |role| move |error| error_of(role, error);
 
         let encoder = open_encoder(&description, &folder).map_err(in_part("encoder"))?;
         let adapter = open_adapter(description.adapter.as_ref(), &folder, "adapter")
@@ -143,10 +143,7 @@ impl ModelFolder {
         let pictures = open_decoder(&description, &folder).map_err(in_part("decoder"))?;
         let probe = match &description.probe {
             None => None,
-            Some(part) => Some(Probe {
-                text: TextTower::open(&part.text, &folder).map_err(in_part("probe.text"))?,
-                probe: probe::open(part, &folder).map_err(in_part("probe"))?,
-            }),
+            Some(part) => Some(Probe::open(part, &folder, error_of)?),
         };
 
         let features = encoder
@@ -206,11 +203,11 @@ impl ModelFolder {
             self.transition.config.dit.views,
             self.description.dtype,
         );
-        hash.update(format!("{}\n", canonical(&settings)));
-        hash.update(format!("{}\n", self.encoder.config.canonical()));
+        hash.update(format!("{}\n", canonical(&settings)?));
+        hash.update(format!("{}\n", self.encoder.config.canonical()?));
         self.encoder.source.hash(&self.encoder.tensors, &mut hash)?;
         if let Some(adapter) = &self.adapter {
-            hash.update(format!("{}\n", canonical(&adapter.config)));
+            hash.update(format!("{}\n", canonical(&adapter.config)?));
             adapter.source.hash(&adapter.tensors, &mut hash)?;
         }
         self.normalisation.add_to(&mut hash);
@@ -268,7 +265,7 @@ impl ModelFolder {
     ///
     /// # Errors
     /// If a value is not finite.
-    pub fn transition(&self) -> Result<BundledTransition> {
+    pub fn transition(&self) -> Result<WorldModel> {
         let Dynamics {
             config, encoding, ..
         } = &self.transition.config;
@@ -280,11 +277,11 @@ impl ModelFolder {
             .load(dtype, |loader| build_transition(config.clone(), loader))?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
-        hash.update(format!("{}\n", canonical(&settings)));
+        hash.update(format!("{}\n", canonical(&settings)?));
         self.transition
             .source
             .hash(&self.transition.tensors, &mut hash)?;
-        Ok(BundledTransition {
+        Ok(WorldModel {
             model: PackedTransition::new(&model, packed_format(dtype))?,
             hash: format!("{:x}", hash.finalize()),
             encoding: encoding.clone(),
@@ -352,6 +349,10 @@ fn open_transition(description: &Description, folder: &Path) -> Result<Opened<Dy
     actions
         .entry("action_dim")
         .or_insert_with(|| dit.action_dim.into());
+    // The rule that the published checkpoints were trained with, not that of models of our own.
+    actions
+        .entry("accumulation")
+        .or_insert_with(|| "index".into());
     let encoding: ActionEncoding = parse(&serde_json::Value::Object(actions).to_string())?;
     let wrong = |reason: String| wm_model::Error::config("actions", reason);
     if encoding.action_dim() != dit.action_dim {
@@ -398,89 +399,6 @@ fn open_decoder(description: &Description, folder: &Path) -> Result<Option<Pictu
         },
         adapter: open_adapter(part.adapter.as_ref(), folder, "the decoder's adapter")?,
     }))
-}
-
-/// Rows, columns and channels of the latent of all views.
-fn latent(
-    [rows, columns, width]: [usize; 3],
-    adapter: Option<&Opened<SvaeConfig>>,
-    views: usize,
-) -> Result<[usize; 3], String> {
-    let channels = match adapter {
-        None => width,
-        Some(adapter) if adapter.config.features == width => adapter.config.latent,
-        Some(adapter) => {
-            return Err(format!(
-                "the adapter takes features of {} channels, the encoder gives {width}",
-                adapter.config.features
-            ));
-        }
-    };
-    Ok([rows, columns * views, channels])
-}
-
-fn check_transition(
-    description: &Description,
-    latent: [usize; 3],
-    transition: &Dynamics,
-) -> Result<(), String> {
-    let config = &transition.config;
-    let taken = [config.latent_height, config.latent_width, config.channels];
-    if taken == latent {
-        return Ok(());
-    }
-    Err(format!(
-        "the transition takes latents of {}, {} gives {}",
-        sides(taken),
-        giver(description, config.views),
-        sides(latent)
-    ))
-}
-
-fn check_decoder(
-    description: &Description,
-    [_, _, channels]: [usize; 3],
-    Pictures { decoder, adapter }: &Pictures,
-) -> Result<(), String> {
-    let mut given = (giver(description, 1), channels);
-    if let Some(adapter) = adapter {
-        if adapter.config.features != channels {
-            return Err(format!(
-                "the decoder's adapter takes latents of {} channels, {} gives {channels}",
-                adapter.config.features, given.0
-            ));
-        }
-        given = ("the decoder's adapter".to_owned(), adapter.config.latent);
-    }
-    let taken = decoder.config.channels();
-    if taken == given.1 {
-        return Ok(());
-    }
-    Err(format!(
-        "the decoder {} takes latents of {taken} channels, {} gives {}",
-        decoder.source.kind, given.0, given.1
-    ))
-}
-
-/// What makes the latents, in words.
-fn giver(description: &Description, views: usize) -> String {
-    let [height, width] = description.image;
-    let through = match &description.adapter {
-        Some(_) => "with the adapter",
-        None => "without an adapter",
-    };
-    let of = match views {
-        1 => String::new(),
-        views => format!("{views} views of "),
-    };
-    format!(
-        "the encoder {} {through} on {of}{height}x{width}",
-        description.encoder.kind
-    )
-}
-
-fn sides([height, width, channels]: [usize; 3]) -> String {
-    format!("{height}x{width}x{channels}")
 }
 
 fn statistics(description: &Description, folder: &Path, channels: usize) -> Result<Normalisation> {

@@ -1,20 +1,24 @@
 //! The inverse dynamics model: which actions lie between consecutive latents.
 //!
-//! Paper: appendix "Inverse Dynamics Model (IDM)"; layer by layer in architecture.md section 6.
-//! 19.839 M parameters for features of 1024 and one action. It reads an encoder's native latents
-//! (those of the SD3 VAE as patches of 2x2), real or predicted, and probes whether actions can be
-//! recovered from them; one model per encoder and number k of actions.
+//! Paper: appendix B.6, "Inverse Dynamics Model (IDM)"; layer by layer in `docs/architecture.md#idm`. 19.839 M
+//! parameters for features of 1024 and one action. It reads an encoder's native latents (those of the SD3 VAE as
+//! patches of 2x2), real or predicted, and probes whether actions can be recovered from them; one model per encoder and
+//! number k of actions.
 //!
-//! Latents lose their channels' scale (RMSNorm), are projected and given a temporal and a spatial
-//! embedding; k learned queries go in front; all tokens attend to all in pre-norm blocks, and each
-//! query's output becomes an action. There is no dropout here: it is for inference.
+//! Latents lose their channels' scale (RMSNorm), are projected and given a temporal and a spatial embedding; k learned
+//! queries go in front; all tokens attend to all in pre-norm blocks, and each query's output becomes an action. There
+//! is no dropout here: it is for inference.
 //!
-//! Names: `input_proj.*` Linear, `temporal_embed` (k+1, hidden), `spatial_embed` (rows * columns,
-//! hidden), `cls` (k, hidden), `blocks.{i}.{norm1,norm2}.*`, `blocks.{i}.attn.{qkv,proj}.*`,
-//! `blocks.{i}.mlp.{fc1,fc2}.*`, `norm.*`, `head.{0,2}.*`.
+//! Names in the authors' release: `input_proj.*` Linear, `temporal_pos_emb` (K+1, hidden) of which the first k+1 rows
+//! are used, `spatial_pos_emb` (rows * columns, hidden), `cls_queries` (k, hidden), `transformer.{i}.{norm1,norm2}.*`,
+//! `transformer.{i}.attn.{qkv_proj,out_proj}.*`, `transformer.{i}.mlp.{0,3}.*`, `final_norm.*`, `head.{0,2}.*`. A file
+//! without `cls_queries` is read by timm's names: `temporal_embed`, `spatial_embed`, `cls`, `blocks.{i}.attn.{qkv,proj}`,
+//! `blocks.{i}.mlp.{fc1,fc2}`, `norm`.
 //!
 //! Configuration (JSON; all but the first two have defaults): `{"features": 1024, "horizon": 1,
 //! "patch": 1, "grid": [16, 16], "hidden": 512, "depth": 6, "heads": 8, "mlp": 2048, "actions": 7}`.
+
+mod names;
 
 use candle_core::{D, DType, Tensor};
 use serde::{Deserialize, Serialize};
@@ -24,6 +28,7 @@ use crate::layers::{LayerNorm, Linear, rms_norm};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 use crate::vit::{Activation, Block};
+use names::Names;
 
 /// Epsilon of the input's RMSNorm, that of the transition model's.
 const RMS_NORM_EPS: f64 = 1e-6;
@@ -36,7 +41,7 @@ const LAYER_NORM_EPS: f64 = 1e-5;
 pub struct IdmConfig {
     /// Channels of the latents, before patching.
     pub features: usize,
-    /// Number k of actions between k + 1 latents.
+    /// Number k of actions between k + 1 latents; a checkpoint may have temporal embeddings for more.
     pub horizon: usize,
     /// Side of the patches of the latent that become tokens: 2 for the SD3 VAE, otherwise 1.
     #[serde(default = "one")]
@@ -160,20 +165,29 @@ impl Idm {
         let [rows, columns] = config.grid;
         let tokens = rows * columns;
         let inputs = config.features * config.patch * config.patch;
-        let temporal = loader.tensor("temporal_embed", &[frames, width])?;
-        let spatial = loader.tensor("spatial_embed", &[tokens, width])?;
+        let names = Names::of(loader);
+        // The authors' embedding has a row for each frame of the longest horizon that they trained together.
+        let rows = loader.shape(names.temporal).and_then(|shape| shape.first());
+        let rows = rows.map_or(frames, |rows| frames.max(*rows));
+        let temporal = loader.tensor(names.temporal, &[rows, width])?;
+        let temporal = temporal.narrow(0, 0, frames)?.contiguous()?;
+        let spatial = loader.tensor(names.spatial, &[tokens, width])?;
+        let blocks = loader.at(names.blocks);
         Ok(Self {
             config: config.clone(),
             input: loader.linear("input_proj", inputs, width)?,
             temporal: temporal.reshape((1, frames, 1, width))?,
             spatial: spatial.reshape((1, 1, tokens, width))?,
             queries: loader
-                .tensor("cls", &[config.horizon, width])?
+                .tensor(names.queries, &[config.horizon, width])?
                 .unsqueeze(0)?,
             blocks: (0..config.depth)
-                .map(|i| block(config, &loader.at(format!("blocks.{i}"))))
+                .map(|i| {
+                    let sizes = (width, config.heads, config.mlp_width());
+                    Block::load(&blocks.at(i), &names.block, sizes, LAYER_NORM_EPS)
+                })
                 .collect::<Result<_>>()?,
-            norm: loader.layer_norm("norm", width, LAYER_NORM_EPS)?,
+            norm: loader.layer_norm(names.norm, width, LAYER_NORM_EPS)?,
             head: [
                 loader.linear("head.0", width, width)?,
                 loader.linear("head.2", width, config.actions)?,
@@ -235,11 +249,6 @@ impl Idm {
     }
 }
 
-fn block(config: &IdmConfig, loader: &Loader<'_>) -> Result<Block> {
-    let sizes = (config.hidden, config.heads, config.mlp_width());
-    Block::load_timm(loader, sizes, LAYER_NORM_EPS)
-}
-
 /// Pearson's correlation of predicted and true actions, (samples, actions) each, for each of the
 /// first `components`, and their mean; the paper averages over the six continuous ones.
 ///
@@ -276,7 +285,7 @@ pub fn pearson(predicted: &Tensor, truth: &Tensor, components: usize) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
     use candle_core::Device;
 
     #[test]

@@ -14,6 +14,8 @@
 //! | `pixel` | [`PixelDecoderConfig`](crate::vae::PixelDecoderConfig) | `latent` | `image` |
 //! | `idm` | [`IdmConfig`](crate::idm::IdmConfig) | `latents` (B,k+1,h,w,D) | `actions` (B,k,7) |
 //! | `success-probe` | [`SuccessProbeConfig`](crate::success_probe::SuccessProbeConfig) | `latents` (B,T,h,w,D), `text` (B,L,D'), maybe `text_mask` (B,L) | `logit` (B) |
+//! | `linear-probe`, `temporal-probe` | [`LinearProbeConfig`](crate::pooled_probe::LinearProbeConfig), [`TemporalProbeConfig`](crate::pooled_probe::TemporalProbeConfig) | `latents` (B,T,h,w,D) | `logit` (B) |
+//! | `progress-probe` | [`ProgressProbeConfig`](crate::pooled_probe::ProgressProbeConfig) | `latents` (B,T,h,w,D) | `progress` (B,T) |
 //! | `efficientnet-lite0` | [`EfficientNetLite0Config`](crate::efficientnet_lite0::EfficientNetLite0Config) | `image` | `block_8` up to the configured block |
 //!
 //! An `image` is (N,H,W,3) in 0..1, a `latent` (N,h,w,D). Everything is f32 but `input_ids`, which are integers.
@@ -21,6 +23,7 @@
 mod dit;
 mod inputs;
 mod loaded;
+mod published;
 mod rollout;
 
 use std::collections::BTreeMap;
@@ -61,12 +64,15 @@ pub enum Kind {
     Pixel,
     Idm,
     SuccessProbe,
+    LinearProbe,
+    TemporalProbe,
+    ProgressProbe,
     EfficientNetLite0,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 19] = [
         Self::Dit,
         Self::WebDino,
         Self::Siglip2,
@@ -82,6 +88,9 @@ impl Kind {
         Self::Pixel,
         Self::Idm,
         Self::SuccessProbe,
+        Self::LinearProbe,
+        Self::TemporalProbe,
+        Self::ProgressProbe,
         Self::EfficientNetLite0,
     ];
 
@@ -103,6 +112,9 @@ impl Kind {
             Self::Pixel => "pixel",
             Self::Idm => "idm",
             Self::SuccessProbe => "success-probe",
+            Self::LinearProbe => "linear-probe",
+            Self::TemporalProbe => "temporal-probe",
+            Self::ProgressProbe => "progress-probe",
             Self::EfficientNetLite0 => "efficientnet-lite0",
         }
     }

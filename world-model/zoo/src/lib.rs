@@ -5,7 +5,7 @@
 //! | Convolutional autoencoders, the pixel decoder | [`vae`] |
 //! | Vision transformers | [`vit`] |
 //! | The S-VAE adapter | [`svae`] |
-//! | Inverse dynamics, success probe | [`idm`], [`success_probe`] |
+//! | Inverse dynamics, success probes | [`idm`], [`success_probe`], [`pooled_probe`] |
 //! | EfficientNet-Lite0 | [`efficientnet_lite0`] |
 //! | A whole world model of these, for the nodes | [`folder`] |
 //! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
@@ -31,14 +31,13 @@
 //! formats than safetensors and torch's, and downloads (`wm model fetch`).
 
 mod error;
+mod model_folder;
 mod sizes;
-mod world_model;
 
 pub mod checkpoint;
 pub mod compute;
 pub mod cost;
 pub mod device;
-pub mod engine;
 pub mod folder;
 pub mod kinds;
 pub mod layers;
@@ -46,6 +45,7 @@ pub mod loader;
 
 pub mod efficientnet_lite0;
 pub mod idm;
+pub mod pooled_probe;
 pub mod success_probe;
 pub mod svae;
 pub mod vae;
@@ -54,8 +54,7 @@ pub mod vit;
 pub use checkpoint::Checkpoint;
 pub use compute::Compute;
 pub use device::DeviceName;
-pub use engine::Engine;
 pub use error::{Error, Misshapen, Result};
-pub use folder::ModelFolder;
 pub use loader::Loader;
-pub use world_model::WorldModel;
+pub use model_folder::ModelFolder;
+pub use wm_model::ops::Engine;

@@ -149,6 +149,11 @@ impl<'a> Loader<'a> {
             .is_some_and(|source| source.contains(&self.path(name)))
     }
 
+    /// Shape of the checkpoint's tensor `name` here, if there is one. A skeleton has none.
+    pub fn shape(&self, name: &str) -> Option<&'a [usize]> {
+        self.source?.shape(&self.path(name))
+    }
+
     /// Tensor `name`, which has to be of `shape`.
     ///
     /// # Errors

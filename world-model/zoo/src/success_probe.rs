@@ -1,37 +1,43 @@
 //! The success probe: whether an episode's latents show what the instruction asks for.
 //!
-//! Paper: appendix "VLA success classifier probe"; layer by layer in architecture.md section 7. It
-//! reads a whole episode of an encoder's latents, pooled to 4x4 tokens a frame, and the features of
-//! the instruction's tokens ([`crate::vit::siglip_text`]), and gives one logit. [`SuccessClassifier`] is all of
-//! it together: words and latents in, a probability out.
+//! Paper: appendix B.7, "VLA success classifier probe"; layer by layer in `docs/architecture.md#success-probe`. It
+//! reads a whole episode of an encoder's latents, pooled to 4x4 tokens a frame, and the features of the instruction's
+//! tokens ([`crate::vit::siglip_text`]), and gives one logit. [`SuccessClassifier`] is all of it together: words and
+//! latents in, a probability out.
 //!
-//! Each block is attention within a frame, attention over time at each place, attention to the
-//! text and a SwiGLU feed-forward network, each behind an RMSNorm and added to its input. Queries
-//! and keys are normalised per head as in the transition model. The paper also mentions a CLS
-//! token; neither attention pattern reaches it and the readout is the mean of the patch tokens, so
-//! it has no effect and is left out. There is no dropout here: it is for inference.
+//! Each block is attention within a frame, attention over time at each place, attention to the text and a SwiGLU
+//! feed-forward network, each behind an RMSNorm and added to its input. Queries and keys are normalised per head as in
+//! the transition model. There is no dropout here: it is for inference.
 //!
-//! What the sources leave open is settled as in the transition model: norms carry no weights
-//! (unless `affine_norms` says so), epsilon 1e-6, machine epsilon for queries and keys.
+//! The published probe carries a CLS token along. Only cross-attention and feed-forward network reach it, nothing reads
+//! it, and the readout is the mean of the patch tokens: it has no effect, so it is checked to be in the file and not
+//! computed.
 //!
-//! Names: `input_proj.*`, `temporal_embed` (max_frames, hidden), `spatial_embed` (pool * pool,
-//! hidden), `text_proj.*`, `blocks.{i}.{spatial_attn,temporal_attn,cross_attn}.{q,k,v,out}.weight`,
-//! `blocks.{i}.ffn.{w12,w3}.*`, `head.*`; with `affine_norms` also `input_norm.weight`,
-//! `text_norm.weight`, `norm.weight`, `blocks.{i}.norm{1-4}.weight` and `q_norm.weight`,
-//! `k_norm.weight` beside each q, k.
+//! Norms carry no weights (unless `affine_norms` says so); epsilon 1e-6, and PyTorch's default, machine epsilon, for
+//! queries and keys.
+//!
+//! Names in the authors' release: `input_proj.*`, `text_proj.*`, `cls_token` (1, 1, hidden), `temporal_embed` (1,
+//! max_frames, 1, hidden), `spatial_embed` (1, 1, pool * pool, hidden),
+//! `blocks.{i}.{spatial_attn,temporal_attn,cross_attn}.{q_proj,k_proj,v_proj,out_proj}.weight`,
+//! `blocks.{i}.ffn.{w12,w3}.*`, `head.*`. A file without `q_proj` is read by shorter names: no `cls_token`,
+//! `temporal_embed` (max_frames, hidden), `spatial_embed` (pool * pool, hidden), `{q,k,v,out}.weight`. With
+//! `affine_norms` there are also `input_norm.weight`, `text_norm.weight`, `norm.weight`, `blocks.{i}.norm{1-4}.weight`
+//! and `q_norm.weight`, `k_norm.weight` beside each query and key.
 //!
 //! Configuration (JSON; all but the first two have defaults): `{"features": 1024, "max_frames": 64,
 //! "text_features": 1152, "pool": 4, "hidden": 384, "depth": 6, "heads": 8, "ffn": 1024,
-//! "affine_norms": false}`.
+//! "affine_norms": false}`. `max_frames` is the length of the published `temporal_embed`.
 
 mod block;
 mod classifier;
 mod config;
+mod names;
 mod norm;
 mod tokenizer;
 
 use candle_core::{DType, Tensor};
 
+pub(crate) use classifier::{Instructed, Judge};
 pub use classifier::{Instruction, SuccessClassifier};
 pub use config::SuccessProbeConfig;
 pub use tokenizer::InstructionTokenizer;
@@ -43,6 +49,7 @@ use crate::sizes::shape_error;
 use crate::vit::resample::{AxisWeights, resample};
 use crate::vit::siglip_text::additive_mask;
 use block::ProbeBlock;
+use names::Names;
 use norm::RmsNorm;
 
 /// The success probe.
@@ -73,20 +80,25 @@ impl SuccessProbe {
         let (width, frames) = (config.hidden, config.max_frames);
         let places = config.pool * config.pool;
         let norm = |name: &str, width: usize| RmsNorm::load(config, loader, name, width);
+        let names = Names::of(loader);
+        if names == Names::Published {
+            // Without effect, see the module; asked for so that a file without it is no published probe.
+            loader.tensor("cls_token", &[1, 1, width])?;
+        }
         Ok(Self {
             config: config.clone(),
             input_norm: norm("input_norm", config.features)?,
             input: loader.linear("input_proj", config.features, width)?,
             temporal: loader
-                .tensor("temporal_embed", &[frames, width])?
-                .unsqueeze(1)?,
+                .tensor("temporal_embed", &names.temporal(frames, width))?
+                .reshape((frames, 1, width))?,
             spatial: loader
-                .tensor("spatial_embed", &[places, width])?
-                .unsqueeze(0)?,
+                .tensor("spatial_embed", &names.spatial(places, width))?
+                .reshape((1, places, width))?,
             text: loader.linear("text_proj", config.text_features, width)?,
             text_norm: norm("text_norm", width)?,
             blocks: (0..config.depth)
-                .map(|i| ProbeBlock::load(config, &loader.at(format!("blocks.{i}"))))
+                .map(|i| ProbeBlock::load(config, names, &loader.at(format!("blocks.{i}"))))
                 .collect::<Result<_>>()?,
             norm: norm("norm", width)?,
             head: loader.linear("head", width, 1)?,
@@ -174,7 +186,7 @@ impl SuccessProbe {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
     use candle_core::Device;
 
     /// A tokenizer.json of eleven words, in the form of Gemma's but for its model.

@@ -1,7 +1,7 @@
 //! S-VAE: the adapter that takes the features of a frozen encoder to a compact latent and back.
 //!
 //! Paper: section "Adapter" of the appendix, after "Both Semantics and Reconstruction Matter"
-//! (Zhang et al. 2025); layer by layer in architecture.md section 4. 38.110 M parameters for
+//! (Zhang et al. 2025); layer by layer in `docs/architecture.md#adapter`. 38.110 M parameters for
 //! features of 1024, 46.412 M for 1152, encoder and decoder together. (The paper's text says 12
 //! heads and a feed-forward width of 3072; its table of sizes asks for 16 and 1024.)
 //!
@@ -216,7 +216,7 @@ fn block(config: &SvaeConfig, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
 
     #[test]
     fn the_papers_adapters_have_the_published_sizes() {

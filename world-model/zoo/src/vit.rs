@@ -22,7 +22,7 @@ pub mod siglip_text;
 pub mod vjepa;
 pub mod web_dino;
 
-pub(crate) use block::Block;
+pub(crate) use block::{Block, BlockNames};
 pub use mlp::Activation;
 pub(crate) use mlp::Mlp;
 pub(crate) use patch_embedding::PatchEmbedding;

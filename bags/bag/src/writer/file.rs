@@ -1,9 +1,14 @@
-use std::{fs::File, io::BufWriter, path::PathBuf, time::Duration};
+use std::{
+    fs::File,
+    io::BufWriter,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
 
 use mcap::{Channel, records::MessageHeader, write::NoSeek};
 
 use super::WriterOptions;
-use crate::BagError;
+use crate::{BagError, metadata::sync_folder};
 
 /// What the open chunk holds.
 #[derive(Default)]
@@ -29,6 +34,11 @@ pub(super) struct BagFile {
     on_disk: File,
     /// Bytes on the disk at the last flush.
     flushed_bytes: u64,
+    /// How often finished chunks are waited for to be on the disk, and when they last were.
+    sync_interval: Option<Duration>,
+    synced_at: Instant,
+    /// Bytes that a power cut leaves.
+    pub(super) synced_bytes: u64,
     /// Id in this file of each channel of the bag.
     ids: Vec<u16>,
     chunk: OpenChunk,
@@ -64,6 +74,9 @@ impl BagFile {
             mcap,
             on_disk,
             flushed_bytes: 0,
+            sync_interval: options.sync_interval,
+            synced_at: Instant::now(),
+            synced_bytes: 0,
             ids: Vec::new(),
             chunk: OpenChunk::default(),
             span: None,
@@ -71,6 +84,11 @@ impl BagFile {
         };
         // A process that is killed now leaves an MCAP file, not an empty one.
         file.flush()?;
+        if file.sync_interval.is_some() {
+            file.sync()?;
+            // The file has to be found again, too.
+            file.path.parent().map_or(Ok(()), sync_folder)?;
+        }
         Ok(file)
     }
 
@@ -153,13 +171,27 @@ impl BagFile {
         Ok(())
     }
 
-    /// Closes the open chunk and hands it to the operating system.
+    /// Closes the open chunk and hands it to the operating system; waits for the disk where that is due.
     pub fn flush(&mut self) -> Result<(), BagError> {
         self.chunk = OpenChunk::default();
         self.mcap
             .flush()
             .map_err(|source| self.mcap_error(source))?;
         self.flushed_bytes = self.size_bytes()?;
+        let is_due = |interval| self.synced_at.elapsed() >= interval;
+        if self.sync_interval.is_some_and(is_due) && self.synced_bytes < self.flushed_bytes {
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    /// Waits until what was flushed is on the disk.
+    fn sync(&mut self) -> Result<(), BagError> {
+        let synced = self.on_disk.sync_data();
+        synced.map_err(|source| BagError::io(&self.path, source))?;
+        self.synced_bytes = self.flushed_bytes;
+        // After the wait: a disk that is slower than the interval is not waited for all the time.
+        self.synced_at = Instant::now();
         Ok(())
     }
 

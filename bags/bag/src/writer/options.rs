@@ -66,6 +66,10 @@ pub struct WriterOptions {
     /// A chunk is also closed once it spans this much log time; a live recorder sets it, so that a slow topic is not
     /// held back for minutes.
     pub chunk_duration: Option<Duration>,
+    /// Finished chunks are also waited for to be on the disk, whenever this much time has passed since they last were:
+    /// a power cut then loses at most this and the open chunk. None: when the operating system sees fit, and at the
+    /// file's end.
+    pub sync_interval: Option<Duration>,
     /// Compression of the chunks.
     pub compression: Compression,
     /// A preset of rosbag2; other than [`StoragePreset::None`], it goes before `compression` and `chunk_size`.
@@ -85,6 +89,7 @@ impl Default for WriterOptions {
         Self {
             chunk_size: WriteOptions::DEFAULT_CHUNK_SIZE,
             chunk_duration: None,
+            sync_interval: None,
             compression: Compression::default(),
             preset: StoragePreset::default(),
             max_file_bytes: None,

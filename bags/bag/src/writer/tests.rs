@@ -140,6 +140,40 @@ fn a_killed_writer_leaves_the_files_that_were_full() {
 }
 
 #[test]
+fn finished_chunks_are_on_the_disk_after_the_interval() {
+    let scratch = TempDir::new().unwrap();
+    let written = |interval: Option<Duration>| {
+        let dir = scratch.path().join(format!("{interval:?}"));
+        let options = WriterOptions {
+            sync_interval: interval,
+            ..WriterOptions::default()
+        };
+        let mut writer = BagWriter::create(dir, options).unwrap();
+        let begun = writer.file.synced_bytes;
+        let text = Text::default();
+        writer.write("/text", &text, START_NS).unwrap();
+        writer.flush().unwrap();
+        let size = fs::metadata(
+            writer
+                .dir
+                .read_dir()
+                .unwrap()
+                .next()
+                .unwrap()
+                .unwrap()
+                .path(),
+        );
+        (begun, writer.file.synced_bytes, size.unwrap().len())
+    };
+    let (begun, synced, size) = written(Some(Duration::ZERO));
+    assert!(begun > 0, "the file's beginning is on the disk at once");
+    assert_eq!(synced, size);
+    let (begun, synced, size) = written(Some(Duration::from_secs(3600)));
+    assert!(synced == begun && begun > 0 && size > synced);
+    assert_eq!(written(None).1, 0);
+}
+
+#[test]
 fn presets_are_those_of_rosbag2() {
     let scratch = TempDir::new().unwrap();
     for (name, preset, compression, has_chunks) in [

@@ -214,8 +214,15 @@ fn bags_that_do_not_fit_are_named() {
         .unwrap();
     let error = |names: &[&str], options: &ExportOptions| {
         let bags: Vec<PathBuf> = names.iter().map(|name| at(name)).collect();
-        let out = TempDir::new().unwrap();
-        export(&bags, out.path(), options).unwrap_err().to_string()
+        let folder = TempDir::new().unwrap();
+        let out = folder.path().join("new/dataset");
+        let error = export(&bags, &out, options).unwrap_err().to_string();
+        // The second of "good" and "wide" is refused when the first has been written.
+        let left = std::fs::read_dir(folder.path().join("new"))
+            .unwrap()
+            .count();
+        assert_eq!(left, 0, "{names:?}");
+        error
     };
     let plain = ExportOptions::default();
     let camera = ExportOptions {

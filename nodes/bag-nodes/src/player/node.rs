@@ -8,6 +8,7 @@ use super::{
     playback::{Playback, Step},
     playlist::Playlist,
     restamp::restamp,
+    settings::Parameters,
     source::{Ahead, Source},
 };
 use crate::{ending::Ending, keyboard::Keyboard};
@@ -15,6 +16,7 @@ use anyhow::Result;
 use command::Command;
 use control::Asked;
 use std::collections::{BTreeMap, VecDeque};
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
@@ -25,10 +27,52 @@ use wm_msgs::{
     wm_msgs::ActionChunk,
 };
 use wm_ros::calls::Calls;
-use wm_ros::{Node, NodeArgs, Publisher, Qos};
+use wm_ros::{
+    Direction, EndpointSet as _, EndpointSpec, Node, NodeArgs, NodeDefinition, ParameterSet as _,
+    Publisher, Qos,
+};
 
-/// The node's default name.
-pub const NAME: &str = "player";
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
+    name: "player",
+    about: "Plays a bag's messages at their times.",
+    parameters: Parameters::specs,
+    endpoints,
+    is_managed: false,
+    run: |args| run(args).map(ExitCode::from),
+    component: None,
+};
+
+/// Beside the bag's topics, where they are wanted: name and QoS.
+const CLOCK: (&str, Qos) = ("/clock", Qos::best_effort(1));
+const CHUNKS: (&str, Qos) = ("action_chunk", Qos::reliable(10));
+const GOAL: (&str, Qos) = ("goal/image/compressed", Qos::latched(1));
+
+fn endpoints() -> Vec<EndpointSpec> {
+    let published = Direction::Published;
+    let mut specs = vec![
+        EndpointSpec::topic::<Clock>(
+            published,
+            CLOCK.0,
+            CLOCK.1,
+            "The bag's time, with the parameters clock, clock_topics and clock_topics_all.",
+        ),
+        EndpointSpec::topic::<ActionChunk>(
+            published,
+            CHUNKS.0,
+            CHUNKS.1,
+            "The bag's coming actions, with action_chunk_length.",
+        ),
+        EndpointSpec::topic::<CompressedImage>(
+            published,
+            GOAL.0,
+            GOAL.1,
+            "The bag's last frame, with goal.",
+        ),
+    ];
+    specs.extend(command::Services::specs());
+    specs
+}
 
 /// How long the graph must not change before the first message, where others are waited for.
 const QUIET: Duration = Duration::from_millis(500);
@@ -42,7 +86,7 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
     let mut ending = Ending::Complete;
     wm_ros::run(
-        NAME,
+        NODE.name,
         wm_ros::NAMESPACE,
         args,
         async |node: Node| -> Result<()> {
@@ -60,7 +104,6 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
 pub async fn body(node: Node) -> Result<Ending> {
     let node = &node;
     let settings = Settings::declare(node)?;
-    node.seal_parameters()?;
     let (reader, playlist) = {
         let (node, settings) = (node.clone(), settings.clone());
         tokio::task::spawn_blocking(move || open(&node, &settings)).await??
@@ -77,7 +120,7 @@ pub async fn body(node: Node) -> Result<Ending> {
 }
 
 fn open(node: &Node, settings: &Settings) -> Result<(BagReader, Playlist)> {
-    let reader = BagReader::open(&settings.bag)?;
+    let reader = BagReader::open(&settings.parameters.bag)?;
     for warning in reader.warnings() {
         warn!("{warning}");
     }
@@ -114,15 +157,15 @@ struct Player {
 impl Player {
     fn new(node: &Node, settings: Settings, reader: BagReader, playlist: Playlist) -> Result<Self> {
         let clock = match settings.has_clock() {
-            true => Some(node.publisher("/clock", Qos::best_effort(1))?),
+            true => Some(node.publisher(CLOCK.0, CLOCK.1)?),
             false => None,
         };
         let chunks = match &playlist.chunks {
-            Some(_) => Some(node.publisher("action_chunk", Qos::reliable(10))?),
+            Some(_) => Some(node.publisher(CHUNKS.0, CHUNKS.1)?),
             None => None,
         };
         let goal = match &playlist.goal {
-            Some(_) => Some(node.publisher("goal/image/compressed", Qos::latched(1))?),
+            Some(_) => Some(node.publisher(GOAL.0, GOAL.1)?),
             None => None,
         };
         let plan = settings.plan(&reader);
@@ -131,8 +174,8 @@ impl Player {
             node: node.clone(),
             playback: Playback::new(
                 plan,
-                settings.rate,
-                settings.is_starting_paused,
+                settings.parameters.rate,
+                settings.parameters.is_starting_paused,
                 Duration::ZERO,
             ),
             epoch: Instant::now(),
@@ -159,7 +202,7 @@ impl Player {
         let keys = calls.sender();
         // a key that finds the queue full is pressed again
         let on_key = move |key| drop(keys.try_send(Command::Key(key)));
-        let has_keyboard = self.settings.has_keyboard;
+        let has_keyboard = self.settings.has_keyboard();
         let keyboard = has_keyboard.then(|| Keyboard::listen(on_key)).flatten();
         if keyboard.is_some() {
             info!(
@@ -170,9 +213,9 @@ impl Player {
         self.epoch = Instant::now();
         info!(
             "playing {} ({:.1} s at rate {}){}",
-            self.settings.bag.display(),
+            self.settings.parameters.bag.display(),
             plan.last_ns.saturating_sub(plan.start_ns) as f64 / 1e9,
-            self.settings.rate,
+            self.settings.parameters.rate,
             if self.playback.is_paused() {
                 ", paused"
             } else {
@@ -204,7 +247,7 @@ impl Player {
                 Step::Wait(until) => until.map(|until| self.epoch + until),
                 Step::Ended => {
                     let ended = *ended.get_or_insert_with(Instant::now);
-                    Some(ended + self.settings.linger)
+                    Some(ended + self.settings.parameters.linger)
                 }
                 Step::Begin(bag_ns) => {
                     self.begin(bag_ns)?;
@@ -232,12 +275,12 @@ impl Player {
 
     /// Waits, but not for ever, until the topics named in `wait_for` have a publisher and a subscriber.
     async fn wait_for_others(&self) {
-        if self.settings.wait_for.is_empty() {
+        if self.settings.parameters.wait_for.is_empty() {
             return;
         }
         let missing = || {
             let mut missing = Vec::new();
-            for topic in &self.settings.wait_for {
+            for topic in &self.settings.parameters.wait_for {
                 match (
                     self.node.count_publishers(topic),
                     self.node.count_subscribers(topic),
@@ -262,11 +305,11 @@ impl Player {
             // one after another, so a graph that is quiet is a graph that is whole
             while let Ok(Ok(())) = tokio::time::timeout(QUIET, changes.changed()).await {}
         };
-        if tokio::time::timeout(self.settings.wait_timeout, all_there)
+        if tokio::time::timeout(self.settings.parameters.wait_timeout, all_there)
             .await
             .is_err()
         {
-            let waited = self.settings.wait_timeout.as_secs_f64();
+            let waited = self.settings.parameters.wait_timeout.as_secs_f64();
             match missing().as_slice() {
                 [] => warn!("beginning after {waited:.1} s although the graph still changes"),
                 missing => warn!(
@@ -279,7 +322,7 @@ impl Player {
 
     /// Waits until reliable subscribers have everything, where that is wanted.
     async fn wait_for_acknowledgments(&self) -> Result<()> {
-        let Some(limit) = self.settings.acknowledgment else {
+        let Some(limit) = self.settings.acknowledgment() else {
             return Ok(());
         };
         let begin = Instant::now();
@@ -320,7 +363,7 @@ impl Player {
         let elapsed_ns = i64::try_from(self.epoch.elapsed().as_nanos()).unwrap_or(i64::MAX);
         self.epoch_ns = self.node.now().to_nanos().saturating_sub(elapsed_ns);
         // before what follows: nodes that follow the clock forget the old time first
-        if self.settings.clock_hz > 0.0 {
+        if self.settings.parameters.clock_hz > 0.0 {
             self.publish_clock(bag_ns)?;
         }
         self.publish_goal()?;
@@ -339,7 +382,7 @@ impl Player {
         if let Some(asked) = self.asked.front_mut() {
             asked.published += 1;
         }
-        if message.topic.as_ref() == self.settings.action_topic {
+        if message.topic.as_ref() == self.settings.parameters.action_topic {
             self.publish_chunk(message.log_time_ns)?;
         }
         self.publish(&message)
@@ -347,7 +390,7 @@ impl Player {
 
     /// The stamp that replaces `stamp_ns` of the bag.
     fn stamp_ns(&self, stamp_ns: i64) -> i64 {
-        if self.settings.is_restamping {
+        if self.settings.parameters.is_restamping {
             self.epoch_ns
                 .saturating_add(self.playback.moment_ns(stamp_ns))
         } else {
@@ -394,7 +437,7 @@ impl Player {
     /// Publishes the chunk of the first action at or after this log time.
     fn publish_chunk(&self, log_time_ns: u64) -> Result<()> {
         if let (Some(publisher), Some(chunks)) = (&self.chunks, &self.playlist.chunks) {
-            let rate = if self.settings.is_restamping {
+            let rate = if self.settings.parameters.is_restamping {
                 self.playback.rate()
             } else {
                 1.0
@@ -417,11 +460,12 @@ impl Player {
     }
 
     fn clock_ticks(&self) -> Option<Interval> {
-        if self.settings.clock_hz <= 0.0 {
+        if self.settings.parameters.clock_hz <= 0.0 {
             return None;
         }
-        let mut ticks =
-            tokio::time::interval(Duration::from_secs_f64(1.0 / self.settings.clock_hz));
+        let mut ticks = tokio::time::interval(Duration::from_secs_f64(
+            1.0 / self.settings.parameters.clock_hz,
+        ));
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         Some(ticks)
     }
@@ -495,5 +539,8 @@ fn open_source(
     from_ns: u64,
 ) -> Source {
     let messages = reader.messages().only_topics(playlist.tracks.keys());
-    Source::open(messages.starting_at(from_ns), settings.read_ahead)
+    Source::open(
+        messages.starting_at(from_ns),
+        settings.parameters.read_ahead,
+    )
 }

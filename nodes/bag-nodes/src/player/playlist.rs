@@ -38,7 +38,7 @@ impl Playlist {
             .topics
             .named()
             .iter()
-            .chain(&settings.clock_topics)
+            .chain(&settings.parameters.clock_topics)
             .filter(|topic| reader.topic(topic).is_none())
         {
             warn!("the bag has no topic {topic}");
@@ -50,7 +50,7 @@ impl Playlist {
             .filter(|topic| settings.plays(&topic.name))
         {
             let has_header = begins_with_header(&topic.schema);
-            if settings.is_restamping && !has_header {
+            if settings.parameters.is_restamping && !has_header {
                 tracing::debug!(
                     "{}: {} begins with no header: nothing to restamp",
                     topic.name,
@@ -73,7 +73,7 @@ impl Playlist {
                 .with_context(|| format!("topic {} of the bag", topic.name))?;
             let track = Track {
                 publisher,
-                is_restamped: settings.is_restamping && has_header,
+                is_restamped: settings.parameters.is_restamping && has_header,
                 is_reliable: qos.reliability == Reliability::Reliable,
                 is_clocked: settings.clocks(&topic.name),
             };
@@ -91,14 +91,14 @@ impl Playlist {
                 names.join(", ")
             );
         }
-        let chunks = match settings.chunk_length {
+        let chunks = match settings.parameters.chunk_length {
             0 => None,
             length => Some(read_chunks(reader, settings, length)?),
         };
-        let goal = if settings.has_goal {
+        let goal = if settings.parameters.has_goal {
             Some(last_frame(
                 reader,
-                &camera_topic(reader, &settings.camera_topic)?,
+                &camera_topic(reader, &settings.parameters.camera_topic)?,
             )?)
         } else {
             None
@@ -112,7 +112,7 @@ impl Playlist {
 }
 
 fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result<ActionChunks> {
-    let topic = settings.action_topic.as_str();
+    let topic = settings.parameters.action_topic.as_str();
     let has_actions = reader
         .topic(topic)
         .is_some_and(|found| found.type_name.as_ref() == Action::ros_name());

@@ -2,11 +2,12 @@
 
 mod book;
 mod command;
+mod news;
 
 use super::{
     definitions,
     losses::Loss,
-    options::{self, Options},
+    options::{Options, Parameters},
     selection::common_qos,
     writer::{Entry, Queue},
 };
@@ -17,27 +18,41 @@ use crate::{
 use anyhow::Result;
 use book::Book;
 use command::Command;
-use std::collections::{BTreeMap, BTreeSet};
+use news::News;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::sync::{
     Arc,
     atomic::{AtomicBool, Ordering},
 };
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tracing::{info, warn};
+use tracing::info;
 use wm_bag::QosProfile;
 use wm_msgs::{
     builtin_interfaces::Time,
     rosbag2_interfaces::{Empty, IsPausedResponse, RecordResponse, Stop, Success},
 };
 use wm_ros::{
-    Call, Diagnostics, Durability, Node, NodeArgs, Qos, RawSubscription, Reliability, TopicInfo,
+    Call, Diagnostics, Durability, EndpointSet as _, Node, NodeArgs, NodeDefinition,
+    ParameterSet as _, Qos, RawSubscription, Reliability, TopicInfo,
 };
 use wm_ros::{calls::Calls, calls::answer};
 
-/// The node's default name.
-pub const NAME: &str = "recorder";
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
+    name: "recorder",
+    about: "Records topics, as they are found, into a bag.",
+    parameters: Parameters::specs,
+    endpoints: command::Services::specs,
+    is_managed: false,
+    run: |args| run(args).map(ExitCode::from),
+    component: None,
+};
+
+/// More topics than this are not recorded: whoever makes so many does not mean well, and each has a queue.
+const MOST_TOPICS: usize = 2000;
 
 /// Records until a signal. `DataLost` where messages did not get into the bag: those that found a queue full, those in
 /// no known form, and those that are missing in their publishers' numbering.
@@ -48,12 +63,13 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
     args.expect_no_rest()?;
     let mut book = Book::default();
     let result = wm_ros::run(
-        NAME,
+        NODE.name,
         wm_ros::NAMESPACE,
         args,
         async |node: Node| -> Result<()> {
-            let options = options::declare(&node)?;
+            let parameters = Parameters::declare(&node)?;
             node.seal_parameters()?;
+            let options = Options::new(parameters, &node)?;
             serve(&node, &options, &mut book).await
         },
     );
@@ -66,8 +82,8 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
 
 /// Records into one bag after the other, as it is asked to.
 async fn serve(node: &Node, options: &Options, book: &mut Book) -> Result<()> {
-    book.begin(options, options.folder.clone()).await?;
-    let mut calls = command::serve(node, options.is_snapshot)?;
+    book.begin_first(options).await?;
+    let mut calls = command::serve(node)?;
     let keys = calls.sender();
     // a key that finds the queue full is pressed again
     let on_key = move |key| drop(keys.try_send(Command::Key(key)));
@@ -94,14 +110,10 @@ async fn serve(node: &Node, options: &Options, book: &mut Book) -> Result<()> {
                 () = shutdown.wait() => return Ok(()),
                 command = calls.next() => match command {
                     Command::Record(call) => {
-                        let folder = match call.request.uri.as_str() {
-                            "" => options.folder.clone(),
-                            uri => PathBuf::from(uri),
-                        };
-                        let begun = book.begin(options, folder).await;
+                        let begun = book.begin_asked_for(options, &call.request.uri).await;
                         answer(call, &RecordResponse {
                             return_code: begun.is_err().into(),
-                            error_string: begun.as_ref().err().map(|e| format!("{e:#}")).unwrap_or_default(),
+                            error_string: begun.as_ref().err().map(shortened).unwrap_or_default(),
                         });
                         if begun.is_ok() {
                             break;
@@ -132,7 +144,7 @@ async fn record(
     let shutdown = node.shutdown();
     let (over, _) = watch::channel(false);
     let mut types: BTreeMap<String, String> = BTreeMap::new();
-    let mut refused = BTreeSet::new();
+    let mut news = News::new(node.diagnostics());
     let mut topics = JoinSet::new();
     let mut changes = node.graph_changes();
     let clock = node.clock();
@@ -144,21 +156,30 @@ async fn record(
             match types.get(&topic.name) {
                 Some(known) if *known == topic.type_name => continue,
                 Some(known) => {
-                    if refused.insert((topic.name.clone(), topic.type_name.clone())) {
-                        warn!(
-                            "{} is recorded as {known}; not as {} too",
-                            topic.name, topic.type_name
-                        );
-                    }
+                    news.skipped(&topic, &format_args!("it is recorded as {known}"));
+                    continue;
+                }
+                None if types.len() >= MOST_TOPICS => {
+                    news.skipped(&topic, &format_args!("{MOST_TOPICS} topics are recorded"));
                     continue;
                 }
                 None => {}
             }
-            types.insert(topic.name.clone(), topic.type_name.clone());
-            let loss = Arc::new(Loss::default());
             let name: Arc<str> = topic.name.as_str().into();
             let overrides = &options.qos_overrides;
-            let subscription = subscribe(node, &topic, &name, overrides, &queue, &prefixes)?;
+            let subscribed =
+                subscribe(node, &topic, &name, overrides, &queue, &prefixes, &mut news);
+            let subscription = match subscribed? {
+                Ok(subscription) => subscription,
+                // DDS allows more than ROS, and anybody may publish.
+                Err(reason) => {
+                    news.skipped(&topic, &reason);
+                    continue;
+                }
+            };
+            types.insert(topic.name.clone(), topic.type_name.clone());
+            news.recorded(&topic.name);
+            let loss = Arc::new(Loss::default());
             book.losses.insert(name.clone(), Arc::clone(&loss));
             let forward = Forward {
                 topic: name,
@@ -169,6 +190,7 @@ async fn record(
             };
             topics.spawn(forward.run(subscription, over.subscribe()));
         }
+        news.tell();
         tokio::select! {
             Ok(()) = changes.changed() => {}
             () = clock.sleep_until(Time { sec: 0, nanosec: 1 }), if !has_time => has_time = true,
@@ -203,6 +225,12 @@ async fn record(
     Ok(stopped)
 }
 
+/// What an answer, which has to fit into a datagram, says of an error.
+fn shortened(error: &anyhow::Error) -> String {
+    const LONGEST: usize = 400;
+    format!("{error:#}").chars().take(LONGEST).collect()
+}
+
 /// What can be asked for whether or not it records.
 fn obey(command: Command, is_paused: &AtomicBool) {
     let set = |paused: bool| {
@@ -227,6 +255,7 @@ fn obey(command: Command, is_paused: &AtomicBool) {
     }
 }
 
+/// Subscribes to a topic and announces it to the bag. The inner error says why ROS does not allow it.
 fn subscribe(
     node: &Node,
     topic: &TopicInfo,
@@ -234,31 +263,39 @@ fn subscribe(
     qos_overrides: &BTreeMap<String, Qos>,
     queue: &Queue,
     prefixes: &[PathBuf],
-) -> Result<RawSubscription> {
-    let schema = definitions::definition(&topic.type_name, prefixes).unwrap_or_else(|| {
-        warn!(
-            "{name}: no definition of {} on AMENT_PREFIX_PATH: recorded without one",
-            topic.type_name
-        );
-        definitions::unknown()
-    });
-    if let Err(error) = schema.type_hash(&topic.type_name) {
-        warn!("{name}: recorded without the hash of its type: {error}");
-    }
+    news: &mut News,
+) -> Result<Result<RawSubscription, String>> {
     let qos = match qos_overrides.get(&topic.name) {
         Some(qos) => *qos,
         None => common_qos(&topic.publishers),
     };
-    info!("recording {name} ({})", topic.type_name);
-    let type_name = topic.type_name.clone();
-    let recorded = Entry::Topic {
+    let subscription = match node.raw_subscription(&topic.name, &topic.type_name, qos) {
+        Ok(subscription) => subscription,
+        Err(wm_ros::Error::Name { kind, reason, .. }) => {
+            return Ok(Err(format!("not a valid {kind} name: {reason}")));
+        }
+        Err(error) => return Err(error.into()),
+    };
+    let schema = definitions::definition(&topic.type_name, prefixes).unwrap_or_else(|| {
+        news.undefined(
+            &topic.type_name,
+            "is not on AMENT_PREFIX_PATH: recorded without its definition",
+        );
+        definitions::unknown()
+    });
+    if let Err(error) = schema.type_hash(&topic.type_name) {
+        news.undefined(
+            &topic.type_name,
+            &format!("is recorded without its hash: {error}"),
+        );
+    }
+    queue.offer(Entry::Topic {
         name: Arc::clone(name),
-        type_name,
+        type_name: topic.type_name.clone(),
         schema,
         qos: profile(topic.publishers.first()),
-    };
-    queue.offer(recorded)?;
-    Ok(node.raw_subscription(&topic.name, &topic.type_name, qos)?)
+    })?;
+    Ok(Ok(subscription))
 }
 
 /// What the publisher offers, as the bag keeps it.

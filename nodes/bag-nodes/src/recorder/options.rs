@@ -1,24 +1,79 @@
 //! What is recorded and how it is written, from the node's parameters.
 
 use super::{
+    place::{Existing, Place},
     selection::Selection,
-    writer::{CACHE_BYTES, CHUNK_TIME},
+    writer::{CACHE_BYTES, CHUNK_TIME, SYNC_INTERVAL},
 };
 use crate::qos_overrides;
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 use wm_bag::{Compression, StoragePreset, TopicFilter, WriterOptions};
-use wm_ros::{Descriptor, Node, Qos};
+use wm_ros::{Node, Qos};
 
-/// What the parameters say.
+/// The longest that a file of a bag may be told to be, in seconds: a hundred years, so that times do not overflow.
+const LONGEST_S: i64 = 100 * 365 * 24 * 3600;
+
+wm_ros::parameters! {
+    /// What the parameters say. They have the names and meanings of rosbag2's options.
+    pub(super) struct Parameters {
+        /// Folder of the new bag; relative to the working directory.
+        output: PathBuf = "";
+        /// Replace a bag that is there already, once the new one holds a message. Only the bag of output: what a service
+        /// asks for is always a new one.
+        overwrite: bool = false;
+        /// Give what is there already a name with the time of its last change.
+        rename_existing: bool = false;
+        /// Folder below which ~/record may make bags; empty: the folder that output is in.
+        root: PathBuf = "";
+        /// Topics to record; empty: all that are not hidden, or those of regex and topic_types.
+        topics: Vec<String> = Vec::<String>::new();
+        /// Topics not to record.
+        exclude_topics: Vec<String> = Vec::<String>::new();
+        /// Record topics in whose name this regular expression is found, too.
+        regex: String = "";
+        /// Do not record topics in whose name this regular expression is found.
+        exclude_regex: String = "";
+        /// Record topics of these types, too.
+        topic_types: Vec<String> = Vec::<String>::new();
+        /// Do not record topics of these types.
+        exclude_topic_types: Vec<String> = Vec::<String>::new();
+        /// YAML file of quality of service by topic, as ros2 bag reads it; empty: what all publishers of a topic offer.
+        qos_profile_overrides_path: PathBuf = "";
+        /// Hold the latest max_cache_size bytes back, and write them when ~/snapshot is called.
+        snapshot_mode: bool = false;
+        /// Record nothing until it is resumed.
+        start_paused: bool = false;
+        /// Leave the keys of the terminal alone.
+        disable_keyboard_controls: bool = false;
+        /// Begin the bag's next file at this size [bytes]; 0: never.
+        max_bag_size: u64 = 0;
+        /// Begin the bag's next file after this time [s]; 0: never.
+        max_bag_duration: u64 = 0, in 0..=LONGEST_S;
+        /// Messages that may wait for the disk [bytes]; what finds no room is dropped and counted.
+        max_cache_size: usize = CACHE_BYTES as i64, in 1..=i64::MAX;
+        /// Compression of the bag's chunks.
+        compression_format: Compression = "zstd", one_of {
+            "none" => Compression::None, "zstd" => Compression::Zstd, "lz4" => Compression::Lz4,
+        };
+        /// Preset of rosbag2's MCAP storage, instead of compression_format: fastwrite (no chunks, no compression),
+        /// zstd_fast (fastest level, no CRC of the chunks), zstd_small (slowest level, chunks of 4 MiB).
+        storage_preset_profile: StoragePreset = "none", one_of {
+            "none" => StoragePreset::None, "fastwrite" => StoragePreset::FastWrite,
+            "zstd_fast" => StoragePreset::ZstdFast, "zstd_small" => StoragePreset::ZstdSmall,
+        };
+        /// How far compressing and writing give way to other nodes and programs, as nice(1).
+        nice: i32 = 0, in 0..=19;
+    }
+}
+
+/// What the parameters mean.
 #[derive(Clone)]
 pub(super) struct Options {
-    /// Folder of the new bag.
-    pub folder: PathBuf,
-    /// Whether a bag that is there already is replaced.
-    pub is_overwriting: bool,
+    /// Where bags are made.
+    pub place: Place,
     pub selection: Selection,
     /// Quality of service of topics that is not to be their publishers'.
     pub qos_overrides: BTreeMap<String, Qos>,
@@ -30,179 +85,65 @@ pub(super) struct Options {
     pub is_starting_paused: bool,
     /// Whether the keys of its terminal control it.
     pub has_keyboard: bool,
+    /// Added to the nice value of the thread that compresses and writes.
+    pub nice: i32,
 }
 
-/// The longest that a file of a bag may be told to be, in seconds: a hundred years, so that times do not overflow.
-const LONGEST_S: i64 = 100 * 365 * 24 * 3600;
-
-/// Declares the parameters, which have the names and meanings of rosbag2's options, and reads them.
-pub(super) fn declare(node: &Node) -> Result<Options> {
-    let number = |name: &str, default: i64, least: i64, most: i64, what: &str| -> Result<u64> {
-        let descriptor = Descriptor::new(what).read_only().integers(least, most);
-        let value = node.declare(name, default, descriptor)?.get();
-        // The range has no negative number.
-        Ok(value.unsigned_abs())
-    };
-    let text = |name: &str, default: &str, what: &str| -> Result<String> {
-        let descriptor = Descriptor::new(what).read_only();
-        Ok(node.declare(name, default.to_owned(), descriptor)?.get())
-    };
-    let flag = |name: &str, what: &str| -> Result<bool> {
-        let descriptor = Descriptor::new(what).read_only();
-        Ok(node.declare(name, false, descriptor)?.get())
-    };
-    let texts = |name: &str, what: &str| -> Result<Vec<String>> {
-        let descriptor = Descriptor::new(what).read_only();
-        let list = node.declare(name, Vec::<String>::new(), descriptor)?.get();
-        // ROS cannot write an empty list of strings: [''] stands for it
-        Ok(list.into_iter().filter(|item| !item.is_empty()).collect())
-    };
-    let topics = |name: &str, what: &str| -> Result<Vec<String>> {
-        let names = texts(name, what)?.into_iter();
-        names.map(|name| Ok(node.resolve(&name)?)).collect()
-    };
-    let folder = text(
-        "output",
-        "",
-        "folder of the new bag; relative to the working directory",
-    )?;
-    let is_overwriting = flag("overwrite", "replace a bag that is there already")?;
-    let named = topics(
-        "topics",
-        "topics to record; empty: all that are not hidden, or those of regex and topic_types",
-    )?;
-    let excluded = topics("exclude_topics", "topics not to record")?;
-    let regex = text(
-        "regex",
-        "",
-        "record topics in whose name this is found, too",
-    )?;
-    let exclude_regex = text(
-        "exclude_regex",
-        "",
-        "do not record topics in whose name this is found",
-    )?;
-    let given = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
-    let selection = Selection {
-        topics: TopicFilter::new(
-            named,
-            given(&regex).as_deref(),
-            excluded,
-            given(&exclude_regex).as_deref(),
-        )?,
-        types: texts("topic_types", "record topics of these types, too")?,
-        exclude_types: texts("exclude_topic_types", "do not record topics of these types")?,
-    };
-    let qos_overrides_path = text(
-        "qos_profile_overrides_path",
-        "",
-        "YAML file of quality of service by topic, as ros2 bag reads it",
-    )?;
-    let is_snapshot = flag(
-        "snapshot_mode",
-        "hold the latest max_cache_size bytes back, and write them when ~/snapshot is called",
-    )?;
-    let is_starting_paused = flag("start_paused", "record nothing until it is resumed")?;
-    let has_keyboard = !flag(
-        "disable_keyboard_controls",
-        "leave the keys of the terminal alone",
-    )?;
-    let max_file_bytes = number(
-        "max_bag_size",
-        0,
-        0,
-        i64::MAX,
-        "begin the bag's next file at this size, in bytes; 0: never",
-    )?;
-    let max_file_seconds = number(
-        "max_bag_duration",
-        0,
-        0,
-        LONGEST_S,
-        "begin the bag's next file after this time, in seconds; 0: never",
-    )?;
-    // A constant far below 2^63.
-    let default_cache = CACHE_BYTES as i64;
-    let cache_bytes = number(
-        "max_cache_size",
-        default_cache,
-        1,
-        i64::MAX,
-        "bytes of messages that may wait for the disk; what finds no room is dropped and counted",
-    )?;
-    let format = text(
-        "compression_format",
-        "zstd",
-        "compression of the bag's chunks: none, zstd or lz4",
-    )?;
-    let preset = text(
-        "storage_preset_profile",
-        "none",
-        "preset of rosbag2's MCAP storage, instead of compression_format: none, fastwrite, zstd_fast or zstd_small",
-    )?;
-    ensure!(
-        !folder.is_empty(),
-        "parameter \"output\" is empty: name the folder of the new bag"
-    );
-    Ok(Options {
-        folder: PathBuf::from(folder),
-        is_overwriting,
-        selection,
-        qos_overrides: qos_overrides::read(qos_overrides_path.as_ref())?,
-        is_snapshot,
-        is_starting_paused,
-        has_keyboard,
-        writer: WriterOptions {
-            chunk_duration: Some(CHUNK_TIME),
-            compression: compression(&format)?,
-            preset: storage_preset(&preset)?,
-            max_file_bytes: Some(max_file_bytes).filter(|bytes| *bytes > 0),
-            max_file_duration: Some(max_file_seconds)
-                .filter(|seconds| *seconds > 0)
-                .map(Duration::from_secs),
-            ..WriterOptions::default()
-        },
-        cache_bytes: usize::try_from(cache_bytes).unwrap_or(usize::MAX),
-    })
-}
-
-fn compression(name: &str) -> Result<Compression> {
-    match name {
-        "none" => Ok(Compression::None),
-        "zstd" => Ok(Compression::Zstd),
-        "lz4" => Ok(Compression::Lz4),
-        _ => bail!("parameter \"compression_format\": expected none, zstd or lz4, got {name:?}"),
-    }
-}
-
-fn storage_preset(name: &str) -> Result<StoragePreset> {
-    match name {
-        "none" => Ok(StoragePreset::None),
-        "fastwrite" => Ok(StoragePreset::FastWrite),
-        "zstd_fast" => Ok(StoragePreset::ZstdFast),
-        "zstd_small" => Ok(StoragePreset::ZstdSmall),
-        _ => bail!(
-            "parameter \"storage_preset_profile\": expected none, fastwrite, zstd_fast or zstd_small, got {name:?}"
-        ),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_those_of_rosbag2() {
-        assert_eq!(compression("lz4").unwrap(), Compression::Lz4);
-        assert_eq!(
-            storage_preset("fastwrite").unwrap(),
-            StoragePreset::FastWrite
+impl Options {
+    /// What the parameters mean.
+    ///
+    /// # Errors
+    /// Names the parameter that makes no sense.
+    pub fn new(parameters: Parameters, node: &Node) -> Result<Self> {
+        ensure!(
+            !parameters.output.as_os_str().is_empty(),
+            "parameter \"output\" is empty: name the folder of the new bag"
         );
-        for error in [
-            compression("gzip").unwrap_err(),
-            storage_preset("gzip").unwrap_err(),
-        ] {
-            assert!(error.to_string().contains("got \"gzip\""), "{error}");
-        }
+        ensure!(
+            !(parameters.overwrite && parameters.rename_existing),
+            "\"overwrite\" and \"rename_existing\": give one of them"
+        );
+        let existing = match (parameters.overwrite, parameters.rename_existing) {
+            (true, _) => Existing::Replaced,
+            (_, true) => Existing::Renamed,
+            _ => Existing::Refused,
+        };
+        let root = Some(parameters.root).filter(|root| !root.as_os_str().is_empty());
+        let resolved = |names: Vec<String>| -> Result<Vec<String>> {
+            let names = names.into_iter();
+            names.map(|name| Ok(node.resolve(&name)?)).collect()
+        };
+        let given = |text: &str| Some(text.to_owned()).filter(|text| !text.is_empty());
+        let selection = Selection {
+            topics: TopicFilter::new(
+                resolved(parameters.topics)?,
+                given(&parameters.regex).as_deref(),
+                resolved(parameters.exclude_topics)?,
+                given(&parameters.exclude_regex).as_deref(),
+            )?,
+            types: parameters.topic_types,
+            exclude_types: parameters.exclude_topic_types,
+        };
+        Ok(Self {
+            place: Place::new(parameters.output, root, existing)?,
+            selection,
+            qos_overrides: qos_overrides::read(&parameters.qos_profile_overrides_path)?,
+            is_snapshot: parameters.snapshot_mode,
+            is_starting_paused: parameters.start_paused,
+            has_keyboard: !parameters.disable_keyboard_controls,
+            writer: WriterOptions {
+                chunk_duration: Some(CHUNK_TIME),
+                sync_interval: Some(SYNC_INTERVAL),
+                compression: parameters.compression_format,
+                preset: parameters.storage_preset_profile,
+                max_file_bytes: Some(parameters.max_bag_size).filter(|bytes| *bytes > 0),
+                max_file_duration: Some(parameters.max_bag_duration)
+                    .filter(|seconds| *seconds > 0)
+                    .map(Duration::from_secs),
+                ..WriterOptions::default()
+            },
+            cache_bytes: parameters.max_cache_size,
+            nice: parameters.nice,
+        })
     }
 }

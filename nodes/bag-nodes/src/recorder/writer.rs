@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result, anyhow, bail};
 use bytes::Bytes;
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{
     Arc, Mutex, PoisonError,
     atomic::{AtomicUsize, Ordering},
@@ -12,13 +12,17 @@ use std::sync::{
 use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::oneshot;
-use wm_bag::{BagSummary, BagWriter, QosProfile, Schema, WriterOptions};
+use tracing::warn;
+use wm_bag::{BagError, BagSummary, BagWriter, QosProfile, Schema, WriterOptions};
 
 /// Bytes of messages that may wait for the disk, unless told otherwise: forty raw 1080p pictures.
 pub(super) const CACHE_BYTES: usize = 256 << 20;
 
 /// A chunk is closed after this much time at the latest: what a killed recorder may lose.
 pub(super) const CHUNK_TIME: Duration = Duration::from_secs(1);
+
+/// Finished chunks are on the disk after this much time at the latest: with the open chunk, what a power cut may lose.
+pub(super) const SYNC_INTERVAL: Duration = Duration::from_secs(5);
 
 /// What the node sends to the bag's thread.
 pub(super) enum Entry {
@@ -141,7 +145,7 @@ impl Entry {
 
 impl Recording {
     /// Creates the bag. At most `cache_bytes` of messages wait for the disk, and in snapshot mode as many for being
-    /// asked for.
+    /// asked for. The thread that writes is `nice` steps below this one.
     ///
     /// # Errors
     /// Where the folder cannot be made, or holds something already.
@@ -150,6 +154,7 @@ impl Recording {
         options: WriterOptions,
         cache_bytes: usize,
         is_snapshot: bool,
+        nice: i32,
     ) -> Result<Self> {
         let writer = BagWriter::create(folder, options)?;
         let (queue, entries) = mpsc::channel();
@@ -165,6 +170,10 @@ impl Recording {
         let thread = std::thread::Builder::new()
             .name("bag".to_owned())
             .spawn(move || {
+                // Linux has a priority for each thread, where POSIX has one for the process.
+                if let Err(error) = rustix::process::nice(nice) {
+                    tracing::warn!("recording at the usual priority: {error}");
+                }
                 let result = write(writer, &entries, &waiting);
                 if let Err(error) = &result {
                     *failure.lock().unwrap_or_else(PoisonError::into_inner) =
@@ -235,55 +244,33 @@ fn write(
                 schema,
                 qos,
             } => {
-                writer.add_topic_raw(&name, &type_name, &schema, &qos.to_yaml())?;
-                types.insert(name, (type_name, schema));
+                match writer.add_topic_raw(&name, &type_name, &schema, &qos.to_yaml()) {
+                    Ok(()) => {
+                        types.insert(name, (type_name, schema));
+                    }
+                    // Its messages are counted as lost.
+                    Err(
+                        error @ (BagError::TopicName(_)
+                        | BagError::TypeName(_)
+                        | BagError::TypeConflict { .. }),
+                    ) => warn!("a topic is not recorded: {error}"),
+                    Err(error) => return Err(error.into()),
+                }
             }
             Entry::Message {
                 topic,
                 log_time_ns,
                 data,
-            } => {
-                if let Some((type_name, schema)) = types.get(&topic) {
+            } => match types.get(&topic) {
+                Some((type_name, schema)) => {
                     writer.write_raw(&topic, type_name, schema, log_time_ns, &data)?;
                 }
-            }
+                None => writer.count_lost(&topic, 1),
+            },
             Entry::Lost { topic, messages } => writer.count_lost(&topic, messages),
             Entry::Split => writer.split()?,
         }
     }
-}
-
-/// Removes the bag in `folder`, where there is one and nothing else with it.
-///
-/// # Errors
-/// Where the folder holds anything but a bag, or cannot be changed.
-pub(super) fn remove_old(folder: &Path) -> Result<()> {
-    let entries = match std::fs::read_dir(folder) {
-        Ok(entries) => entries,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(error).with_context(|| format!("folder {}", folder.display())),
-    };
-    let paths = entries
-        .map(|entry| entry.map(|entry| entry.path()))
-        .collect::<std::io::Result<Vec<PathBuf>>>()?;
-    let is_part_of_bag = |path: &PathBuf| {
-        path.is_file()
-            && (path
-                .extension()
-                .is_some_and(|extension| extension == "mcap")
-                || path.file_name().is_some_and(|name| name == "metadata.yaml"))
-    };
-    if let Some(stranger) = paths.iter().find(|path| !is_part_of_bag(path)) {
-        bail!(
-            "will not overwrite {}: it holds {}, which is no part of a bag",
-            folder.display(),
-            stranger.display()
-        );
-    }
-    for path in paths {
-        std::fs::remove_file(&path).with_context(|| format!("removing {}", path.display()))?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -297,7 +284,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let recording =
-            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false).unwrap();
+            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false, 0).unwrap();
         let queue = recording.queue().unwrap();
         let topic: Arc<str> = "/note".into();
         let schema = type_schema::<std_msgs::String>();
@@ -379,7 +366,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let bag = folder.path().join("bag");
         let mut recording =
-            Recording::create(&bag, WriterOptions::default(), 64 << 10, true).unwrap();
+            Recording::create(&bag, WriterOptions::default(), 64 << 10, true, 0).unwrap();
         let queue = recording.queue().unwrap();
         let topic: Arc<str> = "/note".into();
         let entry = Entry::Topic {
@@ -420,26 +407,5 @@ mod tests {
         let times: Vec<u64> = reader.messages().map(|m| m.unwrap().log_time_ns).collect();
         // six of 10 KiB fit into 64 KiB; the one after the last snapshot was not asked for
         assert_eq!(times, [95, 96, 97, 98, 99, 100, 101, 102]);
-    }
-
-    #[test]
-    fn only_a_bag_is_overwritten() {
-        let folder = tempfile::tempdir().unwrap();
-        let bag = folder.path().join("bag");
-        remove_old(&bag).unwrap();
-        let recording =
-            Recording::create(&bag, WriterOptions::default(), CACHE_BYTES, false).unwrap();
-        recording.finish().unwrap();
-        remove_old(&bag).unwrap();
-        assert_eq!(std::fs::read_dir(&bag).unwrap().count(), 0);
-        std::fs::write(bag.join("thesis.txt"), "x").unwrap();
-        std::fs::write(bag.join("a.mcap"), "x").unwrap();
-        assert!(
-            remove_old(&bag)
-                .unwrap_err()
-                .to_string()
-                .contains("thesis.txt")
-        );
-        assert!(bag.join("a.mcap").exists());
     }
 }

@@ -22,15 +22,6 @@ impl Parameters {
         Ok(())
     }
 
-    /// A parameter that is a list of texts. ROS has no empty list of texts: then it is left at its default.
-    pub fn set_list(&mut self, name: &str, values: &[String]) -> Result<()> {
-        if values.is_empty() {
-            Ok(())
-        } else {
-            self.set(name, values)
-        }
-    }
-
     /// A parameter that was given; else it is left at its default.
     pub fn set_some(&mut self, name: &str, value: Option<impl Serialize>) -> Result<()> {
         value.map_or(Ok(()), |value| self.set(name, value))
@@ -63,7 +54,6 @@ mod tests {
         let mut parameters = Parameters::new();
         parameters.set("bag", "a \"b\"").unwrap();
         parameters.set("rate", 2.0).unwrap();
-        parameters.set_list("topics", &[]).unwrap();
         parameters.set_some("size", None::<i64>).unwrap();
         parameters.remap("/a:=/b");
         let user = ["--ros-args", "-p", "rate:=3"]

@@ -1,6 +1,5 @@
 //! The options of `ros2 bag` that say which topics are meant.
 
-use super::parameters::Parameters;
 use anyhow::Result;
 use clap::Args;
 use wm_bag::TopicFilter;
@@ -23,24 +22,6 @@ pub struct TopicOptions {
 }
 
 impl TopicOptions {
-    /// Whether neither names nor an expression say which topics are meant.
-    pub fn is_all(&self) -> bool {
-        self.topics.is_empty() && self.regex.is_none()
-    }
-
-    /// Names these topics, too.
-    pub fn add(&mut self, topics: Vec<String>) {
-        self.topics.extend(topics);
-    }
-
-    /// As parameters of a node.
-    pub fn parameters(&self, parameters: &mut Parameters) -> Result<()> {
-        parameters.set_list("topics", &self.topics)?;
-        parameters.set_list("exclude_topics", &self.exclude_topics)?;
-        parameters.set_some("regex", self.regex.as_ref())?;
-        parameters.set_some("exclude_regex", self.exclude_regex.as_ref())
-    }
-
     /// The topics meant.
     ///
     /// # Errors

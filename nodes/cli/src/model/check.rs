@@ -1,15 +1,18 @@
 //! `wm model check`.
 
+mod verdict;
+
 use crate::output::print;
 use anyhow::{Context as _, Result};
 use candle_core::{DType, Device, Tensor};
 use clap::Args;
 use std::fmt::Write as _;
-use std::time::Instant;
-use wm_model::bundle::BundledTransition;
+use std::time::{Duration, Instant};
+use verdict::Times;
+use wm_model::bundle::WorldModel;
 use wm_model::sampler::Rollout;
 use wm_model::{Decoder, Encoder};
-use wm_zoo::WorldModel;
+use wm_zoo::ModelFolder;
 use wm_zoo::folder::Summary;
 use wm_zoo::success_probe::SuccessClassifier;
 
@@ -24,26 +27,43 @@ pub struct CheckCommand {
 impl CheckCommand {
     /// Runs it.
     pub fn run(self) -> Result<()> {
-        let model = WorldModel::open(&self.model).with_context(|| self.model.clone())?;
-        if let WorldModel::Folder(folder) = &model {
+        let model = ModelFolder::open(&self.model).with_context(|| self.model.clone())?;
+        if let ModelFolder::Described(folder) = &model {
             print(format_args!("{}", table(&folder.summary()?)?))?;
         }
         let started = Instant::now();
-        let encoder = model.encoder()?;
-        let transition = model.transition()?;
-        let decoder = model.decoder()?;
-        let probe = model.probe()?;
+        let parts = Parts::load(&model)?;
         let loading = milliseconds(started);
-        print(format_args!(
-            "latent space {}\n  {}\ntransition {}\nloaded in {loading:.0} ms\n",
-            encoder.space(),
-            encoder.space().hash,
-            transition.hash,
-        ))?;
-        print(format_args!(
-            "{}",
-            run_once(&*encoder, &transition, decoder.as_deref(), probe.as_ref())?
-        ))
+        let space = parts.encoder.space();
+        print(format_args!("latent space {space}\n  {}\n", space.hash))?;
+        match &parts.transition {
+            Some(transition) => print(format_args!("transition {}\n", transition.hash))?,
+            None => print("no transition: encoder and decoder only\n")?,
+        }
+        print(format_args!("loaded in {loading:.0} ms\n"))?;
+        print(format_args!("{}", run_once(&parts)?))
+    }
+}
+
+/// What of a model there is, loaded.
+struct Parts {
+    encoder: Box<dyn Encoder>,
+    transition: Option<WorldModel>,
+    decoder: Option<Box<dyn Decoder>>,
+    probe: Option<SuccessClassifier>,
+}
+
+impl Parts {
+    fn load(model: &ModelFolder) -> Result<Self> {
+        Ok(Self {
+            encoder: model.encoder()?,
+            transition: match model.has_transition() {
+                true => Some(model.transition()?),
+                false => None,
+            },
+            decoder: model.decoder()?,
+            probe: model.probe()?,
+        })
     }
 }
 
@@ -87,37 +107,39 @@ fn table(summary: &Summary) -> Result<String> {
     Ok(text)
 }
 
-/// One picture through all parts, and how long each takes here.
-fn run_once(
-    encoder: &dyn Encoder,
-    transition: &BundledTransition,
-    decoder: Option<&dyn Decoder>,
-    probe: Option<&SuccessClassifier>,
-) -> Result<String> {
+/// One picture through all parts, how long each takes here, and whether that is fast enough.
+fn run_once(parts: &Parts) -> Result<String> {
     let mut text = String::new();
-    let (height, width) = encoder.input_size();
+    let (height, width) = parts.encoder.input_size();
     let picture = Tensor::full(0.5f32, (1, height, width, 3), &Device::Cpu)?;
-    let started = Instant::now();
-    let latent = encoder.encode(&picture).context("encoding")?;
-    writeln!(text, "encode a frame    {:>10.1} ms", milliseconds(started))?;
+    let (latent, encode) = timed(|| parts.encoder.encode(&picture)).context("encoding")?;
+    line(&mut text, "encode a frame", encode)?;
 
-    let model = &transition.model;
-    let context = latent.unsqueeze(0)?;
-    let action = Tensor::zeros((1, model.config().action_dim), DType::F32, &Device::Cpu)?;
-    let started = Instant::now();
-    let mut rollout = Rollout::new(model, &model.config().sampler, &context, None, 0)?;
-    let next = rollout.next(&action).context("predicting")?;
-    writeln!(text, "predict a frame   {:>10.1} ms", milliseconds(started))?;
-
-    match decoder {
-        None => writeln!(text, "no decoder: there will be no pictures")?,
-        Some(decoder) => {
-            let started = Instant::now();
-            decoder.decode(&next).context("decoding")?;
-            writeln!(text, "decode a frame    {:>10.1} ms", milliseconds(started))?;
+    let mut next = latent.clone();
+    let mut predict = None;
+    match &parts.transition {
+        None => writeln!(text, "no transition: nothing will be predicted")?,
+        Some(WorldModel { model, .. }) => {
+            let context = latent.unsqueeze(0)?;
+            let action = Tensor::zeros((1, model.config().action_dim), DType::F32, &Device::Cpu)?;
+            let sampler = &model.config().sampler;
+            let (predicted, time) =
+                timed(|| Rollout::new(model, sampler, &context, None, 0)?.next(&action))
+                    .context("predicting")?;
+            line(&mut text, "predict a frame", time)?;
+            (next, predict) = (predicted, Some(time));
         }
     }
-    match probe {
+    let mut decode = None;
+    match &parts.decoder {
+        None => writeln!(text, "no decoder: there will be no pictures")?,
+        Some(decoder) => {
+            let (_, time) = timed(|| decoder.decode(&next)).context("decoding")?;
+            line(&mut text, "decode a frame", time)?;
+            decode = Some(time);
+        }
+    }
+    match &parts.probe {
         None => writeln!(text, "no probe: there will be no success probabilities")?,
         Some(probe) => {
             let started = Instant::now();
@@ -138,7 +160,25 @@ fn run_once(
             )?;
         }
     }
+    let times = Times {
+        encode,
+        predict,
+        decode,
+    };
+    writeln!(text, "{times}")?;
     Ok(text)
+}
+
+/// What `run` gives, and how long it takes once everything that it touches is in memory.
+fn timed<T, E>(run: impl Fn() -> Result<T, E>) -> Result<(T, Duration), E> {
+    run()?;
+    let started = Instant::now();
+    let found = run()?;
+    Ok((found, started.elapsed()))
+}
+
+fn line(text: &mut String, what: &str, time: Duration) -> std::fmt::Result {
+    writeln!(text, "{what:<18}{:>10.1} ms", time.as_secs_f64() * 1e3)
 }
 
 fn milliseconds(since: Instant) -> f64 {
@@ -151,10 +191,32 @@ mod tests {
 
     #[test]
     fn the_embedded_default_runs() {
-        let model = WorldModel::open("tiny").unwrap();
-        let (encoder, transition) = (model.encoder().unwrap(), model.transition().unwrap());
-        let decoder = model.decoder().unwrap();
-        let text = run_once(&*encoder, &transition, decoder.as_deref(), None).unwrap();
-        assert_eq!(text.lines().count(), 4, "{text}");
+        let model = ModelFolder::open("tiny").unwrap();
+        let text = run_once(&Parts::load(&model).unwrap()).unwrap();
+        assert_eq!(text.lines().count(), 5, "{text}");
+        assert!(text.contains("5 Hz: "), "{text}");
+    }
+
+    #[test]
+    fn a_folder_without_a_transition_is_encoder_and_decoder_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let autoencoder =
+            wm_model::Autoencoder::random(wm_model::autoencoder::AutoencoderConfig::tiny(), 1)
+                .unwrap();
+        autoencoder
+            .save(
+                folder.path().join("autoencoder.safetensors"),
+                wm_model::weights::Precision::F16,
+            )
+            .unwrap();
+        let model = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
+        let parts = Parts::load(&model).unwrap();
+        assert!(parts.transition.is_none());
+        let text = run_once(&parts).unwrap();
+        assert!(text.contains("encoder and decoder only"), "{text}");
+
+        // Where the transition is there and damaged, that is an error.
+        std::fs::write(folder.path().join("transition.safetensors"), "x").unwrap();
+        assert!(Parts::load(&model).is_err());
     }
 }

@@ -1,18 +1,27 @@
 //! `wm model fetch`.
 
 mod catalogue;
+mod config_file;
 #[cfg(feature = "fetch")]
 mod download;
+#[cfg(any(feature = "fetch", test))]
+mod pins;
 
 use crate::output::print;
-use anyhow::{Context as _, Result, bail};
+#[cfg(feature = "fetch")]
+use anyhow::Context as _;
+use anyhow::{Result, bail};
 use catalogue::{MODELS, Model};
 use clap::Args;
+use config_file::Written;
 use std::path::{Path, PathBuf};
 
 /// Downloads a published model from where its authors put it, with a configuration beside it.
 ///
-/// An interrupted download goes on where it was, if the server still has the same file. What Hugging Face states a SHA-256 of is checked against it.
+/// `fetched.json` in the folder notes the commit of a Hugging Face repository and the SHA-256 of every file; later
+/// downloads to the folder take that commit and files of these hashes only. A file that is there and differs is never
+/// replaced without `--overwrite`. An interrupted download continues where it stopped if the server still has the same
+/// file.
 #[derive(Args, Debug)]
 #[command(after_help = catalogue::names())]
 pub struct FetchCommand {
@@ -22,9 +31,12 @@ pub struct FetchCommand {
     /// Folder for its files [default: models/NAME]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Revision of a Hugging Face repository: a branch, a tag or a commit
-    #[arg(long, default_value = "main")]
-    revision: String,
+    /// Revision of a Hugging Face repository: a branch, a tag or a commit [default: that of fetched.json, else main]
+    #[arg(long)]
+    revision: Option<String>,
+    /// Replace files that are there and differ, config.json and the hashes of fetched.json included
+    #[arg(long)]
+    overwrite: bool,
     /// File with a Hugging Face access token, for models whose licence has to be accepted first
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
@@ -40,25 +52,19 @@ impl FetchCommand {
             Some(folder) => folder.clone(),
             None => Path::new("models").join(model.name),
         };
-        let files: Vec<(String, PathBuf)> = model
-            .files
-            .iter()
-            .map(|file| {
-                let name = file.rsplit('/').next().unwrap_or(file);
-                (model.url(file, &self.revision), folder.join(name))
-            })
-            .collect();
-        self.download(model, &files)?;
-        if let Some(config) = model.config()? {
+        self.download(model, &folder)?;
+        if let Some(config) = model.config() {
             let path = folder.join("config.json");
-            std::fs::write(&path, config).with_context(|| path.display().to_string())?;
-            print(format_args!("{}\n", path.display()))?;
+            match config_file::write(&path, &config, self.overwrite)? {
+                Written::Yes => print(format_args!("{}\n", path.display()))?,
+                Written::Kept => print(format_args!("{}\n", kept(&path)))?,
+            }
         }
         Ok(())
     }
 
     #[cfg(feature = "fetch")]
-    fn download(&self, model: &Model, files: &[(String, PathBuf)]) -> Result<()> {
+    fn download(&self, model: &Model, folder: &Path) -> Result<()> {
         let token = match &self.token_file {
             Some(path) => {
                 let token =
@@ -67,24 +73,60 @@ impl FetchCommand {
             }
             None => None,
         };
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        let mut pins = pins::Pins::read(folder)?;
+        let pinned = pins.of(model.name).cloned().unwrap_or_default();
+        let mut revision = self.revision.clone().or_else(|| pinned.revision.clone());
+        let mut pin = pinned.clone();
         let client = download::Client::new(token);
-        for (url, path) in files {
-            let fetched = client.fetch(url, path).with_context(|| match model.gated {
+        for file in model.files {
+            let name = file_name(file);
+            let path = folder.join(name);
+            // A configuration is the user's once it is there.
+            if name.ends_with(".json") && path.exists() && !self.overwrite {
+                print(format_args!("{}\n", kept(&path)))?;
+                continue;
+            }
+            let url = model.url(file, revision.as_deref());
+            let hint = || match model.gated {
                 true => format!(
                     "{url} (its licence has to be accepted at {}, and a token given with --token-file)",
                     model.page()
                 ),
                 false => url.clone(),
-            })?;
-            print(format_args!("{}  {}\n", fetched.sha256, path.display()))?;
+            };
+            let stated = client.stated(&url).with_context(hint)?;
+            // A branch may move between two files: from here on it is the commit that it stands for now.
+            if let Some(commit) = &stated.commit {
+                revision = Some(commit.clone());
+                pin.revision = Some(commit.clone());
+            }
+            let request = download::Request {
+                url: &model.url(file, revision.as_deref()),
+                path: &path,
+                stated: stated.sha256.as_deref(),
+                pinned: pinned.sha256.get(name).map(String::as_str),
+                overwrite: self.overwrite,
+            };
+            let sha256 = client.fetch(&request).with_context(hint)?;
+            print(format_args!("{sha256}  {}\n", path.display()))?;
+            pin.sha256.insert(name.to_owned(), sha256);
+            pins.write(model.name, &pin)?;
         }
-        Ok(())
+        match &pin.revision {
+            Some(commit) => print(format_args!("revision {commit}\n")),
+            None => Ok(()),
+        }
     }
 
     #[cfg(not(feature = "fetch"))]
-    fn download(&self, _model: &Model, files: &[(String, PathBuf)]) -> Result<()> {
+    fn download(&self, model: &Model, folder: &Path) -> Result<()> {
         let mut by_hand = String::new();
-        for (url, path) in files {
+        for file in model.files {
+            let (url, path) = (
+                model.url(file, self.revision.as_deref()),
+                folder.join(file_name(file)),
+            );
             by_hand.push_str(&format!("\n  {url}\n    -> {}", path.display()));
         }
         // Read only with the feature.
@@ -94,4 +136,16 @@ impl FetchCommand {
              or download by hand:{by_hand}"
         );
     }
+}
+
+/// Name in the folder of a file of a repository.
+fn file_name(file: &str) -> &str {
+    file.rsplit('/').next().unwrap_or(file)
+}
+
+fn kept(path: &Path) -> String {
+    format!(
+        "{} is there and was kept; --overwrite replaces it",
+        path.display()
+    )
 }

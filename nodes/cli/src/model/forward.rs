@@ -9,7 +9,7 @@ use wm_zoo::kinds::{self, Kind};
 const KINDS: &str = "\
 Kinds, their configurations and tensors (image: N,256,256,3 in 0..1; latent: N,h,w,D):
   dit                      {hidden, depth, heads, channels, patch, grid [h,w] before patching, action_dim, max_frames,
-                           head \"plain\"|\"wide\", wide_dim, [views]}; x (B,T,H,W,C), tau (B,T) in 0..1, action (B,T,A)
+                           head \"plain\"|\"wide\", wide_dim, [views, rope_layout \"reference\"|\"by_view\"]}; x (B,T,H,W,C), tau (B,T) in 0..1, action (B,T,A)
                            -> velocity (B,T,H,W,C)
   web-dino                 Hugging Face config.json (Dinov2); image -> latent
   siglip2                  Hugging Face config.json (Siglip); image -> latent
@@ -27,6 +27,9 @@ Kinds, their configurations and tensors (image: N,256,256,3 in 0..1; latent: N,h
                            latents (B,k+1,h,w,D) -> actions (B,k,7)
   success-probe            {features, max_frames, [text_features, pool, hidden, depth, heads, ffn, affine_norms]};
                            latents (B,T,h,w,D), text (B,L,D'), [text_mask (B,L)] -> logit (B)
+  linear-probe             {features, [pool, max_frames]}; latents (B,T,h,w,D) -> logit (B)
+  temporal-probe           {features, [max_frames, pool, hidden, heads, mlp]}; latents (B,T,h,w,D) -> logit (B)
+  progress-probe           {features, [pool, hidden, max_frames]}; latents (B,T,h,w,D) -> progress (B,T)
   efficientnet-lite0       {block 8..10}; image -> block_8 .. block_10";
 
 /// Runs a model.

@@ -6,13 +6,9 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_msgs::{
-    sensor_msgs::{CompressedImage, Image},
-    wm_msgs::Prediction,
-};
+use wm_msgs::wm_msgs::Prediction;
 use wm_ros::{
-    Descriptor, Diagnostics, Input, Level, Lifecycle, Managed, Node, NodeArgs, Parameter,
-    Publisher, Qos, Subscription,
+    Input, Level, Node, NodeDefinition, Parameter, Qos, Subscription, complaints::Complaints,
 };
 
 use super::{
@@ -20,17 +16,15 @@ use super::{
     rollouts::{Choice, Rollouts},
 };
 use crate::{
-    model_choice::{self, ModelChoice},
+    harness::{self, Configured, ModelNode},
+    model_choice::OpenModel,
     pool::Pool,
     work::Work,
 };
-use wm_ros::complaints::Complaints;
-use wm_wire::transport::{Transports, publish_images};
+use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 
-/// The node's default name.
-pub const NAME: &str = "decoder";
-/// Where processors are short, a picture may come later than a prediction.
-const NICE: i64 = 5;
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Decoder>();
 
 /// Predictions that may wait: two rollouts of eight, since they come faster than one by one.
 const WAITING: usize = 16;
@@ -38,77 +32,64 @@ const WAITING: usize = 16;
 const UNFINISHED: usize = WAITING / 4;
 const OVERLOAD: &str =
     "decoding is slower than the predictions come; decode fewer steps or rollouts";
+const NO_PREDICTOR: &str =
+    "start the predictor, which predicts when latents and an action have come";
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
-
-/// Runs the node until SIGINT or SIGTERM.
-///
-/// # Errors
-/// Wrong arguments or parameters, weights that cannot be loaded, the graph.
-pub fn run(args: &NodeArgs) -> Result<()> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, wm_ros::NAMESPACE, args, body)
-}
 
 /// The node itself, in a process that may hold others.
 ///
 /// # Errors
-/// As [`run`].
+/// Wrong parameters, weights that cannot be loaded, the graph.
 pub async fn body(node: Node) -> Result<()> {
-    let lifecycle = Lifecycle::new(&node)?;
-    let model = model_choice::declare(&node)?;
-    let transports = Transports::declare(&node)?;
-    let descriptor = Descriptor::new("JPEG quality").integers(1, 100);
-    let quality = node.declare("jpeg_quality", 90_i64, descriptor)?;
-    let descriptor = Descriptor::new("steps k that are decoded; empty: all");
-    let steps = node.declare("steps", Vec::<i64>::new(), descriptor)?;
-    let descriptor = Descriptor::new(
-        "least time between two observations whose rollouts are decoded [s]; 0: all",
-    )
-    .floats(0.0, 3600.0)
-    .read_only();
-    let period = node.declare("decode_period", 0.6_f64, descriptor)?.get();
-    let pool = Pool::declare(&node, NICE)?;
-    node.seal_parameters()?;
-    let decoder = DecoderNode {
-        node,
-        model,
-        transports,
-        quality,
-        steps,
-        // The descriptor keeps it within an hour.
-        period_ns: (period * 1e9) as i64,
-        pool,
-    };
-    lifecycle.run(decoder).await
+    harness::body::<Decoder>(node).await
 }
 
-struct DecoderNode {
-    node: Node,
-    model: ModelChoice,
-    transports: Transports,
-    quality: Parameter<i64>,
-    steps: Parameter<Vec<i64>>,
-    /// Least time between two observations whose rollouts are decoded \[ns\].
-    period_ns: i64,
+wm_ros::parameters! {
+    /// What the parameters say.
+    struct Parameters {
+        /// Image transport of the pictures.
+        image_transport: Transports = "both";
+        /// Least time between two observations whose rollouts are decoded [s]; 0: all. At 0.6 it is every third frame of
+        /// a camera at 5 Hz, with all steps of its rollout.
+        decode_period: f64 = 0.6, in 0.0..=3600.0;
+        /// JPEG quality of the compressed pictures.
+        jpeg_quality: Parameter<i64> = 90, in 1..=100;
+        /// Steps k that are decoded, for example [1, 4, 8]; empty: all.
+        steps: Parameter<Vec<i64>> = Vec::<i64>::new();
+        /// How far computing gives way to other nodes and programs, as nice(1): a picture may come later, a prediction
+        /// may not.
+        nice: i32 = 5, in 0..=19;
+    }
+}
+
+wm_ros::endpoints! {
+    /// Topics.
+    struct Endpoints {
+        /// Predicted latents.
+        predictions: Subscription<Prediction> = "predicted", qos(Qos::best_effort(WAITING));
+        /// Predicted pictures; the stamp is the time that is predicted.
+        pictures: ImagePublisher = "predicted/image", qos(Qos::best_effort(WAITING));
+    }
+}
+
+/// What is loaded.
+struct Model {
+    name: String,
+    /// `None` where the model has no decoder.
+    step: Option<Arc<Mutex<DecoderStep>>>,
     pool: Pool,
 }
 
 /// The pictures of a prediction, or why there are none, and how long it took.
 type Decoded = (Result<Pictures, DecoderError>, Duration);
-/// By each transport that is used.
-type Pictures = (Option<Image>, Option<CompressedImage>);
 
-struct Active {
+struct Decoder {
     /// `None` where the model has no decoder.
     decoding: Option<Decoding>,
-    raws: Option<Publisher<Image>>,
-    jpegs: Option<Publisher<CompressedImage>>,
-    diagnostics: Diagnostics,
 }
 
 struct Decoding {
-    predictions: Subscription<Prediction>,
     work: Work<(Prediction, u8), Decoded>,
     rollouts: Rollouts,
     complaints: Complaints,
@@ -124,122 +105,111 @@ fn work(
         move |(prediction, quality): (Prediction, u8), _| {
             let step = step.lock().unwrap_or_else(PoisonError::into_inner);
             let started = Instant::now();
-            let messages = step.decode(&prediction).and_then(|picture| {
+            let pictures = step.decode(&prediction).and_then(|picture| {
                 let raw = transports.raw.then(|| raw_message(&picture, &prediction));
                 let jpeg = transports
                     .compressed
                     .then(|| jpeg_message(&picture, &prediction, quality));
-                Ok((raw, jpeg.transpose()?))
+                let compressed = jpeg.transpose()?;
+                Ok(Pictures { raw, compressed })
             });
-            (messages, started.elapsed())
+            (pictures, started.elapsed())
         },
     )
     .on(pool)
 }
 
-impl DecoderNode {
+impl Model {
     fn idle(&self) -> String {
-        format!("idle: model {} has no decoder", self.model.name())
+        format!("idle: model {} has no decoder", self.name)
     }
 }
 
-impl Managed for DecoderNode {
-    type Configured = Option<Arc<Mutex<DecoderStep>>>;
-    type Active = Active;
-    type Error = anyhow::Error;
+impl ModelNode for Decoder {
+    const NAME: &'static str = "decoder";
+    const ABOUT: &'static str = "Decodes predicted latents to pictures.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
 
-    async fn configure(&self) -> Result<Self::Configured> {
-        let model = self.model.clone();
-        let decoder = tokio::task::spawn_blocking(move || model.open()?.decoder()).await??;
-        let Some(decoder) = decoder else {
-            tracing::warn!("{}: there will be no pictures", self.idle());
-            return Ok(None);
-        };
-        let step = DecoderStep::new(decoder);
-        if self.transports.raw && step.raw_bytes() > SAFE_BYTES {
+    fn load(open: OpenModel, parameters: &Parameters) -> Result<Model> {
+        let step = open.decoder()?.map(DecoderStep::new);
+        if let Some(step) = &step
+            && parameters.image_transport.raw
+            && step.raw_bytes() > SAFE_BYTES
+        {
             tracing::warn!(
                 "raw pictures of {} bytes: a stock ROS 2 subscriber loses messages beyond {SAFE_BYTES} bytes; use \
                  image_transport:=compressed, or give it a larger receive buffer",
                 step.raw_bytes(),
             );
         }
-        Ok(Some(Arc::new(Mutex::new(step))))
+        let model = Model {
+            name: open.name().to_owned(),
+            step: step.map(|step| Arc::new(Mutex::new(step))),
+            pool: Pool::new(Self::NAME, parameters.nice)?,
+        };
+        if model.step.is_none() {
+            tracing::warn!("{}: there will be no pictures", model.idle());
+        }
+        Ok(model)
     }
 
-    fn activate(&self, step: &Self::Configured) -> Result<Active> {
-        let (node, qos) = (&self.node, Qos::best_effort(WAITING));
-        let transports = self.transports;
-        let decoding = match step {
-            None => None,
-            Some(step) => Some(Decoding {
-                predictions: predictions(node, qos)?,
-                work: work(Arc::clone(step), transports, &self.pool),
-                rollouts: Rollouts::every(self.period_ns),
-                complaints: Complaints::new(node.diagnostics()),
-            }),
+    fn activate(at: &Configured<Self>) -> Result<Self> {
+        let (parameters, diagnostics) = (&*at.parameters, at.node.diagnostics());
+        let Some(step) = &at.model.step else {
+            return Ok(Self { decoding: None });
         };
-        let (raws, jpegs) = publish_images(node, "predicted/image", transports, qos)?;
-        Ok(Active {
-            decoding,
-            // Announced by an idle node, too: who waits for its topics is not to wait for ever.
-            raws,
-            jpegs,
-            diagnostics: node.diagnostics(),
+        let topic = at.endpoints.predictions.topic();
+        diagnostics.expect_input(Input::new("predictions", [topic], NO_PREDICTOR));
+        Ok(Self {
+            decoding: Some(Decoding {
+                work: work(Arc::clone(step), parameters.image_transport, &at.model.pool),
+                // The range keeps it within an hour.
+                rollouts: Rollouts::every((parameters.decode_period * 1e9) as i64),
+                complaints: Complaints::new(diagnostics),
+            }),
         })
     }
 
-    async fn run(&self, active: &mut Active) -> Result<()> {
-        let Some(mut decoding) = active.decoding.take() else {
-            active.diagnostics.set_status(Level::Warn, self.idle());
-            self.node.shutdown().wait().await;
+    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+        let Endpoints {
+            predictions,
+            pictures,
+        } = &mut at.endpoints;
+        let Some(decoding) = &mut self.decoding else {
+            // after the lifecycle has said that the node runs
+            at.node
+                .diagnostics()
+                .set_status(Level::Warn, at.model.idle());
+            while predictions.recv().await.is_some() {}
             return Ok(());
         };
+        let latency = at.node.diagnostics().latency("decode");
         loop {
             tokio::select! {
                 biased;
                 finished = decoding.work.finished() => {
-                    let (messages, taken) = finished.context("the decoder's thread")?;
-                    match messages {
-                        Ok(pictures) => active.decoded(pictures, taken)?,
+                    let (decoded, taken) = finished.context("the decoder's thread")?;
+                    match decoded {
+                        Ok(decoded) => {
+                            pictures.publish(&decoded)?;
+                            latency.record(taken);
+                        }
                         Err(error) => decoding.complaints.left_out("bad_prediction", &error),
                     }
                 }
-                received = decoding.predictions.recv() => {
+                received = predictions.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let steps = self.steps.get();
+                    let steps = at.parameters.steps.get();
                     if steps.is_empty() || steps.contains(&i64::from(received.message.step)) {
-                        // The descriptor keeps it within 1 to 100.
-                        let quality = u8::try_from(self.quality.get()).unwrap_or(100);
+                        // The range keeps it within 1 to 100.
+                        let quality = u8::try_from(at.parameters.jpeg_quality.get()).unwrap_or(100);
                         decoding.prediction(received.message, quality);
                     }
                 }
             }
         }
-    }
-}
-
-/// Subscribes to the predictions, which are missed where they do not come.
-fn predictions(node: &Node, qos: Qos) -> Result<Subscription<Prediction>> {
-    let predictions: Subscription<Prediction> = node.subscription("predicted", qos)?;
-    let input = Input::new(
-        "predictions",
-        [predictions.topic()],
-        "start the predictor, which predicts when latents and an action have come",
-    );
-    node.diagnostics().expect_input(input);
-    Ok(predictions)
-}
-
-impl Active {
-    fn decoded(&mut self, (raw, jpeg): Pictures, taken: Duration) -> Result<()> {
-        if let (Some(raw), Some(raws)) = (raw, &self.raws) {
-            raws.publish(&raw)?;
-        }
-        if let (Some(jpeg), Some(jpegs)) = (jpeg, &self.jpegs) {
-            jpegs.publish(&jpeg)?;
-        }
-        self.diagnostics.latency("decode").record(taken);
-        Ok(())
     }
 }
 

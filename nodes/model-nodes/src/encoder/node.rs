@@ -5,143 +5,146 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
 use wm_msgs::wm_msgs::Latent;
-use wm_ros::{Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos};
+use tokio::sync::watch;
+use wm_ros::{
+    Clock, Diagnostics, Input, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
+};
 
 use super::{
     EncoderError, EncoderStep,
     repeats::{Arrival, Repeats},
 };
 use crate::{
-    history::seconds,
-    model_choice::{self, ModelChoice},
+    harness::{self, Configured, ModelNode},
+    model_choice::OpenModel,
+    history::{epoch_after, seconds},
     work::Work,
 };
-use wm_ros::complaints::Complaints;
 use wm_wire::{
     camera_frame::CameraFrame,
     latent_message::{LATENT_QOS, LatentDtype},
     transport::{ImageSubscription, Transports},
 };
 
-/// The node's default name.
-pub const NAME: &str = "encoder";
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>();
 
 /// Frames that may wait for the one that is being encoded.
 const WAITING: usize = 1;
 /// What to do where there is no camera.
 const NO_CAMERA: &str = "start the camera's driver, or remap /camera/image_raw to its topic";
 
-/// Runs the node until SIGINT or SIGTERM.
-///
-/// # Errors
-/// Wrong arguments or parameters, weights that cannot be loaded, the graph.
-pub fn run(args: &NodeArgs) -> Result<()> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, wm_ros::NAMESPACE, args, body)
-}
-
 /// The node itself, in a process that may hold others.
 ///
 /// # Errors
-/// As [`run`].
+/// Wrong parameters, weights that cannot be loaded, the graph.
 pub async fn body(node: Node) -> Result<()> {
-    let lifecycle = Lifecycle::new(&node)?;
-    let model = model_choice::declare(&node)?;
-    let descriptor = Descriptor::new("type of the latents' numbers: f32, f16 or bf16").read_only();
-    let dtype = node.declare("dtype", "f16".to_owned(), descriptor)?.get();
-    let Some(dtype) = LatentDtype::parse(&dtype) else {
-        bail!("parameter dtype is \"{dtype}\"; expected f32, f16 or bf16");
-    };
-    let transports = Transports::declare(&node)?;
-    node.seal_parameters()?;
-    let encoder = EncoderNode {
-        node,
-        model,
-        dtype,
-        transports,
-    };
-    lifecycle.run(encoder).await
+    harness::body::<Encoder>(node).await
 }
 
-struct EncoderNode {
-    node: Node,
-    model: ModelChoice,
-    dtype: LatentDtype,
-    transports: Transports,
+wm_ros::parameters! {
+    /// What the parameters say.
+    struct Parameters {
+        /// Type of the latents' numbers. At f16 a latent of the embedded model takes 6 KB.
+        dtype: LatentDtype = "f16", one_of {
+            "f32" => LatentDtype::F32, "f16" => LatentDtype::F16, "bf16" => LatentDtype::Bf16,
+        };
+        /// Image transport of the camera. With both, a frame that comes twice counts once.
+        image_transport: Transports = "both";
+    }
+}
+
+wm_ros::endpoints! {
+    /// Topics.
+    struct Endpoints {
+        /// The camera's frames.
+        images: ImageSubscription = "/camera/image_raw", qos(Qos::sensor_data());
+        /// The frames' latents, with the frames' stamps.
+        latents: Publisher<Latent> = "latent", qos(LATENT_QOS);
+    }
 }
 
 /// An encoded frame or why there is none, whether it came raw, how long it took, and when it came.
 type Encoded = (Result<Latent, EncoderError>, bool, Duration, Instant);
 
-struct Active {
-    images: ImageSubscription,
-    latents: Publisher<Latent>,
-    work: Work<(CameraFrame, Instant), Encoded>,
+struct Encoder {
+    work: Work<(CameraFrame, Instant, u64), Encoded>,
+    clock: Clock,
+    jumps: watch::Receiver<u64>,
+    /// The stretch of time that frames are of.
+    epoch: u64,
     repeats: Repeats,
     complaints: Complaints,
     diagnostics: Diagnostics,
 }
 
-impl Managed for EncoderNode {
-    type Configured = Arc<Mutex<EncoderStep>>;
-    type Active = Active;
-    type Error = anyhow::Error;
+impl ModelNode for Encoder {
+    const NAME: &'static str = "encoder";
+    const ABOUT: &'static str = "Encodes camera frames to latents.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Arc<Mutex<EncoderStep>>;
 
-    async fn configure(&self) -> Result<Self::Configured> {
-        let model = self.model.clone();
-        let encoder = tokio::task::spawn_blocking(move || model.open()?.encoder()).await??;
-        let step = EncoderStep::new(encoder, self.dtype);
+    fn load(model: OpenModel, parameters: &Parameters) -> Result<Self::Model> {
+        let step = EncoderStep::new(model.encoder()?, parameters.dtype);
         tracing::info!("encoding to latent space {}", step.space());
         Ok(Arc::new(Mutex::new(step)))
     }
 
-    fn activate(&self, step: &Self::Configured) -> Result<Active> {
-        let step = Arc::clone(step);
+    fn activate(at: &Configured<Self>) -> Result<Self> {
+        let step = Arc::clone(&at.model);
         let work = Work::new(
             WAITING,
-            move |(frame, received): (CameraFrame, Instant), _| {
+            move |(frame, received, epoch): (CameraFrame, Instant, u64), _| {
                 let step = step.lock().unwrap_or_else(PoisonError::into_inner);
                 let started = Instant::now();
                 let is_raw = matches!(frame, CameraFrame::Raw(_));
-                (step.encode(&frame), is_raw, started.elapsed(), received)
+                let latent = step.encode(&frame).map(|latent| Latent { epoch, ..latent });
+                (latent, is_raw, started.elapsed(), received)
             },
         );
-        let diagnostics = self.node.diagnostics();
-        let camera = "/camera/image_raw";
-        let images =
-            ImageSubscription::new(&self.node, camera, self.transports, Qos::sensor_data())?;
-        diagnostics.expect_input(Input::new("camera images", images.topics(), NO_CAMERA));
-        Ok(Active {
-            images,
-            latents: self.node.publisher("latent", LATENT_QOS)?,
+        let diagnostics = at.node.diagnostics();
+        let images = at.endpoints.images.topics();
+        diagnostics.expect_input(Input::new("camera images", images, NO_CAMERA));
+        let clock = at.node.clock();
+        Ok(Self {
             work,
+            jumps: clock.jumps(),
+            epoch: epoch_after(0, clock.now()),
+            clock,
             repeats: Repeats::default(),
             complaints: Complaints::new(diagnostics.clone()),
             diagnostics,
         })
     }
 
-    async fn run(&self, active: &mut Active) -> Result<()> {
+    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+        let Endpoints { images, latents } = &mut at.endpoints;
         loop {
             tokio::select! {
                 biased;
-                finished = active.work.finished() => active.encoded(finished.context("the encoder's thread")?)?,
-                received = active.images.recv() => {
+                finished = self.work.finished() => self.encoded(finished.context("the encoder's thread")?, latents)?,
+                Ok(()) = self.jumps.changed() => self.epoch = epoch_after(self.epoch, self.clock.now()),
+                received = images.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    active.frame(received.message);
+                    self.frame(received.message);
                 }
             }
         }
     }
 }
 
-impl Active {
-    fn encoded(&mut self, (latent, is_raw, taken, received): Encoded) -> Result<()> {
+impl Encoder {
+    fn encoded(
+        &mut self,
+        (latent, is_raw, taken, received): Encoded,
+        latents: &Publisher<Latent>,
+    ) -> Result<()> {
         match latent {
             Ok(latent) => {
-                self.latents.publish(&latent)?;
+                latents.publish(&latent)?;
                 self.diagnostics.latency("encode").record(taken);
                 let whole = self.diagnostics.latency("image to latent");
                 whole.record(received.elapsed());
@@ -159,7 +162,8 @@ impl Active {
         let (stamp, is_raw) = (frame.header().stamp, matches!(frame, CameraFrame::Raw(_)));
         match self.repeats.arrive(stamp, is_raw) {
             Arrival::New => {
-                if let Some((late, _)) = self.work.submit((frame, Instant::now())) {
+                let job = (frame, Instant::now(), self.epoch);
+                if let Some((late, ..)) = self.work.submit(job) {
                     self.complaints.left_out("overload", &format_args!(
                         "the frame of {} waited when a newer one came: encoding is slower than the camera",
                         seconds(late.header().stamp),

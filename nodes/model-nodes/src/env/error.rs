@@ -14,6 +14,15 @@ pub enum EnvError {
     /// More than one start, or none.
     #[error("{0} of bag, image and topic are set; expected one, here or as parameters of the env")]
     Starts(usize),
+    /// A file that a call names and that is not for it, or no start. It does not say why: a call that could tell a file that
+    /// is not there from one that is, or is of another kind, would read the env's disk.
+    #[error(
+        "the bag or image cannot be a start: expected a bag, or a PNG or JPEG file, below the env's parameter start_root"
+    )]
+    NoStart,
+    /// Too many calls wait.
+    #[error("{0} calls wait already: call again later")]
+    Busy(usize),
     /// An offset that is no time.
     #[error("bag_offset is {0} s; expected 0 or more")]
     Offset(f64),
@@ -104,6 +113,21 @@ pub enum EnvError {
     /// The model cannot compute it.
     #[error(transparent)]
     Model(#[from] wm_model::Error),
+}
+
+impl EnvError {
+    /// What a caller hears who has named the file of the start: nothing of what was found there, but for a bag that has
+    /// no frame at the offset.
+    pub(super) fn without_file(self) -> Self {
+        match self {
+            Self::File { .. }
+            | Self::Image(_)
+            | Self::Bag(_)
+            | Self::Camera(_)
+            | Self::History(_) => Self::NoStart,
+            other => other,
+        }
+    }
 }
 
 impl From<candle_core::Error> for EnvError {

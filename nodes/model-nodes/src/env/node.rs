@@ -12,29 +12,31 @@ use std::{
 use anyhow::{Context as _, Result};
 use tokio::time::Instant;
 use wm_model::actions::ActionEncoding;
-use wm_msgs::wm_msgs::EnvResetRequest;
-use wm_ros::{Lifecycle, Managed, Node, NodeArgs, Qos, Received};
+use wm_msgs::{
+    std_msgs::{Bool, String as Text},
+    wm_msgs::{
+        Action, ActionChunk, EnvObservation, EnvReset, EnvResetRequest, EnvResetResponse, EnvStep,
+        EnvStepResponse,
+    },
+};
+use wm_ros::{
+    Node, NodeDefinition, Publisher, Qos, Received, Service, Subscription, complaints::Complaints,
+};
 
 use super::{Env, Start, World, parameters::Parameters, start::INSTRUCTION};
 use crate::{
     encoder::EncoderStep,
+    harness::{self, Configured, ModelNode},
+    model_choice::{self, OpenModel},
     history::Timing,
-    model_choice::{self, ModelChoice},
     work::Work,
 };
-use active::{Active, Awaited, Done, InFlight, Job, Resetter};
-use wm_ros::complaints::Complaints;
-use wm_wire::{
-    camera_frame::CameraFrame,
-    latent_message::LatentDtype,
-    transport::{Transports, publish_images},
-};
+use active::{Active, Awaited, Done, InFlight, Job};
+use wm_wire::{camera_frame::CameraFrame, latent_message::LatentDtype, transport::ImagePublisher};
 
-/// The node's default name.
-pub const NAME: &str = "env";
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Active>();
 
-/// Calls that came together are computed together: how long the first of them waits for the others. Far below a step.
-const GATHER: Duration = Duration::from_millis(5);
 /// Observations by service that may wait for a client: a chunk of each of some episodes.
 const OBSERVATIONS: usize = 64;
 /// How long the last observation may take to reach the policy.
@@ -42,92 +44,82 @@ const FAREWELL: Duration = Duration::from_millis(500);
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
-/// Runs the node until SIGINT or SIGTERM, or until the episodes are played that the parameter `episodes` asks for.
+/// The node itself, in a process that may hold others. It ends when the episodes are played that the parameter `episodes`
+/// asks for.
 ///
 /// # Errors
-/// Wrong arguments or parameters, weights that cannot be loaded, the graph.
-pub fn run(args: &NodeArgs) -> Result<()> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, wm_ros::NAMESPACE, args, body)
-}
-
-/// The node itself, in a process that may hold others.
-///
-/// # Errors
-/// As [`run`].
+/// Wrong parameters, weights that cannot be loaded, the graph.
 pub async fn body(node: Node) -> Result<()> {
-    let lifecycle = Lifecycle::new(&node)?;
-    let model = model_choice::declare(&node)?;
-    let transports = Transports::declare(&node)?;
-    let parameters = Parameters::declare(&node)?;
-    node.seal_parameters()?;
-    if parameters.episodes > 0 {
-        parameters.start(&EnvResetRequest::default())?;
+    harness::body::<Active>(node).await
+}
+
+// Reliable matches who asks for best effort too, and a policy must not miss a frame.
+wm_ros::endpoints! {
+    /// Topics and services.
+    struct Endpoints {
+        /// Actions of a policy that plays by topics.
+        actions: Subscription<Action> = "action";
+        /// Its chunks of actions.
+        chunks: Subscription<ActionChunk> = "action_chunk";
+        /// Whether the task is done; ends the episode that is played by topics.
+        successes: Subscription<Bool> = "/task/success";
+        /// What the policy sees of an episode that is played by topics.
+        pictures: ImagePublisher = "/camera/image_raw";
+        /// What the policy is to do.
+        instructions: Publisher<Text> = INSTRUCTION, qos(Qos::latched(1));
+        /// What is seen of episodes by service.
+        observations: Publisher<EnvObservation> = "~/observation", qos(Qos::reliable(OBSERVATIONS));
+        /// Begins an episode.
+        resets: Service<EnvReset> = "~/reset", made(|node, name, _| node.service_or_refuse(name, |reason| {
+            EnvResetResponse { message: reason.to_owned(), ..EnvResetResponse::default() }
+        }));
+        /// Takes actions in an episode.
+        steps: Service<EnvStep> = "~/step", made(|node, name, _| node.service_or_refuse(name, |reason| {
+            EnvStepResponse { message: reason.to_owned(), ..EnvStepResponse::default() }
+        }));
     }
-    let env = EnvNode {
-        node,
-        model,
-        transports,
-        parameters,
-    };
-    lifecycle.run(env).await
 }
 
-struct EnvNode {
-    node: Node,
-    model: ModelChoice,
-    transports: Transports,
-    parameters: Parameters,
-}
-
-struct Configured {
+/// What is loaded.
+struct Model {
     env: Arc<Mutex<Env>>,
     timing: Timing,
     encoding: ActionEncoding,
 }
 
-impl EnvNode {
-    /// That episodes by topics can begin is said now, not when the first policy comes.
-    async fn checked(&self, env: Env) -> Result<Env> {
-        if self.parameters.episodes == 0 {
-            return Ok(env);
+/// The node, configured.
+type EnvNode = Configured<Active>;
+
+impl ModelNode for Active {
+    const NAME: &'static str = "env";
+    const ABOUT: &'static str = "Lets the world model play camera and robot for a policy.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
+
+    fn check(parameters: &Parameters) -> Result<()> {
+        if parameters.episodes > 0 {
+            parameters.start(&EnvResetRequest::default())?;
         }
-        let start = self.parameters.start(&EnvResetRequest::default())?;
-        if matches!(start, Start::Topic(_)) {
-            return Ok(env);
-        }
-        let checked = tokio::task::spawn_blocking(move || env.check(&start).map(|()| env)).await?;
-        Ok(checked?)
+        Ok(())
     }
-}
 
-impl Managed for EnvNode {
-    type Configured = Configured;
-    type Active = Active;
-    type Error = anyhow::Error;
-
-    async fn configure(&self) -> Result<Configured> {
-        let (model, parameters) = (self.model.clone(), &self.parameters);
-        let (integration_steps, batch) = (parameters.integration_steps, parameters.batch);
-        let world = tokio::task::spawn_blocking(move || -> Result<_> {
-            let open = model.open()?;
-            let encoder = EncoderStep::new(open.encoder()?, LatentDtype::F32);
-            let (predictor, decoder) = (open.predictor()?, open.decoder()?);
-            let decoder = decoder.with_context(|| {
-                format!(
-                    "model {} has no decoder: an env shows pictures",
-                    model.name()
-                )
-            })?;
-            Ok(World::new(
-                encoder,
-                predictor,
-                decoder,
-                integration_steps,
-                batch,
-            ))
-        })
-        .await??;
+    fn load(open: OpenModel, parameters: &Parameters) -> Result<Model> {
+        let encoder = EncoderStep::new(open.encoder()?, LatentDtype::F32);
+        let (predictor, decoder) = (open.predictor()?, open.decoder()?);
+        let decoder = decoder.with_context(|| {
+            format!(
+                "model {} has no decoder: an env shows pictures",
+                open.name()
+            )
+        })?;
+        let world = World::new(
+            encoder,
+            predictor,
+            decoder,
+            parameters.integration_steps,
+            parameters.batch,
+        );
         let timing = model_choice::timing(parameters.frame_period, &world.predictor().encoding);
         tracing::info!(
             "the world of {} in latent space {}: a step is {} s and takes {} actions",
@@ -136,7 +128,7 @@ impl Managed for EnvNode {
             timing.step_ns() as f64 / 1e9,
             timing.frame_skip,
         );
-        if self.transports.raw && world.raw_bytes() > SAFE_BYTES {
+        if parameters.image_transport.raw && world.raw_bytes() > SAFE_BYTES {
             tracing::warn!(
                 "raw pictures of {} bytes: a stock ROS 2 subscriber loses messages beyond {SAFE_BYTES} bytes; use \
                  image_transport:=compressed, or give it a larger receive buffer",
@@ -144,17 +136,25 @@ impl Managed for EnvNode {
             );
         }
         let encoding = world.predictor().encoding.clone();
-        let env = Env::new(world, parameters.settings.clone(), timing);
-        Ok(Configured {
-            env: Arc::new(Mutex::new(self.checked(env).await?)),
+        let env = Env::new(world, parameters.settings(), timing);
+        if parameters.episodes > 0 {
+            // That episodes by topics can begin is said now, not when the first policy comes.
+            let start = parameters.start(&EnvResetRequest::default())?;
+            if !matches!(start, Start::Topic(_)) {
+                env.check(&start)?;
+            }
+        }
+        let env = Arc::new(Mutex::new(env));
+        Ok(Model {
+            env,
             timing,
             encoding,
         })
     }
 
-    fn activate(&self, configured: &Configured) -> Result<Active> {
-        let (node, env) = (&self.node, Arc::clone(&configured.env));
-        let clock = node.clock();
+    fn activate(at: &EnvNode) -> Result<Self> {
+        let env = Arc::clone(&at.model.env);
+        let clock = at.node.clock();
         let work = Work::new(1, move |job: Job, _| {
             let mut env = lock(&env);
             match job {
@@ -174,19 +174,7 @@ impl Managed for EnvNode {
                 }
             }
         });
-        // Reliable matches who asks for best effort too, and a policy must not miss a frame.
-        let qos = Qos::reliable(10);
-        let (raws, jpegs) = publish_images(node, "/camera/image_raw", self.transports, qos)?;
-        Ok(Active {
-            resets: node.service("~/reset")?,
-            steps: node.service("~/step")?,
-            actions: node.subscription("action", qos)?,
-            chunks: node.subscription("action_chunk", qos)?,
-            successes: node.subscription("/task/success", qos)?,
-            raws,
-            jpegs,
-            instructions: node.publisher(INSTRUCTION, Qos::latched(1))?,
-            observations: node.publisher("~/observation", Qos::reliable(OBSERVATIONS))?,
+        Ok(Self {
             work,
             in_flight: InFlight::Nothing,
             waiting_resets: VecDeque::new(),
@@ -195,18 +183,15 @@ impl Managed for EnvNode {
             awaited: None,
             played: None,
             begun: 0,
-            env: Arc::clone(&configured.env),
-            timing: configured.timing,
-            encoding: configured.encoding.clone(),
-            clock: node.clock(),
-            complaints: Complaints::new(node.diagnostics()),
-            diagnostics: node.diagnostics(),
+            clock: at.node.clock(),
+            complaints: Complaints::new(at.node.diagnostics()),
+            diagnostics: at.node.diagnostics(),
         })
     }
 
-    async fn run(&self, active: &mut Active) -> Result<()> {
-        let result = self.serve(active).await;
-        let env = Arc::clone(&active.env);
+    async fn run(&mut self, at: &mut EnvNode) -> Result<()> {
+        let result = self.serve(at).await;
+        let env = Arc::clone(&at.model.env);
         let failed = tokio::task::spawn_blocking(move || lock(&env).close()).await?;
         for error in failed {
             tracing::error!("the bag of an episode is not finished: {error}");
@@ -215,50 +200,45 @@ impl Managed for EnvNode {
     }
 }
 
-impl EnvNode {
-    async fn serve(&self, active: &mut Active) -> Result<()> {
+impl Active {
+    async fn serve(&mut self, at: &mut EnvNode) -> Result<()> {
         loop {
-            if active.go_on(self)? {
-                if let Some(jpegs) = &active.jpegs {
+            if self.go_on(at)? {
+                if let Some(jpegs) = at.endpoints.pictures.compressed() {
                     jpegs.wait_for_acknowledgments(FAREWELL).await?;
                 }
                 return Ok(());
             }
-            let wake = active.wake(&self.parameters);
+            let wake = self.wake(&at.parameters);
+            let endpoints = &mut at.endpoints;
             tokio::select! {
                 biased;
-                finished = active.work.finished() => active.done(finished.context("the env's thread")?, self)?,
-                Some(call) = active.resets.recv() => {
-                    let request = call.request.clone();
-                    active.waiting_resets.push_back((request, Resetter::Service(Box::new(call))));
-                }
-                call = active.steps.recv() => {
+                finished = self.work.finished() => self.done(finished.context("the env's thread")?, at)?,
+                Some(call) = endpoints.resets.recv() => self.take_reset(call, at)?,
+                call = endpoints.steps.recv() => {
                     let Some(call) = call else { return Ok(()) };
-                    if active.waiting_steps.is_empty() {
-                        active.gathered = Instant::now() + GATHER;
-                    }
-                    active.waiting_steps.push_back((call, active.clock.now()));
+                    self.take_step(call, at.parameters.max_episodes);
                 }
-                received = active.actions.recv() => {
+                received = endpoints.actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = active.played.as_mut().map(|played| played.attached.action(&received.message));
-                    active.note(taken, received.message.header.stamp);
+                    let taken = self.played.as_mut().map(|played| played.attached.action(&received.message));
+                    self.note(taken, received.message.header.stamp);
                 }
-                received = active.chunks.recv() => {
+                received = endpoints.chunks.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let taken = active.played.as_mut().map(|played| played.attached.chunk(&received.message));
-                    active.note(taken, received.message.header.stamp);
+                    let taken = self.played.as_mut().map(|played| played.attached.chunk(&received.message));
+                    self.note(taken, received.message.header.stamp);
                 }
-                received = active.successes.recv() => {
+                received = endpoints.successes.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    if let Some(played) = &mut active.played {
+                    if let Some(played) = &mut self.played {
                         played.outcome = Some(received.message.data);
                         played.is_over = true;
                     }
                 }
-                frame = next_image(&mut active.awaited) => {
+                frame = next_image(&mut self.awaited) => {
                     let Some(frame) = frame else { return Ok(()) };
-                    active.image(frame);
+                    self.image(frame);
                 }
                 () = tokio::time::sleep_until(wake) => {}
             }

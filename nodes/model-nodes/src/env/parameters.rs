@@ -2,159 +2,99 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use anyhow::Result;
 use wm_msgs::wm_msgs::EnvResetRequest;
-use wm_ros::{Descriptor, Node};
+use wm_wire::transport::Transports;
 
-use super::{EnvError, EnvSettings, Start};
-use crate::{chunk_merging, history::ChunkMerging};
+use super::{EnvError, EnvSettings, Start, StartRoot};
+use crate::chunk_merging::Merging;
 
-/// What the parameters say, read once at the start.
-#[derive(Clone, Debug)]
-pub(super) struct Parameters {
-    /// What is asked of an episode that is played by topics, and where the others begin that do not say so.
-    pub reset: EnvResetRequest,
-    /// Settings of the state.
-    pub settings: EnvSettings,
-    /// Episodes computed together at most.
-    pub batch: usize,
-    /// Episodes that are played by topics, one after the other.
-    pub episodes: u64,
-    /// Least time from one step to the next, of an episode that is played by topics.
-    pub period: Duration,
-    /// Whether the last action is held where none comes in time.
-    pub hold: bool,
-    /// How overlapping chunks are merged.
-    pub merging: ChunkMerging,
-    /// Euler steps a predicted frame; 0: what the model was trained for.
-    pub integration_steps: usize,
-    /// From one camera frame, and one action, to the next \[s\].
-    pub frame_period: f64,
-    /// How long an episode waits for the image that it starts from.
-    pub start_timeout: Duration,
+wm_ros::parameters! {
+    /// What the parameters say, read once at the start.
+    pub(super) struct Parameters {
+        /// Image transport of the observations.
+        pub image_transport: Transports = "both";
+        /// Bag that episodes start from, where their reset does not say it; at most one of bag, image and topic.
+        bag: String = "";
+        /// Image file (PNG, JPEG) that episodes start from.
+        image: String = "";
+        /// Camera topic whose next image episodes start from.
+        topic: String = "";
+        /// Folder below which bags and images are that ~/reset may name; empty: it may name none. Anybody in the ROS graph
+        /// may call.
+        start_root: String = ".";
+        /// From the bag's start to the episode's [s].
+        bag_offset: f64 = 0.0, in 0.0..=1e9;
+        /// How long an episode waits for the image of the topic [s].
+        pub start_timeout: Duration = 10.0, in 0.1..=3600.0;
+        /// What the policy is to do, where neither request nor bag says it.
+        instruction: String = "";
+        /// Episodes that are played by topics, one after the other, after which the node ends; 0: they begin by ~/reset
+        /// only.
+        pub episodes: u64 = 0, in 0..=1_000_000_000;
+        /// Seed of the first episode that is played by topics; each later one adds 1.
+        seed: i64 = 0;
+        /// Steps per second at most, by topics. 2.5: as time passes for the robot, where a model step is 0.4 s.
+        rate: f64 = 2.5, in 0.001..=1000.0;
+        /// Whether a policy's last action is held where none has come in time; else the env waits for it.
+        pub hold: bool = false;
+        /// How overlapping action chunks are merged; weighted: 0.3 of the older, 0.7 of the newer.
+        pub merging as "chunk_merging": Merging = "latest";
+        /// Steps of an episode.
+        max_steps: u32 = 50, in 1..=1_000_000;
+        /// Episodes that may be open at once.
+        pub max_episodes: usize = 16, in 1..=4096;
+        /// Episodes that are computed together at most.
+        pub batch: usize = 8, in 1..=256;
+        /// Frames, one model step apart, that an episode starts from.
+        context_frames: usize = 2, in 1..=64;
+        /// Euler steps per predicted frame; 0: what the model was trained for.
+        pub integration_steps: usize = 0, in 0..=1000;
+        /// Time from one camera-rate action to the next [s], as the model was trained.
+        pub frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// JPEG quality of the observations.
+        jpeg_quality: u8 = 95, in 1..=100;
+        /// Folder for the episodes' bags; empty: no bags.
+        output: PathBuf = "out/env";
+    }
 }
 
 impl Parameters {
-    pub(super) fn declare(node: &Node) -> Result<Self> {
-        let text = |name: &str, default: &str, text: &str| -> Result<String> {
-            let descriptor = Descriptor::new(text).read_only();
-            Ok(node.declare(name, default.to_owned(), descriptor)?.get())
-        };
-        let count =
-            |name: &str, default: i64, (least, most): (i64, i64), text: &str| -> Result<i64> {
-                let descriptor = Descriptor::new(text).integers(least, most).read_only();
-                Ok(node.declare(name, default, descriptor)?.get())
-            };
-        let number =
-            |name: &str, default: f64, (least, most): (f64, f64), text: &str| -> Result<f64> {
-                let descriptor = Descriptor::new(text).floats(least, most).read_only();
-                Ok(node.declare(name, default, descriptor)?.get())
-            };
-        let seed = Descriptor::new(
-            "seed of the first episode that is played by topics; each later one adds 1",
-        );
-        let hold = Descriptor::new(
-            "whether a policy's last action is held where none has come in time; else the env waits for it",
-        );
-        let output = text(
-            "output",
-            "out/env",
-            "folder for the episodes' bags; empty: no bags",
-        )?;
-        // The descriptors keep the numbers within the types that they are cast to; a seed is any 64 bits.
-        Ok(Self {
-            reset: EnvResetRequest {
-                bag: text("bag", "", "bag that episodes start from")?,
-                bag_offset: number(
-                    "bag_offset",
-                    0.0,
-                    (0.0, 1e9),
-                    "from the bag's start to the episode's [s]",
-                )?,
-                image: text(
-                    "image",
-                    "",
-                    "image file (PNG, JPEG) that episodes start from",
-                )?,
-                topic: text(
-                    "topic",
-                    "",
-                    "camera topic whose next image episodes start from",
-                )?,
-                seed: node.declare("seed", 0_i64, seed.read_only())?.get() as u64,
-                ..EnvResetRequest::default()
-            },
-            settings: EnvSettings {
-                max_episodes: count(
-                    "max_episodes",
-                    16,
-                    (1, 4096),
-                    "episodes that may be open at once",
-                )? as usize,
-                max_steps: count("max_steps", 50, (1, 1_000_000), "steps of an episode")? as u32,
-                context_frames: count(
-                    "context_frames",
-                    2,
-                    (1, 64),
-                    "frames, one model step apart, that an episode starts from",
-                )? as usize,
-                jpeg_quality: count("jpeg_quality", 95, (1, 100), "JPEG quality of observations")?
-                    as u8,
-                instruction: text(
-                    "instruction",
-                    "",
-                    "what the policy is to do, where a bag does not say it",
-                )?,
-                output: (!output.is_empty()).then(|| PathBuf::from(output)),
-            },
-            batch: count(
-                "batch",
-                8,
-                (1, 256),
-                "episodes that are computed together at most",
-            )? as usize,
-            episodes: count(
-                "episodes",
-                0,
-                (0, 1_000_000_000),
-                "episodes played by topics, after which the env ends; 0: episodes begin by ~/reset only",
-            )? as u64,
-            period: Duration::from_secs_f64(
-                1.0 / number(
-                    "rate",
-                    2.5,
-                    (0.001, 1000.0),
-                    "steps a second at most, by topics",
-                )?,
-            ),
-            hold: node.declare("hold", false, hold.read_only())?.get(),
-            merging: chunk_merging::declare(node)?,
-            integration_steps: count(
-                "integration_steps",
-                0,
-                (0, 1000),
-                "Euler steps a frame; 0: what the model was trained for",
-            )? as usize,
-            frame_period: number(
-                "frame_period",
-                0.2,
-                (1e-3, 60.0),
-                "time from one camera-rate action to the next [s], as the model was trained",
-            )?,
-            start_timeout: Duration::from_secs_f64(number(
-                "start_timeout",
-                10.0,
-                (0.1, 3600.0),
-                "how long an episode waits for the image that it starts from [s]",
-            )?),
-        })
+    /// What is asked of an episode that is played by topics, and where the others begin that do not say so.
+    pub(super) fn reset(&self) -> EnvResetRequest {
+        EnvResetRequest {
+            bag: self.bag.clone(),
+            bag_offset: self.bag_offset,
+            image: self.image.clone(),
+            topic: self.topic.clone(),
+            // Any 64 bits are a seed.
+            seed: self.seed as u64,
+            ..EnvResetRequest::default()
+        }
+    }
+
+    /// Settings of the state.
+    pub(super) fn settings(&self) -> EnvSettings {
+        EnvSettings {
+            max_episodes: self.max_episodes,
+            max_steps: self.max_steps,
+            context_frames: self.context_frames,
+            jpeg_quality: self.jpeg_quality,
+            instruction: self.instruction.clone(),
+            output: Some(self.output.clone()).filter(|output| !output.as_os_str().is_empty()),
+        }
+    }
+
+    /// Least time from one step to the next, of an episode that is played by topics.
+    pub(super) fn period(&self) -> Duration {
+        // The range keeps it within 1 ms and 1000 s.
+        Duration::from_secs_f64(1.0 / self.rate)
     }
 
     /// Where an episode begins: as the request says, else as the parameters do.
     pub(super) fn start(&self, request: &EnvResetRequest) -> Result<Start, EnvError> {
         match Start::of(request)? {
-            Some(start) => Ok(start),
-            None => Start::of(&self.reset)?.ok_or(EnvError::Starts(0)),
+            Some(start) => StartRoot::new(&self.start_root)?.admit(start),
+            None => Start::of(&self.reset())?.ok_or(EnvError::Starts(0)),
         }
     }
 }

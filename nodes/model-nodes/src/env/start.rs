@@ -1,6 +1,15 @@
 //! Where an episode begins.
 
-use std::{fs::File, io::Read as _, path::PathBuf, sync::Arc, time::Instant};
+use std::{
+    fs::File,
+    io::{self, Read as _},
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Instant,
+};
+
+use rustix::fs::{Mode, OFlags};
+
 
 use wm_bag::{BagMessage, BagReader};
 use wm_msgs::{
@@ -126,7 +135,18 @@ fn still(
     })
 }
 
-fn read_image(path: &PathBuf) -> Result<CompressedImage, EnvError> {
+/// Opens a file. A pipe or a device, which may keep who opens or reads it waiting, is an error.
+fn open_regular(path: &Path) -> io::Result<File> {
+    let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let file = File::from(rustix::fs::open(path, flags, Mode::empty())?);
+    if file.metadata()?.is_file() {
+        Ok(file)
+    } else {
+        Err(io::Error::other("expected a regular file"))
+    }
+}
+
+fn read_image(path: &Path) -> Result<CompressedImage, EnvError> {
     let failed = |source| EnvError::File {
         path: path.display().to_string(),
         source,
@@ -134,7 +154,7 @@ fn read_image(path: &PathBuf) -> Result<CompressedImage, EnvError> {
     let mut data = Vec::new();
     // One byte more than is accepted, so that a longer file is refused, not cut.
     let limit = MAX_COMPRESSED as u64 + 1;
-    File::open(path)
+    open_regular(path)
         .and_then(|file| file.take(limit).read_to_end(&mut data))
         .map_err(failed)?;
     let format = if data.starts_with(b"\x89PNG") {

@@ -8,19 +8,16 @@ use std::{
 use anyhow::{Context as _, Result};
 use candle_core::IndexOp as _;
 use image::RgbImage;
-use tokio::{sync::watch, task::JoinError};
+use tokio::task::JoinError;
 use wm_model::{Decoder, LatentSpace, actions::ActionEncoding, image::to_rgb};
 use wm_msgs::{
     builtin_interfaces::Time,
-    sensor_msgs::{CompressedImage, Image},
     std_msgs::{Header, String as Text},
-    wm_msgs::{
-        Action, ActionCandidates, ActionChunk, Assessment, Latent, Reset, Timing as TimingMessage,
-    },
+    wm_msgs::{ActionCandidates, Assessment, Timing as TimingMessage},
 };
 use wm_ros::{
-    Clock, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos,
-    Received, Service, Subscription,
+    Clock, Diagnostics, Node, NodeDefinition, Publisher, Qos, Received, Subscription,
+    complaints::Complaints,
 };
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
@@ -29,145 +26,85 @@ use super::{
     EvaluatorStep, shown_steps, tile,
 };
 use crate::{
-    chunk_merging,
-    encoder::{EncoderError, EncoderStep},
+    encoder::EncoderStep,
     env::INSTRUCTION,
-    history::{
-        Arrival, ChunkMerging, History, HistoryError, HistorySettings, Reception, note, seconds,
-    },
-    model_choice::{self, ModelChoice},
-    planner::Goal,
+    chunk_merging::Merging,
+    harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
+    history::{History, HistorySettings, Reception, note, seconds},
+    model_choice::{self, OpenModel},
     pool::Pool,
-    reset::answer_reset,
     work::Work,
 };
-use wm_ros::complaints::Complaints;
 use wm_wire::{
-    camera_frame::CameraFrame,
     image_message::{encode_image, encode_jpeg},
-    latent_message::{LATENT_QOS, LatentDtype},
-    transport::{ImageSubscription, Transports, publish_images},
+    latent_message::LatentDtype,
+    transport::{ImagePublisher, ImageSubscription, Pictures, Transports},
 };
 
-/// The node's default name.
-pub const NAME: &str = "evaluator";
-/// Where processors are short, an assessment may come later than a prediction, and before a plan.
-const NICE: i64 = 10;
-
-/// Runs the node until SIGINT or SIGTERM.
-///
-/// # Errors
-/// Wrong arguments or parameters, weights that cannot be loaded, the graph.
-pub fn run(args: &NodeArgs) -> Result<()> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, wm_ros::NAMESPACE, args, body)
-}
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Evaluator>();
 
 /// The node itself, in a process that may hold others.
 ///
 /// # Errors
-/// As [`run`].
+/// Wrong parameters, weights that cannot be loaded, the graph.
 pub async fn body(node: Node) -> Result<()> {
-    let lifecycle = Lifecycle::new(&node)?;
-    let model = model_choice::declare(&node)?;
-    let transports = Transports::declare(&node)?;
-    let parameters = Parameters::declare(&node)?;
-    let pool = Pool::declare(&node, NICE)?;
-    node.seal_parameters()?;
-    let evaluator = EvaluatorNode {
-        node,
-        model,
-        transports,
-        parameters,
-        pool,
-    };
-    lifecycle.run(evaluator).await
+    harness::body::<Evaluator>(node).await
 }
 
-struct EvaluatorNode {
-    node: Node,
-    model: ModelChoice,
-    transports: Transports,
-    parameters: Parameters,
-    pool: Pool,
-}
-
-struct Parameters {
-    settings: EvaluatorSettings,
-    context_frames: usize,
-    merging: ChunkMerging,
-    integration_steps: usize,
-    frame_period: f64,
-    columns: usize,
-    quality: u8,
-}
-
-impl Parameters {
-    fn declare(node: &Node) -> Result<Self> {
-        let count =
-            |name: &str, default: i64, (least, most): (i64, i64), text: &str| -> Result<usize> {
-                let descriptor = Descriptor::new(text).integers(least, most).read_only();
-                // The descriptor keeps it within its bounds.
-                Ok(node.declare(name, default, descriptor)?.get() as usize)
-            };
-        let seed = Descriptor::new("seed of the noise").read_only();
-        let period =
-            Descriptor::new("time from one camera frame to the next [s], as the model was trained");
-        let age = Descriptor::new(
-            "greatest age of the newest frame, by when it was received, at which candidates are evaluated [s]",
-        );
-        Ok(Self {
-            context_frames: count(
-                "context_frames",
-                2,
-                (1, 64),
-                "observed frames that a prediction starts from",
-            )?,
-            merging: chunk_merging::declare(node)?,
-            settings: EvaluatorSettings {
-                max_age: Duration::from_secs_f64(
-                    node.declare("max_age", 2.0, age.floats(0.01, 3600.0).read_only())?
-                        .get(),
-                ),
-                horizon: count(
-                    "horizon",
-                    8,
-                    (1, 64),
-                    "model steps that are predicted at most",
-                )?,
-                max_candidates: count(
-                    "max_candidates",
-                    16,
-                    (1, 256),
-                    "candidates of one message at most",
-                )?,
-                // Any 64 bits are a seed.
-                seed: node.declare("seed", 0_i64, seed)?.get() as u64,
-            },
-            integration_steps: count(
-                "integration_steps",
-                0,
-                (0, 1000),
-                "Euler steps a predicted frame; 0: what the model was trained for",
-            )?,
-            frame_period: node
-                .declare("frame_period", 0.2, period.floats(1e-3, 60.0).read_only())?
-                .get(),
-            columns: count(
-                "picture_steps",
-                2,
-                (1, 64),
-                "steps of each candidate that the picture shows, the last one among them",
-            )?,
-            // The descriptor keeps it within 1 to 100.
-            quality: count("jpeg_quality", 90, (1, 100), "JPEG quality")? as u8,
-        })
+wm_ros::parameters! {
+    /// What the parameters say.
+    struct Parameters {
+        /// Image transport of the goal and of the candidates' picture.
+        image_transport: Transports = "both";
+        /// Model steps that are predicted at most; the shortest candidate ends them earlier.
+        horizon: usize = 8, in 1..=64;
+        /// Candidates of one message at most.
+        max_candidates: usize = 16, in 1..=256;
+        /// Observed frames, one model step apart, that a prediction starts from.
+        context_frames: usize = 2, in 1..=64;
+        /// Euler steps per predicted frame; 0: what the model was trained for.
+        integration_steps: usize = 0, in 0..=1000;
+        /// Time from one camera frame to the next [s], as the model was trained.
+        frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// Greatest age of the newest frame, by when it was received, at which candidates are evaluated [s].
+        max_age: Duration = 2.0, in 0.01..=3600.0;
+        /// How overlapping action chunks are merged; weighted: 0.3 of the older, 0.7 of the newer.
+        chunk_merging: Merging = "latest";
+        /// Seed of the noise, which all candidates share.
+        seed: i64 = 0;
+        /// Steps of each candidate that the picture shows, the last one among them.
+        picture_steps: usize = 2, in 1..=64;
+        /// JPEG quality of the picture.
+        jpeg_quality: u8 = 90, in 1..=100;
+        /// How far computing gives way to other nodes and programs, as nice(1): an assessment may come later than a
+        /// prediction.
+        nice: i32 = 10, in 0..=19;
     }
 }
 
-struct Configured {
+wm_ros::endpoints! {
+    /// Topics and services.
+    struct Endpoints {
+        /// What follows the robot.
+        inputs: Inputs;
+        /// A policy's candidate chunks.
+        candidates: Subscription<ActionCandidates> = "action_candidates";
+        /// The image to reach; a latched one is heard, too.
+        goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
+        /// The task, for the success probe, where the model has one; a latched one is heard, too.
+        instructions: Subscription<Text> = INSTRUCTION, qos(Qos::reliable(1)), made(Node::subscription_catching_up);
+        /// What each candidate would do.
+        assessments: Publisher<Assessment> = "assessment";
+        /// The candidates' predicted pictures, one row per candidate.
+        pictures: ImagePublisher = "candidates/image", qos(Qos::best_effort(4));
+    }
+}
+
+/// What is loaded.
+struct Model {
     encoder: Arc<Mutex<EncoderStep>>,
-    model: Arc<EvaluatorModel>,
+    evaluator: Arc<EvaluatorModel>,
     /// None: the model has none, and there are no pictures.
     decoder: Option<Arc<Mutex<Box<dyn Decoder>>>>,
     /// None: the model has none, and there are no probabilities.
@@ -175,83 +112,68 @@ struct Configured {
     history: HistorySettings,
     space: LatentSpace,
     encoding: ActionEncoding,
+    pool: Pool,
 }
 
 /// An evaluation with the times that its message tells.
 type Evaluated = (Result<Evaluation, EvaluatorError>, TimingMessage, Duration);
 /// An instruction, and what reading it gave.
 type Reading = (String, wm_zoo::Result<Instruction>);
-/// By each transport that is used.
-type Pictures = (Option<Image>, Option<CompressedImage>);
 
-struct Active {
-    goal_images: ImageSubscription,
-    latents: Subscription<Latent>,
-    actions: Subscription<Action>,
-    chunks: Subscription<ActionChunk>,
-    candidates: Subscription<ActionCandidates>,
-    /// Where there is a probe that reads them.
-    instructions: Option<Subscription<Text>>,
-    resets: Service<Reset>,
-    jumps: watch::Receiver<u64>,
-    clock: Clock,
+struct Evaluator {
+    follower: Follower,
     step: EvaluatorStep,
+    clock: Clock,
     waiting: Option<Waiting>,
-    assessments: Publisher<Assessment>,
-    raws: Option<Publisher<Image>>,
-    jpegs: Option<Publisher<CompressedImage>>,
     complaints: Complaints,
     diagnostics: Diagnostics,
+    goals: Goals,
     /// Of each the newest is enough: one may wait.
-    goals: Work<CameraFrame, Result<Goal, EncoderError>>,
     evaluations: Work<(EvaluationRequest, TimingMessage), Evaluated>,
     pictures: Option<Work<Evaluation, Result<Pictures>>>,
+    /// None where there is no probe that they are read for.
     readings: Option<Work<String, Reading>>,
 }
 
-impl Managed for EvaluatorNode {
-    type Configured = Configured;
-    type Active = Active;
-    type Error = anyhow::Error;
+impl ModelNode for Evaluator {
+    const NAME: &'static str = "evaluator";
+    const ABOUT: &'static str = "Evaluates what each of a policy's candidate chunks would do.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
 
-    async fn configure(&self) -> Result<Configured> {
-        let chosen = self.model.clone();
-        let (encoder, model, decoder, probe) = tokio::task::spawn_blocking(move || -> Result<_> {
-            let open = chosen.open()?;
-            let (encoder, model) = (open.encoder()?, open.predictor()?);
-            Ok((encoder, model, open.decoder()?, open.probe()?))
-        })
-        .await??;
-        let probe = probe.map(Arc::new);
+    fn load(open: OpenModel, parameters: &Parameters) -> Result<Model> {
+        let (encoder, model) = (open.encoder()?, open.predictor()?);
+        let (decoder, probe) = (open.decoder()?, open.probe()?.map(Arc::new));
         let history = HistorySettings {
-            timing: model_choice::timing(self.parameters.frame_period, &model.encoding),
-            context_frames: self.parameters.context_frames,
-            merging: self.parameters.merging,
+            timing: model_choice::timing(parameters.frame_period, &model.encoding),
+            context_frames: parameters.context_frames,
+            merging: parameters.chunk_merging.0,
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
         tracing::info!("evaluating with {} in latent space {space}", model.name);
-        Ok(Configured {
+        let evaluator =
+            EvaluatorModel::new(model, parameters.integration_steps).with_probe(probe.clone());
+        Ok(Model {
             encoder: Arc::new(Mutex::new(EncoderStep::new(encoder, LatentDtype::F32))),
-            model: Arc::new(
-                EvaluatorModel::new(model, self.parameters.integration_steps)
-                    .with_probe(probe.clone()),
-            ),
-            probe,
+            evaluator: Arc::new(evaluator),
             decoder: decoder.map(|decoder| Arc::new(Mutex::new(decoder))),
+            probe,
             history,
             space,
             encoding,
+            pool: Pool::new(Self::NAME, parameters.nice)?,
         })
     }
 
-    fn activate(&self, configured: &Configured) -> Result<Active> {
-        let (node, transports) = (&self.node, self.transports);
-        let (model, clock) = (Arc::clone(&configured.model), node.clock());
+    fn activate(at: &Configured<Self>) -> Result<Self> {
+        let (node, parameters, model) = (&at.node, &*at.parameters, &at.model);
+        let (evaluator, clock) = (Arc::clone(&model.evaluator), node.clock());
         let evaluations = Work::new(
             1,
             move |(request, timing): (EvaluationRequest, TimingMessage), _| {
                 let (started, start) = (Instant::now(), clock.now());
-                let evaluated = model.evaluate(&request);
+                let evaluated = evaluator.evaluate(&request);
                 let timing = TimingMessage {
                     start,
                     end: clock.now(),
@@ -260,9 +182,10 @@ impl Managed for EvaluatorNode {
                 (evaluated, timing, started.elapsed())
             },
         )
-        .on(&self.pool);
-        let (columns, quality) = (self.parameters.columns, self.parameters.quality);
-        let pictures = configured.decoder.clone().map(|decoder| {
+        .on(&model.pool);
+        let (columns, quality) = (parameters.picture_steps, parameters.jpeg_quality);
+        let transports = parameters.image_transport;
+        let pictures = model.decoder.clone().map(|decoder| {
             Work::new(1, move |evaluation: Evaluation, _| {
                 let decoder = decoder.lock().unwrap_or_else(PoisonError::into_inner);
                 let (picture, header) = picture(&**decoder, &evaluation, columns)?;
@@ -272,125 +195,90 @@ impl Managed for EvaluatorNode {
                 let jpeg = transports
                     .compressed
                     .then(|| encode_jpeg(&picture, header, quality));
-                Ok((raw, jpeg.transpose()?))
+                let compressed = jpeg.transpose()?;
+                Ok(Pictures { raw, compressed })
             })
-            .on(&self.pool)
+            .on(&model.pool)
         });
-        let readings = configured.probe.clone().map(|probe| {
+        let readings = model.probe.clone().map(|probe| {
             Work::new(1, move |text: String, _| {
                 let read = probe.instruction(&text);
                 (text, read)
             })
-            .on(&self.pool)
+            .on(&model.pool)
         });
-        let qos = Qos::best_effort(4);
-        let history = History::new(
-            configured.history,
-            configured.space.clone(),
-            configured.encoding.clone(),
-            node.now(),
-        );
-        let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
-        let input = Input::new("latents", [latents.topic()], "start the encoder");
-        node.diagnostics().expect_input(input);
-        let instructions = readings
-            .is_some()
-            .then(|| node.subscription_catching_up(INSTRUCTION, Qos::reliable(1)))
-            .transpose()?;
-        let (raws, jpegs) = publish_images(node, "candidates/image", transports, qos)?;
-        let mut active = Active {
-            goal_images: ImageSubscription::catching_up(
-                node,
-                "goal/image",
-                transports,
-                Qos::reliable(10),
-            )?,
-            latents,
-            actions: node.subscription("action", Qos::reliable(10))?,
-            candidates: node.subscription("action_candidates", Qos::reliable(10))?,
-            resets: node.service("~/reset")?,
-            jumps: node.clock().jumps(),
+        let settings = EvaluatorSettings {
+            max_age: parameters.max_age,
+            horizon: parameters.horizon,
+            max_candidates: parameters.max_candidates,
+            // Any 64 bits are a seed.
+            seed: parameters.seed as u64,
+        };
+        let (space, encoding) = (model.space.clone(), model.encoding.clone());
+        let history = History::new(model.history, space, encoding, node.now());
+        let mut evaluator = Self {
+            follower: Follower::new(node, &at.endpoints.inputs, "start the encoder"),
+            step: EvaluatorStep::new(settings, history),
             clock: node.clock(),
-            chunks: node.subscription("action_chunk", Qos::reliable(10))?,
-            step: EvaluatorStep::new(self.parameters.settings, history),
             waiting: None,
-            assessments: node.publisher("assessment", Qos::reliable(10))?,
-            raws,
-            jpegs,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
-            goals: Goal::work(&configured.encoder, &self.pool),
+            goals: Goals::new(&model.encoder, &model.pool),
             evaluations,
             pictures,
-            instructions,
             readings,
         };
-        active.say_probability();
-        Ok(active)
+        evaluator.say_probability();
+        Ok(evaluator)
     }
 
-    async fn run(&self, active: &mut Active) -> Result<()> {
+    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+        let Endpoints {
+            inputs,
+            candidates,
+            goals,
+            instructions,
+            assessments,
+            pictures,
+        } = &mut at.endpoints;
         loop {
-            // Actions before latents, and both before candidates: what is of the same moment may all be there.
+            // The robot before candidates: what is of the same moment may all be there.
             tokio::select! {
                 biased;
-                finished = active.evaluations.finished() => {
-                    active.evaluated(finished.context("the evaluation's thread")?)?;
+                finished = self.evaluations.finished() => {
+                    self.evaluated(finished.context("the evaluation's thread")?, assessments)?;
                 }
-                finished = finished(&mut active.pictures) => active.pictured(finished.context("the decoder's thread")?)?,
-                finished = active.goals.finished() => match finished.context("the goal's thread")? {
-                    Ok(goal) => {
-                        tracing::info!("goal set: the image of {}", seconds(goal.stamp));
-                        active.step.set_goal(goal);
-                    }
-                    Err(error) => active.complaints.left_out("bad_goal", &format_args!("goal image: {error}")),
+                finished = finished(&mut self.pictures) => match finished.context("the decoder's thread")? {
+                    Ok(made) => pictures.publish(&made)?,
+                    Err(error) => self.complaints.left_out("bad_picture", &format_args!("{error:#}")),
                 },
-                finished = finished(&mut active.readings) => active.read(finished.context("the text tower's thread")?),
-                received = received(&mut active.instructions) => {
+                finished = finished(&mut self.readings) => self.read(finished.context("the text tower's thread")?),
+                goal = self.goals.next(goals, &mut self.complaints) => {
+                    let Some(goal) = goal? else { return Ok(()) };
+                    self.step.set_goal(goal);
+                }
+                received = instructions.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(()) };
-                    active.told(&message);
+                    self.told(&message);
                 }
-                Some(call) = active.resets.recv() => {
-                    let now = active.clock.now();
-                    answer_reset(call, |seed| active.step.reset(seed, now));
-                },
-                Ok(()) = active.jumps.changed() => {
-                    if active.step.clock_jumped(active.clock.now()) {
-                        tracing::info!("/clock jumped back: history flushed");
+                event = self.follower.next(inputs) => {
+                    let Some(event) = event else { return Ok(()) };
+                    if let Some(Told::Latent(latent)) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
+                        let taken = self.step.latent(&latent.message, Reception::from(&latent));
+                        note(&mut self.complaints, taken);
+                        if self.waiting.as_ref().is_some_and(|waiting| !self.step.awaits_frame(&waiting.message)) {
+                            self.evaluate_waiting();
+                        }
                     }
                 }
-                received = active.goal_images.recv() => {
-                    let Some(Received { message, .. }) = received else { return Ok(()) };
-                    if active.goals.submit(message).is_some() {
-                        active.complaints.left_out("superseded_goal", &"a newer goal came before this one was encoded");
-                    }
-                }
-                received = active.actions.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    let taken = active.step.action(&received.message, received.received);
-                    active.note(taken);
-                }
-                received = active.chunks.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    let taken = active.step.chunk(&received.message, received.received);
-                    active.note(taken);
-                }
-                received = active.latents.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    let taken = active.step.latent(&received.message, Reception::from(&received));
-                    active.note(taken);
-                    if active.waiting.as_ref().is_some_and(|waiting| !active.step.awaits_frame(&waiting.message)) {
-                        active.evaluate_waiting();
-                    }
-                }
-                () = overdue(&active.waiting) => active.evaluate_waiting(),
-                received = active.candidates.recv() => {
+                () = overdue(&self.waiting) => self.evaluate_waiting(),
+                received = candidates.recv() => {
                     let Some(Received { message, received, .. }) = received else { return Ok(()) };
-                    active.evaluate_waiting();
-                    if active.step.awaits_frame(&message) {
-                        active.wait(message, received);
+                    self.evaluate_waiting();
+                    if self.step.awaits_frame(&message) {
+                        self.wait(message, received);
                     } else {
-                        active.evaluate(&message, received);
+                        self.evaluate(&message, received);
                     }
                 }
             }
@@ -398,7 +286,7 @@ impl Managed for EvaluatorNode {
     }
 }
 
-impl Active {
+impl Evaluator {
     fn wait(&mut self, message: ActionCandidates, receive: Time) {
         let period_ns = self.step.timing().frame_period_ns;
         let period = Duration::from_nanos(u64::try_from(period_ns).unwrap_or(0));
@@ -419,10 +307,7 @@ impl Active {
     }
 
     fn evaluate(&mut self, message: &ActionCandidates, receive: Time) {
-        let request = match self
-            .step
-            .candidates(message, Instant::now(), self.clock.now())
-        {
+        let request = match self.step.candidates(message, Instant::now(), self.clock.now()) {
             Ok(request) => request,
             Err(error) => return self.complaints.left_out(error.reason(), &error),
         };
@@ -443,12 +328,16 @@ impl Active {
         }
     }
 
-    fn evaluated(&mut self, (evaluated, timing, taken): Evaluated) -> Result<()> {
+    fn evaluated(
+        &mut self,
+        (evaluated, timing, taken): Evaluated,
+        assessments: &Publisher<Assessment>,
+    ) -> Result<()> {
         match evaluated {
             Ok(mut evaluation) => {
                 self.diagnostics.latency("evaluation").record(taken);
                 evaluation.assessment.timing = timing;
-                self.assessments.publish(&evaluation.assessment)?;
+                assessments.publish(&evaluation.assessment)?;
                 let pictures = self.pictures.as_mut();
                 if pictures.and_then(|work| work.submit(evaluation)).is_some() {
                     self.complaints.left_out(
@@ -462,26 +351,12 @@ impl Active {
         Ok(())
     }
 
-    fn pictured(&mut self, pictures: Result<Pictures>) -> Result<()> {
-        match pictures {
-            Ok((raw, jpeg)) => {
-                if let (Some(raw), Some(raws)) = (raw, &self.raws) {
-                    raws.publish(&raw)?;
-                }
-                if let (Some(jpeg), Some(jpegs)) = (jpeg, &self.jpegs) {
-                    jpegs.publish(&jpeg)?;
-                }
-            }
-            Err(error) => self
-                .complaints
-                .left_out("bad_picture", &format_args!("{error:#}")),
-        }
-        Ok(())
-    }
-
     fn told(&mut self, message: &Text) {
+        let Some(readings) = &mut self.readings else {
+            return;
+        };
         let text = self.step.task_mut().take(message);
-        if let (Some(text), Some(readings)) = (text, &mut self.readings)
+        if let Some(text) = text
             && readings.submit(text).is_some()
         {
             self.complaints.left_out(
@@ -510,10 +385,6 @@ impl Active {
                 .set_value(KEY, "NaN: the model has no success probe");
         }
     }
-
-    fn note(&mut self, taken: Result<Arrival, HistoryError>) {
-        note(&mut self.complaints, taken);
-    }
 }
 
 /// Candidates whose frame is on its way.
@@ -538,17 +409,6 @@ async fn finished<T: Send + 'static, R: Send + 'static>(
 ) -> Result<R, JoinError> {
     match work {
         Some(work) => work.finished().await,
-        None => std::future::pending().await,
-    }
-}
-
-/// The next message; never, where nobody listens.
-async fn received<M>(subscription: &mut Option<Subscription<M>>) -> Option<Received<M>>
-where
-    M: wm_msgs::Message + Send + 'static,
-{
-    match subscription {
-        Some(subscription) => subscription.recv().await,
         None => std::future::pending().await,
     }
 }

@@ -6,84 +6,152 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use tokio::sync::watch;
-use wm_model::{LatentSpace, actions::ActionEncoding, planner::PlannedActions};
-use wm_msgs::{
-    builtin_interfaces::Duration as RosDuration,
-    wm_msgs::{Action, ActionChunk, Latent, Plan, Reset},
-};
-use wm_ros::{
-    Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Publisher, Qos, Received, Service,
-    Subscription,
-};
+use wm_model::actions::ActionEncoding;
+use wm_model::planner::{CemSettings, PlannedActions, Returned};
+use wm_msgs::{builtin_interfaces::Duration as RosDuration, wm_msgs::Plan};
+use wm_ros::{Diagnostics, Node, NodeDefinition, Publisher, Qos, complaints::Complaints};
 
 use super::{
-    Goal, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerStep, parameters::Parameters,
+    Lead, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerSettings, PlannerStep,
 };
 use crate::{
-    encoder::{EncoderError, EncoderStep},
-    history::{Arrival, History, HistoryError, HistorySettings, Reception, Wait, note, seconds},
-    model_choice::{self, ModelChoice},
+    encoder::EncoderStep,
+    chunk_merging::Merging,
+    harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
+    history::{History, HistorySettings, Reception, Wait, note, seconds},
+    model_choice::{self, OpenModel},
     pool::Pool,
-    reset::answer_reset,
     work::{Stop, Work},
 };
-use wm_ros::complaints::Complaints;
 use wm_wire::{
-    camera_frame::CameraFrame,
-    latent_message::{LATENT_QOS, LatentDtype},
+    latent_message::LatentDtype,
     transport::{ImageSubscription, Transports},
 };
 
-/// The node's default name.
-pub const NAME: &str = "planner";
-/// Where processors are short, a plan may come later than a prediction.
-const NICE: i64 = 15;
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Planner>();
 
-/// Runs the node until SIGINT or SIGTERM.
-///
-/// # Errors
-/// Wrong arguments or parameters, weights that cannot be loaded, the graph.
-pub fn run(args: &NodeArgs) -> Result<()> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, wm_ros::NAMESPACE, args, body)
-}
+/// Largest population, iteration count and the like that is accepted: far beyond use, within every integer type.
+const MANY: i64 = 1_000_000;
+/// How long the first search is taken to be where there is no deadline.
+const FIRST_SEARCH: Duration = Duration::from_secs(1);
 
 /// The node itself, in a process that may hold others.
 ///
 /// # Errors
-/// As [`run`].
+/// Wrong parameters, weights that cannot be loaded, the graph.
 pub async fn body(node: Node) -> Result<()> {
-    let lifecycle = Lifecycle::new(&node)?;
-    let model = model_choice::declare(&node)?;
-    let transports = Transports::declare(&node)?;
-    let parameters = Parameters::declare(&node)?;
-    let pool = Pool::declare(&node, NICE)?;
-    node.seal_parameters()?;
-    let planner = PlannerNode {
-        node,
-        model,
-        transports,
-        parameters,
-        pool,
-    };
-    lifecycle.run(planner).await
+    harness::body::<Planner>(node).await
 }
 
-struct PlannerNode {
-    node: Node,
-    model: ModelChoice,
-    transports: Transports,
-    parameters: Parameters,
-    pool: Pool,
+wm_ros::parameters! {
+    /// What the parameters say.
+    struct Parameters {
+        /// Image transport of the goal.
+        image_transport: Transports = "both";
+        /// Candidates per iteration.
+        population: usize = 32, in 2..=MANY;
+        /// Iterations per plan.
+        iterations: usize = 3, in 1..=MANY;
+        /// Candidates that the next iteration is fitted to.
+        elites: usize = 8, in 2..=MANY;
+        /// Model steps of a plan.
+        horizon: usize = 1, in 1..=MANY;
+        /// Candidates rolled out at once; the deadline is looked at after each batch.
+        batch: usize = 16, in 1..=MANY;
+        /// First standard deviation, as a part of each dimension's range.
+        initial_std: f64 = 0.25, in 1e-6..=10.0;
+        /// Least standard deviation [model units].
+        std_floor: f64 = 1e-4, in 1e-9..=10.0;
+        /// Which actions are returned.
+        returned: Returned = "best_seen", one_of {
+            "best_seen" => Returned::BestSeen, "final_mean" => Returned::FinalMean,
+        };
+        /// Observed frames, one model step apart, that a plan starts from; 64 at most.
+        context_frames: usize = 2, in 1..=MANY;
+        /// Least time between two plans for one goal [s].
+        plan_period: f64 = 2.0, in 0.0..=3600.0;
+        /// Seed of the first plan's candidates and noise; each later plan adds 1.
+        seed: i64 = 0;
+        /// Euler steps per predicted frame; 0: what the model was trained for.
+        integration_steps: usize = 0, in 0..=MANY;
+        /// Dimensions of the action space that are searched; empty: all but grippers, which hold their state.
+        search: Vec<String> = Vec::<String>::new();
+        /// Greatest age of the newest frame, by when it was received, at which a plan is made or sent [s].
+        max_age: Duration = 2.0, in 0.01..=3600.0;
+        /// Model steps from the observed frame to the first planned action, for which the robot's motion is predicted; -1:
+        /// as many as the last searches took.
+        lead_steps: i64 = -1, in -1..=16;
+        /// How overlapping action chunks are merged; weighted: 0.3 of the older, 0.7 of the newer.
+        chunk_merging: Merging = "latest";
+        /// Bound of each translation in one model step [m]; 0: the model's own.
+        max_translation: f64 = 0.0, in 0.0..=10.0;
+        /// Bound of each rotation in one model step [rad]; 0: the model's own.
+        max_rotation: f64 = 0.0, in 0.0..=10.0;
+        /// Time from one camera frame to the next [s], as the model was trained.
+        frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// Time that a search may take [s]; 0: no limit.
+        deadline: Duration = 1.5, in 0.0..=3600.0;
+        /// How far computing gives way to other nodes and programs, as nice(1): a plan may come later than a prediction.
+        nice: i32 = 15, in 0..=19;
+    }
 }
 
-struct Configured {
+wm_ros::endpoints! {
+    /// Topics and services.
+    struct Endpoints {
+        /// What follows the robot.
+        inputs: Inputs;
+        /// The image to reach; a latched one is heard, too.
+        goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
+        /// The best actions found.
+        plans: Publisher<Plan> = "plan", qos(Qos::reliable(10));
+    }
+}
+
+impl Parameters {
+    /// Settings of the search.
+    fn cem(&self) -> CemSettings {
+        CemSettings {
+            population: self.population,
+            iterations: self.iterations,
+            elites: self.elites,
+            horizon: self.horizon,
+            batch: self.batch,
+            initial_std: self.initial_std as f32,
+            std_floor: self.std_floor as f32,
+            returned: self.returned,
+        }
+    }
+
+    /// Settings of the state.
+    fn settings(&self) -> PlannerSettings {
+        PlannerSettings {
+            max_age: self.max_age,
+            lead: match usize::try_from(self.lead_steps) {
+                Ok(steps) => Lead::Steps(steps),
+                Err(_) => Lead::Measured {
+                    first: Some(self.deadline)
+                        .filter(|deadline| !deadline.is_zero())
+                        .unwrap_or(FIRST_SEARCH),
+                },
+            },
+            // The range keeps it within an hour.
+            plan_period_ns: (self.plan_period * 1e9) as i64,
+            // Any 64 bits are a seed.
+            seed: self.seed as u64,
+        }
+    }
+}
+
+/// What is loaded.
+struct Model {
     encoder: Arc<Mutex<EncoderStep>>,
-    model: Arc<PlannerModel>,
+    planner: Arc<PlannerModel>,
     history: HistorySettings,
-    space: LatentSpace,
+    space: wm_model::LatentSpace,
     encoding: ActionEncoding,
+    pool: Pool,
 }
 
 type Planned = (
@@ -92,39 +160,28 @@ type Planned = (
     Duration,
 );
 
-struct Active {
-    images: ImageSubscription,
-    latents: Subscription<Latent>,
-    actions: Subscription<Action>,
-    chunks: Subscription<ActionChunk>,
-    resets: Service<Reset>,
-    jumps: watch::Receiver<u64>,
+struct Planner {
+    follower: Follower,
     step: PlannerStep,
-    plans: Publisher<Plan>,
+    goals: Goals,
+    searches: Work<PlanRequest, Planned>,
     complaints: Complaints,
     diagnostics: Diagnostics,
-    /// The newest goal is enough: one may wait.
-    goals: Work<CameraFrame, Result<Goal, EncoderError>>,
-    searches: Work<PlanRequest, Planned>,
 }
 
-impl Managed for PlannerNode {
-    type Configured = Configured;
-    type Active = Active;
-    type Error = anyhow::Error;
+impl ModelNode for Planner {
+    const NAME: &'static str = "planner";
+    const ABOUT: &'static str = "Plans actions that bring the camera's view to a goal image.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Model;
 
-    async fn configure(&self) -> Result<Configured> {
-        let chosen = self.model.clone();
-        let (encoder, model) = tokio::task::spawn_blocking(move || -> Result<_> {
-            let model = chosen.open()?;
-            Ok((model.encoder()?, model.predictor()?))
-        })
-        .await??;
-        let parameters = &self.parameters;
+    fn load(open: OpenModel, parameters: &Parameters) -> Result<Model> {
+        let (encoder, model) = (open.encoder()?, open.predictor()?);
         let history = HistorySettings {
             timing: model_choice::timing(parameters.frame_period, &model.encoding),
-            context_frames: parameters.context_frames,
-            merging: parameters.merging,
+            context_frames: parameters.context_frames.min(64),
+            merging: parameters.chunk_merging.0,
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
         tracing::info!("planning with {} in latent space {space}", model.name);
@@ -132,101 +189,70 @@ impl Managed for PlannerNode {
             0 => model.transition.config().sampler.steps,
             steps => steps,
         };
-        let model = PlannerModel::new(
+        let limit = |value: f64| if value > 0.0 { value } else { f64::INFINITY };
+        let planner = PlannerModel::new(
             model,
-            parameters.cem()?,
+            parameters.cem(),
             &parameters.search,
             integration_steps,
-            parameters.max_translation,
-            parameters.max_rotation,
+            limit(parameters.max_translation),
+            limit(parameters.max_rotation),
         )?;
         let encoder = EncoderStep::new(encoder, LatentDtype::F32);
-        Ok(Configured {
+        Ok(Model {
             encoder: Arc::new(Mutex::new(encoder)),
-            model: Arc::new(model),
+            planner: Arc::new(planner),
             history,
             space,
             encoding,
+            pool: Pool::new(Self::NAME, parameters.nice)?,
         })
     }
 
-    fn activate(&self, configured: &Configured) -> Result<Active> {
-        let node = &self.node;
-        let (deadline, model) = (self.parameters.deadline, Arc::clone(&configured.model));
+    fn activate(at: &Configured<Self>) -> Result<Self> {
+        let (node, model) = (&at.node, &at.model);
+        let (deadline, planner) = (at.parameters.deadline, Arc::clone(&model.planner));
         let searches = Work::new(1, move |request: PlanRequest, stop: &Stop| {
             let started = Instant::now();
-            let is_late = || deadline.is_some_and(|deadline| started.elapsed() >= deadline);
-            let found = model.plan(&request, &mut || stop.is_asked() || is_late());
+            let is_late = || !deadline.is_zero() && started.elapsed() >= deadline;
+            let found = planner.plan(&request, &mut || stop.is_asked() || is_late());
             (request, found, started.elapsed())
         })
-        .on(&self.pool);
-        let history = History::new(
-            configured.history,
-            configured.space.clone(),
-            configured.encoding.clone(),
-            node.now(),
-        );
-        let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
-        let input = Input::new("latents", [latents.topic()], "start the encoder");
-        node.diagnostics().expect_input(input);
-        Ok(Active {
-            images: ImageSubscription::catching_up(
-                node,
-                "goal/image",
-                self.transports,
-                Qos::reliable(10),
-            )?,
-            latents,
-            actions: node.subscription("action", Qos::reliable(10))?,
-            chunks: node.subscription("action_chunk", Qos::reliable(10))?,
-            resets: node.service("~/reset")?,
-            jumps: node.clock().jumps(),
-            step: PlannerStep::new(self.parameters.settings(), history),
-            plans: node.publisher("plan", Qos::reliable(10))?,
+        .on(&model.pool);
+        let (space, encoding) = (model.space.clone(), model.encoding.clone());
+        let history = History::new(model.history, space, encoding, node.now());
+        Ok(Self {
+            follower: Follower::new(node, &at.endpoints.inputs, "start the encoder"),
+            step: PlannerStep::new(at.parameters.settings(), history),
+            goals: Goals::new(&model.encoder, &model.pool),
+            searches,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
-            goals: Goal::work(&configured.encoder, &self.pool),
-            searches,
         })
     }
 
-    async fn run(&self, active: &mut Active) -> Result<()> {
+    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+        let Endpoints {
+            inputs,
+            goals,
+            plans,
+        } = &mut at.endpoints;
         loop {
-            // Actions before latents: an action and the frame of the same moment may both be there.
             tokio::select! {
                 biased;
-                finished = active.searches.finished() => active.planned(finished.context("the planner's thread")?)?,
-                finished = active.goals.finished() => active.goal(finished.context("the goal's thread")?),
-                Some(call) = active.resets.recv() => {
-                    let now = self.node.now();
-                    answer_reset(call, |seed| active.step.reset(seed, now));
-                },
-                Ok(()) = active.jumps.changed() => {
-                    if active.step.clock_jumped(self.node.now()) {
-                        tracing::info!("/clock jumped back: history flushed");
-                    }
+                finished = self.searches.finished() => self.planned(finished.context("the planner's thread")?, plans)?,
+                goal = self.goals.next(goals, &mut self.complaints) => {
+                    let Some(goal) = goal? else { return Ok(()) };
+                    self.step.set_goal(goal);
+                    self.plan();
                 }
-                received = active.images.recv() => {
-                    let Some(Received { message, .. }) = received else { return Ok(()) };
-                    if active.goals.submit(message).is_some() {
-                        active.complaints.left_out("superseded_goal", &"a newer goal came before this one was encoded");
-                    }
-                }
-                received = active.actions.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    let taken = active.step.action(&received.message, received.received);
-                    active.note(taken);
-                }
-                received = active.chunks.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    let taken = active.step.chunk(&received.message, received.received);
-                    active.note(taken);
-                }
-                received = active.latents.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    let taken = active.step.latent(&received.message, Reception::from(&received));
-                    if active.note(taken) {
-                        active.plan();
+                event = self.follower.next(inputs) => {
+                    let Some(event) = event else { return Ok(()) };
+                    if let Some(Told::Latent(latent)) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
+                        let taken = self.step.latent(&latent.message, Reception::from(&latent));
+                        if note(&mut self.complaints, taken) {
+                            self.plan();
+                        }
                     }
                 }
             }
@@ -234,25 +260,7 @@ impl Managed for PlannerNode {
     }
 }
 
-impl Active {
-    /// Reports what an input did; whether it was taken.
-    fn note(&mut self, taken: Result<Arrival, HistoryError>) -> bool {
-        note(&mut self.complaints, taken)
-    }
-
-    fn goal(&mut self, goal: Result<Goal, EncoderError>) {
-        match goal {
-            Ok(goal) => {
-                tracing::info!("goal set: the image of {}", seconds(goal.stamp));
-                self.step.set_goal(goal);
-                self.plan();
-            }
-            Err(error) => self
-                .complaints
-                .left_out("bad_goal", &format_args!("goal image: {error}")),
-        }
-    }
-
+impl Planner {
     /// Starts a search where one is due, or says what it waits for.
     fn plan(&mut self) {
         match self.step.request(Instant::now()) {
@@ -279,19 +287,17 @@ impl Active {
         }
     }
 
-    fn planned(&mut self, (request, found, taken): Planned) -> Result<()> {
+    fn planned(&mut self, (request, found, taken): Planned, plans: &Publisher<Plan>) -> Result<()> {
         match found {
             Ok((actions, mut plan)) => {
                 // A search takes seconds: far below what 64 bits of nanoseconds hold.
                 plan.time_taken = RosDuration::from_nanos(taken.as_nanos() as i64);
                 self.diagnostics.latency("plan").record(taken);
                 match self.step.planned(&request, &actions, taken, Instant::now()) {
-                    Ok(()) => self.plans.publish(&plan)?,
+                    Ok(()) => plans.publish(&plan)?,
                     Err(unsent) => {
                         let stamp = seconds(plan.header.stamp);
-                        let text = format_args!(
-                            "the plan from the frame of {stamp} is not sent: {unsent}"
-                        );
+                        let text = format_args!("the plan from the frame of {stamp} is not sent: {unsent}");
                         self.complaints.left_out(unsent.reason(), &text);
                     }
                 }

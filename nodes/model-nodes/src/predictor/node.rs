@@ -6,30 +6,26 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use tokio::sync::watch;
-use wm_msgs::wm_msgs::{Action, ActionChunk, Latent, Prediction, PredictionError, Reset};
+use wm_msgs::wm_msgs::{Latent, Prediction, PredictionError};
 use wm_ros::{
-    Clock, Deadline, Descriptor, Diagnostics, Input, Lifecycle, Managed, Node, NodeArgs, Parameter,
-    Publisher, Qos, Received, Service, Subscription,
+    Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Received,
+    complaints::Complaints,
 };
 
 use super::{
-    Outcome, PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout,
+    Doubt, Outcome, PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout,
 };
 use crate::{
-    chunk_merging,
-    history::{
-        Arrival, ChunkMerging, History, HistoryError, HistorySettings, Reception, note, seconds,
-    },
-    model_choice::{self, ModelChoice},
-    reset::answer_reset,
+    chunk_merging::Merging,
+    harness::{self, Configured, Follower, Inputs, ModelNode, Told},
+    history::{History, HistorySettings, Reception, note, seconds},
+    model_choice::{self, OpenModel},
     work::{Stop, Work},
 };
-use wm_ros::complaints::Complaints;
-use wm_wire::latent_message::{LATENT_QOS, LatentDtype};
+use wm_wire::latent_message::LatentDtype;
 
-/// The node's default name.
-pub const NAME: &str = "predictor";
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Predictor>();
 
 /// Observations that may wait for the rollout that is under way. A newer one takes the place.
 const WAITING: usize = 1;
@@ -40,74 +36,41 @@ const NO_ACTIONS: &str =
 const SLOW: &str = "observations are left out; shorten the parameter horizon or integration_steps, or give the predictor more \
                     processor time";
 
-/// Runs the node until SIGINT or SIGTERM.
-///
-/// # Errors
-/// Wrong arguments or parameters, weights that cannot be loaded, the graph.
-pub fn run(args: &NodeArgs) -> Result<()> {
-    args.expect_no_rest()?;
-    wm_ros::run(NAME, wm_ros::NAMESPACE, args, body)
-}
-
 /// The node itself, in a process that may hold others.
 ///
 /// # Errors
-/// As [`run`].
+/// Wrong parameters, weights that cannot be loaded, the graph.
 pub async fn body(node: Node) -> Result<()> {
-    let lifecycle = Lifecycle::new(&node)?;
-    let model = model_choice::declare(&node)?;
-    let parameters = Parameters::declare(&node)?;
-    node.seal_parameters()?;
-    let predictor = PredictorNode {
-        node,
-        model,
-        parameters,
-    };
-    lifecycle.run(predictor).await
+    harness::body::<Predictor>(node).await
 }
 
-struct PredictorNode {
-    node: Node,
-    model: ModelChoice,
-    parameters: Parameters,
+wm_ros::parameters! {
+    /// What the parameters say.
+    struct Parameters {
+        /// Model steps of a rollout (K).
+        horizon: Parameter<i64> = 8, in 1..=64;
+        /// Euler steps per predicted frame; 0: what the model was trained for.
+        integration_steps: Parameter<i64> = 0, in 0..=1000;
+        /// Observed frames, one model step apart, that a rollout starts from.
+        context_frames: usize = 2, in 1..=64;
+        /// Time from one camera frame to the next [s], as the model was trained.
+        frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// How overlapping action chunks are merged; weighted: 0.3 of the older, 0.7 of the newer.
+        chunk_merging: Merging = "latest";
+        /// Seed of the sampler's noise.
+        seed: i64 = 0;
+    }
 }
 
-struct Parameters {
-    horizon: Parameter<i64>,
-    integration_steps: Parameter<i64>,
-    merging: ChunkMerging,
-    seed: i64,
-    context_frames: i64,
-    frame_period: f64,
-}
-
-impl Parameters {
-    fn declare(node: &Node) -> Result<Self> {
-        let horizon = Descriptor::new("model steps of a rollout").integers(1, 64);
-        let steps =
-            Descriptor::new("Euler steps a predicted frame; 0: what the model was trained for")
-                .integers(0, 1000);
-        let seed = Descriptor::new("seed of the noise").read_only();
-        let context =
-            Descriptor::new("observed frames, one model step apart, that a rollout starts from");
-        let period =
-            Descriptor::new("time from one camera frame to the next [s], as the model was trained");
-        Ok(Self {
-            horizon: node.declare("horizon", 8_i64, horizon)?,
-            integration_steps: node.declare("integration_steps", 0_i64, steps)?,
-            merging: chunk_merging::declare(node)?,
-            seed: node.declare("seed", 0_i64, seed)?.get(),
-            context_frames: node
-                .declare("context_frames", 2_i64, context.integers(1, 64).read_only())?
-                .get(),
-            frame_period: node
-                .declare(
-                    "frame_period",
-                    0.2_f64,
-                    period.floats(1e-3, 60.0).read_only(),
-                )?
-                .get(),
-        })
+wm_ros::endpoints! {
+    /// Topics and services.
+    struct Endpoints {
+        /// What follows the robot.
+        inputs: Inputs;
+        /// Predicted latents, one message per model step.
+        predictions: Publisher<Prediction> = "predicted", qos(Qos::reliable(16));
+        /// How far a prediction was off, once its frame has come.
+        errors: Publisher<PredictionError> = "prediction_error", qos(Qos::reliable(16));
     }
 }
 
@@ -124,27 +87,26 @@ struct Shared {
     frame_period: Duration,
 }
 
-struct Active {
-    latents: Subscription<Latent>,
-    actions: Subscription<Action>,
-    chunks: Subscription<ActionChunk>,
-    resets: Service<Reset>,
-    jumps: watch::Receiver<u64>,
+struct Predictor {
+    follower: Follower,
     shared: Shared,
     work: Work<(RolloutRequest, Instant), Result<()>>,
     /// Predictions given up that have been counted.
     unscored: u64,
+    /// Whether something speaks against the predictions, as was said in the log.
+    is_doubtful: bool,
     complaints: Complaints,
 }
 
-impl Managed for PredictorNode {
-    type Configured = Arc<PredictorModel>;
-    type Active = Active;
-    type Error = anyhow::Error;
+impl ModelNode for Predictor {
+    const NAME: &'static str = "predictor";
+    const ABOUT: &'static str = "Predicts the next latents for the actions that the robot takes.";
+    type Parameters = Parameters;
+    type Endpoints = Endpoints;
+    type Model = Arc<PredictorModel>;
 
-    async fn configure(&self) -> Result<Self::Configured> {
-        let model = self.model.clone();
-        let model = tokio::task::spawn_blocking(move || model.open()?.predictor()).await??;
+    fn load(model: OpenModel, _: &Parameters) -> Result<Self::Model> {
+        let model = model.predictor()?;
         tracing::info!(
             "predicting with {} in latent space {}",
             model.name,
@@ -153,10 +115,10 @@ impl Managed for PredictorNode {
         Ok(Arc::new(model))
     }
 
-    fn activate(&self, model: &Self::Configured) -> Result<Active> {
-        let (node, parameters) = (&self.node, &self.parameters);
+    fn activate(at: &Configured<Self>) -> Result<Self> {
+        let (node, parameters, model) = (&at.node, &*at.parameters, &at.model);
         let settings = PredictorSettings {
-            // Descriptors keep these within small positive ranges; a seed is any 64 bits.
+            // The range keeps it within 1 to 64; any 64 bits are a seed.
             horizon: parameters.horizon.get() as usize,
             integration_steps: 1,
             seed: parameters.seed as u64,
@@ -164,9 +126,8 @@ impl Managed for PredictorNode {
         };
         let history = HistorySettings {
             timing: model_choice::timing(parameters.frame_period, &model.encoding),
-            // The descriptor keeps it positive.
-            context_frames: parameters.context_frames as usize,
-            merging: parameters.merging,
+            context_frames: parameters.context_frames,
+            merging: parameters.chunk_merging.0,
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
         let history = History::new(history, space, encoding, node.now());
@@ -174,90 +135,87 @@ impl Managed for PredictorNode {
         let shared = Shared {
             step: Arc::new(Mutex::new(step)),
             model: Arc::clone(model),
-            predictions: node.publisher("predicted", Qos::best_effort(16))?,
-            errors: node.publisher("prediction_error", Qos::reliable(16))?,
+            predictions: at.endpoints.predictions.clone(),
+            errors: at.endpoints.errors.clone(),
             diagnostics: node.diagnostics(),
             clock: node.clock(),
-            // The descriptor keeps it positive and within a minute.
+            // The range keeps it positive and within a minute.
             frame_period: Duration::from_secs_f64(parameters.frame_period),
         };
         let runner = shared.clone();
         let work = Work::new(WAITING, move |(request, received), stop: &Stop| {
             runner.roll_out(request, received, stop)
         });
-        let latents: Subscription<Latent> = node.subscription("latent", LATENT_QOS)?;
-        let actions: Subscription<Action> = node.subscription("action", Qos::reliable(10))?;
-        let diagnostics = node.diagnostics();
-        diagnostics.expect_input(Input::new("latents", [latents.topic()], NO_ENCODER));
-        let input = Input::new("actions", [actions.topic()], NO_ACTIONS);
-        diagnostics.expect_input(input.dispensable());
-        Ok(Active {
-            latents,
-            actions,
-            chunks: node.subscription("action_chunk", Qos::reliable(10))?,
-            resets: node.service("~/reset")?,
-            jumps: node.clock().jumps(),
+        let inputs = &at.endpoints.inputs;
+        let follower = Follower::new(node, inputs, NO_ENCODER);
+        let actions = Input::new("actions", [inputs.actions.topic()], NO_ACTIONS);
+        node.diagnostics().expect_input(actions.dispensable());
+        Ok(Self {
+            follower,
             shared,
             work,
             unscored: 0,
+            is_doubtful: false,
             complaints: Complaints::new(node.diagnostics()),
         })
     }
 
-    async fn run(&self, active: &mut Active) -> Result<()> {
+    async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
+        let inputs = &mut at.endpoints.inputs;
         loop {
-            // Actions before latents: an action and the frame of the same moment may both be there.
             tokio::select! {
                 biased;
-                finished = active.work.finished() => {
+                finished = self.work.finished() => {
                     if let Err(error) = finished.context("the rollout's thread")? {
-                        active.complaints.left_out("rollout", &format_args!("{error:#}"));
+                        self.complaints.left_out("rollout", &format_args!("{error:#}"));
                     }
                 }
-                Some(call) = active.resets.recv() => {
-                    let now = active.shared.clock.now();
-                    answer_reset(call, |seed| active.shared.step().reset(seed, now));
-                },
-                Ok(()) = active.jumps.changed() => {
-                    let now = active.shared.clock.now();
-                    if active.shared.step().clock_jumped(now) {
-                        tracing::info!("/clock jumped back: history flushed");
+                event = self.follower.next(inputs) => {
+                    let Some(event) = event else { return Ok(()) };
+                    let told = {
+                        let mut step = self.shared.step();
+                        self.follower.tell(event, &mut *step, &mut self.complaints)
+                    };
+                    match told {
+                        Some(Told::Latent(latent)) => self.latent(&latent, &at.parameters)?,
+                        Some(Told::Due(request)) => self.submit(request),
+                        None => {}
                     }
-                }
-                received = active.actions.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    let taken = active.shared.step().action(&received.message, received.received);
-                    active.note(taken);
-                }
-                received = active.chunks.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    let taken = active.shared.step().chunk(&received.message, received.received);
-                    active.outcome(taken, seconds(received.message.header.stamp))?;
-                }
-                received = active.latents.recv() => {
-                    let Some(received) = received else { return Ok(()) };
-                    active.latent(&received, &self.parameters)?;
                 }
             }
         }
     }
 }
 
-impl Active {
+impl Predictor {
     fn latent(&mut self, received: &Received<Latent>, parameters: &Parameters) -> Result<()> {
         let horizon = parameters.horizon.get() as usize;
         let integration_steps = match parameters.integration_steps.get() {
             0 => self.shared.model.transition.config().sampler.steps,
-            // The descriptor keeps it positive.
+            // The range keeps it positive.
             steps => steps as usize,
         };
-        let outcome = {
+        let (outcome, doubt, unscored) = {
             let mut step = self.shared.step();
             step.set(horizon, integration_steps);
-            step.latent(&received.message, Reception::from(received))
+            let outcome = step.latent(&received.message, Reception::from(received));
+            (outcome, step.doubt(), step.unscored())
         };
-        self.outcome(outcome, seconds(received.message.header.stamp))?;
-        let unscored = self.shared.step().unscored();
+        let Outcome {
+            arrival,
+            errors,
+            rollout,
+        } = match outcome {
+            Ok(outcome) => outcome,
+            Err(error) => {
+                note(&mut self.complaints, Err(error));
+                return Ok(());
+            }
+        };
+        note(&mut self.complaints, Ok(arrival));
+        for error in &errors {
+            self.shared.errors.publish(error)?;
+        }
         if unscored > self.unscored {
             self.complaints.left_out_many(
                 "unscored",
@@ -266,42 +224,38 @@ impl Active {
             );
             self.unscored = unscored;
         }
-        Ok(())
-    }
-
-    /// Reports what an input did, and starts the rollout that is due.
-    fn outcome(&mut self, outcome: Result<Outcome, HistoryError>, stamp: String) -> Result<()> {
-        let (arrival, rest) = match outcome {
-            Ok(outcome) => (Ok(outcome.arrival), Some((outcome.errors, outcome.rollout))),
-            Err(error) => (Err(error), None),
-        };
-        note(&mut self.complaints, arrival);
-        let Some((errors, rollout)) = rest else {
-            return Ok(());
-        };
-        for error in &errors {
-            self.shared.errors.publish(error)?;
-        }
+        self.say_doubt(doubt);
         match rollout {
             None => {}
-            Some(Ok(request)) => {
-                self.complaints.working("predicting");
-                if self.work.submit((request, Instant::now())).is_some() {
-                    self.complaints.left_out(
-                        "overload",
-                        &format_args!(
-                            "a rollout takes longer than a frame: the observation before that of {stamp} is left out"
-                        ),
-                    );
-                }
-            }
+            Some(Ok(request)) => self.submit(request),
             Some(Err(wait)) => self.complaints.waiting(wait.kind(), wait.is_usual(), &wait),
         }
         Ok(())
     }
 
-    fn note(&mut self, arrival: Result<Arrival, HistoryError>) {
-        note(&mut self.complaints, arrival);
+    fn submit(&mut self, request: RolloutRequest) {
+        self.complaints.working("predicting");
+        if let Some((left_out, _)) = self.work.submit((request, Instant::now())) {
+            let stamp = seconds(left_out.moment.header_after(0).stamp);
+            self.complaints.left_out(
+                "overload",
+                &format_args!(
+                    "a rollout takes longer than a frame: the observation of {stamp} is left out"
+                ),
+            );
+        }
+    }
+
+    /// On `/diagnostics` for as long as it lasts, and in the log when it begins.
+    fn say_doubt(&mut self, doubt: Option<Doubt>) {
+        if let Some(doubt) = doubt {
+            let text = doubt.to_string();
+            if !self.is_doubtful {
+                tracing::warn!("{text}");
+            }
+            self.shared.diagnostics.raise("trust", Level::Warn, text);
+        }
+        self.is_doubtful = doubt.is_some();
     }
 }
 
@@ -327,6 +281,10 @@ impl Shared {
                 self.diagnostics
                     .latency("latent to first step")
                     .record(received.elapsed());
+            }
+            if predicted.clipped > 0 {
+                self.diagnostics
+                    .count_drops("clipped action values", predicted.clipped as u64);
             }
             let late = self.step().predicted(&predicted);
             if let Some(error) = late {

@@ -6,6 +6,7 @@ use anyhow::{Result, ensure};
 use image::RgbImage;
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use tokio::time::MissedTickBehavior;
 use tracing::warn;
@@ -13,15 +14,29 @@ use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     wm_msgs::{Plan, Prediction, PredictionError},
 };
-use wm_ros::{Descriptor, Diagnostics, Node, NodeArgs, Qos, Received, Subscription};
+use wm_ros::{
+    Diagnostics, EndpointSet as _, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
+    Received, Subscription,
+};
 use wm_wire::camera_frame::CameraFrame;
 use wm_wire::transport::{ImageSubscription, Transports};
 
-/// The node's default name.
-pub const NAME: &str = "monitor";
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
+    name: "monitor",
+    about: "Shows a live line, and reports at the end how well the predictions came true.",
+    parameters: Parameters::specs,
+    endpoints: Inputs::specs,
+    is_managed: false,
+    run: |args| run(args).map(|()| ExitCode::SUCCESS),
+    component: None,
+};
 
 /// Best effort, which matches every publisher; room for the rollouts that come while one frame is scored.
 const QOS: Qos = Qos::best_effort(64);
+
+/// The camera's topic, unless a parameter names another.
+const CAMERA: &str = "/camera/image_raw";
 
 /// How often the live line is renewed.
 const LIVE_PERIOD: Duration = Duration::from_millis(500);
@@ -29,12 +44,13 @@ const LIVE_PERIOD: Duration = Duration::from_millis(500);
 /// Runs the monitor until a signal, then writes the report, if there is anything to report of.
 ///
 /// # Errors
-/// Names what is wrong with arguments or parameters, or the file that cannot be written.
+/// Names what is wrong with arguments or parameters, the file that cannot be written, or the topic on which nothing was
+/// seen that a report needs.
 pub fn run(args: &NodeArgs) -> Result<()> {
     args.expect_no_rest()?;
     let mut monitor = None;
     wm_ros::run(
-        NAME,
+        NODE.name,
         wm_ros::NAMESPACE,
         args,
         async |node: Node| -> Result<()> {
@@ -44,19 +60,10 @@ pub fn run(args: &NodeArgs) -> Result<()> {
         },
     )?;
     // after the node has left the graph, so that nothing hurries the writing
-    if let Some(Monitor { scorer, output, .. }) = monitor {
-        // as where the player found no bag: a table of nothing would hide why
-        if scorer.is_empty() {
-            warn!("no report: no frame, prediction or plan was seen");
-            return Ok(());
-        }
-        let (report, files) = write_report(&scorer, "live", &output)?;
-        print!("{}", terminal_table(&report));
-        for file in files {
-            println!("{}", file.display());
-        }
+    match monitor {
+        Some(monitor) => monitor.report(),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 struct Monitor {
@@ -64,59 +71,81 @@ struct Monitor {
     line: LiveLine,
     is_live: bool,
     output: PathBuf,
+    topics: Topics,
     diagnostics: Diagnostics,
     /// The transport (whether the raw one) by which predicted pictures are taken: that of the first.
     takes_raw: Option<bool>,
 }
 
-struct Inputs {
-    camera: ImageSubscription,
-    predicted: Subscription<Prediction>,
-    pictures: ImageSubscription,
-    errors: Subscription<PredictionError>,
-    plans: Subscription<Plan>,
-    diagnostics: Subscription<DiagnosticArray>,
+/// The names of what a report needs, for who has to look for them.
+struct Topics {
+    camera: String,
+    predicted: String,
+    plan: String,
+}
+
+wm_ros::parameters! {
+    /// What the parameters say.
+    struct Parameters {
+        /// Folder of the report; relative to the working directory.
+        output: PathBuf = "out/monitor";
+        /// Show a line of what is happening.
+        live_line: bool = true;
+        /// The camera's topic; its sibling /compressed too.
+        camera_topic: String = CAMERA;
+        /// Image transport of the camera. With both, a frame that comes twice counts once.
+        _image_transport as "image_transport": Transports = "both";
+    }
+}
+
+wm_ros::endpoints! {
+    /// Topics.
+    struct Inputs {
+        /// The camera's frames; the parameter camera_topic names another topic.
+        camera: ImageSubscription = CAMERA, qos(QOS), made(|node, _, qos| {
+            let topic: String = node.parameter("camera_topic")?;
+            ImageSubscription::new(node, &topic, Transports::of(node), qos)
+        });
+        /// Predicted latents.
+        predicted: Subscription<Prediction> = "predicted", qos(QOS);
+        /// Predicted pictures.
+        pictures: ImageSubscription = "predicted/image", qos(QOS), made(|node, topic, qos| {
+            ImageSubscription::new(node, topic, Transports::BOTH, qos)
+        });
+        /// How far predictions were off.
+        errors: Subscription<PredictionError> = "prediction_error", qos(QOS);
+        /// Plans.
+        plans: Subscription<Plan> = "plan", qos(QOS);
+        /// How the nodes fare.
+        diagnostics: Subscription<DiagnosticArray> = "/diagnostics", qos(QOS);
+    }
 }
 
 fn start(node: &Node) -> Result<(Monitor, Inputs)> {
-    let fixed = |text: &str| Descriptor::new(text).read_only();
-    let output = node
-        .declare(
-            "output",
-            "out/monitor".to_owned(),
-            fixed("folder of the report; relative to the working directory"),
-        )?
-        .get();
-    let is_live = node
-        .declare("live_line", true, fixed("show a line of what is happening"))?
-        .get();
-    let camera = node
-        .declare(
-            "camera_topic",
-            "/camera/image_raw".to_owned(),
-            fixed("the camera's topic; its sibling /compressed too"),
-        )?
-        .get();
-    let transports = Transports::declare(node)?;
+    let Parameters {
+        output,
+        live_line,
+        camera_topic,
+        ..
+    } = Parameters::declare(node)?;
     node.seal_parameters()?;
     ensure!(
-        !output.is_empty(),
+        !output.as_os_str().is_empty(),
         "parameter \"output\" is empty: name the folder of the report"
     );
-    let inputs = Inputs {
-        camera: ImageSubscription::new(node, &camera, transports, QOS)?,
-        predicted: node.subscription("predicted", QOS)?,
-        pictures: ImageSubscription::new(node, "predicted/image", Transports::BOTH, QOS)?,
-        errors: node.subscription("prediction_error", QOS)?,
-        plans: node.subscription("plan", QOS)?,
-        diagnostics: node.subscription("/diagnostics", QOS)?,
-    };
+    let inputs = Inputs::make(node)?;
     node.seal_endpoints()?;
+    let topics = Topics {
+        camera: node.resolve(&camera_topic)?,
+        predicted: inputs.predicted.topic().to_owned(),
+        plan: inputs.plans.topic().to_owned(),
+    };
     let monitor = Monitor {
         scorer: Scorer::default(),
         line: LiveLine::default(),
-        is_live,
-        output: PathBuf::from(output),
+        is_live: live_line,
+        output,
+        topics,
         diagnostics: node.diagnostics(),
         takes_raw: None,
     };
@@ -147,11 +176,42 @@ async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
         }
     }
     if monitor.is_live && std::io::stderr().is_terminal() {
-        eprintln!();
+        wm_ros::logging::last_words("");
     }
 }
 
 impl Monitor {
+    /// Writes the report and shows its table. A monitor that has not seen what it was started for has failed.
+    fn report(self) -> Result<()> {
+        let Topics {
+            camera,
+            predicted,
+            plan,
+        } = &self.topics;
+        // as where the player found no bag: a table of nothing would hide why
+        ensure!(
+            !self.scorer.is_empty(),
+            "no report: no frame came on {camera} or {camera}/compressed, no prediction on {predicted}, no plan on {plan}"
+        );
+        let (report, files) = write_report(&self.scorer, "live", &self.output)?;
+        let mut result = terminal_table(&report);
+        for file in files {
+            result.push_str(&format!("{}\n", file.display()));
+        }
+        wm_ros::logging::print(result);
+        ensure!(
+            report.frames > 0,
+            "no frame came on {camera} or {camera}/compressed: nothing could be compared; is the parameter \
+             \"camera_topic\" the camera's?"
+        );
+        ensure!(
+            !self.scorer.is_without_predictions(),
+            "no prediction came on {predicted}, although {}",
+            report.frames_in_words()
+        );
+        Ok(())
+    }
+
     fn camera(&mut self, frame: &CameraFrame) {
         match frame.decode() {
             Ok(rgb) => self.frame(frame.header().stamp.to_nanos(), rgb),
@@ -161,7 +221,9 @@ impl Monitor {
 
     /// A predicted picture may come raw and compressed: it counts once.
     fn picture(&mut self, received: &Received<CameraFrame>) {
-        let Received { message, received } = received;
+        let Received {
+            message, received, ..
+        } = received;
         let is_raw = matches!(message, CameraFrame::Raw(_));
         if *self.takes_raw.get_or_insert(is_raw) != is_raw {
             return;
@@ -183,7 +245,9 @@ impl Monitor {
     }
 
     fn prediction(&mut self, received: &Received<Prediction>) {
-        let Received { message, received } = received;
+        let Received {
+            message, received, ..
+        } = received;
         let arrived_ns = received.to_nanos();
         let latency_ns = arrived_ns.saturating_sub(message.observed_stamp.to_nanos());
         self.line
@@ -207,12 +271,12 @@ impl Monitor {
             self.scorer.last_error_ratio(),
             self.scorer.drop_count(),
         );
-        let mut screen = std::io::stderr();
-        let written = if screen.is_terminal() {
-            write!(screen, "\r\x1b[2K{text}").and_then(|()| screen.flush())
+        let mut screen = wm_ros::logging::stderr();
+        let written = if std::io::stderr().is_terminal() {
+            write!(screen, "\r\x1b[2K{text}")
         } else {
             writeln!(screen, "\r{text}")
         };
-        written.ok();
+        written.and_then(|()| screen.flush()).ok();
     }
 }

@@ -1,6 +1,7 @@
-//! Which rollout is shown: the one with the most motion, of those whose every step was seen.
+//! Which rollout is shown: of those of which the most steps were seen, the one with the most motion.
 
 use image::RgbImage;
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use wm_model::metrics::psnr;
@@ -15,14 +16,31 @@ pub struct ShownRollout {
     pub observed_ns: i64,
     /// The frame that it started from.
     pub observed: Arc<RgbImage>,
-    /// By step from k = 1: the real frame and the predicted picture.
-    pub steps: Vec<(Arc<RgbImage>, Arc<RgbImage>)>,
+    /// The steps that were seen, by k: the real frame and the predicted picture. A decoder under load leaves some out.
+    pub steps: BTreeMap<u32, (Arc<RgbImage>, Arc<RgbImage>)>,
 }
 
-#[derive(Debug)]
-struct Open {
-    observed: Arc<RgbImage>,
-    steps: BTreeMap<u32, (Arc<RgbImage>, Arc<RgbImage>)>,
+impl ShownRollout {
+    /// How unlike the observation the frames became, as mean PSNR \[dB\]: less is more motion.
+    fn stillness_db(&self) -> f64 {
+        let likeness = self
+            .steps
+            .values()
+            .filter_map(|(real, _)| psnr(&self.observed, real).ok());
+        let sum: f64 = likeness
+            .map(|decibel| decibel.min(super::PSNR_CAP_DB))
+            .sum();
+        sum / self.steps.len().max(1) as f64
+    }
+
+    /// Whether this one is to be shown rather than the other.
+    fn is_better_than(&self, other: &Self) -> bool {
+        match self.steps.len().cmp(&other.steps.len()) {
+            Ordering::Greater => true,
+            Ordering::Equal => self.stillness_db() < other.stillness_db(),
+            Ordering::Less => false,
+        }
+    }
 }
 
 #[derive(Debug, Default)]
@@ -30,8 +48,10 @@ pub(super) struct Rollouts {
     observations: u64,
     /// Stamps of the last observations, to count each once.
     recent: VecDeque<i64>,
-    open: BTreeMap<i64, Open>,
-    best: Option<(f64, ShownRollout)>,
+    /// By stamp of the observation.
+    open: BTreeMap<i64, ShownRollout>,
+    /// Of those that are no longer open.
+    best: Option<ShownRollout>,
 }
 
 impl Rollouts {
@@ -61,7 +81,8 @@ impl Rollouts {
         real: &Arc<RgbImage>,
         predicted: &Arc<RgbImage>,
     ) {
-        let new = || Open {
+        let new = || ShownRollout {
+            observed_ns,
             observed: Arc::clone(observed),
             steps: BTreeMap::new(),
         };
@@ -71,41 +92,37 @@ impl Rollouts {
         if open.steps.len() == horizon as usize
             && let Some(whole) = self.open.remove(&observed_ns)
         {
-            self.consider(observed_ns, whole);
+            self.consider(whole);
         }
-        while self.open.len() > OPEN_LIMIT {
-            self.open.pop_first();
+        while self.open.len() > OPEN_LIMIT
+            && let Some((_, oldest)) = self.open.pop_first()
+        {
+            self.consider(oldest);
         }
     }
 
     pub fn best(&self) -> Option<&ShownRollout> {
-        self.best.as_ref().map(|(_, rollout)| rollout)
+        let candidates = self.best.iter().chain(self.open.values());
+        candidates.reduce(|best, next| {
+            if next.is_better_than(best) {
+                next
+            } else {
+                best
+            }
+        })
     }
 
     pub fn flush(&mut self) {
-        self.open.clear();
+        for (_, rollout) in std::mem::take(&mut self.open) {
+            self.consider(rollout);
+        }
         self.recent.clear();
     }
 
-    fn consider(&mut self, observed_ns: i64, whole: Open) {
-        // motion: how unlike the observation the frames became
-        let likeness = whole
-            .steps
-            .values()
-            .filter_map(|(real, _)| psnr(&whole.observed, real).ok());
-        let stillness: f64 = likeness
-            .map(|decibel| decibel.min(super::PSNR_CAP_DB))
-            .sum();
-        if self.best.as_ref().is_none_or(|(best, _)| stillness < *best) {
-            let steps = whole.steps.into_values().collect();
-            self.best = Some((
-                stillness,
-                ShownRollout {
-                    observed_ns,
-                    observed: whole.observed,
-                    steps,
-                },
-            ));
+    fn consider(&mut self, rollout: ShownRollout) {
+        let is_better = |best| rollout.is_better_than(best);
+        if self.best.as_ref().is_none_or(is_better) {
+            self.best = Some(rollout);
         }
     }
 }

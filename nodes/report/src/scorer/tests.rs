@@ -169,7 +169,26 @@ fn the_rollout_with_the_most_motion_is_shown() {
     let shown = scorer.shown_rollout().unwrap();
     // from frame 4 and 5 both steps are past the jump; the first of the two stays
     assert_eq!((shown.observed_ns, shown.steps.len()), (4 * FRAME_NS, 2));
-    assert_eq!(shown.steps[0].0.get_pixel(0, 0).0, [200; 3]);
+    assert_eq!(shown.steps[&1].0.get_pixel(0, 0).0, [200; 3]);
+}
+
+/// A decoder under load skips pictures: of no rollout every step is seen.
+#[test]
+fn a_rollout_with_gaps_is_shown_where_none_is_whole() {
+    let mut scorer = Scorer::default();
+    for frame in 0..10 {
+        let now = frame * FRAME_NS;
+        scorer.frame(now, grey(50));
+        for step in 1..=2 {
+            scorer.prediction(&prediction(now, step, now), now + 1);
+        }
+        scorer.picture(now + 2 * STEP_NS, grey(60), now + 2);
+    }
+    let shown = scorer.shown_rollout().unwrap();
+    assert_eq!(shown.steps.keys().collect::<Vec<_>>(), [&2]);
+    // A jump back in time closes what is open.
+    scorer.frame(0, grey(1));
+    assert!(scorer.shown_rollout().is_some());
 }
 
 #[test]

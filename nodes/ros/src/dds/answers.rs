@@ -2,9 +2,12 @@
 //! does, and a volatile writer's sample goes to none but the readers that it knows: an answer sent at once would be
 //! lost, and the call would never end. So it waits, as it does in rmw_fastrtps.
 
-use super::{local::is_same_participant, lock::lock, shared::Shared};
+use super::{local::is_same_participant, lock::lock, shared::Shared, wire::usable};
 use crate::backend::EndpointId;
+use rustdds::DomainParticipant;
 use std::{
+    collections::BTreeSet,
+    net::{IpAddr, SocketAddr},
     sync::{
         Arc,
         atomic::{AtomicUsize, Ordering},
@@ -49,9 +52,34 @@ impl Drop for Place {
 }
 
 impl Shared {
+    /// Where these clients' readers are reached.
+    pub(super) fn addresses_of(
+        &self,
+        clients: &BTreeSet<EndpointId>,
+    ) -> Vec<(EndpointId, Vec<SocketAddr>)> {
+        let interfaces = if_addrs::get_if_addrs().unwrap_or_default();
+        let own: Vec<IpAddr> = interfaces.iter().map(if_addrs::Interface::ip).collect();
+        let participant = lock(&self.participant);
+        let readers = participant
+            .as_ref()
+            .map(DomainParticipant::discovered_readers)
+            .unwrap_or_default();
+        drop(participant);
+        let proxies = readers.into_iter().map(|reader| reader.reader_proxy);
+        proxies
+            .map(|proxy| (proxy.remote_reader_guid.to_bytes(), proxy))
+            .filter(|(id, _)| clients.contains(id))
+            .map(|(id, proxy)| {
+                let announced = proxy.unicast_locator_list.into_iter();
+                let announced = announced.map(SocketAddr::from);
+                (id, usable(announced, &own, self.is_on_loopback))
+            })
+            .collect()
+    }
+
     /// Whether the writer `own` is connected to a reader in the participant of `client`.
     pub(super) fn reaches(&self, own: &EndpointId, client: &EndpointId) -> bool {
-        let is_connected = |others: &std::collections::BTreeSet<EndpointId>| {
+        let is_connected = |others: &BTreeSet<EndpointId>| {
             others
                 .iter()
                 .any(|other| is_same_participant(other, client))

@@ -1,6 +1,6 @@
-//! How large an answer may be. rustdds 0.15.1 spoils the inline QoS of fragmented samples (it writes one byte too many in
-//! front), which only answers to calls have: their client takes no fragment of it, and waits for it for ever, so that the
-//! answers behind it are lost too. An answer that would be sent in fragments is therefore not sent, and that is said.
+//! How large an answer rustdds may send. rustdds 0.15.1 spoils the inline QoS of fragmented samples (it writes one byte
+//! too many in front), which only answers to calls have: no client takes such a fragment. What would be fragmented is
+//! therefore sent by [`super::wire`].
 
 use std::{fs, path::Path};
 
@@ -15,12 +15,12 @@ const LOOPBACK_MTU: usize = 65_500;
 const IFF_UP: u32 = 1;
 const IFF_LOOPBACK: u32 = 8;
 
-/// The largest answer to a client that announces any address of this host or another \[byte\].
+/// The largest answer that rustdds sends whole to a client that announces any address of this host or another \[byte\].
 pub(super) fn largest_answer() -> usize {
     smallest_mtu(Path::new("/sys/class/net")) - OVERHEAD
 }
 
-/// The largest answer between participants that are bound to loopback \[byte\].
+/// The largest answer that rustdds sends whole between participants on loopback \[byte\].
 pub(super) const LARGEST_ON_LOOPBACK: usize = LOOPBACK_MTU - OVERHEAD;
 
 fn smallest_mtu(interfaces: &Path) -> usize {

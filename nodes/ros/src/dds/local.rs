@@ -10,8 +10,8 @@ use crate::{
     Durability, Qos,
     backend::{Endpoint, EndpointId, RequestId, Sample},
     mailbox::Mailbox,
+    payload::Payload,
 };
-use bytes::Bytes;
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{Arc, Mutex},
@@ -104,7 +104,7 @@ impl Local {
         &self,
         writer: EndpointId,
         sequence: i64,
-        bytes: &Bytes,
+        payload: &Payload,
         answers: Option<RequestId>,
     ) {
         let mut table = lock(&self.table);
@@ -118,7 +118,7 @@ impl Local {
             sequence,
         });
         let sample = Sample {
-            bytes: bytes.clone(),
+            payload: payload.clone(),
             writer,
             sequence,
             request: Some(request),
@@ -167,6 +167,7 @@ pub(super) fn is_same_participant(one: &EndpointId, other: &EndpointId) -> bool 
 mod tests {
     use super::*;
     use crate::{backend::Channel, names::TypeName};
+    use bytes::Bytes;
 
     fn endpoint(name: &str, qos: Qos) -> Endpoint {
         let type_name = TypeName {
@@ -204,7 +205,7 @@ mod tests {
             ),
             (1, 1, 0)
         );
-        local.deliver(writer, 1, &Bytes::new(), None);
+        local.deliver(writer, 1, &Payload::Cdr(Bytes::new()), None);
         assert_eq!(
             (
                 sequences(&inbox),
@@ -223,7 +224,7 @@ mod tests {
         let [writer, late, volatile] = [1, 2, 3].map(|byte| [byte; 16]);
         local.add_writer(writer, &endpoint("/a", Qos::latched(2)));
         for sequence in 1..=3 {
-            local.deliver(writer, sequence, &Bytes::new(), None);
+            local.deliver(writer, sequence, &Payload::Cdr(Bytes::new()), None);
         }
         assert_eq!(
             sequences(&local.add_reader(late, &endpoint("/a", Qos::latched(1)))),

@@ -4,8 +4,9 @@
 //! 208 KiB, and reliable readers fare no better, since its repairs are bursts as well. So a volatile writer of a topic
 //! goes over to parts with its first large message: it offers each message to the participants that read the topic and
 //! have a reader of parts, keeps as many as its history is deep, and sends the parts that they ask for. Each asks for
-//! a few at a time, so that nothing overflows, asks again for what does not come, and answers when it has a message;
-//! a reader that has stopped asks for nothing, and holds up nobody.
+//! a few at a time, so that nothing overflows, asks again for what does not come, and answers when it has a message.
+//! A reader that stops asks for nothing and holds up nobody: it loses the oldest messages once too many wait for it, and
+//! all but the newest once it has been silent for seconds. A part is sent only to a reader that it was offered to.
 //!
 //! Every participant reads a topic of its own ([`topic_of`]), which ROS does not show; who has something to say to it
 //! makes a writer for that. To readers of other kinds (rclpy, Cyclone DDS) the messages go on their topic as ever; this
@@ -30,16 +31,22 @@ use bytes::Bytes;
 use inbox::Inbox;
 use message::PartMessage;
 use outbox::Outbox;
-use rustdds::{GUID, QosPolicies, no_key::DataWriter};
+use rustdds::{GUID, QosPolicies, RTPSEntity as _, no_key::DataWriter};
 use std::{
     collections::BTreeMap,
     sync::{Arc, Mutex},
+    time::{Duration, Instant},
 };
 use tokio::sync::Notify;
 
 pub(super) use exchange::exchange;
 pub(super) use message::LARGEST;
-pub(super) use outbox::Keep;
+pub(super) use outbox::{Keep, Offered};
+
+/// Decodes a sample as far as it goes: for the fuzz targets.
+pub(crate) fn decode_part(sample: &[u8]) {
+    PartMessage::decode(sample).ok();
+}
 
 /// A participant: the first bytes of the identities of its endpoints.
 pub(super) type Peer = [u8; 12];
@@ -56,6 +63,9 @@ const TOPIC: &str = "wm/parts/1/";
 const TYPE: &str = "wm::Parts_";
 /// Samples that wait for the task that takes them, or for the thread that sends them.
 const DEPTH: usize = 64;
+
+/// How often a wait for readers looks whether one has fallen silent.
+const LOOK_AGAIN: Duration = Duration::from_millis(500);
 
 /// Another participant that reads parts.
 struct Postbox {
@@ -81,6 +91,14 @@ struct State {
     heard: BTreeMap<(EndpointId, EndpointId), i64>,
 }
 
+impl State {
+    fn forget_peer(&mut self, peer: &Peer) {
+        self.postboxes.remove(peer);
+        self.outbox.forget_peer(peer);
+        self.inbox.forget_peer(peer);
+    }
+}
+
 /// The messages in parts of this participant.
 #[derive(Default)]
 pub(super) struct Parts {
@@ -102,7 +120,7 @@ fn topic_of(peer: &Peer) -> String {
         .fold(TOPIC.to_owned(), |name, byte| format!("{name}{byte:02x}"))
 }
 
-fn profile() -> QosPolicies {
+pub(super) fn profile() -> QosPolicies {
     super::qos::for_writer(Qos::best_effort(DEPTH))
 }
 
@@ -135,12 +153,12 @@ impl Parts {
         lock(&self.state).outbox.open(writer, keep, last);
     }
 
-    /// Whether a reader has fallen so far behind that the writer takes nothing more.
+    /// Whether one more message would drop one that a reader still asks for.
     pub(super) fn is_full(&self, writer: &EndpointId) -> bool {
-        lock(&self.state).outbox.is_full(writer)
+        lock(&self.state).outbox.is_full(Instant::now(), writer)
     }
 
-    /// Waits until every reader has what this writer has sent so far.
+    /// Waits until every reader that is not silent has what this writer has sent so far.
     pub(super) async fn acknowledged(&self, writer: &EndpointId) {
         let Some(last) = lock(&self.state).outbox.last(writer) else {
             return;
@@ -148,10 +166,14 @@ impl Parts {
         loop {
             let mut settled = std::pin::pin!(self.is_settled.notified());
             settled.as_mut().enable();
-            if lock(&self.state).outbox.is_settled(writer, last) {
+            if lock(&self.state)
+                .outbox
+                .is_settled(Instant::now(), writer, last)
+            {
                 return;
             }
-            settled.await;
+            // looks again by itself: that a reader falls silent is no event
+            tokio::time::timeout(LOOK_AGAIN, settled).await.ok();
         }
     }
 
@@ -164,7 +186,7 @@ impl Parts {
     ) {
         let depth = match endpoint.qos.reliability {
             Reliability::BestEffort => endpoint.qos.depth,
-            // nothing of a reliable writer is left out: it stops when it is full
+            // as many as a reliable writer keeps: nothing that it still has is left out
             Reliability::Reliable => super::qos::RELIABLE_WINDOW.max(endpoint.qos.depth),
         };
         let inbox = Arc::clone(inbox);
@@ -197,20 +219,47 @@ impl Parts {
         }
     }
 
+    /// Another participant has gone.
+    pub(super) fn forget_participant(&self, peer: &Peer) {
+        let mut state = lock(&self.state);
+        state.forget_peer(peer);
+        state
+            .heard
+            .retain(|(_, writer), _| peer_of(writer) != *peer);
+        drop(state);
+        self.is_settled.notify_waiters();
+    }
+
     /// An endpoint of another participant has gone.
     pub(super) fn forget_other(&self, id: &EndpointId) {
         let mut state = lock(&self.state);
         let peer = peer_of(id);
         let reader = state.postboxes.get(&peer).map(|postbox| postbox.reader);
         if reader.is_some_and(|reader| reader.to_bytes() == *id) {
-            state.postboxes.remove(&peer);
-            state.outbox.forget_peer(&peer);
-            state.inbox.forget_peer(&peer);
+            state.forget_peer(&peer);
         }
         state.inbox.forget_writer(id);
         state.heard.retain(|(_, writer), _| writer != id);
         drop(state);
         self.is_settled.notify_waiters();
+    }
+
+    /// The writers to other participants, each with its topic.
+    pub(super) fn writers(&self) -> Vec<(EndpointId, String)> {
+        let state = lock(&self.state);
+        let postboxes = state.postboxes.iter();
+        let writer = |(peer, postbox): (&Peer, &Postbox)| {
+            let id = postbox.writer.as_ref()?.guid().to_bytes();
+            Some((id, topic_of(peer)))
+        };
+        postboxes.filter_map(writer).collect()
+    }
+
+    /// The readers of other participants that are known to take parts.
+    pub(super) fn readers(&self) -> Vec<EndpointId> {
+        let state = lock(&self.state);
+        let postboxes = state.postboxes.values();
+        postboxes.map(|postbox| postbox.reader.to_bytes()).collect()
     }
 
     /// An endpoint of this participant has gone.

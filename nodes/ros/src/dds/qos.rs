@@ -4,7 +4,7 @@ use crate::{Durability, Qos, Reliability};
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 
 /// Samples that a reliable writer keeps for readers that have not acknowledged them: what bounds its memory when a
-/// reader stops. A dead reader is dropped when its lease ends, 20 to 50 s, which at 10 Hz are 500 samples.
+/// reader stops. A reader that is further behind loses the oldest ([`super::window`]).
 pub(crate) const RELIABLE_WINDOW: usize = 512;
 /// Samples that the middleware keeps of a topic until they are taken, which happens at once on a thread of its own.
 const READER_CACHE: usize = 64;

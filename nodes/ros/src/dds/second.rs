@@ -8,10 +8,12 @@
 use super::{
     Dds,
     codec::Raw,
+    confine,
     lock::lock,
     parts::peer_of,
     shared::{Second, follow},
     topic,
+    wire::Wire,
 };
 use crate::{
     Environment, Error, Reliability,
@@ -24,8 +26,13 @@ use rustdds::{
 };
 use std::sync::Arc;
 
-/// A participant of the domain, not yet in anybody's book.
-pub(super) fn participant(environment: &Environment) -> Result<DomainParticipant, Error> {
+/// A participant of the domain, not yet in anybody's book, which hears nothing from outside the environment's reach.
+pub(super) fn participant(
+    environment: &Environment,
+    wire: &Wire,
+) -> Result<DomainParticipant, Error> {
+    let of_sockets = |source| Error::io("confine the sockets of DDS", source);
+    let before = confine::sockets().map_err(of_sockets)?;
     let mut builder = DomainParticipantBuilder::new(environment.domain_id);
     if let Some(addresses) = environment.addresses() {
         builder = builder.with_only_networks(addresses);
@@ -34,9 +41,15 @@ pub(super) fn participant(environment: &Environment) -> Result<DomainParticipant
         // without it, it would announce itself to the first participants of this host
         builder = builder.same_host_loopback(false);
     }
-    builder.build().map_err(|error| {
+    let participant = builder.build().map_err(|error| {
         Error::middleware(format!("join DDS domain {}", environment.domain_id), error)
-    })
+    })?;
+    let ports = confine::Ports::new(environment.domain_id, participant.participant_id());
+    if let Some(addresses) = environment.addresses() {
+        confine::confine(&ports, &before, &addresses).map_err(of_sockets)?;
+    }
+    wire.add_own(peer_of(&participant.guid().to_bytes()), ports.discovery());
+    Ok(participant)
 }
 
 impl Dds {
@@ -68,7 +81,7 @@ impl Dds {
     }
 
     fn join_again(&self) -> Result<Second, Error> {
-        let participant = participant(&self.environment)?;
+        let participant = participant(&self.environment, &self.shared.wire)?;
         let defaults = rustdds::QosPolicyBuilder::new().build();
         let publisher = participant
             .create_publisher(&defaults)
@@ -76,7 +89,10 @@ impl Dds {
         let peer = peer_of(&participant.guid().to_bytes());
         self.shared.second_peer.get_or_init(|| peer);
         let events = participant.status_listener();
-        self.runtime.spawn(follow(events, Arc::clone(&self.shared)));
+        let follow = follow(events, Arc::clone(&self.shared));
+        self.shared
+            .failure
+            .watch(&self.runtime, "discovery", follow);
         Ok(Second {
             participant,
             publisher,

@@ -2,12 +2,15 @@
 
 use super::{
     datagram,
+    failure::Failure,
     local::Local,
     lock::lock,
     mismatches::Mismatches,
     names::ros_names,
     nodes::Nodes,
     parts::{Parts, Peer, peer_of},
+    reconcile::{OwnEndpoints, Suspects},
+    wire::Wire,
 };
 use crate::backend::{Channel, EndpointId};
 use futures::StreamExt as _;
@@ -46,6 +49,11 @@ pub(super) struct Shared {
     /// Writers of other participants that have not gone.
     pub(super) writers: Mutex<BTreeSet<EndpointId>>,
     pub(super) mismatches: Mismatches,
+    /// Own readers and writers of topics and services.
+    pub(super) own: OwnEndpoints,
+    pub(super) suspects: Suspects,
+    pub(super) wire: Wire,
+    pub(super) failure: Arc<Failure>,
     pub(super) is_on_loopback: bool,
     /// Whether there are no other participants.
     pub(super) is_alone: bool,
@@ -59,12 +67,38 @@ impl Shared {
         self.changes.send_modify(|count| *count += 1);
     }
 
-    /// The largest answer that reaches this client \[byte\].
-    pub(super) fn largest_answer(&self, own: &EndpointId, client: &EndpointId) -> usize {
-        match self.is_on_loopback && !is_foreign(own, client) {
+    /// Endpoints of others that this one is connected to.
+    pub(super) fn matched(&self, own: &EndpointId) -> BTreeSet<EndpointId> {
+        lock(&self.matches).get(own).cloned().unwrap_or_default()
+    }
+
+    /// The largest answer that rustdds sends to these clients in one datagram \[byte\].
+    pub(super) fn largest_answer(&self, own: &EndpointId, clients: &BTreeSet<EndpointId>) -> usize {
+        match self.is_on_loopback && !clients.iter().any(|client| is_foreign(own, client)) {
             true => datagram::LARGEST_ON_LOOPBACK,
             false => self.largest_answer,
         }
+    }
+
+    /// An endpoint of another participant has gone.
+    pub(super) fn forget_other(&self, id: &EndpointId) {
+        self.mismatches.forget_other(id);
+        self.parts.forget_other(id);
+        lock(&self.writers).remove(id);
+        lock(&self.matches).retain(|_, others| {
+            others.remove(id);
+            !others.is_empty()
+        });
+    }
+
+    /// Another participant has gone, and has not taken leave of its endpoints one by one.
+    fn forget_participant(&self, peer: &Peer) {
+        let is_of = |id: &EndpointId| peer_of(id) == *peer;
+        let mut gone: BTreeSet<EndpointId> = lock(&self.writers).iter().copied().collect();
+        gone.extend(lock(&self.matches).values().flatten());
+        gone.retain(is_of);
+        gone.iter().for_each(|id| self.forget_other(id));
+        self.parts.forget_participant(peer);
     }
 
     /// Notes where own endpoints on the topic of one elsewhere are of another type.
@@ -99,6 +133,7 @@ impl Shared {
         lock(&self.matches).remove(id);
         self.mismatches.forget_own(id);
         self.nodes.remove_endpoint(id);
+        self.own.remove(id);
         self.changed();
     }
 }
@@ -131,13 +166,15 @@ pub(super) async fn follow(
                 lock(&shared.matches).entry(own).or_default().insert(other);
             }
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
-                shared.mismatches.forget_other(&guid.to_bytes());
-                shared.parts.forget_other(&guid.to_bytes());
-                lock(&shared.writers).remove(&guid.to_bytes());
-                lock(&shared.matches).retain(|_, others| {
-                    others.remove(&guid.to_bytes());
-                    !others.is_empty()
-                });
+                shared.forget_other(&guid.to_bytes());
+            }
+            // what a participant had is not lost one by one when its lease runs out
+            Event::ParticipantLost { id, .. } => {
+                let mut peer = Peer::default();
+                if let Some(prefix) = id.as_ref().get(..peer.len()) {
+                    peer.copy_from_slice(prefix);
+                    shared.forget_participant(&peer);
+                }
             }
             Event::RemoteReaderQosIncompatible {
                 local_writer,

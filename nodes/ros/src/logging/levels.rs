@@ -8,8 +8,11 @@ use std::sync::{Mutex, PoisonError};
 use tracing::level_filters::LevelFilter;
 use tracing_subscriber::{Registry, filter::Targets, reload};
 
-/// Loggers whose levels are remembered; a request may name any.
+/// Loggers whose levels are remembered, and that one request may name: it is served on the thread that receives for all.
 const MAX_LOGGERS: usize = 256;
+
+/// The longest name of a logger \[byte\]: that of a node, which rmw bounds to 255.
+const MAX_NAME: usize = 255;
 
 /// The levels of this process.
 static LEVELS: Mutex<Option<Levels>> = Mutex::new(None);
@@ -48,7 +51,8 @@ pub(super) fn install(levels: &LogLevels) -> reload::Layer<Targets, Registry> {
     layer
 }
 
-/// `get_logger_levels`, as rclcpp answers it: 0 for a logger whose level was not set. The empty name is the root.
+/// `get_logger_levels`, as rclcpp answers it: 0 for a logger whose level was not set. The empty name is the root. A
+/// request for too many is answered for the first of them.
 pub(crate) fn get(names: &[String]) -> LoggerLevels {
     let installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
     let level = |name: &String| LoggerLevel {
@@ -58,32 +62,33 @@ pub(crate) fn get(names: &[String]) -> LoggerLevels {
             .map_or(0, |installed| installed.levels.number(name)),
     };
     LoggerLevels {
-        levels: names.iter().map(level).collect(),
+        levels: names.iter().take(MAX_LOGGERS).map(level).collect(),
     }
 }
 
-/// `set_logger_levels`: each on its own; level 0 takes a logger's own level back.
+/// `set_logger_levels`: each on its own; level 0 takes a logger's own level back. The filter changes once, when all are
+/// set, since every change makes it judge all that can be logged anew. A request that names too many is refused whole,
+/// with one result.
 pub(crate) fn set(wanted: &[LoggerLevel]) -> SetLoggerLevelsResponse {
     let mut installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut set = |wanted: &LoggerLevel| -> Result<(), String> {
-        let installed = installed
-            .as_mut()
-            .ok_or("the program has a log of its own")?;
-        installed.levels.set(&wanted.name, wanted.level)?;
-        installed
-            .filter
-            .reload(filter(&installed.levels))
-            .map_err(|error| error.to_string())
+    let results = match installed.as_mut() {
+        None => vec![Err("the program has a log of its own".to_owned())],
+        Some(Levels { levels, .. }) => levels.set_all(wanted),
     };
-    let result = |wanted: &LoggerLevel| {
-        let set = set(wanted);
-        SetParametersResult {
-            successful: set.is_ok(),
-            reason: set.err().unwrap_or_default(),
-        }
+    if let Some(Levels {
+        levels,
+        filter: handle,
+    }) = installed.as_ref()
+    {
+        // It fails only once the subscriber is gone, and with it all that could be filtered.
+        handle.reload(filter(levels)).ok();
+    }
+    let result = |outcome: Result<(), String>| SetParametersResult {
+        successful: outcome.is_ok(),
+        reason: outcome.err().unwrap_or_default(),
     };
     SetLoggerLevelsResponse {
-        results: wanted.iter().map(result).collect(),
+        results: results.into_iter().map(result).collect(),
     }
 }
 
@@ -106,7 +111,24 @@ impl LogLevels {
         }
     }
 
+    fn set_all(&mut self, wanted: &[LoggerLevel]) -> Vec<Result<(), String>> {
+        if wanted.len() > MAX_LOGGERS {
+            return vec![Err(format!(
+                "expected at most {MAX_LOGGERS} levels in one request, got {}",
+                wanted.len()
+            ))];
+        }
+        let set = |wanted: &LoggerLevel| self.set(&wanted.name, wanted.level);
+        wanted.iter().map(set).collect()
+    }
+
     fn set(&mut self, logger: &str, level: u32) -> Result<(), String> {
+        if logger.len() > MAX_NAME {
+            return Err(format!(
+                "expected a logger's name of at most {MAX_NAME} bytes, got {}",
+                logger.len()
+            ));
+        }
         let level = match level {
             0 => None,
             10 => Some(LevelFilter::DEBUG),
@@ -167,5 +189,33 @@ mod tests {
         levels.set("wm.encoder", 0).unwrap();
         assert!(!filter(&levels).would_enable("wm_nodes", &Level::WARN));
         assert!(levels.set("wm.encoder", 25).unwrap_err().contains("25"));
+        let long = "x".repeat(MAX_NAME + 1);
+        assert!(levels.set(&long, 10).unwrap_err().contains("256"));
+    }
+
+    #[test]
+    fn a_request_for_thousands_of_levels_is_refused_whole() {
+        let mut levels = LogLevels::default();
+        let wanted = |count: usize| -> Vec<LoggerLevel> {
+            let level = |index| LoggerLevel {
+                name: format!("logger_{index}"),
+                level: 10,
+            };
+            (0..count).map(level).collect()
+        };
+        let results = levels.set_all(&wanted(5000));
+        assert_eq!(results.len(), 1);
+        assert!(
+            results[0].as_ref().unwrap_err().contains("got 5000"),
+            "{results:?}"
+        );
+        assert!(levels.loggers.is_empty());
+        assert!(
+            levels
+                .set_all(&wanted(MAX_LOGGERS))
+                .iter()
+                .all(Result::is_ok)
+        );
+        assert_eq!(levels.loggers.len(), MAX_LOGGERS);
     }
 }

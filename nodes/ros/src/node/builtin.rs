@@ -4,11 +4,12 @@
 use super::Node;
 use crate::{
     Clock, Descriptor, Error, NodeArgs, Qos,
-    backend::{Backend, Channel, Endpoint, EndpointId, Reader},
+    backend::{Backend, Channel, Endpoint, EndpointId, Reader, WhenFull},
     diagnostics::Graph,
     logging::{self, levels},
     names::TypeName,
     parameters::{Change, Parameters, services},
+    payload::Payload,
     rcl_interfaces::{LoggerLevels, Names},
     value::Value,
 };
@@ -39,7 +40,7 @@ pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     node.declare(
         "use_sim_time",
         false,
-        Descriptor::new("whether the clock follows /clock instead of the system"),
+        Descriptor::new("Whether the clock follows /clock instead of the system."),
     )?;
     parameter_services(node)?;
     logger_services(node)?;
@@ -83,7 +84,9 @@ fn parameter_events(node: &Node) -> Result<(), Error> {
         let event = services::event(&name, clock.now(), change);
         let sent = cdr::to_bytes(&event)
             .map_err(Error::from)
-            .and_then(|bytes| writer.write(&bytes.into(), None));
+            .and_then(|bytes| {
+                writer.write(&Payload::Cdr(bytes.into()), None, WhenFull::DropOldest)
+            });
         if let Err(error) = sent {
             tracing::warn!("a change of parameters is not announced: {error}");
         }
@@ -140,7 +143,7 @@ fn follow_clock(node: &Node) {
 
 fn clock_sink(clock: Clock) -> crate::backend::Sink {
     Box::new(move |sample| {
-        match sample.map(|sample| cdr::from_bytes::<rosgraph_msgs::Clock>(&sample.bytes)) {
+        match sample.map(|sample| sample.payload.into_message::<rosgraph_msgs::Clock>()) {
             Ok(Ok(message)) => clock.advance(message.clock),
             Ok(Err(error)) => tracing::warn!("/clock: a sample is skipped: {error}"),
             Err(reason) => tracing::warn!("/clock: a sample is skipped: {reason}"),
@@ -214,7 +217,7 @@ fn logger_services(node: &Node) -> Result<(), Error> {
 }
 
 fn type_service(node: &Node) -> Result<(), Error> {
-    let descriptor = Descriptor::new("whether the node has the service ~/get_type_description");
+    let descriptor = Descriptor::new("Whether the node has the service ~/get_type_description.");
     let is_wanted = node.declare(
         "start_type_description_service",
         true,
@@ -261,6 +264,10 @@ fn diagnostics(node: &Node) -> Result<(), Error> {
         beat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             beat.tick().await;
+            match logging::take_dropped() {
+                0 => {}
+                dropped => diagnostics.count_drops("unread log lines", dropped),
+            }
             let status = diagnostics.report(Instant::now(), &Of(&*backend));
             let header = Header {
                 stamp: clock.now(),

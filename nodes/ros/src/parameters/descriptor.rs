@@ -1,7 +1,7 @@
 //! What a parameter is for and which values it takes.
 
 use crate::value::Value;
-use std::fmt;
+use std::{fmt, ops::RangeInclusive};
 
 /// The values that a number may have, both ends included.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +40,20 @@ impl Range {
     }
 }
 
+impl From<RangeInclusive<i64>> for Range {
+    fn from(range: RangeInclusive<i64>) -> Self {
+        let (from, to) = range.into_inner();
+        Self::Integers { from, to }
+    }
+}
+
+impl From<RangeInclusive<f64>> for Range {
+    fn from(range: RangeInclusive<f64>) -> Self {
+        let (from, to) = range.into_inner();
+        Self::Doubles { from, to }
+    }
+}
+
 impl fmt::Display for Range {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -56,6 +70,8 @@ pub struct Descriptor {
     pub description: String,
     /// The values allowed; `None`: all of the type.
     pub range: Option<Range>,
+    /// The texts allowed; empty: all.
+    pub choices: &'static [&'static str],
     /// Whether the value is fixed once the node runs.
     pub read_only: bool,
 }
@@ -84,6 +100,25 @@ impl Descriptor {
         Self {
             range: Some(Range::Doubles { from, to }),
             ..self
+        }
+    }
+
+    /// Whether the value is among the choices, where there are any.
+    pub(crate) fn offers(&self, value: &Value) -> bool {
+        match value {
+            Value::String(text) if !self.choices.is_empty() => {
+                self.choices.contains(&text.as_str())
+            }
+            _ => true,
+        }
+    }
+
+    /// The choices in words.
+    pub(crate) fn choices_in_words(&self) -> String {
+        match self.choices.split_last() {
+            Some((last, [])) => (*last).to_owned(),
+            Some((last, others)) => format!("{} or {last}", others.join(", ")),
+            None => String::new(),
         }
     }
 

@@ -57,11 +57,12 @@ pub(crate) fn describe(parameters: &Parameters, request: &Names) -> ParameterDes
                 }],
             ),
         };
+        let additional_constraints = descriptor.choices_in_words();
         ParameterDescriptor {
             name: name.clone(),
             r#type: kind as u8,
             description: descriptor.description,
-            additional_constraints: String::new(),
+            additional_constraints,
             read_only: descriptor.read_only,
             dynamic_typing: false,
             floating_point_range,

@@ -32,6 +32,11 @@ impl<Id: Eq + Hash> Gaps<Id> {
         u64::try_from(missing).unwrap_or(0)
     }
 
+    /// As [`after`](Self::after); none where the sample, or a later one of its publisher, has come.
+    pub fn after_new(&mut self, writer: Id, sequence: i64) -> Option<u64> {
+        (!self.has(&writer, sequence)).then(|| self.after(writer, sequence))
+    }
+
     /// Whether this sample, or a later one of its publisher, has come.
     pub fn has(&self, writer: &Id, sequence: i64) -> bool {
         self.last.get(writer).is_some_and(|last| sequence <= *last)

@@ -13,7 +13,7 @@ use std::sync::{Arc, OnceLock};
 use candle_core::{CpuStorage, CustomOp1, D, Device, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Form;
+use super::Engine;
 use super::host::{host, slice};
 use super::rotary::{RotaryTable, normalise_and_rotate_plain};
 use super::vectorised::vectorised;
@@ -42,7 +42,7 @@ pub struct AttentionPattern {
     tables: OnceLock<Tables>,
 }
 
-/// What the plain form computes with, on the device of the first tensor that it is given.
+/// What plain tensor operations computes with, on the device of the first tensor that it is given.
 #[derive(Clone, Debug)]
 struct Tables {
     /// Cosines and sines, each (length, pairs).
@@ -122,9 +122,9 @@ fn padded(length: usize) -> usize {
 ///
 /// # Errors
 /// If the shape does not fit the pattern.
-pub fn attention(form: Form, qkv: &Tensor, pattern: &Arc<AttentionPattern>) -> Result<Tensor> {
+pub fn attention(engine: Engine, qkv: &Tensor, pattern: &Arc<AttentionPattern>) -> Result<Tensor> {
     let op = Attention(pattern.clone());
-    match form.takes_kernel(qkv) {
+    match engine.takes_kernel(qkv) {
         true => qkv.contiguous()?.apply_op1(op),
         false => op.plain(qkv),
     }

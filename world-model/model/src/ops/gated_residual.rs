@@ -3,7 +3,7 @@
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Form;
+use super::Engine;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
 
@@ -13,14 +13,14 @@ use super::vectorised::vectorised;
 /// # Errors
 /// If the shapes do not fit.
 pub fn gated_residual(
-    form: Form,
+    engine: Engine,
     x: &Tensor,
     branch: &Tensor,
     modulation: &Tensor,
     gate: usize,
 ) -> Result<Tensor> {
     let op = GatedResidual { gate };
-    if form.takes_kernel(x) {
+    if engine.takes_kernel(x) {
         let (branch, modulation) = (branch.contiguous()?, modulation.contiguous()?);
         return x.contiguous()?.apply_op3(&branch, &modulation, op);
     }
@@ -160,7 +160,7 @@ vectorised! {
 
 #[cfg(test)]
 mod tests {
-    use super::super::form::tests::{check_refused, check_same, random};
+    use super::super::engine::tests::{check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -168,12 +168,12 @@ mod tests {
         let (x, branch) = (random(&[2, 3, 5, 12], 1), random(&[2, 3, 5, 12], 2));
         let modulation = random(&[6, 36], 3);
         for gate in 0..3 {
-            check_same("gated_residual", |form| {
-                gated_residual(form, &x, &branch, &modulation, gate)
+            check_same("gated_residual", |engine| {
+                gated_residual(engine, &x, &branch, &modulation, gate)
             });
         }
-        check_refused("with a modulation of [6, 36]", |form| {
-            gated_residual(form, &x, &branch, &modulation, 3)
+        check_refused("with a modulation of [6, 36]", |engine| {
+            gated_residual(engine, &x, &branch, &modulation, 3)
         });
     }
 }

@@ -6,7 +6,7 @@
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor};
 use gemm::Parallelism;
 
-use super::Form;
+use super::Engine;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
 
@@ -16,8 +16,13 @@ use super::vectorised::vectorised;
 ///
 /// # Errors
 /// If the shapes do not fit.
-pub fn linear(form: Form, x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
-    if !form.takes_kernel(x) {
+pub fn linear(
+    engine: Engine,
+    x: &Tensor,
+    weight: &Tensor,
+    bias: Option<&Tensor>,
+) -> Result<Tensor> {
+    if !engine.takes_kernel(x) {
         return Linear::plain(x, weight, bias);
     }
     let x = x.contiguous()?;
@@ -277,7 +282,7 @@ fn multiply(
 
 #[cfg(test)]
 mod tests {
-    use super::super::form::tests::{check_refused, check_same, random};
+    use super::super::engine::tests::{check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -286,12 +291,12 @@ mod tests {
         for shape in [&[2, 3, 5, 16][..], &[7, 16]] {
             let x = random(shape, 3);
             for bias in [None, Some(&bias)] {
-                check_same("linear", |form| linear(form, &x, &weight, bias));
+                check_same("linear", |engine| linear(engine, &x, &weight, bias));
             }
         }
         let x = random(&[3, 15], 4);
-        check_refused("[3, 15] for a weight of shape [9, 16]", |form| {
-            linear(form, &x, &weight, None)
+        check_refused("[3, 15] for a weight of shape [9, 16]", |engine| {
+            linear(engine, &x, &weight, None)
         });
     }
 }

@@ -3,7 +3,7 @@
 use candle_core::{CpuStorage, CustomOp2, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Form;
+use super::Engine;
 use super::host::{host, slice};
 use super::reduction::dot;
 use super::vectorised::vectorised;
@@ -18,14 +18,14 @@ const EPSILON: f32 = 1e-6;
 /// # Errors
 /// If the shapes do not fit.
 pub fn rms_norm_modulate(
-    form: Form,
+    engine: Engine,
     x: &Tensor,
     modulation: &Tensor,
     shift: usize,
     scale: usize,
 ) -> Result<Tensor> {
     let op = RmsNormModulate { shift, scale };
-    if form.takes_kernel(x) {
+    if engine.takes_kernel(x) {
         return x.contiguous()?.apply_op2(&modulation.contiguous()?, op);
     }
     op.plain(x, modulation)
@@ -190,7 +190,7 @@ fn backward_row(
 
 #[cfg(test)]
 mod tests {
-    use super::super::form::tests::{check_refused, check_same, random};
+    use super::super::engine::tests::{check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -198,12 +198,12 @@ mod tests {
         for d in [4, 16, 24] {
             let (x, modulation) = (random(&[2, 3, 5, d], 1), random(&[6, 3 * d], 2));
             for (shift, scale) in [(0, 1), (2, 0)] {
-                check_same("rms_norm_modulate", |form| {
-                    rms_norm_modulate(form, &x, &modulation, shift, scale)
+                check_same("rms_norm_modulate", |engine| {
+                    rms_norm_modulate(engine, &x, &modulation, shift, scale)
                 });
             }
-            check_refused("with a modulation of", |form| {
-                rms_norm_modulate(form, &x, &modulation, 0, 3)
+            check_refused("with a modulation of", |engine| {
+                rms_norm_modulate(engine, &x, &modulation, 0, 3)
             });
         }
     }

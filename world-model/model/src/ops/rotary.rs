@@ -1,11 +1,35 @@
 //! Rotary position embedding: angles per position for the pairs of adjacent channels (2j, 2j + 1).
 
 use candle_core::{D, Device, Result, Tensor};
+use serde::{Deserialize, Serialize};
 
 use super::reduction::dot;
 
 /// Base of the geometric series of frequencies.
 const BASE: f64 = 10_000.0;
+
+/// Which column and view the places of several views get as rotary positions. The latents themselves always lie view by
+/// view: the first view's columns, then the second's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RopeLayout {
+    /// As the reference implementation does it, and so every published multi-view checkpoint: it unflattens the width
+    /// into (columns, views), so that place c of V views gets column c / V and view c mod V.
+    #[default]
+    Reference,
+    /// The column within the view and the view that the place is in.
+    ByView,
+}
+
+impl RopeLayout {
+    /// View and column of the place `place` along the width of `views` views of `width` columns each.
+    fn view_and_column(self, place: usize, width: usize, views: usize) -> (usize, usize) {
+        match self {
+            Self::Reference => (place % views, place / views),
+            Self::ByView => (place / width, place % width),
+        }
+    }
+}
 
 /// Cosines and sines of every position's angles.
 #[derive(Clone, Debug)]
@@ -41,20 +65,24 @@ impl RotaryTable {
         Self { pairs, angles }
     }
 
-    /// Several views beside each other, each a grid of `width` columns, in row-major order over all of them: of the
-    /// channels' pairs a third, rounded up, turns with the row, as many with the column in the view, and the rest with
-    /// the view (22 + 22 + 20 channels of 64).
-    pub fn views(height: usize, width: usize, views: usize, head_dim: usize) -> Self {
+    /// Several views side by side, each a grid of `width` columns, in row-major order over the whole width. A third of
+    /// the pairs of channels, rounded up, turns with the row, as many with the column, and the rest with the view
+    /// (22 + 22 + 20 channels of 64); `layout` says which column and view a place has.
+    pub fn views(
+        height: usize,
+        width: usize,
+        views: usize,
+        layout: RopeLayout,
+        head_dim: usize,
+    ) -> Self {
         let pairs = head_dim / 2;
         let third = pairs.div_ceil(3);
         let (by_place, by_view) = (frequencies(third), frequencies(pairs - 2 * third));
+        let turned = |f: &[f64], p: usize| f.iter().map(|f| f * p as f64).collect::<Vec<_>>();
         let angles = (0..height)
-            .flat_map(|row| {
-                (0..views * width).map(move |column| (row, column / width, column % width))
-            })
-            .flat_map(|(row, view, column)| {
-                let turned =
-                    |f: &[f64], p: usize| f.iter().map(|f| f * p as f64).collect::<Vec<_>>();
+            .flat_map(|row| (0..views * width).map(move |column| (row, column)))
+            .flat_map(|(row, column)| {
+                let (view, column) = layout.view_and_column(column, width, views);
                 cos_sin(
                     [
                         turned(&by_place, row),
@@ -183,4 +211,21 @@ pub(crate) fn normalise_and_rotate_backward(
 #[inline(always)]
 fn inverse_rms(x: &[f32]) -> f32 {
     1.0 / (dot(x, x) / x.len() as f32 + f32::EPSILON).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_reference_numbers_views_across_the_width() {
+        let positions = |layout: RopeLayout| -> Vec<_> {
+            (0..6).map(|c| layout.view_and_column(c, 3, 2)).collect()
+        };
+        // (view, column) of two views of three columns.
+        let by_view = [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2)];
+        assert_eq!(positions(RopeLayout::ByView), by_view);
+        let reference = [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (1, 2)];
+        assert_eq!(positions(RopeLayout::Reference), reference);
+    }
 }

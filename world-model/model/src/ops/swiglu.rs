@@ -3,7 +3,7 @@
 use candle_core::{CpuStorage, CustomOp1, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Form;
+use super::Engine;
 use super::exponential::sigmoid;
 use super::host::{host, slice};
 use super::vectorised::vectorised;
@@ -15,8 +15,8 @@ const ROWS: usize = 64;
 ///
 /// # Errors
 /// If the last dimension is odd.
-pub fn swiglu(form: Form, x: &Tensor) -> Result<Tensor> {
-    if form.takes_kernel(x) {
+pub fn swiglu(engine: Engine, x: &Tensor) -> Result<Tensor> {
+    if engine.takes_kernel(x) {
         return x.contiguous()?.apply_op1(Swiglu);
     }
     let h = half(x.shape())?;
@@ -98,16 +98,16 @@ vectorised! {
 
 #[cfg(test)]
 mod tests {
-    use super::super::form::tests::{check_refused, check_same, random};
+    use super::super::engine::tests::{check_refused, check_same, random};
     use super::*;
 
     #[test]
     fn the_kernel_is_the_plain_form() {
         for shape in [&[2, 3, 40][..], &[70, 6], &[2]] {
             let x = random(shape, 1);
-            check_same("swiglu", |form| swiglu(form, &x));
+            check_same("swiglu", |engine| swiglu(engine, &x));
         }
         let odd = random(&[2, 7], 2);
-        check_refused("cannot halve [2, 7]", |form| swiglu(form, &odd));
+        check_refused("cannot halve [2, 7]", |engine| swiglu(engine, &odd));
     }
 }

@@ -7,7 +7,7 @@ use candle_core::Tensor;
 use super::embedding::Condition;
 use super::parameters::{Linear, Tensors};
 use crate::Result;
-use crate::ops::{self, AttentionPattern, Form, gated_residual, rms_norm_modulate, swiglu};
+use crate::ops::{self, AttentionPattern, Engine, gated_residual, rms_norm_modulate, swiglu};
 
 /// Order of a sub-block's modulation: shift, scale and gate of the attention, then of the
 /// feed-forward network.
@@ -32,16 +32,16 @@ impl Block {
     /// Tokens (B, T, N, d).
     pub(super) fn forward(
         &self,
-        form: Form,
+        engine: Engine,
         tokens: &Tensor,
         condition: &Condition,
         spatial: &Arc<AttentionPattern>,
         temporal: &Arc<AttentionPattern>,
     ) -> Result<Tensor> {
-        let attend = |qkv: &Tensor| Ok(ops::attention(form, qkv, spatial)?);
-        let tokens = self.spatial.forward(form, tokens, condition, attend)?;
-        let attend = |qkv: &Tensor| Ok(ops::attention(form, qkv, temporal)?);
-        self.temporal.forward(form, &tokens, condition, attend)
+        let attend = |qkv: &Tensor| Ok(ops::attention(engine, qkv, spatial)?);
+        let tokens = self.spatial.forward(engine, tokens, condition, attend)?;
+        let attend = |qkv: &Tensor| Ok(ops::attention(engine, qkv, temporal)?);
+        self.temporal.forward(engine, &tokens, condition, attend)
     }
 }
 
@@ -67,22 +67,22 @@ impl SubBlock {
 
     fn forward(
         &self,
-        form: Form,
+        engine: Engine,
         x: &Tensor,
         condition: &Condition,
         attend: impl FnOnce(&Tensor) -> Result<Tensor>,
     ) -> Result<Tensor> {
-        let modulation = self.modulation.forward(form, &condition.activated)?;
+        let modulation = self.modulation.forward(engine, &condition.activated)?;
         let [shift, scale, gate] = ATTENTION;
-        let normed = rms_norm_modulate(form, x, &modulation, shift, scale)?;
+        let normed = rms_norm_modulate(engine, x, &modulation, shift, scale)?;
         let attended = self
             .out
-            .forward(form, &attend(&self.qkv.forward(form, &normed)?)?)?;
-        let x = gated_residual(form, x, &attended, &modulation, gate)?;
+            .forward(engine, &attend(&self.qkv.forward(engine, &normed)?)?)?;
+        let x = gated_residual(engine, x, &attended, &modulation, gate)?;
         let [shift, scale, gate] = FEED_FORWARD;
-        let normed = rms_norm_modulate(form, &x, &modulation, shift, scale)?;
-        let fed = swiglu(form, &self.up.forward(form, &normed)?)?;
-        let fed = self.down.forward(form, &fed)?;
-        Ok(gated_residual(form, &x, &fed, &modulation, gate)?)
+        let normed = rms_norm_modulate(engine, &x, &modulation, shift, scale)?;
+        let fed = swiglu(engine, &self.up.forward(engine, &normed)?)?;
+        let fed = self.down.forward(engine, &fed)?;
+        Ok(gated_residual(engine, &x, &fed, &modulation, gate)?)
     }
 }

@@ -3,7 +3,7 @@
 use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 
-use crate::ops::{HEAD_DIM_MULTIPLE, RotaryTable};
+use crate::ops::{HEAD_DIM_MULTIPLE, RopeLayout, RotaryTable};
 use crate::sampler::settings::Sampler;
 use crate::{Error, Result};
 
@@ -44,9 +44,12 @@ pub struct TransitionConfig {
     pub latent_height: usize,
     /// Columns of a latent.
     pub latent_width: usize,
-    /// Views beside each other, of which the columns are made; with several, positions have three axes.
+    /// Camera views side by side along the width; with several, positions have three axes.
     #[serde(default = "one_view")]
     pub views: usize,
+    /// Positions of several views; without effect on one.
+    #[serde(default)]
+    pub rope_layout: RopeLayout,
     /// Channels of a latent, C.
     pub channels: usize,
     /// Values of an action, A.
@@ -65,8 +68,12 @@ pub struct TransitionConfig {
     pub sampler: Sampler,
 }
 
-/// The time shift that the published checkpoints were trained and are sampled with (architecture.md, training):
-/// sqrt((256 / p^2) C / 4096); latents for which that is below 1 (SD3's) are not shifted.
+/// The time shift that `tiny` is trained at. One Euler step does not depend on it, more do.
+const TINY_SHIFT: f64 = 16.0;
+
+/// The time shift that the published checkpoints were trained and are sampled with (the paper, appendix B.2,
+/// "Dimension-dependent noise schedule shift"): sqrt((256 / p^2) C / 4096). Latents for which that is below 1 (SD3's)
+/// are not shifted.
 pub fn published_shift(patch: usize, channels: usize) -> f64 {
     let ratio = 256.0 * channels as f64 / (patch * patch).max(1) as f64 / 4096.0;
     ratio.sqrt().max(1.0)
@@ -144,6 +151,7 @@ impl TransitionConfig {
             latent_height,
             latent_width,
             views: 1,
+            rope_layout: RopeLayout::default(),
             channels,
             action_dim,
             max_frames: 10,
@@ -162,7 +170,7 @@ impl TransitionConfig {
             sampler: if tiny {
                 Sampler {
                     steps: 1,
-                    shift: 1.0,
+                    shift: TINY_SHIFT,
                     context_tau: 0.0,
                 }
             } else {
@@ -192,7 +200,7 @@ impl TransitionConfig {
         let ((rows, columns), dim) = (self.grid(), self.head_dim());
         match self.views {
             1 => RotaryTable::grid(rows, columns, dim),
-            views => RotaryTable::views(rows, columns / views.max(1), views, dim),
+            views => RotaryTable::views(rows, columns / views.max(1), views, self.rope_layout, dim),
         }
     }
 

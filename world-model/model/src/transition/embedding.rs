@@ -5,7 +5,7 @@ use candle_core::{D, Device, Tensor};
 use super::TransitionConfig;
 use super::parameters::{FREQUENCIES, Linear, Tensors};
 use crate::Result;
-use crate::ops::{self, Form};
+use crate::ops::{self, Engine};
 
 /// Ratio of the highest frequency to that which follows the lowest.
 const FREQUENCY_RANGE: f64 = 10_000.0;
@@ -62,11 +62,11 @@ impl Embedding {
     }
 
     /// Patches (.., p * p * C) to tokens (.., d).
-    pub(super) fn tokens(&self, form: Form, patches: &Tensor) -> Result<Tensor> {
+    pub(super) fn tokens(&self, engine: Engine, patches: &Tensor) -> Result<Tensor> {
         // The patches' values are in the order row, column, channel.
         let weight = self.patch_weight.permute((0, 2, 3, 1))?.flatten_from(1)?;
         Ok(ops::linear(
-            form,
+            engine,
             patches,
             &weight.contiguous()?,
             Some(&self.patch_bias),
@@ -74,13 +74,18 @@ impl Embedding {
     }
 
     /// `tau` (frames) and `action` (frames, A).
-    pub(super) fn condition(&self, form: Form, tau: &Tensor, action: &Tensor) -> Result<Condition> {
+    pub(super) fn condition(
+        &self,
+        engine: Engine,
+        tau: &Tensor,
+        action: &Tensor,
+    ) -> Result<Condition> {
         let angles = tau.unsqueeze(1)?.broadcast_mul(&self.frequencies)?;
         let waves = Tensor::cat(&[angles.cos()?, angles.sin()?], D::Minus1)?;
         let [first, second] = &self.time;
-        let hidden = first.forward(form, &waves)?;
-        let time = second.forward(form, &hidden.silu()?)?;
-        let action = self.action.forward(form, action)?;
+        let hidden = first.forward(engine, &waves)?;
+        let time = second.forward(engine, &hidden.silu()?)?;
+        let action = self.action.forward(engine, action)?;
         let activated = (&time + action)?.silu()?;
         Ok(Condition { time, activated })
     }

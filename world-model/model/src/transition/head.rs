@@ -6,7 +6,7 @@ use super::TransitionConfig;
 use super::embedding::Condition;
 use super::parameters::{Linear, Tensors};
 use crate::Result;
-use crate::ops::{Form, rms_norm_modulate};
+use crate::ops::{Engine, rms_norm_modulate};
 
 /// The last layers.
 #[derive(Clone, Debug)]
@@ -33,7 +33,7 @@ impl Head {
     /// Tokens (B, T, N, d) to patches (B, T, N, p * p * C).
     pub(super) fn forward(
         &self,
-        form: Form,
+        engine: Engine,
         tokens: &Tensor,
         condition: &Condition,
     ) -> Result<Tensor> {
@@ -45,13 +45,16 @@ impl Head {
                 // what it made of the frame.
                 let frames = tokens.reshape((b * t, n, d))?;
                 let timed = frames.broadcast_add(&condition.time.unsqueeze(1)?)?;
-                let wide = project.forward(form, &timed.silu()?)?;
+                let wide = project.forward(engine, &timed.silu()?)?;
                 let mean = wide.mean(1)?;
                 (wide, mean.silu()?)
             }
         };
-        let modulation = self.modulation.forward(form, &activated)?;
-        let normed = rms_norm_modulate(form, &tokens, &modulation, 0, 1)?;
-        Ok(self.linear.forward(form, &normed)?.reshape((b, t, n, ()))?)
+        let modulation = self.modulation.forward(engine, &activated)?;
+        let normed = rms_norm_modulate(engine, &tokens, &modulation, 0, 1)?;
+        Ok(self
+            .linear
+            .forward(engine, &normed)?
+            .reshape((b, t, n, ()))?)
     }
 }

@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
 use super::TransitionConfig;
-use crate::ops::{self, Form};
+use crate::ops::{self, Engine};
 use crate::{Error, Result};
 
 /// Frequencies of the noise level's sinusoid; it has a cosine and a sine of each.
@@ -260,7 +260,7 @@ pub(super) struct Linear {
 }
 
 impl Linear {
-    pub(super) fn forward(&self, form: Form, x: &Tensor) -> Result<Tensor> {
-        Ok(ops::linear(form, x, &self.weight, self.bias.as_ref())?)
+    pub(super) fn forward(&self, engine: Engine, x: &Tensor) -> Result<Tensor> {
+        Ok(ops::linear(engine, x, &self.weight, self.bias.as_ref())?)
     }
 }

@@ -91,9 +91,10 @@ pub struct TrainTransitionArgs {
     /// How noise levels are drawn.
     #[arg(long, value_enum, default_value_t = TauDistribution::Uniform)]
     pub tau: TauDistribution,
-    /// Time shift of the drawn noise levels.
-    #[arg(long, default_value_t = 16.0)]
-    pub shift: f64,
+    /// Time shift, instead of the preset's: of the noise levels drawn in training and of those sampled at, which the
+    /// weights file states.
+    #[arg(long)]
+    pub shift: Option<f64>,
     /// Standard deviation of the noise level that history frames are given.
     #[arg(long, default_value_t = 0.15)]
     pub history_noise: f64,
@@ -153,6 +154,7 @@ impl TrainTransitionArgs {
             },
             sampler: Sampler {
                 steps: self.sampling_steps.unwrap_or(preset.sampler.steps),
+                shift: self.shift.unwrap_or(preset.sampler.shift),
                 ..preset.sampler
             },
             ..preset
@@ -161,13 +163,14 @@ impl TrainTransitionArgs {
         Ok(config)
     }
 
-    pub(super) fn objective(&self) -> Result<Objective> {
+    /// The objective of a model of `config`, which is trained at the time shift that it is sampled with.
+    pub(super) fn objective(&self, config: &TransitionConfig) -> Result<Objective> {
         let objective = Objective {
             clips: self.batch,
             micro_batch: self.micro_batch,
             history: 2,
             tau: self.tau,
-            shift: self.shift,
+            shift: config.sampler.shift,
             history_noise: self.history_noise,
             own_history: self.own_history,
             action_dropout: self.action_dropout,

@@ -169,3 +169,38 @@ fn episodes_shorter_than_a_clip_are_refused_by_length() {
         2
     );
 }
+
+#[test]
+fn a_model_is_trained_at_the_shift_that_its_weights_are_sampled_with() {
+    #[derive(clap::Parser)]
+    struct Cli {
+        #[command(flatten)]
+        train: TrainTransitionArgs,
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 2, 1);
+    // The published shift of latents as small as these is 1.
+    for (preset, shift, expected) in [
+        ("dit-s", None, 1.0),
+        ("dit-s", Some("3"), 3.0),
+        ("tiny", None, 16.0),
+    ] {
+        let out = dir.path().join(format!("{preset} {expected}"));
+        let mut line = format!(
+            "train --bags=b --autoencoder=a --preset={preset} --hidden=32 --depth=1 --heads=2 --frames=5 --steps=1"
+        );
+        if let Some(shift) = shift {
+            line += &format!(" --shift={shift}");
+        }
+        let mut arguments: Vec<_> = line.split(' ').map(std::ffi::OsString::from).collect();
+        arguments.extend(["--out".into(), out.clone().into()]);
+        let args = <Cli as clap::Parser>::parse_from(arguments).train;
+        let config = args.config(&latents).unwrap();
+        assert_eq!(args.objective(&config).unwrap().shift, expected, "{preset}");
+        let encoding = ActionEncoding::default();
+        args.train(config, &encoding, &latents, None).unwrap();
+        let written = Weights::open(out.join("transition.safetensors")).unwrap();
+        let written: TransitionConfig = written.json(CONFIG_KEY).unwrap();
+        assert_eq!(written.sampler.shift, expected, "{preset}");
+    }
+}

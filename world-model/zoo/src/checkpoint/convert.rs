@@ -33,10 +33,14 @@ pub struct Conversion {
 /// is complete. Takes little memory, however large the checkpoint is.
 ///
 /// # Errors
-/// If the file cannot be written, or would be many times as large as the checkpoint.
+/// If the file cannot be written, would be many times as large as the checkpoint, or a tensor's bytes in a torch file are
+/// not those of the archive's CRC-32.
 pub fn convert(checkpoint: &Checkpoint, path: impl AsRef<Path>) -> Result<Conversion> {
     let path = path.as_ref();
     check_size(checkpoint)?;
+    for entry in checkpoint.entries.values() {
+        checkpoint.verify(entry)?;
+    }
     let partial = path.with_extension("partial");
     let written = write(checkpoint, &partial).and_then(|conversion| {
         fs::rename(&partial, path)?;

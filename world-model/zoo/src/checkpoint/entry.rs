@@ -1,12 +1,15 @@
 //! Where in a file a tensor lies.
 
+use std::sync::Arc;
+
 use super::Element;
+use super::storage::Storage;
 
 /// Tensors with more dimensions than this are taken for damage.
 const MAX_RANK: usize = 16;
 
 /// Where a tensor's values are, in bytes from the start of the file, checked to lie within it.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub(super) struct Entry {
     pub(super) element: Element,
     pub(super) shape: Vec<usize>,
@@ -14,6 +17,8 @@ pub(super) struct Entry {
     pub(super) strides: Option<Vec<usize>>,
     /// First byte of the value at index 0.
     pub(super) start: usize,
+    /// What has a checksum and holds the values, in a torch file.
+    pub(super) storage: Option<Arc<Storage>>,
 }
 
 impl Entry {
@@ -34,6 +39,7 @@ impl Entry {
             shape,
             strides,
             start,
+            storage: None,
         };
         let fits = |span| start.checked_add(span).is_some_and(|last| last <= end);
         match entry.span() {

@@ -347,3 +347,96 @@ fn a_part_that_is_not_there_is_named_with_those_that_are() {
     let error = checkpoint.require_part("encoder").unwrap_err().to_string();
     assert!(error.contains("adapter, pixel_decoder"), "{error}");
 }
+
+#[test]
+fn damage_is_found_by_the_archives_checksums() {
+    let mut pickle = Pickler::new();
+    pickle.dict(&[
+        ("a", &|p| p.tensor("FloatStorage", "0", 0, &[8], &[1])),
+        ("b", &|p| p.tensor("FloatStorage", "1", 0, &[8], &[1])),
+    ]);
+    let (a, b) = (f32s(&[1.25; 8]), f32s(&[-3.5; 8]));
+    let file = torch_file(pickle.finish(), &[("0", a), ("1", b.clone())]);
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out.safetensors");
+    let at = file.windows(b.len()).position(|bytes| bytes == b).unwrap();
+    for place in at..at + b.len() {
+        let mut damaged = file.clone();
+        damaged[place] ^= 1;
+        let checkpoint = Checkpoint::from_bytes("damaged.pt", damaged).unwrap();
+        // What is not damaged can still be read.
+        assert_eq!(values(&checkpoint, "a"), [1.25; 8]);
+        for error in [
+            checkpoint.tensor("b", DType::F32).unwrap_err(),
+            convert(&checkpoint, &out).unwrap_err(),
+        ] {
+            let message = error.to_string();
+            for part in ["damaged.pt", "archive/data/1", "CRC-32"] {
+                assert!(message.contains(part), "{message}");
+            }
+        }
+        assert!(!out.exists());
+    }
+
+    // The pickle, too: here a name in it.
+    let mut damaged = file.clone();
+    let name = damaged
+        .windows(9)
+        .position(|bytes| bytes == b"X\x01\0\0\0b\x63to");
+    damaged[name.unwrap() + 5] = b'c';
+    let message = Checkpoint::from_bytes("damaged.pt", damaged).unwrap_err();
+    assert!(
+        message.to_string().contains("data.pkl is damaged"),
+        "{message}"
+    );
+}
+
+#[test]
+fn no_damaged_byte_changes_a_value() {
+    let mut pickle = Pickler::new();
+    pickle.dict(&[
+        ("a", &|p| p.tensor("FloatStorage", "0", 0, &[2], &[1])),
+        ("b", &|p| p.tensor("FloatStorage", "1", 1, &[1], &[1])),
+    ]);
+    let storages = [("0", f32s(&[1.25, 2.0])), ("1", f32s(&[-3.5, 7.0]))];
+    let file = torch_file(pickle.finish(), &storages);
+    let read = |bytes: Vec<u8>| -> Result<Vec<(String, Vec<f32>)>> {
+        let checkpoint = Checkpoint::from_bytes("damaged.pt", bytes)?;
+        let read = |name: &str| {
+            let tensor = checkpoint.tensor(name, DType::F32)?;
+            Ok((name.to_owned(), tensor.flatten_all()?.to_vec1()?))
+        };
+        checkpoint.names().map(read).collect()
+    };
+    let whole = read(file.clone()).unwrap();
+    let mut refused = 0;
+    for place in 0..file.len() {
+        for mask in [1, 0x10, 0x80, 0xff] {
+            let mut damaged = file.clone();
+            damaged[place] ^= mask;
+            match read(damaged) {
+                Ok(values) => assert_eq!(values, whole, "byte {place} ^ {mask:#x}"),
+                Err(_) => refused += 1,
+            }
+        }
+    }
+    // Stamps, attributes and the headers in front of the members are of no effect.
+    assert!(refused > file.len() * 2, "{refused} of {}", file.len() * 4);
+}
+
+#[test]
+fn a_torch_file_without_checksums_is_read() {
+    // As `torch.serialization.set_crc32_options(False)` has it: zero in every header of the central directory.
+    let mut pickle = Pickler::new();
+    pickle.dict(&[("a", &|p| p.tensor("FloatStorage", "0", 0, &[2], &[1]))]);
+    let mut file = torch_file(pickle.finish(), &[("0", f32s(&[1.0, 2.0]))]);
+    let headers: Vec<usize> = (0..file.len())
+        .filter(|at| file[*at..].starts_with(b"PK\x01\x02"))
+        .collect();
+    assert_eq!(headers.len(), 3);
+    for at in headers {
+        file[at + 16..at + 20].fill(0);
+    }
+    let checkpoint = Checkpoint::from_bytes("unchecked.pt", file).unwrap();
+    assert_eq!(values(&checkpoint, "a"), [1.0, 2.0]);
+}

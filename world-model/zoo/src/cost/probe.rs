@@ -2,6 +2,7 @@
 
 use super::{Cost, applied, count};
 use crate::Result;
+use crate::pooled_probe::PooledProbeConfig;
 use crate::success_probe::{SuccessProbe, SuccessProbeConfig};
 use crate::vit::{SiglipText, SiglipTextConfig};
 
@@ -43,6 +44,17 @@ pub fn success_probe(config: &SuccessProbeConfig, text_length: usize) -> Result<
             } else {
                 0
             }
+        },
+    )
+}
+
+/// Counts a probe of pooled latents, of which all layers are applied to `frames` tokens.
+pub(crate) fn pooled_probe(config: &PooledProbeConfig, frames: usize) -> Result<Cost> {
+    count(
+        |loader| config.load(loader),
+        |weight| match weight.shape.len() {
+            2 => applied(weight, frames),
+            _ => 0,
         },
     )
 }

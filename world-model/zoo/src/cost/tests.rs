@@ -4,10 +4,10 @@ use super::*;
 use crate::success_probe::SuccessProbeConfig;
 use crate::vit::SiglipTextConfig;
 
-/// Asserts that a cost is (parameters in millions, GFLOPs), with the digits that architecture.md states.
+/// Asserts that a cost is (parameters in millions, GFLOPs), with three digits behind those of the paper's table.
 fn assert_cost(what: &str, cost: Cost, (millions, gflops): (f64, f64), gflops_within: f64) {
     let found = cost.millions();
-    // 1x1 convolutions around a latent, 0.004 M at most, are not in architecture.md's figures.
+    // 1x1 convolutions around a latent, 0.004 M at most, are not in the paper's figures.
     assert!(
         (found - millions).abs() < 0.005,
         "{what}: {found} M, not {millions} M"
@@ -21,7 +21,7 @@ fn assert_cost(what: &str, cost: Cost, (millions, gflops): (f64, f64), gflops_wi
 
 #[test]
 fn figures_are_those_of_the_architecture() {
-    // architecture.md section 1; the last digit may be rounded.
+    // The paper, appendix B, table "Architecture size and compute", and the same sums with more digits.
     let sd3 = SdVaeConfig::sd3();
     let va_vae = VaVaeConfig::f16d32();
     let cosmos = CosmosConfig::ci16x16();

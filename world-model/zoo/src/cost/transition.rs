@@ -1,5 +1,6 @@
 //! The cost of the transition model.
 
+use wm_model::ops::RopeLayout;
 use wm_model::transition::TransitionConfig;
 
 use super::{ACTIONS, Cost, applied, attended, count};
@@ -27,6 +28,7 @@ pub(super) fn large(latent: (usize, usize, usize), patch: usize, wide: bool) -> 
     let preset = TransitionConfig::preset("dit-l", latent, patch, ACTIONS)?;
     transition(&DitConfig {
         views: 1,
+        rope_layout: RopeLayout::default(),
         hidden: preset.hidden,
         depth: preset.depth,
         heads: preset.heads,

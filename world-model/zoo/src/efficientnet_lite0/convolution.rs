@@ -4,8 +4,8 @@ use candle_core::{DType, Tensor};
 
 use super::depthwise::DepthwiseKernel;
 use super::window::Window;
+use crate::Engine;
 use crate::Result;
-use crate::engine::Engine;
 use wm_model::ops::PackedFormat;
 
 use crate::layers::{Linear, takes_kernels};

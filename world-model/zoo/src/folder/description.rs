@@ -79,8 +79,8 @@ pub struct TransitionPart {
     pub config: Configuration,
     /// Its checkpoint, relative to the folder.
     pub weights: String,
-    /// An [`ActionEncoding`](wm_model::actions::ActionEncoding), whose `action_dim` is that of the configuration where
-    /// it is absent; the reference's for Bridge V2 if the whole is.
+    /// An [`ActionEncoding`](wm_model::actions::ActionEncoding). Where absent, `action_dim` is the configuration's,
+    /// `accumulation` is `index`, as in the reference, and everything else is the reference's for Bridge V2.
     #[serde(default)]
     pub actions: serde_json::Map<String, serde_json::Value>,
     /// How to sample; ten steps with the published time shift if absent.
@@ -98,12 +98,17 @@ pub struct TransitionPart {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProbePart {
-    /// A [`SuccessProbeConfig`](crate::success_probe::SuccessProbeConfig).
+    /// `success-probe`, the paper's and the default, or one of pooled latents: `linear-probe`, `temporal-probe` or
+    /// `progress-probe`.
+    #[serde(default = "success_probe")]
+    pub kind: String,
+    /// Its configuration, as `wm model forward` takes it.
     pub config: Configuration,
     /// Its checkpoint, relative to the folder.
     pub weights: String,
-    /// SigLIP 2's text tower.
-    pub text: TextPart,
+    /// SigLIP 2's text tower, for the `success-probe`; the others read no instruction.
+    #[serde(default)]
+    pub text: Option<TextPart>,
 }
 
 /// A text tower and its tokenizer.
@@ -223,7 +228,7 @@ impl ProbePart {
     /// The probe alone.
     pub fn part(&self) -> Part {
         Part {
-            kind: Kind::SuccessProbe.name().to_owned(),
+            kind: self.kind.clone(),
             config: self.config.clone(),
             weights: self.weights.clone(),
         }
@@ -243,6 +248,10 @@ impl TextPart {
 
 fn read(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).map_err(|error| Error::io(path, error))
+}
+
+fn success_probe() -> String {
+    Kind::SuccessProbe.name().to_owned()
 }
 
 fn paper_image() -> [usize; 2] {

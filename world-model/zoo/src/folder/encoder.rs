@@ -67,26 +67,23 @@ impl EncoderConfig {
     /// Rows, columns and channels that a picture of `image` (height, width) becomes. The configuration has been built.
     pub(super) fn features(&self, [height, width]: [usize; 2]) -> Result<[usize; 3]> {
         let square = |grid: usize, channels| Ok([grid, grid, channels]);
+        let downsampled = |step: usize, channels| {
+            check_multiple(("image height", height), ("downsampling", step))?;
+            check_multiple(("image width", width), ("downsampling", step))?;
+            Ok([height / step, width / step, channels])
+        };
         match self {
             Self::WebDino(config) => square(config.grid(), config.hidden_size),
             Self::Siglip2(config) => square(config.grid(), config.hidden_size),
             Self::Vjepa21(config) => square(config.grid(), config.hidden),
-            Self::Sd3Vae(_) | Self::VaVae(_) | Self::Cosmos(_) => {
-                let (step, channels) = match self {
-                    Self::Sd3Vae(config) => (config.downsampling()?, config.latent_channels),
-                    Self::VaVae(config) => (config.downsampling()?, config.latent),
-                    Self::Cosmos(config) => (config.compression, config.latent),
-                    _ => (1, 0),
-                };
-                check_multiple(("image height", height), ("downsampling", step))?;
-                check_multiple(("image width", width), ("downsampling", step))?;
-                Ok([height / step, width / step, channels])
-            }
+            Self::Sd3Vae(config) => downsampled(config.downsampling()?, config.latent_channels),
+            Self::VaVae(config) => downsampled(config.downsampling()?, config.latent),
+            Self::Cosmos(config) => downsampled(config.compression, config.latent),
         }
     }
 
     /// Every value of the configuration, defaults included, as text.
-    pub(super) fn canonical(&self) -> String {
+    pub(super) fn canonical(&self) -> Result<String> {
         match self {
             Self::WebDino(config) => canonical(config),
             Self::Siglip2(config) => canonical(config),
@@ -109,10 +106,12 @@ impl EncoderConfig {
     }
 }
 
-/// A configuration as text, in the order of its fields.
-pub(super) fn canonical(config: &impl serde::Serialize) -> String {
-    // Plain numbers, texts and lists always have a JSON form.
-    serde_json::to_string(config).unwrap_or_default()
+/// A configuration as text, in the order of its fields: what hashes are over.
+pub(super) fn canonical(config: &impl serde::Serialize) -> Result<String> {
+    serde_json::to_string(config).map_err(|error| Error::ConfigFile {
+        file: "the configuration".to_owned(),
+        reason: error.to_string(),
+    })
 }
 
 pub(super) fn apply<M: Send + Sync + 'static>(

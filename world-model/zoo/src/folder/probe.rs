@@ -5,20 +5,25 @@ use std::path::{Path, PathBuf};
 use candle_core::DType;
 use wm_model::autoencoder::Normalisation;
 
+use super::fit::giver;
 use super::source::Source;
-use super::{Description, Opened, ProbePart, TextPart, giver};
-use crate::kinds::parse;
+use super::{Description, Opened, ProbePart, TextPart};
+use crate::kinds::{Kind, parse};
+use crate::pooled_probe::PooledProbeConfig;
 use crate::success_probe::{
-    InstructionTokenizer, SuccessClassifier, SuccessProbe, SuccessProbeConfig,
+    Instructed, InstructionTokenizer, Judge, SuccessClassifier, SuccessProbe, SuccessProbeConfig,
 };
 use crate::vit::{SiglipText, SiglipTextConfig};
 use crate::{Error, Result};
 
-/// The probe, and what reads the instruction for it.
+/// The probe, and what reads the instruction for one that takes it.
 #[derive(Clone, Debug)]
-pub(super) struct Probe {
-    pub(super) probe: Opened<SuccessProbeConfig>,
-    pub(super) text: TextTower,
+pub(super) enum Probe {
+    Instructed {
+        probe: Box<Opened<SuccessProbeConfig>>,
+        text: Box<TextTower>,
+    },
+    Pooled(Opened<PooledProbeConfig>),
 }
 
 /// The text tower, and where its tokenizer is.
@@ -29,10 +34,19 @@ pub(super) struct TextTower {
     tokenizer: PathBuf,
 }
 
-pub(super) fn open(part: &ProbePart, folder: &Path) -> Result<Opened<SuccessProbeConfig>> {
-    let source = Source::open("probe", &part.part(), folder)?;
+fn open_instructed(source: Source) -> Result<Opened<SuccessProbeConfig>> {
     let config: SuccessProbeConfig = parse(&source.config)?;
     let tensors = source.survey(|loader| SuccessProbe::load(&config, loader))?;
+    Ok(Opened {
+        source,
+        config,
+        tensors,
+    })
+}
+
+fn open_pooled(source: Source) -> Result<Opened<PooledProbeConfig>> {
+    let config = PooledProbeConfig::parse(source.kind, &source.config)?;
+    let tensors = source.survey(|loader| config.load(loader))?;
     Ok(Opened {
         source,
         config,
@@ -57,25 +71,59 @@ impl TextTower {
 }
 
 impl Probe {
+    /// Opens the probe of `part`; `in_part` says of which part an error is.
+    pub(super) fn open(
+        part: &ProbePart,
+        folder: &Path,
+        in_part: impl Fn(&'static str, Error) -> Error,
+    ) -> Result<Self> {
+        let in_probe = |error| in_part("probe", error);
+        let wrong = |reason: String| in_probe(wm_model::Error::config("text", reason).into());
+        let kind: Kind = part.kind.parse().map_err(in_probe)?;
+        let open = || Source::open("probe", &part.part(), folder);
+        match (kind, &part.text) {
+            (Kind::SuccessProbe, Some(text)) => Ok(Self::Instructed {
+                text: Box::new(
+                    TextTower::open(text, folder).map_err(|error| in_part("probe.text", error))?,
+                ),
+                probe: Box::new(open().and_then(open_instructed).map_err(in_probe)?),
+            }),
+            (Kind::SuccessProbe, None) => Err(wrong(format!(
+                "missing, a {kind} reads the instruction by a text tower"
+            ))),
+            (_, Some(_)) => Err(wrong(format!(
+                "a {kind} reads no instruction, leave it out"
+            ))),
+            (_, None) => Ok(Self::Pooled(
+                open().and_then(open_pooled).map_err(in_probe)?,
+            )),
+        }
+    }
+
     /// Whether the probe reads these latents, and the features of the text tower.
     pub(super) fn check(
         &self,
         description: &Description,
         [_, _, channels]: [usize; 3],
     ) -> Result<(), String> {
-        let config = &self.probe.config;
-        if config.features != channels {
+        let features = match self {
+            Self::Instructed { probe, .. } => probe.config.features,
+            Self::Pooled(probe) => probe.config.features(),
+        };
+        if features != channels {
             return Err(format!(
-                "probe: features is {}, but {} gives latents of {channels} channels",
-                config.features,
+                "probe: features is {features}, but {} gives latents of {channels} channels",
                 giver(description, 1)
             ));
         }
-        let width = self.text.tower.config.hidden_size;
-        if config.text_features != width {
+        let Self::Instructed { probe, text } = self else {
+            return Ok(());
+        };
+        let width = text.tower.config.hidden_size;
+        if probe.config.text_features != width {
             return Err(format!(
                 "probe: text_features is {}, but its text tower gives {width} (hidden_size)",
-                config.text_features
+                probe.config.text_features
             ));
         }
         Ok(())
@@ -86,18 +134,29 @@ impl Probe {
         dtype: DType,
         normalisation: Normalisation,
     ) -> Result<SuccessClassifier> {
-        let Self { probe, text } = self;
-        let tower = &text.tower;
-        // First what is cheap: it may be wrong.
-        let tokenizer = InstructionTokenizer::open(&text.tokenizer, &tower.config)?;
+        let judge = match self {
+            Self::Pooled(probe) => Judge::Pooled(
+                probe
+                    .source
+                    .load(dtype, |loader| probe.config.load(loader))?,
+            ),
+            Self::Instructed { probe, text } => {
+                let tower = &text.tower;
+                // First what is cheap: it may be wrong.
+                let tokenizer = InstructionTokenizer::open(&text.tokenizer, &tower.config)?;
+                Judge::Instructed(Box::new(Instructed {
+                    tokenizer,
+                    text: tower
+                        .source
+                        .load(dtype, |loader| SiglipText::load(&tower.config, loader))?,
+                    probe: probe
+                        .source
+                        .load(dtype, |loader| SuccessProbe::load(&probe.config, loader))?,
+                }))
+            }
+        };
         Ok(SuccessClassifier {
-            tokenizer,
-            text: tower
-                .source
-                .load(dtype, |loader| SiglipText::load(&tower.config, loader))?,
-            probe: probe
-                .source
-                .load(dtype, |loader| SuccessProbe::load(&probe.config, loader))?,
+            judge,
             normalisation,
         })
     }

@@ -1,6 +1,6 @@
 //! What a model folder is, in figures.
 
-use super::ModelFolder;
+use super::DescribedFolder;
 use super::probe::Probe;
 use crate::Result;
 use crate::cost::{self, Cost};
@@ -41,7 +41,7 @@ pub struct Summary {
     pub max_frames: usize,
 }
 
-impl ModelFolder {
+impl DescribedFolder {
     /// What it is made of; reads no values.
     ///
     /// # Errors
@@ -77,13 +77,20 @@ impl ModelFolder {
             let cost = decoder.config.cost()?;
             parts.push(part("decoder", decoder.source.kind, &decoder.tensors, cost));
         }
-        if let Some(Probe { probe, text }) = &self.probe {
-            let text = &text.tower;
-            let cost = cost::siglip2_text(&text.config)?;
-            parts.push(part("probe's text", text.source.kind, &text.tensors, cost));
-            let length = text.config.max_position_embeddings;
-            let cost = cost::success_probe(&probe.config, length)?;
-            parts.push(part("probe", probe.source.kind, &probe.tensors, cost));
+        match &self.probe {
+            None => {}
+            Some(Probe::Pooled(probe)) => {
+                let cost = probe.config.cost()?;
+                parts.push(part("probe", probe.source.kind, &probe.tensors, cost));
+            }
+            Some(Probe::Instructed { probe, text }) => {
+                let text = &text.tower;
+                let cost = cost::siglip2_text(&text.config)?;
+                parts.push(part("probe's text", text.source.kind, &text.tensors, cost));
+                let length = text.config.max_position_embeddings;
+                let cost = cost::success_probe(&probe.config, length)?;
+                parts.push(part("probe", probe.source.kind, &probe.tensors, cost));
+            }
         }
         let config = &self.transition.config.config;
         let [height, width] = self.description.image;

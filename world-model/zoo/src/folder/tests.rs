@@ -1,10 +1,11 @@
 use candle_core::{DType, Device, Tensor};
 use serde_json::{Value, json};
 use tempfile::TempDir;
+use wm_model::actions::Accumulation;
 use wm_model::sampler::Rollout;
 
 use super::*;
-use crate::WorldModel;
+use crate::ModelFolder;
 
 /// Web-DINO of one layer on 28x28, an S-VAE, a pixel decoder and a DiT: latents of 4x4x6.
 pub(super) fn adapted() -> Value {
@@ -46,19 +47,24 @@ pub(super) fn folder(model: &Value) -> TempDir {
 
 fn refused(model: &Value) -> String {
     let folder = folder(model);
-    ModelFolder::open(folder.path()).unwrap_err().to_string()
+    DescribedFolder::open(folder.path())
+        .unwrap_err()
+        .to_string()
 }
 
 fn space_of(folder: &TempDir, model: &Value) -> LatentSpace {
     std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
-    ModelFolder::open(folder.path()).unwrap().space().unwrap()
+    DescribedFolder::open(folder.path())
+        .unwrap()
+        .space()
+        .unwrap()
 }
 
 #[test]
 fn a_folder_encodes_predicts_and_decodes_in_one_space() {
     for (model, latent) in [(adapted(), (4, 4, 6)), (native(), (4, 4, 48))] {
         let folder = folder(&model);
-        let model = WorldModel::open(&folder.path().to_string_lossy()).unwrap();
+        let model = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
         let encoder = model.encoder().unwrap();
         assert_eq!(encoder.space().shape(), latent);
         assert_eq!(encoder.input_size(), (32, 32));
@@ -98,7 +104,7 @@ fn decoding_undoes_the_normalisation() {
     without["normalisation"] = Value::Null;
     let open = |model| {
         let folder = folder(model);
-        let model = ModelFolder::open(folder.path()).unwrap();
+        let model = DescribedFolder::open(folder.path()).unwrap();
         (model.encoder().unwrap(), model.decoder().unwrap().unwrap())
     };
     let ((encoder, decoder), (plain_encoder, plain_decoder)) = (open(&with), open(&without));
@@ -157,7 +163,7 @@ fn views_lie_beside_each_other() {
     model["transition"]["config"]["views"] = json!(2);
     model["transition"]["config"]["grid"] = json!([4, 8]);
     let folder = folder(&model);
-    let model = ModelFolder::open(folder.path()).unwrap();
+    let model = DescribedFolder::open(folder.path()).unwrap();
     let encoder = model.encoder().unwrap();
     assert_eq!(encoder.input_size(), (32, 64));
     assert_eq!(encoder.space().shape(), (4, 8, 6));
@@ -177,6 +183,61 @@ fn views_lie_beside_each_other() {
     assert!(most < 1e-5, "{most}");
     let decoder = model.decoder().unwrap().unwrap();
     assert_eq!(decoder.decode(&latent).unwrap().dims(), [1, 8, 16, 3]);
+}
+
+#[test]
+fn positions_of_several_views_are_part_of_the_models_hash() {
+    let mut model = adapted();
+    model["transition"]["config"]["views"] = json!(2);
+    model["transition"]["config"]["grid"] = json!([4, 8]);
+    let folder = folder(&model);
+    let mut transition = |layout: Option<&str>| {
+        if let Some(layout) = layout {
+            model["transition"]["config"]["rope_layout"] = json!(layout);
+        }
+        std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
+        let opened = DescribedFolder::open(folder.path()).unwrap();
+        opened.transition().unwrap()
+    };
+    let default = transition(None);
+    let [reference, by_view] = ["reference", "by_view"].map(|layout| transition(Some(layout)));
+    assert_eq!(default.hash, reference.hash);
+    assert_ne!(default.hash, by_view.hash);
+    // A latent space says how views are encoded, not how the transition numbers them.
+    assert_eq!(default.space, by_view.space);
+
+    let x = Tensor::rand(0f32, 1.0, (1, 2, 4, 8, 6), &Device::Cpu).unwrap();
+    let tau = Tensor::new(&[[0f32, 0.5]], &Device::Cpu).unwrap();
+    let action = Tensor::zeros((1, 2, 10), DType::F32, &Device::Cpu).unwrap();
+    let [default, reference, by_view] = [default, reference, by_view].map(|transition| {
+        let velocity = transition.model.forward(&x, &tau, &action).unwrap();
+        velocity.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+    });
+    assert_eq!(default, reference);
+    assert_ne!(default, by_view);
+}
+
+#[test]
+fn of_a_steps_actions_the_first_is_taken_as_in_the_reference() {
+    let mut model = adapted();
+    for (actions, expected) in [
+        (None, Accumulation::Index),
+        (Some(json!({"frame_skip": 3})), Accumulation::Index),
+        (Some(json!({"accumulation": "mean"})), Accumulation::Mean),
+    ] {
+        match actions {
+            Some(actions) => model["transition"]["actions"] = actions,
+            None => drop(
+                model["transition"]
+                    .as_object_mut()
+                    .unwrap()
+                    .remove("actions"),
+            ),
+        }
+        let folder = folder(&model);
+        let transition = DescribedFolder::open(folder.path()).unwrap().transition();
+        assert_eq!(transition.unwrap().encoding.accumulation, expected);
+    }
 }
 
 #[test]
@@ -253,13 +314,17 @@ fn what_is_wrong_in_a_part_is_named_with_the_part() {
         let mut model = adapted();
         model[part][field] = value;
         std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
-        let message = ModelFolder::open(folder.path()).unwrap_err().to_string();
+        let message = DescribedFolder::open(folder.path())
+            .unwrap_err()
+            .to_string();
         assert!(message.contains(expected), "{message}");
     }
 
     let folder = folder(&adapted());
     std::fs::remove_file(folder.path().join("dit.safetensors")).unwrap();
-    let message = ModelFolder::open(folder.path()).unwrap_err().to_string();
+    let message = DescribedFolder::open(folder.path())
+        .unwrap_err()
+        .to_string();
     assert!(
         message.contains("transition: ") && message.contains("dit.safetensors"),
         "{message}"
@@ -269,7 +334,9 @@ fn what_is_wrong_in_a_part_is_named_with_the_part() {
     let mut model = adapted();
     model["encoder"]["config"]["num_hidden_layers"] = json!(2);
     std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
-    let message = ModelFolder::open(folder.path()).unwrap_err().to_string();
+    let message = DescribedFolder::open(folder.path())
+        .unwrap_err()
+        .to_string();
     assert!(message.contains("encoder.layer.1.attention"), "{message}");
 }
 
@@ -278,7 +345,7 @@ fn a_model_need_not_decode() {
     let mut model = adapted();
     model["decoder"] = Value::Null;
     let folder = folder(&model);
-    let model = ModelFolder::open(folder.path()).unwrap();
+    let model = DescribedFolder::open(folder.path()).unwrap();
     assert!(model.decoder().unwrap().is_none());
     let summary = model.summary().unwrap();
     let roles: Vec<_> = summary.parts.iter().map(|part| part.role).collect();

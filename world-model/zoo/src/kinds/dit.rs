@@ -2,6 +2,7 @@
 
 use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
+use wm_model::ops::RopeLayout;
 use wm_model::sampler::Sampler;
 use wm_model::transition::{
     ActionAlignment, PackedTransition, Parametrisation, Transition, TransitionConfig,
@@ -13,7 +14,8 @@ use crate::checkpoint::Average;
 use crate::layers::packed_format;
 use crate::{Checkpoint, Compute, Engine, Loader, Result};
 
-/// Width of the wide head of all published models that have one (architecture.md section 1).
+/// Width of the wide head of all published models that have one (the paper, appendix B, table
+/// "Architecture size and compute").
 const WIDE: usize = 2048;
 
 /// Which last layers a transition model has.
@@ -27,7 +29,7 @@ pub enum Head {
     Wide,
 }
 
-/// Sizes of a transition model, architecture.md section 2. JSON example, DiT-L on V-JEPA 2.1's native latents:
+/// Sizes of a transition model (`docs/architecture.md#transition-model`). JSON example, DiT-L on V-JEPA 2.1's native latents:
 ///
 /// ```json
 /// {"hidden": 1024, "depth": 24, "heads": 16, "channels": 1024, "patch": 1, "grid": [16, 16],
@@ -52,6 +54,9 @@ pub struct DitConfig {
     /// column in the view, view).
     #[serde(default = "one_view")]
     pub views: usize,
+    /// Positions of several views: `reference` (the default, and every published checkpoint's) or `by_view`.
+    #[serde(default)]
+    pub rope_layout: RopeLayout,
     /// Values of an action.
     pub action_dim: usize,
     /// Frames that the model sees at most, the new one included.
@@ -88,6 +93,7 @@ impl DitConfig {
             latent_height,
             latent_width,
             views: self.views,
+            rope_layout: self.rope_layout,
             channels: self.channels,
             action_dim: self.action_dim,
             max_frames: self.max_frames,

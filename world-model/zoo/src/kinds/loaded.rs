@@ -8,6 +8,7 @@ use super::{DitConfig, Kind, Tensors, dit, finite, owned, parse};
 use crate::checkpoint::Average;
 use crate::efficientnet_lite0::{EfficientNetLite0, EfficientNetLite0Config};
 use crate::idm::Idm;
+use crate::pooled_probe::{LinearProbe, ProgressProbe, TemporalProbe};
 use crate::success_probe::SuccessProbe;
 use crate::svae::Svae;
 use crate::vae::{
@@ -106,6 +107,27 @@ impl Loaded {
                     let mask = inputs.optional_float("text_mask")?;
                     let logit = model.forward(&latents, &text, mask.as_ref())?;
                     Ok(owned(vec![("logit", logit)]))
+                })
+            }
+            Kind::LinearProbe => {
+                let model = source.load(LinearProbe::load)?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    let logit = model.forward(&inputs.float("latents")?)?;
+                    Ok(owned(vec![("logit", logit)]))
+                })
+            }
+            Kind::TemporalProbe => {
+                let model = source.load(TemporalProbe::load)?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    let logit = model.forward(&inputs.float("latents")?)?;
+                    Ok(owned(vec![("logit", logit)]))
+                })
+            }
+            Kind::ProgressProbe => {
+                let model = source.load(ProgressProbe::load)?;
+                Box::new(move |inputs: &Inputs<'_>| {
+                    let progress = model.forward(&inputs.float("latents")?)?;
+                    Ok(owned(vec![("progress", progress)]))
                 })
             }
             Kind::EfficientNetLite0 => efficientnet_lite0(&source)?,

@@ -1,7 +1,7 @@
 //! y = x W^T + b.
 
 use candle_core::{D, Tensor};
-use wm_model::ops::{self, Form, PackedFormat, PackedLinear};
+use wm_model::ops::{self, PackedFormat, PackedLinear};
 
 use super::{host, takes_kernels};
 use crate::{Engine, Result};
@@ -93,7 +93,9 @@ impl Linear {
                 })?;
                 Ok(Tensor::from_vec(y, dims, x.device())?)
             }
-            Weights::Plain(weight, bias) => Ok(ops::linear(Form::Plain, x, weight, bias.as_ref())?),
+            Weights::Plain(weight, bias) => {
+                Ok(ops::linear(Engine::Candle, x, weight, bias.as_ref())?)
+            }
         }
     }
 }

@@ -3,9 +3,10 @@
 use candle_core::{D, Tensor};
 
 use super::SuccessProbeConfig;
+use super::names::Names;
 use super::norm::RmsNorm;
+use crate::Engine;
 use crate::Result;
-use crate::engine::Engine;
 use crate::layers::{Linear, attention};
 use crate::loader::Loader;
 use crate::vit::{Mlp, join_heads, split_heads};
@@ -21,10 +22,14 @@ pub(super) struct ProbeBlock {
 }
 
 impl ProbeBlock {
-    pub(super) fn load(config: &SuccessProbeConfig, loader: &Loader<'_>) -> Result<Self> {
+    pub(super) fn load(
+        config: &SuccessProbeConfig,
+        names: Names,
+        loader: &Loader<'_>,
+    ) -> Result<Self> {
         let (width, ffn) = (config.hidden, config.ffn);
         let norm = |i: usize| RmsNorm::load(config, loader, &format!("norm{i}"), width);
-        let attention = |name: &str| Attention::load(config, &loader.at(name));
+        let attention = |name: &str| Attention::load(config, names, &loader.at(name));
         Ok(Self {
             norms: [norm(1)?, norm(2)?, norm(3)?, norm(4)?],
             spatial: attention("spatial_attn")?,
@@ -81,18 +86,19 @@ struct Attention {
 }
 
 impl Attention {
-    fn load(config: &SuccessProbeConfig, loader: &Loader<'_>) -> Result<Self> {
+    fn load(config: &SuccessProbeConfig, names: Names, loader: &Loader<'_>) -> Result<Self> {
         let width = config.hidden;
         let linear = |name: &str| loader.linear_no_bias(name, width, width);
         let norm = |name: &str| {
             let norm = RmsNorm::load(config, loader, name, width / config.heads)?;
             Ok::<_, crate::Error>(norm.for_heads())
         };
+        let [q, k, v, out] = names.attention();
         Ok(Self {
-            q: linear("q")?,
-            k: linear("k")?,
-            v: linear("v")?,
-            out: linear("out")?,
+            q: linear(q)?,
+            k: linear(k)?,
+            v: linear(v)?,
+            out: linear(out)?,
             q_norm: norm("q_norm")?,
             k_norm: norm("k_norm")?,
             heads: config.heads,

@@ -5,25 +5,48 @@ use wm_model::autoencoder::Normalisation;
 
 use super::{InstructionTokenizer, SuccessProbe};
 use crate::Result;
+use crate::pooled_probe::PooledProbe;
 use crate::vit::SiglipText;
 
-/// The success probe with all that it needs: tokenizer and text tower for the instruction, and the latents' statistics.
+/// A success probe with all that it needs: the latents' statistics, and for one that reads an instruction, tokenizer and
+/// text tower.
 ///
 /// It reads latents as encoder and adapter give them, not normalised: the paper trains it with both frozen (appendix
-/// "VLA success classifier probe") and has no statistics of channels; where a model of ours normalises, that is of its
-/// transition model. So the normalisation is undone first, as a decoder does.
+/// B.7) and has no statistics of channels; where a model of ours normalises, that is of its transition model. So the
+/// normalisation is undone first, as a decoder does.
 #[derive(Clone, Debug)]
 pub struct SuccessClassifier {
+    pub(crate) judge: Judge,
+    pub(crate) normalisation: Normalisation,
+}
+
+/// What judges an episode.
+#[derive(Clone, Debug)]
+pub(crate) enum Judge {
+    /// By the instruction.
+    Instructed(Box<Instructed>),
+    /// By the latents alone, whatever the instruction.
+    Pooled(PooledProbe),
+}
+
+/// The paper's probe, and what reads the instruction for it.
+#[derive(Clone, Debug)]
+pub(crate) struct Instructed {
     pub(crate) tokenizer: InstructionTokenizer,
     pub(crate) text: SiglipText,
     pub(crate) probe: SuccessProbe,
-    pub(crate) normalisation: Normalisation,
 }
 
 /// An instruction as the probe reads it.
 #[derive(Clone, Debug)]
 pub struct Instruction {
     text: String,
+    tokens: Option<Tokens>,
+}
+
+/// What a text tower makes of an instruction.
+#[derive(Clone, Debug)]
+struct Tokens {
     /// (1, L, text features).
     features: Tensor,
     /// (1, L), 0 for padding.
@@ -40,31 +63,34 @@ impl Instruction {
 impl SuccessClassifier {
     /// Longest episode that is read.
     pub fn max_frames(&self) -> usize {
-        self.probe.config().max_frames
+        match &self.judge {
+            Judge::Instructed(judge) => judge.probe.config().max_frames,
+            Judge::Pooled(probe) => probe.max_frames(),
+        }
     }
 
-    /// Reads an instruction, once for all episodes: this takes the text tower, some fifty billion operations.
+    /// Reads an instruction, once for all episodes: this takes the text tower, some fifty billion operations. A probe of
+    /// pooled latents reads none and only keeps its words.
     ///
-    /// The tower attends to its padding, as it was trained; the probe does not (architecture.md section 7).
+    /// The tower attends to its padding, as it was trained; the probe does not (the paper, appendix B.7).
     ///
     /// # Errors
     /// As [`InstructionTokenizer::encode`].
     pub fn instruction(&self, text: &str) -> Result<Instruction> {
-        let (ids, mask) = self.tokenizer.encode(text)?;
-        let ids = Tensor::from_vec(ids, (1, mask.len()), &Device::Cpu)?;
-        let mask = Tensor::from_vec(mask, ids.dims(), &Device::Cpu)?;
-        Ok(Instruction {
-            text: text.to_owned(),
-            features: self.text.forward(&ids, None)?,
-            mask,
-        })
+        let tokens = match &self.judge {
+            Judge::Instructed(judge) => Some(judge.read(text)?),
+            Judge::Pooled(_) => None,
+        };
+        let text = text.to_owned();
+        Ok(Instruction { text, tokens })
     }
 
     /// The probability that `episode` shows what the instruction asks for: normalised latents (T, h, w, C), one model
-    /// step apart, of which the newest [`max_frames`](Self::max_frames) are read.
+    /// step apart, of which the newest [`max_frames`](Self::max_frames) are read. Of a progress probe, how far the
+    /// newest frame has come.
     ///
     /// # Errors
-    /// If the shape does not fit, or the logit is not finite.
+    /// If the shape does not fit, the instruction was read by another classifier, or the result is not finite.
     pub fn probability(&self, episode: &Tensor, instruction: &Instruction) -> Result<f32> {
         let frames = episode.dim(0)?;
         let read = frames.min(self.max_frames());
@@ -75,8 +101,28 @@ impl SuccessClassifier {
             .to_vec1::<f32>()?;
         self.normalisation.undo(&mut values);
         let latents = Tensor::from_vec(values, episode.dims(), &Device::Cpu)?.unsqueeze(0)?;
-        let Instruction { features, mask, .. } = instruction;
-        let logit = self.probe.forward(&latents, features, Some(mask))?;
+        match (&self.judge, &instruction.tokens) {
+            (Judge::Pooled(probe), _) => probe.probability(&latents),
+            (Judge::Instructed(judge), Some(tokens)) => judge.probability(&latents, tokens),
+            (Judge::Instructed(_), None) => {
+                let reason = "read by another classifier, which takes none";
+                Err(wm_model::Error::config("instruction", reason.to_owned()).into())
+            }
+        }
+    }
+}
+
+impl Instructed {
+    fn read(&self, text: &str) -> Result<Tokens> {
+        let (ids, mask) = self.tokenizer.encode(text)?;
+        let ids = Tensor::from_vec(ids, (1, mask.len()), &Device::Cpu)?;
+        let mask = Tensor::from_vec(mask, ids.dims(), &Device::Cpu)?;
+        let features = self.text.forward(&ids, None)?;
+        Ok(Tokens { features, mask })
+    }
+
+    fn probability(&self, latents: &Tensor, Tokens { features, mask }: &Tokens) -> Result<f32> {
+        let logit = self.probe.forward(latents, features, Some(mask))?;
         let logit = logit.squeeze(0)?.to_scalar::<f32>()?;
         if !logit.is_finite() {
             let what = "the success probe's logit";

@@ -1,6 +1,6 @@
 //! The pieces of which all convolutional encoders and decoders are made.
 //!
-//! Source: architecture.md sections 3 and 5; upstream `ldm/modules/diffusionmodules/model.py` of latent
+//! Source: `docs/architecture.md#encoders` and `#pixel-decoder`; upstream `ldm/modules/diffusionmodules/model.py` of latent
 //! diffusion and diffusers' `resnet.py`, which agree. Activations are (N, H, W, C).
 
 use candle_core::Tensor;

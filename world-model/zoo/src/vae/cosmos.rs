@@ -1,7 +1,7 @@
 //! Cosmos-CI16x16, NVIDIA's continuous image tokenizer.
 //!
 //! Paper: Agarwal et al. 2025 (arXiv 2501.03575). Checkpoint: `nvidia/Cosmos-0.1-Tokenizer-CI16x16`. Source:
-//! architecture.md section 3; upstream `layers2d.py` of NVIDIA/Cosmos-Tokenizer. diffusers'
+//! `docs/architecture.md#encoders`; upstream `layers2d.py` of NVIDIA/Cosmos-Tokenizer. diffusers'
 //! `AutoencoderKLCosmos` is the video tokenizer, another network.
 //!
 //! Shapes of the published size: image (N, 256, 256, 3) in 0..1; Haar patches (N, 64, 64, 48) of pixels that

@@ -1,6 +1,6 @@
 //! The Haar wavelet patches of Cosmos: an image as four half-sized ones, exactly reversible.
 //!
-//! Source: architecture.md section 3; upstream `Patcher` and `UnPatcher` of NVIDIA/Cosmos-Tokenizer, whose
+//! Source: `docs/architecture.md#encoders`; upstream `Patcher` and `UnPatcher` of NVIDIA/Cosmos-Tokenizer, whose
 //! filters 1/sqrt(2) twice and a factor 1/2 make the plain quarter used here.
 //!
 //! Of each 2x2 cell `a b / c d` come LL = (a+b+c+d)/4, LH = (a+b-c-d)/4, HL = (a-b+c-d)/4, HH = (a-b-c+d)/4.

@@ -1,6 +1,6 @@
 //! The paper's pixel decoder: latents of the S-VAE adapter to images.
 //!
-//! Source: architecture.md section 5. Checkpoint: `pixel_decoder` of the adapter's, key names as written
+//! Source: the paper, appendix B.4, and `docs/architecture.md#pixel-decoder`. Checkpoint: `pixel_decoder` of the adapter's, key names as written
 //! there.
 //!
 //! Shapes of the published size: latent (N, 16, 16, 96), image (N, 256, 256, 3) in 0..1 through a sigmoid.

@@ -2,7 +2,7 @@
 //!
 //! Paper: Esser et al. 2024 (arXiv 2403.03206). Checkpoint: the `vae` folder of
 //! `stabilityai/stable-diffusion-3-medium-diffusers`, whose `config.json` is read as it is. Source:
-//! architecture.md section 3; upstream diffusers' `AutoencoderKL`, whose other checkpoints (with
+//! `docs/architecture.md#encoders`; upstream diffusers' `AutoencoderKL`, whose other checkpoints (with
 //! `quant_conv`, other widths) are read too as long as they have plain down and up blocks.
 //!
 //! Shapes of the published size: image (N, 256, 256, 3) in 0..1, latent (N, 32, 32, 16).

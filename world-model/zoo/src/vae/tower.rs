@@ -1,6 +1,6 @@
 //! The body that SD3's VAE, VA-VAE and Cosmos share: convolution, levels, middle, convolution.
 //!
-//! Source: architecture.md section 3; upstream `Encoder` and `Decoder` of latent diffusion. Level 0 is the
+//! Source: `docs/architecture.md#encoders`; upstream `Encoder` and `Decoder` of latent diffusion. Level 0 is the
 //! finest. A decoder has one residual block more in a level than the encoder.
 
 use candle_core::Tensor;

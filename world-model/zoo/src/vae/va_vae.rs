@@ -1,7 +1,7 @@
 //! VA-VAE f16d32, the autoencoder whose latent was aligned with a vision foundation model.
 //!
 //! Paper: Yao et al. 2025 (arXiv 2501.01423). Checkpoint: `vavae-imagenet256-f16d32-dinov2.pt` of
-//! `hustvl/vavae-imagenet256-f16d32-dinov2`. Source: architecture.md section 3; upstream LightningDiT's
+//! `hustvl/vavae-imagenet256-f16d32-dinov2`. Source: `docs/architecture.md#encoders`; upstream LightningDiT's
 //! tokenizer.
 //!
 //! Shapes of the published size: image (N, 256, 256, 3) in 0..1, latent (N, 16, 16, 32), the mean, not

@@ -20,29 +20,48 @@ pub(crate) struct Block {
     pub(crate) mlp_scale: Option<Tensor>,
 }
 
+/// Names of a block's linear layers; those of its norms are `norm1` and `norm2` everywhere.
+#[derive(Debug)]
+pub(crate) struct BlockNames {
+    pub(crate) qkv: &'static str,
+    pub(crate) out: &'static str,
+    pub(crate) first: &'static str,
+    pub(crate) second: &'static str,
+}
+
+impl BlockNames {
+    /// timm's.
+    pub(crate) const TIMM: Self = Self {
+        qkv: "attn.qkv",
+        out: "attn.proj",
+        first: "mlp.fc1",
+        second: "mlp.fc2",
+    };
+}
+
 impl Block {
-    /// A block in the names and the form of timm: one product for queries, keys and values, exact GELU, no LayerScale.
-    /// Sizes are the width, the number of heads and the width of the feed-forward network; `eps` is that of both
-    /// normalisations.
-    pub(crate) fn load_timm(
+    /// A block as in timm: one product for queries, keys and values, exact GELU, no LayerScale. Sizes are the width, the
+    /// number of heads and the width of the feed-forward network; `eps` is that of both norms.
+    pub(crate) fn load(
         loader: &Loader<'_>,
+        names: &BlockNames,
         (width, heads, mlp): (usize, usize, usize),
         eps: f64,
     ) -> Result<Self> {
         Ok(Self {
             attention_norm: loader.layer_norm("norm1", width, eps)?,
             attention: SelfAttention {
-                projections: Projections::Fused(loader.linear("attn.qkv", width, 3 * width)?),
-                out: loader.linear("attn.proj", width, width)?,
+                projections: Projections::Fused(loader.linear(names.qkv, width, 3 * width)?),
+                out: loader.linear(names.out, width, width)?,
                 heads,
                 engine: loader.engine(),
             },
             attention_scale: None,
             mlp_norm: loader.layer_norm("norm2", width, eps)?,
             mlp: Mlp::Plain {
-                first: loader.linear("mlp.fc1", width, mlp)?,
+                first: loader.linear(names.first, width, mlp)?,
                 activation: Activation::GeluExact,
-                second: loader.linear("mlp.fc2", mlp, width)?,
+                second: loader.linear(names.second, mlp, width)?,
             },
             mlp_scale: None,
         })

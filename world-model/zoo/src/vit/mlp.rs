@@ -4,8 +4,8 @@ use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 use wm_model::ops::swiglu;
 
+use crate::Engine;
 use crate::Result;
-use crate::engine::Engine;
 use crate::layers::{Linear, gelu_exact, gelu_tanh};
 
 /// Activation function, by the names that Hugging Face configurations use.
@@ -60,7 +60,7 @@ impl Mlp {
                 gate_and_value,
                 out,
                 engine,
-            } => out.forward(&swiglu(engine.form(), &gate_and_value.forward(x)?)?),
+            } => out.forward(&swiglu(*engine, &gate_and_value.forward(x)?)?),
         }
     }
 }

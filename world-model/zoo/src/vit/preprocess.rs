@@ -1,6 +1,6 @@
 //! What each encoder does to a picture before its first layer.
 //!
-//! Pictures are (N, H, W, 3), f32 in 0..1. Facts from architecture.md section 3: Web-DINO and
+//! Pictures are (N, H, W, 3), f32 in 0..1. Facts from `docs/architecture.md#encoders`: Web-DINO and
 //! SigLIP 2 resize as `torch.nn.functional.interpolate(mode="bicubic")` does, without clamping what
 //! overshoots; V-JEPA 2.1 clamps to 0..1 and takes 256x256 as it is.
 

@@ -3,8 +3,8 @@
 use candle_core::{D, Tensor};
 
 use super::Rotary;
+use crate::Engine;
 use crate::Result;
-use crate::engine::Engine;
 use crate::layers::{Linear, attention};
 
 /// Where queries, keys and values come from.

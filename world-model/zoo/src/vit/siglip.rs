@@ -3,7 +3,7 @@
 //! Paper: "SigLIP 2" (arXiv 2502.14786); checkpoint
 //! <https://huggingface.co/google/siglip2-so400m-patch14-224>, a Hugging Face `SiglipVisionModel`:
 //! 27 x 1152 at 224x224, 427.681 M parameters with the pooling head. The feature is the output of
-//! the last layer **before** `post_layernorm`: 16x16x1152 (architecture.md section 3). That norm
+//! the last layer **before** `post_layernorm`: 16x16x1152 (`docs/architecture.md#encoders`). That norm
 //! and the head are loaded to be counted and checked, but not used.
 //!
 //! The configuration is Hugging Face's config.json as it is, that of the vision tower or that of
@@ -282,7 +282,7 @@ fn layer(sizes: &LayerSizes, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
     use candle_core::Device;
 
     #[test]

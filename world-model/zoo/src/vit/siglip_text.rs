@@ -1,8 +1,7 @@
 //! SigLIP 2, text tower: what the success probe reads instructions with.
 //!
 //! Checkpoint <https://huggingface.co/google/siglip2-so400m-patch14-224>, a Hugging Face
-//! `SiglipTextModel`: 27 x 1152, Gemma's vocabulary of 256000, 64 positions (architecture.md
-//! section 3). It was trained with texts padded to 64 tokens and no mask, so that padding is
+//! `SiglipTextModel`: 27 x 1152, Gemma's vocabulary of 256000, 64 positions (`docs/architecture.md#encoders`). It was trained with texts padded to 64 tokens and no mask, so that padding is
 //! attended to: that is what [`SiglipText::forward`] does unless it is given a mask.
 //!
 //! Tokens come from the caller; there is no tokenizer here. The configuration is Hugging Face's
@@ -241,7 +240,7 @@ pub(crate) fn additive_mask(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
     use candle_core::Device;
 
     fn small() -> SiglipTextConfig {

@@ -1,8 +1,7 @@
 //! V-JEPA 2.1, the image path of its encoder.
 //!
 //! Paper: "V-JEPA 2.1" (Meta); code and checkpoints: <https://github.com/facebookresearch/vjepa2>,
-//! `app/vjepa_2_1`, hub entry `vjepa2_1_vit_large_384`; here ViT-L/16 at 256x256 (architecture.md
-//! section 3), 304.681 M parameters, feature 16x16x1024.
+//! `app/vjepa_2_1`, hub entry `vjepa2_1_vit_large_384`; here ViT-L/16 at 256x256 (`docs/architecture.md#encoders`), 304.681 M parameters, feature 16x16x1024.
 //!
 //! A picture is a clip of one frame: its own patch embedding, `img_mod_embed`, then pre-norm blocks
 //! with rotary embedding in every layer and no other position, then the last of the output norms.
@@ -21,7 +20,7 @@ use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::preprocess::{Normalisation, resize_bicubic};
-use super::{Block, PatchEmbedding, Rotary};
+use super::{Block, BlockNames, PatchEmbedding, Rotary};
 use crate::Result;
 use crate::layers::LayerNorm;
 use crate::loader::Loader;
@@ -214,13 +213,13 @@ fn rotary(config: &VjepaConfig, dtype: DType, device: &Device) -> Result<Rotary>
 
 fn block(config: &VjepaConfig, loader: &Loader<'_>) -> Result<Block> {
     let sizes = (config.hidden, config.heads, config.mlp_width());
-    Block::load_timm(loader, sizes, LAYER_NORM_EPS)
+    Block::load(loader, &BlockNames::TIMM, sizes, LAYER_NORM_EPS)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
 
     fn small() -> VjepaConfig {
         let json = r#"{"hidden": 48, "depth": 2, "heads": 3, "patch": 8, "image_size": 32}"#;

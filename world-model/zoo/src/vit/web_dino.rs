@@ -3,7 +3,7 @@
 //! Paper: "Scaling Language-Free Visual Representation Learning" (arXiv 2504.01017); checkpoint
 //! <https://huggingface.co/facebook/webssl-dino300m-full2b-224>, a Hugging Face `Dinov2Model`:
 //! ViT-L/14 with SwiGLU at 224x224, 303.655 M parameters with the mask token. The feature is the
-//! last hidden state behind the final LayerNorm without CLS: 16x16x1024 (architecture.md section 3).
+//! last hidden state behind the final LayerNorm without CLS: 16x16x1024 (`docs/architecture.md#encoders`).
 //!
 //! The configuration is Hugging Face's config.json as it is; keys that do not concern inference
 //! are ignored. Names are Hugging Face's (`embeddings.*`, `encoder.layer.{i}.*`, `layernorm.*`),
@@ -249,7 +249,7 @@ fn block(config: &WebDinoConfig, loader: &Loader<'_>) -> Result<Block> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::Engine;
+    use crate::Engine;
     use candle_core::Device;
 
     #[test]

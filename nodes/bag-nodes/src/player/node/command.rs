@@ -5,7 +5,7 @@ use wm_msgs::rosbag2_interfaces::{
     Burst, GetRate, IsPaused, Pause, Play, PlayNext, Resume, Seek, SetRate, Stop, TogglePaused,
 };
 use wm_ros::calls::Calls;
-use wm_ros::{Call, Error, Node};
+use wm_ros::{Call, EndpointSet as _, Error, Node, Service};
 
 /// A call or a key.
 pub(super) enum Command {
@@ -23,19 +23,48 @@ pub(super) enum Command {
     Key(Key),
 }
 
-/// Serves the player's services.
+wm_ros::endpoints! {
+    /// The services of rosbag2's player.
+    pub(super) struct Services {
+        /// Pauses.
+        pause: Service<Pause> = "~/pause";
+        /// Plays on.
+        resume: Service<Resume> = "~/resume";
+        /// Pauses or plays on.
+        toggle_paused: Service<TogglePaused> = "~/toggle_paused";
+        /// Whether it is paused.
+        is_paused: Service<IsPaused> = "~/is_paused";
+        /// Seconds of the bag per second.
+        get_rate: Service<GetRate> = "~/get_rate";
+        /// Changes the rate.
+        set_rate: Service<SetRate> = "~/set_rate";
+        /// Plays the next message of a paused playback.
+        play_next: Service<PlayNext> = "~/play_next";
+        /// Plays the next messages of a paused playback.
+        burst: Service<Burst> = "~/burst";
+        /// Goes to a time of the bag.
+        seek: Service<Seek> = "~/seek";
+        /// Plays again from the beginning, or another part.
+        play: Service<Play> = "~/play";
+        /// Ends the playback.
+        stop: Service<Stop> = "~/stop";
+    }
+}
+
+/// Serves them.
 pub(super) fn serve(node: &Node) -> Result<Calls<Command>, Error> {
-    let mut calls = Calls::new(node);
-    calls.serve("pause", Command::Pause)?;
-    calls.serve("resume", Command::Resume)?;
-    calls.serve("toggle_paused", Command::TogglePaused)?;
-    calls.serve("is_paused", Command::IsPaused)?;
-    calls.serve("get_rate", Command::GetRate)?;
-    calls.serve("set_rate", Command::SetRate)?;
-    calls.serve("play_next", Command::PlayNext)?;
-    calls.serve("burst", Command::Burst)?;
-    calls.serve("seek", Command::Seek)?;
-    calls.serve("play", Command::Play)?;
-    calls.serve("stop", Command::Stop)?;
+    let services = Services::make(node)?;
+    let mut calls = Calls::default();
+    calls.add(services.pause, Command::Pause);
+    calls.add(services.resume, Command::Resume);
+    calls.add(services.toggle_paused, Command::TogglePaused);
+    calls.add(services.is_paused, Command::IsPaused);
+    calls.add(services.get_rate, Command::GetRate);
+    calls.add(services.set_rate, Command::SetRate);
+    calls.add(services.play_next, Command::PlayNext);
+    calls.add(services.burst, Command::Burst);
+    calls.add(services.seek, Command::Seek);
+    calls.add(services.play, Command::Play);
+    calls.add(services.stop, Command::Stop);
     Ok(calls)
 }

@@ -3,7 +3,8 @@
 use crate::recorder::{
     losses::Losses,
     options::Options,
-    writer::{Entry, Queue, Recording, remove_old},
+    place::OldBag,
+    writer::{Entry, Queue, Recording},
 };
 use anyhow::Result;
 use std::path::PathBuf;
@@ -14,27 +15,43 @@ use tracing::info;
 #[derive(Default)]
 pub(super) struct Book {
     recording: Option<Recording>,
+    /// The bag that the first one replaces.
+    replaced: Option<OldBag>,
     /// Of the open bag.
     pub losses: Losses,
     pub is_lossy: bool,
 }
 
 impl Book {
-    /// Begins a bag.
+    /// Begins the first bag, where the user said.
     ///
     /// # Errors
-    /// It cannot be made.
-    pub async fn begin(&mut self, options: &Options, folder: PathBuf) -> Result<()> {
+    /// It cannot be made, or something is there already.
+    pub async fn begin_first(&mut self, options: &Options) -> Result<()> {
+        let place = options.place.clone();
+        let (folder, replaced) = tokio::task::spawn_blocking(move || place.first()).await??;
+        self.replaced = replaced;
+        self.begin(options, folder).await
+    }
+
+    /// Begins the bag that a peer asks for, which is always a new one.
+    ///
+    /// # Errors
+    /// It cannot be made, is not to be made there, or something is there already.
+    pub async fn begin_asked_for(&mut self, options: &Options, uri: &str) -> Result<()> {
+        let folder = options.place.asked_for(uri)?;
+        self.begin(options, folder).await
+    }
+
+    async fn begin(&mut self, options: &Options, folder: PathBuf) -> Result<()> {
         let options = options.clone();
         let begin = move || -> Result<Recording> {
-            if options.is_overwriting {
-                remove_old(&folder)?;
-            }
             let recording = Recording::create(
                 &folder,
                 options.writer,
                 options.cache_bytes,
                 options.is_snapshot,
+                options.nice,
             )?;
             info!("recording to {}", folder.display());
             Ok(recording)
@@ -83,18 +100,25 @@ impl Book {
             return Ok(());
         };
         let summary = recording.finish()?;
-        println!(
-            "recorded {} message(s) of {} topic(s) to {}",
+        if let Some(old) = self.replaced.take() {
+            old.give_way(summary.message_count);
+        }
+        let mut text = format!(
+            "recorded {} message(s) of {} topic(s) to {}\n",
             summary.message_count,
             summary.topics.len(),
             summary.path.display()
         );
         for (topic, loss) in std::mem::take(&mut self.losses) {
             if loss.total() > 0 {
-                println!("lost {} message(s) of {topic}: {loss}", loss.total());
+                text.push_str(&format!(
+                    "lost {} message(s) of {topic}: {loss}\n",
+                    loss.total()
+                ));
                 self.is_lossy = true;
             }
         }
+        wm_ros::logging::print(text);
         Ok(())
     }
 }

@@ -3,7 +3,7 @@
 use crate::keyboard::Key;
 use wm_msgs::rosbag2_interfaces::{IsPaused, Pause, Record, Resume, Snapshot, SplitBagfile, Stop};
 use wm_ros::calls::Calls;
-use wm_ros::{Call, Error, Node};
+use wm_ros::{Call, EndpointSet as _, Error, Node, Service};
 
 /// A call or a key.
 pub(super) enum Command {
@@ -17,17 +17,43 @@ pub(super) enum Command {
     Key(Key),
 }
 
-/// Serves the recorder's services; `~/snapshot`, as rosbag2 does it, in snapshot mode alone.
-pub(super) fn serve(node: &Node, is_snapshot: bool) -> Result<Calls<Command>, Error> {
-    let mut calls = Calls::new(node);
-    calls.serve("pause", Command::Pause)?;
-    calls.serve("resume", Command::Resume)?;
-    calls.serve("is_paused", Command::IsPaused)?;
-    calls.serve("split_bagfile", Command::SplitBagfile)?;
-    calls.serve("record", Command::Record)?;
-    calls.serve("stop", Command::Stop)?;
-    if is_snapshot {
-        calls.serve("snapshot", Command::Snapshot)?;
+wm_ros::endpoints! {
+    /// The services of rosbag2's recorder.
+    pub(super) struct Services {
+        /// Records nothing until it is resumed.
+        pause: Service<Pause> = "~/pause";
+        /// Records again.
+        resume: Service<Resume> = "~/resume";
+        /// Whether it is paused.
+        is_paused: Service<IsPaused> = "~/is_paused";
+        /// Begins the bag's next file.
+        split_bagfile: Service<SplitBagfile> = "~/split_bagfile";
+        /// Begins another bag after ~/stop.
+        record: Service<Record> = "~/record";
+        /// Closes the bag.
+        stop: Service<Stop> = "~/stop";
+        /// Writes the messages that are held back; in snapshot mode alone, as rosbag2 does it.
+        snapshot: Option<Service<Snapshot>> = "~/snapshot", made(|node, name, _| {
+            match node.parameter("snapshot_mode")? {
+                true => node.service(name).map(Some),
+                false => Ok(None),
+            }
+        });
+    }
+}
+
+/// Serves them.
+pub(super) fn serve(node: &Node) -> Result<Calls<Command>, Error> {
+    let services = Services::make(node)?;
+    let mut calls = Calls::default();
+    calls.add(services.pause, Command::Pause);
+    calls.add(services.resume, Command::Resume);
+    calls.add(services.is_paused, Command::IsPaused);
+    calls.add(services.split_bagfile, Command::SplitBagfile);
+    calls.add(services.record, Command::Record);
+    calls.add(services.stop, Command::Stop);
+    if let Some(snapshot) = services.snapshot {
+        calls.add(snapshot, Command::Snapshot);
     }
     Ok(calls)
 }

@@ -1,8 +1,6 @@
 //! Which published models there are, and where.
 
-use anyhow::Result;
-use wm_zoo::vae::{CosmosConfig, VaVaeConfig};
-use wm_zoo::vit::VjepaConfig;
+use wm_zoo::kinds::Kind;
 
 /// Where a model's files are.
 #[derive(Debug)]
@@ -22,10 +20,8 @@ enum Place {
 enum Config {
     /// One of its files.
     Published,
-    /// Our preset; the authors publish none.
-    Vjepa21,
-    VaVae,
-    Cosmos,
+    /// Our preset of this kind; the authors publish none.
+    Preset(Kind),
 }
 
 /// A published model.
@@ -58,14 +54,14 @@ pub const MODELS: &[Model] = &[
         name: "va-vae",
         place: Place::HuggingFace("hustvl/vavae-imagenet256-f16d32-dinov2"),
         files: &["vavae-imagenet256-f16d32-dinov2.pt"],
-        config: Config::VaVae,
+        config: Config::Preset(Kind::VaVae),
         gated: false,
     },
     Model {
         name: "cosmos-ci16x16",
         place: Place::HuggingFace("nvidia/Cosmos-0.1-Tokenizer-CI16x16"),
         files: &["encoder.jit", "decoder.jit"],
-        config: Config::Cosmos,
+        config: Config::Preset(Kind::CosmosCi16x16),
         gated: false,
     },
     Model {
@@ -75,7 +71,7 @@ pub const MODELS: &[Model] = &[
             page: "https://github.com/facebookresearch/vjepa2",
         },
         files: &["vjepa2_1_vitl_dist_vitG_384.pt"],
-        config: Config::Vjepa21,
+        config: Config::Preset(Kind::Vjepa21),
         gated: false,
     },
     Model {
@@ -95,10 +91,11 @@ pub const MODELS: &[Model] = &[
 ];
 
 impl Model {
-    /// Address of one of its files.
-    pub fn url(&self, file: &str, revision: &str) -> String {
+    /// Address of one of its files, at a revision of the repository, `main` if there is none.
+    pub fn url(&self, file: &str, revision: Option<&str>) -> String {
         match self.place {
             Place::HuggingFace(repository) => {
+                let revision = revision.unwrap_or("main");
                 format!("https://huggingface.co/{repository}/resolve/{revision}/{file}")
             }
             Place::Web { folder, .. } => format!("{folder}/{file}"),
@@ -118,14 +115,11 @@ impl Model {
     }
 
     /// The configuration to write beside its files, if it has none of its own.
-    pub fn config(&self) -> Result<Option<String>> {
-        let json = match self.config {
-            Config::Published => return Ok(None),
-            Config::Vjepa21 => serde_json::to_string_pretty(&VjepaConfig::vit_large())?,
-            Config::VaVae => serde_json::to_string_pretty(&VaVaeConfig::f16d32())?,
-            Config::Cosmos => serde_json::to_string_pretty(&CosmosConfig::ci16x16())?,
-        };
-        Ok(Some(json + "\n"))
+    pub fn config(&self) -> Option<String> {
+        match self.config {
+            Config::Published => None,
+            Config::Preset(kind) => Some(format!("{:#}\n", kind.published_config()?)),
+        }
     }
 }
 
@@ -143,11 +137,11 @@ mod tests {
     fn every_model_has_an_address_a_page_and_a_configuration() {
         for model in MODELS {
             for file in model.files {
-                assert!(model.url(file, "main").starts_with("https://"), "{model:?}");
+                assert!(model.url(file, None).starts_with("https://"), "{model:?}");
             }
             assert!(model.page().starts_with("https://"), "{model:?}");
             let published = model.files.iter().any(|file| file.ends_with("config.json"));
-            assert!(published != model.config().unwrap().is_some(), "{model:?}");
+            assert!(published != model.config().is_some(), "{model:?}");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Downloads that can be resumed and are checked.
 //!
-//! A download goes on only where the server confirms, by the entity tag, that it is still the same file; the hash, where
-//! the server states one, has the last word.
+//! A download goes on only where the server confirms, by the entity tag, that it is still the same file; the hash that
+//! was noted the last time, or that the server states, has the last word.
 
 mod part;
 
@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use part::{Part, Start, strong_etag};
 use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{Read, Write};
 use std::path::Path;
 use std::time::Duration;
@@ -31,6 +31,8 @@ const MAX_BYTES: u64 = 64 << 30;
 
 /// Where Hugging Face states the hash of a large file: on the answer that redirects to it.
 const LINKED_ETAG: &str = "x-linked-etag";
+/// Where Hugging Face states the commit that a branch or a tag stands for.
+const REPO_COMMIT: &str = "x-repo-commit";
 
 /// A client for downloads.
 pub struct Client {
@@ -39,11 +41,40 @@ pub struct Client {
     token: Option<String>,
 }
 
-/// What was downloaded.
-#[derive(Debug)]
-pub struct Fetched {
-    /// Hexadecimal SHA-256 of the file.
-    pub sha256: String,
+/// A file to download.
+pub struct Request<'a> {
+    /// Its address.
+    pub url: &'a str,
+    /// Where it goes.
+    pub path: &'a Path,
+    /// SHA-256 that the server states.
+    pub stated: Option<&'a str>,
+    /// SHA-256 of the file that was taken the last time.
+    pub pinned: Option<&'a str>,
+    /// Whether another file at `path`, or another one than pinned, is replaced.
+    pub overwrite: bool,
+}
+
+impl Request<'_> {
+    /// The hash that the file has to have, if it is known.
+    fn expected(&self) -> Result<Option<&str>> {
+        match (self.pinned.filter(|_| !self.overwrite), self.stated) {
+            (Some(pinned), Some(stated)) if pinned != stated => bail!(
+                "the server has another file than the one noted in fetched.json: SHA-256 {stated}, expected {pinned}; \
+                 --overwrite takes it"
+            ),
+            (pinned, stated) => Ok(pinned.or(stated)),
+        }
+    }
+}
+
+/// What a server says of a file before it sends it.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Stated {
+    /// Its SHA-256, of large files on Hugging Face.
+    pub sha256: Option<String>,
+    /// The commit that the revision asked for stands for, on Hugging Face.
+    pub commit: Option<String>,
 }
 
 impl Client {
@@ -55,39 +86,40 @@ impl Client {
         }
     }
 
-    /// Downloads `url` to `path`, going on from [`Part`] if that is there and the server still has the same file. A file
-    /// that is there and complete is only checked.
-    pub fn fetch(&self, url: &str, path: &Path) -> Result<Fetched> {
-        let expected = self.expected_sha256(url)?;
+    /// Downloads a file and gives its SHA-256. Goes on from [`Part`] if that is there and the server still has the same
+    /// file. A file that is there and complete is only checked; one that differs is an error unless it may be replaced.
+    pub fn fetch(&self, request: &Request<'_>) -> Result<String> {
+        let expected = request.expected()?;
+        let path = request.path;
         if path.exists() {
-            let sha256 = hex(&hash_file(path)?.0);
-            if expected.as_ref().is_none_or(|expected| *expected == sha256) {
-                return Ok(Fetched { sha256 });
+            let found = hex(&hash_file(path)?.0);
+            match expected {
+                Some(expected) if expected == found => return Ok(found),
+                _ if request.overwrite => {}
+                None => return Ok(found),
+                Some(expected) => bail!(
+                    "{} is there and is another file: SHA-256 {found}, expected {expected}; --overwrite replaces it",
+                    path.display()
+                ),
             }
-            bail!(
-                "{} is there, but another file: SHA-256 {sha256}, expected {}; move it away",
-                path.display(),
-                expected.unwrap_or_default()
-            );
-        }
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         }
         let part = Part::of(path);
-        let sha256 = self.receive(url, &part)?;
+        let found = self.receive(request.url, &part)?;
         if let Some(expected) = expected
-            && expected != sha256
+            && expected != found
         {
             // Going on from wrong bytes would never end.
             part.discard()?;
-            bail!("damaged on the way: SHA-256 {sha256}, expected {expected}; it was removed");
+            bail!(
+                "not the file expected, or damaged on the way: SHA-256 {found}, expected {expected}; it was removed"
+            );
         }
         part.finish(path)?;
-        Ok(Fetched { sha256 })
+        Ok(found)
     }
 
-    /// The hash that the server states, if it states one.
-    fn expected_sha256(&self, url: &str) -> Result<Option<String>> {
+    /// What the server says of a file.
+    pub fn stated(&self, url: &str) -> Result<Stated> {
         let mut request = self.agent.head(url);
         if let Some(token) = &self.token {
             request = request.header("Authorization", format!("Bearer {token}"));
@@ -97,7 +129,10 @@ impl Client {
         if !answer.status().is_redirection() {
             check_status(&answer)?;
         }
-        Ok(linked_sha256(answer.headers()))
+        Ok(Stated {
+            sha256: linked_sha256(answer.headers()),
+            commit: commit(answer.headers()),
+        })
     }
 
     /// Asks for the file, or for what lies behind `start`, as long as it is of the same version.
@@ -242,6 +277,13 @@ fn linked_sha256(headers: &HeaderMap) -> Option<String> {
     let value = value.trim_start_matches("W/").trim_matches('"');
     let is_sha256 = value.len() == 64 && value.bytes().all(|byte| byte.is_ascii_hexdigit());
     is_sha256.then(|| value.to_ascii_lowercase())
+}
+
+/// The commit in Hugging Face's header. It becomes a part of an address: anything else than a hash is none.
+fn commit(headers: &HeaderMap) -> Option<String> {
+    let value = headers.get(REPO_COMMIT)?.to_str().ok()?;
+    let is_hash = value.len() == 40 && value.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_hash.then(|| value.to_owned())
 }
 
 /// Hash and length of a file.

@@ -2,7 +2,6 @@
 
 use std::{
     collections::{BTreeSet, VecDeque},
-    sync::{Arc, Mutex},
     time::Duration,
 };
 
@@ -10,22 +9,20 @@ use anyhow::Result;
 use tokio::time::Instant;
 use wm_msgs::{
     builtin_interfaces::Time,
-    sensor_msgs::{CompressedImage, Image},
-    std_msgs::{Bool, String as Text},
+    std_msgs::String as Text,
     wm_msgs::{
-        Action, ActionChunk, EnvObservation, EnvReset, EnvResetRequest, EnvResetResponse, EnvStep,
-        EnvStepRequest, EnvStepResponse, Timing as TimingMessage,
+        EnvObservation, EnvReset, EnvResetRequest, EnvResetResponse, EnvStep, EnvStepRequest,
+        EnvStepResponse, Timing as TimingMessage,
     },
 };
-use wm_ros::{Call, Clock, Diagnostics, Publisher, Qos, Service, Subscription};
+use wm_ros::{Call, Clock, Diagnostics, Qos};
 
 use super::{
-    super::{Attached, Env, EnvError, Move, Moved, Observation, Start, parameters::Parameters},
+    super::{Attached, EnvError, Move, Moved, Observation, Start, parameters::Parameters},
     EnvNode,
+    policy::{has_policy, missing, publish},
 };
-use wm_model::actions::ActionEncoding;
-
-use crate::{history::Timing, work::Work};
+use crate::work::Work;
 use wm_ros::complaints::Complaints;
 use wm_wire::{
     camera_frame::CameraFrame,
@@ -36,6 +33,11 @@ use wm_wire::{
 pub(super) const RESEND: Duration = Duration::from_secs(1);
 /// How often the graph is asked whether a policy has come.
 const LOOK: Duration = Duration::from_millis(100);
+
+/// Calls of one kind that may wait; each holds its request.
+const MOST_WAITING: usize = 64;
+/// Calls that came together are computed together: how long the first of them waits for the others. Far below a step.
+const GATHER: Duration = Duration::from_millis(5);
 
 /// What the env's thread is to do.
 pub(super) enum Job {
@@ -98,16 +100,6 @@ pub(super) struct Played {
 }
 
 pub(super) struct Active {
-    pub(super) resets: Service<EnvReset>,
-    pub(super) steps: Service<EnvStep>,
-    pub(super) actions: Subscription<Action>,
-    pub(super) chunks: Subscription<ActionChunk>,
-    pub(super) successes: Subscription<Bool>,
-    pub(super) raws: Option<Publisher<Image>>,
-    pub(super) jpegs: Option<Publisher<CompressedImage>>,
-    pub(super) instructions: Publisher<Text>,
-    /// Of episodes by service.
-    pub(super) observations: Publisher<EnvObservation>,
     pub(super) work: Work<Job, Done>,
     pub(super) in_flight: InFlight,
     pub(super) waiting_resets: VecDeque<(EnvResetRequest, Resetter)>,
@@ -118,9 +110,6 @@ pub(super) struct Active {
     pub(super) played: Option<Played>,
     /// Episodes by topics that have begun.
     pub(super) begun: u64,
-    pub(super) env: Arc<Mutex<Env>>,
-    pub(super) timing: Timing,
-    pub(super) encoding: ActionEncoding,
     pub(super) clock: Clock,
     pub(super) complaints: Complaints,
     pub(super) diagnostics: Diagnostics,
@@ -147,18 +136,18 @@ impl Active {
             if self.begun == node.parameters.episodes {
                 return Ok(true);
             }
-            if self.has_policy() {
-                let mut request = node.parameters.reset.clone();
+            if has_policy(node) {
+                let mut request = node.parameters.reset();
                 request.seed = request.seed.wrapping_add(self.begun);
                 self.begun += 1;
                 self.waiting_resets.push_back((request, Resetter::Topics));
                 self.complaints.working("an episode is played by topics");
             } else {
-                let (kind, text) = self.missing();
+                let (kind, text) = missing(node);
                 self.complaints.waiting(kind, true, &text);
             }
         }
-        self.remind(now)?;
+        self.remind(now, node)?;
         if !matches!(self.in_flight, InFlight::Nothing) {
             return Ok(false);
         }
@@ -201,6 +190,34 @@ impl Active {
             None if self.begun < parameters.episodes => wake.min(now + LOOK),
             None => wake,
         }
+    }
+
+    /// Takes a call in; one too many is refused at once.
+    pub(super) fn take_reset(&mut self, call: Call<EnvReset>) -> Result<()> {
+        let request = call.request.clone();
+        let resetter = Resetter::Service(Box::new(call));
+        let waiting = self.waiting_resets.len();
+        if waiting >= MOST_WAITING {
+            return self.refuse_reset(resetter, &EnvError::Busy(waiting));
+        }
+        self.waiting_resets.push_back((request, resetter));
+        Ok(())
+    }
+
+    /// As [`take_reset`](Self::take_reset). Of each episode a step may wait, and the next.
+    pub(super) fn take_step(&mut self, call: Call<EnvStep>, most_episodes: usize) {
+        let waiting = self.waiting_steps.len();
+        if waiting >= MOST_WAITING.max(2 * most_episodes) {
+            let error = EnvError::Busy(waiting);
+            self.complaints.left_out("step", &error);
+            let now = self.clock.now();
+            self.answer(call.respond(&response(Err(error), (now, now, now))));
+            return;
+        }
+        if self.waiting_steps.is_empty() {
+            self.gathered = Instant::now() + GATHER;
+        }
+        self.waiting_steps.push_back((call, self.clock.now()));
     }
 
     /// Begins a reset, or waits for the image that it starts from.
@@ -335,9 +352,7 @@ impl Active {
                     ..EnvStepResponse::default()
                 };
                 self.answer(call.respond(&response));
-            } else if moves.len() >= node.parameters.settings.max_episodes
-                || !taken.insert(id.clone())
-            {
+            } else if moves.len() >= node.parameters.max_episodes || !taken.insert(id.clone()) {
                 later.push_back((call, received));
             } else {
                 moves.push(as_move(&call.request));
@@ -359,7 +374,15 @@ impl Active {
         match (done, in_flight) {
             (Done::Reset(begun), InFlight::Reset(resetter)) => match begun {
                 Ok(begun) => self.announce(*begun, resetter, node),
-                Err(error) => self.refuse_reset(resetter, &error),
+                Err(error) => {
+                    let error = match &resetter {
+                        Resetter::Service(call) if names_file(&call.request) => {
+                            error.without_file()
+                        }
+                        _ => error,
+                    };
+                    self.refuse_reset(resetter, &error)
+                }
             },
             (Done::Step { moved, start, end }, InFlight::Steps(steppers)) => {
                 let taken_ns = end.to_nanos().saturating_sub(start.to_nanos());
@@ -370,7 +393,7 @@ impl Active {
                     match stepper {
                         Stepper::Service { call, received } => {
                             match &moved {
-                                Ok(moved) => self.show(&call.request.episode_id, moved)?,
+                                Ok(moved) => show(&call.request.episode_id, moved, node)?,
                                 Err(error) => self.complaints.left_out("step", error),
                             }
                             let response = response(moved, (received, start, end));
@@ -398,7 +421,7 @@ impl Active {
         );
         match resetter {
             Resetter::Service(call) => {
-                self.observations.publish(&EnvObservation {
+                node.endpoints.observations.publish(&EnvObservation {
                     episode_id: response.episode_id.clone(),
                     step: 0,
                     image: observation.jpeg,
@@ -407,17 +430,17 @@ impl Active {
                 Ok(())
             }
             Resetter::Topics => {
-                self.instructions.publish(&Text {
+                node.endpoints.instructions.publish(&Text {
                     data: response.instruction,
                 })?;
-                self.publish(&observation)?;
+                publish(&observation, node)?;
                 let (now, stamp) = (Instant::now(), observation.jpeg.header.stamp);
-                let merging = node.parameters.merging;
+                let merging = node.parameters.merging.0;
                 self.played = Some(Played {
                     attached: Attached::new(
                         response.episode_id,
-                        self.encoding.clone(),
-                        self.timing,
+                        node.model.encoding.clone(),
+                        node.model.timing,
                         merging,
                         stamp,
                     ),
@@ -433,25 +456,30 @@ impl Active {
         }
     }
 
-    /// Sends what an episode by service has seen; it is on its way before the answer is.
-    fn show(&self, episode_id: &str, moved: &Moved) -> Result<()> {
-        // A move is a handful of steps, and they are counted.
-        let first = moved.steps.saturating_sub(moved.observations.len() as u32);
-        for (step, observation) in (first + 1..).zip(&moved.observations) {
-            self.observations.publish(&EnvObservation {
-                episode_id: episode_id.to_owned(),
-                step,
-                image: observation.jpeg.clone(),
-            })?;
-        }
-        Ok(())
-    }
-
     fn answer(&mut self, answered: Result<(), wm_ros::Error>) {
         if let Err(error) = answered {
             self.complaints.left_out("answer", &error);
         }
     }
+}
+
+/// Whether the caller, and not the env's own parameters, says which file the episode starts from.
+fn names_file(request: &EnvResetRequest) -> bool {
+    !request.bag.is_empty() || !request.image.is_empty()
+}
+
+/// Sends what an episode by service has seen; it is on its way before the answer is.
+fn show(episode_id: &str, moved: &Moved, node: &EnvNode) -> Result<()> {
+    // A move is a handful of steps, and they are counted.
+    let first = moved.steps.saturating_sub(moved.observations.len() as u32);
+    for (step, observation) in (first + 1..).zip(&moved.observations) {
+        node.endpoints.observations.publish(&EnvObservation {
+            episode_id: episode_id.to_owned(),
+            step,
+            image: observation.jpeg.clone(),
+        })?;
+    }
+    Ok(())
 }
 
 fn as_move(request: &EnvStepRequest) -> Move {

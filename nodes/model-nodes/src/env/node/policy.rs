@@ -5,7 +5,6 @@ use std::time::Duration;
 use anyhow::{Context as _, Result};
 use tokio::time::Instant;
 use wm_msgs::builtin_interfaces::Time;
-use wm_ros::Publisher;
 
 use super::{
     super::{EnvError, Moved, Observation},
@@ -13,45 +12,58 @@ use super::{
     active::{Active, InFlight, RESEND},
 };
 use crate::history::{HistoryError, seconds};
-use wm_wire::image_message::encode_image;
+use wm_wire::{image_message::encode_image, transport::Pictures};
 
 /// How long a policy may take before it is asked after.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+pub(super) fn has_policy(node: &EnvNode) -> bool {
+    let endpoints = &node.endpoints;
+    is_seen(node) && endpoints.actions.publishers() + endpoints.chunks.publishers() > 0
+}
+
+fn is_seen(node: &EnvNode) -> bool {
+    node.endpoints.pictures.subscribers() > 0
+}
+
+fn action_topics(node: &EnvNode) -> String {
+    let endpoints = &node.endpoints;
+    [endpoints.chunks.topic(), endpoints.actions.topic()].join(" or ")
+}
+
+/// What a policy still lacks, in a word and in words.
+pub(super) fn missing(node: &EnvNode) -> (&'static str, String) {
+    if is_seen(node) {
+        let topics = action_topics(node);
+        (
+            "policy's actions",
+            format!("no policy yet: nobody publishes {topics}"),
+        )
+    } else {
+        let topics = node.endpoints.pictures.topics().join(" or ");
+        (
+            "policy",
+            format!("no policy yet: nobody subscribes to {topics}"),
+        )
+    }
+}
+
+/// Shows the policy that plays by topics what there is to see.
+pub(super) fn publish(observation: &Observation, node: &EnvNode) -> Result<()> {
+    let transports = node.parameters.image_transport;
+    let header = || observation.jpeg.header.clone();
+    let pictures = Pictures {
+        raw: transports
+            .raw
+            .then(|| encode_image(&observation.picture, header())),
+        compressed: transports.compressed.then(|| observation.jpeg.clone()),
+    };
+    Ok(node.endpoints.pictures.publish(&pictures)?)
+}
+
 impl Active {
-    pub(super) fn has_policy(&self) -> bool {
-        self.is_seen() && self.actions.publishers() + self.chunks.publishers() > 0
-    }
-
-    fn is_seen(&self) -> bool {
-        let raws = self.raws.as_ref().map_or(0, Publisher::subscribers);
-        raws + self.jpegs.as_ref().map_or(0, Publisher::subscribers) > 0
-    }
-
-    /// What a policy still lacks, in a word and in words.
-    pub(super) fn missing(&self) -> (&'static str, String) {
-        if self.is_seen() {
-            let topics = [self.chunks.topic(), self.actions.topic()].join(" or ");
-            (
-                "policy's actions",
-                format!("no policy yet: nobody publishes {topics}"),
-            )
-        } else {
-            let topics = [
-                self.jpegs.as_ref().map(Publisher::topic),
-                self.raws.as_ref().map(Publisher::topic),
-            ];
-            let topics: Vec<_> = topics.into_iter().flatten().collect();
-            let topics = topics.join(" or ");
-            (
-                "policy",
-                format!("no policy yet: nobody subscribes to {topics}"),
-            )
-        }
-    }
-
     /// Sends the observation again that the policy does not answer, and asks after it.
-    pub(super) fn remind(&mut self, now: Instant) -> Result<()> {
+    pub(super) fn remind(&mut self, now: Instant, node: &EnvNode) -> Result<()> {
         if let Some(played) = &mut self.played
             && !played.is_over
             && now.duration_since(played.published) >= RESEND
@@ -60,10 +72,10 @@ impl Active {
             played.published = now;
             let observation = played.observation.clone();
             let is_long = now.duration_since(played.shown) >= PATIENCE;
-            self.publish(&observation)?;
+            publish(&observation, node)?;
             if is_long {
                 let stamp = seconds(observation.jpeg.header.stamp);
-                let topics = [self.chunks.topic(), self.actions.topic()].join(" or ");
+                let topics = action_topics(node);
                 self.complaints.waiting(
                     "actions",
                     false,
@@ -94,27 +106,16 @@ impl Active {
         }
         for observation in moved.observations {
             played.attached.observed(observation.jpeg.header.stamp);
-            self.publish(&observation)?;
+            publish(&observation, node)?;
             played.observation = observation;
         }
         let now = Instant::now();
         self.complaints.working("an episode is played by topics");
         played.published = now;
         played.shown = now;
-        played.due = (played.due + node.parameters.period).max(now);
+        played.due = (played.due + node.parameters.period()).max(now);
         played.is_over |= moved.truncated;
         self.played = Some(played);
-        Ok(())
-    }
-
-    pub(super) fn publish(&self, observation: &Observation) -> Result<()> {
-        if let Some(raws) = &self.raws {
-            let header = observation.jpeg.header.clone();
-            raws.publish(&encode_image(&observation.picture, header))?;
-        }
-        if let Some(jpegs) = &self.jpegs {
-            jpegs.publish(&observation.jpeg)?;
-        }
         Ok(())
     }
 

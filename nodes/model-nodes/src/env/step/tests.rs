@@ -449,3 +449,40 @@ fn what_cannot_be_is_refused_by_name_and_leaves_the_episode_as_it_is() {
         .to_string();
     assert!(error.contains("/no/such.png"), "{error}");
 }
+
+/// Opening a pipe waits for who writes into it, and the env computes one thing at a time.
+#[test]
+fn a_start_that_would_block_is_refused_and_a_caller_learns_nothing_of_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe");
+    let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+    let kind = rustix::fs::FileType::Fifo;
+    rustix::fs::mknodat(rustix::fs::CWD, &pipe, kind, mode, 0).unwrap();
+    let secret = folder.path().join("secret");
+    std::fs::write(&secret, "root:$6$salt").unwrap();
+    let mut env = env(None);
+    let mut refused = |start: Start| {
+        let begun = env.reset(&request("a", 1), &start, stamp(0));
+        begun.unwrap_err()
+    };
+    let errors = [
+        refused(Start::Image(pipe)),
+        refused(Start::Image(secret.clone())),
+        refused(Start::Image("/no/such.png".into())),
+        refused(Start::Bag {
+            path: secret,
+            offset_s: 0.0,
+        }),
+    ];
+    assert!(
+        errors[0].to_string().contains("regular file"),
+        "{}",
+        errors[0]
+    );
+    for error in errors {
+        assert_eq!(
+            error.without_file().to_string(),
+            EnvError::NoStart.to_string()
+        );
+    }
+}

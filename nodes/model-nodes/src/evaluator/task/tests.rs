@@ -10,7 +10,7 @@ use wm_msgs::{
     std_msgs::Header,
     wm_msgs::{Action, ActionCandidates, ActionChunk, CandidateAssessment},
 };
-use wm_zoo::{WorldModel, folder::write_random_weights, success_probe::SuccessClassifier};
+use wm_zoo::{ModelFolder, folder::write_random_weights, success_probe::SuccessClassifier};
 
 use super::*;
 use crate::{
@@ -53,7 +53,7 @@ fn probed_model() -> (TempDir, PredictorModel, Arc<SuccessClassifier>) {
     write("model.json", description);
     write("tokenizer.json", tokenizer);
     write_random_weights(folder.path(), 5).unwrap();
-    let model = WorldModel::open(&folder.path().to_string_lossy()).unwrap();
+    let model = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
     let bundled = model.transition().unwrap();
     let probe = model.probe().unwrap().unwrap();
     let predictor = PredictorModel {

@@ -2,7 +2,7 @@
 
 use super::{
     super::{codec::Raw, local::is_same_participant, lock::lock, shared::Shared},
-    Mail, Peer, Postbox, State, TYPE,
+    Mail, Offered, Peer, Postbox, State, TYPE,
     inbox::Whole,
     message::PartMessage,
     peer_of, profile, topic_of,
@@ -10,6 +10,7 @@ use super::{
 use crate::{
     Error,
     backend::{EndpointId, Sample},
+    payload::Payload,
 };
 use bytes::Bytes;
 use futures::StreamExt as _;
@@ -47,23 +48,23 @@ impl Shared {
         (with, !without.is_empty())
     }
 
-    /// Offers a message to those who take it in parts; its number.
+    /// Offers a message to those who take it in parts.
     pub(in crate::dds) fn offer(
         &self,
         writer: &EndpointId,
         bytes: &Bytes,
         copy: i64,
         peers: BTreeSet<Peer>,
-    ) -> Option<i64> {
+    ) -> Option<Offered> {
         let (now, mut mail) = (Instant::now(), Vec::new());
         let mut state = lock(&self.parts.state);
-        let number = state
+        let offered = state
             .outbox
             .offer(now, writer, bytes, copy, peers, &mut mail);
         self.send(&mut state, mail);
         drop(state);
         self.parts.is_earlier.notify_one();
-        number
+        offered
     }
 
     /// Something came for this participant.
@@ -90,7 +91,7 @@ impl Shared {
                 state.outbox.wanted(now, peer, id, index, &mut mail);
             }
             PartMessage::Settled { id } => {
-                state.outbox.settled(peer, id);
+                state.outbox.settled(now, peer, id);
                 self.parts.is_settled.notify_waiters();
             }
         }
@@ -140,7 +141,7 @@ impl Shared {
             let has_copy = of.copy > 0 && heard.is_some_and(|heard| *heard >= of.copy);
             if is_connected && !has_copy {
                 reader.inbox.push(Sample {
-                    bytes: bytes.clone(),
+                    payload: Payload::Cdr(bytes.clone()),
                     writer,
                     sequence: of.id.number,
                     request: None,

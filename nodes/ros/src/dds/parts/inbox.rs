@@ -62,11 +62,13 @@ impl Assembly {
         }
     }
 
+    fn is_whole(&self) -> bool {
+        self.of
+            .is_some_and(|of| self.parts.len() >= of.parts() as usize)
+    }
+
     fn whole(&self) -> Option<Whole> {
-        let of = self.of?;
-        if self.parts.len() < of.parts() as usize {
-            return None;
-        }
+        let of = self.of.filter(|_| self.is_whole())?;
         let mut parts = self.parts.values();
         let bytes = match (self.parts.len(), parts.next()) {
             (1, Some(only)) => only.clone(),
@@ -129,6 +131,10 @@ impl Inbox {
             patience: PATIENCE,
             queue: VecDeque::new(),
         });
+        // what the writer does not keep for this reader any more will not come
+        stream
+            .queue
+            .retain(|assembly| assembly.number >= first || assembly.is_whole());
         if stream.queue.is_empty() {
             // what went by while nobody read here
             stream.settled = stream.settled.max(first.saturating_sub(1));

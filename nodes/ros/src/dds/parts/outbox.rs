@@ -18,13 +18,33 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 /// What a writer keeps for a reader that does not take it, whatever its depth \[byte\]; one message it keeps in any case.
 const MOST_BYTES: usize = 64 << 20;
 
+/// A reader that has asked for nothing for this long while messages wait for it is silent: only the newest is kept for
+/// it, until it is heard again.
+const SILENCE: Duration = Duration::from_secs(5);
+
 /// How much a writer keeps.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::dds) enum Keep {
     /// The last messages, at most this many, whoever has not taken the others.
     Last(usize),
-    /// All, until it is full with this many.
+    /// All, at most this many: then the oldest are dropped for the readers that have not taken them.
     All(usize),
+}
+
+impl Keep {
+    const fn most(self) -> usize {
+        match self {
+            Self::Last(number) | Self::All(number) => number,
+        }
+    }
+}
+
+/// What became of a message that was offered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::dds) struct Offered {
+    pub(in crate::dds) number: i64,
+    /// Older messages that were dropped for readers of a reliable writer, once for each reader.
+    pub(in crate::dds) dropped: u64,
 }
 
 struct Kept {
@@ -41,11 +61,59 @@ struct Stream {
     base: i64,
     last: i64,
     kept: VecDeque<Kept>,
+    /// Since when each reader that messages wait for has been silent.
+    silent_since: BTreeMap<Peer, Instant>,
 }
 
 impl Stream {
-    fn kept_bytes(&self) -> usize {
-        self.kept.iter().map(|kept| kept.bytes.len()).sum()
+    /// Readers for which only the newest message is kept.
+    fn silent(&self, now: Instant) -> BTreeSet<Peer> {
+        let silent = self.silent_since.iter();
+        let silent = silent.filter(|(_, since)| now.saturating_duration_since(**since) >= SILENCE);
+        silent.map(|(peer, _)| *peer).collect()
+    }
+
+    /// The reader has said something, or nothing waits for it.
+    fn heard(&mut self, now: Instant, peer: &Peer) {
+        if let Some(since) = self.silent_since.get_mut(peer) {
+            *since = now;
+        }
+    }
+
+    /// Whether more is kept than may be.
+    fn is_over(&self, number: usize, bytes: usize) -> bool {
+        number > self.keep.most() || bytes > MOST_BYTES
+    }
+
+    /// Drops what is too much, and what is kept for silent readers beside the newest; how much that is.
+    fn trim(&mut self, now: Instant) -> u64 {
+        let mut dropped = 0;
+        let silent = self.silent(now);
+        if !silent.is_empty() {
+            let newest = self.last;
+            for kept in self
+                .kept
+                .iter_mut()
+                .filter(|kept| kept.of.id.number < newest)
+            {
+                let before = kept.waiting.len();
+                kept.waiting.retain(|peer| !silent.contains(peer));
+                dropped += before - kept.waiting.len();
+            }
+            self.release(|_| {});
+        }
+        let mut bytes = self.kept.iter().map(|kept| kept.bytes.len()).sum();
+        while self.kept.len() > 1
+            && self.is_over(self.kept.len(), bytes)
+            && let Some(oldest) = self.kept.pop_front()
+        {
+            bytes -= oldest.bytes.len();
+            dropped += oldest.waiting.len();
+        }
+        match self.keep {
+            Keep::Last(_) => 0, // as is said of best effort
+            Keep::All(_) => dropped as u64,
+        }
     }
 }
 
@@ -69,22 +137,29 @@ impl Outbox {
             base: last,
             last,
             kept,
+            silent_since: BTreeMap::new(),
         });
     }
 
-    /// Whether a reader has fallen so far behind that the writer takes nothing more.
-    pub(super) fn is_full(&self, writer: &EndpointId) -> bool {
-        self.streams
-            .get(writer)
-            .is_some_and(|stream| match stream.keep {
-                Keep::Last(_) => false,
-                Keep::All(number) => {
-                    stream.kept.len() >= number || stream.kept_bytes() >= MOST_BYTES
-                }
-            })
+    /// Whether one more message would drop one that a reader still asks for.
+    pub(super) fn is_full(&self, now: Instant, writer: &EndpointId) -> bool {
+        let Some(stream) = self.streams.get(writer) else {
+            return false;
+        };
+        if matches!(stream.keep, Keep::Last(_)) {
+            return false;
+        }
+        let silent = stream.silent(now);
+        let waits = |kept: &&Kept| !kept.waiting.is_subset(&silent);
+        let (number, bytes) = stream
+            .kept
+            .iter()
+            .filter(waits)
+            .fold((0, 0), |sum, kept| (sum.0 + 1, sum.1 + kept.bytes.len()));
+        number >= stream.keep.most() || bytes >= MOST_BYTES
     }
 
-    /// Offers a message; its number. `copy`: the number under which it went out on the topic, 0 where it did not.
+    /// Offers a message. `copy`: the number under which it went out on the topic, 0 where it did not.
     pub(super) fn offer(
         &mut self,
         now: Instant,
@@ -93,7 +168,7 @@ impl Outbox {
         copy: i64,
         peers: BTreeSet<Peer>,
         mail: &mut Vec<Mail>,
-    ) -> Option<i64> {
+    ) -> Option<Offered> {
         let stream = self.streams.get_mut(writer)?;
         stream.last += 1;
         let of = Outline {
@@ -105,27 +180,29 @@ impl Outbox {
             base: stream.base,
             copy,
         };
-        let head = bytes.slice(of.range(0));
-        for peer in &peers {
-            mail.push(stream.offer(of, head.clone(), *peer));
-        }
         if !peers.is_empty() {
+            for peer in &peers {
+                stream.silent_since.entry(*peer).or_insert(now);
+            }
             stream.kept.push_back(Kept {
                 of,
                 bytes: bytes.clone(),
-                waiting: peers,
+                waiting: peers.clone(),
                 again: now + PAUSE,
                 pause: PAUSE,
             });
         }
-        if let Keep::Last(number) = stream.keep {
-            let mut bytes = stream.kept_bytes();
-            while stream.kept.len() > 1 && (stream.kept.len() > number || bytes > MOST_BYTES) {
-                let oldest = stream.kept.pop_front();
-                bytes -= oldest.map_or(0, |oldest| oldest.bytes.len());
-            }
+        let dropped = stream.trim(now);
+        let (silent, head) = (stream.silent(now), bytes.slice(of.range(0)));
+        for peer in peers {
+            let head = match silent.contains(&peer) {
+                true => Bytes::new(),
+                false => head.clone(),
+            };
+            mail.push(stream.offer(of, head, peer));
         }
-        Some(stream.last)
+        let number = stream.last;
+        Some(Offered { number, dropped })
     }
 
     /// A reader wants a part.
@@ -138,9 +215,11 @@ impl Outbox {
         mail: &mut Vec<Mail>,
     ) {
         let stream = self.streams.get_mut(&id.writer);
+        // only who was offered a message may ask for it
         let kept = stream.and_then(|stream| {
+            stream.heard(now, &from);
             let mut kept = stream.kept.iter_mut();
-            kept.find(|kept| kept.of.id == id)
+            kept.find(|kept| kept.of.id == id && kept.waiting.contains(&from))
         });
         let message = match kept {
             Some(kept) if index < kept.of.parts() => {
@@ -157,21 +236,24 @@ impl Outbox {
     }
 
     /// A reader has taken, or given up, everything up to this.
-    pub(super) fn settled(&mut self, from: Peer, id: MessageId) {
+    pub(super) fn settled(&mut self, now: Instant, from: Peer, id: MessageId) {
         if let Some(stream) = self.streams.get_mut(&id.writer) {
+            stream.heard(now, &from);
             stream.release(|kept| {
                 if kept.of.id.number <= id.number {
                     kept.waiting.remove(&from);
                 }
             });
+            stream.forget_settled();
         }
     }
 
-    /// Whether every reader has everything up to this number.
-    pub(super) fn is_settled(&self, writer: &EndpointId, number: i64) -> bool {
+    /// Whether every reader that is not silent has everything up to this number.
+    pub(super) fn is_settled(&self, now: Instant, writer: &EndpointId, number: i64) -> bool {
         self.streams.get(writer).is_none_or(|stream| {
+            let silent = stream.silent(now);
             let mut kept = stream.kept.iter();
-            !kept.any(|kept| kept.of.id.number <= number)
+            !kept.any(|kept| kept.of.id.number <= number && !kept.waiting.is_subset(&silent))
         })
     }
 
@@ -180,7 +262,8 @@ impl Outbox {
         self.streams.get(writer).map(|stream| stream.last)
     }
 
-    /// Repeats the offers that nobody has answered, without their first part: the answer may only be slow. `peers` tells who is still connected to a writer.
+    /// Repeats the offers that nobody has answered, without their first part: the answer may only be slow. `peers` tells
+    /// who is still connected to a writer.
     pub(super) fn repeat(
         &mut self,
         now: Instant,
@@ -193,6 +276,7 @@ impl Outbox {
             }
             let connected = peers(writer);
             stream.release(|kept| kept.waiting.retain(|peer| connected.contains(peer)));
+            stream.forget_settled();
             for kept in stream.kept.iter().filter(|kept| kept.again <= now) {
                 let to = kept.waiting.iter();
                 mail.extend(to.map(|peer| stream.offer(kept.of, Bytes::new(), *peer)));
@@ -219,6 +303,7 @@ impl Outbox {
             stream.release(|kept| {
                 kept.waiting.remove(peer);
             });
+            stream.forget_settled();
         }
     }
 }
@@ -236,5 +321,12 @@ impl Stream {
     fn release(&mut self, change: impl Fn(&mut Kept)) {
         self.kept.iter_mut().for_each(change);
         self.kept.retain(|kept| !kept.waiting.is_empty());
+    }
+
+    /// Nobody is silent for whom nothing waits.
+    fn forget_settled(&mut self) {
+        let kept = &self.kept;
+        let waits = |peer: &Peer| kept.iter().any(|kept| kept.waiting.contains(peer));
+        self.silent_since.retain(|peer, _| waits(peer));
     }
 }

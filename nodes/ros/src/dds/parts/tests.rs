@@ -63,17 +63,20 @@ impl Network {
         }
     }
 
-    fn publish(&mut self, bytes: &Bytes) -> bool {
-        if self.outbox.is_full(&WRITER) {
-            return false;
-        }
+    /// How many messages were dropped for readers that are behind.
+    fn publish(&mut self, bytes: &Bytes) -> u64 {
         let (peers, mut mail) = (self.inboxes.keys().copied().collect(), Vec::new());
-        self.outbox
+        let offered = self
+            .outbox
             .offer(self.now, &WRITER, bytes, 0, peers, &mut mail)
             .unwrap();
         self.flying
             .extend(mail.into_iter().map(|mail| (HOME, mail)));
-        true
+        offered.dropped
+    }
+
+    fn is_settled(&self) -> bool {
+        self.outbox.is_settled(self.now, &WRITER, i64::MAX)
     }
 
     /// A millisecond: what is due is done, and what was on its way arrives, or not.
@@ -111,7 +114,7 @@ impl Network {
                 (PartMessage::Want { id, index }, None) => {
                     self.outbox.wanted(self.now, from, id, index, &mut mail);
                 }
-                (PartMessage::Settled { id }, None) => self.outbox.settled(from, id),
+                (PartMessage::Settled { id }, None) => self.outbox.settled(self.now, from, id),
                 (message, _) => panic!("{message:?} to the wrong side"),
             }
             let from = to;
@@ -168,14 +171,14 @@ proptest! {
     ) {
         let mut network = Network::new(Keep::All(9), 9, 2, weather(seed));
         for (index, len) in lengths.iter().enumerate() {
-            prop_assert!(network.publish(&message(index, *len)));
+            prop_assert_eq!(network.publish(&message(index, *len)), 0);
             network.step();
         }
         for _ in 0..30_000 {
             network.step();
-            if network.outbox.is_settled(&WRITER, i64::MAX) { break; }
+            if network.is_settled() { break; }
         }
-        prop_assert!(network.outbox.is_settled(&WRITER, i64::MAX), "not settled");
+        prop_assert!(network.is_settled(), "not settled");
         prop_assert_eq!(network.outbox.due(), None);
         for reader in 0..2 {
             let numbers: Vec<i64> = (11..11 + lengths.len() as i64).collect();
@@ -274,7 +277,7 @@ fn a_reader_that_has_stopped_holds_up_nobody_and_costs_what_the_writer_keeps() {
         network.step();
     }
     assert_eq!(network.numbers(1), [56, 57, 58, 59, 60]);
-    assert!(network.outbox.is_settled(&WRITER, i64::MAX));
+    assert!(network.is_settled());
 }
 
 #[test]
@@ -304,20 +307,65 @@ fn of_very_large_messages_fewer_are_kept_than_the_depth_says() {
 }
 
 #[test]
-fn a_reliable_writer_is_full_when_a_reader_takes_nothing_and_goes_on_without_it() {
-    let mut network = Network::new(Keep::All(3), 9, 2, || Fate::Arrives);
+fn a_reader_of_a_reliable_writer_that_has_stopped_loses_the_oldest_and_the_others_nothing() {
+    const COUNT: usize = 40;
+    let mut network = Network::new(Keep::All(9), 9, 2, || Fate::Arrives);
     network.stopped.insert([1; 12]);
-    let taken = (0..9)
-        .filter(|index| network.publish(&message(*index, PART)))
-        .count();
-    assert_eq!(taken, 3);
-    network.outbox.forget_peer(&[1; 12]);
-    network.inboxes.remove(&[1; 12]);
-    for _ in 0..9 {
+    let mut dropped = 0;
+    for index in 0..COUNT {
+        dropped += network.publish(&message(index, 2 * PART));
+        for _ in 0..20 {
+            network.step();
+        }
+    }
+    assert_eq!(
+        network.numbers(0),
+        (11..11 + COUNT as i64).collect::<Vec<_>>()
+    );
+    assert_eq!(dropped, (COUNT - 9) as u64);
+    assert!(network.outbox.is_full(network.now, &WRITER));
+    assert!(!network.is_settled());
+
+    // silent for seconds: it is not waited for, and only the newest is kept
+    for _ in 0..5_000 {
         network.step();
     }
-    assert_eq!(network.numbers(0), [11, 12, 13]);
-    assert!(network.publish(&message(3, PART)));
+    assert!(network.is_settled() && !network.outbox.is_full(network.now, &WRITER));
+    dropped = network.publish(&message(COUNT, 2 * PART));
+    assert_eq!(dropped, 9);
+
+    // it goes on with the newest
+    network.stopped.clear();
+    for _ in 0..2_000 {
+        network.step();
+    }
+    assert_eq!(network.numbers(1), [11 + COUNT as i64]);
+    assert_eq!(network.outbox.due(), None);
+    assert_eq!(network.publish(&message(0, PART)), 0);
+    for _ in 0..20 {
+        network.step();
+    }
+    assert_eq!(network.numbers(1).len(), 2);
+}
+
+#[test]
+fn parts_are_for_those_they_were_offered_to() {
+    let (mut outbox, now, mut mail) = (Outbox::default(), Instant::now(), Vec::new());
+    outbox.open(WRITER, Keep::Last(DEPTH), 0);
+    let (reader, stranger) = ([1; 12], [2; 12]);
+    let bytes = message(0, 3 * PART);
+    outbox.offer(now, &WRITER, &bytes, 0, [reader].into(), &mut mail);
+    mail.clear();
+    let id = MessageId {
+        writer: WRITER,
+        number: 1,
+    };
+    for peer in [reader, stranger] {
+        outbox.wanted(now, peer, id, 1, &mut mail);
+    }
+    let is_part = |mail: &Mail| matches!(mail.message, PartMessage::Part { .. });
+    let parts: Vec<bool> = mail.iter().map(is_part).collect();
+    assert_eq!(parts, [true, false]);
 }
 
 #[test]
@@ -335,10 +383,10 @@ fn who_reads_no_more_is_not_waited_for() {
             &mut mail,
         )
         .unwrap();
-    assert!(!outbox.is_settled(&WRITER, 1));
+    assert!(!outbox.is_settled(now, &WRITER, 1));
     let due = outbox.due().unwrap();
     outbox.repeat(due, |_| BTreeSet::new(), &mut mail);
-    assert!(outbox.is_settled(&WRITER, 1));
+    assert!(outbox.is_settled(due, &WRITER, 1));
 }
 
 #[test]

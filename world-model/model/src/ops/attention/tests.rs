@@ -1,7 +1,8 @@
 use candle_core::Device;
 
-use super::super::form::tests::{check_refused, check_same, random};
+use super::super::engine::tests::{check_refused, check_same, random};
 use super::*;
+use crate::ops::{RopeLayout, RotaryTable};
 
 /// Root-mean-square normalisation and rotation of one head's channels, as they are defined; `angle(pair)`.
 fn prepared(x: &[f32], angle: impl Fn(usize) -> f64) -> Vec<f64> {
@@ -63,7 +64,7 @@ fn heads_of_any_width_are_those_of_the_definition() {
         let pattern = AttentionPattern::new(Axis::Space, heads, rotary, |_, _| true).unwrap();
         let shape = (1, 1, rows * columns, 3 * d);
         let qkv = Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
-        let out = attention(Form::Kernel, &qkv, &Arc::new(pattern)).unwrap();
+        let out = attention(Engine::Cpu, &qkv, &Arc::new(pattern)).unwrap();
         let rows = |x: &Tensor| x.squeeze(0).unwrap().squeeze(0).unwrap().to_vec2().unwrap();
         let (qkv, out): (Vec<Vec<f32>>, Vec<Vec<f32>>) = (rows(&qkv), rows(&out));
         for head in 0..heads {
@@ -88,24 +89,31 @@ fn the_kernel_is_the_plain_form() {
     let forcing = |query: usize, key: usize| key == query || key < [1, 2, 1, 2][query];
     for dim in [4, 12, 16, 64] {
         let space = |rotary, visible| AttentionPattern::new(Axis::Space, heads, rotary, visible);
+        let views = |layout| RotaryTable::views(2, 3, 2, layout, dim);
         let time = |positions: &[usize], visible: fn(usize, usize) -> bool| {
             let rotary = RotaryTable::sequence(positions, dim);
             AttentionPattern::new(Axis::Time, heads, rotary, visible)
         };
         for (what, pattern, t, n) in [
             ("grid", space(RotaryTable::grid(3, 4, dim), all), 2, 12),
-            ("views", space(RotaryTable::views(2, 3, 2, dim), all), 2, 12),
+            ("views", space(views(RopeLayout::ByView), all), 2, 12),
+            (
+                "views as in the reference",
+                space(views(RopeLayout::Reference), all),
+                2,
+                12,
+            ),
             ("causal", time(&[0, 1, 2, 3, 4], causal), 5, 3),
             ("forcing", time(&[0, 1, 1, 2], forcing), 4, 3),
             ("one frame", time(&[3], all), 1, 3),
         ] {
             let pattern = Arc::new(pattern.unwrap());
             let qkv = random(&[2, t, n, 3 * heads * dim], 1);
-            check_same(&format!("{what}, heads of {dim}"), |form| {
-                attention(form, &qkv, &pattern)
+            check_same(&format!("{what}, heads of {dim}"), |engine| {
+                attention(engine, &qkv, &pattern)
             });
             let wrong = random(&[2, t + 1, n + 1, 3 * heads * dim], 2);
-            check_refused("attention: ", |form| attention(form, &wrong, &pattern));
+            check_refused("attention: ", |engine| attention(engine, &wrong, &pattern));
         }
     }
 }

@@ -3,9 +3,9 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::super::tests::{adapted, folder};
-use super::super::{FILE, ModelFolder};
+use super::super::{DescribedFolder, FILE};
 use super::*;
-use crate::WorldModel;
+use crate::ModelFolder;
 use crate::success_probe::tests::TOKENIZER;
 
 /// The model of the other tests, latents of 4x4x6, with a probe.
@@ -30,7 +30,7 @@ fn probed_folder(model: &Value) -> TempDir {
 
 fn classifier(model: &Value) -> SuccessClassifier {
     let folder = probed_folder(model);
-    ModelFolder::open(folder.path())
+    DescribedFolder::open(folder.path())
         .unwrap()
         .probe()
         .unwrap()
@@ -39,7 +39,9 @@ fn classifier(model: &Value) -> SuccessClassifier {
 
 fn refused(model: &Value) -> String {
     let folder = probed_folder(model);
-    ModelFolder::open(folder.path()).unwrap_err().to_string()
+    DescribedFolder::open(folder.path())
+        .unwrap_err()
+        .to_string()
 }
 
 fn episode(frames: usize, phase: f32) -> Tensor {
@@ -76,7 +78,7 @@ fn a_probability_is_of_the_episode_and_of_the_instruction() {
 fn the_probe_reads_no_padding_and_no_normalisation() {
     let model = probed();
     let folder = probed_folder(&model);
-    let opened = ModelFolder::open(folder.path()).unwrap();
+    let opened = DescribedFolder::open(folder.path()).unwrap();
     let classifier = opened.probe().unwrap().unwrap();
     let instruction = classifier.instruction("put the cup").unwrap();
     let found = classifier
@@ -88,9 +90,12 @@ fn the_probe_reads_no_padding_and_no_normalisation() {
     opened.normalisation.undo(&mut values);
     let latents = Tensor::from_vec(values, (1, 3, 4, 4, 6), &Device::Cpu).unwrap();
     let ids = Tensor::new(&[[3_u32, 4, 5, 1, 0, 0, 0, 0]], &Device::Cpu).unwrap();
-    let words = classifier.text.forward(&ids, None).unwrap();
+    let Judge::Instructed(judge) = &classifier.judge else {
+        panic!("another probe");
+    };
+    let words = judge.text.forward(&ids, None).unwrap();
     let words = words.narrow(1, 0, 4).unwrap();
-    let logit = classifier.probe.forward(&latents, &words, None).unwrap();
+    let logit = judge.probe.forward(&latents, &words, None).unwrap();
     let logit = logit.to_vec1::<f32>().unwrap()[0];
     let expected = 1.0 / (1.0 + (-logit).exp());
     assert!((found - expected).abs() < 1e-6, "{found} {expected}");
@@ -98,11 +103,64 @@ fn the_probe_reads_no_padding_and_no_normalisation() {
     let mut plain = model;
     plain["normalisation"] = Value::Null;
     std::fs::write(folder.path().join(FILE), plain.to_string()).unwrap();
-    let plain = ModelFolder::open(folder.path()).unwrap().probe().unwrap();
+    let plain = DescribedFolder::open(folder.path())
+        .unwrap()
+        .probe()
+        .unwrap();
     let unscaled = plain
         .unwrap()
         .probability(&latents.squeeze(0).unwrap(), &instruction);
     assert!((found - unscaled.unwrap()).abs() < 1e-6);
+}
+
+#[test]
+fn a_probe_of_pooled_latents_reads_no_instruction() {
+    for (kind, config) in [
+        (
+            "linear-probe",
+            json!({"features": 6, "pool": 4, "max_frames": 4}),
+        ),
+        (
+            "temporal-probe",
+            json!({"features": 6, "max_frames": 4, "hidden": 16, "heads": 2, "mlp": 20}),
+        ),
+        (
+            "progress-probe",
+            json!({"features": 6, "pool": 2, "hidden": 16, "max_frames": 4}),
+        ),
+    ] {
+        let mut model = adapted();
+        model["probe"] = json!({"kind": kind, "weights": "probe.safetensors", "config": config});
+        let folder = folder(&model);
+        let opened = DescribedFolder::open(folder.path()).unwrap();
+        let roles: Vec<_> = opened
+            .summary()
+            .unwrap()
+            .parts
+            .iter()
+            .map(|p| p.role)
+            .collect();
+        assert_eq!(roles.last(), Some(&"probe"));
+        let classifier = opened.probe().unwrap().unwrap();
+        assert_eq!(classifier.max_frames(), 4, "{kind}");
+        let [cup, plate] = ["cup", "plate"].map(|text| classifier.instruction(text).unwrap());
+        let of = |phase, instruction| {
+            let episode = episode(6, phase);
+            classifier.probability(&episode, instruction).unwrap()
+        };
+        let found = of(0.0, &cup);
+        assert!((0.0..=1.0).contains(&found), "{kind}: {found}");
+        assert_eq!(found, of(0.0, &plate), "{kind}");
+        assert!((found - of(1.0, &cup)).abs() > 1e-4, "{kind}: {found}");
+
+        model["probe"]["text"] = probed()["probe"]["text"].clone();
+        let message = refused(&model);
+        assert!(message.contains("reads no instruction"), "{message}");
+    }
+    let mut model = probed();
+    model["probe"].as_object_mut().unwrap().remove("text");
+    let message = refused(&model);
+    assert!(message.contains("probe: text: missing"), "{message}");
 }
 
 #[test]
@@ -149,7 +207,9 @@ fn a_probe_that_does_not_fit_is_named() {
             // Random weights cannot be made for it.
             let folder = probed_folder(&probed());
             std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
-            ModelFolder::open(folder.path()).unwrap_err().to_string()
+            DescribedFolder::open(folder.path())
+                .unwrap_err()
+                .to_string()
         } else {
             refused(&model)
         };
@@ -169,7 +229,9 @@ fn a_probe_that_does_not_fit_is_named() {
             _ => model["probe"][part][field] = json!(3),
         }
         std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
-        let message = ModelFolder::open(folder.path()).unwrap_err().to_string();
+        let message = DescribedFolder::open(folder.path())
+            .unwrap_err()
+            .to_string();
         assert!(
             message.contains(tensor) && message.contains("missing"),
             "{message}"
@@ -183,7 +245,7 @@ fn a_wrong_tokenizer_is_named_where_the_probe_is_loaded() {
     let path = folder.path().join("tokenizer.json");
     std::fs::write(&path, "{}").unwrap();
     // Who does not need the probe does not read it.
-    let model = WorldModel::open(&folder.path().to_string_lossy()).unwrap();
+    let model = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
     model.encoder().unwrap();
     let message = model.probe().unwrap_err().to_string();
     let file = path.display().to_string();
@@ -193,13 +255,19 @@ fn a_wrong_tokenizer_is_named_where_the_probe_is_loaded() {
 
 #[test]
 fn a_model_need_not_have_a_probe() {
-    assert!(WorldModel::open("tiny").unwrap().probe().unwrap().is_none());
+    assert!(
+        ModelFolder::open("tiny")
+            .unwrap()
+            .probe()
+            .unwrap()
+            .is_none()
+    );
     let without = folder(&adapted());
-    let without = ModelFolder::open(without.path()).unwrap();
+    let without = DescribedFolder::open(without.path()).unwrap();
     assert!(without.probe().unwrap().is_none());
     let with = probed_folder(&probed());
-    let with = ModelFolder::open(with.path()).unwrap();
-    let roles = |model: &ModelFolder| -> Vec<_> {
+    let with = DescribedFolder::open(with.path()).unwrap();
+    let roles = |model: &DescribedFolder| -> Vec<_> {
         let parts = model.summary().unwrap().parts;
         parts.iter().map(|part| part.role).collect()
     };

@@ -1,4 +1,5 @@
 use super::*;
+use std::fs;
 use std::io::{BufRead as _, BufReader};
 use std::net::TcpListener;
 use std::sync::{Arc, Mutex};
@@ -72,9 +73,25 @@ impl Server {
         Self { url, requests }
     }
 
-    fn fetch(&self, path: &Path) -> Result<Fetched> {
+    fn client() -> Client {
         let agent = settings().proxy(None).build().into();
-        Client { agent, token: None }.fetch(&self.url, path)
+        Client { agent, token: None }
+    }
+
+    fn fetch(&self, path: &Path) -> Result<String> {
+        self.fetch_pinned(path, None, false)
+    }
+
+    fn fetch_pinned(&self, path: &Path, pinned: Option<&str>, overwrite: bool) -> Result<String> {
+        let client = Self::client();
+        let stated = client.stated(&self.url)?;
+        client.fetch(&Request {
+            url: &self.url,
+            path,
+            stated: stated.sha256.as_deref(),
+            pinned,
+            overwrite,
+        })
     }
 
     fn request(&self, number: usize) -> String {
@@ -109,7 +126,7 @@ fn resumed(head: &str, first: &str, answers: &[String]) -> (Result<String>, Vec<
     assert!(format!("{error:#}").contains("after 7 bytes"), "{error:#}");
     let fetched = server.fetch(&path).map(|fetched| {
         let text = fs::read_to_string(&path).unwrap();
-        assert_eq!(fetched.sha256, sha256(&text));
+        assert_eq!(fetched, sha256(&text));
         text
     });
     let left: Vec<_> = fs::read_dir(folder.path()).unwrap().collect();
@@ -174,7 +191,7 @@ fn the_stated_hash_has_the_last_word() {
     assert_eq!(resumed(&head, OLD, &[good]).0.unwrap(), "the old file");
     let bad = answer("206 Partial Content", &rest, " fire");
     let error = resumed(&head, OLD, &[bad]).0.unwrap_err().to_string();
-    assert!(error.contains("damaged on the way"), "{error}");
+    assert!(error.contains("not the file expected"), "{error}");
 }
 
 #[test]
@@ -189,6 +206,58 @@ fn what_is_whole_already_is_only_renamed() {
     let end = format!("{OLD}Content-Range: bytes */3\r\n");
     let end = answer("416 Range Not Satisfiable", &end, "");
     let server = Server::start(answer("200 OK", "", ""), vec![end]);
-    assert_eq!(server.fetch(&path).unwrap().sha256, sha256("all"));
+    assert_eq!(server.fetch(&path).unwrap(), sha256("all"));
     assert_eq!(fs::read_to_string(&path).unwrap(), "all");
+}
+
+#[test]
+fn a_file_that_differs_is_replaced_only_if_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model");
+    fs::write(&path, "mine").unwrap();
+    let head = format!("{LINKED_ETAG}: \"{}\"\r\n", sha256("theirs"));
+    let server = Server::start(
+        answer("200 OK", &head, ""),
+        vec![answer("200 OK", "", "theirs")],
+    );
+    let error = server.fetch(&path).unwrap_err().to_string();
+    assert!(error.contains("--overwrite"), "{error}");
+    assert_eq!(fs::read_to_string(&path).unwrap(), "mine");
+    let found = server.fetch_pinned(&path, None, true).unwrap();
+    assert_eq!(found, sha256("theirs"));
+    assert_eq!(fs::read_to_string(&path).unwrap(), "theirs");
+}
+
+#[test]
+fn only_the_file_of_the_last_time_is_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model");
+    let pinned = sha256("the old file");
+    // Where the server states no hash, what it sends decides.
+    for head in [
+        String::new(),
+        format!("{LINKED_ETAG}: \"{}\"\r\n", sha256("the new file")),
+    ] {
+        let file = answer("200 OK", "", "the new file");
+        let server = Server::start(answer("200 OK", &head, ""), vec![file]);
+        let error = server.fetch_pinned(&path, Some(&pinned), false);
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains(&pinned), "{error}");
+        assert!(!path.exists());
+    }
+    let file = answer("200 OK", "", "the new file");
+    let server = Server::start(answer("200 OK", "", ""), vec![file]);
+    server.fetch_pinned(&path, Some(&pinned), true).unwrap();
+    assert_eq!(fs::read_to_string(&path).unwrap(), "the new file");
+}
+
+#[test]
+fn a_branch_becomes_the_commit_that_it_stands_for() {
+    let commit = "0123456789abcdef0123456789abcdef01234567";
+    for (stated, expected) in [(commit, Some(commit)), ("../../other", None)] {
+        let head = answer("200 OK", &format!("{REPO_COMMIT}: {stated}\r\n"), "");
+        let server = Server::start(head, Vec::new());
+        let stated = Server::client().stated(&server.url).unwrap();
+        assert_eq!(stated.commit.as_deref(), expected);
+    }
 }

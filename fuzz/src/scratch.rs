@@ -1,0 +1,35 @@
+//! A folder for targets that read files.
+
+use std::path::PathBuf;
+use tempfile::TempDir;
+
+/// A folder of this thread, kept from run to run: making one takes longer than most runs.
+///
+/// # Panics
+/// If the folder cannot be made.
+#[allow(
+    clippy::expect_used,
+    reason = "without a folder there is nothing to fuzz"
+)]
+pub(crate) fn folder(name: &str) -> PathBuf {
+    thread_local! {
+        static FOLDER: TempDir = TempDir::new().expect("a temporary folder");
+    }
+    let folder = FOLDER.with(|folder| folder.path().join(name));
+    std::fs::create_dir_all(&folder).expect("a folder within the temporary folder");
+    folder
+}
+
+/// Writes `data` to `file` in [`folder`]`(name)`; gives the file's path.
+///
+/// # Panics
+/// If the file cannot be written.
+#[allow(
+    clippy::expect_used,
+    reason = "without a file there is nothing to fuzz"
+)]
+pub(crate) fn file(name: &str, file: &str, data: &[u8]) -> PathBuf {
+    let path = folder(name).join(file);
+    std::fs::write(&path, data).expect("room for a file");
+    path
+}

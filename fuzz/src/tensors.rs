@@ -1,0 +1,78 @@
+//! Models: files of tensors, and what describes them.
+
+use crate::scratch;
+use candle_core::DType;
+use std::io::{Cursor, Write as _};
+use wm_model::{Weights, actions::ActionEncoding};
+use wm_zoo::{Checkpoint, ModelFolder};
+use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
+
+/// Reads a file of tensors, safetensors or torch's, and the values of all its tensors.
+pub fn checkpoint(data: &[u8]) {
+    let Ok(checkpoint) = Checkpoint::from_bytes("fuzz", data.to_vec()) else {
+        return;
+    };
+    for name in checkpoint.names() {
+        checkpoint.tensor(name, DType::F32).ok();
+    }
+    for part in checkpoint.parts() {
+        checkpoint.part(&part);
+    }
+}
+
+/// Reads a torch file whose pickle is the input.
+pub fn pickle(data: &[u8]) {
+    checkpoint(&torch_file(data));
+}
+
+/// A torch file with this pickle and sixteen floats.
+///
+/// # Panics
+/// Never: an archive in memory is always written.
+#[allow(clippy::expect_used, reason = "an archive in memory is always written")]
+#[must_use]
+pub fn torch_file(pickle: &[u8]) -> Vec<u8> {
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    // torch stores everything uncompressed, and aligns values to 64 bytes.
+    let options = SimpleFileOptions::default()
+        .compression_method(CompressionMethod::Stored)
+        .with_alignment(64);
+    let files: [(&str, &[u8]); 4] = [
+        ("archive/data.pkl", pickle),
+        ("archive/byteorder", b"little"),
+        ("archive/data/0", &[0; 64]),
+        ("archive/version", b"3\n"),
+    ];
+    for (name, content) in files {
+        archive.start_file(name, options).expect("a new name");
+        archive.write_all(content).expect("room in memory");
+    }
+    archive.finish().expect("room in memory").into_inner()
+}
+
+/// Reads a bundled model's weights.
+pub fn weights(data: &[u8]) {
+    Weights::from_bytes("fuzz", data.to_vec()).ok();
+}
+
+/// Opens a model folder whose `model.json` is the input and in which nothing else lies.
+pub fn model(data: &[u8]) {
+    let file = scratch::file("model", wm_zoo::folder::FILE, data);
+    if let Some(folder) = file.parent() {
+        ModelFolder::open(folder).ok();
+    }
+}
+
+/// Reads an action encoding, and encodes a step with it.
+pub fn actions(data: &[u8]) {
+    let Ok(encoding) = serde_json::from_slice::<ActionEncoding>(data) else {
+        return;
+    };
+    // What passes may still ask for a large step; a model's own dimensions bound it where it is used.
+    if encoding.validate().is_ok() && encoding.frame_skip < 64 && encoding.action_dim < 4096 {
+        let actions = vec![[0.1_f32; 7]; encoding.frame_skip];
+        if let Ok(model) = encoding.encode_step(&actions) {
+            encoding.decode_step(&model).ok();
+        }
+    }
+}

@@ -1,0 +1,31 @@
+//! What can be known of a playback before anything starts.
+
+use super::NAME;
+use anyhow::Result;
+use std::path::Path;
+use wm_bag::BagReader;
+use wm_ros::NodeArgs;
+use wm_wire::goal::camera_topic;
+
+/// Whether a player with these arguments, started in `folder`, finds its bag, and in it the camera that it is told. So a
+/// launch can refuse a mistyped path before its recorder and its report touch what an earlier one has left.
+///
+/// # Errors
+/// As the player would say it.
+pub fn check(args: &NodeArgs, folder: &Path) -> Result<()> {
+    let text = |name: &str| -> Result<String> {
+        let given = args.given(NAME, wm_ros::NAMESPACE, name)?;
+        Ok(given.unwrap_or_default())
+    };
+    let bag = text("bag")?;
+    if bag.is_empty() {
+        // The player names the parameter.
+        return Ok(());
+    }
+    let reader = BagReader::open(folder.join(bag))?;
+    let has_goal: Option<bool> = args.given(NAME, wm_ros::NAMESPACE, "goal")?;
+    if has_goal == Some(true) {
+        camera_topic(&reader, &text("camera_topic")?)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,134 @@
+//! Readers of bytes.
+
+use super::{codec::Raw, local::WAITING, shared::Shared};
+use crate::{
+    Durability,
+    backend::{Channel, Endpoint, EndpointId, Reader, RequestId, Sample, Sink},
+    mailbox::Mailbox,
+    payload::Payload,
+};
+use bytes::Bytes;
+use futures::StreamExt as _;
+use rustdds::{
+    SequenceNumber, Timestamp,
+    no_key::{DeserializedCacheChange, SimpleDataReader},
+};
+use std::sync::Arc;
+use tokio::{runtime::Handle, task::AbortHandle};
+
+pub(super) struct DdsReader {
+    id: EndpointId,
+    shared: Arc<Shared>,
+    pump: AbortHandle,
+}
+
+impl DdsReader {
+    /// `began` is a moment before the reader was made: what comes after it is for this one.
+    pub(super) fn new(
+        reader: SimpleDataReader<Bytes, Raw>,
+        began: Timestamp,
+        endpoint: &Endpoint,
+        node: &str,
+        shared: &Arc<Shared>,
+        mut sink: Sink,
+        runtime: &Handle,
+    ) -> Self {
+        let id = reader.guid().to_bytes();
+        let inbox = if endpoint.hears_own {
+            shared.local.add_reader(id, endpoint)
+        } else {
+            Arc::new(Mailbox::new(WAITING))
+        };
+        let is_topic = endpoint.channel == Channel::Topic;
+        if is_topic {
+            shared.parts.add_reader(id, endpoint, &inbox);
+        }
+        shared.nodes.add_endpoint(id, node, endpoint, false);
+        shared.changed();
+        let is_server = endpoint.channel == Channel::Request;
+        let is_latched = endpoint.qos.durability == Durability::TransientLocal;
+        let book = Arc::clone(shared);
+        let mut began = Some(began);
+        let pump = async move {
+            let mut samples = std::pin::pin!(reader.as_async_stream());
+            loop {
+                let sample = tokio::select! {
+                    Some(sample) = inbox.pop() => Ok(sample),
+                    Some(sample) = samples.next() => match sample {
+                        Ok(change) => {
+                            let writer = change.writer_guid().to_bytes();
+                            if book.is_own(&writer) {
+                                continue;
+                            }
+                            if began.is_some_and(|began| change.receive_instant < began) {
+                                // rustdds keeps a topic's last samples for all readers: one that comes anew would
+                                // get those of the one before, and of writers that are gone
+                                if !(is_latched && book.is_there(&writer)) {
+                                    continue;
+                                }
+                            } else {
+                                // from here on they come in their order, whatever becomes of the system's clock
+                                began = None;
+                            }
+                            let sample = into_sample(change, is_server);
+                            if is_topic && !book.parts.lets_in(&id, &sample) {
+                                continue;
+                            }
+                            Ok(sample)
+                        }
+                        Err(error) => Err(error.to_string()),
+                    },
+                    else => break,
+                };
+                sink(sample);
+            }
+        };
+        let pump = shared.failure.watch(runtime, "subscription", pump);
+        Self {
+            id,
+            shared: Arc::clone(shared),
+            pump,
+        }
+    }
+}
+
+fn into_sample(change: DeserializedCacheChange<Bytes>, is_server: bool) -> Sample {
+    let (writer, sequence) = (
+        change.writer_guid().to_bytes(),
+        i64::from(change.sequence_number),
+    );
+    let mut request = change.related_sample_identity().map(|identity| RequestId {
+        client: identity.writer_guid.to_bytes(),
+        sequence: identity.sequence_number.into(),
+    });
+    if is_server {
+        // A client may leave out who it is, or (Fast DDS) the number: the sample's own are meant then.
+        let request = request.get_or_insert(RequestId {
+            client: writer,
+            sequence,
+        });
+        if request.sequence == i64::from(SequenceNumber::UNKNOWN) {
+            request.sequence = sequence;
+        }
+    }
+    Sample {
+        writer,
+        sequence,
+        request,
+        payload: Payload::Cdr(change.into_value()),
+    }
+}
+
+impl Reader for DdsReader {
+    fn id(&self) -> EndpointId {
+        self.id
+    }
+}
+
+impl Drop for DdsReader {
+    fn drop(&mut self) {
+        // the reader lives in the task, and goes with it
+        self.pump.abort();
+        self.shared.forget(&self.id);
+    }
+}

@@ -1,0 +1,194 @@
+//! Holds what is believed of the graph against what rustdds knows. Its events come through a channel of 2048, and those
+//! that find it full are lost without a word; a missed one would hide a reader, or keep one that is gone, for ever.
+
+use super::{lock::lock, parts::profile, shared::Shared};
+use crate::backend::EndpointId;
+use rustdds::QosPolicies;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+/// How often the two are compared.
+const PERIOD: Duration = Duration::from_secs(5);
+
+/// The topics of the endpoints of this process, as DDS spells them.
+#[derive(Default)]
+pub(super) struct OwnEndpoints {
+    table: Mutex<BTreeMap<EndpointId, Own>>,
+}
+
+#[derive(Clone)]
+struct Own {
+    topic: String,
+    qos: QosPolicies,
+    is_writer: bool,
+}
+
+/// What was amiss the last time: an event that is only late is no lost one.
+#[derive(Default)]
+pub(super) struct Suspects {
+    last: Mutex<Differences>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Differences {
+    /// Connections that rustdds has made and nobody knows of: own endpoint, other.
+    unknown: BTreeSet<(EndpointId, EndpointId)>,
+    /// Endpoints of others that are gone.
+    ghosts: BTreeSet<EndpointId>,
+}
+
+impl Differences {
+    /// What both of them say.
+    fn confirmed(&self, other: &Self) -> Self {
+        Self {
+            unknown: &self.unknown & &other.unknown,
+            ghosts: &self.ghosts & &other.ghosts,
+        }
+    }
+}
+
+/// An endpoint of another participant, as discovery tells.
+struct Other {
+    id: EndpointId,
+    topic: String,
+    qos: QosPolicies,
+    is_writer: bool,
+}
+
+impl OwnEndpoints {
+    pub(super) fn add(&self, id: EndpointId, topic: String, qos: QosPolicies, is_writer: bool) {
+        let own = Own {
+            topic,
+            qos,
+            is_writer,
+        };
+        lock(&self.table).insert(id, own);
+    }
+
+    pub(super) fn remove(&self, id: &EndpointId) {
+        lock(&self.table).remove(id);
+    }
+}
+
+fn connects(own: &Own, other: &Other) -> bool {
+    if own.topic != other.topic || own.is_writer == other.is_writer {
+        return false;
+    }
+    let (offered, requested) = match own.is_writer {
+        true => (&own.qos, &other.qos),
+        false => (&other.qos, &own.qos),
+    };
+    offered.compliance_failure_wrt(requested).is_none()
+}
+
+impl Shared {
+    /// Compares, and mends what is amiss for the second time; whether there was something to mend.
+    pub(super) fn reconcile(&self) -> bool {
+        let Some(others) = self.others() else {
+            return false;
+        };
+        let found = self.differences(&others);
+        let confirmed = {
+            let mut last = lock(&self.suspects.last);
+            let confirmed = found.confirmed(&last);
+            *last = found;
+            confirmed
+        };
+        let Differences { unknown, ghosts } = &confirmed;
+        if unknown.is_empty() && ghosts.is_empty() {
+            return false;
+        }
+        tracing::warn!(
+            "discovery events were lost: {} connections were not known, {} endpoints are gone; this is mended now",
+            unknown.len(),
+            ghosts.len()
+        );
+        ghosts.iter().for_each(|id| self.forget_other(id));
+        for (own, other) in unknown {
+            lock(&self.matches).entry(*own).or_default().insert(*other);
+        }
+        self.changed();
+        true
+    }
+
+    /// The endpoints of others that rustdds knows; `None` once the participant is closed.
+    fn others(&self) -> Option<Vec<Other>> {
+        let participant = lock(&self.participant);
+        let participant = participant.as_ref()?;
+        let readers = participant.discovered_readers().into_iter().map(|reader| {
+            let guid = reader.reader_proxy.remote_reader_guid;
+            let topic = &reader.subscription_topic_data;
+            self.parts.add_peer(guid, topic.topic_name());
+            Other {
+                id: guid.to_bytes(),
+                topic: topic.topic_name().clone(),
+                qos: topic.qos(),
+                is_writer: false,
+            }
+        });
+        let writers = participant.discovered_writers().into_iter().map(|writer| {
+            let topic = &writer.publication_topic_data;
+            Other {
+                id: writer.writer_proxy.remote_writer_guid.to_bytes(),
+                topic: topic.topic_name.clone(),
+                qos: topic.qos(),
+                is_writer: true,
+            }
+        });
+        let others = readers.chain(writers);
+        Some(others.filter(|other| !self.is_own(&other.id)).collect())
+    }
+
+    fn differences(&self, others: &[Other]) -> Differences {
+        let mut own = lock(&self.own.table).clone();
+        for (id, topic) in self.parts.writers() {
+            let (qos, is_writer) = (profile(), true);
+            let writer = Own {
+                topic,
+                qos,
+                is_writer,
+            };
+            own.insert(id, writer);
+        }
+        let there: BTreeSet<EndpointId> = others.iter().map(|other| other.id).collect();
+        let mut writers = lock(&self.writers);
+        let there_write = others.iter().filter(|other| other.is_writer);
+        writers.extend(there_write.map(|other| other.id));
+        let mut believed: BTreeSet<EndpointId> = writers.iter().copied().collect();
+        drop(writers);
+        believed.extend(self.parts.readers());
+        let matches = lock(&self.matches);
+        believed.extend(matches.values().flatten());
+        let mut differences = Differences {
+            ghosts: &believed - &there,
+            ..Differences::default()
+        };
+        let mut by_topic = BTreeMap::<&str, Vec<&Other>>::new();
+        for other in others {
+            by_topic.entry(&other.topic).or_default().push(other);
+        }
+        for (id, own) in &own {
+            let known = matches.get(id);
+            let on_topic = by_topic.get(own.topic.as_str()).into_iter().flatten();
+            for other in on_topic.filter(|other| connects(own, other)) {
+                if !known.is_some_and(|known| known.contains(&other.id)) {
+                    differences.unknown.insert((*id, other.id));
+                }
+            }
+        }
+        differences
+    }
+}
+
+/// Compares for as long as the participant is there.
+pub(super) async fn keep_reconciled(shared: Arc<Shared>) {
+    let mut period = tokio::time::interval(PERIOD);
+    period.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        period.tick().await;
+        shared.reconcile();
+    }
+}

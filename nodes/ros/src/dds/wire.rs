@@ -1,0 +1,149 @@
+//! Datagrams that this runtime sends beside rustdds 0.15.1, for what rustdds has no other way to do.
+//!
+//! - **A reliable writer whose reader is stuck takes nothing more**: rustdds keeps every sample until all reliable
+//!   readers have acknowledged it, whatever the history's depth, and refuses new ones once its window is full, so that
+//!   one stopped subscriber silences the topic for all. So what is too old is acknowledged in the readers' names, by a
+//!   datagram to ourselves. rustdds ignores acknowledgments of less than it knows already, so only readers that really
+//!   are behind lose anything, and they are told by the next heartbeat.
+//! - **An answer of more than one datagram of rustdds never arrives**: rustdds misplaces the inline QoS of fragments by
+//!   one byte, and the inline QoS says which request is answered. So such an answer is sent from here, whole, in one
+//!   datagram that the kernel fragments; rustdds' own attempt follows, and is ignored as a repetition.
+
+use super::{lock::lock, parts::Peer, rtps};
+use crate::backend::{EndpointId, RequestId};
+use bytes::Bytes;
+use std::{
+    collections::BTreeMap,
+    net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket},
+    sync::{
+        Mutex,
+        atomic::{AtomicI32, Ordering},
+    },
+};
+
+/// Where to reach the participants of this process, and what datagrams leave from.
+pub(super) struct Wire {
+    socket: UdpSocket,
+    own: Mutex<BTreeMap<Peer, SocketAddr>>,
+    count: AtomicI32,
+}
+
+impl Wire {
+    pub(super) fn open() -> std::io::Result<Self> {
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+        socket.set_nonblocking(true)?;
+        Ok(Self {
+            socket,
+            own: Mutex::default(),
+            // the readers' own counts begin at the other end: rustdds takes two equal ones for one message
+            count: AtomicI32::new(i32::MAX),
+        })
+    }
+
+    /// `port`: where the participant of this process listens.
+    pub(super) fn add_own(&self, participant: Peer, port: u16) {
+        let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+        lock(&self.own).insert(participant, address);
+    }
+
+    /// Says in the names of `readers` that they have everything of an own writer before `base`.
+    pub(super) fn acknowledge(
+        &self,
+        writer: &EndpointId,
+        base: i64,
+        readers: impl IntoIterator<Item = EndpointId>,
+    ) {
+        let address = lock(&self.own).get(&super::parts::peer_of(writer)).copied();
+        let Some(address) = address else { return };
+        for reader in readers {
+            let count = self.count.fetch_sub(1, Ordering::Relaxed);
+            self.send(&rtps::acknowledgment(&reader, writer, base, count), address);
+        }
+    }
+
+    /// Sends an answer to one reader.
+    pub(super) fn answer(&self, answer: &Answer, reader: &EndpointId, addresses: &[SocketAddr]) {
+        let Answer {
+            writer,
+            number,
+            request,
+            nanos,
+            sample,
+        } = answer;
+        let message = rtps::answer(writer, *number, reader, request, *nanos, sample);
+        for address in addresses {
+            self.send(&message, *address);
+        }
+    }
+
+    /// What is lost is sent again by the caller, or does no harm.
+    fn send(&self, message: &[u8], to: SocketAddr) {
+        if let Err(error) = self.socket.send_to(message, to) {
+            tracing::debug!("cannot send {} bytes to {to}: {error}", message.len());
+        }
+    }
+}
+
+/// An answer that leaves from here.
+#[derive(Clone)]
+pub(super) struct Answer {
+    pub(super) writer: EndpointId,
+    /// In the writer's numbering.
+    pub(super) number: i64,
+    pub(super) request: RequestId,
+    /// When it was written \[ns since 1970\].
+    pub(super) nanos: i64,
+    pub(super) sample: Bytes,
+}
+
+/// Those of a reader's addresses at which it is reached. `own`: the addresses of this host. A loopback address counts
+/// only for readers on this host; `is_on_loopback`: no others are asked for.
+pub(super) fn usable(
+    announced: impl IntoIterator<Item = SocketAddr>,
+    own: &[IpAddr],
+    is_on_loopback: bool,
+) -> Vec<SocketAddr> {
+    let is_unicast = |address: &SocketAddr| {
+        address.is_ipv4()
+            && address.port() != 0
+            && !address.ip().is_multicast()
+            && !address.ip().is_unspecified()
+    };
+    let mut usable: Vec<_> = announced.into_iter().filter(is_unicast).collect();
+    let is_here = |address: &SocketAddr| address.ip().is_loopback() || own.contains(&address.ip());
+    let is_neighbor = usable.iter().all(is_here);
+    usable.retain(|address| match is_neighbor {
+        true => true,
+        false => !is_on_loopback && !address.ip().is_loopback(),
+    });
+    // on this host, one is as good as all
+    if is_neighbor {
+        usable.truncate(1);
+    }
+    usable
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_is_reached_where_it_really_is() {
+        let address = |text: &str| text.parse::<SocketAddr>().unwrap();
+        let own = ["10.0.0.1".parse().unwrap()];
+        let [lo, eth, other, group] = [
+            "127.0.0.1:7411",
+            "10.0.0.1:7411",
+            "10.0.0.2:7411",
+            "239.255.0.1:7401",
+        ]
+        .map(address);
+        let at = |announced: &[SocketAddr], is_on_loopback| {
+            usable(announced.iter().copied(), &own, is_on_loopback)
+        };
+        assert_eq!(at(&[group, lo], true), [lo]);
+        assert_eq!(at(&[eth, lo], true), [eth]);
+        assert_eq!(at(&[other, lo], false), [other], "another host's loopback");
+        assert!(at(&[other, lo], true).is_empty());
+    }
+}

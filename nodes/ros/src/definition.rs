@@ -1,0 +1,45 @@
+//! What a node is, as data: its name, what it does, its parameters, topics and services, and how it is run. The command
+//! line, the help and the parameter files come from it.
+
+mod help;
+mod params_file;
+
+use crate::{Component, Direction, EndpointSpec, NodeArgs, ParameterSpec, lifecycle};
+use std::process::ExitCode;
+
+/// A node, before it runs.
+#[derive(Clone, Copy)]
+pub struct NodeDefinition<E> {
+    /// The node's default name, and its command's.
+    pub name: &'static str,
+    /// What it does, in one line.
+    pub about: &'static str,
+    /// Its parameters, without those that every node has.
+    pub parameters: fn() -> Vec<ParameterSpec>,
+    /// Its topics and services, without those that every node has.
+    pub endpoints: fn() -> Vec<EndpointSpec>,
+    /// Whether it has a lifecycle ([`Lifecycle`](crate::Lifecycle)).
+    pub is_managed: bool,
+    /// Runs it until it ends or a signal comes.
+    pub run: fn(&NodeArgs) -> Result<ExitCode, E>,
+    /// The node in a process with others; `None` where it cannot be.
+    pub component: Option<fn() -> Component<E>>,
+}
+
+impl<E> NodeDefinition<E> {
+    /// All parameters but those that every ROS node has.
+    fn specs(&self) -> Vec<ParameterSpec> {
+        let mut specs = (self.parameters)();
+        if self.is_managed {
+            specs.insert(0, lifecycle::autostart());
+        }
+        specs
+    }
+
+    /// Topics of one direction, or services.
+    fn endpoints_of(&self, direction: Direction) -> Vec<EndpointSpec> {
+        let mut specs = (self.endpoints)();
+        specs.retain(|spec| spec.direction == direction);
+        specs
+    }
+}

@@ -1,0 +1,202 @@
+//! Topics and services that are declared once: name, type, QoS and a sentence stand in one table, from which come the
+//! endpoints themselves and what `wm NODE --help` says of them.
+
+use crate::{Error, Node, Publisher, Qos, Service, Subscription};
+use wm_msgs::Message;
+
+/// Which way an endpoint goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Direction {
+    /// A topic that the node subscribes to.
+    Subscribed,
+    /// A topic that the node publishes.
+    Published,
+    /// A service that the node has.
+    Served,
+}
+
+/// A topic or service as it is declared, without a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EndpointSpec {
+    /// Which way it goes.
+    pub direction: Direction,
+    /// The name before namespace and remapping.
+    pub name: String,
+    /// `package/msg/Type` or `package/srv/Type`.
+    pub type_name: String,
+    /// None for a service.
+    pub qos: Option<Qos>,
+    /// What it carries.
+    pub text: String,
+}
+
+/// A Rust type that holds an endpoint.
+pub trait Endpoint: Sized {
+    /// What it makes of this name: one endpoint, or several siblings.
+    fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec>;
+
+    /// Makes it.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    fn make(node: &Node, name: &str, qos: Qos) -> Result<Self, Error>;
+}
+
+/// A set of endpoints, which [`endpoints!`](crate::endpoints) makes.
+pub trait EndpointSet: Sized {
+    /// All of them, in the order in which they are documented.
+    fn specs() -> Vec<EndpointSpec>;
+
+    /// Makes them on `node`.
+    ///
+    /// # Errors
+    /// As [`Endpoint::make`].
+    fn make(node: &Node) -> Result<Self, Error>;
+}
+
+impl EndpointSpec {
+    /// A topic of messages `M`.
+    pub fn topic<M: Message>(direction: Direction, name: &str, qos: Qos, text: &str) -> Self {
+        Self {
+            direction,
+            name: name.to_owned(),
+            type_name: M::ros_name(),
+            qos: Some(qos),
+            text: text.trim().to_owned(),
+        }
+    }
+}
+
+impl<M: Message> Endpoint for Subscription<M> {
+    fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
+        vec![EndpointSpec::topic::<M>(
+            Direction::Subscribed,
+            name,
+            qos,
+            text,
+        )]
+    }
+
+    fn make(node: &Node, name: &str, qos: Qos) -> Result<Self, Error> {
+        node.subscription(name, qos)
+    }
+}
+
+impl<M: Message> Endpoint for Publisher<M> {
+    fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
+        vec![EndpointSpec::topic::<M>(
+            Direction::Published,
+            name,
+            qos,
+            text,
+        )]
+    }
+
+    fn make(node: &Node, name: &str, qos: Qos) -> Result<Self, Error> {
+        node.publisher(name, qos)
+    }
+}
+
+impl<S: wm_msgs::Service> Endpoint for Service<S> {
+    fn specs(name: &str, _: Qos, text: &str) -> Vec<EndpointSpec> {
+        vec![EndpointSpec {
+            direction: Direction::Served,
+            name: name.to_owned(),
+            type_name: S::ros_name(),
+            qos: None,
+            text: text.trim().to_owned(),
+        }]
+    }
+
+    fn make(node: &Node, name: &str, _: Qos) -> Result<Self, Error> {
+        node.service(name)
+    }
+}
+
+/// One that is not always made.
+impl<T: Endpoint> Endpoint for Option<T> {
+    fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
+        T::specs(name, qos, text)
+    }
+
+    fn make(node: &Node, name: &str, qos: Qos) -> Result<Self, Error> {
+        T::make(node, name, qos).map(Some)
+    }
+}
+
+/// Makes a struct of endpoints, and its [`EndpointSet`], from a table: doc comment, field, type and name, then the QoS
+/// (reliable, depth 10, where none is given) and, where the type's own way of making one is not what is wanted, another.
+/// A field without a name is a set of endpoints.
+///
+/// ```
+/// use wm_msgs::{std_msgs::String as Text, wm_msgs::{Reset, ResetResponse}};
+/// use wm_ros::{EndpointSet as _, Node, Publisher, Qos, Service, Subscription};
+///
+/// wm_ros::endpoints! {
+///     /// Topics and services.
+///     struct Endpoints {
+///         /// What is to be shouted.
+///         texts: Subscription<Text> = "text", qos(Qos::best_effort(5));
+///         /// The texts in capitals.
+///         shouts: Publisher<Text> = "shout";
+///         /// Begins anew.
+///         resets: Service<Reset> = "~/reset", made(|node, name, _| {
+///             node.service_or_refuse(name, |reason| ResetResponse { success: false, message: reason.to_owned() })
+///         });
+///     }
+/// }
+///
+/// assert_eq!(Endpoints::specs()[2].type_name, "wm_msgs/srv/Reset");
+/// ```
+#[macro_export]
+macro_rules! endpoints {
+    (
+        $(#[$attribute:meta])*
+        $visibility:vis struct $set:ident {
+            $(
+                $(#[doc = $text:literal])+
+                $field_visibility:vis $field:ident : $type:ty
+                    $(= $name:expr $(, qos($qos:expr))? $(, made($make:expr))?)?
+            );* $(;)?
+        }
+    ) => {
+        $(#[$attribute])*
+        $visibility struct $set {
+            $($(#[doc = $text])+ $field_visibility $field: $type,)*
+        }
+
+        impl $crate::EndpointSet for $set {
+            fn specs() -> ::std::vec::Vec<$crate::EndpointSpec> {
+                let sets: ::std::vec::Vec<::std::vec::Vec<$crate::EndpointSpec>> = ::std::vec![$(
+                    $crate::endpoints!(@specs $type, [$($name)?] [$($($qos)?)?] ::std::concat!($($text),+))
+                ),*];
+                sets.into_iter().flatten().collect()
+            }
+
+            fn make(node: &$crate::Node) -> ::std::result::Result<Self, $crate::Error> {
+                ::std::result::Result::Ok(Self {
+                    $($field: $crate::endpoints!(@make node, $type, [$($name)?] [$($($qos)?)?] [$($($make)?)?])?,)*
+                })
+            }
+        }
+    };
+    (@qos) => { $crate::Qos::reliable(10) };
+    (@qos $qos:expr) => { $qos };
+    (@specs $type:ty, [] [] $text:expr) => { <$type as $crate::EndpointSet>::specs() };
+    (@specs $type:ty, [$name:expr] [$($qos:expr)?] $text:expr) => {
+        <$type as $crate::Endpoint>::specs($name, $crate::endpoints!(@qos $($qos)?), $text)
+    };
+    (@make $node:ident, $type:ty, [] [] []) => { <$type as $crate::EndpointSet>::make($node) };
+    (@make $node:ident, $type:ty, [$name:expr] [$($qos:expr)?] []) => {
+        <$type as $crate::Endpoint>::make($node, $name, $crate::endpoints!(@qos $($qos)?))
+    };
+    (@make $node:ident, $type:ty, [$name:expr] [$($qos:expr)?] [$make:expr]) => {
+        $crate::made_by::<$type, _>($make)($node, $name, $crate::endpoints!(@qos $($qos)?))
+    };
+}
+
+/// Tells the compiler what the closure of [`endpoints!`](crate::endpoints) takes.
+#[doc(hidden)]
+pub fn made_by<T, F: FnOnce(&Node, &str, Qos) -> Result<T, Error>>(make: F) -> F {
+    make
+}

@@ -1,0 +1,14 @@
+//! One participant here and others in processes, clocks and networks of their own: peers that stop, strangers on the
+//! network, real ROS 2 clients, a clock that is set back.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test's helpers may fail the test"
+)]
+
+mod answers;
+mod clock;
+mod harness;
+mod laggards;
+mod strangers;

@@ -1,0 +1,269 @@
+//! Strangers on the network: a node that is to be heard on this host only, or by named hosts only, is not found by others.
+//!
+//! The node and the stranger are in network namespaces of their own, with an Ethernet between them.
+
+use super::harness::{Process, domain, given, node, peers, role, root};
+use std::{
+    net::{Ipv4Addr, UdpSocket},
+    path::Path,
+    process::Command,
+    time::{Duration, Instant},
+};
+use wm_msgs::std_msgs;
+use wm_ros::{Context, Environment, Qos, Reach};
+
+const NODE: &str = "10.213.7.1";
+const STRANGER: &str = "10.213.7.2";
+/// Longer than discovery takes.
+const SEARCH: &str = "8";
+
+/// Two namespaces with a cable between them, gone when the test lets go of them.
+struct Network {
+    node: String,
+    stranger: String,
+}
+
+fn run(words: &str) -> Result<(), String> {
+    let mut parts = words.split(' ');
+    let output = Command::new(parts.next().unwrap()).args(parts).output();
+    match output {
+        Ok(output) if output.status.success() => Ok(()),
+        Ok(output) => Err(String::from_utf8_lossy(&output.stderr).trim().to_owned()),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+impl Network {
+    /// `None` (with a plain message) where namespaces are not allowed.
+    fn new(test: u16) -> Option<Self> {
+        let name = |role: &str| format!("wm{role}{test}x{}", std::process::id());
+        let network = Self {
+            node: name("n"),
+            stranger: name("s"),
+        };
+        let Self { node, stranger } = &network;
+        if let Err(reason) = run(&format!("ip netns add {node}")) {
+            eprintln!("skipped: network namespaces are not allowed here: {reason}");
+            return None;
+        }
+        let cable = format!("wmv{}", std::process::id() % 10_000 * 10 + u32::from(test));
+        for words in [
+            format!("ip netns add {stranger}"),
+            format!("ip -n {node} link add {cable} type veth peer name {cable} netns {stranger}"),
+            format!("ip -n {node} addr add {NODE}/24 dev {cable}"),
+            format!("ip -n {stranger} addr add {STRANGER}/24 dev {cable}"),
+            format!("ip -n {node} link set {cable} up"),
+            format!("ip -n {stranger} link set {cable} up"),
+            format!("ip -n {node} link set lo up"),
+            format!("ip -n {stranger} link set lo up"),
+        ] {
+            run(&words).unwrap_or_else(|reason| panic!("{words}: {reason}"));
+        }
+        Some(network)
+    }
+
+    /// A node at `reach`, and what a stranger finds of it and the node hears of the stranger.
+    fn meet(&self, peers: &Path, domain: u16, reach: &str) -> (String, usize) {
+        let inside = ["ip", "netns", "exec", &self.node];
+        let node = Process::start(role(&inside, "strangers::listener", domain, reach));
+        node.says("it runs");
+        let mut stranger = Command::new("ip");
+        stranger
+            .args(["netns", "exec", &self.stranger])
+            .arg(peers.join("tools/bin/python"))
+            .arg(root().join("tests/interop/stranger.py"))
+            .args([STRANGER, NODE, SEARCH])
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .env_remove("LD_LIBRARY_PATH");
+        let found = Process::start(stranger).says("others");
+        let heard = node.last_line().map_or(0, |line| line.parse().unwrap());
+        (found, heard)
+    }
+}
+
+impl Drop for Network {
+    fn drop(&mut self) {
+        for name in [&self.node, &self.stranger] {
+            run(&format!("ip netns del {name}")).ok();
+        }
+    }
+}
+
+/// Says how many messages have come, until it is killed.
+#[test]
+#[ignore = "started by the tests of this module"]
+fn listener() {
+    let (domain_id, address) = given();
+    let reach = match address.as_str() {
+        "" => Reach::Localhost,
+        address => Reach::Interfaces(vec![address.parse().unwrap()]),
+    };
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    runtime.block_on(async {
+        let context = Context::new(&Environment { domain_id, reach }).unwrap();
+        let node = node(&context, "listener");
+        let mut told = node
+            .subscription::<std_msgs::String>("/wm/told", Qos::reliable(10))
+            .unwrap();
+        println!("it runs");
+        let mut came = 0;
+        while told.recv().await.is_some() {
+            came += 1;
+            println!("{came}");
+        }
+    });
+}
+
+/// Announces a participant that does not exist to every participant of the domain at [`NODE`], and says how many
+/// datagrams come back.
+#[test]
+#[ignore = "started by the test of this module"]
+fn forger() {
+    let (domain, _) = given();
+    let socket = UdpSocket::bind((STRANGER, 0)).unwrap();
+    let port = u32::from(socket.local_addr().unwrap().port());
+    for participant in 0..12 {
+        let to = 7400 + 250 * domain + 10 + 2 * participant;
+        socket.send_to(&announcement(port), (NODE, to)).unwrap();
+    }
+    socket
+        .set_read_timeout(Some(Duration::from_secs(5)))
+        .unwrap();
+    let (start, mut came, mut buffer) = (Instant::now(), 0, [0; 1 << 16]);
+    while start.elapsed() < Duration::from_secs(5) && socket.recv(&mut buffer).is_ok() {
+        came += 1;
+    }
+    println!("came: {came}");
+}
+
+/// An SPDP announcement (DDSI-RTPS 2.5, 8.5.3) of a participant that listens at [`STRANGER`] on this port.
+fn announcement(port: u32) -> Vec<u8> {
+    const PREFIX: [u8; 12] = [1, 0x10, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
+    let address: Ipv4Addr = STRANGER.parse().unwrap();
+    let words =
+        |words: &[u32]| -> Vec<u8> { words.iter().flat_map(|word| word.to_le_bytes()).collect() };
+    let locator = [words(&[1, port, 0, 0, 0]), address.octets().to_vec()].concat();
+    let guid = [&PREFIX[..], &[0, 0, 1, 0xc1]].concat();
+    let parameters: [(u16, Vec<u8>); 7] = [
+        (0x15, vec![2, 4, 0, 0]),
+        (0x16, vec![1, 0x10, 0, 0]),
+        (0x50, guid),
+        (0x32, locator.clone()),
+        (0x31, locator),
+        (0x02, words(&[20, 0])),
+        (0x58, words(&[0x0c3f])),
+    ];
+    let mut message = b"RTPS\x02\x04\x01\x10".to_vec();
+    message.extend(PREFIX);
+    // DATA with a payload, to any reader, from the announcing writer, number 1; parameters in little-endian CDR
+    message.extend([0x15, 5, 0, 0, 0, 0, 16, 0, 0, 0, 0, 0, 0, 1, 0, 0xc2]);
+    message.extend(words(&[0, 1]));
+    message.extend([0, 3, 0, 0]);
+    for (parameter, value) in parameters {
+        message.extend(parameter.to_le_bytes());
+        message.extend((value.len() as u16).to_le_bytes());
+        message.extend(value);
+    }
+    message.extend([1, 0, 0, 0]);
+    message
+}
+
+#[test]
+fn a_forged_announcement_from_the_network_brings_nothing_back() {
+    let Some(network) = Network::new(7) else {
+        return;
+    };
+    let domain = domain(7);
+    let answers = |reach| -> usize {
+        let inside = ["ip", "netns", "exec", &network.node];
+        let node = Process::start(role(&inside, "strangers::listener", domain, reach));
+        node.says("it runs");
+        let inside = ["ip", "netns", "exec", &network.stranger];
+        let forger = Process::start(role(&inside, "strangers::forger", domain, ""));
+        let line = forger.says("came: ");
+        line.rsplit(' ').next().unwrap().parse().unwrap()
+    };
+    assert!(answers(NODE) > 0, "where the network is asked for");
+    assert_eq!(answers(""), 0, "on loopback");
+}
+
+const FOUND: &str = r#""connected": true"#;
+const NOT_FOUND: &str = r#"{"others": 0, "connected": false}"#;
+
+#[test]
+fn a_node_on_loopback_is_neither_found_nor_heard_nor_told_from_the_network() {
+    let Some(peers) = peers() else { return };
+    let Some(network) = Network::new(5) else {
+        return;
+    };
+    let domain = domain(5);
+    // where the network is asked for, the two meet
+    let (found, heard) = network.meet(&peers, domain, NODE);
+    assert!(found.contains(FOUND) && heard > 0, "{found} {heard}");
+    let (found, heard) = network.meet(&peers, domain, "");
+    assert_eq!((found.as_str(), heard), (NOT_FOUND, 0));
+}
+
+#[test]
+fn the_firewall_that_is_shipped_lets_in_only_who_is_named() {
+    let Some(peers) = peers() else { return };
+    let Some(network) = Network::new(6) else {
+        return;
+    };
+    if let Err(reason) = run("nft --version") {
+        eprintln!("skipped: no nftables here (tests/setup_system installs it): {reason}");
+        return;
+    }
+    let domain = domain(6);
+    let shipped = root().join("launch-configs/network/wm.nft");
+    let shipped = std::fs::read_to_string(shipped).unwrap();
+    let first = 7400 + 250 * domain;
+    let ports = format!("{first}-{}", first + 249);
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("rules.nft");
+    let load = |trusted: &str| {
+        let text = shipped
+            .replace("192.168.1.10, 192.168.1.11", trusted)
+            .replace("7400-7649", &ports);
+        assert!(text.contains(trusted) && text.contains(&ports));
+        std::fs::write(&rules, text).unwrap();
+        let load = format!("ip netns exec {} nft -f {}", network.node, rules.display());
+        run(&load).unwrap_or_else(|reason| panic!("{load}: {reason}"));
+    };
+    load("10.213.7.77");
+    let (found, heard) = network.meet(&peers, domain, NODE);
+    assert_eq!(heard, 0, "{found}");
+    assert!(!found.contains(FOUND), "{found}");
+    // loaded anew, it replaces what it was
+    load(STRANGER);
+    let (found, heard) = network.meet(&peers, domain, NODE);
+    assert!(found.contains(FOUND) && heard > 0, "{found} {heard}");
+}
+
+#[test]
+fn the_systemd_unit_that_is_shipped_is_valid() {
+    let unit = root().join("launch-configs/network/wm.service");
+    let text = std::fs::read_to_string(&unit).unwrap();
+    for line in [
+        "IPAddressDeny=any",
+        "IPAddressAllow=localhost",
+        "MemoryMax=4G",
+    ] {
+        assert!(text.lines().any(|known| known == line), "{line}");
+    }
+    let verify = Command::new("systemd-analyze")
+        .arg("verify")
+        .arg(&unit)
+        .output();
+    let Ok(output) = verify else {
+        eprintln!("skipped: no systemd here");
+        return;
+    };
+    let said = String::from_utf8_lossy(&output.stderr);
+    let said = said.lines().filter(|line| line.contains("wm.service"));
+    // that the program is not installed here is no fault of the unit
+    let faults: Vec<&str> = said
+        .filter(|line| !line.contains("/usr/local/bin/wm"))
+        .collect();
+    assert!(faults.is_empty(), "{faults:?}");
+}

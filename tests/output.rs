@@ -1,0 +1,111 @@
+//! Terminals that nobody reads: a full pipe must stop neither the nodes nor their end.
+
+use std::{
+    io::{PipeReader, Read as _, Write as _},
+    path::Path,
+    process::Stdio,
+    time::Duration,
+};
+
+use wm_bag::BagReader;
+use wm_msgs::{diagnostic_msgs::DiagnosticArray, std_msgs};
+use wm_ros::{Context, Environment, Node, NodeArgs, Qos, Reach};
+
+use crate::harness::{Process, Signal, fresh_domain, wm};
+
+/// Far above anything that a working node takes; it only ends a test that hangs.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// How soon a node ends that is asked to, on a busy machine.
+const GONE: Duration = Duration::from_secs(10);
+/// The capacity of a pipe on Linux \[byte\].
+const CAPACITY: usize = 64 * 1024;
+
+/// A pipe with no room left, which nobody reads.
+fn full_pipe() -> (PipeReader, Stdio) {
+    let (reader, mut writer) = std::io::pipe().expect("a pipe");
+    writer.write_all(&[b'.'; CAPACITY]).expect("room in it");
+    (reader, writer.into())
+}
+
+/// Starts `wm` on full pipes, lets it record what is published on /told, and asks it to end.
+async fn records_although_nobody_reads(args: &[&str], bag: &Path) {
+    let domain_id = fresh_domain();
+    let reach = Reach::Localhost;
+    let context = Context::new(&Environment { domain_id, reach }).expect("a place in the graph");
+    let no_args = NodeArgs::parse(Vec::<String>::new()).expect("no arguments");
+    let node = Node::new(&context, "observer", "/test", &no_args).expect("a node");
+    let told = node
+        .publisher::<std_msgs::String>("/told", Qos::reliable(10))
+        .expect("a publisher");
+    let mut diagnostics = node
+        .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(10))
+        .expect("a subscription");
+
+    let (out, err) = (full_pipe(), full_pipe());
+    let mut command = wm(domain_id, args);
+    command.stdout(out.1).stderr(err.1);
+    let process = Process::start_with_output(command);
+    let recorded = async {
+        loop {
+            let array = diagnostics.recv().await.expect("the observer runs").message;
+            let own = array
+                .status
+                .iter()
+                .filter(|status| status.name == "wm/recorder");
+            let values = own.flat_map(|status| &status.values);
+            let is_told = |key: &str| key == "received /told [total]";
+            if values
+                .into_iter()
+                .any(|pair| is_told(&pair.key) && pair.value != "0")
+            {
+                return;
+            }
+            let data = "told".to_owned();
+            told.publish(&std_msgs::String { data }).expect("a message");
+        }
+    };
+    tokio::time::timeout(PATIENCE, recorded)
+        .await
+        .expect("a recorder that records");
+
+    process.signal(Signal::INT);
+    let (status, _) = process.finish(GONE);
+    assert!(status.success(), "ended with {status}");
+    assert!(BagReader::open(bag).expect("a bag").message_count() > 0);
+
+    // What was said before is still there, and nothing was added to it.
+    let mut text = Vec::new();
+    let (mut reader, _) = err;
+    reader.read_to_end(&mut text).expect("what is in the pipe");
+    assert_eq!(text.len(), CAPACITY);
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn a_node_whose_output_nobody_reads_works_and_ends() {
+    let scratch = tempfile::tempdir().expect("a temporary directory");
+    let bag = scratch.path().join("bag");
+    let output = format!("output:={}", bag.display());
+    let args = [
+        "recorder",
+        "--ros-args",
+        "-p",
+        &output,
+        "-p",
+        "topics:=[/told]",
+    ];
+    records_although_nobody_reads(&args, &bag).await;
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn a_launch_whose_output_nobody_reads_works_and_ends() {
+    let scratch = tempfile::tempdir().expect("a temporary directory");
+    let bag = scratch.path().join("bag");
+    let file = scratch.path().join("record.launch.yaml");
+    let text = format!(
+        "launch:\n- node:\n    pkg: wm_nodes\n    exec: recorder\n    namespace: wm\n    output: screen\n    param:\n    \
+         - {{name: output, value: {:?}}}\n    - {{name: topics, value: [/told]}}\n",
+        bag.display().to_string()
+    );
+    std::fs::write(&file, text).expect("a launch file");
+    records_although_nobody_reads(&["launch", &file.display().to_string()], &bag).await;
+}

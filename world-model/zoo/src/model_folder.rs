@@ -1,0 +1,96 @@
+//! A world model on disk, by its name.
+
+use std::path::Path;
+
+use wm_model::bundle::{Bundle, EMBEDDED, WorldModel};
+use wm_model::{Decoder, Encoder, LatentSpace};
+
+use crate::Result;
+use crate::folder::DescribedFolder;
+use crate::success_probe::SuccessClassifier;
+
+/// What a node's parameter `model` names: the files of a world model, checked as far as names and shapes go. Its parts are
+/// loaded when they are asked for; [`ModelFolder::transition`] gives the [`WorldModel`].
+#[derive(Debug)]
+pub enum ModelFolder {
+    /// The embedded default, or a folder that the training wrote.
+    Weights(Bundle),
+    /// A folder of published checkpoints with a `model.json`.
+    Described(Box<DescribedFolder>),
+}
+
+impl ModelFolder {
+    /// Opens `tiny`, the embedded default, or a folder.
+    ///
+    /// # Errors
+    /// As [`DescribedFolder::open`]; a folder without `model.json` tells of what is missing when a part is asked for.
+    pub fn open(name: &str) -> Result<Self> {
+        if name != EMBEDDED && DescribedFolder::is_one(Path::new(name)) {
+            return Ok(Self::Described(Box::new(DescribedFolder::open(name)?)));
+        }
+        Ok(Self::Weights(Bundle::named(name)))
+    }
+
+    /// The space of its latents.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in the weights.
+    pub fn space(&self) -> Result<LatentSpace> {
+        match self {
+            Self::Weights(bundle) => Ok(bundle.autoencoder()?.space().clone()),
+            Self::Described(folder) => folder.space(),
+        }
+    }
+
+    /// Loads the encoder.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in the weights.
+    pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
+        match self {
+            Self::Weights(bundle) => Ok(Box::new(bundle.autoencoder()?)),
+            Self::Described(folder) => folder.encoder(),
+        }
+    }
+
+    /// Loads the decoder; `None` where the model has none.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in the weights.
+    pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
+        match self {
+            Self::Weights(bundle) => Ok(Some(Box::new(bundle.autoencoder()?))),
+            Self::Described(folder) => folder.decoder(),
+        }
+    }
+
+    /// Whether there is a transition model; without one a model encodes and decodes only.
+    pub fn has_transition(&self) -> bool {
+        match self {
+            Self::Weights(bundle) => bundle.has_transition(),
+            Self::Described(_) => true,
+        }
+    }
+
+    /// Loads the transition model with what is needed to use it.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in the weights.
+    pub fn transition(&self) -> Result<WorldModel> {
+        match self {
+            Self::Weights(bundle) => Ok(bundle.transition()?),
+            Self::Described(folder) => folder.transition(),
+        }
+    }
+
+    /// Loads the success probe and what reads instructions for it; `None` where the model has none.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in its files.
+    pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
+        match self {
+            Self::Weights(_) => Ok(None),
+            Self::Described(folder) => folder.probe(),
+        }
+    }
+}
