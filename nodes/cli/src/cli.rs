@@ -137,6 +137,26 @@ mod tests {
         Cli::command().debug_assert();
     }
 
+    /// A parameter that is new is a flag without a further line; a bag to play is named without one.
+    #[test]
+    fn every_parameter_of_player_and_recorder_is_a_flag() {
+        for (command, node) in [("play", "player"), ("record", "recorder")] {
+            let cli = Cli::command();
+            let bag = cli.find_subcommand("bag").unwrap();
+            let command = bag.find_subcommand(command).unwrap();
+            let node = node::definitions()
+                .find(|definition| definition.name == node)
+                .unwrap();
+            for spec in (node.parameters)().iter().filter(|spec| spec.name != "bag") {
+                let flag = command
+                    .get_arguments()
+                    .find(|argument| argument.get_id().as_str() == spec.name);
+                let long = flag.and_then(clap::Arg::get_long);
+                assert_eq!(long, Some(spec.name.replace('_', "-").as_str()));
+            }
+        }
+    }
+
     #[test]
     fn every_node_is_a_subcommand() {
         for node in node::definitions() {

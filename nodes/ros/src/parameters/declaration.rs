@@ -233,6 +233,7 @@ macro_rules! parameters {
         }
     ) => {
         $(#[$attribute])*
+        #[allow(rustdoc::broken_intra_doc_links, reason = "units in brackets are no links")]
         $visibility struct $set {
             $($(#[doc = $text])+ $field_visibility $field: $type,)*
         }
