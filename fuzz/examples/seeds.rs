@@ -61,6 +61,7 @@ fn messages() -> Seeds {
         width: 2,
         channels: 3,
         dtype: Latent::BF16,
+        epoch: 7,
         data: vec![0; 12],
     };
     vec![

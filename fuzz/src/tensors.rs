@@ -4,7 +4,7 @@ use crate::scratch;
 use candle_core::DType;
 use std::io::{Cursor, Write as _};
 use wm_model::{Weights, actions::ActionEncoding};
-use wm_zoo::{Checkpoint, ModelFolder};
+use wm_zoo::{Checkpoint, folder::DescribedFolder};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
 /// Reads a file of tensors, safetensors or torch's, and the values of all its tensors.
@@ -59,7 +59,7 @@ pub fn weights(data: &[u8]) {
 pub fn model(data: &[u8]) {
     let file = scratch::file("model", wm_zoo::folder::FILE, data);
     if let Some(folder) = file.parent() {
-        ModelFolder::open(folder).ok();
+        DescribedFolder::open(folder).ok();
     }
 }
 
@@ -68,11 +68,8 @@ pub fn actions(data: &[u8]) {
     let Ok(encoding) = serde_json::from_slice::<ActionEncoding>(data) else {
         return;
     };
-    // What passes may still ask for a large step; a model's own dimensions bound it where it is used.
-    if encoding.validate().is_ok() && encoding.frame_skip < 64 && encoding.action_dim < 4096 {
-        let actions = vec![[0.1_f32; 7]; encoding.frame_skip];
-        if let Ok(model) = encoding.encode_step(&actions) {
-            encoding.decode_step(&model).ok();
-        }
+    let actions = vec![vec![0.1_f32; encoding.space().len()]; encoding.frame_skip()];
+    if let Ok(model) = encoding.encode_step(&actions) {
+        encoding.decode_step(&model.values).ok();
     }
 }

@@ -72,7 +72,7 @@ fn check_bags(plan: &Plan) -> Result<()> {
     let is_own = |process: &&Process| process.program == Program::Own && process.respawn.is_none();
     for process in plan.processes.iter().filter(is_own) {
         if let Some((name, words)) = process.arguments.split_first()
-            && name == player::NAME
+            && name == player::NODE.name
         {
             let folder = process.working_directory.as_deref();
             player::check(&NodeArgs::parse(words)?, folder.unwrap_or(Path::new("")))

@@ -14,4 +14,4 @@ pub use error::PlannerError;
 pub use goal::Goal;
 pub use model::PlannerModel;
 pub use node::{NODE, body};
-pub use step::{PlanRequest, PlanWait, PlannerSettings, PlannerStep};
+pub use step::{Lead, PlanRequest, PlanWait, PlannerSettings, PlannerStep, Unsent};

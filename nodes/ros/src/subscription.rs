@@ -462,7 +462,7 @@ mod tests {
     fn of_two_readers_each_sample_is_taken_once_whoever_is_first() {
         const SAMPLES: i64 = 20_000;
         let (diagnostics, depth) = (Diagnostics::new("/wm/test"), 40_000);
-        let intake = Intake::new("/wm/goal".into(), depth, diagnostics, Clock::new());
+        let intake = Intake::new("/wm/goal".into(), depth, diagnostics, Clock::new(), None);
         let together = std::sync::Barrier::new(2);
         std::thread::scope(|threads| {
             for _ in 0..2 {

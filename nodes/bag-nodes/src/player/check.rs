@@ -1,6 +1,6 @@
 //! What can be known of a playback before anything starts.
 
-use super::NAME;
+use super::NODE;
 use anyhow::Result;
 use std::path::Path;
 use wm_bag::BagReader;
@@ -14,7 +14,7 @@ use wm_wire::goal::camera_topic;
 /// As the player would say it.
 pub fn check(args: &NodeArgs, folder: &Path) -> Result<()> {
     let text = |name: &str| -> Result<String> {
-        let given = args.given(NAME, wm_ros::NAMESPACE, name)?;
+        let given = args.given(NODE.name, wm_ros::NAMESPACE, name)?;
         Ok(given.unwrap_or_default())
     };
     let bag = text("bag")?;
@@ -23,7 +23,7 @@ pub fn check(args: &NodeArgs, folder: &Path) -> Result<()> {
         return Ok(());
     }
     let reader = BagReader::open(folder.join(bag))?;
-    let has_goal: Option<bool> = args.given(NAME, wm_ros::NAMESPACE, "goal")?;
+    let has_goal: Option<bool> = args.given(NODE.name, wm_ros::NAMESPACE, "goal")?;
     if has_goal == Some(true) {
         camera_topic(&reader, &text("camera_topic")?)?;
     }

@@ -6,8 +6,8 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_msgs::wm_msgs::Latent;
 use tokio::sync::watch;
+use wm_msgs::wm_msgs::Latent;
 use wm_ros::{
     Clock, Diagnostics, Input, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
 };
@@ -18,8 +18,8 @@ use super::{
 };
 use crate::{
     harness::{self, Configured, ModelNode},
-    model_choice::OpenModel,
     history::{epoch_after, seconds},
+    model_choice::OpenModel,
     work::Work,
 };
 use wm_wire::{

@@ -15,20 +15,19 @@ use wm_model::actions::ActionEncoding;
 use wm_msgs::{
     std_msgs::{Bool, String as Text},
     wm_msgs::{
-        Action, ActionChunk, EnvObservation, EnvReset, EnvResetRequest, EnvResetResponse, EnvStep,
-        EnvStepResponse,
+        Action, ActionChunk, EnvObservation, EnvReset, EnvResetResponse, EnvStep, EnvStepResponse,
     },
 };
 use wm_ros::{
     Node, NodeDefinition, Publisher, Qos, Received, Service, Subscription, complaints::Complaints,
 };
 
-use super::{Env, Start, World, parameters::Parameters, start::INSTRUCTION};
+use super::{Env, Start, StartRoot, World, parameters::Parameters, start::INSTRUCTION};
 use crate::{
     encoder::EncoderStep,
     harness::{self, Configured, ModelNode},
-    model_choice::{self, OpenModel},
     history::Timing,
+    model_choice::{self, OpenModel},
     work::Work,
 };
 use active::{Active, Awaited, Done, InFlight, Job};
@@ -85,6 +84,7 @@ struct Model {
     env: Arc<Mutex<Env>>,
     timing: Timing,
     encoding: ActionEncoding,
+    start_root: StartRoot,
 }
 
 /// The node, configured.
@@ -99,7 +99,7 @@ impl ModelNode for Active {
 
     fn check(parameters: &Parameters) -> Result<()> {
         if parameters.episodes > 0 {
-            parameters.start(&EnvResetRequest::default())?;
+            parameters.own_start()?;
         }
         Ok(())
     }
@@ -139,7 +139,7 @@ impl ModelNode for Active {
         let env = Env::new(world, parameters.settings(), timing);
         if parameters.episodes > 0 {
             // That episodes by topics can begin is said now, not when the first policy comes.
-            let start = parameters.start(&EnvResetRequest::default())?;
+            let start = parameters.own_start()?;
             if !matches!(start, Start::Topic(_)) {
                 env.check(&start)?;
             }
@@ -149,6 +149,7 @@ impl ModelNode for Active {
             env,
             timing,
             encoding,
+            start_root: StartRoot::new(&parameters.start_root)?,
         })
     }
 
@@ -214,7 +215,7 @@ impl Active {
             tokio::select! {
                 biased;
                 finished = self.work.finished() => self.done(finished.context("the env's thread")?, at)?,
-                Some(call) = endpoints.resets.recv() => self.take_reset(call, at)?,
+                Some(call) = endpoints.resets.recv() => self.take_reset(call)?,
                 call = endpoints.steps.recv() => {
                     let Some(call) = call else { return Ok(()) };
                     self.take_step(call, at.parameters.max_episodes);

@@ -21,7 +21,7 @@ wm_ros::parameters! {
         topic: String = "";
         /// Folder below which bags and images are that ~/reset may name; empty: it may name none. Anybody in the ROS graph
         /// may call.
-        start_root: String = ".";
+        pub start_root: String = ".";
         /// From the bag's start to the episode's [s].
         bag_offset: f64 = 0.0, in 0.0..=1e9;
         /// How long an episode waits for the image of the topic [s].
@@ -90,11 +90,20 @@ impl Parameters {
         Duration::from_secs_f64(1.0 / self.rate)
     }
 
-    /// Where an episode begins: as the request says, else as the parameters do.
-    pub(super) fn start(&self, request: &EnvResetRequest) -> Result<Start, EnvError> {
+    /// Where an episode begins: as the request says, below `root`, else as the parameters do.
+    pub(super) fn start(
+        &self,
+        request: &EnvResetRequest,
+        root: &StartRoot,
+    ) -> Result<Start, EnvError> {
         match Start::of(request)? {
-            Some(start) => StartRoot::new(&self.start_root)?.admit(start),
-            None => Start::of(&self.reset())?.ok_or(EnvError::Starts(0)),
+            Some(start) => root.admit(start),
+            None => self.own_start(),
         }
+    }
+
+    /// Where an episode begins whose request does not say it.
+    pub(super) fn own_start(&self) -> Result<Start, EnvError> {
+        Start::of(&self.reset())?.ok_or(EnvError::Starts(0))
     }
 }

@@ -10,7 +10,6 @@ use std::{
 
 use rustix::fs::{Mode, OFlags};
 
-
 use wm_bag::{BagMessage, BagReader};
 use wm_msgs::{
     Message as _,

@@ -26,9 +26,9 @@ use super::{
     EvaluatorStep, shown_steps, tile,
 };
 use crate::{
+    chunk_merging::Merging,
     encoder::EncoderStep,
     env::INSTRUCTION,
-    chunk_merging::Merging,
     harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
     history::{History, HistorySettings, Reception, note, seconds},
     model_choice::{self, OpenModel},
@@ -307,7 +307,10 @@ impl Evaluator {
     }
 
     fn evaluate(&mut self, message: &ActionCandidates, receive: Time) {
-        let request = match self.step.candidates(message, Instant::now(), self.clock.now()) {
+        let request = match self
+            .step
+            .candidates(message, Instant::now(), self.clock.now())
+        {
             Ok(request) => request,
             Err(error) => return self.complaints.left_out(error.reason(), &error),
         };

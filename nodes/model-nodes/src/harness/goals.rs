@@ -8,9 +8,9 @@ use wm_wire::{camera_frame::CameraFrame, transport::ImageSubscription};
 
 use crate::{
     encoder::{EncoderError, EncoderStep},
+    history::seconds,
     planner::Goal,
     pool::Pool,
-    timeline::seconds,
     work::Work,
 };
 

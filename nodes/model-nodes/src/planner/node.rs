@@ -15,8 +15,8 @@ use super::{
     Lead, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerSettings, PlannerStep,
 };
 use crate::{
-    encoder::EncoderStep,
     chunk_merging::Merging,
+    encoder::EncoderStep,
     harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
     history::{History, HistorySettings, Reception, Wait, note, seconds},
     model_choice::{self, OpenModel},
@@ -297,7 +297,9 @@ impl Planner {
                     Ok(()) => plans.publish(&plan)?,
                     Err(unsent) => {
                         let stamp = seconds(plan.header.stamp);
-                        let text = format_args!("the plan from the frame of {stamp} is not sent: {unsent}");
+                        let text = format_args!(
+                            "the plan from the frame of {stamp} is not sent: {unsent}"
+                        );
                         self.complaints.left_out(unsent.reason(), &text);
                     }
                 }

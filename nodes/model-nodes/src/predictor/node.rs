@@ -8,12 +8,13 @@ use std::{
 use anyhow::{Context as _, Result};
 use wm_msgs::wm_msgs::{Latent, Prediction, PredictionError};
 use wm_ros::{
-    Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Received,
-    complaints::Complaints,
+    Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
+    Received, complaints::Complaints,
 };
 
 use super::{
-    Doubt, Outcome, PredictorModel, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout,
+    Doubt, Outcome, PredictorModel, PredictorSettings, PredictorStep, RolloutRequest,
+    RunningRollout,
 };
 use crate::{
     chunk_merging::Merging,

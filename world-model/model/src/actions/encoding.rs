@@ -5,6 +5,11 @@ use serde::{Deserialize, Serialize};
 use super::{ActionError, ActionSpace, Dimension, Kind};
 use crate::motion::rotation;
 
+/// Most values of a model action.
+const MOST_VALUES: usize = 1024;
+/// Most intervals of a model step.
+const MOST_INTERVALS: usize = 1000;
+
 /// How the intervals of one model step become one action.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -126,9 +131,13 @@ impl ActionEncoding {
             );
             return Err(ActionError::Encoding(text));
         }
-        if frame_skip == 0 {
-            let text = "frame_skip is 0; expected at least 1";
-            return Err(ActionError::Encoding(text.into()));
+        if action_dim > MOST_VALUES {
+            let text = format!("action_dim is {action_dim}; expected at most {MOST_VALUES}");
+            return Err(ActionError::Encoding(text));
+        }
+        if !(1..=MOST_INTERVALS).contains(&frame_skip) {
+            let text = format!("frame_skip is {frame_skip}; expected 1 to {MOST_INTERVALS}");
+            return Err(ActionError::Encoding(text));
         }
         Ok(Self {
             action_dim,

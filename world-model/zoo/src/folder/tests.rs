@@ -83,7 +83,7 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
             ),
             (3, 2, 1.5)
         );
-        assert_eq!(transition.encoding.action_dim, 10);
+        assert_eq!(transition.encoding.action_dim(), 10);
         let between = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
         let context = latents.unsqueeze(0).unwrap();
         let sampler = &config.sampler;
@@ -236,7 +236,7 @@ fn of_a_steps_actions_the_first_is_taken_as_in_the_reference() {
         }
         let folder = folder(&model);
         let transition = DescribedFolder::open(folder.path()).unwrap().transition();
-        assert_eq!(transition.unwrap().encoding.accumulation, expected);
+        assert_eq!(transition.unwrap().encoding.accumulation(), expected);
     }
 }
 

@@ -227,7 +227,7 @@ impl Active {
         resetter: Resetter,
         node: &EnvNode,
     ) -> Result<()> {
-        match node.parameters.start(&request) {
+        match node.parameters.start(&request, &node.model.start_root) {
             Err(error) => self.refuse_reset(resetter, &error),
             Ok(Start::Topic(topic)) => {
                 if self.awaited.is_some() {
