@@ -76,6 +76,7 @@ class Latent(IdlStruct, typename="wm_msgs::msg::dds_::Latent_"):
     width: uint32
     channels: uint32
     dtype: uint8
+    epoch: uint64
     data: sequence[uint8]
 
 
@@ -110,6 +111,7 @@ class Prediction(IdlStruct, typename="wm_msgs::msg::dds_::Prediction_"):
     step_period: Duration
     latent: Latent
     actions: sequence[Action]
+    epoch: uint64
     model: str
     model_hash: str
     seed: uint64

@@ -30,6 +30,28 @@ pub struct Report {
 }
 
 impl Report {
+    /// Why the predictions are not to be trusted, where the last frame held still is as close to what came one step ahead.
+    #[must_use]
+    pub fn doubt(&self) -> Option<String> {
+        let first = self.steps.iter().find(|step| step.step == 1)?;
+        let ratio = first.latent_error_ratio.filter(|ratio| *ratio >= 1.0);
+        let pictures = first.psnr_db.zip(first.persistence_psnr_db);
+        let pictures = pictures.filter(|(predicted, held)| predicted < held);
+        let why = match (pictures, ratio) {
+            (Some((predicted, held)), _) => {
+                format!("PSNR {predicted:.1} dB one step ahead against {held:.1} dB")
+            }
+            (None, Some(ratio)) => {
+                format!("squared latent error {ratio:.2} times as large one step ahead")
+            }
+            (None, None) => return None,
+        };
+        Some(format!(
+            "The predictions are no better than the last frame held still ({why}): the model may not know such pictures, or the \
+             actions are not this robot's."
+        ))
+    }
+
     /// The frames and their rate, and what to do about a rate that is no usual one of a model.
     #[must_use]
     pub fn frames_in_words(&self) -> String {

@@ -27,7 +27,10 @@ pub fn terminal_table(report: &Report) -> String {
             *width = (*width).max(cell.chars().count());
         }
     }
-    let mut text = heading(report);
+    let mut text = report
+        .doubt()
+        .map_or_else(String::new, |doubt| format!("{doubt}\n"));
+    text.push_str(&heading(report));
     let line = |cells: &mut dyn Iterator<Item = &str>| {
         let padded: Vec<String> = cells
             .zip(widths)
@@ -47,8 +50,10 @@ pub fn terminal_table(report: &Report) -> String {
 /// The report as Markdown; it shows the strip only where there is one.
 #[must_use]
 pub fn markdown(report: &Report, has_strip: bool) -> String {
+    let doubt = report.doubt();
+    let doubt = doubt.map_or_else(String::new, |doubt| format!("**{doubt}**\n\n"));
     let mut text = format!(
-        "# Predictions against what happened\n\n{}\n",
+        "{doubt}# Predictions against what happened\n\n{}\n",
         heading(report)
     );
     // writing to a String cannot fail
@@ -202,5 +207,23 @@ mod tests {
         }
         assert!(text.contains("strip.png"));
         assert!(!markdown(&report(), false).contains("strip.png"));
+    }
+
+    #[test]
+    fn predictions_that_are_no_better_than_the_last_frame_are_named_in_the_first_line() {
+        let mut report = report();
+        report.steps[0].persistence_psnr_db = Some(20.0);
+        assert!(!markdown(&report, false).contains("no better"));
+        report.steps[0].persistence_psnr_db = Some(31.1);
+        for text in [terminal_table(&report), markdown(&report, false)] {
+            let first = text.lines().next().unwrap();
+            assert!(
+                first.contains("PSNR 28.5 dB one step ahead against 31.1 dB"),
+                "{text}"
+            );
+        }
+        report.steps[0].persistence_psnr_db = None;
+        report.steps[0].latent_error_ratio = Some(2.1);
+        assert!(terminal_table(&report).starts_with("The predictions are no better"));
     }
 }

@@ -69,7 +69,7 @@ wm_ros::endpoints! {
         /// Predicted latents.
         predictions: Subscription<Prediction> = "predicted", qos(Qos::best_effort(WAITING));
         /// Predicted pictures; the stamp is the time that is predicted.
-        pictures: ImagePublisher = "predicted/image", qos(Qos::best_effort(WAITING));
+        pictures: ImagePublisher = "predicted/image", qos(Qos::reliable(WAITING));
     }
 }
 

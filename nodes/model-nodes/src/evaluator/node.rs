@@ -97,7 +97,7 @@ wm_ros::endpoints! {
         /// What each candidate would do.
         assessments: Publisher<Assessment> = "assessment";
         /// The candidates' predicted pictures, one row per candidate.
-        pictures: ImagePublisher = "candidates/image", qos(Qos::best_effort(4));
+        pictures: ImagePublisher = "candidates/image", qos(Qos::reliable(4));
     }
 }
 
