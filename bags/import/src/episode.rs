@@ -35,7 +35,7 @@ pub(crate) struct Joints {
     pub positions: Vec<Vec<f64>>,
 }
 
-/// Key of the bag's `custom_data` under which its origin stands ([`Episode::origin`]).
+/// Key of the bag's `custom_data` under which its origin stands.
 pub const ORIGIN: &str = "wm.import.source";
 
 /// One episode, decoded.

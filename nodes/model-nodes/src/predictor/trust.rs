@@ -194,12 +194,12 @@ mod tests {
         assert!(text.contains("1.20 times"), "{text}");
         assert!(doubt(f32::NAN, 0.5).is_some());
         let mut later = Trust::default();
-        (0..20).for_each(|index| {
+        for index in 0..20 {
             later.scored(&PredictionError {
                 step: 2,
                 ..error(index, 0.6, 0.5)
-            })
-        });
+            });
+        }
         assert_eq!(later.doubt(), None, "only the first step is judged");
     }
 }
