@@ -25,7 +25,7 @@ use std::{sync::Arc, time::Duration};
 use wm_model::{
     LatentSpace,
     actions::{ActionEncoding, ActionError},
-    motion::{Chunk, Motion, MotionSettings, StepAction},
+    motion::{Chunk, Motion, MotionSettings, Pace, StepAction},
 };
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -122,8 +122,8 @@ pub struct History {
     source_epoch: u64,
     held_back: HeldBack,
     base_frame: Arc<str>,
-    /// Stamp of the last frame that was due.
-    due_ns: Option<i64>,
+    /// Which frames are worth a prediction.
+    pace: Pace,
     late_chunk: Option<LateChunk>,
     epoch: u64,
 }
@@ -152,7 +152,7 @@ impl History {
             source_epoch: 0,
             held_back: HeldBack::default(),
             base_frame: "".into(),
-            due_ns: None,
+            pace: Pace::new(timing.frame_period_ns, timing.frame_period_ns),
             late_chunk: None,
             epoch: epoch_after(0, begin),
             settings,
@@ -283,12 +283,10 @@ impl History {
         // Where time jumped back, the chunk was of the time that begins.
         let late_chunk = self.late_chunk.take();
         arrival.late_chunk = late_chunk.filter(|late| late.end_ns <= stamp_ns);
-        let due_after_ns = timing.frame_period_ns - timing.tolerance_ns;
-        arrival.is_due = (self.due_ns).is_none_or(|due_ns| stamp_ns - due_ns >= due_after_ns);
-        if arrival.is_due {
-            self.due_ns = Some(stamp_ns);
-        }
         self.frames.push(frame);
+        let camera_ns = self.frames.period_ns().unwrap_or(timing.frame_period_ns);
+        self.pace.set_gap(camera_ns);
+        arrival.is_due = self.pace.is_due(stamp_ns);
         if self.slow_camera().is_some() {
             // Said as what it is, not as frames that are missing.
             arrival.missed_frames = 0;
@@ -538,7 +536,7 @@ impl History {
 
     fn begin(&mut self, now: Time) {
         self.frames.clear();
-        self.due_ns = None;
+        self.pace.restart();
         self.late_chunk = None;
         self.epoch = epoch_after(self.epoch, now);
     }

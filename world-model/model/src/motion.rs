@@ -23,6 +23,7 @@
 //! ```
 
 mod announced;
+mod pace;
 mod piece;
 pub(crate) mod rotation;
 mod taken;
@@ -32,6 +33,7 @@ use std::sync::Arc;
 use crate::actions::{ActionEncoding, ActionError, ActionSpace, ModelAction};
 use announced::Announced;
 pub use announced::{Chunk, ChunkMerging, MAX_CHUNK};
+pub use pace::Pace;
 use piece::{Piece, integrate};
 use taken::Taken;
 

@@ -417,8 +417,7 @@ fn frames_of_a_fast_camera_are_kept_and_thinned_by_time() {
     });
     let due: Vec<bool> = frames.map(|arrival| arrival.is_due).collect();
     let count = due.iter().filter(|is_due| **is_due).count();
-    // Within the tolerance a frame that is a tick early is due.
-    assert!((10..=12).contains(&count), "{count} of 60");
+    assert!((10..=11).contains(&count), "{count} of 60");
     assert!(history.moment().is_ok());
 }
 

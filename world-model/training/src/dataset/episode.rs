@@ -4,7 +4,7 @@ use image::{GrayImage, RgbImage, imageops::FilterType};
 use wm_bag::{BagMessage, BagReader};
 use wm_model::{
     actions::ActionSpace,
-    motion::{Motion, MotionSettings},
+    motion::{Motion, MotionSettings, Pace},
 };
 use wm_msgs::{sensor_msgs::CompressedImage, sensor_msgs::Image, wm_msgs::Action};
 
@@ -152,15 +152,11 @@ fn thinned(stamps: &[i64], space: &ActionSpace) -> Result<Vec<usize>, String> {
             period_ns as f64 / 1e9
         ));
     }
-    let mut kept: Vec<usize> = Vec::new();
-    let mut due_ns = i64::MIN;
-    for (index, stamp_ns) in stamps.iter().enumerate() {
-        if *stamp_ns >= due_ns {
-            kept.push(index);
-            due_ns = stamp_ns.saturating_add(period_ns - period_ns / 4);
-        }
-    }
-    Ok(kept)
+    // Of a fast camera the frame that is nearest to its time is kept; stamps of any other jitter.
+    let mut pace = Pace::new(period_ns, gap_ns);
+    let kept = stamps.iter().enumerate();
+    let kept = kept.filter(|(_, stamp_ns)| pace.is_due(**stamp_ns));
+    Ok(kept.map(|(index, _)| index).collect())
 }
 
 /// What the robot does from each of these moments to the next; after the last one the motion goes on for as long.

@@ -301,7 +301,7 @@ fn what_is_wrong_in_a_part_is_named_with_the_part() {
         (
             ("transition", "actions"),
             json!({"frame_skip": 0}),
-            "frame_skip must be at least 1",
+            "frame_skip is 0; expected 1 to 1000",
         ),
         (
             ("normalisation", "std"),
