@@ -13,8 +13,8 @@ use super::{Parametrisation, parameters};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionAlignment {
-    /// The action that leads from this frame to the next, as in the published checkpoints. A new
-    /// frame whose own action is not known yet gets zeros.
+    /// The action that leads from this frame to the next, as in the published checkpoints. Every frame
+    /// carries one, the new one too: the action after it, or, where that is not known, the last one, which goes on.
     WithFrame,
     /// The action that led to this frame. The first frame of a window gets zeros.
     WithResult,
