@@ -343,7 +343,7 @@ impl State {
                     level: Level::Warn,
                     message: format!(
                         "{} subscriber(s) of another DDS implementation may miss messages of {len} bytes: on their machine, \
-                         set net.core.rmem_max and net.core.rmem_default to 4194304 (README, Large messages)",
+                         set net.core.rmem_max and net.core.rmem_default to 4194304 (docs/networking.md)",
                         graph.foreign(id)
                     ),
                 });

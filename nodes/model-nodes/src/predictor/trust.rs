@@ -10,7 +10,8 @@ use crate::history::Frame;
 const SPAN_NS: i64 = 5_000_000_000;
 /// Fewest frames or errors in that span that are judged.
 const LEAST: usize = 8;
-/// Latents are normalised: of the training's, 0.3 % of the values lie beyond so many standard deviations.
+/// Latents are normalised over the training data: of normally distributed values, 0.3 % lie beyond so many standard
+/// deviations.
 const FAR: f32 = 3.0;
 /// Part of the values beyond that at which pictures are unlike the training's. The bundled model's latents have 0.3 to
 /// 0.8 % on the simulator's pictures, and 2 to 13 % on real ones (61 frames of Bridge V2).
@@ -38,8 +39,8 @@ impl fmt::Display for Doubt {
         match self {
             Self::UnlikeTraining { part } => write!(
                 f,
-                "the camera shows pictures unlike those that the model was trained on ({:.1} % of the latent's values are far \
-                 out, in training 0.3 %): predictions and plans mean little; use a model that was trained on such pictures \
+                "the camera shows pictures unlike those that the model was trained on ({:.1} % of the latent's values lie \
+                 beyond 3 standard deviations, where a normal distribution has 0.3 %): predictions and plans mean little; use a model that was trained on such pictures \
                  (parameter model)",
                 100.0 * part
             ),
