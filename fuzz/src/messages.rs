@@ -86,9 +86,9 @@ pub fn request(data: &[u8]) {
 /// Decodes the pixels of an image message, raw and compressed.
 pub fn picture(data: &[u8]) {
     if let Ok(image) = cdr::from_bytes::<sensor_msgs::Image>(data) {
-        wm_wire::image_message::decode_image(&image).ok();
+        wm_camera::image_message::decode_image(&image).ok();
     }
     if let Ok(image) = cdr::from_bytes::<sensor_msgs::CompressedImage>(data) {
-        wm_wire::image_message::decode_compressed(&image).ok();
+        wm_camera::image_message::decode_compressed(&image).ok();
     }
 }

@@ -3,7 +3,6 @@
 mod dataset;
 mod episode;
 mod meta;
-mod picture;
 mod place;
 mod recording;
 mod video;

@@ -1,7 +1,7 @@
 //! The player node: a bag's messages at the times at which they were recorded, their bytes untouched.
 //!
 //! Two things can be added for the other nodes, computed by pure steps over the bag: the actions that are to come
-//! ([`chunks`]), which a policy would send on a robot, and the bag's last frame as goal for the planner ([`wm_wire::goal`]).
+//! ([`chunks`]), which a policy would send on a robot, and the bag's last frame as goal for the planner ([`wm_camera::goal`]).
 //!
 //! Time: with `restamp`, header stamps are moved from the bag's time to now ([`restamp`], [`playback`]), in place,
 //! so that latencies are those of live data; without it they stay, and `clock` publishes the bag's time on `/clock`

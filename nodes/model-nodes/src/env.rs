@@ -14,19 +14,19 @@
 mod attached;
 mod episode;
 mod error;
+mod model;
 mod node;
 mod parameters;
 mod recording;
 mod start;
 mod start_root;
 mod step;
-mod world;
 
 pub use attached::Attached;
 pub use error::EnvError;
+pub use model::EnvModel;
 pub use node::{NODE, body};
 pub(crate) use start::INSTRUCTION;
 pub use start::Start;
 pub use start_root::StartRoot;
 pub use step::{Env, EnvSettings, Move, Moved, Observation};
-pub use world::World;

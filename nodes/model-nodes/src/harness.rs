@@ -3,9 +3,9 @@
 //!
 //! ```no_run
 //! use wm_model_nodes::harness::{self, Configured, ModelNode};
-//! use wm_model_nodes::model_choice::OpenModel;
 //! use wm_msgs::{std_msgs::String as Text, wm_msgs::Latent};
 //! use wm_ros::{NodeDefinition, Publisher, Qos, Subscription};
+//! use wm_zoo::ModelFolder;
 //!
 //! wm_ros::parameters! {
 //!     /// Its parameters.
@@ -36,7 +36,7 @@
 //!     type Endpoints = Endpoints;
 //!     type Model = ();
 //!
-//!     fn load(_: OpenModel, _: &Parameters) -> anyhow::Result<()> {
+//!     fn load(_: ModelFolder, _: &Parameters) -> anyhow::Result<()> {
 //!         Ok(())
 //!     }
 //!
@@ -68,14 +68,13 @@ pub use goals::Goals;
 
 use std::{process::ExitCode, sync::Arc};
 
-use anyhow::Result;
-use wm_model::bundle::EMBEDDED;
+use anyhow::{Context as _, Result};
+use wm_model::trained_folder::EMBEDDED;
 use wm_ros::{
     Component, EndpointSet, Lifecycle, Managed, NAMESPACE, Node, NodeArgs, NodeDefinition,
     ParameterSet, ParameterSpec,
 };
-
-use crate::model_choice::{ModelChoice, OpenModel};
+use wm_zoo::ModelFolder;
 
 /// A node that computes with the world model. The type itself is what the node holds while it is active.
 pub trait ModelNode: Sized + 'static {
@@ -102,7 +101,7 @@ pub trait ModelNode: Sized + 'static {
     ///
     /// # Errors
     /// Names what is missing or wrong.
-    fn load(model: OpenModel, parameters: &Self::Parameters) -> Result<Self::Model>;
+    fn load(model: ModelFolder, parameters: &Self::Parameters) -> Result<Self::Model>;
 
     /// Begins anew, with no history.
     ///
@@ -176,12 +175,13 @@ pub async fn body<N: ModelNode>(node: Node) -> Result<()> {
     let parameters = Arc::new(N::Parameters::declare(&node)?);
     node.seal_parameters()?;
     N::check(&parameters)?;
-    let choice = ModelChoice::new(common.model);
-    lifecycle.run(Harness::<N> { choice, parameters }).await
+    let model = common.model;
+    lifecycle.run(Harness::<N> { model, parameters }).await
 }
 
 struct Harness<N: ModelNode> {
-    choice: ModelChoice,
+    /// What the parameter `model` says.
+    model: String,
     parameters: Arc<N::Parameters>,
 }
 
@@ -191,9 +191,13 @@ impl<N: ModelNode> Managed for Harness<N> {
     type Error = anyhow::Error;
 
     async fn configure(&self, node: &Node) -> Result<Configured<N>> {
-        let (choice, parameters) = (self.choice.clone(), Arc::clone(&self.parameters));
+        let (name, parameters) = (self.model.clone(), Arc::clone(&self.parameters));
         let span = tracing::Span::current();
-        let load = move || span.in_scope(|| N::load(choice.open()?, &parameters));
+        let load = move || {
+            let load = || N::load(ModelFolder::open(&name)?, &parameters);
+            span.in_scope(load)
+                .with_context(|| format!("parameter model is \"{name}\""))
+        };
         Ok(Configured {
             node: node.clone(),
             parameters: Arc::clone(&self.parameters),

@@ -10,7 +10,6 @@
 //! a simulation that restarts, a camera that was away), and where somebody asks for it, a new epoch begins and all frames
 //! are forgotten. One odd stamp is no jump: time has jumped when two frames in a row say so.
 
-mod camera;
 mod error;
 mod frames;
 mod held_back;
@@ -34,6 +33,7 @@ use wm_msgs::{
 };
 use wm_wire::latent_message::decode_latent;
 
+pub use crate::camera::WrongCamera;
 pub use error::HistoryError;
 pub use frames::Frame;
 pub use moment::Moment;
@@ -44,7 +44,7 @@ pub use timing::Timing;
 pub use wait::Wait;
 pub use wm_model::motion::{ChunkMerging, MAX_CHUNK};
 
-use camera::{Admission, Camera};
+use crate::camera::{Admission, Camera, Source};
 use frames::Frames;
 use held_back::HeldBack;
 
@@ -209,14 +209,14 @@ impl History {
         let frame_id = header.frame_id.as_str();
         match &mut self.camera {
             None => {
-                self.camera = Some(Camera::new(frame_id, &reception));
+                self.camera = Some(Camera::new(frame_id, Source::Latents, &reception));
                 self.source_epoch = source_epoch;
             }
             Some(camera) => {
                 let period =
                     Duration::from_nanos(self.settings.timing.frame_period_ns.unsigned_abs());
                 let silence = (period * SILENT_FRAMES).max(Duration::from_secs(1));
-                let admission = camera.admit(frame_id, &reception, silence)?;
+                let admission = camera.admit(frame_id, Source::Latents, &reception, silence)?;
                 if admission == Admission::Same && source_epoch < self.source_epoch {
                     return Err(HistoryError::OldEpoch {
                         epoch: source_epoch,

@@ -7,6 +7,7 @@
 //!
 //! Not here: the models (`wm_model`), the ROS runtime (`wm_ros`), bags (`wm_bag`).
 
+mod camera;
 mod chunk_merging;
 pub mod decoder;
 pub mod encoder;
@@ -14,7 +15,6 @@ pub mod env;
 pub mod evaluator;
 pub mod harness;
 pub mod history;
-pub mod model_choice;
 pub mod planner;
 pub mod pool;
 pub mod predictor;

@@ -14,6 +14,6 @@ mod trust;
 
 pub use error::PredictorError;
 pub use node::{NODE, body};
-pub use rollout::{PredictedStep, PredictorModel, RolloutRequest, RunningRollout};
+pub use rollout::{PredictedStep, RolloutRequest, RunningRollout};
 pub use step::{Outcome, PredictorSettings, PredictorStep};
 pub use trust::{Doubt, Trust};

@@ -14,7 +14,8 @@ use std::{
 
 use running::{PATIENCE, Running, context, soon};
 use serde_json::{Value, json};
-use wm_model::{LatentSpace, bundle::Bundle};
+use wm_camera::image_message::decode_compressed;
+use wm_model::{LatentSpace, trained_folder::TrainedFolder};
 use wm_msgs::{
     builtin_interfaces::Time,
     diagnostic_msgs::DiagnosticArray,
@@ -23,10 +24,7 @@ use wm_msgs::{
     wm_msgs::{Latent, Plan, Prediction},
 };
 use wm_ros::{Node, NodeArgs, Qos, Subscription};
-use wm_wire::{
-    image_message::decode_compressed,
-    latent_message::{LATENT_QOS, LatentDtype, decode_latent, encode_latent},
-};
+use wm_wire::latent_message::{LATENT_QOS, LatentDtype, decode_latent, encode_latent};
 use wm_zoo::{ModelFolder, folder};
 
 const HORIZON: u32 = 2;
@@ -222,7 +220,11 @@ fn nodes_run(model: &Value, channels: u32) {
         // A planner of another model counts every latent that it refuses, and names both spaces.
         let is_refused = |message: &str| message.contains("wrong_space");
         listener.diagnosed("wm/stranger", is_refused).await;
-        let tiny = Bundle::Embedded.autoencoder().unwrap().space().clone();
+        let tiny = TrainedFolder::Embedded
+            .autoencoder()
+            .unwrap()
+            .space()
+            .clone();
         let refusal = decode_latent(&latent, &tiny).unwrap_err().to_string();
         assert!(
             refusal.contains(&space.name) && refusal.contains(&tiny.name),

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use wm_model::{
     LatentSpace,
-    bundle::{Bundle, EMBEDDED},
+    trained_folder::{EMBEDDED, TrainedFolder},
 };
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -104,7 +104,7 @@ async fn a_clock_that_jumps_back_flushes_the_history() {
     });
     let (here, node) = node(domain, "world", "");
     let mut world = World {
-        space: Bundle::named(EMBEDDED).transition().unwrap().space,
+        space: TrainedFolder::named(EMBEDDED).world_model().unwrap().space,
         clock: node.publisher("/clock", Qos::reliable(1)).unwrap(),
         latents: node.publisher("latent", Qos::reliable(10)).unwrap(),
         actions: node.publisher("action", Qos::reliable(10)).unwrap(),

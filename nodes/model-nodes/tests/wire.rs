@@ -10,6 +10,7 @@ use std::{path::Path, time::Duration};
 
 use image::{Rgb, RgbImage};
 use running::{PATIENCE, Running, soon};
+use wm_camera::image_message::{decode_compressed, decode_image, encode_image, encode_jpeg};
 use wm_model::{
     Autoencoder, AutoencoderConfig,
     actions::ActionEncoding,
@@ -27,10 +28,7 @@ use wm_msgs::{
     },
 };
 use wm_ros::{Client, Context, Node, NodeArgs, Publisher, Qos, Subscription};
-use wm_wire::{
-    image_message::{decode_compressed, decode_image, encode_image, encode_jpeg},
-    latent_message::{LatentDtype, encode_latent},
-};
+use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 /// The camera's period \[ns\].
 const PERIOD: i64 = 200_000_000;
@@ -119,6 +117,8 @@ fn action(index: i64) -> Action {
 struct World {
     _node: Node,
     camera: Publisher<Image>,
+    /// A second camera on the same topic, with the same frame_id.
+    other_camera: Publisher<Image>,
     actions: Publisher<Action>,
     chunks: Publisher<ActionChunk>,
     goals: Publisher<CompressedImage>,
@@ -140,6 +140,9 @@ impl World {
         let many = Qos::best_effort(1000);
         let world = Self {
             camera: node
+                .publisher("/camera/image_raw", Qos::sensor_data())
+                .unwrap(),
+            other_camera: node
                 .publisher("/camera/image_raw", Qos::sensor_data())
                 .unwrap(),
             actions: node.publisher("action", Qos::reliable(10)).unwrap(),
@@ -164,6 +167,7 @@ impl World {
         };
         let met = async {
             world.camera.wait_for_subscribers(1).await;
+            world.other_camera.wait_for_subscribers(1).await;
             world.actions.wait_for_subscribers(2).await;
             world.chunks.wait_for_subscribers(2).await;
             world.goals.wait_for_subscribers(1).await;
@@ -447,6 +451,12 @@ async fn bad_input_is_counted_and_survived(
     first: i64,
 ) -> i64 {
     let good = encode_image(&picture(first), header(first, "camera"));
+    world.other_camera.publish(&good).unwrap();
+    world
+        .diagnosed("wm/encoder", "dropped: wrong_frame [total]", |total| {
+            total == "1"
+        })
+        .await;
     world
         .camera
         .publish(&Image {

@@ -5,13 +5,11 @@ use anyhow::{Context as _, Result, bail};
 use std::collections::BTreeMap;
 use std::path::Path;
 use wm_bag::{BagMessage, BagReader};
+use wm_camera::camera_frame::CameraFrame;
 use wm_msgs::{
-    Message,
     diagnostic_msgs::DiagnosticArray,
-    sensor_msgs::{CompressedImage, Image},
     wm_msgs::{Plan, Prediction, PredictionError},
 };
-use wm_wire::image_message::{decode_compressed, decode_image};
 
 /// The topics that a bag is scored by.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -126,12 +124,8 @@ fn score(scorer: &mut Scorer, topics: &BagTopics, message: &BagMessage) -> Resul
 }
 
 fn picture_of(message: &BagMessage) -> Result<(i64, image::RgbImage)> {
-    if message.type_name.as_ref() == CompressedImage::ros_name() {
-        let image: CompressedImage = message.decode()?;
-        return Ok((image.header.stamp.to_nanos(), decode_compressed(&image)?));
-    }
-    let image: Image = message.decode()?;
-    Ok((image.header.stamp.to_nanos(), decode_image(&image)?))
+    let frame = CameraFrame::of_bag(message)?;
+    Ok((frame.header().stamp.to_nanos(), frame.decode()?))
 }
 
 #[cfg(test)]
@@ -140,11 +134,12 @@ mod tests {
     use crate::files::write_report;
     use image::{Rgb, RgbImage};
     use wm_bag::{BagWriter, WriterOptions};
+    use wm_camera::image_message::encode_image;
     use wm_msgs::{
         builtin_interfaces::{Duration, Time},
+        sensor_msgs::Image,
         std_msgs::{self, Header},
     };
-    use wm_wire::image_message::encode_image;
 
     const STEP_NS: i64 = 400_000_000;
 

@@ -6,7 +6,7 @@ use wm_ros::{
     Subscription,
 };
 
-use crate::camera_frame::CameraFrame;
+use wm_camera::camera_frame::CameraFrame;
 
 /// Which transports a node uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

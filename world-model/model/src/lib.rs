@@ -10,16 +10,17 @@ mod decoder;
 mod encoder;
 mod error;
 mod latent_space;
+mod world_model;
 
 pub mod actions;
 pub mod autoencoder;
-pub mod bundle;
 pub mod image;
 pub mod metrics;
 pub mod motion;
 pub mod ops;
 pub mod planner;
 pub mod sampler;
+pub mod trained_folder;
 pub mod transition;
 pub mod weights;
 
@@ -29,3 +30,4 @@ pub use encoder::Encoder;
 pub use error::{Error, Result};
 pub use latent_space::LatentSpace;
 pub use weights::Weights;
+pub use world_model::WorldModel;

@@ -46,9 +46,9 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use sha2::{Digest as _, Sha256};
+use wm_model::WorldModel;
 use wm_model::actions::ActionEncoding;
 use wm_model::autoencoder::{MEAN, Normalisation, STD};
-use wm_model::bundle::WorldModel;
 use wm_model::transition::{PackedTransition, TransitionConfig};
 use wm_model::{Decoder, Encoder, LatentSpace};
 
@@ -100,6 +100,8 @@ struct Pictures {
 /// An open model folder, checked as a whole; values are read when a part is asked for.
 #[derive(Debug)]
 pub struct DescribedFolder {
+    /// Its path, as it was opened.
+    name: String,
     description: Description,
     encoder: Opened<EncoderConfig>,
     adapter: Option<Opened<SvaeConfig>>,
@@ -170,6 +172,7 @@ impl DescribedFolder {
         let normalisation =
             statistics(&description, &folder, channels).map_err(in_part("normalisation"))?;
         Ok(Self {
+            name: folder.display().to_string(),
             description,
             encoder,
             adapter,
@@ -180,6 +183,11 @@ impl DescribedFolder {
             latent,
             space: OnceLock::new(),
         })
+    }
+
+    /// Its path, as it was opened.
+    pub fn name(&self) -> &str {
+        &self.name
     }
 
     /// What its `model.json` says.
@@ -265,7 +273,7 @@ impl DescribedFolder {
     ///
     /// # Errors
     /// If a value is not finite.
-    pub fn transition(&self) -> Result<WorldModel> {
+    pub fn world_model(&self) -> Result<WorldModel> {
         let Dynamics {
             config, encoding, ..
         } = &self.transition.config;
@@ -282,10 +290,11 @@ impl DescribedFolder {
             .source
             .hash(&self.transition.tensors, &mut hash)?;
         Ok(WorldModel {
-            model: PackedTransition::new(&model, packed_format(dtype))?,
+            name: self.name.clone(),
+            transition: PackedTransition::new(&model, packed_format(dtype))?,
             hash: format!("{:x}", hash.finalize()),
-            encoding: encoding.clone(),
             space,
+            encoding: encoding.clone(),
         })
     }
 

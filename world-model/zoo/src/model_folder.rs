@@ -2,19 +2,19 @@
 
 use std::path::Path;
 
-use wm_model::bundle::{Bundle, EMBEDDED, WorldModel};
-use wm_model::{Decoder, Encoder, LatentSpace};
+use wm_model::trained_folder::{EMBEDDED, TrainedFolder};
+use wm_model::{Decoder, Encoder, LatentSpace, WorldModel};
 
 use crate::Result;
 use crate::folder::DescribedFolder;
 use crate::success_probe::SuccessClassifier;
 
 /// What a node's parameter `model` names: the files of a world model, checked as far as names and shapes go. Its parts are
-/// loaded when they are asked for; [`ModelFolder::transition`] gives the [`WorldModel`].
+/// loaded when they are asked for; [`ModelFolder::world_model`] gives the [`WorldModel`].
 #[derive(Debug)]
 pub enum ModelFolder {
     /// The embedded default, or a folder that the training wrote.
-    Weights(Bundle),
+    Trained(TrainedFolder),
     /// A folder of published checkpoints with a `model.json`.
     Described(Box<DescribedFolder>),
 }
@@ -28,7 +28,15 @@ impl ModelFolder {
         if name != EMBEDDED && DescribedFolder::is_one(Path::new(name)) {
             return Ok(Self::Described(Box::new(DescribedFolder::open(name)?)));
         }
-        Ok(Self::Weights(Bundle::named(name)))
+        Ok(Self::Trained(TrainedFolder::named(name)))
+    }
+
+    /// What it was opened by.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Trained(folder) => folder.name(),
+            Self::Described(folder) => folder.name().to_owned(),
+        }
     }
 
     /// The space of its latents.
@@ -37,7 +45,7 @@ impl ModelFolder {
     /// Names what is missing or wrong in the weights.
     pub fn space(&self) -> Result<LatentSpace> {
         match self {
-            Self::Weights(bundle) => Ok(bundle.autoencoder()?.space().clone()),
+            Self::Trained(folder) => Ok(folder.autoencoder()?.space().clone()),
             Self::Described(folder) => folder.space(),
         }
     }
@@ -48,7 +56,7 @@ impl ModelFolder {
     /// Names what is missing or wrong in the weights.
     pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
         match self {
-            Self::Weights(bundle) => Ok(Box::new(bundle.autoencoder()?)),
+            Self::Trained(folder) => Ok(Box::new(folder.autoencoder()?)),
             Self::Described(folder) => folder.encoder(),
         }
     }
@@ -59,7 +67,7 @@ impl ModelFolder {
     /// Names what is missing or wrong in the weights.
     pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
         match self {
-            Self::Weights(bundle) => Ok(Some(Box::new(bundle.autoencoder()?))),
+            Self::Trained(folder) => Ok(Some(Box::new(folder.autoencoder()?))),
             Self::Described(folder) => folder.decoder(),
         }
     }
@@ -67,7 +75,7 @@ impl ModelFolder {
     /// Whether there is a transition model; without one a model encodes and decodes only.
     pub fn has_transition(&self) -> bool {
         match self {
-            Self::Weights(bundle) => bundle.has_transition(),
+            Self::Trained(folder) => folder.has_transition(),
             Self::Described(_) => true,
         }
     }
@@ -76,10 +84,10 @@ impl ModelFolder {
     ///
     /// # Errors
     /// Names what is missing or wrong in the weights.
-    pub fn transition(&self) -> Result<WorldModel> {
+    pub fn world_model(&self) -> Result<WorldModel> {
         match self {
-            Self::Weights(bundle) => Ok(bundle.transition()?),
-            Self::Described(folder) => folder.transition(),
+            Self::Trained(folder) => Ok(folder.world_model()?),
+            Self::Described(folder) => folder.world_model(),
         }
     }
 
@@ -89,7 +97,7 @@ impl ModelFolder {
     /// Names what is missing or wrong in its files.
     pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
         match self {
-            Self::Weights(_) => Ok(None),
+            Self::Trained(_) => Ok(None),
             Self::Described(folder) => folder.probe(),
         }
     }

@@ -5,14 +5,15 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use image::RgbImage;
 use serde_json::{Value, json};
-use wm_bag::BagReader;
+use wm_bag::{BagMessage, BagReader};
+use wm_camera::camera_frame::CameraFrame;
 
 use super::{
     ExportOptions, Exported,
     episode::Episode,
     meta::{double, int, write_json, write_tasks},
-    picture,
     place::{DATA, Place, VIDEO},
     recording::Recording,
     video::VideoWriter,
@@ -389,7 +390,7 @@ impl DatasetWriter {
                     format!("{}, message {number}: {reason}", stream.topic),
                 )
             };
-            let frame = picture::decode(&message).map_err(unsuited)?;
+            let frame = picture(&message).map_err(unsuited)?;
             if frame.dimensions() != camera.size {
                 return Err(unsuited(format!(
                     "expected {:?} pixels as in the first, got {:?}",
@@ -467,6 +468,11 @@ fn action_width(recording: &Recording) -> usize {
     recording.actions.values.first().map_or(0, Vec::len)
 }
 
+fn picture(message: &BagMessage) -> Result<RgbImage, String> {
+    let frame = CameraFrame::of_bag(message).map_err(|error| error.to_string())?;
+    frame.decode().map_err(|error| error.to_string())
+}
+
 /// The size of each camera's first picture; h264 with chroma at half size takes even sides.
 fn sizes(recording: &Recording) -> Result<Vec<(u32, u32)>, LeRobotError> {
     let reader = BagReader::open(&recording.bag)?;
@@ -477,7 +483,7 @@ fn sizes(recording: &Recording) -> Result<Vec<(u32, u32)>, LeRobotError> {
         let first = messages
             .next()
             .ok_or_else(|| unsuited("expected pictures, got none".to_owned()))??;
-        let (width, height) = picture::decode(&first).map_err(unsuited)?.dimensions();
+        let (width, height) = picture(&first).map_err(unsuited)?.dimensions();
         let is_even = |side: u32| side > 0 && side.is_multiple_of(2);
         if is_even(width) && is_even(height) {
             Ok((width, height))

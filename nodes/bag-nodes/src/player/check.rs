@@ -4,8 +4,8 @@ use super::NODE;
 use anyhow::Result;
 use std::path::Path;
 use wm_bag::BagReader;
+use wm_camera::goal::camera_topic;
 use wm_ros::NodeArgs;
-use wm_wire::goal::camera_topic;
 
 /// Whether a player with these arguments, started in `folder`, finds its bag, and in it the camera that it is told. So a
 /// launch can refuse a mistyped path before its recorder and its report touch what an earlier one has left.

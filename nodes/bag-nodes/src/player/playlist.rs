@@ -7,9 +7,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use tracing::warn;
 use wm_bag::{BagReader, QosProfile};
+use wm_camera::goal::{camera_topic, last_frame};
 use wm_msgs::{Message as _, sensor_msgs::CompressedImage, wm_msgs::Action};
 use wm_ros::{Durability, Node, Qos, RawPublisher, Reliability};
-use wm_wire::goal::{camera_topic, last_frame};
 
 /// A topic that is played.
 pub(super) struct Track {

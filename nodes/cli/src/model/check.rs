@@ -9,7 +9,7 @@ use clap::Args;
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 use verdict::Times;
-use wm_model::bundle::WorldModel;
+use wm_model::WorldModel;
 use wm_model::sampler::Rollout;
 use wm_model::{Decoder, Encoder};
 use wm_zoo::ModelFolder;
@@ -58,7 +58,7 @@ impl Parts {
         Ok(Self {
             encoder: model.encoder()?,
             transition: match model.has_transition() {
-                true => Some(model.transition()?),
+                true => Some(model.world_model()?),
                 false => None,
             },
             decoder: model.decoder()?,
@@ -119,12 +119,16 @@ fn run_once(parts: &Parts) -> Result<String> {
     let mut predict = None;
     match &parts.transition {
         None => writeln!(text, "no transition: nothing will be predicted")?,
-        Some(WorldModel { model, .. }) => {
+        Some(WorldModel { transition, .. }) => {
             let context = latent.unsqueeze(0)?;
-            let action = Tensor::zeros((1, model.config().action_dim), DType::F32, &Device::Cpu)?;
-            let sampler = &model.config().sampler;
+            let action = Tensor::zeros(
+                (1, transition.config().action_dim),
+                DType::F32,
+                &Device::Cpu,
+            )?;
+            let sampler = &transition.config().sampler;
             let (predicted, time) =
-                timed(|| Rollout::new(model, sampler, &context, None, 0)?.next(&action))
+                timed(|| Rollout::new(transition, sampler, &context, None, 0)?.next(&action))
                     .context("predicting")?;
             line(&mut text, "predict a frame", time)?;
             (next, predict) = (predicted, Some(time));

@@ -10,6 +10,7 @@ use wm_msgs::wm_msgs::Prediction;
 use wm_ros::{
     Input, Level, Node, NodeDefinition, Parameter, Qos, Subscription, complaints::Complaints,
 };
+use wm_zoo::ModelFolder;
 
 use super::{
     DecoderError, DecoderStep, jpeg_message, raw_message,
@@ -17,7 +18,6 @@ use super::{
 };
 use crate::{
     harness::{self, Configured, ModelNode},
-    model_choice::OpenModel,
     pool::Pool,
     work::Work,
 };
@@ -132,8 +132,8 @@ impl ModelNode for Decoder {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(open: OpenModel, parameters: &Parameters) -> Result<Model> {
-        let step = open.decoder()?.map(DecoderStep::new);
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
+        let step = folder.decoder()?.map(DecoderStep::new);
         if let Some(step) = &step
             && parameters.image_transport.raw
             && step.raw_bytes() > SAFE_BYTES
@@ -145,7 +145,7 @@ impl ModelNode for Decoder {
             );
         }
         let model = Model {
-            name: open.name().to_owned(),
+            name: folder.name(),
             step: step.map(|step| Arc::new(Mutex::new(step))),
             pool: Pool::new(Self::NAME, parameters.nice)?,
         };

@@ -10,10 +10,8 @@ use wm_msgs::{
     wm_msgs::Prediction,
 };
 
-use wm_wire::{
-    image_message::{ImageError, encode_image, encode_jpeg},
-    latent_message::{LatentError, decode_latent},
-};
+use wm_camera::image_message::{ImageError, encode_image, encode_jpeg};
+use wm_wire::latent_message::{LatentError, decode_latent};
 
 /// Why a prediction has no picture.
 #[derive(Debug, Error)]

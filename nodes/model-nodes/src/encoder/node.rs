@@ -11,19 +11,20 @@ use wm_msgs::wm_msgs::Latent;
 use wm_ros::{
     Clock, Diagnostics, Input, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
 };
+use wm_zoo::ModelFolder;
 
 use super::{
     EncoderError, EncoderStep,
     repeats::{Arrival, Repeats},
 };
 use crate::{
+    camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, Configured, ModelNode},
-    history::{epoch_after, seconds},
-    model_choice::OpenModel,
+    history::{Reception, epoch_after, seconds},
     work::Work,
 };
+use wm_camera::camera_frame::CameraFrame;
 use wm_wire::{
-    camera_frame::CameraFrame,
     latent_message::{LATENT_QOS, LatentDtype},
     transport::{ImageSubscription, Transports},
 };
@@ -33,6 +34,8 @@ pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>()
 
 /// Frames that may wait for the one that is being encoded.
 const WAITING: usize = 1;
+/// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
+const SILENCE: Duration = Duration::from_secs(1);
 /// What to do where there is no camera.
 const NO_CAMERA: &str = "start the camera's driver, or remap /camera/image_raw to its topic";
 
@@ -75,6 +78,8 @@ struct Encoder {
     jumps: watch::Receiver<u64>,
     /// The stretch of time that frames are of.
     epoch: u64,
+    /// The camera that it follows, once a frame has come.
+    camera: Option<Camera>,
     repeats: Repeats,
     complaints: Complaints,
     diagnostics: Diagnostics,
@@ -87,8 +92,8 @@ impl ModelNode for Encoder {
     type Endpoints = Endpoints;
     type Model = Arc<Mutex<EncoderStep>>;
 
-    fn load(model: OpenModel, parameters: &Parameters) -> Result<Self::Model> {
-        let step = EncoderStep::new(model.encoder()?, parameters.dtype);
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self::Model> {
+        let step = EncoderStep::new(folder.encoder()?, parameters.dtype);
         tracing::info!("encoding to latent space {}", step.space());
         Ok(Arc::new(Mutex::new(step)))
     }
@@ -114,6 +119,7 @@ impl ModelNode for Encoder {
             jumps: clock.jumps(),
             epoch: epoch_after(0, clock.now()),
             clock,
+            camera: None,
             repeats: Repeats::default(),
             complaints: Complaints::new(diagnostics.clone()),
             diagnostics,
@@ -129,7 +135,8 @@ impl ModelNode for Encoder {
                 Ok(()) = self.jumps.changed() => self.epoch = epoch_after(self.epoch, self.clock.now()),
                 received = images.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    self.frame(received.message);
+                    let reception = Reception::from(&received);
+                    self.frame(received.message, &reception);
                 }
             }
         }
@@ -158,7 +165,11 @@ impl Encoder {
         Ok(())
     }
 
-    fn frame(&mut self, frame: CameraFrame) {
+    fn frame(&mut self, frame: CameraFrame, reception: &Reception) {
+        if let Err(error) = self.follow(&frame, reception) {
+            self.complaints.left_out(WrongCamera::REASON, &error);
+            return;
+        }
         let (stamp, is_raw) = (frame.header().stamp, matches!(frame, CameraFrame::Raw(_)));
         match self.repeats.arrive(stamp, is_raw) {
             Arrival::New => {
@@ -176,5 +187,24 @@ impl Encoder {
                 &format_args!("the frame of {} came twice", seconds(stamp)),
             ),
         }
+    }
+
+    /// Follows the first camera that comes. Another one that takes over begins a new epoch.
+    fn follow(&mut self, frame: &CameraFrame, reception: &Reception) -> Result<(), WrongCamera> {
+        let frame_id = frame.header().frame_id.as_str();
+        let source = match frame {
+            CameraFrame::Raw(_) => Source::Raw,
+            CameraFrame::Compressed(_) => Source::Compressed,
+        };
+        let Some(camera) = &mut self.camera else {
+            self.camera = Some(Camera::new(frame_id, source, reception));
+            return Ok(());
+        };
+        if camera.admit(frame_id, source, reception, SILENCE)? == Admission::TakenOver {
+            tracing::info!("another camera takes over: \"{frame_id}\"");
+            self.epoch = epoch_after(self.epoch, self.clock.now());
+            self.repeats = Repeats::default();
+        }
+        Ok(())
     }
 }

@@ -5,11 +5,8 @@ use thiserror::Error;
 use wm_model::{Encoder, image::preprocess};
 use wm_msgs::wm_msgs::Latent;
 
-use wm_wire::{
-    camera_frame::CameraFrame,
-    image_message::ImageError,
-    latent_message::{LatentDtype, LatentError, encode_latent},
-};
+use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
+use wm_wire::latent_message::{LatentDtype, LatentError, encode_latent};
 
 /// Least side of a picture that says anything of a scene \[px\].
 const LEAST_SIDE: u32 = 8;

@@ -5,7 +5,8 @@ use wm_bag::BagError;
 use wm_model::actions::ActionError;
 
 use crate::{encoder::EncoderError, predictor::PredictorError};
-use wm_wire::{goal::GoalError, image_message::ImageError, latent_message::LatentError};
+use wm_camera::{goal::GoalError, image_message::ImageError};
+use wm_wire::latent_message::LatentError;
 
 /// Why an episode does not begin or go on.
 #[derive(Debug, Error)]

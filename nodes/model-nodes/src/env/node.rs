@@ -21,17 +21,18 @@ use wm_msgs::{
 use wm_ros::{
     Node, NodeDefinition, Publisher, Qos, Received, Service, Subscription, complaints::Complaints,
 };
+use wm_zoo::ModelFolder;
 
-use super::{Env, Start, StartRoot, World, parameters::Parameters, start::INSTRUCTION};
+use super::{Env, EnvModel, Start, StartRoot, parameters::Parameters, start::INSTRUCTION};
 use crate::{
     encoder::EncoderStep,
     harness::{self, Configured, ModelNode},
     history::Timing,
-    model_choice::{self, OpenModel},
     work::Work,
 };
 use active::{Active, Awaited, Done, InFlight, Job};
-use wm_wire::{camera_frame::CameraFrame, latent_message::LatentDtype, transport::ImagePublisher};
+use wm_camera::camera_frame::CameraFrame;
+use wm_wire::{latent_message::LatentDtype, transport::ImagePublisher};
 
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Active>();
@@ -104,23 +105,23 @@ impl ModelNode for Active {
         Ok(())
     }
 
-    fn load(open: OpenModel, parameters: &Parameters) -> Result<Model> {
-        let encoder = EncoderStep::new(open.encoder()?, LatentDtype::F32);
-        let (predictor, decoder) = (open.predictor()?, open.decoder()?);
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
+        let encoder = EncoderStep::new(folder.encoder()?, LatentDtype::F32);
+        let (predictor, decoder) = (folder.world_model()?, folder.decoder()?);
         let decoder = decoder.with_context(|| {
             format!(
                 "model {} has no decoder: an env shows pictures",
-                open.name()
+                folder.name()
             )
         })?;
-        let world = World::new(
+        let world = EnvModel::new(
             encoder,
             predictor,
             decoder,
             parameters.integration_steps,
             parameters.batch,
         );
-        let timing = model_choice::timing(parameters.frame_period, &world.predictor().encoding);
+        let timing = Timing::of_camera(parameters.frame_period, &world.predictor().encoding);
         tracing::info!(
             "the world of {} in latent space {}: a step is {} s and takes {} actions",
             world.predictor().name,

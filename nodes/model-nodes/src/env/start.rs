@@ -10,26 +10,25 @@ use std::{
 
 use rustix::fs::{Mode, OFlags};
 
-use wm_bag::{BagMessage, BagReader};
+use wm_bag::BagReader;
 use wm_msgs::{
-    Message as _,
     builtin_interfaces::Time,
-    sensor_msgs::{CompressedImage, Image},
+    sensor_msgs::CompressedImage,
     std_msgs::String as Text,
     wm_msgs::{Action, EnvResetRequest},
 };
 
-use super::{EnvError, World};
+use super::{EnvError, EnvModel};
 use crate::{
     history::{ChunkMerging, History, HistorySettings, Reception, Timing, Wait},
     predictor::PredictorError,
 };
-use wm_ros::PublisherId;
-use wm_wire::{
+use wm_camera::{
     camera_frame::CameraFrame,
     goal::camera_topic,
-    image_message::{ImageError, MAX_COMPRESSED, decode_compressed},
+    image_message::{MAX_COMPRESSED, decode_compressed},
 };
+use wm_ros::PublisherId;
 
 /// Topic of the instruction, in bags and live.
 pub(crate) const INSTRUCTION: &str = "/task/instruction";
@@ -95,7 +94,7 @@ pub(super) struct Opening {
 /// Reads and encodes what `start` names, with a history of `context_frames`.
 pub(super) fn open(
     start: &Start,
-    world: &World,
+    world: &EnvModel,
     timing: Timing,
     context_frames: usize,
 ) -> Result<Opening, EnvError> {
@@ -122,7 +121,7 @@ pub(super) fn open(
 fn still(
     latent: Arc<[f32]>,
     frame_id: &str,
-    world: &World,
+    world: &EnvModel,
     context_frames: usize,
 ) -> Result<Opening, EnvError> {
     let frames = context_frames.clamp(1, world.window());
@@ -173,7 +172,7 @@ fn read_image(path: &Path) -> Result<CompressedImage, EnvError> {
 fn open_bag(
     reader: &BagReader,
     offset_s: f64,
-    world: &World,
+    world: &EnvModel,
     timing: Timing,
     context_frames: usize,
 ) -> Result<Opening, EnvError> {
@@ -221,7 +220,7 @@ fn open_bag(
                 .map_err(PredictorError::from)?;
             continue;
         }
-        let frame = camera_frame(&message)?;
+        let frame = CameraFrame::of_bag(&message)?;
         if message.log_time_ns >= wanted_ns {
             first = Some(frame);
             break;
@@ -281,14 +280,4 @@ fn open_bag(
     };
     opening.instruction = instruction;
     Ok(opening)
-}
-
-fn camera_frame(message: &BagMessage) -> Result<CameraFrame, EnvError> {
-    if message.type_name.as_ref() == CompressedImage::ros_name() {
-        return Ok(CameraFrame::Compressed(message.decode()?));
-    }
-    if message.type_name.as_ref() == Image::ros_name() {
-        return Ok(CameraFrame::Raw(message.decode()?));
-    }
-    Err(ImageError::Format(message.type_name.to_string()).into())
 }

@@ -15,17 +15,15 @@ use wm_msgs::{
 };
 
 use super::{
-    EnvError, Start, World,
+    EnvError, EnvModel, Start,
     episode::Episode,
+    model::Row,
     recording::Recording,
     start::{Opening, open},
-    world::Row,
 };
 use crate::history::{MAX_CHUNK, Timing};
-use wm_wire::{
-    image_message::encode_jpeg,
-    latent_message::{LatentDtype, encode_latent},
-};
+use wm_camera::image_message::encode_jpeg;
+use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 /// Longest name of an episode.
 const MAX_NAME: usize = 100;
@@ -114,7 +112,7 @@ struct Running {
 
 /// Episodes within a world model: resets and moves in, observations out.
 pub struct Env {
-    world: World,
+    world: EnvModel,
     settings: EnvSettings,
     timing: Timing,
     sessions: BTreeMap<String, Session>,
@@ -124,7 +122,7 @@ pub struct Env {
 
 impl Env {
     /// An env without episodes.
-    pub fn new(world: World, settings: EnvSettings, timing: Timing) -> Self {
+    pub fn new(world: EnvModel, settings: EnvSettings, timing: Timing) -> Self {
         Self {
             world,
             settings,

@@ -8,13 +8,15 @@ use wm_msgs::wm_msgs::{Assessment, CandidateAssessment, Timing as TimingMessage}
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{EvaluationRequest, EvaluatorError};
-use crate::{history::stack, predictor::PredictorModel};
+use wm_model::WorldModel;
+
+use crate::history::stack;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 /// The transition model, how it predicts here, and what judges the predictions.
 #[derive(Clone, Debug)]
 pub struct EvaluatorModel {
-    model: PredictorModel,
+    model: WorldModel,
     integration_steps: usize,
     probe: Option<Arc<SuccessClassifier>>,
 }
@@ -30,7 +32,7 @@ pub struct Evaluation {
 
 impl EvaluatorModel {
     /// Evaluates with `model`, in `integration_steps` Euler steps a frame (0: what it was trained for).
-    pub fn new(model: PredictorModel, integration_steps: usize) -> Self {
+    pub fn new(model: WorldModel, integration_steps: usize) -> Self {
         let integration_steps = match integration_steps {
             0 => model.transition.config().sampler.steps,
             steps => steps,
@@ -52,7 +54,7 @@ impl EvaluatorModel {
     /// # Errors
     /// [`EvaluatorError`] where the request does not fit the model, or a predicted latent is not finite.
     pub fn evaluate(&self, request: &EvaluationRequest) -> Result<Evaluation, EvaluatorError> {
-        let PredictorModel {
+        let WorldModel {
             transition, space, ..
         } = &self.model;
         let moment = &request.moment;

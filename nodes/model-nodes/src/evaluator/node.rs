@@ -19,6 +19,7 @@ use wm_ros::{
     Clock, Diagnostics, Node, NodeDefinition, Publisher, Qos, Received, Subscription,
     complaints::Complaints,
 };
+use wm_zoo::ModelFolder;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{
@@ -30,13 +31,12 @@ use crate::{
     encoder::EncoderStep,
     env::INSTRUCTION,
     harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
-    history::{History, HistorySettings, Reception, note, seconds},
-    model_choice::{self, OpenModel},
+    history::{History, HistorySettings, Reception, Timing, note, seconds},
     pool::Pool,
     work::Work,
 };
+use wm_camera::image_message::{encode_image, encode_jpeg};
 use wm_wire::{
-    image_message::{encode_image, encode_jpeg},
     latent_message::LatentDtype,
     transport::{ImagePublisher, ImageSubscription, Pictures, Transports},
 };
@@ -142,11 +142,11 @@ impl ModelNode for Evaluator {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(open: OpenModel, parameters: &Parameters) -> Result<Model> {
-        let (encoder, model) = (open.encoder()?, open.predictor()?);
-        let (decoder, probe) = (open.decoder()?, open.probe()?.map(Arc::new));
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
+        let (encoder, model) = (folder.encoder()?, folder.world_model()?);
+        let (decoder, probe) = (folder.decoder()?, folder.probe()?.map(Arc::new));
         let history = HistorySettings {
-            timing: model_choice::timing(parameters.frame_period, &model.encoding),
+            timing: Timing::of_camera(parameters.frame_period, &model.encoding),
             context_frames: parameters.context_frames,
             merging: parameters.chunk_merging.0,
         };

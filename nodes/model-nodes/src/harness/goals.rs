@@ -3,8 +3,9 @@
 use std::sync::{Arc, Mutex};
 
 use anyhow::{Context as _, Result};
+use wm_camera::camera_frame::CameraFrame;
 use wm_ros::{Received, complaints::Complaints};
-use wm_wire::{camera_frame::CameraFrame, transport::ImageSubscription};
+use wm_wire::transport::ImageSubscription;
 
 use crate::{
     encoder::{EncoderError, EncoderStep},

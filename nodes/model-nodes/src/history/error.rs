@@ -5,6 +5,7 @@ use wm_model::actions::ActionError;
 use wm_wire::latent_message::LatentError;
 
 use super::seconds_of;
+use crate::camera::WrongCamera;
 
 /// Why a frame, an action or a chunk is left out.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -53,19 +54,8 @@ pub enum HistoryError {
         newest_ns: i64,
     },
     /// Another camera's frame.
-    #[error(
-        "latent of camera frame \"{frame_id}\"{}, but the history is of \"{expected}\": give each camera an encoder and \
-         a predictor in a namespace of their own (--ros-args -r __ns:=/wm/CAMERA)",
-        if *.is_other_publisher { " from another publisher" } else { "" }
-    )]
-    WrongFrame {
-        /// Its optical frame.
-        frame_id: String,
-        /// The history's.
-        expected: String,
-        /// Whether it came from another publisher.
-        is_other_publisher: bool,
-    },
+    #[error(transparent)]
+    WrongCamera(#[from] WrongCamera),
     /// A latent of a history that is over.
     #[error("latent of epoch {epoch}, but epoch {newest} has begun: left out")]
     OldEpoch {
@@ -108,7 +98,7 @@ impl HistoryError {
             Self::Stamp { .. } | Self::Future { .. } => "bad_stamp",
             Self::Duplicate { .. } => "duplicate",
             Self::OutOfOrder { .. } => "out_of_order",
-            Self::WrongFrame { .. } => "wrong_frame",
+            Self::WrongCamera(_) => WrongCamera::REASON,
             Self::OldEpoch { .. } => "old_epoch",
             Self::Ahead { .. } => "untimely_action",
             Self::Action { .. } | Self::Chunk(_) => "malformed_action",

@@ -1,5 +1,7 @@
 //! How stamps make model steps.
 
+use wm_model::actions::ActionEncoding;
+
 /// How stamps make model steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timing {
@@ -14,6 +16,12 @@ pub struct Timing {
 }
 
 impl Timing {
+    /// Timing of a camera with `frame_period` \[s\] between frames, for a model with this encoding of actions.
+    pub fn of_camera(frame_period: f64, encoding: &ActionEncoding) -> Self {
+        // The parameter's descriptor keeps it within a minute.
+        Self::new((frame_period * 1e9).round() as i64, encoding.frame_skip())
+    }
+
     /// Timing of a camera with `frame_period_ns` between frames: a quarter of that as tolerance; five of them, and at
     /// least a second, as jump.
     pub fn new(frame_period_ns: i64, frame_skip: usize) -> Self {

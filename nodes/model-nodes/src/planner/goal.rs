@@ -9,7 +9,7 @@ use crate::{
     pool::Pool,
     work::Work,
 };
-use wm_wire::camera_frame::CameraFrame;
+use wm_camera::camera_frame::CameraFrame;
 
 /// The goal: an image's latent.
 #[derive(Clone, Debug, PartialEq)]

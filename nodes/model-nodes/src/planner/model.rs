@@ -14,7 +14,9 @@ use wm_msgs::{
 };
 
 use super::{PlanRequest, PlannerError};
-use crate::{history::stack, predictor::PredictorModel};
+use wm_model::WorldModel;
+
+use crate::history::stack;
 
 /// The name of the search, as in `Plan.planner`.
 const PLANNER: &str = "cem";
@@ -22,7 +24,7 @@ const PLANNER: &str = "cem";
 /// The search and the model that it searches with.
 #[derive(Clone, Debug)]
 pub struct PlannerModel {
-    model: PredictorModel,
+    model: WorldModel,
     cem: Cem,
     /// Indices of the values that are searched.
     searched: Vec<usize>,
@@ -53,7 +55,7 @@ impl PlannerModel {
     /// [`PlannerError::Searched`] names a dimension that the model's actions do not have, [`PlannerError::Plan`] a
     /// setting that cannot serve.
     pub fn new(
-        model: PredictorModel,
+        model: WorldModel,
         settings: CemSettings,
         searched: &[String],
         integration_steps: usize,
@@ -113,7 +115,7 @@ impl PlannerModel {
         request: &PlanRequest,
         out_of_time: &mut dyn FnMut() -> bool,
     ) -> Result<(PlannedActions, Plan), PlannerError> {
-        let PredictorModel {
+        let WorldModel {
             transition,
             space,
             encoding,

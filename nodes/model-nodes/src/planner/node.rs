@@ -10,6 +10,7 @@ use wm_model::actions::ActionEncoding;
 use wm_model::planner::{CemSettings, PlannedActions, Returned};
 use wm_msgs::{builtin_interfaces::Duration as RosDuration, wm_msgs::Plan};
 use wm_ros::{Diagnostics, Node, NodeDefinition, Publisher, Qos, complaints::Complaints};
+use wm_zoo::ModelFolder;
 
 use super::{
     Lead, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerSettings, PlannerStep,
@@ -18,8 +19,7 @@ use crate::{
     chunk_merging::Merging,
     encoder::EncoderStep,
     harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
-    history::{History, HistorySettings, Reception, Wait, note, seconds},
-    model_choice::{self, OpenModel},
+    history::{History, HistorySettings, Reception, Timing, Wait, note, seconds},
     pool::Pool,
     work::{Stop, Work},
 };
@@ -176,10 +176,10 @@ impl ModelNode for Planner {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(open: OpenModel, parameters: &Parameters) -> Result<Model> {
-        let (encoder, model) = (open.encoder()?, open.predictor()?);
+    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
+        let (encoder, model) = (folder.encoder()?, folder.world_model()?);
         let history = HistorySettings {
-            timing: model_choice::timing(parameters.frame_period, &model.encoding),
+            timing: Timing::of_camera(parameters.frame_period, &model.encoding),
             context_frames: parameters.context_frames.min(64),
             merging: parameters.chunk_merging.0,
         };

@@ -6,21 +6,19 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
+use wm_model::WorldModel;
 use wm_msgs::wm_msgs::{Latent, Prediction, PredictionError};
 use wm_ros::{
     Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
     Received, complaints::Complaints,
 };
+use wm_zoo::ModelFolder;
 
-use super::{
-    Doubt, Outcome, PredictorModel, PredictorSettings, PredictorStep, RolloutRequest,
-    RunningRollout,
-};
+use super::{Doubt, Outcome, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout};
 use crate::{
     chunk_merging::Merging,
     harness::{self, Configured, Follower, Inputs, ModelNode, Told},
-    history::{History, HistorySettings, Reception, note, seconds},
-    model_choice::{self, OpenModel},
+    history::{History, HistorySettings, Reception, Timing, note, seconds},
     work::{Stop, Work},
 };
 use wm_wire::latent_message::LatentDtype;
@@ -79,7 +77,7 @@ wm_ros::endpoints! {
 #[derive(Clone)]
 struct Shared {
     step: Arc<Mutex<PredictorStep>>,
-    model: Arc<PredictorModel>,
+    model: Arc<WorldModel>,
     predictions: Publisher<Prediction>,
     errors: Publisher<PredictionError>,
     diagnostics: Diagnostics,
@@ -104,10 +102,10 @@ impl ModelNode for Predictor {
     const ABOUT: &'static str = "Predicts the next latents for the actions that the robot takes.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
-    type Model = Arc<PredictorModel>;
+    type Model = Arc<WorldModel>;
 
-    fn load(model: OpenModel, _: &Parameters) -> Result<Self::Model> {
-        let model = model.predictor()?;
+    fn load(folder: ModelFolder, _: &Parameters) -> Result<Self::Model> {
+        let model = folder.world_model()?;
         tracing::info!(
             "predicting with {} in latent space {}",
             model.name,
@@ -126,7 +124,7 @@ impl ModelNode for Predictor {
             dtype: LatentDtype::F16,
         };
         let history = HistorySettings {
-            timing: model_choice::timing(parameters.frame_period, &model.encoding),
+            timing: Timing::of_camera(parameters.frame_period, &model.encoding),
             context_frames: parameters.context_frames,
             merging: parameters.chunk_merging.0,
         };

@@ -4,11 +4,9 @@ use std::sync::Arc;
 
 use candle_core::Tensor;
 use wm_model::{
-    LatentSpace,
-    actions::ActionEncoding,
+    WorldModel,
     motion::StepAction,
     sampler::{Given, Rollout},
-    transition::PackedTransition,
 };
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -18,21 +16,6 @@ use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 use super::PredictorError;
 use crate::history::{Frame, Moment, stack};
-
-/// The model that predicts, and what its messages say of it.
-#[derive(Clone, Debug)]
-pub struct PredictorModel {
-    /// The transition model.
-    pub transition: PackedTransition,
-    /// Its name.
-    pub name: String,
-    /// Lower-case hex SHA-256 of its weights and configuration.
-    pub hash: String,
-    /// The space of its latents.
-    pub space: LatentSpace,
-    /// How physical actions become its actions.
-    pub encoding: ActionEncoding,
-}
 
 /// All that a rollout is computed from.
 #[derive(Clone, Debug)]
@@ -66,7 +49,7 @@ pub struct PredictedStep {
 
 /// A rollout under way: an iterator over its steps. The context's keys and values are computed once, with the first step.
 pub struct RunningRollout<'m> {
-    model: &'m PredictorModel,
+    model: &'m WorldModel,
     request: RolloutRequest,
     rollout: Rollout<'m>,
     actions: Vec<Action>,
@@ -79,7 +62,7 @@ impl<'m> RunningRollout<'m> {
     ///
     /// # Errors
     /// Where the model does not take the context.
-    pub fn new(model: &'m PredictorModel, request: RolloutRequest) -> Result<Self, PredictorError> {
+    pub fn new(model: &'m WorldModel, request: RolloutRequest) -> Result<Self, PredictorError> {
         let mut sampler = model.transition.config().sampler.clone();
         sampler.steps = request.integration_steps;
         let rollout =

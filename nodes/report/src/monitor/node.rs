@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use tokio::time::MissedTickBehavior;
 use tracing::warn;
+use wm_camera::camera_frame::CameraFrame;
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     wm_msgs::{Plan, Prediction, PredictionError},
@@ -18,7 +19,6 @@ use wm_ros::{
     Diagnostics, EndpointSet as _, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
     Received, Subscription,
 };
-use wm_wire::camera_frame::CameraFrame;
 use wm_wire::transport::{ImageSubscription, Transports};
 
 /// The node.

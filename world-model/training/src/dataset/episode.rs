@@ -2,11 +2,12 @@ use std::path::Path;
 
 use image::{GrayImage, RgbImage, imageops::FilterType};
 use wm_bag::{BagMessage, BagReader};
+use wm_camera::camera_frame::CameraFrame;
 use wm_model::{
     actions::ActionSpace,
     motion::{Motion, MotionSettings, Pace},
 };
-use wm_msgs::{sensor_msgs::CompressedImage, sensor_msgs::Image, wm_msgs::Action};
+use wm_msgs::{sensor_msgs::CompressedImage, wm_msgs::Action};
 
 use super::DatasetError;
 
@@ -72,8 +73,7 @@ pub(super) fn decode(
                 actions.push((action.header.stamp.to_nanos(), action.values));
             }
             MASK => {
-                let mask = compressed(&message).map_err(undecodable)?.1.into_luma8();
-                masks.extend(shrink_mask(&mask, size));
+                masks.extend(shrink_mask(&mask(&message).map_err(undecodable)?, size));
             }
             _ => {
                 let (stamp, picture) = frame(&message).map_err(undecodable)?;
@@ -202,36 +202,16 @@ fn align(
     Ok(aligned)
 }
 
-fn compressed(message: &BagMessage) -> Result<(i64, image::DynamicImage), String> {
-    let picture: CompressedImage = message.decode().map_err(|error| error.to_string())?;
-    let decoded = image::load_from_memory(&picture.data).map_err(|error| error.to_string())?;
-    Ok((picture.header.stamp.to_nanos(), decoded))
+fn mask(message: &BagMessage) -> Result<GrayImage, String> {
+    let mask: CompressedImage = message.decode().map_err(|error| error.to_string())?;
+    let decoded = image::load_from_memory(&mask.data).map_err(|error| error.to_string())?;
+    Ok(decoded.into_luma8())
 }
 
 fn frame(message: &BagMessage) -> Result<(i64, RgbImage), String> {
-    if &*message.topic == COMPRESSED {
-        let (stamp, picture) = compressed(message)?;
-        return Ok((stamp, picture.into_rgb8()));
-    }
-    let picture: Image = message.decode().map_err(|error| error.to_string())?;
-    if picture.encoding != "rgb8" || picture.step != picture.width * 3 {
-        return Err(format!(
-            "expected encoding rgb8 with step {}, found {} with step {}",
-            picture.width * 3,
-            picture.encoding,
-            picture.step
-        ));
-    }
-    let stamp = picture.header.stamp.to_nanos();
-    let length = picture.data.len();
-    RgbImage::from_raw(picture.width, picture.height, picture.data)
-        .map(|rgb| (stamp, rgb))
-        .ok_or_else(|| {
-            format!(
-                "{}x{} rgb8 does not fit {length} bytes",
-                picture.height, picture.width
-            )
-        })
+    let frame = CameraFrame::of_bag(message).map_err(|error| error.to_string())?;
+    let picture = frame.decode().map_err(|error| error.to_string())?;
+    Ok((frame.header().stamp.to_nanos(), picture))
 }
 
 /// Class numbers may not be blended: nearest neighbour.

@@ -232,3 +232,43 @@ fn bags_of_different_robots_are_refused_with_what_differs() {
         .to_string();
     assert!(text.contains("0 dimensions"), "{text}");
 }
+
+#[test]
+fn raw_pictures_of_every_encoding_and_step_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    // One pixel of red, green and blue, in the encodings that the nodes read; rows are padded by 5 bytes.
+    let encodings: [(&str, &[u8], [u8; 3]); 6] = [
+        ("rgb8", &[10, 20, 30], [10, 20, 30]),
+        ("bgr8", &[30, 20, 10], [10, 20, 30]),
+        ("rgba8", &[10, 20, 30, 255], [10, 20, 30]),
+        ("bgra8", &[30, 20, 10, 255], [10, 20, 30]),
+        ("mono8", &[40], [40; 3]),
+        ("mono16", &[7, 40], [40; 3]),
+    ];
+    for (encoding, pixel, rgb) in encodings {
+        let bag = dir.path().join(encoding);
+        let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
+        for index in 0..3 {
+            let at = (index * PERIOD_NS) as u64;
+            let row = [pixel.repeat(16), vec![0; 5]].concat();
+            let image = wm_msgs::sensor_msgs::Image {
+                header: header(index),
+                height: 16,
+                width: 16,
+                encoding: encoding.into(),
+                step: row.len() as u32,
+                data: row.repeat(16),
+                ..Default::default()
+            };
+            writer.write("/camera/image_raw", &image, at).unwrap();
+            let action = Action {
+                header: header(index),
+                values: vec![0.; 7],
+            };
+            writer.write("/wm/action", &action, at).unwrap();
+        }
+        writer.finish().unwrap();
+        let dataset = Dataset::open(&bag, &dir.path().join("cache"), (16, 16)).unwrap();
+        assert_eq!(dataset.frame(0), Some(&*rgb.repeat(16 * 16)), "{encoding}");
+    }
+}

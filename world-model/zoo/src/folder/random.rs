@@ -168,7 +168,7 @@ mod tests {
         ];
         assert_eq!(written, expected.map(|file| folder.path().join(file)));
         let model = DescribedFolder::open(folder.path()).unwrap();
-        model.transition().unwrap();
+        model.world_model().unwrap();
         // Nothing is written twice.
         assert!(write_random_weights(folder.path(), 2).unwrap().is_empty());
     }

@@ -72,9 +72,9 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
         let latents = encoder.encode(&images).unwrap();
         assert_eq!(latents.dims(), [2, latent.0, latent.1, latent.2]);
 
-        let transition = model.transition().unwrap();
-        assert_eq!(&transition.space, encoder.space());
-        let config = transition.model.config();
+        let world_model = model.world_model().unwrap();
+        assert_eq!(&world_model.space, encoder.space());
+        let config = world_model.transition.config();
         assert_eq!(
             (
                 config.frame_skip,
@@ -83,12 +83,18 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
             ),
             (3, 2, 1.5)
         );
-        assert_eq!(transition.encoding.action_dim(), 10);
+        assert_eq!(world_model.encoding.action_dim(), 10);
         let between = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
         let context = latents.unsqueeze(0).unwrap();
         let sampler = &config.sampler;
-        let mut rollout =
-            Rollout::new(&transition.model, sampler, &context, Some(&between), 1).unwrap();
+        let mut rollout = Rollout::new(
+            &world_model.transition,
+            sampler,
+            &context,
+            Some(&between),
+            1,
+        )
+        .unwrap();
         let next = rollout.next(&between).unwrap();
 
         let decoder = model.decoder().unwrap().unwrap();
@@ -197,7 +203,7 @@ fn positions_of_several_views_are_part_of_the_models_hash() {
         }
         std::fs::write(folder.path().join(FILE), model.to_string()).unwrap();
         let opened = DescribedFolder::open(folder.path()).unwrap();
-        opened.transition().unwrap()
+        opened.world_model().unwrap()
     };
     let default = transition(None);
     let [reference, by_view] = ["reference", "by_view"].map(|layout| transition(Some(layout)));
@@ -209,8 +215,8 @@ fn positions_of_several_views_are_part_of_the_models_hash() {
     let x = Tensor::rand(0f32, 1.0, (1, 2, 4, 8, 6), &Device::Cpu).unwrap();
     let tau = Tensor::new(&[[0f32, 0.5]], &Device::Cpu).unwrap();
     let action = Tensor::zeros((1, 2, 10), DType::F32, &Device::Cpu).unwrap();
-    let [default, reference, by_view] = [default, reference, by_view].map(|transition| {
-        let velocity = transition.model.forward(&x, &tau, &action).unwrap();
+    let [default, reference, by_view] = [default, reference, by_view].map(|model| {
+        let velocity = model.transition.forward(&x, &tau, &action).unwrap();
         velocity.flatten_all().unwrap().to_vec1::<f32>().unwrap()
     });
     assert_eq!(default, reference);
@@ -235,7 +241,7 @@ fn of_a_steps_actions_the_first_is_taken_as_in_the_reference() {
             ),
         }
         let folder = folder(&model);
-        let transition = DescribedFolder::open(folder.path()).unwrap().transition();
+        let transition = DescribedFolder::open(folder.path()).unwrap().world_model();
         assert_eq!(transition.unwrap().encoding.accumulation(), expected);
     }
 }

@@ -4,10 +4,8 @@ use wm_model::LatentSpace;
 use wm_msgs::builtin_interfaces::Time;
 
 use super::*;
-use wm_wire::{
-    image_message::{decode_compressed, decode_image},
-    latent_message::{LatentDtype, encode_latent},
-};
+use wm_camera::image_message::{decode_compressed, decode_image};
+use wm_wire::latent_message::{LatentDtype, encode_latent};
 
 /// Each latent place is one pixel.
 struct Pixels(LatentSpace);

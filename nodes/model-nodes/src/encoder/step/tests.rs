@@ -5,10 +5,8 @@ use wm_model::LatentSpace;
 use wm_msgs::{builtin_interfaces::Time, sensor_msgs::Image, std_msgs::Header};
 
 use super::*;
-use wm_wire::{
-    image_message::{encode_image, encode_jpeg},
-    latent_message::decode_latent,
-};
+use wm_camera::image_message::{encode_image, encode_jpeg};
+use wm_wire::latent_message::decode_latent;
 
 /// The mean colour of each 4x4 block: an encoder whose latents can be checked by hand.
 struct BlockMeans(LatentSpace);

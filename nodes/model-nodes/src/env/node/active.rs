@@ -23,11 +23,9 @@ use super::{
     policy::{has_policy, missing, publish},
 };
 use crate::work::Work;
+use wm_camera::camera_frame::CameraFrame;
 use wm_ros::complaints::Complaints;
-use wm_wire::{
-    camera_frame::CameraFrame,
-    transport::{ImageSubscription, Transports},
-};
+use wm_wire::transport::{ImageSubscription, Transports};
 
 /// An observation that a policy does not answer is sent again: it may have been lost, or the policy started anew.
 pub(super) const RESEND: Duration = Duration::from_secs(1);

@@ -12,7 +12,8 @@ use super::{
     active::{Active, InFlight, RESEND},
 };
 use crate::history::{HistoryError, seconds};
-use wm_wire::{image_message::encode_image, transport::Pictures};
+use wm_camera::image_message::encode_image;
+use wm_wire::transport::Pictures;
 
 /// How long a policy may take before it is asked after.
 const PATIENCE: Duration = Duration::from_secs(5);

@@ -11,8 +11,10 @@ use wm_model::{
 use wm_msgs::std_msgs;
 
 use super::*;
-use crate::{encoder::EncoderStep, predictor::PredictorModel};
-use wm_wire::camera_frame::CameraFrame;
+use wm_model::WorldModel;
+
+use crate::encoder::EncoderStep;
+use wm_camera::camera_frame::CameraFrame;
 
 const PERIOD: i64 = 200_000_000;
 const STEP: i64 = 2 * PERIOD;
@@ -22,11 +24,11 @@ const WINDOW: usize = 5;
 
 mod same_moment;
 
-fn world() -> World {
+fn world() -> EnvModel {
     world_of(ActionAlignment::WithResult)
 }
 
-fn world_of(action_alignment: ActionAlignment) -> World {
+fn world_of(action_alignment: ActionAlignment) -> EnvModel {
     let config = AutoencoderConfig {
         name: "test".into(),
         height: 32,
@@ -43,7 +45,7 @@ fn world_of(action_alignment: ActionAlignment) -> World {
         action_alignment,
         ..TransitionConfig::preset("tiny", space.shape(), 2, 7).unwrap()
     };
-    let predictor = PredictorModel {
+    let predictor = WorldModel {
         transition: Transition::random(config, 3).unwrap().pack().unwrap(),
         name: "test".into(),
         hash: "beef".into(),
@@ -51,14 +53,14 @@ fn world_of(action_alignment: ActionAlignment) -> World {
         encoding: ActionEncoding::default(),
     };
     let encoder = EncoderStep::new(Box::new(autoencoder()), LatentDtype::F32);
-    World::new(encoder, predictor, Box::new(autoencoder()), 2, 2)
+    EnvModel::new(encoder, predictor, Box::new(autoencoder()), 2, 2)
 }
 
 fn env(output: Option<PathBuf>) -> Env {
     env_of(world(), output)
 }
 
-fn env_of(world: World, output: Option<PathBuf>) -> Env {
+fn env_of(world: EnvModel, output: Option<PathBuf>) -> Env {
     Env::new(world, settings(output), Timing::new(PERIOD, 2))
 }
 
@@ -245,7 +247,7 @@ fn an_episode_is_the_samplers_rollout() {
     }
 }
 
-fn expect_the_samplers_rollout(world: &World) {
+fn expect_the_samplers_rollout(world: &EnvModel) {
     let still = world.standing_still().unwrap();
     let first = world.see(&picture(60)).unwrap();
     let mut episode = Episode::new(

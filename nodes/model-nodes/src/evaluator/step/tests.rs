@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
 use candle_core::{Device, Tensor};
+use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
     actions::ActionEncoding,
@@ -13,7 +14,6 @@ use super::*;
 use crate::{
     evaluator::EvaluatorModel,
     history::{ChunkMerging, HistorySettings},
-    predictor::PredictorModel,
 };
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
@@ -31,14 +31,14 @@ fn space() -> LatentSpace {
     }
 }
 
-fn model() -> PredictorModel {
+fn model() -> WorldModel {
     let config = TransitionConfig {
         hidden: 64,
         depth: 1,
         heads: 2,
         ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
     };
-    PredictorModel {
+    WorldModel {
         transition: Transition::random(config, 3).unwrap().pack().unwrap(),
         name: "test".into(),
         hash: "beef".into(),

@@ -5,6 +5,7 @@ use std::time::Instant;
 use candle_core::Tensor;
 use serde_json::json;
 use tempfile::TempDir;
+use wm_model::WorldModel;
 use wm_msgs::{
     builtin_interfaces::{Duration, Time},
     std_msgs::Header,
@@ -16,7 +17,6 @@ use super::*;
 use crate::{
     evaluator::{EvaluationRequest, EvaluatorModel, EvaluatorSettings, EvaluatorStep},
     history::{ChunkMerging, History, HistorySettings, Reception, Timing},
-    predictor::PredictorModel,
 };
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
@@ -24,7 +24,7 @@ use wm_wire::latent_message::{LatentDtype, encode_latent};
 const PERIOD: i64 = 200_000_000;
 
 /// A model of latents of 4x4x8 with random weights and a probe, in a folder.
-fn probed_model() -> (TempDir, PredictorModel, Arc<SuccessClassifier>) {
+fn probed_model() -> (TempDir, WorldModel, Arc<SuccessClassifier>) {
     let description = json!({
         "name": "probed",
         "image": [32, 32],
@@ -54,15 +54,8 @@ fn probed_model() -> (TempDir, PredictorModel, Arc<SuccessClassifier>) {
     write("tokenizer.json", tokenizer);
     write_random_weights(folder.path(), 5).unwrap();
     let model = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
-    let bundled = model.transition().unwrap();
     let probe = model.probe().unwrap().unwrap();
-    let predictor = PredictorModel {
-        transition: bundled.model,
-        name: "probed".into(),
-        hash: bundled.hash,
-        space: bundled.space,
-        encoding: bundled.encoding,
-    };
+    let predictor = model.world_model().unwrap();
     (folder, predictor, Arc::new(probe))
 }
 
@@ -96,7 +89,7 @@ fn candidates(values: &[f32]) -> ActionCandidates {
 }
 
 /// An evaluator that has seen frames 0 to 2 and the actions between.
-fn evaluator(model: &PredictorModel) -> EvaluatorStep {
+fn evaluator(model: &WorldModel) -> EvaluatorStep {
     let settings = EvaluatorSettings {
         max_age: std::time::Duration::from_secs(60),
         horizon: 5,

@@ -3,6 +3,7 @@
 use std::sync::LazyLock;
 
 use candle_core::{Device, Tensor};
+use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
     actions::ActionEncoding,
@@ -16,7 +17,6 @@ use super::*;
 use crate::{
     history::{ChunkMerging, HistorySettings, Timing},
     planner::{PlannerError, PlannerModel},
-    predictor::PredictorModel,
 };
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
@@ -58,14 +58,14 @@ fn planner() -> PlannerStep {
     planner_that_begins(Lead::Steps(0))
 }
 
-fn predictor_model() -> PredictorModel {
+fn predictor_model() -> WorldModel {
     let config = TransitionConfig {
         hidden: 64,
         depth: 1,
         heads: 2,
         ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
     };
-    PredictorModel {
+    WorldModel {
         transition: Transition::random(config, 3).unwrap().pack().unwrap(),
         name: "test".into(),
         hash: "beef".into(),

@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
     actions::ActionEncoding,
@@ -16,7 +17,7 @@ use wm_msgs::{
 use super::*;
 use crate::{
     history::{ChunkMerging, HistorySettings, Timing},
-    predictor::{PredictorModel, RunningRollout},
+    predictor::RunningRollout,
 };
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentError, decode_latent, encode_latent};
@@ -34,14 +35,14 @@ fn space() -> LatentSpace {
     }
 }
 
-fn model() -> PredictorModel {
+fn model() -> WorldModel {
     let config = TransitionConfig {
         hidden: 64,
         depth: 1,
         heads: 2,
         ..TransitionConfig::preset("tiny", (4, 4, 4), 2, 7).unwrap()
     };
-    PredictorModel {
+    WorldModel {
         transition: Transition::random(config, 3).unwrap().pack().unwrap(),
         name: "test".into(),
         hash: "beef".into(),
@@ -124,7 +125,7 @@ fn chunk(index: i64, end: i64) -> ActionChunk {
     }
 }
 
-fn run(model: &PredictorModel, outcome: Outcome) -> Vec<PredictedStep> {
+fn run(model: &WorldModel, outcome: Outcome) -> Vec<PredictedStep> {
     let request = outcome.rollout.unwrap().unwrap();
     let rollout = RunningRollout::new(model, request).unwrap();
     rollout.collect::<Result<_, _>>().unwrap()

@@ -96,7 +96,7 @@ impl Messages {
     }
 
     /// The latents of the frames.
-    fn latents(&self, world: &World) -> Vec<Arc<[f32]>> {
+    fn latents(&self, world: &EnvModel) -> Vec<Arc<[f32]>> {
         let see = |frame: &CompressedImage| {
             let frame = CameraFrame::Compressed(frame.clone());
             world.see(&frame.decode().unwrap()).unwrap()
@@ -104,7 +104,7 @@ impl Messages {
         self.frames.iter().map(see).collect()
     }
 
-    fn latent_messages(&self, world: &World) -> Vec<wm_msgs::wm_msgs::Latent> {
+    fn latent_messages(&self, world: &EnvModel) -> Vec<wm_msgs::wm_msgs::Latent> {
         let frames = self.frames.iter().zip(self.latents(world));
         let space = &world.predictor().space;
         frames
@@ -115,7 +115,7 @@ impl Messages {
     }
 }
 
-fn history(world: &World) -> History {
+fn history(world: &EnvModel) -> History {
     let settings = HistorySettings {
         timing: Timing::new(PERIOD, 2),
         context_frames: CONTEXT,
@@ -141,7 +141,7 @@ fn reception() -> Reception {
 type Latents = Vec<Vec<f32>>;
 
 /// The predictor's, and the camera-rate actions of the coming model steps that it assumed, of one more than it predicts.
-fn predicted(world: &World, messages: &Messages) -> (Latents, Vec<Action>) {
+fn predicted(world: &EnvModel, messages: &Messages) -> (Latents, Vec<Action>) {
     let settings = PredictorSettings {
         horizon: HORIZON,
         integration_steps: world.integration_steps(),
@@ -168,7 +168,7 @@ fn predicted(world: &World, messages: &Messages) -> (Latents, Vec<Action>) {
 }
 
 /// The evaluator's, of the chunk as the only candidate.
-fn assessed(world: &World, messages: &Messages) -> Latents {
+fn assessed(world: &EnvModel, messages: &Messages) -> Latents {
     let settings = EvaluatorSettings {
         max_age: std::time::Duration::from_secs(60),
         horizon: HORIZON,
@@ -201,7 +201,7 @@ fn assessed(world: &World, messages: &Messages) -> Latents {
 }
 
 /// The env's, from a bag of the same frames and actions, with the actions that the predictor assumed.
-fn played(world: World, messages: &Messages, assumed: &[Action]) -> Latents {
+fn played(world: EnvModel, messages: &Messages, assumed: &[Action]) -> Latents {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     messages.write(&bag);
@@ -227,7 +227,7 @@ fn played(world: World, messages: &Messages, assumed: &[Action]) -> Latents {
 }
 
 /// The library's.
-fn computed(world: &World, messages: &Messages) -> Latents {
+fn computed(world: &EnvModel, messages: &Messages) -> Latents {
     let model = world.predictor();
     let (encoding, space) = (&model.encoding, model.encoding.space());
     let mut motion = Motion::new(MotionSettings::of_period(PERIOD));

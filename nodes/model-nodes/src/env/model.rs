@@ -13,7 +13,9 @@ use wm_model::{
 use wm_msgs::wm_msgs::Action;
 
 use super::{EnvError, episode::Episode};
-use crate::{encoder::EncoderStep, predictor::PredictorModel};
+use wm_model::WorldModel;
+
+use crate::encoder::EncoderStep;
 
 /// A step to predict.
 #[derive(Clone, Copy)]
@@ -26,21 +28,21 @@ pub(super) struct Row<'a> {
 }
 
 /// Encoder, transition model and decoder of one latent space.
-pub struct World {
+pub struct EnvModel {
     encoder: EncoderStep,
-    predictor: PredictorModel,
+    predictor: WorldModel,
     decoder: Box<dyn Decoder>,
     sampler: Sampler,
     /// Episodes that are computed together at most.
     batch: usize,
 }
 
-impl World {
+impl EnvModel {
     /// A world of these models, with `integration_steps` Euler steps a frame (0: what the model was trained for), that
     /// computes at most `batch` episodes together.
     pub fn new(
         encoder: EncoderStep,
-        predictor: PredictorModel,
+        predictor: WorldModel,
         decoder: Box<dyn Decoder>,
         integration_steps: usize,
         batch: usize,
@@ -59,7 +61,7 @@ impl World {
     }
 
     /// The transition model and what messages say of it.
-    pub fn predictor(&self) -> &PredictorModel {
+    pub fn predictor(&self) -> &WorldModel {
         &self.predictor
     }
 

@@ -1,7 +1,9 @@
 //! A camera's frame, by either transport.
 
 use image::RgbImage;
+use wm_bag::{BagError, BagMessage};
 use wm_msgs::{
+    Message as _,
     sensor_msgs::{CompressedImage, Image},
     std_msgs::Header,
 };
@@ -18,6 +20,18 @@ pub enum CameraFrame {
 }
 
 impl CameraFrame {
+    /// The frame that a bag's message holds: compressed if its type says so, else raw.
+    ///
+    /// # Errors
+    /// Bytes that are no message of an image type, by name.
+    pub fn of_bag(message: &BagMessage) -> Result<Self, BagError> {
+        if message.type_name.as_ref() == CompressedImage::ros_name() {
+            message.decode().map(Self::Compressed)
+        } else {
+            message.decode().map(Self::Raw)
+        }
+    }
+
     /// Capture time and optical frame.
     pub fn header(&self) -> &Header {
         match self {

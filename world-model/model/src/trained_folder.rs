@@ -1,4 +1,4 @@
-//! Where a whole world model lives: the embedded default, or a folder of weights.
+//! The weights of a world model that the training wrote: the embedded default, or a folder.
 //!
 //! A folder holds `autoencoder.safetensors` and `transition.safetensors`, as the training writes them. In place of the
 //! former it may hold the published `taef2_encoder.safetensors` and `taef2_decoder.safetensors`; encoding and
@@ -7,9 +7,9 @@
 use std::path::PathBuf;
 
 use crate::{
-    Autoencoder, Error, LatentSpace, Result, Weights,
+    Autoencoder, Error, LatentSpace, Result, Weights, WorldModel,
     actions::ActionEncoding,
-    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, PackedTransition, Transition},
+    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition},
 };
 
 /// Name of the embedded default.
@@ -20,30 +20,16 @@ const TRANSITION_FILE: &str = "transition.safetensors";
 static EMBEDDED_AUTOENCODER: &[u8] = include_bytes!("../weights/tiny/autoencoder.safetensors");
 static EMBEDDED_TRANSITION: &[u8] = include_bytes!("../weights/tiny/transition.safetensors");
 
-/// The place of a world model's weights.
+/// Where the training's weights are.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Bundle {
+pub enum TrainedFolder {
     /// The default that is part of the program.
     Embedded,
     /// A folder of weights.
     Folder(PathBuf),
 }
 
-/// A loaded world model: the transition model with what is needed to use it.
-#[derive(Clone, Debug)]
-pub struct WorldModel {
-    /// The model.
-    pub model: PackedTransition,
-    /// Lower-case hex SHA-256 of its weights and of all that says how they are used: configuration, action encoding,
-    /// latent space.
-    pub hash: String,
-    /// How physical actions become its actions.
-    pub encoding: ActionEncoding,
-    /// The space of the latents that it was trained on.
-    pub space: LatentSpace,
-}
-
-impl Bundle {
+impl TrainedFolder {
     /// [`EMBEDDED`] is the default; anything else is a folder.
     #[must_use]
     pub fn named(name: &str) -> Self {
@@ -51,6 +37,15 @@ impl Bundle {
             Self::Embedded
         } else {
             Self::Folder(PathBuf::from(name))
+        }
+    }
+
+    /// What [`Self::named`] makes it of.
+    #[must_use]
+    pub fn name(&self) -> String {
+        match self {
+            Self::Embedded => EMBEDDED.to_owned(),
+            Self::Folder(folder) => folder.display().to_string(),
         }
     }
 
@@ -81,7 +76,7 @@ impl Bundle {
     ///
     /// # Errors
     /// As [`Self::autoencoder`]; and when the model was trained in another latent space.
-    pub fn transition(&self) -> Result<WorldModel> {
+    pub fn world_model(&self) -> Result<WorldModel> {
         let weights = match self {
             Self::Embedded => Weights::from_static("embedded transition", EMBEDDED_TRANSITION)?,
             Self::Folder(folder) => Weights::open(folder.join(TRANSITION_FILE))?,
@@ -126,10 +121,11 @@ impl Bundle {
             return Err(disagrees(ACTIONS_KEY, reason));
         }
         Ok(WorldModel {
-            model,
+            name: self.name(),
+            transition: model,
             hash,
-            encoding,
             space,
+            encoding,
         })
     }
 }
@@ -140,27 +136,33 @@ mod tests {
 
     #[test]
     fn the_embedded_default_is_whole_small_and_of_one_latent_space() {
-        let bundle = Bundle::named(EMBEDDED);
-        let autoencoder = bundle.autoencoder().unwrap();
-        let transition = bundle.transition().unwrap();
-        assert_eq!(&transition.space, autoencoder.space());
-        assert_eq!(transition.hash.len(), 64);
-        let config = transition.model.config();
+        let folder = TrainedFolder::named(EMBEDDED);
+        let autoencoder = folder.autoencoder().unwrap();
+        let model = folder.world_model().unwrap();
+        assert_eq!(&model.space, autoencoder.space());
+        assert_eq!(model.hash.len(), 64);
+        let config = model.transition.config();
         let space = autoencoder.space();
         assert_eq!(
             (config.latent_height, config.latent_width, config.channels),
             (space.height, space.width, space.channels)
         );
-        assert_eq!(config.action_dim, transition.encoding.action_dim());
+        assert_eq!(config.action_dim, model.encoding.action_dim());
         assert!(EMBEDDED_AUTOENCODER.len() + EMBEDDED_TRANSITION.len() <= 12_000_000);
     }
 
     #[test]
     fn a_transition_of_another_latent_space_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let other =
-            Autoencoder::random(Bundle::Embedded.autoencoder().unwrap().config().clone(), 1)
-                .unwrap();
+        let other = Autoencoder::random(
+            TrainedFolder::Embedded
+                .autoencoder()
+                .unwrap()
+                .config()
+                .clone(),
+            1,
+        )
+        .unwrap();
         other
             .save(
                 folder.path().join("autoencoder.safetensors"),
@@ -168,15 +170,17 @@ mod tests {
             )
             .unwrap();
         std::fs::write(folder.path().join(TRANSITION_FILE), EMBEDDED_TRANSITION).unwrap();
-        let error = Bundle::Folder(folder.path().to_owned())
-            .transition()
+        let error = TrainedFolder::Folder(folder.path().to_owned())
+            .world_model()
             .unwrap_err();
         assert!(error.to_string().contains("latent space"), "{error}");
     }
 
     #[test]
     fn a_missing_folder_is_named() {
-        let error = Bundle::named("/no/such/model").autoencoder().unwrap_err();
+        let error = TrainedFolder::named("/no/such/model")
+            .autoencoder()
+            .unwrap_err();
         assert!(error.to_string().contains("/no/such/model"), "{error}");
     }
 }
