@@ -3,7 +3,8 @@
 use crate::scratch;
 use candle_core::DType;
 use std::io::{Cursor, Write as _};
-use wm_model::{Weights, actions::ActionEncoding};
+use wm_model::Weights;
+use wm_motion::actions::ActionEncoding;
 use wm_zoo::{Checkpoint, folder::DescribedFolder};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 

@@ -3,12 +3,18 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage.
 
-use std::{io::Write as _, ops::RangeInclusive, path::PathBuf, process::ExitCode};
+use std::{
+    io::Write as _,
+    ops::RangeInclusive,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use clap::{Args, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_import::{import_bridge, import_droid};
+use wm_motion::actions::ActionSpace;
 
 /// Other people's data sets as bags, and bags as data sets.
 #[derive(Debug, Parser)]
@@ -60,6 +66,10 @@ struct FromLerobot {
     /// Import these episodes only: FIRST..LAST, the last one too, or one number
     #[arg(long, value_parser = episodes)]
     episodes: Option<RangeInclusive<i64>>,
+    /// What the dataset's actions are: a JSON file with name, rate [Hz] and dimensions, as "action_space" in model.json.
+    /// It is kept with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are known
+    #[arg(long, value_name = "FILE")]
+    action_space: Option<PathBuf>,
     #[command(flatten)]
     jpeg: Jpeg,
 }
@@ -110,6 +120,14 @@ fn episodes(text: &str) -> Result<RangeInclusive<i64>, String> {
     Ok(first..=last)
 }
 
+fn action_space(file: &Path) -> Result<ActionSpace> {
+    let text = std::fs::read_to_string(file);
+    let space = text
+        .map_err(anyhow::Error::from)
+        .and_then(|text| Ok(serde_json::from_str(&text)?));
+    space.with_context(|| format!("action space {}", file.display()))
+}
+
 impl EpisodesCommand {
     fn options(&self) -> wm_import::ImportOptions {
         wm_import::ImportOptions {
@@ -129,6 +147,7 @@ impl ImportCommand {
             Self::Lerobot(from) => {
                 let options = wm_lerobot::ImportOptions {
                     episodes: from.episodes,
+                    action_space: from.action_space.as_deref().map(action_space).transpose()?,
                     jpeg_quality: from.jpeg.jpeg_quality,
                     ..wm_lerobot::ImportOptions::default()
                 };

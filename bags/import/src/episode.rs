@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use wm_bag::{BagWriter, QosProfile, WriterOptions};
+use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{Point, Pose, PoseStamped, Quaternion},
@@ -145,6 +146,7 @@ impl Episode {
     pub fn write(&self, bag: &Path, start_ns: u64, origin: &str) -> Result<(), ImportError> {
         let mut writer = BagWriter::create(bag, WriterOptions::default())?;
         writer.note(ORIGIN, origin);
+        writer.note(ActionSpace::NOTE, ActionSpace::bridge().to_note()?);
         let cameras: Vec<(String, String)> = self
             .cameras
             .iter()

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use wm_bag::BagError;
+use wm_motion::actions::ActionError;
 
 /// Why episodes cannot be imported. Each text names the file.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +45,9 @@ pub enum ImportError {
     /// The bag cannot be written.
     #[error(transparent)]
     Bag(#[from] BagError),
+    /// The description of the actions cannot be written.
+    #[error(transparent)]
+    Actions(#[from] ActionError),
 }
 
 impl ImportError {

@@ -2,6 +2,7 @@ use std::path::{Path, PathBuf};
 
 use wm_bag::BagError;
 use wm_import::ImportError;
+use wm_motion::actions::ActionError;
 
 /// Why a data set cannot be read or written. Each text names the file and the field, or the bag and the topic.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +44,9 @@ pub enum LeRobotError {
     /// A bag cannot be read or written.
     #[error(transparent)]
     Bag(#[from] BagError),
+    /// The dataset's actions are not those of the action space.
+    #[error(transparent)]
+    Actions(#[from] ActionError),
 }
 
 impl LeRobotError {

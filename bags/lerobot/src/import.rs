@@ -8,7 +8,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{LeRobotError, dataset::Dataset};
+use wm_motion::actions::{ActionError, ActionSpace};
+
+use crate::{LeRobotError, dataset::Dataset, info::ACTION};
 
 /// How episodes are imported.
 #[derive(Clone, Debug)]
@@ -20,6 +22,8 @@ pub struct ImportOptions {
     /// Stamp of the first frame of each episode, in ns since the epoch; LeRobot keeps no time of day. Episodes that were
     /// exported here keep their own.
     pub start_ns: u64,
+    /// What the dataset's actions are. None: what their names say, if they are Bridge V2's; else the bags do not say it.
+    pub action_space: Option<ActionSpace>,
 }
 
 impl Default for ImportOptions {
@@ -29,6 +33,7 @@ impl Default for ImportOptions {
             episodes: None,
             jpeg_quality: bridge.jpeg_quality,
             start_ns: bridge.start_ns,
+            action_space: None,
         }
     }
 }
@@ -54,6 +59,7 @@ pub fn import(
     if !other.is_empty() {
         tracing::warn!(features = other.join(", "), "left out: they have no topic");
     }
+    let actions = actions(&dataset, options.action_space.as_ref())?;
     let mut bags = Vec::new();
     for entry in &dataset.episodes {
         let is_wanted = options.episodes.as_ref();
@@ -63,7 +69,7 @@ pub fn import(
         let episode = episode::read(&dataset, entry, options.jpeg_quality)?;
         let path = out.join(format!("episode_{:06}", entry.index));
         let start_ns = entry.start_ns.unwrap_or(options.start_ns);
-        bag::write(&episode, &path, start_ns)?;
+        bag::write(&episode, actions.as_ref(), &path, start_ns)?;
         tracing::info!(episode = entry.index, bag = %path.display(), frames = entry.length, "imported");
         bags.push(path);
     }
@@ -75,4 +81,36 @@ pub fn import(
         )));
     }
     Ok(bags)
+}
+
+/// What the dataset's actions are, if anything says so.
+fn actions(
+    dataset: &Dataset,
+    given: Option<&ActionSpace>,
+) -> Result<Option<ActionSpace>, LeRobotError> {
+    let Some(feature) = dataset.info.features.get(ACTION) else {
+        return Ok(None);
+    };
+    let names = feature.value_names();
+    if let Some(space) = given {
+        if space.len() != names.len() {
+            return Err(ActionError::Mismatch {
+                expected: format!("the action space given is {space}"),
+                actual: format!("the dataset has {}", names.join(" ")),
+            }
+            .into());
+        }
+        return Ok(Some(space.clone()));
+    }
+    let bridge = ActionSpace::bridge();
+    let dimensions = bridge.dimensions().iter();
+    if dimensions.map(|dimension| &dimension.name).eq(&names) {
+        return Ok(Some(bridge));
+    }
+    tracing::warn!(
+        actions = names.join(" "),
+        "nothing says what these values are, so the bags do not say it either, and training would take seven values for \
+         Bridge V2's: describe them with --action-space"
+    );
+    Ok(None)
 }

@@ -13,8 +13,6 @@ pub(crate) const POSE_NAMES: [&str; 7] = [
 ];
 /// The value of `observation.state` that is the gripper.
 pub(crate) const GRIPPER_NAME: &str = "arm.gripper";
-/// The values of an action in Bridge V2's form (wm_msgs/msg/Action).
-pub(crate) const ACTION_NAMES: [&str; 7] = ["dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper"];
 
 /// When a frame is shown, in ns since the first.
 pub(crate) fn frame_ns(frame: u64, fps: f64) -> u64 {

@@ -6,6 +6,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, GrayImage, ImageEncoder, RgbImage};
 use wm_bag::{BagSummary, BagWriter, QosProfile, WriterOptions};
+use wm_motion::actions::ActionSpace;
 use wm_msgs::builtin_interfaces::Time;
 use wm_msgs::geometry_msgs::{Point, Pose, PoseStamped, Quaternion};
 use wm_msgs::sensor_msgs::CompressedImage;
@@ -47,6 +48,7 @@ const BASE_FRAME: &str = "base_link";
 /// [`Error::Bag`] if the bag cannot be written, [`Error::Picture`] if a picture cannot be encoded.
 pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
     let mut bag = BagWriter::create(dir, WriterOptions::default())?;
+    bag.note(ActionSpace::NOTE, ActionSpace::bridge().to_note()?);
     bag.add_topic::<CompressedImage>(CAMERA_TOPIC, QosProfile::reliable())?;
     bag.add_topic::<Action>(ACTION_TOPIC, QosProfile::reliable())?;
     bag.add_topic::<PoseStamped>(POSE_TOPIC, QosProfile::reliable())?;

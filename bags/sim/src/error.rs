@@ -26,6 +26,9 @@ pub enum Error {
     /// A bag that cannot be written.
     #[error(transparent)]
     Bag(#[from] wm_bag::BagError),
+    /// The description of the actions cannot be written.
+    #[error(transparent)]
+    Actions(#[from] wm_motion::actions::ActionError),
     /// A picture that cannot be encoded.
     #[error("cannot encode a picture: {0}")]
     Picture(#[from] image::ImageError),

@@ -1,6 +1,6 @@
 //! The parameter `chunk_merging`.
 
-use wm_model::motion::ChunkMerging;
+use wm_motion::motion::ChunkMerging;
 use wm_ros::{Field, Parameter};
 
 /// How overlapping chunks join, as a parameter says it.

@@ -21,8 +21,8 @@ mod wait;
 
 use std::{sync::Arc, time::Duration};
 
-use wm_model::{
-    LatentSpace,
+use wm_model::LatentSpace;
+use wm_motion::{
     actions::{ActionEncoding, ActionError},
     motion::{Chunk, Motion, MotionSettings, Pace, StepAction},
 };
@@ -42,7 +42,7 @@ pub(crate) use note::note;
 pub use reception::Reception;
 pub use timing::Timing;
 pub use wait::Wait;
-pub use wm_model::motion::{ChunkMerging, MAX_CHUNK};
+pub use wm_motion::motion::{ChunkMerging, MAX_CHUNK};
 
 use crate::camera::{Admission, Camera, Source};
 use frames::Frames;

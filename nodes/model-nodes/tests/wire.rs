@@ -13,10 +13,10 @@ use running::{PATIENCE, Running, soon};
 use wm_camera::image_message::{decode_compressed, decode_image, encode_image, encode_jpeg};
 use wm_model::{
     Autoencoder, AutoencoderConfig,
-    actions::ActionEncoding,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
     diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},

@@ -12,11 +12,9 @@ mod error;
 mod latent_space;
 mod world_model;
 
-pub mod actions;
 pub mod autoencoder;
 pub mod image;
 pub mod metrics;
-pub mod motion;
 pub mod ops;
 pub mod planner;
 pub mod sampler;

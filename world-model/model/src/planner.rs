@@ -4,7 +4,7 @@
 //! candidates lead to and a [`Target`] what that costs; it holds no model, no clock and no robot. The transition model
 //! serves it by [`TransitionDynamics`], which shares one cached context and one fixed noise among all candidates.
 //!
-//! Everything here is in model units; [`crate::actions::ActionEncoding`] turns a plan into metres and radians.
+//! Everything here is in model units; [`wm_motion::actions::ActionEncoding`] turns a plan into metres and radians.
 
 mod cem;
 mod error;

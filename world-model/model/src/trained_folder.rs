@@ -8,9 +8,9 @@ use std::path::PathBuf;
 
 use crate::{
     Autoencoder, Error, LatentSpace, Result, Weights, WorldModel,
-    actions::ActionEncoding,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition},
 };
+use wm_motion::actions::ActionEncoding;
 
 /// Name of the embedded default.
 pub const EMBEDDED: &str = "tiny";

@@ -56,7 +56,7 @@ use head::Head;
 pub const CONFIG_KEY: &str = "config";
 /// Metadata entry with the [`LatentSpace`](crate::LatentSpace) that it was trained on, as JSON.
 pub const LATENT_SPACE_KEY: &str = "latent_space";
-/// Metadata entry with the [`ActionEncoding`](crate::actions::ActionEncoding), as JSON.
+/// Metadata entry with the [`ActionEncoding`](wm_motion::actions::ActionEncoding), as JSON.
 pub const ACTIONS_KEY: &str = "actions";
 
 /// The transition model. Clones share their tensors.

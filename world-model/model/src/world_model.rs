@@ -1,6 +1,7 @@
 //! A world model, loaded.
 
-use crate::{LatentSpace, actions::ActionEncoding, transition::PackedTransition};
+use crate::{LatentSpace, transition::PackedTransition};
+use wm_motion::actions::ActionEncoding;
 
 /// A loaded world model: the transition model, and what messages and reports say of it.
 #[derive(Clone, Debug)]

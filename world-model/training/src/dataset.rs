@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use wm_bag::BagReader;
-use wm_model::actions::ActionSpace;
+use wm_motion::actions::ActionSpace;
 
 use cache::Cache;
 

@@ -15,7 +15,8 @@ use half::f16;
 use indicatif::{ProgressBar, ProgressStyle};
 use memmap2::Mmap;
 use rayon::prelude::*;
-use wm_model::{Encoder, LatentSpace, actions::ActionSpace};
+use wm_model::{Encoder, LatentSpace};
+use wm_motion::actions::ActionSpace;
 
 use crate::dataset::{Dataset, Episode};
 

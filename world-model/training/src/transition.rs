@@ -22,10 +22,10 @@ use candle_core::Var;
 use indicatif::{ProgressBar, ProgressStyle};
 use wm_model::{
     Autoencoder, Encoder, Weights,
-    actions::{Accumulation, ActionEncoding},
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
+use wm_motion::actions::{Accumulation, ActionEncoding};
 
 use crate::{
     dataset::Dataset,

@@ -47,10 +47,10 @@ use std::sync::OnceLock;
 
 use sha2::{Digest as _, Sha256};
 use wm_model::WorldModel;
-use wm_model::actions::ActionEncoding;
 use wm_model::autoencoder::{MEAN, Normalisation, STD};
 use wm_model::transition::{PackedTransition, TransitionConfig};
 use wm_model::{Decoder, Encoder, LatentSpace};
+use wm_motion::actions::ActionEncoding;
 
 pub use description::{
     Configuration, DecoderPart, Description, Part, Precision, ProbePart, Statistics, TextPart,

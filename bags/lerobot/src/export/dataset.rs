@@ -26,7 +26,6 @@ use crate::{
     },
     stats::{Histogram, Stats},
     table::{Column, TableWriter},
-    topics::ACTION_NAMES,
 };
 
 const EPISODES: &str = "meta/episodes/chunk-000/file-000.parquet";
@@ -62,19 +61,10 @@ impl DatasetWriter {
         options: &ExportOptions,
     ) -> Result<Self, LeRobotError> {
         let mut features: BTreeMap<String, Feature> = BTreeMap::new();
-        let width = action_width(recording);
-        let names = ACTION_NAMES.map(str::to_owned);
-        let numbered: Vec<String> = (0..width)
-            .map(|number| format!("action_{number}"))
-            .collect();
-        let names = if width == names.len() {
-            &names[..]
-        } else {
-            &numbered
-        };
+        let names = &recording.action_names;
         features.insert(
             ACTION.to_owned(),
-            Feature::column("float32", width, Some(names)),
+            Feature::column("float32", names.len(), Some(names)),
         );
         if !recording.state_names.is_empty() {
             let names = &recording.state_names;
@@ -213,21 +203,17 @@ impl DatasetWriter {
 
     fn check(&self, recording: &Recording, episode: &Episode) -> Result<(), LeRobotError> {
         let unsuited = |reason: String| Err(LeRobotError::unsuited(&recording.bag, reason));
-        let width = |feature: &str| self.info.features.get(feature).map_or(0, Feature::width);
-        if action_width(recording) != width(ACTION) {
-            return unsuited(format!(
-                "{ACTION}: expected {} values as in the first bag, got {}",
-                width(ACTION),
-                action_width(recording)
-            ));
-        }
-        let names = self.info.features.get(STATE).map(Feature::value_names);
-        let names = names.unwrap_or_default();
-        if names != recording.state_names {
-            return unsuited(format!(
-                "{STATE}: expected {names:?} as in the first bag, got {:?}",
-                recording.state_names
-            ));
+        for (feature, got) in [
+            (ACTION, &recording.action_names),
+            (STATE, &recording.state_names),
+        ] {
+            let expected = self.info.features.get(feature).map(Feature::value_names);
+            let expected = expected.unwrap_or_default();
+            if expected != *got {
+                return unsuited(format!(
+                    "{feature}: expected {expected:?} as in the first bag, got {got:?}"
+                ));
+            }
         }
         if episode.success.is_some() != self.info.features.contains_key(SUCCESS) {
             return unsuited(format!(
@@ -264,7 +250,10 @@ impl DatasetWriter {
             .iter()
             .flat_map(|at| row_of(&recording.actions.values, at))
             .collect();
-        let mut columns = vec![(ACTION.to_owned(), vectors(action_width(recording), actions))];
+        let mut columns = vec![(
+            ACTION.to_owned(),
+            vectors(recording.action_names.len(), actions),
+        )];
         if !recording.state_names.is_empty() {
             let mut values = Vec::with_capacity(frames * recording.state_names.len());
             for frame in 0..frames {
@@ -462,10 +451,6 @@ fn vectors(width: usize, values: Vec<f32>) -> Column {
         1 => Column::Floats(values),
         _ => Column::FloatRows { width, values },
     }
-}
-
-fn action_width(recording: &Recording) -> usize {
-    recording.actions.values.first().map_or(0, Vec::len)
 }
 
 fn picture(message: &BagMessage) -> Result<RgbImage, String> {

@@ -4,6 +4,7 @@ use std::{
 };
 
 use wm_bag::{BagMessage, BagReader};
+use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::PoseStamped,
@@ -38,6 +39,8 @@ pub(super) struct Recording {
     pub actions: Stream<Vec<f32>>,
     /// Joints, pose and gripper, those that are there.
     pub states: Vec<Stream<Vec<f32>>>,
+    /// Names of an action's values.
+    pub action_names: Vec<String>,
     /// Names of the values of all states, one after the other.
     pub state_names: Vec<String>,
     /// Each value is the message's number within its topic.
@@ -64,6 +67,7 @@ impl Recording {
             bag: bag.to_owned(),
             actions: Stream::new(ACTION_TOPIC),
             states: Vec::new(),
+            action_names: Vec::new(),
             state_names: Vec::new(),
             cameras: topics.iter().map(|topic| Stream::new(topic)).collect(),
             instructions: Vec::new(),
@@ -149,6 +153,8 @@ impl Recording {
                 }
             }
         }
+        recording.action_names = action_names(&reader, &recording.actions.values)
+            .map_err(|reason| LeRobotError::unsuited(bag, format!("{ACTION_TOPIC}: {reason}")))?;
         let named = [
             (joints, joint_names),
             (poses, POSE_NAMES.map(str::to_owned).to_vec()),
@@ -268,6 +274,26 @@ impl Recording {
         let name = if name.is_empty() { "camera" } else { &name };
         format!("{IMAGES}{name}")
     }
+}
+
+/// The names of an action's values: those of the bag's action space; numbers where it names none and has not Bridge V2's
+/// seven.
+fn action_names(reader: &BagReader, actions: &[Vec<f32>]) -> Result<Vec<String>, String> {
+    let width = actions.first().map_or(0, Vec::len);
+    let note = reader.note(ActionSpace::NOTE);
+    let space = ActionSpace::of_note(note).map_err(|error| error.to_string())?;
+    if width == space.len() {
+        let dimensions = space.dimensions().iter();
+        return Ok(dimensions.map(|dimension| dimension.name.clone()).collect());
+    }
+    if note.is_some() && width > 0 {
+        return Err(format!(
+            "actions of {width} values, expected those of {space}"
+        ));
+    }
+    Ok((0..width)
+        .map(|number| format!("action_{number}"))
+        .collect())
 }
 
 impl<T> Stream<T> {

@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use wm_bag::{BagWriter, QosProfile, WriterOptions};
+use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{Point, Pose, PoseStamped, Quaternion},
@@ -22,8 +23,16 @@ use crate::{
 const BASE_FRAME: &str = "base_link";
 
 /// Writes an episode as a bag, its first frame at `start_ns`.
-pub(super) fn write(episode: &Episode, bag: &Path, start_ns: u64) -> Result<(), LeRobotError> {
+pub(super) fn write(
+    episode: &Episode,
+    actions: Option<&ActionSpace>,
+    bag: &Path,
+    start_ns: u64,
+) -> Result<(), LeRobotError> {
     let mut writer = BagWriter::create(bag, WriterOptions::default())?;
+    if let Some(space) = actions {
+        writer.note(ActionSpace::NOTE, space.to_note()?);
+    }
     let state = StateColumns::of(&episode.state_names);
     let cameras = episode.cameras.iter().map(|camera| {
         let topic = format!("/{}/image_raw/compressed", camera.name);

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use image::{ExtendedColorType, ImageEncoder as _, Rgb, RgbImage, codecs::png::PngEncoder};
 use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};
+use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     Message,
     builtin_interfaces::Time,
@@ -58,7 +59,15 @@ impl Episode {
     }
 
     pub fn write(&self, bag: &Path) {
+        self.write_with(bag, None);
+    }
+
+    /// With what its actions are.
+    pub fn write_with(&self, bag: &Path, actions: Option<&ActionSpace>) {
         let mut writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
+        if let Some(space) = actions {
+            writer.note(ActionSpace::NOTE, space.to_note().unwrap());
+        }
         writer
             .add_topic::<Text>("/task/instruction", QosProfile::latched())
             .unwrap();

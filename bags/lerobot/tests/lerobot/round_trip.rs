@@ -5,6 +5,7 @@ use proptest::prelude::*;
 use tempfile::TempDir;
 use wm_bag::{BagReader, BagWriter, WriterOptions};
 use wm_lerobot::{ExportOptions, ImportOptions, export, import};
+use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
     sensor_msgs::{CompressedImage, Image},
@@ -102,6 +103,55 @@ fn episodes_are_chosen_by_number() {
         .to_string();
     assert!(
         error.contains("has 4 episodes, none of which was asked for"),
+        "{error}"
+    );
+}
+
+#[test]
+fn what_the_actions_are_goes_with_them() {
+    let scratch = TempDir::new().unwrap();
+    let back = there_and_back(
+        scratch.path(),
+        &[Episode::made(3, 0.0)],
+        &ExportOptions::default(),
+    );
+    let space = |bag: &Path| {
+        let reader = BagReader::open(bag).unwrap();
+        let note = reader.note(ActionSpace::NOTE);
+        note.map(|note| ActionSpace::of_note(Some(note)).unwrap())
+    };
+    assert_eq!(space(&back[0]), Some(ActionSpace::bridge()));
+
+    // Another arm's: its names are the dataset's, and come back only with what they mean.
+    let joints = r#"{"name": "my_arm", "dimensions": [
+        {"name": "shoulder", "unit": "rad", "kind": "joint_position"},
+        {"name": "elbow", "unit": "rad", "kind": "joint_position"}]}"#;
+    let joints: ActionSpace = serde_json::from_str(joints).unwrap();
+    let bag = scratch.path().join("arm");
+    let actions = vec![vec![0.5, 1.0]; 4];
+    Episode::of(actions, "wave", true).write_with(&bag, Some(&joints));
+    let dataset = scratch.path().join("arm_dataset");
+    export(&[bag], &dataset, &ExportOptions::default()).unwrap();
+    let info = std::fs::read_to_string(dataset.join("meta/info.json")).unwrap();
+    let info: serde_json::Value = serde_json::from_str(&info).unwrap();
+    assert_eq!(
+        info["features"]["action"]["names"],
+        serde_json::json!(["shoulder", "elbow"])
+    );
+    let imported = |name: &str, action_space| {
+        let options = ImportOptions {
+            action_space,
+            ..ImportOptions::default()
+        };
+        import(&dataset, &scratch.path().join(name), &options)
+    };
+    assert_eq!(space(&imported("unsaid", None).unwrap()[0]), None);
+    let said = imported("said", Some(joints.clone())).unwrap();
+    assert_eq!(space(&said[0]), Some(joints));
+    let error = imported("wrong", Some(ActionSpace::bridge())).unwrap_err();
+    let error = error.to_string();
+    assert!(
+        error.contains("bridge_v2: dx dy dz") && error.contains("shoulder elbow"),
         "{error}"
     );
 }

@@ -8,7 +8,7 @@ use wm_msgs::{
     wm_msgs::{Action, ActionChunk},
 };
 
-use wm_model::{
+use wm_motion::{
     actions::ActionEncoding,
     motion::{Chunk, Motion, MotionSettings},
 };

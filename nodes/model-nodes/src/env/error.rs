@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 use wm_bag::BagError;
-use wm_model::actions::ActionError;
+use wm_motion::actions::ActionError;
 
 use crate::{encoder::EncoderError, predictor::PredictorError};
 use wm_camera::{goal::GoalError, image_message::ImageError};
@@ -70,6 +70,9 @@ pub enum EnvError {
     /// Nothing to do, or too much.
     #[error("{0} actions; expected 1 to {max} (0 only with close)", max = crate::history::MAX_CHUNK)]
     Count(usize),
+    /// The start's actions are others than the model's.
+    #[error(transparent)]
+    Actions(ActionError),
     /// Values that are no action.
     #[error("action {index}: {source}")]
     Action {
@@ -118,7 +121,8 @@ pub enum EnvError {
 
 impl EnvError {
     /// What a caller hears who has named the file of the start: nothing of what was found there, but for a bag that has
-    /// no frame at the offset.
+    /// no frame at the offset, or other actions than the
+    /// model's.
     pub(super) fn without_file(self) -> Self {
         match self {
             Self::File { .. }

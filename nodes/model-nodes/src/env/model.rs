@@ -6,10 +6,10 @@ use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_model::{
     Decoder, LatentSpace,
-    actions::ActionError,
     image::to_rgb,
     sampler::{Given, Noise, Rollout, Sampler},
 };
+use wm_motion::actions::ActionError;
 use wm_msgs::wm_msgs::Action;
 
 use super::{EnvError, episode::Episode};

@@ -11,7 +11,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use tokio::time::Instant;
-use wm_model::actions::ActionEncoding;
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     std_msgs::{Bool, String as Text},
     wm_msgs::{

@@ -11,6 +11,7 @@ use std::{
 use rustix::fs::{Mode, OFlags};
 
 use wm_bag::BagReader;
+use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
     sensor_msgs::CompressedImage,
@@ -176,6 +177,20 @@ fn open_bag(
     timing: Timing,
     context_frames: usize,
 ) -> Result<Opening, EnvError> {
+    let predictor = world.predictor();
+    let bag = reader.path().display().to_string();
+    // A bag that a recorder wrote does not say what its actions are.
+    if let Some(note) = reader.note(ActionSpace::NOTE) {
+        let (model, others) = (format!("model {}", predictor.name), format!("bag {bag}"));
+        ActionSpace::of_note(Some(note))
+            .and_then(|space| {
+                predictor
+                    .encoding
+                    .space()
+                    .expect_same(&space, &model, &others)
+            })
+            .map_err(EnvError::Actions)?;
+    }
     let camera = camera_topic(reader, "")?;
     let instruction = match reader.messages().only_topics([INSTRUCTION]).next() {
         Some(message) => Some(message?.decode::<Text>()?.data),
@@ -190,7 +205,6 @@ fn open_bag(
         context_frames,
         merging: ChunkMerging::default(),
     };
-    let predictor = world.predictor();
     // The bag's time is the only one.
     let clock = Time::default();
     let mut history = History::new(
@@ -228,10 +242,7 @@ fn open_bag(
         frames.push(frame);
     }
     let Some(first) = first else {
-        return Err(EnvError::NoFrame {
-            bag: reader.path().display().to_string(),
-            offset_s,
-        });
+        return Err(EnvError::NoFrame { bag, offset_s });
     };
     // Only the frames of the context are worth encoding.
     let first_ns = first.header().stamp.to_nanos();

@@ -7,6 +7,7 @@ use std::{
 };
 
 use image::RgbImage;
+use wm_motion::actions::{ActionError, ActionSpace};
 use wm_msgs::{
     builtin_interfaces::{Duration, Time},
     sensor_msgs::CompressedImage,
@@ -188,7 +189,7 @@ impl Env {
         }
         let mut recording = match &self.settings.output {
             Some(folder) => {
-                let notes = self.notes(start, request.seed);
+                let notes = self.notes(start, request.seed).map_err(EnvError::Actions)?;
                 Some(Recording::begin(
                     folder,
                     &name,
@@ -468,7 +469,7 @@ impl Env {
     }
 
     /// What the bag's metadata says of an episode.
-    fn notes(&self, start: &Start, seed: u64) -> [(&'static str, String); 6] {
+    fn notes(&self, start: &Start, seed: u64) -> Result<[(&'static str, String); 7], ActionError> {
         let model = self.world.predictor();
         let start = match start {
             Start::Bag { path, offset_s } => format!("bag {} + {offset_s} s", path.display()),
@@ -476,7 +477,7 @@ impl Env {
             Start::Topic(topic) => format!("topic {topic}"),
             Start::Frame(frame) => format!("image of {}", frame.header().frame_id),
         };
-        [
+        Ok([
             ("wm.env.seed", seed.to_string()),
             ("wm.env.start", start),
             (
@@ -489,7 +490,8 @@ impl Env {
             ),
             ("wm.model", model.name.clone()),
             ("wm.model_hash", model.hash.clone()),
-        ]
+            (ActionSpace::NOTE, model.encoding.space().to_note()?),
+        ])
     }
 
     fn free_name(&self) -> String {

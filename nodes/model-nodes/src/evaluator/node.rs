@@ -9,7 +9,8 @@ use anyhow::{Context as _, Result};
 use candle_core::IndexOp as _;
 use image::RgbImage;
 use tokio::task::JoinError;
-use wm_model::{Decoder, LatentSpace, actions::ActionEncoding, image::to_rgb};
+use wm_model::{Decoder, LatentSpace, image::to_rgb};
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     builtin_interfaces::Time,
     std_msgs::{Header, String as Text},

@@ -6,7 +6,7 @@ use std::{
 };
 
 use thiserror::Error;
-use wm_model::motion::StepAction;
+use wm_motion::motion::StepAction;
 use wm_msgs::{
     builtin_interfaces::Time,
     wm_msgs::{Action, ActionCandidates, ActionChunk, Latent},

@@ -1,7 +1,7 @@
 //! Why an input is left out.
 
 use thiserror::Error;
-use wm_model::actions::ActionError;
+use wm_motion::actions::ActionError;
 use wm_wire::latent_message::LatentError;
 
 use super::seconds_of;

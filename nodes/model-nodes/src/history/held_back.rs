@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use wm_model::{
+use wm_motion::{
     actions::ActionSpace,
     motion::{Chunk, Motion},
 };

@@ -5,10 +5,10 @@ use std::{sync::Arc, time::Instant};
 use candle_core::{Device, Tensor};
 use wm_model::{
     LatentSpace,
-    motion::StepAction,
     sampler::{Rollout, Sampler},
     transition::PackedTransition,
 };
+use wm_motion::motion::StepAction;
 use wm_msgs::{
     builtin_interfaces::{Duration, Time},
     std_msgs::Header,

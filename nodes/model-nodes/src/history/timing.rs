@@ -1,6 +1,6 @@
 //! How stamps make model steps.
 
-use wm_model::actions::ActionEncoding;
+use wm_motion::actions::ActionEncoding;
 
 /// How stamps make model steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,8 @@
 //! What can go wrong in the planner.
 
 use thiserror::Error;
-use wm_model::{actions::ActionError, planner::PlanError};
+use wm_model::planner::PlanError;
+use wm_motion::actions::ActionError;
 
 use crate::{history::HistoryError, predictor::PredictorError};
 use wm_wire::latent_message::LatentError;

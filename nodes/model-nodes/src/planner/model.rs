@@ -3,10 +3,10 @@
 use candle_core::{Device, Tensor};
 use serde::Serialize;
 use wm_model::{
-    actions::ActionEncoding,
     planner::{Cem, CemSettings, Partial, PlannedActions, Target, TransitionDynamics},
     sampler::Given,
 };
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     builtin_interfaces::Duration,
     std_msgs::Header,
@@ -225,7 +225,7 @@ impl PlannerModel {
 
 /// The model's bounds, narrowed to the physical ones of a model step.
 fn bounds(encoding: &ActionEncoding, max_translation: f64, max_rotation: f64) -> Vec<(f32, f32)> {
-    use wm_model::actions::{Accumulation, Kind};
+    use wm_motion::actions::{Accumulation, Kind};
     // But for the sum, a model step repeats its scaled delta in each of its intervals.
     let intervals = match encoding.accumulation() {
         Accumulation::Sum => 1,

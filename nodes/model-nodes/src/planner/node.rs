@@ -6,8 +6,8 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_model::actions::ActionEncoding;
 use wm_model::planner::{CemSettings, PlannedActions, Returned};
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::{builtin_interfaces::Duration as RosDuration, wm_msgs::Plan};
 use wm_ros::{Diagnostics, Node, NodeDefinition, Publisher, Qos, complaints::Complaints};
 use wm_zoo::ModelFolder;

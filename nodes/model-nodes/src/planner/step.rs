@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
-use wm_model::{motion::StepAction, planner::PlannedActions};
+use wm_model::planner::PlannedActions;
+use wm_motion::motion::StepAction;
 use wm_msgs::{
     builtin_interfaces::Time,
     wm_msgs::{Action, ActionChunk, Latent},

@@ -1,7 +1,7 @@
 //! What can go wrong in the predictor.
 
 use thiserror::Error;
-use wm_model::actions::ActionError;
+use wm_motion::actions::ActionError;
 
 use crate::history::HistoryError;
 use wm_wire::latent_message::LatentError;

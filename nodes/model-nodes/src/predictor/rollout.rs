@@ -5,9 +5,9 @@ use std::sync::Arc;
 use candle_core::Tensor;
 use wm_model::{
     WorldModel,
-    motion::StepAction,
     sampler::{Given, Rollout},
 };
+use wm_motion::motion::StepAction;
 use wm_msgs::{
     builtin_interfaces::Time,
     wm_msgs::{Action, Prediction},

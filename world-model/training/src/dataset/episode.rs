@@ -3,7 +3,7 @@ use std::path::Path;
 use image::{GrayImage, RgbImage, imageops::FilterType};
 use wm_bag::{BagMessage, BagReader};
 use wm_camera::camera_frame::CameraFrame;
-use wm_model::{
+use wm_motion::{
     actions::ActionSpace,
     motion::{Motion, MotionSettings, Pace},
 };
@@ -15,8 +15,6 @@ const COMPRESSED: &str = "/camera/image_raw/compressed";
 const RAW: &str = "/camera/image_raw";
 const MASK: &str = "/camera/mask/compressed";
 const ACTION: &str = "/wm/action";
-/// Key of a bag's `custom_data` that says what its actions are, as JSON.
-pub(super) const ACTION_SPACE: &str = "action_space";
 
 /// The decoded pictures and actions of one bag.
 pub(super) struct Decoded {
@@ -116,14 +114,11 @@ pub(super) fn decode(
     })
 }
 
-/// What a bag's actions are: what its metadata says, else Bridge V2's.
+/// What a bag's actions are.
 pub(super) fn action_space(reader: &BagReader, bag: &Path) -> Result<ActionSpace, DatasetError> {
-    let Some(text) = reader.note(ACTION_SPACE) else {
-        return Ok(ActionSpace::bridge());
-    };
-    serde_json::from_str(text).map_err(|error| DatasetError::Episode {
+    ActionSpace::of_note(reader.note(ActionSpace::NOTE)).map_err(|error| DatasetError::Episode {
         bag: bag.to_owned(),
-        what: format!("{ACTION_SPACE} in metadata.yaml: {error}"),
+        what: error.to_string(),
     })
 }
 

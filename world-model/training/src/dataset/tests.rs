@@ -6,7 +6,7 @@ use wm_msgs::{
     builtin_interfaces::Time, sensor_msgs::CompressedImage, std_msgs::Header, wm_msgs::Action,
 };
 
-use super::{episode::ACTION_SPACE, *};
+use super::*;
 
 const PERIOD_NS: i64 = 200_000_000;
 
@@ -141,7 +141,7 @@ fn what_is_missing_is_named() {
 fn write_at(dir: &Path, hertz: i64, space: Option<&str>) {
     let mut writer = BagWriter::create(dir, WriterOptions::default()).unwrap();
     if let Some(space) = space {
-        writer.note(ACTION_SPACE, space);
+        writer.note(ActionSpace::NOTE, space);
     }
     for tick in 0..2 * hertz {
         let at_ns = tick * 1_000_000_000 / hertz;

@@ -1,6 +1,6 @@
 use anyhow::{Result, ensure};
 use rand::Rng;
-use wm_model::actions::ActionEncoding;
+use wm_motion::actions::ActionEncoding;
 
 use crate::latents::Latents;
 

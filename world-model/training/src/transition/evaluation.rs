@@ -6,11 +6,11 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use wm_model::{
-    actions::ActionEncoding,
     planner::{Cem, CemSettings, Returned, Target, TransitionDynamics},
     sampler::{Given, Rollout, Sampler},
     transition::PackedTransition,
 };
+use wm_motion::actions::ActionEncoding;
 
 use super::ClipSource;
 use crate::latents::Latents;

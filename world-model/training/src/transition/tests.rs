@@ -3,9 +3,9 @@ use std::path::Path;
 use half::f16;
 use wm_model::{
     LatentSpace,
-    actions::{Accumulation, ActionSpace},
     transition::{ActionAlignment, Parametrisation},
 };
+use wm_motion::actions::{Accumulation, ActionSpace};
 
 use super::*;
 use crate::dataset::Episode;

@@ -79,7 +79,7 @@ pub struct TransitionPart {
     pub config: Configuration,
     /// Its checkpoint, relative to the folder.
     pub weights: String,
-    /// An [`ActionEncoding`](wm_model::actions::ActionEncoding). Where absent, `action_dim` is the configuration's,
+    /// An [`ActionEncoding`](wm_motion::actions::ActionEncoding). Where absent, `action_dim` is the configuration's,
     /// `accumulation` is `index`, as in the reference, and everything else is the reference's for Bridge V2.
     #[serde(default)]
     pub actions: serde_json::Map<String, serde_json::Value>,

@@ -1,8 +1,8 @@
 use candle_core::{DType, Device, Tensor};
 use serde_json::{Value, json};
 use tempfile::TempDir;
-use wm_model::actions::Accumulation;
 use wm_model::sampler::Rollout;
+use wm_motion::actions::Accumulation;
 
 use super::*;
 use crate::ModelFolder;

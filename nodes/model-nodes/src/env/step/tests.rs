@@ -4,10 +4,10 @@ use image::Rgb;
 use wm_bag::{BagReader, BagWriter, WriterOptions};
 use wm_model::{
     Autoencoder, AutoencoderConfig,
-    actions::ActionEncoding,
     sampler::{Given, Rollout},
     transition::{ActionAlignment, Transition, TransitionConfig},
 };
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::std_msgs;
 
 use super::*;
@@ -487,4 +487,28 @@ fn a_start_that_would_block_is_refused_and_a_caller_learns_nothing_of_a_file() {
             EnvError::NoStart.to_string()
         );
     }
+}
+
+#[test]
+fn a_bag_of_other_actions_is_refused_with_both_sides() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
+    let space = r#"{"name": "my_arm", "dimensions": [{"name": "elbow", "unit": "rad", "kind": "joint_position"}]}"#;
+    writer.note(ActionSpace::NOTE, space);
+    let image = jpeg(30, stamp(START));
+    writer
+        .write("/camera/image_raw/compressed", &image, START as u64)
+        .unwrap();
+    writer.finish().unwrap();
+    let start = Start::Bag {
+        path: bag,
+        offset_s: 0.0,
+    };
+    let error = open(&start, &world(), Timing::new(PERIOD, 2), 2).err();
+    let error = error.expect("an error").without_file().to_string();
+    assert!(
+        error.contains("my_arm: elbow") && error.contains("bridge_v2: dx dy dz"),
+        "{error}"
+    );
 }

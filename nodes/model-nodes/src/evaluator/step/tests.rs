@@ -4,10 +4,10 @@ use candle_core::{Device, Tensor};
 use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
-    actions::ActionEncoding,
     sampler::Given,
     transition::{Transition, TransitionConfig},
 };
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header, wm_msgs::ActionChunk};
 
 use super::*;

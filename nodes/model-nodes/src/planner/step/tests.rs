@@ -6,11 +6,11 @@ use candle_core::{Device, Tensor};
 use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
-    actions::ActionEncoding,
     planner::{CemSettings, Target},
     sampler::Given,
     transition::{Transition, TransitionConfig},
 };
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header, wm_msgs::Plan};
 
 use super::*;

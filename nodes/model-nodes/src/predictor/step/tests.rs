@@ -5,9 +5,9 @@ use std::time::Instant;
 use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
-    actions::ActionEncoding,
     transition::{Transition, TransitionConfig},
 };
+use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     builtin_interfaces::Duration,
     std_msgs::Header,

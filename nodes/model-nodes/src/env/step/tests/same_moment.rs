@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use candle_core::{Device, Tensor};
-use wm_model::motion::{Chunk, ChunkMerging, Motion, MotionSettings};
+use wm_motion::motion::{Chunk, ChunkMerging, Motion, MotionSettings};
 use wm_msgs::wm_msgs::{ActionCandidates, ActionChunk};
 use wm_ros::PublisherId;
 

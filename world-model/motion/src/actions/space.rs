@@ -100,7 +100,7 @@ impl Dimension {
 /// What the values of an action are, and the rate at which a model's actions are defined.
 ///
 /// ```
-/// use wm_model::actions::ActionSpace;
+/// use wm_motion::actions::ActionSpace;
 ///
 /// let space = ActionSpace::bridge();
 /// assert_eq!(space.len(), 7);

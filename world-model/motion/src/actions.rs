@@ -9,6 +9,7 @@
 
 mod encoding;
 mod error;
+mod note;
 mod space;
 
 pub use encoding::{Accumulation, ActionEncoding, ModelAction};

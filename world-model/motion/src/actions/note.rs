@@ -1,0 +1,44 @@
+//! An action space in a bag's metadata.
+
+use super::{ActionError, ActionSpace};
+
+impl ActionSpace {
+    /// The key of a bag's `custom_data` (in `metadata.yaml`) that says what the bag's actions are.
+    pub const NOTE: &str = "action_space";
+
+    /// As JSON, as `model.json` has it.
+    ///
+    /// # Errors
+    /// [`ActionError::Space`] where it cannot be written.
+    pub fn to_note(&self) -> Result<String, ActionError> {
+        serde_json::to_string(self).map_err(|error| ActionError::Space(error.to_string()))
+    }
+
+    /// What a bag's actions are: what its note says, else Bridge V2's, as all bags were before they had one.
+    ///
+    /// # Errors
+    /// [`ActionError::Space`] where the note is no description of an action space.
+    pub fn of_note(note: Option<&str>) -> Result<Self, ActionError> {
+        let Some(note) = note else {
+            return Ok(Self::bridge());
+        };
+        let refused =
+            |error| ActionError::Space(format!("{} in metadata.yaml: {error}", Self::NOTE));
+        serde_json::from_str(note).map_err(refused)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_note_gives_the_space_back() {
+        let space = ActionSpace::bridge();
+        let note = space.to_note().unwrap();
+        assert_eq!(ActionSpace::of_note(Some(&note)).unwrap(), space);
+        assert_eq!(ActionSpace::of_note(None).unwrap(), space);
+        let error = ActionSpace::of_note(Some("{}")).unwrap_err().to_string();
+        assert!(error.contains("action_space in metadata.yaml"), "{error}");
+    }
+}
