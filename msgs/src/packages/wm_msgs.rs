@@ -249,7 +249,8 @@ pub struct EnvResetRequest {
     pub topic: String,
     /// What the policy is to do; empty: the bag's, else the env's parameter.
     pub instruction: String,
-    /// Seed of the episode's noise: the same start, actions and seed give the same images.
+    /// Seed of the episode's noise: the same start, calls and seed give the same images. How actions are spread over calls
+    /// counts: the last step of a call assumes that its action goes on, since the next one is not known yet.
     pub seed: u64,
     /// Steps after which the episode is truncated; 0: the env's parameter.
     pub max_steps: u32,

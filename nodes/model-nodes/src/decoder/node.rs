@@ -90,7 +90,7 @@ struct Decoder {
 }
 
 struct Decoding {
-    work: Work<(Prediction, u8), Decoded>,
+    work: Work<(Arc<Prediction>, u8), Decoded>,
     rollouts: Rollouts,
     complaints: Complaints,
 }
@@ -99,10 +99,10 @@ fn work(
     step: Arc<Mutex<DecoderStep>>,
     transports: Transports,
     pool: &Pool,
-) -> Work<(Prediction, u8), Decoded> {
+) -> Work<(Arc<Prediction>, u8), Decoded> {
     Work::new(
         WAITING,
-        move |(prediction, quality): (Prediction, u8), _| {
+        move |(prediction, quality): (Arc<Prediction>, u8), _| {
             let step = step.lock().unwrap_or_else(PoisonError::into_inner);
             let started = Instant::now();
             let pictures = step.decode(&prediction).and_then(|picture| {
@@ -182,7 +182,7 @@ impl ModelNode for Decoder {
             at.node
                 .diagnostics()
                 .set_status(Level::Warn, at.model.idle());
-            while predictions.recv().await.is_some() {}
+            while predictions.recv_shared().await.is_some() {}
             return Ok(());
         };
         let latency = at.node.diagnostics().latency("decode");
@@ -199,7 +199,7 @@ impl ModelNode for Decoder {
                         Err(error) => decoding.complaints.left_out("bad_prediction", &error),
                     }
                 }
-                received = predictions.recv() => {
+                received = predictions.recv_shared() => {
                     let Some(received) = received else { return Ok(()) };
                     let steps = at.parameters.steps.get();
                     if steps.is_empty() || steps.contains(&i64::from(received.message.step)) {
@@ -214,7 +214,7 @@ impl ModelNode for Decoder {
 }
 
 impl Decoding {
-    fn prediction(&mut self, prediction: Prediction, quality: u8) {
+    fn prediction(&mut self, prediction: Arc<Prediction>, quality: u8) {
         let observed_ns = prediction.observed_stamp.to_nanos();
         let is_behind = self.work.waiting() > UNFINISHED;
         match self.rollouts.choose(observed_ns, is_behind) {

@@ -151,7 +151,7 @@ impl Encoder {
     ) -> Result<()> {
         match latent {
             Ok(latent) => {
-                latents.publish(&latent)?;
+                latents.publish_shared(Arc::new(latent))?;
                 self.diagnostics.latency("encode").record(taken);
                 let whole = self.diagnostics.latency("image to latent");
                 whole.record(received.elapsed());

@@ -1,5 +1,7 @@
 //! How a node follows the robot: latents of its camera, its actions, resets, and jumps of the clock.
 
+use std::sync::Arc;
+
 use tokio::sync::watch;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -65,7 +67,7 @@ pub trait Follows {
 /// What is left to the node itself.
 pub enum Told<D> {
     /// A latent.
-    Latent(Received<Latent>),
+    Latent(Received<Arc<Latent>>),
     /// What a chunk has set off.
     Due(D),
 }
@@ -81,7 +83,7 @@ pub enum Event {
     /// A chunk.
     Chunk(Received<ActionChunk>),
     /// A latent.
-    Latent(Received<Latent>),
+    Latent(Received<Arc<Latent>>),
 }
 
 /// Follows the robot while the node is active.
@@ -110,7 +112,7 @@ impl Follower {
             Ok(()) = self.jumps.changed() => Some(Event::Jumped),
             received = inputs.actions.recv() => received.map(Event::Action),
             received = inputs.chunks.recv() => received.map(Event::Chunk),
-            received = inputs.latents.recv() => received.map(Event::Latent),
+            received = inputs.latents.recv_shared() => received.map(Event::Latent),
         }
     }
 

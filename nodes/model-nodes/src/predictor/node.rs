@@ -187,7 +187,7 @@ impl ModelNode for Predictor {
 }
 
 impl Predictor {
-    fn latent(&mut self, received: &Received<Latent>, parameters: &Parameters) -> Result<()> {
+    fn latent(&mut self, received: &Received<Arc<Latent>>, parameters: &Parameters) -> Result<()> {
         let horizon = parameters.horizon.get() as usize;
         let integration_steps = match parameters.integration_steps.get() {
             0 => self.shared.model.transition.config().sampler.steps,
@@ -275,17 +275,18 @@ impl Shared {
                 return Ok(());
             }
             predicted.prediction.ready_stamp = self.clock.now();
-            self.predictions.publish(&predicted.prediction)?;
+            let (late, clipped) = (self.step().predicted(&predicted), predicted.clipped);
+            let prediction = Arc::new(predicted.prediction);
+            self.predictions.publish_shared(prediction)?;
             if index == 0 {
                 self.diagnostics
                     .latency("latent to first step")
                     .record(received.elapsed());
             }
-            if predicted.clipped > 0 {
+            if clipped > 0 {
                 self.diagnostics
-                    .count_drops("clipped action values", predicted.clipped as u64);
+                    .count_drops("clipped action values", clipped as u64);
             }
-            let late = self.step().predicted(&predicted);
             if let Some(error) = late {
                 self.errors.publish(&error)?;
             }
