@@ -12,9 +12,10 @@ use crate::{
     interop::{integer, messages, spaces_of_latents, spaces_of_predictions},
 };
 
-/// The predictions of `report` by what makes each unique: observation and step.
-fn predictions(report: &Value) -> BTreeMap<(i64, i64), &Value> {
-    let key = |p: &Value| (integer(&p["observed_stamp"]), integer(&p["step"]));
+/// The predictions of `report` by observation, step and when they were ready: the rollout of a frame is made again when
+/// a chunk answers that frame.
+fn predictions(report: &Value) -> BTreeMap<[i64; 3], &Value> {
+    let key = |p: &Value| ["observed_stamp", "step", "ready_stamp"].map(|name| integer(&p[name]));
     let predictions = messages(report, "/wm/predicted").iter();
     predictions.map(|p| (key(p), p)).collect()
 }
@@ -90,7 +91,7 @@ fn cyclone_reads_what_rclpy_reads_and_its_chunks_are_predicted() {
     assert_eq!(spaces.len(), 1, "one latent space: {spaces:?}");
 
     let (ours, theirs) = (predictions(&cyclone), predictions(&rclpy));
-    let both: BTreeSet<_> = ours.keys().filter(|key| theirs.contains_key(key)).collect();
+    let both: BTreeSet<_> = ours.keys().filter(|&key| theirs.contains_key(key)).collect();
     assert!(both.len() >= 32, "only {} came to both", both.len());
     for key in both {
         assert_eq!(ours[key], theirs[key], "the two decode alike");

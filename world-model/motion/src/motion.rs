@@ -10,7 +10,7 @@
 //! frames and actions. Nodes, env, evaluation and training all go through it.
 //!
 //! ```
-//! use wm_model::{actions::ActionSpace, motion::{Motion, MotionSettings}};
+//! use wm_motion::{actions::ActionSpace, motion::{Motion, MotionSettings}};
 //!
 //! let space = ActionSpace::bridge();
 //! let mut motion = Motion::new(MotionSettings::of_period(33_333_333));

@@ -282,7 +282,7 @@ fn bags_that_do_not_fit_are_named() {
     for (error, parts) in [
         (
             error(&["good", "wide"], &plain),
-            ["wide: action: expected 7 values", "got 8"],
+            ["wide: action: expected [\"dx\"", "got [\"action_0\""],
         ),
         (
             error(&["nan"], &plain),
