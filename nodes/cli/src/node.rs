@@ -81,7 +81,7 @@ fn command(definition: &Definition) -> Command {
         .about(format!("{} (node)", definition.about.trim_end_matches('.')))
         .arg(print_params)
         .arg(arguments(
-            "The node's own arguments, for example --interface lo; parameters go after --ros-args",
+            "Arguments of the node, for example --interface lo; parameters go after --ros-args",
         ))
         .after_help(definition.help())
 }

@@ -131,7 +131,7 @@ pub struct Configured<N: ModelNode> {
 wm_ros::parameters! {
     /// What every node of this kind has.
     struct Common {
-        /// World model: tiny (embedded), or a folder of weights.
+        /// World model: tiny (embedded), or the path of a model folder.
         model: String = EMBEDDED;
     }
 }

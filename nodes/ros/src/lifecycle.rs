@@ -267,7 +267,7 @@ impl Lifecycle {
 
 /// The parameter of every managed node.
 pub(crate) fn autostart() -> ParameterSpec {
-    let text = "Whether the node configures and activates itself, or waits for ~/change_state.";
+    let text = "Whether the node configures and activates itself. If false, it waits for ~/change_state.";
     ParameterSpec::of::<bool>("autostart", text, true)
 }
 

@@ -43,7 +43,7 @@ use wm_ros::{calls::Calls, calls::answer};
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
     name: "recorder",
-    about: "Records topics, as they are found, into a bag.",
+    about: "Records topics into a bag, as they appear.",
     parameters: Parameters::specs,
     endpoints: command::Services::specs,
     is_managed: false,

@@ -50,15 +50,15 @@ wm_ros::parameters! {
     struct Parameters {
         /// Image transport of the pictures.
         image_transport: Transports = "both";
-        /// Least time between two observations whose rollouts are decoded [s]; 0: all. At 0.6 it is every third frame of
-        /// a camera at 5 Hz, with all steps of its rollout.
+        /// Minimum time between two observations whose rollouts are decoded [s]; 0: decode all. With 0.6 and a camera
+        /// at 5 Hz, every third rollout is decoded, with all its steps.
         decode_period: f64 = 0.6, in 0.0..=3600.0;
         /// JPEG quality of the compressed pictures.
         jpeg_quality: Parameter<i64> = 90, in 1..=100;
-        /// Steps k that are decoded, for example [1, 4, 8]; empty: all.
+        /// Steps k to decode, for example [1, 4, 8]; empty: all.
         steps: Parameter<Vec<i64>> = Vec::<i64>::new();
-        /// How far computing gives way to other nodes and programs, as nice(1): a picture may come later, a prediction
-        /// may not.
+        /// Added to the nice value of the computing threads, as with nice(1). Above 0, other nodes and programs go
+        /// first: a picture may be late, a prediction may not.
         nice: i32 = 5, in 0..=19;
     }
 }
@@ -68,7 +68,7 @@ wm_ros::endpoints! {
     struct Endpoints {
         /// Predicted latents.
         predictions: Subscription<Prediction> = "predicted", qos(Qos::best_effort(WAITING));
-        /// Predicted pictures; the stamp is the time that is predicted.
+        /// Predicted pictures, stamped with the predicted time.
         pictures: ImagePublisher = "predicted/image", qos(Qos::reliable(WAITING));
     }
 }

@@ -50,11 +50,11 @@ pub async fn body(node: Node) -> Result<()> {
 wm_ros::parameters! {
     /// What the parameters say.
     struct Parameters {
-        /// Type of the latents' numbers. At f16 a latent of the embedded model takes 6 KB.
+        /// Number type of the latents. In f16 a latent of the embedded model takes 6 KB.
         dtype: LatentDtype = "f16", one_of {
             "f32" => LatentDtype::F32, "f16" => LatentDtype::F16, "bf16" => LatentDtype::Bf16,
         };
-        /// Image transport of the camera. With both, a frame that comes twice counts once.
+        /// Image transport of the camera. With both, a frame that arrives twice counts once.
         image_transport: Transports = "both";
     }
 }
@@ -64,7 +64,7 @@ wm_ros::endpoints! {
     struct Endpoints {
         /// The camera's frames.
         images: ImageSubscription = "/camera/image_raw", qos(Qos::sensor_data());
-        /// The frames' latents, with the frames' stamps.
+        /// The latents of the frames, stamped with the frames' capture time.
         latents: Publisher<Latent> = "latent", qos(LATENT_QOS);
     }
 }

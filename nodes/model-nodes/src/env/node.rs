@@ -57,23 +57,23 @@ pub async fn body(node: Node) -> Result<()> {
 wm_ros::endpoints! {
     /// Topics and services.
     struct Endpoints {
-        /// Actions of a policy that plays by topics.
+        /// Actions of a policy, for the episode that is played through topics.
         actions: Subscription<Action> = "action";
-        /// Its chunks of actions.
+        /// Action chunks of a policy, for the episode that is played through topics.
         chunks: Subscription<ActionChunk> = "action_chunk";
-        /// Whether the task is done; ends the episode that is played by topics.
+        /// Whether the task was done. Ends the episode that is played through topics.
         successes: Subscription<Bool> = "/task/success";
-        /// What the policy sees of an episode that is played by topics.
+        /// Predicted pictures of the episode that is played through topics.
         pictures: ImagePublisher = "/camera/image_raw";
-        /// What the policy is to do.
+        /// The policy's task in words.
         instructions: Publisher<Text> = INSTRUCTION, qos(Qos::latched(1));
-        /// What is seen of episodes by service.
+        /// Predicted pictures of the episodes that are driven through services.
         observations: Publisher<EnvObservation> = "~/observation", qos(Qos::reliable(OBSERVATIONS));
         /// Begins an episode.
         resets: Service<EnvReset> = "~/reset", made(|node, name, _| node.service_or_refuse(name, |reason| {
             EnvResetResponse { message: reason.to_owned(), ..EnvResetResponse::default() }
         }));
-        /// Takes actions in an episode.
+        /// Executes actions in an episode.
         steps: Service<EnvStep> = "~/step", made(|node, name, _| node.service_or_refuse(name, |reason| {
             EnvStepResponse { message: reason.to_owned(), ..EnvStepResponse::default() }
         }));
@@ -93,7 +93,7 @@ type EnvNode = Configured<Active>;
 
 impl ModelNode for Active {
     const NAME: &'static str = "env";
-    const ABOUT: &'static str = "Lets the world model play camera and robot for a policy.";
+    const ABOUT: &'static str = "Makes the world model the environment of a policy, in place of camera and robot.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;

@@ -21,15 +21,15 @@ use crate::{
 };
 
 wm_ros::endpoints! {
-    /// What a node hears that follows the robot.
+    /// The inputs of a node that follows the robot.
     pub struct Inputs {
         /// Latents of the camera's frames.
         pub latents: Subscription<Latent> = "latent", qos(LATENT_QOS);
         /// Actions that the robot takes.
         pub actions: Subscription<Action> = "action";
-        /// Actions that a policy is about to take.
+        /// Actions that a policy will take next.
         chunks: Subscription<ActionChunk> = "action_chunk";
-        /// Forgets what was observed, and takes the seed of the request.
+        /// Forgets the observed history, and takes the seed of the request.
         resets: Service<Reset> = "~/reset", made(|node, name, _| {
             node.service_or_refuse(name, |reason| ResetResponse { success: false, message: reason.to_owned() })
         });

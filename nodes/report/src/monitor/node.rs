@@ -24,7 +24,7 @@ use wm_wire::transport::{ImageSubscription, Transports};
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
     name: "monitor",
-    about: "Shows a live line, and reports at the end how well the predictions came true.",
+    about: "Shows a live status line, and reports at the end how well the predictions matched the camera.",
     parameters: Parameters::specs,
     endpoints: Inputs::specs,
     is_managed: false,
@@ -87,13 +87,13 @@ struct Topics {
 wm_ros::parameters! {
     /// What the parameters say.
     struct Parameters {
-        /// Folder of the report; relative to the working directory.
+        /// Folder for the report, relative to the working directory.
         output: PathBuf = "out/monitor";
-        /// Show a line of what is happening.
+        /// Show a live status line.
         live_line: bool = true;
-        /// The camera's topic; its sibling /compressed too.
+        /// Image topic of the camera; its sibling /compressed is used too.
         camera_topic: String = CAMERA;
-        /// Image transport of the camera. With both, a frame that comes twice counts once.
+        /// Image transport of the camera. With both, a frame that arrives twice counts once.
         _image_transport as "image_transport": Transports = "both";
     }
 }
@@ -101,7 +101,7 @@ wm_ros::parameters! {
 wm_ros::endpoints! {
     /// Topics.
     struct Inputs {
-        /// The camera's frames; the parameter camera_topic names another topic.
+        /// The camera's frames. The parameter camera_topic sets the topic.
         camera: ImageSubscription = CAMERA, qos(QOS), made(|node, _, qos| {
             let topic: String = node.parameter("camera_topic")?;
             ImageSubscription::new(node, &topic, Transports::of(node), qos)
@@ -112,11 +112,11 @@ wm_ros::endpoints! {
         pictures: ImageSubscription = "predicted/image", qos(QOS), made(|node, topic, qos| {
             ImageSubscription::new(node, topic, Transports::BOTH, qos)
         });
-        /// How far predictions were off.
+        /// Errors of the predictions.
         errors: Subscription<PredictionError> = "prediction_error", qos(QOS);
         /// Plans.
         plans: Subscription<Plan> = "plan", qos(QOS);
-        /// How the nodes fare.
+        /// The state of the nodes.
         diagnostics: Subscription<DiagnosticArray> = "/diagnostics", qos(QOS);
     }
 }

@@ -40,7 +40,7 @@ pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     node.declare(
         "use_sim_time",
         false,
-        Descriptor::new("Whether the clock follows /clock instead of the system."),
+        Descriptor::new("Whether the node's clock follows /clock instead of the system clock."),
     )?;
     parameter_services(node)?;
     logger_services(node)?;
