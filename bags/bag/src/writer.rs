@@ -64,7 +64,7 @@ impl BagWriter {
             .file_name()
             .ok_or_else(|| BagError::NotABag {
                 path: dir.clone(),
-                reason: "expected a directory's name to write to".to_owned(),
+                reason: "expected the path of a directory to write to".to_owned(),
             })?
             .to_string_lossy()
             .into_owned();

@@ -42,7 +42,7 @@ pub enum GoalError {
         cameras: String,
     },
     /// The camera's topic is empty.
-    #[error("topic {0:?} has no readable message")]
+    #[error("topic {0:?} has no readable messages")]
     Empty(String),
     /// The bag cannot be read.
     #[error(transparent)]

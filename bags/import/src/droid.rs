@@ -93,19 +93,19 @@ fn period(video: &Video, frames: usize) -> Result<f64, ImportError> {
     let shown = video.frame_count();
     if shown < frames {
         return Err(corrupt(format!(
-            "expected {frames} frames, one a state, got {shown}"
+            "expected {frames} frames, one per state, got {shown}"
         )));
     }
     if shown > frames {
         tracing::warn!(
             video = %video.file().display(), frames = shown, states = frames,
-            "frames after the last state are left out"
+            "frames after the last state are ignored"
         );
     }
     let period = video.time_s(1).unwrap_or(0.2);
     if !(0.01..=10.0).contains(&period) {
         return Err(corrupt(format!(
-            "expected 0.1 to 100 frames a second, got one after {period} s"
+            "expected 0.1 to 100 frames per second, got one after {period} s"
         )));
     }
     for frame in 0..frames {

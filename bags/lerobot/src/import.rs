@@ -57,7 +57,10 @@ pub fn import(
     });
     let other: Vec<&str> = other.map(|(name, _)| name.as_str()).collect();
     if !other.is_empty() {
-        tracing::warn!(features = other.join(", "), "left out: they have no topic");
+        tracing::warn!(
+            features = other.join(", "),
+            "ignored, because they have no corresponding topic"
+        );
     }
     let actions = actions(&dataset, options.action_space.as_ref())?;
     let mut bags = Vec::new();
@@ -75,7 +78,7 @@ pub fn import(
     }
     if bags.is_empty() {
         return Err(LeRobotError::Nothing(format!(
-            "{} has {} episodes, none of which was asked for",
+            "{} has {} episodes, but none of those that you asked for",
             src.display(),
             dataset.episodes.len()
         )));

@@ -53,7 +53,7 @@ impl SimArgs {
         .with_context(|| format!("cannot make the episodes in {}", self.out.display()))?;
         bar.finish_and_clear();
         println!(
-            "{} episodes of {} frames in {} ({} did what was asked)",
+            "{} episodes of {} frames in {} (the task was done in {})",
             bags.len(),
             self.frames,
             self.out.display(),

@@ -5,7 +5,7 @@
 #[non_exhaustive]
 pub enum Error {
     /// A number of frames that no episode has.
-    #[error("an episode has {} to {} frames, not {frames}", .possible.start(), .possible.end())]
+    #[error("expected {} to {} frames per episode, got {frames}", .possible.start(), .possible.end())]
     Frames {
         /// What was asked for.
         frames: usize,

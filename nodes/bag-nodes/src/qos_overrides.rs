@@ -29,7 +29,7 @@ pub enum QosOverridesError {
     },
     /// It is no map of topics to profiles.
     #[error(
-        "QoS overrides {}: {reason}; expected topics, each with some of reliability (reliable, best_effort), durability \
+        "QoS overrides {}: {reason}; expected topics, each with any of reliability (reliable, best_effort), durability \
          (volatile, transient_local), history (keep_last, keep_all) and depth",
         path.display()
     )]

@@ -90,7 +90,7 @@ impl Announcement {
         };
         let qos = || {
             qos.and_then(parse_qos)
-                .ok_or_else(|| refused("a QoS as :1:0:0,10, of a topic without keys"))
+                .ok_or_else(|| refused("a QoS such as :1:0:0,10, for a topic without keys"))
         };
         let subject = match kind {
             "MP" => Subject::Publisher(qos()?),

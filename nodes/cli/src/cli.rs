@@ -81,7 +81,7 @@ pub fn parse() -> Command {
     if !ros_args.is_empty() && !command.takes_ros_args() {
         let error = clap::Error::raw(
             clap::error::ErrorKind::UnknownArgument,
-            format!("this command takes no {ROS_ARGS}: it is no node\n"),
+            format!("this command takes no {ROS_ARGS}: it is not a node\n"),
         );
         error.exit();
     }

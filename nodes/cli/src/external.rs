@@ -43,7 +43,7 @@ fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitC
     let Some(found) = find(program, folders.chain(std::env::split_paths(&path))) else {
         let package = program.replace('-', "_");
         bail!(
-            "the program {program} is neither beside {} nor on the PATH; build it with\n    \
+            "the program {program} was found neither next to {} nor on the PATH; build it with\n    \
              cargo build --release -p {package}",
             beside.display()
         );

@@ -28,11 +28,11 @@ impl ReportCommand {
             print(format_args!("{}\n", file.display()))?;
         }
         for (topic, (count, reason)) in &unreadable {
-            eprintln!("wm: {topic}: {count} message(s) left out, the first: {reason}");
+            eprintln!("wm: {topic}: {count} message(s) ignored, the first because: {reason}");
         }
         ensure!(
             report.frames > 0,
-            "no frame of the bag's camera could be read: nothing was compared"
+            "no frame of the bag's camera could be read, so nothing was compared"
         );
         ensure!(
             !scorer.is_without_predictions(),

@@ -13,8 +13,8 @@ use crate::history::Reception;
 /// A frame of another camera.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
-    "frame of camera \"{frame_id}\"{}, but this node follows camera \"{expected}\": give each camera an encoder and a \
-     predictor in a namespace of their own (--ros-args -r __ns:=/wm/CAMERA)",
+    "frame of camera \"{frame_id}\"{}, but this node follows camera \"{expected}\": run an encoder and a predictor for \
+     each camera in a separate namespace (--ros-args -r __ns:=/wm/CAMERA)",
     if *.is_other_publisher { " from another publisher" } else { "" }
 )]
 pub struct WrongCamera {

@@ -20,7 +20,9 @@ impl Pool {
             .start_handler(move |_| {
                 // Linux has a priority for each thread, where POSIX has one for the process.
                 if let Err(error) = rustix::process::nice(nice) {
-                    tracing::warn!("computing at the usual priority: {error}");
+                    tracing::warn!(
+                        "cannot lower the priority; computing at the usual priority: {error}"
+                    );
                 }
             })
             .build()

@@ -47,8 +47,8 @@ impl Report {
             (None, None) => return None,
         };
         Some(format!(
-            "The predictions are no better than the last frame held still ({why}): the model may not know such pictures, or the \
-             actions are not this robot's."
+            "The predictions are no better than the persistence baseline, the last frame repeated ({why}): the model \
+             may not be trained on such pictures, or the actions may not be this robot's."
         ))
     }
 
@@ -62,11 +62,11 @@ impl Report {
         } = self;
         match frame_rate_hz {
             rate if *rate > 0.0 => format!(
-                "{frames} frames came at {rate:.2} Hz; predictor and planner expect one every \"frame_period\" (0.2 s by \
-                 default): set that parameter of both to {:.3} s where the camera is slower",
+                "{frames} frames arrived at {rate:.2} Hz; predictor and planner expect one every \"frame_period\" (0.2 \
+                 s by default): if the camera is slower, set that parameter of both to {:.3} s",
                 1.0 / rate
             ),
-            _ => format!("{frames} frame(s) came"),
+            _ => format!("{frames} frame(s) arrived"),
         }
     }
 }

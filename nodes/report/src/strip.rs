@@ -16,8 +16,8 @@ const DIFFERENCE_GAIN: u16 = 2;
 
 /// What the rows of figures at the foot are.
 const LEGEND: [&str; 2] = [
-    "PSNR: of predicted against real",
-    "held: the same of the last observed frame held still, as if nothing moved",
+    "PSNR: predicted against real",
+    "held: the same for the last observed frame, repeated (persistence)",
 ];
 
 const BACKGROUND: Rgb<u8> = Rgb([24, 24, 28]);

@@ -97,12 +97,12 @@ fn remedy(reason: &str) -> Option<(&'static str, Level, &'static str)> {
         "wrong_space" => Some((
             "latent space",
             Level::Error,
-            "give encoder, predictor, decoder and planner the same parameter model",
+            "set the same parameter model on encoder, predictor, decoder and planner",
         )),
         "overload" => Some((
             "overload",
             Level::Warn,
-            "give the node more processor time or a higher priority, or less to do",
+            "give the node more processor time, a higher priority or less work",
         )),
         _ => None,
     }

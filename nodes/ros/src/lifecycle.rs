@@ -206,7 +206,7 @@ impl Lifecycle {
         let transition = self.machine().begin(id, label)?;
         tracing::debug!("{}", transition.goal.label());
         if let Err(error) = self.announce(transition) {
-            tracing::warn!("a transition is not announced: {error}");
+            tracing::warn!("cannot publish a lifecycle transition: {error}");
         }
         Ok(transition)
     }
@@ -267,12 +267,13 @@ impl Lifecycle {
 
 /// The parameter of every managed node.
 pub(crate) fn autostart() -> ParameterSpec {
-    let text = "Whether the node configures and activates itself. If false, it waits for ~/change_state.";
+    let text =
+        "Whether the node configures and activates itself. If false, it waits for ~/change_state.";
     ParameterSpec::of::<bool>("autostart", text, true)
 }
 
 fn answer(call: Call<ChangeState>, success: bool) {
     if let Err(error) = call.respond(&ChangeStateResponse { success }) {
-        tracing::warn!("change_state is not answered: {error}");
+        tracing::warn!("cannot answer change_state: {error}");
     }
 }

@@ -202,7 +202,7 @@ impl Node {
     fn check_parameters(&self, has_endpoints: bool) -> Result<(), Error> {
         for ignored in self.inner.parameters.check_all_declared(has_endpoints)? {
             tracing::warn!(
-                "the parameter `{}` from {} is not one of this node's",
+                "this node has no parameter `{}` (from {})",
                 ignored.name,
                 ignored.origin
             );

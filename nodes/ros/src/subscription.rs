@@ -237,7 +237,7 @@ impl Intake {
     fn refuse(&self, reason: &str) {
         if self.undecodable.fetch_add(1, Ordering::Relaxed) == 0 {
             tracing::warn!(
-                "{}: a sample is skipped, and others like it will be: {reason}",
+                "{}: a sample is skipped, as will be others like it: {reason}",
                 self.topic
             );
         }

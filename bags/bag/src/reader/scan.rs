@@ -138,7 +138,12 @@ impl<'a> Scan<'a> {
                 self.skip(length)?;
             } else if length > MAX_RECORD_BYTES {
                 self.skip(length)?;
-                self.warn(at, format!("a record of {length} bytes is more than the {MAX_RECORD_BYTES} that are read"));
+                self.warn(
+                    at,
+                    format!(
+                        "a record has {length} bytes, more than the limit of {MAX_RECORD_BYTES}"
+                    ),
+                );
             } else {
                 let mut body = vec![0; length as usize];
                 self.file

@@ -12,7 +12,7 @@ use wm_msgs::{
 #[non_exhaustive]
 pub enum ChunkError {
     /// One action has no period.
-    #[error("the bag has {0} action(s); at least 2 are needed to know their period")]
+    #[error("the bag has {0} action(s); at least 2 are needed to determine their period")]
     TooFew(usize),
     /// Actions that do not come one after the other.
     #[error("the bag's actions have no positive period: their median distance is {0} ns")]

@@ -134,7 +134,7 @@ fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result
     for message in reader.messages().only_topics([topic]).flatten() {
         match message.decode::<Action>() {
             Ok(action) => actions.push((message.log_time_ns, action)),
-            Err(problem) => warn!("action left out of the chunks: {problem}"),
+            Err(problem) => warn!("action not used in the chunks: {problem}"),
         }
     }
     Ok(ActionChunks::new(actions, length)?)

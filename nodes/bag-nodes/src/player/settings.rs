@@ -120,11 +120,11 @@ impl Settings {
 
     fn check(&self) -> Result<()> {
         if self.parameters.bag.as_os_str().is_empty() {
-            bail!("parameter \"bag\" is empty: name the bag to play");
+            bail!("parameter \"bag\" is empty: give the bag to play");
         }
         ensure!(
             !(self.parameters.is_restamping && self.has_clock()),
-            "\"restamp\" moves stamps to now and \"clock\" publishes the bag's time: give one of them"
+            "\"restamp\" shifts stamps to the present and \"clock\" publishes the bag's time: set only one of them"
         );
         Ok(())
     }

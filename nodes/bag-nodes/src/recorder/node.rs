@@ -160,7 +160,10 @@ async fn record(
                     continue;
                 }
                 None if types.len() >= MOST_TOPICS => {
-                    news.skipped(&topic, &format_args!("{MOST_TOPICS} topics are recorded"));
+                    news.skipped(
+                        &topic,
+                        &format_args!("{MOST_TOPICS} topics are already recorded"),
+                    );
                     continue;
                 }
                 None => {}
@@ -202,11 +205,12 @@ async fn record(
                 Command::Stop(call) => break Some(call),
                 Command::Record(call) => answer(call, &RecordResponse {
                     return_code: 1,
-                    error_string: "a recording is under way".to_owned(),
+                    error_string: "a recording is already running".to_owned(),
                 }),
                 Command::Snapshot(call) => {
                     let success = queue.take_snapshot()?;
-                    info!("snapshot {}", if success { "taken" } else { "refused: the last is still being written" });
+                    info!("snapshot {}", if success { "taken" } else { "refused: the previous snapshot is still being \
+                                                                        written" });
                     answer(call, &Success { success });
                 }
                 Command::SplitBagfile(call) => {
@@ -279,7 +283,7 @@ fn subscribe(
     let schema = definitions::definition(&topic.type_name, prefixes).unwrap_or_else(|| {
         news.undefined(
             &topic.type_name,
-            "is not on AMENT_PREFIX_PATH: recorded without its definition",
+            "is not on AMENT_PREFIX_PATH: it is recorded without its definition",
         );
         definitions::unknown()
     });

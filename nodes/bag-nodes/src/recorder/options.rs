@@ -99,11 +99,11 @@ impl Options {
     pub fn new(parameters: Parameters, node: &Node) -> Result<Self> {
         ensure!(
             !parameters.output.as_os_str().is_empty(),
-            "parameter \"output\" is empty: name the folder of the new bag"
+            "parameter \"output\" is empty: give the folder for the new bag"
         );
         ensure!(
             !(parameters.overwrite && parameters.rename_existing),
-            "\"overwrite\" and \"rename_existing\": give one of them"
+            "\"overwrite\" and \"rename_existing\" exclude each other: set only one of them"
         );
         let existing = match (parameters.overwrite, parameters.rename_existing) {
             (true, _) => Existing::Replaced,

@@ -72,7 +72,9 @@ impl CutCommand {
             part.summary.path.display()
         ))?;
         for topic in &part.latched {
-            print(format_args!("kept what held at the start: {topic}\n"))?;
+            print(format_args!(
+                "kept the last message before the start: {topic}\n"
+            ))?;
         }
         for warning in &part.warnings {
             print(format_args!("Warning: {warning}\n"))?;

@@ -72,7 +72,7 @@ fn parse_compression_mode(text: &str) -> Result<String, String> {
     match text.to_lowercase().as_str() {
         mode @ "none" => Ok(mode.to_owned()),
         "file" | "message" => Err(format!(
-            "rosbag2's compression mode {text} is not written; chunks are compressed instead, by --compression-format \
+            "rosbag2's compression mode {text} is not supported; compress chunks instead, with --compression-format \
              none|zstd|lz4"
         )),
         _ => Err("expected none".to_owned()),
@@ -88,7 +88,7 @@ impl RecordCommand {
             .any(|name| self.flags.has(name));
         if !self.all && !is_named {
             let problem =
-                "what is to be recorded? Name topics, or give --all, --regex or --topic-types\n";
+                "nothing to record: name topics, or give --all, --regex or --topic-types\n";
             clap::Error::raw(clap::error::ErrorKind::MissingRequiredArgument, problem).exit();
         }
         let mut parameters = Parameters::new();

@@ -88,7 +88,7 @@ fn table(summary: &Summary) -> Result<String> {
     let ([height, width], [rows, columns, channels]) = (summary.image, summary.latent);
     let views = match summary.views {
         1 => String::new(),
-        views => format!(", {views} views beside each other"),
+        views => format!(", {views} views side by side"),
     };
     writeln!(
         text,
@@ -101,7 +101,8 @@ fn table(summary: &Summary) -> Result<String> {
     )?;
     writeln!(
         text,
-        "a model step is {} camera frames, sampled in {} Euler steps with time shift {:.3}; at most {} frames are seen",
+        "a model step is {} camera frames, sampled in {} Euler steps with time shift {:.3}; the context window has at \
+         most {} frames",
         summary.frame_skip, summary.integration_steps, summary.shift, summary.max_frames
     )?;
     Ok(text)

@@ -46,7 +46,7 @@ impl FetchCommand {
     /// Runs it.
     pub fn run(self) -> Result<()> {
         let Some(model) = MODELS.iter().find(|model| model.name == self.name) else {
-            bail!("no model `{}` is known; {}", self.name, catalogue::names());
+            bail!("unknown model `{}`; {}", self.name, catalogue::names());
         };
         let folder = match &self.output {
             Some(folder) => folder.clone(),
@@ -90,7 +90,7 @@ impl FetchCommand {
             let url = model.url(file, revision.as_deref());
             let hint = || match model.gated {
                 true => format!(
-                    "{url} (its licence has to be accepted at {}, and a token given with --token-file)",
+                    "{url} (accept its licence at {}, and give a token with --token-file)",
                     model.page()
                 ),
                 false => url.clone(),
@@ -145,7 +145,7 @@ fn file_name(file: &str) -> &str {
 
 fn kept(path: &Path) -> String {
     format!(
-        "{} is there and was kept; --overwrite replaces it",
+        "{} exists and was kept; --overwrite replaces it",
         path.display()
     )
 }

@@ -7,9 +7,11 @@ use wm_model::sampler::Sampler;
 use wm_zoo::kinds::{self, DitConfig, Kind, RolloutOptions};
 
 /// What goes in and comes out.
-const TENSORS: &str = "\
-Input: context (B,T,H,W,C), T observed latents (2 in the paper); actions (B,T+K,A), number i being fed with frame i
-and leading on from it; noise (B,K,H,W,C). Output: predicted (B,K,H,W,C). The configuration is that of
+const TENSORS: &str =
+    "Input: context (B,T,H,W,C), T observed latents (2 in the paper); actions (B,T+K,A), where \
+                       action i is paired with frame i
+and leads from it to the next frame; noise (B,K,H,W,C). Output: \
+                       predicted (B,K,H,W,C). The configuration is that of
 `wm model forward --kind dit`.";
 
 /// Predicts frames.
@@ -40,7 +42,7 @@ impl RolloutCommand {
     pub fn run(self) -> Result<()> {
         ensure!(
             self.kind == Kind::Dit,
-            "kind {} predicts no frames, only dit does",
+            "kind {} predicts no frames; expected dit",
             self.kind
         );
         let files = self.running.read(self.kind)?;

@@ -30,10 +30,9 @@ pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Decoder>()
 const WAITING: usize = 16;
 /// Pictures of the rollout before that may wait when a new one begins: a hiccup is no reason to leave it out.
 const UNFINISHED: usize = WAITING / 4;
-const OVERLOAD: &str =
-    "decoding is slower than the predictions come; decode fewer steps or rollouts";
+const OVERLOAD: &str = "decoding is slower than the predictions arrive; decode fewer steps (steps) or rollouts (decode_period)";
 const NO_PREDICTOR: &str =
-    "start the predictor, which predicts when latents and an action have come";
+    "start the predictor; it predicts once latents and an action have arrived";
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
@@ -139,8 +138,8 @@ impl ModelNode for Decoder {
             && step.raw_bytes() > SAFE_BYTES
         {
             tracing::warn!(
-                "raw pictures of {} bytes: a stock ROS 2 subscriber loses messages beyond {SAFE_BYTES} bytes; use \
-                 image_transport:=compressed, or give it a larger receive buffer",
+                "raw pictures have {} bytes: a ROS 2 subscriber with default settings loses messages of more than \
+                 {SAFE_BYTES} bytes; use image_transport:=compressed, or enlarge the receive buffer on its machine",
                 step.raw_bytes(),
             );
         }
@@ -150,7 +149,7 @@ impl ModelNode for Decoder {
             pool: Pool::new(Self::NAME, parameters.nice)?,
         };
         if model.step.is_none() {
-            tracing::warn!("{}: there will be no pictures", model.idle());
+            tracing::warn!("{}: no pictures will be published", model.idle());
         }
         Ok(model)
     }

@@ -176,7 +176,8 @@ impl Encoder {
                 let job = (frame, Instant::now(), self.epoch);
                 if let Some((late, ..)) = self.work.submit(job) {
                     self.complaints.left_out("overload", &format_args!(
-                        "the frame of {} waited when a newer one came: encoding is slower than the camera",
+                        "dropped the waiting frame of {}, because a newer one arrived: encoding is slower than the \
+                         camera",
                         seconds(late.header().stamp),
                     ));
                 }
@@ -184,7 +185,7 @@ impl Encoder {
             Arrival::OtherTransport => {}
             Arrival::Duplicate => self.complaints.left_out(
                 "duplicate",
-                &format_args!("the frame of {} came twice", seconds(stamp)),
+                &format_args!("the frame of {} arrived twice", seconds(stamp)),
             ),
         }
     }
@@ -201,7 +202,7 @@ impl Encoder {
             return Ok(());
         };
         if camera.admit(frame_id, source, reception, SILENCE)? == Admission::TakenOver {
-            tracing::info!("another camera takes over: \"{frame_id}\"");
+            tracing::info!("following another camera now: \"{frame_id}\"");
             self.epoch = epoch_after(self.epoch, self.clock.now());
             self.repeats = Repeats::default();
         }

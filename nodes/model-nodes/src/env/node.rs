@@ -93,7 +93,8 @@ type EnvNode = Configured<Active>;
 
 impl ModelNode for Active {
     const NAME: &'static str = "env";
-    const ABOUT: &'static str = "Makes the world model the environment of a policy, in place of camera and robot.";
+    const ABOUT: &'static str =
+        "Makes the world model the environment of a policy, in place of camera and robot.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;
@@ -110,7 +111,7 @@ impl ModelNode for Active {
         let (predictor, decoder) = (folder.world_model()?, folder.decoder()?);
         let decoder = decoder.with_context(|| {
             format!(
-                "model {} has no decoder: an env shows pictures",
+                "model {} has no decoder, but the env needs one to publish pictures",
                 folder.name()
             )
         })?;
@@ -123,7 +124,7 @@ impl ModelNode for Active {
         );
         let timing = Timing::of_camera(parameters.frame_period, &world.predictor().encoding);
         tracing::info!(
-            "the world of {} in latent space {}: a step is {} s and takes {} actions",
+            "world model {} in latent space {}: a step is {} s and takes {} actions",
             world.predictor().name,
             world.predictor().space,
             timing.step_ns() as f64 / 1e9,
@@ -131,8 +132,8 @@ impl ModelNode for Active {
         );
         if parameters.image_transport.raw && world.raw_bytes() > SAFE_BYTES {
             tracing::warn!(
-                "raw pictures of {} bytes: a stock ROS 2 subscriber loses messages beyond {SAFE_BYTES} bytes; use \
-                 image_transport:=compressed, or give it a larger receive buffer",
+                "raw pictures have {} bytes: a ROS 2 subscriber with default settings loses messages of more than \
+                 {SAFE_BYTES} bytes; use image_transport:=compressed, or enlarge the receive buffer on its machine",
                 world.raw_bytes(),
             );
         }
@@ -196,7 +197,7 @@ impl ModelNode for Active {
         let env = Arc::clone(&at.model.env);
         let failed = tokio::task::spawn_blocking(move || lock(&env).close()).await?;
         for error in failed {
-            tracing::error!("the bag of an episode is not finished: {error}");
+            tracing::error!("cannot finish the bag of an episode: {error}");
         }
         result
     }

@@ -138,7 +138,8 @@ struct Evaluator {
 
 impl ModelNode for Evaluator {
     const NAME: &'static str = "evaluator";
-    const ABOUT: &'static str = "Predicts and scores what each candidate chunk of a policy would do.";
+    const ABOUT: &'static str =
+        "Predicts and scores what each candidate chunk of a policy would do.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;
@@ -325,8 +326,8 @@ impl Evaluator {
             self.complaints.left_out(
                 "overload",
                 &format_args!(
-                    "candidates come faster than they are evaluated: those of {stamp} are left out; send fewer, shorter ones \
-                     or fewer times a second"
+                    "candidates arrive faster than they are evaluated: those of {stamp} are dropped; send fewer or \
+                     shorter candidates, or send them less often"
                 ),
             );
         }
@@ -346,7 +347,7 @@ impl Evaluator {
                 if pictures.and_then(|work| work.submit(evaluation)).is_some() {
                     self.complaints.left_out(
                         "overload_pictures",
-                        &"candidates come faster than they are decoded",
+                        &"candidates arrive faster than they are decoded",
                     );
                 }
             }
@@ -365,7 +366,7 @@ impl Evaluator {
         {
             self.complaints.left_out(
                 "superseded_instruction",
-                &"a newer instruction came before this one was read",
+                &"a newer instruction arrived before this one was encoded",
             );
         }
         self.say_probability();

@@ -82,10 +82,13 @@ impl fmt::Display for Task {
         let shown: String = self.text().chars().take(SHOWN).collect();
         match self {
             Self::Unknown => write!(f, "NaN: no instruction yet"),
-            Self::Reading(_) => write!(f, "NaN: the instruction {shown:?} is being read"),
+            Self::Reading(_) => write!(f, "NaN: the instruction {shown:?} is still being encoded"),
             Self::Read(_) => write!(f, "of {shown:?}"),
             Self::Refused { reason, .. } => {
-                write!(f, "NaN: the instruction {shown:?} cannot be read: {reason}")
+                write!(
+                    f,
+                    "NaN: the instruction {shown:?} cannot be encoded: {reason}"
+                )
             }
         }
     }

@@ -142,7 +142,7 @@ impl Follower {
             },
             Event::Jumped => {
                 if state.clock_jumped(now) {
-                    tracing::info!("/clock jumped back: a new history begins");
+                    tracing::info!("/clock jumped back: starting a new history");
                 }
             }
             Event::Reset(call) => {

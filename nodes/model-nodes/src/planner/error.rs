@@ -21,7 +21,9 @@ pub enum PlannerError {
     #[error(transparent)]
     Action(#[from] ActionError),
     /// A dimension to search that there is not.
-    #[error("parameter search names {name:?}; the model's actions are {space}")]
+    #[error(
+        "parameter search names the unknown dimension {name:?}; the model's dimensions are {space}"
+    )]
     Searched {
         /// The name.
         name: String,

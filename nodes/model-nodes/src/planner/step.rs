@@ -78,7 +78,7 @@ impl PlanRequest {
 #[non_exhaustive]
 pub enum Unsent {
     /// There is another goal, or another history.
-    #[error("it came after a new goal, a reset or a jump of time")]
+    #[error("it was ready only after a new goal, a reset or a clock jump")]
     Superseded,
     /// No frame has come for long: nobody knows what the robot has done since.
     #[error(transparent)]
@@ -109,7 +109,7 @@ impl Unsent {
 #[non_exhaustive]
 pub enum PlanWait {
     /// No goal is set.
-    #[error("no goal image has come yet")]
+    #[error("no goal image has arrived yet")]
     NoGoal,
     /// The history is not complete.
     #[error(transparent)]

@@ -32,8 +32,8 @@ const WAITING: usize = 1;
 const NO_ENCODER: &str = "start the encoder";
 const NO_ACTIONS: &str =
     "start the arm's driver, or remap /wm/action to its topic; until then the last action is held";
-const SLOW: &str = "observations are left out; shorten the parameter horizon or integration_steps, or give the predictor more \
-                    processor time";
+const SLOW: &str = "observations are dropped; reduce the parameter horizon or integration_steps, or give the predictor \
+                    more processor time";
 
 /// The node itself, in a process that may run other nodes too.
 ///
@@ -219,7 +219,7 @@ impl Predictor {
             self.complaints.left_out_many(
                 "unscored",
                 unscored - self.unscored,
-                &"more predictions wait for their moment than are kept: they get no error",
+                &"more predictions wait for their frames than are kept: the oldest are not scored",
             );
             self.unscored = unscored;
         }
@@ -239,7 +239,7 @@ impl Predictor {
             self.complaints.left_out(
                 "overload",
                 &format_args!(
-                    "a rollout takes longer than a frame: the observation of {stamp} is left out"
+                    "a rollout takes longer than a camera period: the observation of {stamp} is dropped"
                 ),
             );
         }

@@ -131,7 +131,7 @@ fn start(node: &Node) -> Result<(Monitor, Inputs)> {
     node.seal_parameters()?;
     ensure!(
         !output.as_os_str().is_empty(),
-        "parameter \"output\" is empty: name the folder of the report"
+        "parameter \"output\" is empty: give the folder for the report"
     );
     let inputs = Inputs::make(node)?;
     node.seal_endpoints()?;
@@ -191,7 +191,8 @@ impl Monitor {
         // as where the player found no bag: a table of nothing would hide why
         ensure!(
             !self.scorer.is_empty(),
-            "no report: no frame came on {camera} or {camera}/compressed, no prediction on {predicted}, no plan on {plan}"
+            "no report: no frame arrived on {camera} or {camera}/compressed, no prediction on {predicted}, no plan on \
+             {plan}"
         );
         let (report, files) = write_report(&self.scorer, "live", &self.output)?;
         let mut result = terminal_table(&report);
@@ -201,12 +202,12 @@ impl Monitor {
         wm_ros::logging::print(result);
         ensure!(
             report.frames > 0,
-            "no frame came on {camera} or {camera}/compressed: nothing could be compared; is the parameter \
+            "no frame arrived on {camera} or {camera}/compressed: nothing could be compared; is the parameter \
              \"camera_topic\" the camera's?"
         );
         ensure!(
             !self.scorer.is_without_predictions(),
-            "no prediction came on {predicted}, although {}",
+            "no prediction arrived on {predicted}, although {}",
             report.frames_in_words()
         );
         Ok(())
@@ -257,7 +258,7 @@ impl Monitor {
 
     fn left_out(&self, what: &str, problem: &dyn std::fmt::Display) {
         self.diagnostics.count_drop(what);
-        warn!("{what} left out: {problem}");
+        warn!("{what} ignored: {problem}");
     }
 
     /// On a terminal the line renews itself in place; elsewhere it is a line that begins with a carriage return, by

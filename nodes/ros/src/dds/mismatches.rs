@@ -56,8 +56,8 @@ impl Mismatches {
         };
         let topic = topic.unwrap_or_else(|| "a service".to_owned());
         let text = format!(
-            "{topic}: not connected to {what} for incompatible {policy:?}: the subscription requests `{}`, the publisher \
-             offers `{}`; change one of them, by qos_overrides for example",
+            "{topic}: not connected to {what} because of incompatible {policy:?}: the subscription requests `{}`, the \
+             publisher offers `{}`; change one of them, for example with qos_overrides",
             qos::from_dds(requested),
             qos::from_dds(offered)
         );
@@ -78,7 +78,7 @@ impl Mismatches {
             false => "a subscription",
         };
         let text = format!(
-            "{topic}: {what} elsewhere is of type {other_type}, here it is {own_type}: they do not understand each other"
+            "{topic}: {what} has the type {other_type}, but this node uses {own_type}: they cannot communicate"
         );
         self.know(own, other, text);
     }

@@ -102,7 +102,7 @@ impl Shared {
             return false;
         }
         tracing::warn!(
-            "discovery events were lost: {} connections were not known, {} endpoints are gone; this is mended now",
+            "discovery events were lost: {} connections were unknown, {} endpoints are gone; this is corrected now",
             unknown.len(),
             ghosts.len()
         );

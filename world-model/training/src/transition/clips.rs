@@ -41,7 +41,7 @@ impl<'a> ClipSource<'a> {
             .collect();
         ensure!(
             !source.episodes.is_empty(),
-            "no episode has the {span} frames that a clip of {frames} steps spans"
+            "no episode is long enough: a clip of {frames} steps needs {span} frames"
         );
         Ok(source)
     }

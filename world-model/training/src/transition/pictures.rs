@@ -133,7 +133,7 @@ impl fmt::Display for PictureErrors {
         ];
         write!(
             f,
-            "PSNR [dB] of the decoded pictures, and of the last observed frame held still"
+            "PSNR [dB] of the decoded pictures, and of the last observed frame, repeated"
         )?;
         for (name, of) in rows {
             if self.steps.iter().all(|step| of(step).is_none()) {

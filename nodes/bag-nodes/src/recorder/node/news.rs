@@ -57,7 +57,7 @@ impl News {
             warn!("{name} ({type_name}) is not recorded: {reason}");
         }
         if total == WARNINGS {
-            warn!("more such topics are only counted, in /diagnostics");
+            warn!("further topics of this kind are only counted, on /diagnostics");
         }
     }
 
@@ -66,7 +66,7 @@ impl News {
         if self.undefined.len() < WARNINGS && self.undefined.insert(type_name.to_owned()) {
             warn!("{} {what}", shown(type_name));
             if self.undefined.len() == WARNINGS {
-                warn!("more such types are not told of");
+                warn!("further warnings of this kind are not logged");
             }
         }
     }

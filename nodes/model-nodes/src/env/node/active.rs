@@ -139,7 +139,8 @@ impl Active {
                 request.seed = request.seed.wrapping_add(self.begun);
                 self.begun += 1;
                 self.waiting_resets.push_back((request, Resetter::Topics));
-                self.complaints.working("an episode is played by topics");
+                self.complaints
+                    .working("an episode is played through topics");
             } else {
                 let (kind, text) = missing(node);
                 self.complaints.waiting(kind, true, &text);
@@ -297,7 +298,7 @@ impl Active {
                 Ok(())
             }
             // Nobody is there to begin another one.
-            Resetter::Topics => anyhow::bail!("the episode does not begin: {error}"),
+            Resetter::Topics => anyhow::bail!("cannot begin the episode: {error}"),
         }
     }
 
@@ -346,7 +347,7 @@ impl Active {
             let id = &call.request.episode_id;
             if own.as_ref() == Some(id) {
                 let response = EnvStepResponse {
-                    message: format!("episode \"{id}\" is played by topics"),
+                    message: format!("episode \"{id}\" is played through topics"),
                     ..EnvStepResponse::default()
                 };
                 self.answer(call.respond(&response));
@@ -363,7 +364,7 @@ impl Active {
     fn submit(&mut self, job: Job) {
         // Nothing runs and nothing waits: `in_flight` says so.
         if self.work.submit(job).is_some() {
-            tracing::error!("a job of the env was left out");
+            tracing::error!("a job of the env was dropped");
         }
     }
 
