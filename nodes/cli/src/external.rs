@@ -13,7 +13,7 @@ use std::{
 /// What a program of its own takes, unread.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// As `--help` says, once the program is built
+    /// Arguments of the program; its `--help` lists them once it is built
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     own: Vec<OsString>,
 }

@@ -11,7 +11,7 @@ use wm_report::{files::write_report, score_bag, table::terminal_table};
 /// Scores a recorded bag.
 #[derive(Args, Debug)]
 pub struct ReportCommand {
-    /// Bag with camera frames and predictions: its folder, or one .mcap file
+    /// Bag with camera frames and predictions: its folder, or a single .mcap file
     bag: PathBuf,
     /// Folder for report.json, report.md and strip.png
     #[arg(short, long, value_name = "DIR")]

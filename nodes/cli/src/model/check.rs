@@ -19,7 +19,7 @@ use wm_zoo::success_probe::SuccessClassifier;
 /// Loads a world model as the nodes do, runs it once, and says what it is.
 #[derive(Args, Debug)]
 pub struct CheckCommand {
-    /// What a node's parameter `model` takes: a folder, or `tiny`
+    /// A model folder, or `tiny`, as for the parameter `model` of a node
     #[arg(value_name = "DIR")]
     model: String,
 }

@@ -10,7 +10,7 @@ use wm_zoo::cost::Row;
 /// Counts parameters and operations.
 #[derive(Args, Debug)]
 pub struct InfoCommand {
-    /// Only this system, a row of the table
+    /// Show only this system, which is a row of the table
     #[arg(value_name = "NAME")]
     name: Option<String>,
     /// Print JSON

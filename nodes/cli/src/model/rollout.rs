@@ -18,21 +18,22 @@ and leads from it to the next frame; noise (B,K,H,W,C). Output: \
 #[derive(Args, Debug)]
 #[command(after_help = TENSORS)]
 pub struct RolloutCommand {
-    /// What the model is: there is only one kind that predicts
+    /// Kind of the model; only one kind predicts frames
     #[arg(long, default_value_t = Kind::Dit)]
     kind: Kind,
     #[command(flatten)]
     running: RunningArgs,
-    /// Euler steps a frame
+    /// Euler steps per frame
     #[arg(long, default_value_t = Sampler::default().steps)]
     steps: usize,
-    /// Time shift gamma; 1 is none [default: what models of such latents were trained with]
+    /// Time shift gamma; 1 means no shift [default: as in the training of models with such latents]
     #[arg(long)]
     shift: Option<f64>,
-    /// Noise level that context frames are said to have
+    /// Noise level tau of the context frames
     #[arg(long, default_value_t = Sampler::default().context_tau)]
     context_tau: f64,
-    /// Compute the whole window in every Euler step, as the reference does, instead of reusing what clean frames give
+    /// Compute the whole window in every Euler step, as the reference does, instead of reusing the keys and values of
+    /// clean frames
     #[arg(long)]
     no_cache: bool,
 }

@@ -291,7 +291,7 @@ fn parameter_arguments(parameter: &Parameter, site: &Site<'_>) -> Result<[String
             };
             let value = flow_yaml(&value).ok_or_else(|| {
                 site.error(format!(
-                    "parameter {name:?} is not a valid ROS parameter name"
+                    "parameter {name:?} has a value that is not a ROS parameter value"
                 ))
             })?;
             Ok(["-p".to_owned(), format!("{name}:={value}")])
