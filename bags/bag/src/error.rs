@@ -163,7 +163,7 @@ pub enum BagError {
     NoTopic {
         /// The bag.
         path: PathBuf,
-        /// The topic that was asked for.
+        /// The topic that was requested.
         topic: String,
         /// Those that are there.
         topics: Vec<String>,
@@ -184,9 +184,9 @@ pub enum BagError {
     NothingBetween {
         /// The bag.
         path: PathBuf,
-        /// The start that was asked for, in ns since the epoch.
+        /// The start that was requested, in ns since the epoch.
         start_ns: u64,
-        /// The end that was asked for, in ns since the epoch.
+        /// The end that was requested, in ns since the epoch.
         end_ns: u64,
         /// Log time of the bag's first message, in ns since the epoch.
         bag_start_ns: u64,
@@ -201,7 +201,7 @@ pub enum BagError {
     WrongType {
         /// The topic.
         topic: String,
-        /// The type that was asked for.
+        /// The type that was requested.
         expected: String,
         /// The type that the bag names.
         actual: String,

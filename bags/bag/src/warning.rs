@@ -27,7 +27,7 @@ pub enum BagWarning {
         /// What is wrong with it.
         reason: String,
     },
-    /// More of the file is damaged than is told of one by one.
+    /// More of the file is damaged than is reported one by one.
     MoreDamaged {
         /// The file.
         file: PathBuf,

@@ -57,7 +57,7 @@ impl BagWriter {
     /// Begins a bag at `dir`, which must not exist, or be an empty directory.
     ///
     /// # Errors
-    /// Something is there already, or the file cannot be made.
+    /// Something already exists there, or the file cannot be made.
     pub fn create(dir: impl AsRef<Path>, options: WriterOptions) -> Result<Self, BagError> {
         let dir = dir.as_ref().to_owned();
         let name = dir

@@ -34,7 +34,7 @@ pub enum GoalError {
         "the bag {bag} has no camera images on {topic} or {topic}/compressed; it has them on: {cameras}"
     )]
     Topic {
-        /// The topic that was asked for.
+        /// The topic that was requested.
         topic: String,
         /// The bag.
         bag: String,

@@ -1,5 +1,5 @@
-//! `wm-datasets`: other people's data sets as bags, and bags as data sets. `wm bag import` and `wm bag export` call it: the
-//! video codecs and parquet are heavy to build, and so a program of its own.
+//! `wm-datasets`: imports data sets as bags, and exports bags as data sets. `wm bag import` and `wm bag export` call
+//! it. It is a separate program because the video codecs and parquet take long to build.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage.
 
@@ -66,8 +66,8 @@ struct FromLerobot {
     /// Import only these episodes: FIRST..LAST (including LAST), or one number
     #[arg(long, value_parser = episodes)]
     episodes: Option<RangeInclusive<i64>>,
-    /// What the dataset's actions are: a JSON file with name, rate [Hz] and dimensions, as "action_space" in model.json.
-    /// It is kept with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are known
+    /// Action space of the data set: a JSON file with name, rate [Hz] and dimensions, like "space" in model.json. It is
+    /// stored with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
     #[arg(long, value_name = "FILE")]
     action_space: Option<PathBuf>,
     #[command(flatten)]

@@ -1,5 +1,5 @@
-//! DROID episodes as they are passed around for world models: `annotation/SPLIT/NAME.json` with the state of each frame,
-//! and an mp4 of each camera, three beside each other (`videos/SPLIT/NAME/0.mp4` to `2.mp4`).
+//! DROID episodes as they are passed around for world models: `annotation/SPLIT/NAME.json` with the state of each
+//! frame, and an mp4 of each camera, three side by side (`videos/SPLIT/NAME/0.mp4` to `2.mp4`).
 //!
 //! A state is the pose of the end effector in the base (x y z in m, roll pitch yaw about fixed axes in rad) and the
 //! gripper (0 open to 1 closed, DROID's sense; turned round here). The frames are a part of the 15 Hz at which DROID is

@@ -45,7 +45,7 @@ pub enum ImportError {
     /// The bag cannot be written.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The description of the actions cannot be written.
+    /// The description of the action space cannot be written.
     #[error(transparent)]
     Actions(#[from] ActionError),
 }

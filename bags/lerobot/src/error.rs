@@ -29,7 +29,7 @@ pub enum LeRobotError {
         "{0} already exists and is not an empty folder; data sets are never overwritten, so choose another path"
     )]
     Exists(PathBuf),
-    /// Nothing was asked for.
+    /// Nothing was requested.
     #[error("{0}")]
     Nothing(String),
     /// The operating system refused.

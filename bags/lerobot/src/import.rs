@@ -22,7 +22,7 @@ pub struct ImportOptions {
     /// Stamp of the first frame of each episode, in ns since the epoch; LeRobot keeps no time of day. Episodes that were
     /// exported here keep their own.
     pub start_ns: u64,
-    /// What the dataset's actions are. None: what their names say, if they are Bridge V2's; else the bags do not say it.
+    /// Action space of the dataset. None: Bridge V2's if the names are Bridge V2's; else the bags have no action space.
     pub action_space: Option<ActionSpace>,
 }
 
@@ -45,7 +45,7 @@ impl Default for ImportOptions {
 ///
 /// # Errors
 /// A file is missing, damaged, or does not hold what `meta` says (the error names it and the field); a number is not
-/// finite; there is no episode of the numbers; or a bag is there already.
+/// finite; there is no episode of the numbers; or a bag already exists there.
 pub fn import(
     src: &Path,
     out: &Path,
@@ -86,7 +86,7 @@ pub fn import(
     Ok(bags)
 }
 
-/// What the dataset's actions are, if anything says so.
+/// Action space of the dataset, if known.
 fn actions(
     dataset: &Dataset,
     given: Option<&ActionSpace>,

@@ -249,8 +249,9 @@ pub struct EnvResetRequest {
     pub topic: String,
     /// The policy's task; empty: the bag's instruction or, without one, the env's parameter.
     pub instruction: String,
-    /// Seed of the episode's noise: the same start, calls and seed give the same images. How actions are spread over calls
-    /// counts: the last step of a call assumes that its action goes on, since the next one is not known yet.
+    /// Seed of the episode's noise: the same start, calls and seed give the same images. It matters how actions are
+    /// split into calls: the last step of a call assumes that its action is held, because the next one is not known
+    /// yet.
     pub seed: u64,
     /// Steps after which the episode is truncated; 0: the env's parameter.
     pub max_steps: u32,

@@ -1,4 +1,4 @@
-//! The bridge's process: joins both sides and keeps the routes as they are to be.
+//! The bridge's process: connects both sides and keeps the routes up to date.
 
 use crate::{
     arguments::Arguments,

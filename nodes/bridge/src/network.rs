@@ -1,8 +1,8 @@
 //! The Zenoh side: the configuration and the session.
 //!
-//! Unlike Zenoh's own defaults, nothing is reached and nobody is let in that the user has not named: without `--listen`
-//! the bridge listens on this host only, or not at all where it connects somewhere, and it neither scouts by multicast
-//! nor connects to what others tell it of. What the configuration file sets, it keeps.
+//! Unlike Zenoh's own defaults, the bridge connects to nobody and admits nobody that the user has not named: without
+//! `--listen` it listens on this host only, or not at all if it connects somewhere. It neither scouts by
+//! multicast nor connects to addresses that others announce. Settings in the configuration file are kept.
 
 use crate::settings::Section;
 use anyhow::{Context as _, Result, anyhow};

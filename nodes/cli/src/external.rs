@@ -1,5 +1,5 @@
-//! Commands that are programs of their own, since what they link would make the build of `wm` long: `wm bridge` is the
-//! program `wm-bridge`, as git and cargo have it.
+//! Commands that are separate programs, because what they link would make the build of `wm` long: `wm bridge` runs the
+//! program `wm-bridge`, as git and cargo do.
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;

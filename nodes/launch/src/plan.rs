@@ -1,4 +1,4 @@
-//! From a launch file to the processes that it asks for: arguments, conditions, groups and substitutions resolved,
+//! From a launch file to the processes that it describes: arguments, conditions, groups and substitutions resolved,
 //! command lines complete. Nothing is started here.
 
 mod process;

@@ -1,4 +1,4 @@
-//! When to start, stop and give up processes: the launcher's decisions, without processes, clock or signals.
+//! When to start, stop and give up on processes: the launcher's decisions, without processes, clock or signals.
 //!
 //! The runner reports [`Event`]s and carries out the [`Order`]s that come back. A stop begins with SIGINT to
 //! every process; one that is still there after its `sigterm_timeout` gets SIGTERM, and after its
@@ -46,7 +46,7 @@ pub enum Event {
     StopRequested,
 }
 
-/// How far the stop of one process has come; also what a timer was armed for.
+/// How far the shutdown of one process has got; also what a timer was armed for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Step {
     /// Not started, or waiting to be started again.

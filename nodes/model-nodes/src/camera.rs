@@ -10,7 +10,7 @@ use wm_ros::PublisherId;
 
 use crate::history::Reception;
 
-/// A frame of another camera.
+/// A frame of a different camera.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
     "frame of camera \"{frame_id}\"{}, but this node follows camera \"{expected}\": run an encoder and a predictor for \
@@ -42,8 +42,8 @@ pub(crate) enum Source {
     Latents,
 }
 
-/// The camera that a node's frames come from: its optical frame, and its publisher on each topic. Frames of two cameras in
-/// one context would be neither's picture, so all others are refused for as long as this one goes on.
+/// The camera that a node's frames come from: its optical frame, and its publisher on each topic. Frames of two cameras
+/// in one context would be neither's picture, so all others are refused for as long as this one publishes.
 #[derive(Clone, Debug)]
 pub(crate) struct Camera {
     frame_id: Arc<str>,
@@ -64,7 +64,7 @@ impl Camera {
     /// `silence`.
     ///
     /// # Errors
-    /// [`WrongCamera`] where this camera goes on.
+    /// [`WrongCamera`] if this camera is still publishing.
     pub fn admit(
         &mut self,
         frame_id: &str,

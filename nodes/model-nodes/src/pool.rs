@@ -1,4 +1,4 @@
-//! Threads on which a node computes what may come later than what others compute, be they in its process or not.
+//! Threads of lower priority, for work that may finish later than the work of other nodes in or outside this process.
 
 use std::sync::Arc;
 

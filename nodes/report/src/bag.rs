@@ -1,4 +1,4 @@
-//! A recorded bag scored as if it were live: log times stand for the times of arrival.
+//! Scores a recorded bag as if it were live: log times stand for arrival times.
 
 use super::Scorer;
 use anyhow::{Context as _, Result, bail};

@@ -30,7 +30,8 @@ pub struct Report {
 }
 
 impl Report {
-    /// Why the predictions are not to be trusted, where the last frame held still is as close to what came one step ahead.
+    /// Why the predictions are not to be trusted, where the persistence baseline is as close to what came one step
+    /// ahead.
     #[must_use]
     pub fn doubt(&self) -> Option<String> {
         let first = self.steps.iter().find(|step| step.step == 1)?;
@@ -87,9 +88,9 @@ pub struct StepFigures {
     pub psnr_db: Option<f64>,
     /// Mean SSIM of the predicted pictures.
     pub ssim: Option<f64>,
-    /// The same PSNR of the last observed frame held still \[dB\].
+    /// The same PSNR of the last observed frame, repeated \[dB\].
     pub persistence_psnr_db: Option<f64>,
-    /// The same SSIM of the last observed frame held still.
+    /// The same SSIM of the last observed frame, repeated.
     pub persistence_ssim: Option<f64>,
     /// Mean latent squared error of the predictions over that of persistence: below 1 the model beats standing still.
     pub latent_error_ratio: Option<f64>,

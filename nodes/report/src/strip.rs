@@ -24,8 +24,8 @@ const BACKGROUND: Rgb<u8> = Rgb([24, 24, 28]);
 const BLANK: Rgb<u8> = Rgb([40, 40, 46]);
 const INK: Rgb<u8> = Rgb([230, 230, 230]);
 
-/// Rows real, predicted, difference; columns the observation and every step that was seen, with the PSNR of the prediction and of
-/// the observation held still, and what these are. `period_s` is the time of a step.
+/// Rows real, predicted, difference; columns the observation and every step that was seen, with the PSNR of the
+/// prediction and of the persistence baseline, and what these are. `period_s` is the time of a step.
 #[must_use]
 pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let scale = LEAST_SIDE.div_ceil(rollout.observed.width().max(1)).max(1);

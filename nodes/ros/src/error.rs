@@ -1,4 +1,4 @@
-//! What can go wrong, each error saying what was expected and what came.
+//! What can go wrong. Each error says what was expected and what came.
 
 use crate::{args::ArgsError, parameters::ParameterError};
 use wm_msgs::cdr::CdrError;

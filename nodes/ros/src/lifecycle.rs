@@ -27,10 +27,10 @@ use wm_msgs::lifecycle_msgs::{ChangeState, ChangeStateResponse, TransitionEvent}
 /// As rcl_lifecycle has it: the default of its publishers.
 const EVENTS_QOS: Qos = Qos::reliable(10);
 
-/// How long a node that was shut down waits until everybody has heard of it.
+/// How long a node that was shut down waits until everybody has received the news.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// What a node does when it is told to.
+/// What a node does in each transition.
 pub trait Managed {
     /// What it holds from configure to cleanup: weights, publishers, subscriptions, services.
     type Configured;
@@ -48,7 +48,7 @@ pub trait Managed {
     fn configure(&self, node: &Node)
     -> impl Future<Output = Result<Self::Configured, Self::Error>>;
 
-    /// Begins anew: nothing of an earlier activation is left.
+    /// Starts fresh: nothing of an earlier activation remains.
     ///
     /// # Errors
     /// Whatever keeps it from that; the node stays inactive.
@@ -57,7 +57,7 @@ pub trait Managed {
     /// Works, until the context is shut down. Deactivating drops this future where it waits.
     ///
     /// # Errors
-    /// What it cannot go on after: the node ends with it.
+    /// An error after which the node cannot continue, and with which it ends.
     fn run(
         &self,
         configured: &mut Self::Configured,
@@ -74,7 +74,7 @@ pub struct Lifecycle {
     autostart: bool,
 }
 
-/// A transition under way, and who asked for it; none where the node does it by itself.
+/// A transition in progress, and who requested it; none if the node does it by itself.
 struct Asked {
     transition: &'static Transition,
     call: Option<Call<ChangeState>>,

@@ -37,7 +37,7 @@ pub enum ParameterError {
         /// The parameters that there are.
         known: Box<str>,
     },
-    /// The value is of another type.
+    /// The value has a different type.
     #[error("{node}: parameter `{parameter}` expects {expected}, got {} {got}{}", got.kind(), from(origin))]
     WrongType {
         /// The node's full name.

@@ -198,7 +198,7 @@ pub trait ParameterType: Sized + Clone + Send + Sync + 'static {
     const KIND: Kind;
     /// The value as ROS holds it.
     fn into_value(self) -> Value;
-    /// The value back, or `None` for one of another type.
+    /// The value back, or `None` for one of a different type.
     fn from_value(value: &Value) -> Option<Self>;
 }
 

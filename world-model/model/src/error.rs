@@ -110,7 +110,7 @@ pub enum Error {
         found: String,
     },
 
-    /// Latents of one space were given to a network of another.
+    /// Latents of one space were given to a network of a different space.
     #[error("latents are from space {found}, expected {expected}")]
     LatentSpaceMismatch {
         /// The space that the network works in.

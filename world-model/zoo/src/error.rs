@@ -44,7 +44,7 @@ pub enum Error {
     NoSuchPart {
         /// Where the bytes came from.
         file: String,
-        /// What was asked for.
+        /// What was requested.
         part: String,
         /// First components of the names that are there.
         found: Vec<String>,

@@ -22,7 +22,7 @@ use crate::{BagError, BagWarning};
 /// Messages outside chunks are read in stretches of about this size.
 const STRETCH_BYTES: u64 = 1 << 20;
 
-/// Damaged places of a file that are told of one by one; a file of nothing else could fill the memory.
+/// Damaged places of a file that are reported one by one; a file of nothing else could fill the memory.
 const DAMAGE_TOLD: u64 = 100;
 
 /// How far a scan came.

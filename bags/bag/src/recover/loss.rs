@@ -33,7 +33,7 @@ impl fmt::Display for Loss {
     }
 }
 
-/// Losses that are told of one by one; a file of nothing else could fill the memory.
+/// Losses that are reported one by one; a file of nothing else could fill the memory.
 const TOLD: usize = 100;
 
 /// What was lost of a bag.

@@ -1,4 +1,4 @@
-//! What of a file is sound, found by walking all of it.
+//! Which parts of a file are undamaged, found by scanning all of it.
 
 use std::{
     fs::File,

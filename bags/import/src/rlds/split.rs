@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::ImportError;
 
-/// `dataset_info.json` of TensorFlow Datasets, as far as it is used.
+/// `dataset_info.json` of TensorFlow Datasets, as far as it is needed.
 #[derive(Deserialize)]
 struct DatasetInfo {
     #[serde(default)]

@@ -1,4 +1,4 @@
-//! The bag's coming actions, as a policy would announce them.
+//! The bag's next actions, as a policy would publish them.
 
 use thiserror::Error;
 use wm_msgs::{

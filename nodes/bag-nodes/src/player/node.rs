@@ -97,7 +97,7 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
     Ok(ending)
 }
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
 /// As [`run`].
@@ -135,7 +135,7 @@ struct Player {
     playlist: Playlist,
     clock: Option<Publisher<Clock>>,
     chunks: Option<Publisher<ActionChunk>>,
-    /// Kept to the end: who comes late still gets the goal.
+    /// Kept to the end: late joiners still get the goal.
     goal: Option<Publisher<CompressedImage>>,
     playback: Playback,
     /// The moment zero of the playback, and the node's time then \[ns\], as it was when playing began last.

@@ -20,7 +20,7 @@ const MOST_AHEAD: i64 = 1_000_000;
 const GAP: Duration = Duration::from_millis(1500);
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     #[derive(Clone, Debug)]
     pub struct Parameters {
         /// Bag to play: its folder or a single .mcap file, relative to the working directory.
@@ -173,7 +173,7 @@ impl Settings {
             || !self.parameters.clock_topics.is_empty()
     }
 
-    /// Whether `/clock` tells of each message of this topic.
+    /// Whether `/clock` is published before each message of this topic.
     #[must_use]
     pub fn clocks(&self, topic: &str) -> bool {
         self.parameters.is_clock_of_all

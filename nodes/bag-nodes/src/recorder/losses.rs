@@ -1,4 +1,4 @@
-//! Messages that did not get into the bag.
+//! Messages that are missing from the bag.
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -17,7 +17,7 @@ use wm_ros::{Node, Qos};
 const LONGEST_S: i64 = 100 * 365 * 24 * 3600;
 
 wm_ros::parameters! {
-    /// What the parameters say. They have the names and meanings of rosbag2's options.
+    /// The node's parameters. They have the names and meanings of rosbag2's options.
     pub(super) struct Parameters {
         /// Folder for the new bag, relative to the working directory.
         output: PathBuf = "";
@@ -95,7 +95,7 @@ impl Options {
     /// What the parameters mean.
     ///
     /// # Errors
-    /// Names the parameter that makes no sense.
+    /// Names the invalid parameter.
     pub fn new(parameters: Parameters, node: &Node) -> Result<Self> {
         ensure!(
             !parameters.output.as_os_str().is_empty(),

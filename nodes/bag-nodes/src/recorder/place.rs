@@ -1,7 +1,7 @@
 //! Where bags are made.
 //!
-//! The first bag goes where the user said, and what is there already is dealt with as the user said. Every later one is
-//! asked for by a peer, and gets a folder that is new: below the root, and not by way of a symbolic link.
+//! The user chooses the path of the first bag, and what happens to an existing bag there. Every later bag is requested
+//! by a peer and gets a new folder below the root, never through a symbolic link.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use std::path::{Component, Path, PathBuf};

@@ -74,7 +74,7 @@ fn table(rows: &[Row]) -> Result<String> {
     Ok(text)
 }
 
-/// Cells of one width beside each other.
+/// Cells of one width side by side.
 fn cells(texts: [String; 9]) -> String {
     texts.map(|text| format!("{text:>8}")).join(" ")
 }

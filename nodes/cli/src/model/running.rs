@@ -1,4 +1,4 @@
-//! What running any model takes: its files, and what computes it.
+//! What every run of a model needs: its files and a compute engine.
 
 use crate::output::print;
 use anyhow::{Context as _, Result, bail};

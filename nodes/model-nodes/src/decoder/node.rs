@@ -36,16 +36,16 @@ const NO_PREDICTOR: &str =
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Decoder>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
         /// Image transport of the pictures.
         image_transport: Transports = "both";
@@ -72,7 +72,7 @@ wm_ros::endpoints! {
     }
 }
 
-/// What is loaded.
+/// What the node loads.
 struct Model {
     name: String,
     /// `None` where the model has no decoder.

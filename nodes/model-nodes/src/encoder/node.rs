@@ -32,23 +32,23 @@ use wm_wire::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>();
 
-/// Frames that may wait for the one that is being encoded.
+/// Length of the queue of frames behind the one that is being encoded.
 const WAITING: usize = 1;
 /// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
 const SILENCE: Duration = Duration::from_secs(1);
-/// What to do where there is no camera.
+/// Advice for a missing camera.
 const NO_CAMERA: &str = "start the camera's driver, or remap /camera/image_raw to its topic";
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Encoder>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
         /// Number type of the latents. In f16 a latent of the embedded model takes 6 KB.
         dtype: LatentDtype = "f16", one_of {
@@ -76,9 +76,9 @@ struct Encoder {
     work: Work<(CameraFrame, Instant, u64), Encoded>,
     clock: Clock,
     jumps: watch::Receiver<u64>,
-    /// The stretch of time that frames are of.
+    /// The epoch of the frames.
     epoch: u64,
-    /// The camera that it follows, once a frame has come.
+    /// The camera that it follows, once a frame has arrived.
     camera: Option<Camera>,
     repeats: Repeats,
     complaints: Complaints,
@@ -190,7 +190,7 @@ impl Encoder {
         }
     }
 
-    /// Follows the first camera that comes. Another one that takes over begins a new epoch.
+    /// Follows the first camera that publishes. If another one takes over, a new epoch starts.
     fn follow(&mut self, frame: &CameraFrame, reception: &Reception) -> Result<(), WrongCamera> {
         let frame_id = frame.header().frame_id.as_str();
         let source = match frame {

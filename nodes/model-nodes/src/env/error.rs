@@ -8,7 +8,7 @@ use crate::{encoder::EncoderError, predictor::PredictorError};
 use wm_camera::{goal::GoalError, image_message::ImageError};
 use wm_wire::latent_message::LatentError;
 
-/// Why an episode does not begin or go on.
+/// Why an episode does not begin or continue.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum EnvError {
@@ -55,7 +55,7 @@ pub enum EnvError {
     /// An episode that is not there.
     #[error("there is no episode \"{name}\"; there are: {known}")]
     Unknown {
-        /// What was asked for.
+        /// What was requested.
         name: String,
         /// Those that there are.
         known: String,
@@ -74,7 +74,7 @@ pub enum EnvError {
     /// Nothing to do, or too much.
     #[error("{0} actions; expected 1 to {max} (0 only with close)", max = crate::history::MAX_CHUNK)]
     Count(usize),
-    /// The start's actions are others than the model's.
+    /// The actions of the start are not in the model's action space.
     #[error(transparent)]
     Actions(ActionError),
     /// Values that are no action.

@@ -44,11 +44,11 @@ const FAREWELL: Duration = Duration::from_millis(500);
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
-/// The node itself, in a process that may hold others. It ends when the episodes are played that the parameter `episodes`
-/// asks for.
+/// The node itself, in a process that may run other nodes too. It ends when the episodes are played that the parameter
+/// `episodes` asks for.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Active>(node).await
 }
@@ -80,7 +80,7 @@ wm_ros::endpoints! {
     }
 }
 
-/// What is loaded.
+/// What the node loads.
 struct Model {
     env: Arc<Mutex<Env>>,
     timing: Timing,

@@ -9,7 +9,7 @@ use super::{EnvError, EnvSettings, Start, StartRoot};
 use crate::chunk_merging::Merging;
 
 wm_ros::parameters! {
-    /// What the parameters say, read once at the start.
+    /// The node's parameters, read once at the start.
     pub(super) struct Parameters {
         /// Image transport of the observations.
         pub image_transport: Transports = "both";
@@ -61,7 +61,7 @@ wm_ros::parameters! {
 }
 
 impl Parameters {
-    /// What is asked of an episode that is played by topics, and where the others begin that do not say so.
+    /// What is asked of an episode that is played through topics, and where the others begin that do not say so.
     pub(super) fn reset(&self) -> EnvResetRequest {
         EnvResetRequest {
             bag: self.bag.clone(),
@@ -86,7 +86,7 @@ impl Parameters {
         }
     }
 
-    /// Least time from one step to the next, of an episode that is played by topics.
+    /// Least time from one step to the next, of an episode that is played through topics.
     pub(super) fn period(&self) -> Duration {
         // The range keeps it within 1 ms and 1000 s.
         Duration::from_secs_f64(1.0 / self.rate)

@@ -50,7 +50,7 @@ pub enum Start {
     Image(PathBuf),
     /// The next image of a topic.
     Topic(String),
-    /// An image that has come.
+    /// An image that has arrived.
     Frame(Box<CameraFrame>),
 }
 

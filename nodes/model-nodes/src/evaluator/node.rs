@@ -45,16 +45,16 @@ use wm_wire::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Evaluator>();
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Evaluator>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
         /// Image transport of the goal and of the picture of the candidates.
         image_transport: Transports = "both";
@@ -102,7 +102,7 @@ wm_ros::endpoints! {
     }
 }
 
-/// What is loaded.
+/// What the node loads.
 struct Model {
     encoder: Arc<Mutex<EncoderStep>>,
     evaluator: Arc<EvaluatorModel>,

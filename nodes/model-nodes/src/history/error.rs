@@ -1,4 +1,4 @@
-//! Why an input is left out.
+//! Why an input is dropped.
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
@@ -7,7 +7,7 @@ use wm_wire::latent_message::LatentError;
 use super::seconds_of;
 use crate::camera::WrongCamera;
 
-/// Why a frame, an action or a chunk is left out.
+/// Why a frame, an action or a chunk is dropped.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum HistoryError {

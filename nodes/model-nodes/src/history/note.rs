@@ -1,4 +1,4 @@
-//! What nodes say of their inputs.
+//! What nodes log about their inputs.
 
 use wm_ros::complaints::Complaints;
 

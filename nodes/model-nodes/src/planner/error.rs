@@ -7,14 +7,14 @@ use wm_motion::actions::ActionError;
 use crate::{history::HistoryError, predictor::PredictorError};
 use wm_wire::latent_message::LatentError;
 
-/// Why an input is left out, or there is no plan.
+/// Why an input is dropped, or there is no plan.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PlannerError {
     /// A latent message that cannot be used.
     #[error(transparent)]
     Latent(#[from] LatentError),
-    /// A frame or an action that is left out.
+    /// A frame or an action that is dropped.
     #[error(transparent)]
     History(#[from] HistoryError),
     /// Actions that cannot be encoded, or a plan that cannot be decoded.

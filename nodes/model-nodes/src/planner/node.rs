@@ -36,16 +36,16 @@ const MANY: i64 = 1_000_000;
 /// How long the first search is taken to be where there is no deadline.
 const FIRST_SEARCH: Duration = Duration::from_secs(1);
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Planner>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
         /// Image transport of the goal.
         image_transport: Transports = "both";
@@ -145,7 +145,7 @@ impl Parameters {
     }
 }
 
-/// What is loaded.
+/// What the node loads.
 struct Model {
     encoder: Arc<Mutex<EncoderStep>>,
     planner: Arc<PlannerModel>,

@@ -38,13 +38,13 @@ const SLOW: &str = "observations are dropped; reduce the parameter horizon or in
 /// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Predictor>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
         /// Number of model steps in a rollout (K).
         horizon: Parameter<i64> = 8, in 1..=64;

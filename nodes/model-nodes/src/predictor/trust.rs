@@ -27,9 +27,9 @@ pub enum Doubt {
         /// Part of the latents' values that are far from the training's.
         part: f32,
     },
-    /// The last frame held still is as close to what came.
+    /// The persistence baseline is as close to the real frames as the predictions are.
     NoBetterThanPersistence {
-        /// Squared latent error of the first step over that of the last frame, held still.
+        /// Squared latent error of the first step over that of the persistence baseline.
         ratio: f64,
     },
 }

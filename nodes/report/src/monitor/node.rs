@@ -85,7 +85,7 @@ struct Topics {
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
         /// Folder for the report, relative to the working directory.
         output: PathBuf = "out/monitor";

@@ -1,6 +1,6 @@
-//! Endpoints on one topic that do not understand each other, since one asks for more than the other offers, or is of
-//! another type. It is the commonest riddle of ROS 2: each is logged once, by the policy or types that keep the two apart,
-//! and stays on the diagnostics while both are there.
+//! Endpoints on one topic that cannot communicate, because one requests more than the other offers or has a different
+//! type. This is a frequent problem in ROS 2, so each pair is logged once, with the policy or the types at fault, and
+//! stays on the diagnostics while both exist.
 
 use super::{lock::lock, qos};
 use crate::backend::EndpointId;
@@ -64,7 +64,7 @@ impl Mismatches {
         self.know(own, other, text);
     }
 
-    /// An endpoint elsewhere is of another type. rustdds connects the two all the same; others do not.
+    /// An endpoint elsewhere has a different type. rustdds connects the two all the same; others do not.
     pub(super) fn types(
         &self,
         own: EndpointId,

@@ -1,4 +1,4 @@
-//! What `wm NODE --help` says of a node.
+//! What `wm NODE --help` prints about a node.
 
 use super::NodeDefinition;
 use crate::{Direction, EndpointSpec, ParameterSpec, parameters::Range};

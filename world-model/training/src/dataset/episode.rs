@@ -114,7 +114,7 @@ pub(super) fn decode(
     })
 }
 
-/// What a bag's actions are.
+/// The action space of a bag.
 pub(super) fn action_space(reader: &BagReader, bag: &Path) -> Result<ActionSpace, DatasetError> {
     ActionSpace::of_note(reader.note(ActionSpace::NOTE)).map_err(|error| DatasetError::Episode {
         bag: bag.to_owned(),

@@ -8,7 +8,7 @@ use wm_model::{Decoder, transition::PackedTransition};
 use super::evaluation::{ActionChange, CONTEXT, Evaluation};
 use crate::{dataset::Dataset, squared_error::SquaredError};
 
-/// Decoded predictions against the frames that came, beside the last observed frame held still, step by step.
+/// Decoded predictions against the frames that came, beside the last observed frame, repeated, step by step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PictureErrors {
     steps: Vec<StepErrors>,

@@ -13,7 +13,7 @@ use wm_ros::calls::answer;
 /// What a key changes the rate by.
 const RATE_STEP: f64 = 0.1;
 
-/// Messages that were asked for one by one while the playback is paused.
+/// Messages that were requested one by one while the playback is paused.
 pub(super) struct Asked {
     messages: u64,
     pub published: u64,

@@ -1,5 +1,5 @@
-//! What a recorder says of topics: once each, and in few lines, however many there are. `/rosout` keeps only so many lines,
-//! and names come from others.
+//! What a recorder logs about topics: once for each topic, and in few lines however many topics there are. `/rosout`
+//! keeps only a limited number of lines, and the names come from others.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -8,7 +8,7 @@ use wm_ros::{Diagnostics, TopicInfo};
 
 /// Names that a line of the log holds.
 const NAMES: usize = 10;
-/// Topics that are not recorded, and types without a definition, that are told of one by one.
+/// Topics that are not recorded, and types without a definition, that are reported one by one.
 const WARNINGS: usize = 20;
 /// Topics that are remembered as not recorded. Beyond them the count stands still.
 const MOST_SKIPPED: usize = 10_000;

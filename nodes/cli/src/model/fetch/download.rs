@@ -1,7 +1,7 @@
 //! Downloads that can be resumed and are checked.
 //!
-//! A download goes on only where the server confirms, by the entity tag, that it is still the same file; the hash that
-//! was noted the last time, or that the server states, has the last word.
+//! A download is resumed only if the server confirms, by the entity tag, that it is still the same file. In the end the
+//! hash decides: the one recorded last time, or the one that the server states.
 
 mod part;
 

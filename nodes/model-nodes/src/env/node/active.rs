@@ -27,9 +27,9 @@ use wm_camera::camera_frame::CameraFrame;
 use wm_ros::complaints::Complaints;
 use wm_wire::transport::{ImageSubscription, Transports};
 
-/// An observation that a policy does not answer is sent again: it may have been lost, or the policy started anew.
+/// An observation that a policy does not answer is sent again: it may have been lost, or the policy may have restarted.
 pub(super) const RESEND: Duration = Duration::from_secs(1);
-/// How often the graph is asked whether a policy has come.
+/// How often the graph is checked for a policy.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Calls of one kind that may wait; each holds its request.
@@ -83,7 +83,7 @@ pub(super) struct Awaited {
     pub(super) until: Instant,
 }
 
-/// The episode that is played by topics.
+/// The episode that is played through topics.
 pub(super) struct Played {
     pub(super) attached: Attached,
     pub(super) observation: Observation,

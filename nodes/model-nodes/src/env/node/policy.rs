@@ -1,4 +1,4 @@
-//! The policy that plays an episode by topics.
+//! The policy that plays an episode through topics.
 
 use std::time::Duration;
 
@@ -49,7 +49,7 @@ pub(super) fn missing(node: &EnvNode) -> (&'static str, String) {
     }
 }
 
-/// Shows the policy that plays by topics what there is to see.
+/// Shows the policy that plays through topics what there is to see.
 pub(super) fn publish(observation: &Observation, node: &EnvNode) -> Result<()> {
     let transports = node.parameters.image_transport;
     let header = || observation.jpeg.header.clone();

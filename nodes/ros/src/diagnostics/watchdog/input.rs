@@ -1,4 +1,4 @@
-//! An input that should keep coming.
+//! An input that should arrive regularly.
 
 use super::{Finding, Level};
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! The process's resident memory, which is to stand still once the node works.
+//! The process's resident memory, which should not grow once the node works.
 
 use super::{Finding, Level};
 use std::time::{Duration, Instant};
