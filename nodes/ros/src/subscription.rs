@@ -327,7 +327,7 @@ impl RawSubscription {
         self.intake.mailbox.dropped()
     }
 
-    /// Samples that never arrived, by the gaps in their publishers' numbering.
+    /// Samples that never arrived, as shown by gaps in their publishers' sequence numbers.
     pub fn lost(&self) -> u64 {
         self.intake.lost.load(Ordering::Relaxed)
     }
@@ -402,7 +402,7 @@ impl<M: Message> Subscription<M> {
         self.raw.dropped()
     }
 
-    /// Messages that never arrived, by the gaps in their publishers' numbering.
+    /// Messages that never arrived, as shown by gaps in their publishers' sequence numbers.
     pub fn lost(&self) -> u64 {
         self.raw.lost()
     }

@@ -54,8 +54,8 @@ pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
 /// More topics than this are not recorded: whoever makes so many does not mean well, and each has a queue.
 const MOST_TOPICS: usize = 2000;
 
-/// Records until a signal. `DataLost` where messages did not get into the bag: those that found a queue full, those in
-/// no known form, and those that are missing in their publishers' numbering.
+/// Records until a signal. `DataLost` if messages are missing from the bag: those dropped from a full queue, those that
+/// could not be decoded, and those that are missing in their publishers' sequence numbers.
 ///
 /// # Errors
 /// Names what is wrong with arguments or parameters, or why the bag cannot be written.
