@@ -71,8 +71,8 @@ mod tests {
             Ok("videos/observation.images.front/chunk-002/file-1234.mp4".into())
         );
         for (bad, part) in [
-            ("data/{other}", "not known"),
-            ("data/{chunk_index:>3}", "not known"),
+            ("data/{other}", "unknown"),
+            ("data/{chunk_index:>3}", "unknown"),
             ("data/{chunk_index", "closing brace"),
             ("../{chunk_index}", "inside the data set"),
             ("/{chunk_index}", "inside the data set"),

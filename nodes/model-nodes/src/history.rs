@@ -99,8 +99,8 @@ impl std::fmt::Display for LateChunk {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "the action chunk of {} ended {:.1} s before the newest frame, that of {}: it arrived too late, or its \
-             stamp is not that of the image that it answers",
+            "action chunk of {} had ended {:.1} s before the newest frame, that of {}, when it arrived: stamp it with \
+             the stamp of the image that it answers",
             seconds_of(self.stamp_ns),
             (self.newest_ns.saturating_sub(self.end_ns)) as f64 / 1e9,
             seconds_of(self.newest_ns)

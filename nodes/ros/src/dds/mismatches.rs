@@ -146,7 +146,9 @@ mod tests {
             panic!("{texts:?}")
         };
         assert!(
-            text.starts_with("/wm/plan: not connected to a publisher for incompatible Durability"),
+            text.starts_with(
+                "/wm/plan: not connected to a publisher because of incompatible Durability"
+            ),
             "{text}"
         );
         mismatches.forget_other(&[2; 16]);
@@ -157,7 +159,10 @@ mod tests {
         let best_effort = qos::for_writer(Qos::best_effort(1));
         let reliable = qos::for_reader(Qos::reliable(1));
         mismatches.subscription([1; 16], [2; 16], topic(), &reliable, &best_effort);
-        assert!(mismatches.of(&[1; 16])[0].contains("a subscription for incompatible Reliability"));
+        assert!(
+            mismatches.of(&[1; 16])[0]
+                .contains("a subscription because of incompatible Reliability")
+        );
         mismatches.subscription([1; 16], [4; 16], topic(), &best_effort, &reliable);
         assert_eq!(mismatches.of(&[1; 16]).len(), 1, "these two do match");
     }

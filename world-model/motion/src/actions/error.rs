@@ -9,7 +9,7 @@ use crate::motion::MAX_CHUNK;
 #[non_exhaustive]
 pub enum ActionError {
     /// Not as many values as the action space has.
-    #[error("an action has {actual} values; expected the {expected} of {space}")]
+    #[error("an action has {actual} values; expected {expected} of {space}")]
     Length {
         /// Values expected.
         expected: usize,
