@@ -1,5 +1,5 @@
 """A policy that looks before it acts. For each camera image it offers three candidate chunks and takes the one that is
-predicted to end nearest to the goal.
+predicted to end closest to the goal.
 
 usage: python examples/choosing_policy.py [--goal IMAGE] [--images N]        (ROS 2 sourced, wm_msgs built)
 

@@ -378,7 +378,7 @@ fn a_recording_that_is_there_stays_unless_its_user_says_otherwise() {
     let run = run.expect("wm runs");
     assert_eq!(run.status.code(), Some(1));
     let said = String::from_utf8_lossy(&run.stderr);
-    assert!(said.contains("is there already"), "{said}");
+    assert!(said.contains("already exists"), "{said}");
 }
 
 #[test]

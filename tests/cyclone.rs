@@ -91,7 +91,10 @@ fn cyclone_reads_what_rclpy_reads_and_its_chunks_are_predicted() {
     assert_eq!(spaces.len(), 1, "one latent space: {spaces:?}");
 
     let (ours, theirs) = (predictions(&cyclone), predictions(&rclpy));
-    let both: BTreeSet<_> = ours.keys().filter(|&key| theirs.contains_key(key)).collect();
+    let both: BTreeSet<_> = ours
+        .keys()
+        .filter(|&key| theirs.contains_key(key))
+        .collect();
     assert!(both.len() >= 32, "only {} came to both", both.len());
     for key in both {
         assert_eq!(ours[key], theirs[key], "the two decode alike");

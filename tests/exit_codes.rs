@@ -119,7 +119,7 @@ fn the_report_of_a_bag_without_predictions_is_none() {
     writer
         .add_topic::<Prediction>("/wm/predicted", QosProfile::sensor_data())
         .expect("a new topic");
-    writer.finish().expect("the bag's end");
+    writer.finish().expect("the end of the bag");
     let (code, _, stderr) = run(&["report", &at("bag"), "-o", &at("out")]);
     assert_eq!(code, Some(1), "{stderr}");
     assert!(

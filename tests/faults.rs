@@ -89,7 +89,7 @@ fn heavy_bag(path: &Path, heavy: &Heavy) {
         let time_ns = 1_700_000_000_000_000_000 + index * 1_000_000_000 / heavy.hz;
         bag.write("/heavy", &message, time_ns).expect("a message");
     }
-    bag.finish().expect("the bag's end");
+    bag.finish().expect("the end of the bag");
 }
 
 /// Twice a latent of the bundled model, four times as often as a camera.
@@ -293,7 +293,7 @@ async fn a_killed_node_is_back_at_work_within_five_seconds() {
     let said = std::fs::read_to_string(&log).expect("the launch's log");
     assert!(
         said.contains("encoder-1 failed: signal 9 (SIGKILL)")
-            && said.contains("encoder-1 is started again (no. 1)"),
+            && said.contains("restarting encoder-1 (no. 1)"),
         "{said}"
     );
     suite.signal(Signal::INT);

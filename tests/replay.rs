@@ -78,7 +78,7 @@ fn renamed_bag(path: &Path) {
             )
             .expect("it is written");
     }
-    writer.finish().expect("the bag's end");
+    writer.finish().expect("the end of the bag");
 }
 
 #[test]

@@ -9,8 +9,8 @@ const CDR_BE: [u8; 2] = [0x00, 0x00];
 const CDR_LE: [u8; 2] = [0x00, 0x01];
 /// Representation identifier and two bytes of options.
 const HEADER_LEN: usize = 4;
-/// Writers may pad a sample to a multiple of four bytes, and CDR aligns to at most eight; more left over means
-/// that the bytes are of another type.
+/// Writers may pad a sample to a multiple of four bytes, and CDR aligns to at most eight; more left over means that the
+/// bytes have a different type.
 const MAX_PADDING: usize = 7;
 
 /// Why bytes are not a message, or a message cannot be bytes.
@@ -26,7 +26,7 @@ pub enum CdrError {
     /// The body does not fit the type.
     #[error("cannot decode {type_name} from {len} bytes: {source}")]
     Decode {
-        /// The Rust type that was asked for.
+        /// The Rust type that was requested.
         type_name: &'static str,
         /// Bytes given, header included.
         len: usize,
@@ -36,7 +36,7 @@ pub enum CdrError {
     /// Bytes are left that padding does not explain.
     #[error("expected {type_name} to end after {used} bytes, but {len} came")]
     Trailing {
-        /// The Rust type that was asked for.
+        /// The Rust type that was requested.
         type_name: &'static str,
         /// Bytes that the type took, header included.
         used: usize,

@@ -1,4 +1,4 @@
-//! What is there already makes room under another name.
+//! Renames an existing bag or file to make room.
 
 use std::{
     fs, io,

@@ -27,7 +27,7 @@ pub enum BagError {
     },
     /// A storage other than MCAP.
     #[error(
-        "{path} is stored as {storage}, but only mcap is read; `ros2 bag convert` makes an mcap bag of it"
+        "{path} is stored as {storage}, but only mcap can be read; convert it to mcap with `ros2 bag convert`"
     )]
     Storage {
         /// What was opened.
@@ -37,8 +37,8 @@ pub enum BagError {
     },
     /// rosbag2's own compression of whole files or of each message, which hides the MCAP or the CDR from a reader.
     #[error(
-        "{path} uses rosbag2's {mode} compression ({format}), which is not read; \
-         `ros2 bag convert` with chunk compression makes a readable bag of it"
+        "{path} uses rosbag2's {mode} compression ({format}), which cannot be read; convert it to chunk compression \
+         with `ros2 bag convert`"
     )]
     RosbagCompression {
         /// What was opened.
@@ -57,7 +57,7 @@ pub enum BagError {
         reason: String,
     },
     /// A file that `metadata.yaml` lists is not there.
-    #[error("{dir}: metadata.yaml lists {file}, which is not there")]
+    #[error("{dir}: metadata.yaml lists {file}, which does not exist")]
     MissingFile {
         /// The bag.
         dir: PathBuf,
@@ -65,7 +65,7 @@ pub enum BagError {
         file: PathBuf,
     },
     /// Messages of a topic are not CDR.
-    #[error("{path}: topic {topic} has messages in {encoding:?}, but only \"cdr\" is read")]
+    #[error("{path}: topic {topic} has messages in {encoding:?}, but only \"cdr\" can be read")]
     MessageEncoding {
         /// The file.
         path: PathBuf,
@@ -75,7 +75,7 @@ pub enum BagError {
         encoding: String,
     },
     /// A topic whose type the file does not name.
-    #[error("{path}: topic {topic} has no schema, so that its type is unknown")]
+    #[error("{path}: topic {topic} has no schema, so its type is unknown")]
     NoType {
         /// The file.
         path: PathBuf,
@@ -118,7 +118,8 @@ pub enum BagError {
     },
     /// So many chunks cover the same time that their messages cannot be put in order within bounds.
     #[error(
-        "{path}: the chunk at byte {offset} belongs to a time of which {limit} bytes of messages wait already"
+        "{path}: the chunk at byte {offset} overlaps other chunks in time, and {limit} bytes of their messages are \
+         already waiting"
     )]
     Overlap {
         /// The file.
@@ -129,7 +130,9 @@ pub enum BagError {
         limit: usize,
     },
     /// The directory to write to holds something already.
-    #[error("{0} is there already and is not an empty directory; a bag never overwrites")]
+    #[error(
+        "{0} already exists and is not an empty directory; bags are never overwritten, so choose another path"
+    )]
     Exists(PathBuf),
     /// A type's name that is not `package/msg/Type`.
     #[error("expected a message type as package/msg/Type, got {0:?}")]
@@ -138,7 +141,9 @@ pub enum BagError {
     #[error("expected an absolute topic name such as /camera/image_raw, got {0:?}")]
     TopicName(String),
     /// A time that rosbag2 cannot hold.
-    #[error("topic {topic}: log time {log_time_ns} ns is past what rosbag2 can hold (2^63 - 1)")]
+    #[error(
+        "topic {topic}: log time {log_time_ns} ns is beyond the largest time of rosbag2 (2^63 - 1)"
+    )]
     LogTime {
         /// The topic.
         topic: String,
@@ -158,7 +163,7 @@ pub enum BagError {
     NoTopic {
         /// The bag.
         path: PathBuf,
-        /// The topic that was asked for.
+        /// The topic that was requested.
         topic: String,
         /// Those that are there.
         topics: Vec<String>,
@@ -173,15 +178,15 @@ pub enum BagError {
     },
     /// A time in which a bag has nothing.
     #[error(
-        "{path} has nothing from {start_ns} ns to before {end_ns} ns: its messages are from {bag_start_ns} ns to \
+        "{path} has no messages from {start_ns} ns to before {end_ns} ns: its messages are from {bag_start_ns} ns to \
          {bag_end_ns} ns since the epoch"
     )]
     NothingBetween {
         /// The bag.
         path: PathBuf,
-        /// The start that was asked for, in ns since the epoch.
+        /// The start that was requested, in ns since the epoch.
         start_ns: u64,
-        /// The end that was asked for, in ns since the epoch.
+        /// The end that was requested, in ns since the epoch.
         end_ns: u64,
         /// Log time of the bag's first message, in ns since the epoch.
         bag_start_ns: u64,
@@ -192,11 +197,11 @@ pub enum BagError {
     #[error("offered_qos_profiles: {0}")]
     Qos(String),
     /// A message was asked for as another type than it has.
-    #[error("topic {topic} has messages of type {actual}, but {expected} was asked for")]
+    #[error("topic {topic} has messages of type {actual}, expected {expected}")]
     WrongType {
         /// The topic.
         topic: String,
-        /// The type that was asked for.
+        /// The type that was requested.
         expected: String,
         /// The type that the bag names.
         actual: String,

@@ -1,9 +1,9 @@
 //! rosbag2 bags in MCAP: a reader, a writer and their `metadata.yaml`.
 //!
-//! A bag is a directory with `metadata.yaml` and one or more `.mcap` files (profile `ros2`, messages in CDR,
-//! schemas in `ros2msg` with their dependencies). The reader also takes a lone `.mcap`, a bag whose recorder was
-//! killed (no `metadata.yaml`, no footer), and files without chunks or without a summary. [`recover`] makes a sound bag
-//! of such a one, [`cut`](fn@cut) a shorter one.
+//! A bag is a directory with `metadata.yaml` and one or more `.mcap` files (profile `ros2`, messages in CDR, schemas in
+//! `ros2msg` with their dependencies). The reader also takes a lone `.mcap`, a bag whose recorder was killed (no
+//! `metadata.yaml`, no footer), and files without chunks or without a summary. [`recover`] repairs such a bag,
+//! [`cut`](fn@cut) shortens one.
 //!
 //! ```
 //! use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};

@@ -274,7 +274,7 @@ fn listed_files(dir: &Path, metadata: &Metadata) -> Result<Vec<PathBuf>, BagErro
     if metadata.relative_file_paths.is_empty() {
         return Err(BagError::Empty {
             path: dir.to_owned(),
-            reason: "its metadata.yaml lists no file",
+            reason: "its metadata.yaml lists no files",
         });
     }
     metadata

@@ -52,7 +52,7 @@ impl fmt::Display for Recovery {
             self.summary.path.display()
         )?;
         for file in &self.without_end {
-            writeln!(f, "{} has no end: it was cut off", file.display())?;
+            writeln!(f, "{} has no end: it was truncated", file.display())?;
         }
         write!(f, "{}", self.losses)
     }

@@ -27,7 +27,7 @@ pub enum BagWarning {
         /// What is wrong with it.
         reason: String,
     },
-    /// More of the file is damaged than is told of one by one.
+    /// More of the file is damaged than is reported one by one.
     MoreDamaged {
         /// The file.
         file: PathBuf,
@@ -80,7 +80,7 @@ impl fmt::Display for BagWarning {
             Self::NoSummary { file, reason } => {
                 write!(
                     f,
-                    "{} has no usable summary ({reason}); all of it was scanned",
+                    "{} has no usable summary ({reason}); the whole file was scanned",
                     file.display()
                 )
             }
@@ -96,7 +96,11 @@ impl fmt::Display for BagWarning {
                 )
             }
             Self::MoreDamaged { file, places } => {
-                write!(f, "{} is damaged in {places} more places", file.display())
+                write!(
+                    f,
+                    "{} is also damaged in {places} other places",
+                    file.display()
+                )
             }
             Self::NoMetadata { dir } => {
                 write!(

@@ -57,14 +57,14 @@ impl BagWriter {
     /// Begins a bag at `dir`, which must not exist, or be an empty directory.
     ///
     /// # Errors
-    /// Something is there already, or the file cannot be made.
+    /// Something already exists there, or the file cannot be made.
     pub fn create(dir: impl AsRef<Path>, options: WriterOptions) -> Result<Self, BagError> {
         let dir = dir.as_ref().to_owned();
         let name = dir
             .file_name()
             .ok_or_else(|| BagError::NotABag {
                 path: dir.clone(),
-                reason: "expected a directory's name to write to".to_owned(),
+                reason: "expected the path of a directory to write to".to_owned(),
             })?
             .to_string_lossy()
             .into_owned();

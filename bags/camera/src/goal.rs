@@ -34,7 +34,7 @@ pub enum GoalError {
         "the bag {bag} has no camera images on {topic} or {topic}/compressed; it has them on: {cameras}"
     )]
     Topic {
-        /// The topic that was asked for.
+        /// The topic that was requested.
         topic: String,
         /// The bag.
         bag: String,
@@ -42,7 +42,7 @@ pub enum GoalError {
         cameras: String,
     },
     /// The camera's topic is empty.
-    #[error("topic {0:?} has no readable message")]
+    #[error("topic {0:?} has no readable messages")]
     Empty(String),
     /// The bag cannot be read.
     #[error(transparent)]

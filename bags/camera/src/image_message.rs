@@ -67,7 +67,7 @@ pub enum ImageError {
     #[error("compressed image format \"{0}\" is not supported; expected jpeg or png")]
     Format(String),
     /// More compressed data than any frame needs.
-    #[error("compressed image of {actual} bytes; at most {MAX_COMPRESSED} are accepted")]
+    #[error("compressed image has {actual} bytes; expected at most {MAX_COMPRESSED}")]
     TooLarge {
         /// Bytes that came.
         actual: usize,

@@ -1,5 +1,5 @@
-//! Camera frames: raw and compressed image messages as RGB and back, and the camera of a bag. What a camera sends is
-//! decoded here, live, in training and in exports alike.
+//! Camera frames: raw and compressed image messages to RGB and back, and the camera of a bag. All camera images are
+//! decoded here: live, in training and in exports.
 
 pub mod camera_frame;
 pub mod goal;

@@ -1,5 +1,5 @@
-//! `wm-datasets`: other people's data sets as bags, and bags as data sets. `wm bag import` and `wm bag export` call it: the
-//! video codecs and parquet are heavy to build, and so a program of its own.
+//! `wm-datasets`: imports data sets as bags, and exports bags as data sets. `wm bag import` and `wm bag export` call
+//! it. It is a separate program because the video codecs and parquet take long to build.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage.
 
@@ -16,14 +16,14 @@ use tracing_subscriber::EnvFilter;
 use wm_import::{import_bridge, import_droid};
 use wm_motion::actions::ActionSpace;
 
-/// Other people's data sets as bags, and bags as data sets.
+/// Imports data sets as bags, and exports bags as data sets.
 #[derive(Debug, Parser)]
 #[command(name = "wm-datasets", bin_name = "wm bag", version)]
 enum Command {
-    /// Make bags of a data set's episodes
+    /// Convert the episodes of a data set to bags
     #[command(subcommand)]
     Import(ImportCommand),
-    /// Make a data set of bags
+    /// Convert bags to a data set
     #[command(subcommand)]
     Export(ExportCommand),
 }
@@ -32,7 +32,7 @@ enum Command {
 enum ImportCommand {
     /// Bridge V2: the mp4 and npz layout, or the RLDS TFRecord layout
     Bridge(EpisodesCommand),
-    /// DROID: annotation/SPLIT/NAME.json with three videos an episode
+    /// DROID: annotation/SPLIT/NAME.json with three videos per episode
     Droid(EpisodesCommand),
     /// LeRobot, v2.1 or v3.0
     Lerobot(FromLerobot),
@@ -48,9 +48,9 @@ enum ExportCommand {
 struct EpisodesCommand {
     /// Folder of the episodes
     source: PathBuf,
-    /// Folder for the bags, one an episode
+    /// Folder for the bags, one per episode
     output: PathBuf,
-    /// Import at most so many episodes
+    /// Import at most this many episodes
     #[arg(long)]
     episodes: Option<usize>,
     #[command(flatten)]
@@ -61,13 +61,13 @@ struct EpisodesCommand {
 struct FromLerobot {
     /// Folder of the dataset (with meta/info.json)
     source: PathBuf,
-    /// Folder for the bags, one an episode
+    /// Folder for the bags, one per episode
     output: PathBuf,
-    /// Import these episodes only: FIRST..LAST, the last one too, or one number
+    /// Import only these episodes: FIRST..LAST (including LAST), or one number
     #[arg(long, value_parser = episodes)]
     episodes: Option<RangeInclusive<i64>>,
-    /// What the dataset's actions are: a JSON file with name, rate [Hz] and dimensions, as "action_space" in model.json.
-    /// It is kept with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are known
+    /// Action space of the data set: a JSON file with name, rate [Hz] and dimensions, like "space" in model.json. It is
+    /// stored with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
     #[arg(long, value_name = "FILE")]
     action_space: Option<PathBuf>,
     #[command(flatten)]
@@ -85,19 +85,19 @@ struct Jpeg {
 struct ToLerobot {
     /// Folder for the dataset
     output: PathBuf,
-    /// The bags, one episode each, or several where /task/success says so
+    /// The bags. A bag is one episode, or several if /task/success separates them
     #[arg(required = true)]
     bags: Vec<PathBuf>,
-    /// Frames a second [default: the rate of /wm/action]
+    /// Frames per second [default: the rate of /wm/action]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
     fps: Option<u32>,
     /// The dataset's robot_type
     #[arg(long)]
     robot_type: Option<String>,
-    /// A camera's topic, once for each [default: every .../image_raw and .../image_raw/compressed]
+    /// Topic of a camera (repeatable) [default: every .../image_raw and .../image_raw/compressed]
     #[arg(long = "camera", value_name = "TOPIC")]
     cameras: Vec<String>,
-    /// The task of episodes without /task/instruction
+    /// Task of the episodes that have no /task/instruction
     #[arg(long, default_value = "")]
     task: String,
 }

@@ -1,5 +1,5 @@
-//! DROID episodes as they are passed around for world models: `annotation/SPLIT/NAME.json` with the state of each frame,
-//! and an mp4 of each camera, three beside each other (`videos/SPLIT/NAME/0.mp4` to `2.mp4`).
+//! DROID episodes as they are passed around for world models: `annotation/SPLIT/NAME.json` with the state of each
+//! frame, and an mp4 of each camera, three side by side (`videos/SPLIT/NAME/0.mp4` to `2.mp4`).
 //!
 //! A state is the pose of the end effector in the base (x y z in m, roll pitch yaw about fixed axes in rad) and the
 //! gripper (0 open to 1 closed, DROID's sense; turned round here). The frames are a part of the 15 Hz at which DROID is
@@ -93,19 +93,19 @@ fn period(video: &Video, frames: usize) -> Result<f64, ImportError> {
     let shown = video.frame_count();
     if shown < frames {
         return Err(corrupt(format!(
-            "expected {frames} frames, one a state, got {shown}"
+            "expected {frames} frames, one per state, got {shown}"
         )));
     }
     if shown > frames {
         tracing::warn!(
             video = %video.file().display(), frames = shown, states = frames,
-            "frames after the last state are left out"
+            "frames after the last state are ignored"
         );
     }
     let period = video.time_s(1).unwrap_or(0.2);
     if !(0.01..=10.0).contains(&period) {
         return Err(corrupt(format!(
-            "expected 0.1 to 100 frames a second, got one after {period} s"
+            "expected 0.1 to 100 frames per second, got one after {period} s"
         )));
     }
     for frame in 0..frames {

@@ -8,7 +8,7 @@ use wm_motion::actions::ActionError;
 #[non_exhaustive]
 pub enum ImportError {
     /// The path does not hold what is imported.
-    #[error("{path} holds no episodes: expected {expected}")]
+    #[error("{path} has no episodes: expected {expected}")]
     UnknownLayout {
         /// The path.
         path: PathBuf,
@@ -16,10 +16,10 @@ pub enum ImportError {
         expected: &'static str,
     },
     /// The layout is there, but no episode.
-    #[error("{0} holds no episode")]
+    #[error("{0} has no episodes")]
     NoEpisodes(PathBuf),
     /// A file that belongs to another is not there.
-    #[error("{present} is incomplete: {missing} is not there")]
+    #[error("{present} is incomplete: {missing} is missing")]
     Incomplete {
         /// The file that is there.
         present: PathBuf,
@@ -45,7 +45,7 @@ pub enum ImportError {
     /// The bag cannot be written.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The description of the actions cannot be written.
+    /// The description of the action space cannot be written.
     #[error(transparent)]
     Actions(#[from] ActionError),
 }

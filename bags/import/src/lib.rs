@@ -50,7 +50,7 @@ use source::Source;
 /// How episodes are imported.
 #[derive(Clone, Debug)]
 pub struct ImportOptions {
-    /// Import at most so many episodes; none imports all.
+    /// Import at most this many episodes; none imports all.
     pub episodes: Option<usize>,
     /// JPEG quality of frames that are not JPEG already, 1 to 100.
     pub jpeg_quality: u8,
@@ -74,8 +74,8 @@ impl Default for ImportOptions {
 /// `src` may be a directory, one `.mp4` or `.npz`, or one TFRecord. Gives the bags, in order.
 ///
 /// # Errors
-/// `src` holds neither layout; a file is missing, corrupt or incomplete (the error names it); or a bag is there
-/// already.
+/// `src` holds neither layout; a file is missing, corrupt or incomplete (the error names it); or a bag already exists
+/// there.
 pub fn import_bridge(
     src: &Path,
     out: &Path,
@@ -94,8 +94,8 @@ pub fn import_bridge(
 /// `src` has `annotation/` and `videos/` in it, or folders that have.
 ///
 /// # Errors
-/// `src` holds no such layout; a file is missing, corrupt or incomplete (the error names it); or a bag is there
-/// already.
+/// `src` holds no such layout; a file is missing, corrupt or incomplete (the error names it); or a bag already exists
+/// there.
 pub fn import_droid(
     src: &Path,
     out: &Path,

@@ -95,7 +95,7 @@ mod tests {
         ));
         fs::write(at("b.mp4"), "").unwrap();
         let error = Source::find(dir.path()).unwrap_err().to_string();
-        assert!(error.contains("b.npz is not there"), "{error}");
+        assert!(error.contains("b.npz is missing"), "{error}");
         for name in ["b.npz", "a.mp4", "a.npz", "notes.txt"] {
             fs::write(at(name), "").unwrap();
         }
@@ -110,7 +110,7 @@ mod tests {
         );
         fs::remove_file(at("a.mp4")).unwrap();
         let error = Source::find(dir.path()).unwrap_err().to_string();
-        assert!(error.contains("a.mp4 is not there"), "{error}");
+        assert!(error.contains("a.mp4 is missing"), "{error}");
         let shard = at("bridge_dataset-train.tfrecord-00000-of-00001");
         fs::write(&shard, "").unwrap();
         assert_eq!(Source::find(dir.path()).unwrap(), Source::Rlds(vec![shard]));

@@ -175,7 +175,7 @@ impl Video {
             let sample = self.samples.get(number).ok_or("no such sample")?;
             let bytes = self.bytes.get(sample.bytes.clone());
             let bytes =
-                bytes.ok_or_else(|| format!("frame {number}: its bytes are not in the file"))?;
+                bytes.ok_or_else(|| format!("frame {number}: its data is not in the file"))?;
             let ready = decoder.feed(bytes);
             take(ready.map_err(|reason| format!("frame {number}: {reason}"))?)?;
         }
@@ -220,7 +220,7 @@ fn time(samples: &[Sample], number: usize) -> i64 {
 fn check_size(width: usize, height: usize) -> Result<(), String> {
     if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
         return Err(format!(
-            "expected frames of 1 to {MAX_SIDE} pixels a side, got {width} x {height}"
+            "expected frames of 1 to {MAX_SIDE} pixels per side, got {width} x {height}"
         ));
     }
     Ok(())

@@ -25,9 +25,11 @@ pub enum LeRobotError {
         reason: String,
     },
     /// The folder to write to holds something already.
-    #[error("{0} is there already and is not an empty folder; a data set is never overwritten")]
+    #[error(
+        "{0} already exists and is not an empty folder; data sets are never overwritten, so choose another path"
+    )]
     Exists(PathBuf),
-    /// Nothing was asked for.
+    /// Nothing was requested.
     #[error("{0}")]
     Nothing(String),
     /// The operating system refused.

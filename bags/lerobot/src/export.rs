@@ -29,7 +29,7 @@ pub struct ExportOptions {
     pub cameras: Vec<String>,
     /// The task of episodes without `/task/instruction`.
     pub task: String,
-    /// The next file of the tables is begun where this one has reached so many bytes.
+    /// The next file of the tables starts when this one has reached this many bytes.
     pub data_file_bytes: u64,
     /// The same of the videos.
     pub video_file_bytes: u64,

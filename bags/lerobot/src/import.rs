@@ -22,7 +22,7 @@ pub struct ImportOptions {
     /// Stamp of the first frame of each episode, in ns since the epoch; LeRobot keeps no time of day. Episodes that were
     /// exported here keep their own.
     pub start_ns: u64,
-    /// What the dataset's actions are. None: what their names say, if they are Bridge V2's; else the bags do not say it.
+    /// Action space of the dataset. None: Bridge V2's if the names are Bridge V2's; else the bags have no action space.
     pub action_space: Option<ActionSpace>,
 }
 
@@ -45,7 +45,7 @@ impl Default for ImportOptions {
 ///
 /// # Errors
 /// A file is missing, damaged, or does not hold what `meta` says (the error names it and the field); a number is not
-/// finite; there is no episode of the numbers; or a bag is there already.
+/// finite; there is no episode of the numbers; or a bag already exists there.
 pub fn import(
     src: &Path,
     out: &Path,
@@ -57,7 +57,10 @@ pub fn import(
     });
     let other: Vec<&str> = other.map(|(name, _)| name.as_str()).collect();
     if !other.is_empty() {
-        tracing::warn!(features = other.join(", "), "left out: they have no topic");
+        tracing::warn!(
+            features = other.join(", "),
+            "ignored, because they have no corresponding topic"
+        );
     }
     let actions = actions(&dataset, options.action_space.as_ref())?;
     let mut bags = Vec::new();
@@ -75,7 +78,7 @@ pub fn import(
     }
     if bags.is_empty() {
         return Err(LeRobotError::Nothing(format!(
-            "{} has {} episodes, none of which was asked for",
+            "{} has {} episodes, but none of those that you asked for",
             src.display(),
             dataset.episodes.len()
         )));
@@ -83,7 +86,7 @@ pub fn import(
     Ok(bags)
 }
 
-/// What the dataset's actions are, if anything says so.
+/// Action space of the dataset, if known.
 fn actions(
     dataset: &Dataset,
     given: Option<&ActionSpace>,

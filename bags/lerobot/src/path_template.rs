@@ -25,7 +25,7 @@ pub(crate) fn fill(
             (None, Some((_, number)), Some(width)) => {
                 filled.push_str(&format!("{number:0width$}"));
             }
-            _ => return Err(format!("{template:?}: {{{field}}} is not known")),
+            _ => return Err(format!("{template:?}: the field {{{field}}} is unknown")),
         }
         rest = after;
     }
@@ -33,7 +33,7 @@ pub(crate) fn fill(
     let path = PathBuf::from(filled);
     if !is_inside(&path) {
         return Err(format!(
-            "{template:?}: expected a path below the data set, got {}",
+            "{template:?}: expected a path inside the data set, got {}",
             path.display()
         ));
     }
@@ -71,16 +71,16 @@ mod tests {
             Ok("videos/observation.images.front/chunk-002/file-1234.mp4".into())
         );
         for (bad, part) in [
-            ("data/{other}", "not known"),
-            ("data/{chunk_index:>3}", "not known"),
+            ("data/{other}", "unknown"),
+            ("data/{chunk_index:>3}", "unknown"),
             ("data/{chunk_index", "closing brace"),
-            ("../{chunk_index}", "below the data set"),
-            ("/{chunk_index}", "below the data set"),
+            ("../{chunk_index}", "inside the data set"),
+            ("/{chunk_index}", "inside the data set"),
         ] {
             let error = fill(bad, &[], &numbers).unwrap_err();
             assert!(error.contains(part), "{error}");
         }
         let error = fill("{video_key}", &[("video_key", "../x")], &[]).unwrap_err();
-        assert!(error.contains("below the data set"), "{error}");
+        assert!(error.contains("inside the data set"), "{error}");
     }
 }

@@ -80,7 +80,7 @@ impl Table {
         let damaged = |error: ParquetError| corrupt(error.to_string());
         if range.end > self.row_count() {
             return Err(corrupt(format!(
-                "expected rows {} to {}, it has {}",
+                "expected rows {} to {}, but it has {}",
                 range.start,
                 range.end,
                 self.row_count()
@@ -92,7 +92,7 @@ impl Table {
             let field = field.ok_or_else(|| {
                 let there: Vec<&str> = self.columns().collect();
                 corrupt(format!(
-                    "expected a column {column:?}, it has {}",
+                    "expected a column {column:?}, but it has {}",
                     there.join(", ")
                 ))
             })?;

@@ -9,22 +9,22 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::dataset::generate_bags;
 use crate::episode::EpisodeOptions;
 
-/// Make Bridge-style bags with a simulated arm on a tabletop, one bag an episode.
+/// Make Bridge-style bags with a simulated arm on a tabletop, one bag per episode.
 #[derive(Clone, Debug, clap::Args)]
 pub struct SimArgs {
-    /// How many episodes
+    /// Number of episodes
     #[arg(long, default_value_t = 1)]
     pub episodes: u64,
-    /// Seed of the first episode; the others follow. The same seed gives the same bag
+    /// Seed of the first episode; each later episode adds 1. The same seed gives the same bag
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Frames an episode, at 5 Hz
+    /// Frames per episode, at 5 Hz
     #[arg(long, default_value_t = 50)]
     pub frames: usize,
     /// Also write masks of the gripper and the objects, on /camera/mask/compressed
     #[arg(long)]
     pub masks: bool,
-    /// Directory for the bags, made if need be
+    /// Directory for the bags; created if it does not exist
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
 }
@@ -53,7 +53,7 @@ impl SimArgs {
         .with_context(|| format!("cannot make the episodes in {}", self.out.display()))?;
         bar.finish_and_clear();
         println!(
-            "{} episodes of {} frames in {} ({} did what was asked)",
+            "{} episodes of {} frames in {} (the task was done in {})",
             bags.len(),
             self.frames,
             self.out.display(),

@@ -41,7 +41,7 @@ impl Default for EpisodeOptions {
 pub struct Frame {
     /// The camera's picture, 256 by 256.
     pub image: RgbImage,
-    /// 0 background, 1 gripper, 2 and up the objects; if asked for.
+    /// 0 background, 1 gripper, 2 and up the objects; if requested.
     pub mask: Option<GrayImage>,
     /// The tool's pose.
     pub tool: ToolPose,

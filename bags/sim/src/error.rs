@@ -5,9 +5,9 @@
 #[non_exhaustive]
 pub enum Error {
     /// A number of frames that no episode has.
-    #[error("an episode has {} to {} frames, not {frames}", .possible.start(), .possible.end())]
+    #[error("expected {} to {} frames per episode, got {frames}", .possible.start(), .possible.end())]
     Frames {
-        /// What was asked for.
+        /// What was requested.
         frames: usize,
         /// What can be.
         possible: std::ops::RangeInclusive<usize>,
@@ -26,7 +26,7 @@ pub enum Error {
     /// A bag that cannot be written.
     #[error(transparent)]
     Bag(#[from] wm_bag::BagError),
-    /// The description of the actions cannot be written.
+    /// The description of the action space cannot be written.
     #[error(transparent)]
     Actions(#[from] wm_motion::actions::ActionError),
     /// A picture that cannot be encoded.

@@ -7,12 +7,12 @@ use super::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Identity of a latent space. Two latents may be compared, or fed to one model, only where both fields agree.
+/// Identity of a latent space. Two latents may be compared, or used in one model, only if both fields are equal.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LatentSpace {
     /// Encoder and adapter in words, for example `tiny` or `web-dino+svae`.
     pub name: String,
-    /// Lower-case hex SHA-256 over what defines the space: encoder, adapter, weights, normalisation.
+    /// Lower-case hex SHA-256 over everything that defines the space: encoder, adapter, weights, normalisation.
     pub hash: String,
 }
 
@@ -31,7 +31,7 @@ pub struct Latent {
     pub channels: u32,
     /// Type of one number: [`F32`](Self::F32), [`F16`](Self::F16) or [`BF16`](Self::BF16).
     pub dtype: u8,
-    /// Which stretch of time the frame is of; a later one has a greater number.
+    /// Epoch of the frame; a reset or a clock jump starts a new epoch with a greater number.
     pub epoch: u64,
     /// `height` x `width` x `channels` little-endian numbers, row-major, channels last.
     #[serde(with = "serde_bytes")]
@@ -56,7 +56,7 @@ pub struct Action {
     pub values: Vec<f32>,
 }
 
-/// The actions that are to come, from a policy, a planner or a bag.
+/// The next actions, from a policy, a planner or a bag.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ActionChunk {
     /// `stamp`: when the first action is (to be) taken; `frame_id`: the frame of the deltas.
@@ -65,27 +65,27 @@ pub struct ActionChunk {
     pub period: Duration,
     /// In order; each header's stamp is the chunk's stamp + index x `period`.
     pub actions: Vec<Action>,
-    /// When the policy saw and computed; all zero where there is no policy.
+    /// When the policy saw the image and computed; all zero if there is no policy.
     pub timing: Timing,
 }
 
-/// When somebody saw what a message answers to, and when it was worked on. A stamp of zero: not known.
+/// When the sender received the input of a message, and when it computed the message. A stamp of zero: not known.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Timing {
     /// Capture time of the newest image that was used.
     pub capture: Time,
     /// When that image was received (clock of the sender of the message).
     pub receive: Time,
-    /// When the computation began (the same clock).
+    /// When the computation started (the same clock).
     pub start: Time,
     /// When it ended (the same clock).
     pub end: Time,
 }
 
-/// Chunks of which a policy would take one: what each would do is predicted side by side before any is executed.
+/// Chunks from which a policy chooses one. What each of them would do is predicted before any is executed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ActionCandidates {
-    /// `stamp`: capture time of the image that the policy answers to; `frame_id`: the frame of the deltas.
+    /// `stamp`: capture time of the image that the policy responds to; `frame_id`: the frame of the deltas.
     pub header: Header,
     /// Name of the policy.
     pub policy: String,
@@ -98,17 +98,17 @@ pub struct ActionCandidates {
 pub struct CandidateAssessment {
     /// Of the candidate in [`ActionCandidates::chunks`].
     pub index: u32,
-    /// Mean squared latent error to the goal after the last step; NaN where no goal is known.
+    /// Mean squared latent error to the goal after the last step; NaN if no goal is known.
     pub cost: f32,
-    /// The same error after each step; empty where no goal is known.
+    /// The same error after each step; empty if no goal is known.
     pub step_costs: Vec<f32>,
-    /// Of the success probe, 0 to 1; NaN where no probe is loaded or no instruction is known.
+    /// From the success probe, 0 to 1; NaN if no probe is loaded or no instruction is known.
     pub success_probability: f32,
-    /// The predicted latent after the last step; its stamp is the predicted moment.
+    /// The predicted latent after the last step; its stamp is the predicted time.
     pub latent: Latent,
 }
 
-/// What the candidates of a policy would do, for a supervisor to choose from or to veto.
+/// What the candidates of a policy would do. A policy or a supervisor chooses or vetoes candidates by it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Assessment {
     /// `stamp`: capture time of the last observed frame; `frame_id`: the camera's optical frame.
@@ -119,11 +119,11 @@ pub struct Assessment {
     pub candidates_stamp: Time,
     /// One for each candidate, in their order.
     pub candidates: Vec<CandidateAssessment>,
-    /// Index of the candidate of least cost; -1 where no goal is known.
+    /// Index of the candidate with the lowest cost; -1 if no goal is known.
     pub best: i32,
     /// Model steps that were predicted, the same for all candidates.
     pub horizon: u32,
-    /// Time of one model step.
+    /// Duration of one model step.
     pub step_period: Duration,
     /// Name of the transition model.
     pub model: String,
@@ -135,24 +135,24 @@ pub struct Assessment {
     pub timing: Timing,
 }
 
-/// One predicted step. A rollout is `horizon` messages of the same `observed_stamp`, sent as each is ready.
+/// One predicted step. A rollout is `horizon` messages with the same `observed_stamp`; each is sent when it is ready.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Prediction {
-    /// `stamp`: the time that is predicted; `frame_id`: the camera's optical frame.
+    /// `stamp`: the predicted time; `frame_id`: the camera's optical frame.
     pub header: Header,
     /// Capture time of the last observed frame.
     pub observed_stamp: Time,
     /// k: how many model steps after the observation, from 1.
     pub step: u32,
-    /// K: steps of this rollout.
+    /// K: number of steps in this rollout.
     pub horizon: u32,
-    /// Time of one model step.
+    /// Duration of one model step.
     pub step_period: Duration,
     /// The predicted latent; its header equals this message's.
     pub latent: Latent,
-    /// What it was conditioned on, from the observation up to step k.
+    /// The actions it was conditioned on, from the observation up to step k.
     pub actions: Vec<Action>,
-    /// The predictor's history; a reset or a jump of time begins one with a greater number.
+    /// Epoch of the predictor's history; a reset or a clock jump starts a new epoch with a greater number.
     pub epoch: u64,
     /// Name of the transition model.
     pub model: String,
@@ -168,39 +168,39 @@ pub struct Prediction {
     pub ready_stamp: Time,
 }
 
-/// How a prediction compares with what the encoder saw when the predicted moment came.
+/// Error of a prediction, compared with the latent of the real frame at the predicted time.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PredictionError {
-    /// `stamp`: the predicted moment; `frame_id`: the camera's optical frame.
+    /// `stamp`: the predicted time; `frame_id`: the camera's optical frame.
     pub header: Header,
-    /// The observation that the prediction started from.
+    /// Stamp of the observation that the prediction started from.
     pub observed_stamp: Time,
     /// k: how many model steps after the observation.
     pub step: u32,
     /// Mean squared error of the predicted latent \[normalised latent units^2\].
     pub mse: f32,
-    /// The same error of the last observed latent, held still.
+    /// The same error for the persistence baseline: the last observed latent, repeated.
     pub persistence_mse: f32,
-    /// `mse` / `persistence_mse`; below 1 the model beats standing still; NaN where both are 0.
+    /// `mse` / `persistence_mse`; below 1 the model beats the persistence baseline; NaN if both are 0.
     pub ratio: f32,
 }
 
-/// Actions that the planner found to bring the camera's latent to the goal's.
+/// Actions that the planner found to bring the camera's latent close to the goal's latent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// `stamp`: capture time of the observed frame.
     pub header: Header,
     /// The planned actions, clamped to the bounds; each header's stamp says when it begins.
     pub actions: Vec<Action>,
-    /// Time of one planned action (one model step).
+    /// Duration of one planned action (one model step).
     pub period: Duration,
     /// The dimensions that were searched; the others hold their state, deltas are 0.
     pub searched: Vec<String>,
-    /// Model steps from the observed frame to the first action, predicted while the plan is made.
+    /// Model steps from the observed frame to the first action; the robot's motion in between is predicted.
     pub lead_steps: u32,
-    /// The planner's history; a reset or a jump of time begins one with a greater number.
+    /// Epoch of the planner's history; a reset or a clock jump starts a new epoch with a greater number.
     pub epoch: u64,
-    /// Mean squared latent error to the goal of the planned actions.
+    /// Cost of the planned actions: mean squared latent error to the goal.
     pub cost: f32,
     /// The best cost after each iteration.
     pub iteration_costs: Vec<f32>,
@@ -208,13 +208,13 @@ pub struct Plan {
     pub planner: String,
     /// The planner's settings as JSON.
     pub settings: String,
-    /// Seed of its candidates and of its noise.
+    /// Seed of the planner's candidates and noise.
     pub seed: u64,
     /// Stamp of the goal image that was planned for.
     pub goal_stamp: Time,
     /// Planning time (wall time).
     pub time_taken: Duration,
-    /// True where the deadline ended the search before its last iteration.
+    /// True if the deadline ended the search before its last iteration.
     pub deadline_cut: bool,
 }
 
@@ -233,24 +233,25 @@ pub struct EnvObservation {
 #[derive(Clone, Copy, Debug)]
 pub struct EnvReset;
 
-/// What a client of [`EnvReset`] sends. At most one of `bag`, `image` and `topic` is set; where none is, the env's
-/// parameters say where to begin.
+/// What a client of [`EnvReset`] sends. Set at most one of `bag`, `image` and `topic`. If none is set, the episode
+/// starts where the env's parameters say.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EnvResetRequest {
-    /// Name of the episode and of its bag; empty: the env names it.
+    /// Name of the episode and of its bag; empty: the env chooses a name.
     pub episode_id: String,
-    /// Bag (folder or `.mcap`) that the first frame comes from, with the frames and actions just before it.
+    /// Bag (folder or `.mcap`) to take the first frame from, with the frames and actions just before it.
     pub bag: String,
-    /// From the bag's first frame to the episode's \[s\].
+    /// Time from the first frame of the bag to the first frame of the episode \[s\].
     pub bag_offset: f64,
     /// File of the first frame, PNG or JPEG.
     pub image: String,
     /// Camera topic whose next image, raw or compressed, is the first frame.
     pub topic: String,
-    /// What the policy is to do; empty: the bag's, else the env's parameter.
+    /// The policy's task; empty: the bag's instruction or, without one, the env's parameter.
     pub instruction: String,
-    /// Seed of the episode's noise: the same start, calls and seed give the same images. How actions are spread over calls
-    /// counts: the last step of a call assumes that its action goes on, since the next one is not known yet.
+    /// Seed of the episode's noise: the same start, calls and seed give the same images. It matters how actions are
+    /// split into calls: the last step of a call assumes that its action is held, because the next one is not known
+    /// yet.
     pub seed: u64,
     /// Steps after which the episode is truncated; 0: the env's parameter.
     pub max_steps: u32,
@@ -261,17 +262,17 @@ pub struct EnvResetRequest {
 pub struct EnvResetResponse {
     /// Whether the episode has begun.
     pub success: bool,
-    /// Why not.
+    /// If not successful, the reason.
     pub message: String,
     /// The episode's name.
     pub episode_id: String,
-    /// The instruction in force.
+    /// The episode's instruction.
     pub instruction: String,
-    /// Time of one step of the env: one model step.
+    /// Duration of one step of the env: one model step.
     pub step_period: Duration,
-    /// Camera-rate actions that one step takes.
+    /// Actions at the camera's frame rate in one step.
     pub actions_per_step: u32,
-    /// The episode's begin: stamp of its first [`EnvObservation`].
+    /// Start of the episode: stamp of its first [`EnvObservation`].
     pub stamp: Time,
 }
 
@@ -285,7 +286,8 @@ pub struct EnvStep;
 pub struct EnvStepRequest {
     /// The episode's name.
     pub episode_id: String,
-    /// One, or a chunk, at the camera's rate; a step takes `actions_per_step` of them, the last one is held.
+    /// One action or a chunk, at the camera's frame rate; a step takes `actions_per_step` of them, and the last one is
+    /// held.
     pub actions: Vec<Action>,
     /// End the episode after these actions (there may be none) and finish its bag.
     pub close: bool,
@@ -295,7 +297,7 @@ pub struct EnvStepRequest {
 }
 
 impl EnvStepRequest {
-    /// Nobody can say whether the task was done.
+    /// It is not known whether the task was done.
     pub const UNKNOWN: u8 = 0;
     /// The task was done.
     pub const SUCCESS: u8 = 1;
@@ -308,17 +310,17 @@ impl EnvStepRequest {
 pub struct EnvStepResponse {
     /// Whether all actions were taken.
     pub success: bool,
-    /// Why not.
+    /// If not successful, the reason.
     pub message: String,
-    /// Of the newest [`EnvObservation`].
+    /// Stamp of the newest [`EnvObservation`].
     pub stamp: Time,
     /// Steps of the episode so far.
     pub steps: u32,
-    /// The episode has its `max_steps`, or was closed: it takes no more actions.
+    /// The episode has reached `max_steps`, or was closed: it takes no more actions.
     pub truncated: bool,
-    /// The episode's bag; empty where none is recorded, and until it is finished.
+    /// The episode's bag; empty if none is recorded, and until it is finished.
     pub bag: String,
-    /// Capture of the last observation before, receipt of the call, start and end of the step.
+    /// Capture of the last observation before the call, receipt of the call, start and end of the step.
     pub timing: Timing,
 }
 
@@ -329,9 +331,9 @@ pub struct Reset;
 /// What a client of [`Reset`] sends.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ResetRequest {
-    /// Seed of the coming samples.
+    /// Seed of the next samples.
     pub seed: u64,
-    /// True: ignore `seed` and go on with the present one.
+    /// True: ignore `seed` and keep the current seed.
     pub keep_seed: bool,
 }
 
@@ -340,7 +342,7 @@ pub struct ResetRequest {
 pub struct ResetResponse {
     /// Whether the history is forgotten.
     pub success: bool,
-    /// What was forgotten, or why not.
+    /// What was forgotten or, if not successful, the reason.
     pub message: String,
 }
 

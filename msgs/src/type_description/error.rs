@@ -32,7 +32,7 @@ pub enum DescriptionError {
     /// More types than any message has.
     #[error("{name}: expected at most {limit} types in one message, got more")]
     TooMany {
-        /// The type that was asked for.
+        /// The type that was requested.
         name: String,
         /// The limit.
         limit: usize,

@@ -67,7 +67,7 @@ pub struct Keyboard {
 const PATIENCE_DS: u8 = 1;
 
 impl Keyboard {
-    /// Calls `on_key` on a thread of its own for each key. `None` where standard input is no terminal, or one in whose
+    /// Calls `on_key` on a separate thread for each key. `None` where standard input is no terminal, or one in whose
     /// foreground another process is: that one's keys are none of ours.
     #[must_use]
     pub fn listen(on_key: impl Fn(Key) + Send + 'static) -> Option<Self> {

@@ -1,4 +1,5 @@
-//! The nodes that move bags: player and recorder, `decode -> pure step -> encode` over `wm_ros` and `wm_bag`.
+//! The nodes that play and record bags: player and recorder, `decode -> pure step -> encode` over `wm_ros` and
+//! `wm_bag`.
 
 pub mod ending;
 pub mod keyboard;

@@ -1,11 +1,11 @@
-//! The player node: a bag's messages at the times at which they were recorded, their bytes untouched.
+//! The player node: publishes a bag's messages with their recorded timing, their bytes unchanged.
 //!
-//! Two things can be added for the other nodes, computed by pure steps over the bag: the actions that are to come
-//! ([`chunks`]), which a policy would send on a robot, and the bag's last frame as goal for the planner ([`wm_camera::goal`]).
+//! It can add two things for the other nodes, computed by pure steps over the bag: the next actions ([`chunks`]), which
+//! a policy would send on a robot, and the bag's last frame as the planner's goal ([`wm_camera::goal`]).
 //!
-//! Time: with `restamp`, header stamps are moved from the bag's time to now ([`restamp`], [`playback`]), in place,
-//! so that latencies are those of live data; without it they stay, and `clock` publishes the bag's time on `/clock`
-//! for nodes with `use_sim_time`. Either way the messages keep their distances, divided by `rate`.
+//! Time: with `restamp`, header stamps are shifted from the bag's time to the present ([`restamp`], [`playback`]), in
+//! place, so that latencies are those of live data. Without it they are unchanged, and `clock` publishes the bag's time
+//! on `/clock` for nodes with `use_sim_time`. Either way the messages keep their intervals, divided by `rate`.
 //!
 //! Keys and the services of rosbag2's player pause it, change its rate and its place in the bag.
 //!

@@ -4,7 +4,7 @@
 //! /camera/image_raw: {reliability: best_effort, depth: 5}
 //! /map: {durability: transient_local, history: keep_all}
 //! ```
-//! What is left out is reliable, volatile, the last 10. Deadline, lifespan and liveliness are read and not applied.
+//! The defaults are reliable, volatile, keep last 10. Deadline, lifespan and liveliness are read but not applied.
 
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -29,7 +29,7 @@ pub enum QosOverridesError {
     },
     /// It is no map of topics to profiles.
     #[error(
-        "QoS overrides {}: {reason}; expected topics, each with some of reliability (reliable, best_effort), durability \
+        "QoS overrides {}: {reason}; expected topics, each with any of reliability (reliable, best_effort), durability \
          (volatile, transient_local), history (keep_last, keep_all) and depth",
         path.display()
     )]

@@ -1,4 +1,4 @@
-//! What a bridge announces of its side as liveliness tokens, in the ros2dds bridge's spelling:
+//! What a bridge announces about its side as liveliness tokens, in the ros2dds bridge's spelling:
 //! `@/<zenoh id>/@ros2_lv/MP/<key>/<type>/<qos>` for a publisher, `MS` for a subscriber, and
 //! `@/<zenoh id>/@ros2_lv/SS/<key>/<type>` for a service's server, `SC` for a client; slashes within a part are `§`.
 //!
@@ -74,7 +74,7 @@ impl Announcement {
     /// Reads a token. Tokens of actions (`AS`, `AC`) are none of a topic or service.
     ///
     /// # Errors
-    /// The token is of another form.
+    /// The token has a different form.
     pub fn parse(token: &str) -> Result<Self, TokenError> {
         let refused = |expected| TokenError {
             token: token.to_owned(),
@@ -90,7 +90,7 @@ impl Announcement {
         };
         let qos = || {
             qos.and_then(parse_qos)
-                .ok_or_else(|| refused("a QoS as :1:0:0,10, of a topic without keys"))
+                .ok_or_else(|| refused("a QoS such as :1:0:0,10, for a topic without keys"))
         };
         let subject = match kind {
             "MP" => Subject::Publisher(qos()?),

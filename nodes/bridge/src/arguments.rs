@@ -18,7 +18,7 @@ use wm_ros::{ArgsError, NodeArgs};
 struct Cli {
     #[command(flatten)]
     network: NetworkArguments,
-    /// In front of this side's names on Zenoh: with /robot1, /wm/plan is robot1/wm/plan there [default: /]
+    /// Namespace of this side's names on Zenoh: with /robot1, /wm/plan is robot1/wm/plan there [default: /]
     #[arg(short, long, value_name = "NAMESPACE")]
     namespace: Option<String>,
     /// Carry only topics and services whose whole name matches (repeatable) [default: all]
@@ -27,13 +27,13 @@ struct Cli {
     /// Do not carry topics and services whose whole name matches (repeatable)
     #[arg(short, long, value_name = "REGEX")]
     deny: Vec<String>,
-    /// Send topics that match at most so often (repeatable); latched ones are not thinned out
+    /// Send matching topics at most at this rate (repeatable); latched topics are not rate-limited
     #[arg(long, value_name = "REGEX=HZ")]
     max_frequency: Vec<String>,
-    /// Send topics that match with this Zenoh priority, 1 real time .. 7 background (repeatable) [default: 5]
+    /// Send matching topics with this Zenoh priority, 1 (real time) to 7 (background) (repeatable) [default: 5]
     #[arg(long, value_name = "REGEX=PRIORITY[:express]")]
     priority: Vec<String>,
-    /// Wait so long for an answer from the other side [s, default: 5]
+    /// Timeout for an answer from the other side [s, default: 5]
     #[arg(long, value_name = "SECONDS")]
     queries_timeout: Option<f32>,
 }

@@ -1,4 +1,4 @@
-//! The bridge's process: joins both sides and keeps the routes as they are to be.
+//! The bridge's process: connects both sides and keeps the routes up to date.
 
 use crate::{
     arguments::Arguments,
@@ -39,7 +39,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
     let result = wm_ros::run("bridge", "/wm", &args, async move |node: Node| {
         node.seal_parameters()?;
         let carrying = handle.spawn(carry(node, config, settings));
-        carrying.await.context("the bridge broke down")?
+        carrying.await.context("the bridge failed")?
     });
     runtime.shutdown_timeout(GRACE);
     result
@@ -53,7 +53,7 @@ async fn carry(node: Node, config: zenoh::Config, settings: Settings) -> Result<
     };
     let own_id = session.zid().to_string();
     let others = Others::join(&session, node.participant()).await?;
-    tracing::info!("joined Zenoh as {own_id}");
+    tracing::info!("connected to Zenoh as {own_id}");
     let mut changes = node.graph_changes();
     let ends = Arc::new(Ends {
         node,
@@ -116,7 +116,8 @@ fn rival(own_id: &str, others: &[Presence], endpoints: &[RemoteEndpoint]) -> Opt
 fn warn_of_unmatched(settings: &Settings) {
     for pattern in settings.unmatched() {
         tracing::warn!(
-            "allow or deny \"{pattern}\" has matched no name so far; it has to match a whole name, as \".*/image.*\" does"
+            "allow or deny \"{pattern}\" has matched no name so far; it must match a whole name, like \".*/image.*\" \
+             does"
         );
     }
 }
@@ -130,7 +131,9 @@ fn report(node: &Node, rival: Option<&str>) {
             diagnostics.set_status(Level::Warn, text);
         }
         None => {
-            tracing::info!("no other bridge joins this domain to the network: carrying");
+            tracing::info!(
+                "no other bridge connects this domain to the network: this bridge is active"
+            );
             diagnostics.set_status(Level::Ok, "running");
         }
     }

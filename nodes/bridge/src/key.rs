@@ -13,7 +13,7 @@ pub struct Namespace {
 
 /// A text that is no namespace.
 #[derive(Debug, thiserror::Error)]
-#[error("`{0}` is no namespace: expected / or /name/name, of letters, digits and _")]
+#[error("`{0}` is not a namespace: expected / or /name/name, of letters, digits and _")]
 pub struct NamespaceError(String);
 
 impl FromStr for Namespace {

@@ -1,9 +1,9 @@
-//! Thins a stream out to a highest frequency.
+//! Limits a stream to a maximum frequency.
 
 use std::time::Duration;
 
-/// Admits at most so many samples a second: in any `t` seconds at most `t` x frequency + 2, and for a stream that is
-/// faster, as many as its frequency in the long run.
+/// Admits at most this many samples per second: in any `t` seconds at most `t` x frequency + 2, and for a stream that
+/// is faster, as many as its frequency in the long run.
 #[derive(Debug)]
 pub struct Limiter {
     period: Duration,
@@ -20,7 +20,7 @@ impl Limiter {
         }
     }
 
-    /// Whether a sample that comes `now` goes on. `now` counts from any fixed moment.
+    /// Whether a sample that arrives at `now` is sent. `now` counts from any fixed time.
     pub fn admits(&mut self, now: Duration) -> bool {
         if now < self.due {
             return false;

@@ -1,8 +1,8 @@
 //! The Zenoh side: the configuration and the session.
 //!
-//! Unlike Zenoh's own defaults, nothing is reached and nobody is let in that the user has not named: without `--listen`
-//! the bridge listens on this host only, or not at all where it connects somewhere, and it neither scouts by multicast
-//! nor connects to what others tell it of. What the configuration file sets, it keeps.
+//! Unlike Zenoh's own defaults, the bridge connects to nobody and admits nobody that the user has not named: without
+//! `--listen` it listens on this host only, or not at all if it connects somewhere. It neither scouts by
+//! multicast nor connects to addresses that others announce. Settings in the configuration file are kept.
 
 use crate::settings::Section;
 use anyhow::{Context as _, Result, anyhow};
@@ -31,14 +31,14 @@ const SAMPLE_QUEUES: [&str; 7] = [
     "transport/link/tx/queue/size/background",
 ];
 
-/// The bridge's place in the Zenoh network.
+/// The bridge's role in the Zenoh network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Mode {
-    /// Passes on what others exchange: the one that the others connect to
+    /// Forwards what others exchange; the others connect to it
     Router,
-    /// Exchanges with those that it is connected to
+    /// Exchanges only with those that it is connected to
     Peer,
-    /// Connects to one router or peer only
+    /// Connects to only one router or peer
     Client,
 }
 
@@ -55,10 +55,10 @@ impl Mode {
 /// Where the bridge connects and listens.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct NetworkArguments {
-    /// Zenoh's configuration file (JSON5): TLS, access control, endpoints; what is carried from plugins/ros2dds
+    /// Zenoh's configuration file (JSON5): TLS, access control, endpoints, and the section plugins/ros2dds
     #[arg(short, long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The place in the Zenoh network [default: router]
+    /// Role in the Zenoh network [default: router]
     #[arg(short, long)]
     mode: Option<Mode>,
     /// Connect here, for example tcp/robot.local:7447 or tls/10.0.0.7:7447 (repeatable)
@@ -68,7 +68,7 @@ pub struct NetworkArguments {
     /// --connect]
     #[arg(short, long, value_name = "ENDPOINT")]
     listen: Vec<String>,
-    /// Look for other Zenoh nodes by multicast, and be found
+    /// Discover other Zenoh nodes by multicast, and be discovered
     #[arg(long)]
     scout: bool,
 }

@@ -88,7 +88,7 @@ impl Tokens {
             SampleKind::Put if alive.len() >= MOST || token.len() > LONGEST => {
                 if self.refused.fetch_add(1, Ordering::Relaxed) == 0 {
                     tracing::warn!(
-                        "announcements beyond {MOST}, or of more than {LONGEST} bytes, are not heeded"
+                        "announcements beyond {MOST}, or of more than {LONGEST} bytes, are ignored"
                     );
                 }
             }

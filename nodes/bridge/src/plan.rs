@@ -1,4 +1,4 @@
-//! Which routes there are to be: a pure function of what this side's nodes do, and what the other bridges announce.
+//! Which routes are needed: a pure function of what this side's nodes do, and what the other bridges announce.
 
 use crate::{
     announcement::{Announcement, MAX_DEPTH, Subject},

@@ -1,4 +1,4 @@
-//! The routes that there are.
+//! The active routes.
 
 mod called;
 mod incoming;

@@ -322,7 +322,7 @@ fn period(rule: &str) -> Result<(Regex, Duration), SettingsError> {
 fn precedence(rule: &str) -> Result<(Regex, Precedence), SettingsError> {
     let refused = || SettingsError::Rule {
         rule: rule.to_owned(),
-        expected: "REGEX=NUMBER[:express], from 1 (real time) by 5 (data) to 7 (background)",
+        expected: "REGEX=NUMBER[:express], from 1 (real time) to 7 (background); 5 is the default",
     };
     let (names, value) = rule.rsplit_once('=').ok_or_else(refused)?;
     let (number, is_express) = match value.strip_suffix(":express") {

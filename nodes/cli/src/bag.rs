@@ -20,23 +20,23 @@ use wm_bag_nodes::ending::Ending;
 /// Bags.
 #[derive(Debug, Subcommand)]
 pub enum BagCommand {
-    /// Publish a bag's messages at their times
+    /// Publish the messages of a bag with their recorded timing
     Play(play::PlayCommand),
     /// Record topics into a new bag
     Record(record::RecordCommand),
-    /// Show what a bag holds
+    /// Show the contents of a bag
     Info {
-        /// The bag's folder, or one .mcap file
+        /// Folder of the bag, or a single .mcap file
         bag: PathBuf,
     },
-    /// Make a sound bag of one that is cut off or damaged
+    /// Repair a truncated or damaged bag
     Recover(recover::RecoverCommand),
-    /// Write a part of a bag: a time, some topics
+    /// Write part of a bag, selected by time and topics
     Cut(cut::CutCommand),
-    /// Make bags of a data set: Bridge V2, DROID, LeRobot (the program wm-datasets)
+    /// Convert a data set to bags: Bridge V2, DROID, LeRobot (runs wm-datasets)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Import(external::Arguments),
-    /// Make a data set of bags: LeRobot (the program wm-datasets)
+    /// Convert bags to a data set: LeRobot (runs wm-datasets)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Export(external::Arguments),
 }

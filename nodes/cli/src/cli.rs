@@ -10,7 +10,7 @@ use wm_ros::ArgsError;
 /// Where the arguments for ROS begin.
 const ROS_ARGS: &str = "--ros-args";
 
-/// ROS 2 nodes that predict what a camera will see next for the actions that a robot takes, and plan with it.
+/// ROS 2 nodes that predict what a camera will see next, given a robot's actions, and that plan actions.
 #[derive(Debug, Parser)]
 #[command(name = "wm", version, propagate_version = true)]
 #[command(
@@ -30,21 +30,21 @@ enum Subcommands {
     /// Play, record, inspect, recover, cut, import and export bags
     #[command(subcommand)]
     Bag(Box<bag::BagCommand>),
-    /// Make bags with a simulated arm on a tabletop (the program wm-training)
+    /// Make bags with a simulated arm on a tabletop (runs wm-training)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Sim(external::Arguments),
-    /// Train the models from bags (the program wm-training)
+    /// Train models from bags (runs wm-training)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Train(external::Arguments),
-    /// Measure models on bags that they were not trained on (the program wm-training)
+    /// Evaluate models on held-out bags (runs wm-training)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Eval(external::Arguments),
-    /// Check, convert and run published models of other sizes
+    /// Check, convert, download and run published models
     #[command(subcommand)]
     Model(model::ModelCommand),
-    /// Score a recorded bag: its predictions against its frames
+    /// Score a recorded bag: compare its predictions with its frames
     Report(report::ReportCommand),
-    /// Carry topics and services to other machines over Zenoh (the program wm-bridge)
+    /// Carry topics and services to other machines over Zenoh (runs wm-bridge)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bridge(external::Arguments),
     #[command(flatten)]
@@ -81,7 +81,7 @@ pub fn parse() -> Command {
     if !ros_args.is_empty() && !command.takes_ros_args() {
         let error = clap::Error::raw(
             clap::error::ErrorKind::UnknownArgument,
-            format!("this command takes no {ROS_ARGS}: it is no node\n"),
+            format!("this command takes no {ROS_ARGS}: it is not a node\n"),
         );
         error.exit();
     }

@@ -1,5 +1,5 @@
-//! Commands that are programs of their own, since what they link would make the build of `wm` long: `wm bridge` is the
-//! program `wm-bridge`, as git and cargo have it.
+//! Commands that are separate programs, because what they link would make the build of `wm` long: `wm bridge` runs the
+//! program `wm-bridge`, as git and cargo do.
 
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
@@ -13,7 +13,7 @@ use std::{
 /// What a program of its own takes, unread.
 #[derive(Args, Debug)]
 pub struct Arguments {
-    /// As `--help` says, once the program is built
+    /// Arguments of the program; its `--help` lists them once it is built
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     own: Vec<OsString>,
 }
@@ -43,7 +43,7 @@ fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitC
     let Some(found) = find(program, folders.chain(std::env::split_paths(&path))) else {
         let package = program.replace('-', "_");
         bail!(
-            "the program {program} is neither beside {} nor on the PATH; build it with\n    \
+            "the program {program} was found neither next to {} nor on the PATH; build it with\n    \
              cargo build --release -p {package}",
             beside.display()
         );

@@ -22,10 +22,10 @@ pub struct LaunchCommand {
     /// Launch arguments
     #[arg(value_name = "NAME:=VALUE", value_parser = parse_argument)]
     arguments: Vec<(String, String)>,
-    /// Show the launch file's arguments
+    /// Show the arguments of the launch file
     #[arg(short = 's', long)]
     show_args: bool,
-    /// Show the command lines that would be started
+    /// Show the command lines that would be run
     #[arg(short = 'p', long, conflicts_with = "show_args")]
     print_description: bool,
 }

@@ -15,11 +15,11 @@ use std::process::ExitCode;
 /// The model library.
 #[derive(Debug, Subcommand)]
 pub enum ModelCommand {
-    /// Parameters and operations of the paper's systems, counted from the models as they are built
+    /// Count parameters and operations of the paper's systems on the built models
     Info(info::InfoCommand),
-    /// Load a model as the nodes do, run it once, and say what it is or what is wrong with it
+    /// Load a model as the nodes do, run it once, and report what it is or what is wrong
     Check(check::CheckCommand),
-    /// Run a model on the tensors of a file
+    /// Run a model on the tensors in a file
     Forward(forward::ForwardCommand),
     /// Predict frames with a transition model
     Rollout(rollout::RolloutCommand),

@@ -75,13 +75,13 @@ fn arguments(help: &'static str) -> Arg {
 fn command(definition: &Definition) -> Command {
     let print_params = Arg::new(PRINT_PARAMS)
         .long(PRINT_PARAMS)
-        .help("Print an annotated parameter file with the defaults, and end")
+        .help("Print an annotated parameter file with the defaults, and exit")
         .action(ArgAction::SetTrue);
     Command::new(definition.name)
         .about(format!("{} (node)", definition.about.trim_end_matches('.')))
         .arg(print_params)
         .arg(arguments(
-            "The node's own arguments, for example --interface lo; parameters go after --ros-args",
+            "Arguments of the node, for example --interface lo; parameters go after --ros-args",
         ))
         .after_help(definition.help())
 }
@@ -101,12 +101,12 @@ impl Subcommand for NodeCommand {
             parent = parent.subcommand(command(definition));
         }
         let together = Command::new(TOGETHER)
-            .about("Run several nodes in one process, where messages between them stay in memory")
-            .arg(arguments("The nodes, and --interface").required(true))
+            .about("Run several nodes in one process, which hand messages over in memory")
+            .arg(arguments("Names of the nodes, and --interface").required(true))
             .after_help(format!("Nodes: {}", composable()));
         let topics = Arg::new(TOPICS)
             .long(TOPICS)
-            .help("List their topics and services, with types and QoS, as a Markdown table")
+            .help("List topics and services of the nodes, with types and QoS, as a Markdown table")
             .action(ArgAction::SetTrue);
         let list = Command::new(LIST).about("List the nodes").arg(topics);
         parent.subcommand(together).subcommand(list)

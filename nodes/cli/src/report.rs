@@ -11,7 +11,7 @@ use wm_report::{files::write_report, score_bag, table::terminal_table};
 /// Scores a recorded bag.
 #[derive(Args, Debug)]
 pub struct ReportCommand {
-    /// Bag with camera frames and predictions: its folder, or one .mcap file
+    /// Bag with camera frames and predictions: its folder, or a single .mcap file
     bag: PathBuf,
     /// Folder for report.json, report.md and strip.png
     #[arg(short, long, value_name = "DIR")]
@@ -28,11 +28,11 @@ impl ReportCommand {
             print(format_args!("{}\n", file.display()))?;
         }
         for (topic, (count, reason)) in &unreadable {
-            eprintln!("wm: {topic}: {count} message(s) left out, the first: {reason}");
+            eprintln!("wm: {topic}: {count} message(s) ignored, the first because: {reason}");
         }
         ensure!(
             report.frames > 0,
-            "no frame of the bag's camera could be read: nothing was compared"
+            "no frame of the bag's camera could be read, so nothing was compared"
         );
         ensure!(
             !scorer.is_without_predictions(),

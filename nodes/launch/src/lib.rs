@@ -1,13 +1,12 @@
-//! `wm launch`: starts the nodes of a launch file as processes, passes their parameters, carries their logs to one
+//! `wm launch`: starts the nodes of a launch file as processes, passes their parameters, shows their logs on one
 //! screen, and stops them all together.
 //!
-//! Launch files are in ROS 2's own YAML launch format, so that the real `ros2 launch` reads them too. Known
-//! actions: `arg`, `let`, `set_env`, `unset_env`, `push_ros_namespace`, `group`, `include`, `node`, `executable`,
-//! each with `if` and `unless`; substitutions: `var`, `env`, `dirname`, `filename`, `find-pkg-share`,
-//! `find-pkg-prefix`, `equals`, `not-equals`, `not`, `and`, `or`. Anything else is an error that names it: nothing
-//! is skipped silently. A `node` of the package `wm_nodes` is this very program; other packages are looked up in
-//! `AMENT_PREFIX_PATH`. Relative paths mean the working directory, as for `ros2 launch`; `$(dirname)` is the
-//! launch file's folder.
+//! Launch files are in ROS 2's own YAML launch format, so that the real `ros2 launch` reads them too. Known actions:
+//! `arg`, `let`, `set_env`, `unset_env`, `push_ros_namespace`, `group`, `include`, `node`, `executable`, each with `if`
+//! and `unless`; substitutions: `var`, `env`, `dirname`, `filename`, `find-pkg-share`, `find-pkg-prefix`, `equals`,
+//! `not-equals`, `not`, `and`, `or`. Anything else is an error that names it; nothing is skipped silently. A `node` of
+//! the package `wm_nodes` is this very program; other packages are looked up in `AMENT_PREFIX_PATH`. Relative paths
+//! mean the working directory, as for `ros2 launch`; `$(dirname)` is the launch file's folder.
 //!
 //! In layers, of which only the last touches a process: [`substitution`] and [`mod@file`] read, [`plan`] resolves into
 //! complete command lines, [`supervisor`] decides when to start and stop, [`console`] lays out lines, [`runner`]

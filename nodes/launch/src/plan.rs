@@ -1,4 +1,4 @@
-//! From a launch file to the processes that it asks for: arguments, conditions, groups and substitutions resolved,
+//! From a launch file to the processes that it describes: arguments, conditions, groups and substitutions resolved,
 //! command lines complete. Nothing is started here.
 
 mod process;
@@ -329,7 +329,7 @@ fn argument_value(argument: &Argument, site: &Site<'_>) -> Result<String, Launch
     };
     if !argument.choices.is_empty() && !argument.choices.contains(&value) {
         return Err(site.error(format!(
-            "launch argument {:?} is {value:?}; it may be: {}",
+            "launch argument {:?} is {value:?}; expected one of: {}",
             argument.name,
             argument.choices.join(", ")
         )));

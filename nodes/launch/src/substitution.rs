@@ -60,7 +60,7 @@ pub enum SubstitutionError {
         name: String,
     },
     /// `$(env X)` without a default where X is not set.
-    #[error("environment variable {name:?} is not set and $(env {name}) gives no default")]
+    #[error("environment variable {name:?} is not set and $(env {name}) has no default")]
     Environment {
         /// The variable.
         name: String,

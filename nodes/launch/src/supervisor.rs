@@ -1,4 +1,4 @@
-//! When to start, stop and give up processes: the launcher's decisions, without processes, clock or signals.
+//! When to start, stop and give up on processes: the launcher's decisions, without processes, clock or signals.
 //!
 //! The runner reports [`Event`]s and carries out the [`Order`]s that come back. A stop begins with SIGINT to
 //! every process; one that is still there after its `sigterm_timeout` gets SIGTERM, and after its
@@ -46,7 +46,7 @@ pub enum Event {
     StopRequested,
 }
 
-/// How far the stop of one process has come; also what a timer was armed for.
+/// How far the shutdown of one process has got; also what a timer was armed for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Step {
     /// Not started, or waiting to be started again.
@@ -230,20 +230,20 @@ impl Supervisor {
                 state.restarts += 1;
                 state.step = Step::Waiting;
                 orders.push(Order::Say(format!(
-                    "{name} is started again (no. {})",
+                    "restarting {name} (no. {})",
                     state.restarts
                 )));
                 orders.push(Order::ArmTimer(index, Step::Waiting, respawn.delay));
                 return orders;
             }
             orders.push(Order::Say(format!(
-                "{name} is not started again: {} restart(s) used up",
+                "{name} is not restarted: all {} restart(s) are used up",
                 state.restarts
             )));
         }
         if process.ends_launch {
             orders.push(Order::Say(format!(
-                "{name} has ended, and with it the launch: stopping the others"
+                "{name} has ended and ends the launch: stopping the others"
             )));
             orders.extend(self.stop());
         }
@@ -296,7 +296,7 @@ impl Supervisor {
                 state.step = Step::Terminated;
                 vec![
                     Order::Say(format!(
-                        "{} goes on after SIGINT: sending SIGTERM",
+                        "{} is still running after SIGINT: sending SIGTERM",
                         process.name
                     )),
                     Order::Send(index, StopSignal::Terminate),
@@ -307,7 +307,7 @@ impl Supervisor {
                 state.step = Step::Killed;
                 vec![
                     Order::Say(format!(
-                        "{} goes on after SIGTERM: sending SIGKILL",
+                        "{} is still running after SIGTERM: sending SIGKILL",
                         process.name
                     )),
                     Order::Send(index, StopSignal::Kill),

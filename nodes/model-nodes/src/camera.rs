@@ -10,11 +10,11 @@ use wm_ros::PublisherId;
 
 use crate::history::Reception;
 
-/// A frame of another camera.
+/// A frame of a different camera.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
-    "frame of camera \"{frame_id}\"{}, but this node follows camera \"{expected}\": give each camera an encoder and a \
-     predictor in a namespace of their own (--ros-args -r __ns:=/wm/CAMERA)",
+    "frame of camera \"{frame_id}\"{}, but this node follows camera \"{expected}\": run an encoder and a predictor for \
+     each camera in a separate namespace (--ros-args -r __ns:=/wm/CAMERA)",
     if *.is_other_publisher { " from another publisher" } else { "" }
 )]
 pub struct WrongCamera {
@@ -42,8 +42,8 @@ pub(crate) enum Source {
     Latents,
 }
 
-/// The camera that a node's frames come from: its optical frame, and its publisher on each topic. Frames of two cameras in
-/// one context would be neither's picture, so all others are refused for as long as this one goes on.
+/// The camera that a node's frames come from: its optical frame, and its publisher on each topic. Frames of two cameras
+/// in one context would be neither's picture, so all others are refused for as long as this one publishes.
 #[derive(Clone, Debug)]
 pub(crate) struct Camera {
     frame_id: Arc<str>,
@@ -64,7 +64,7 @@ impl Camera {
     /// `silence`.
     ///
     /// # Errors
-    /// [`WrongCamera`] where this camera goes on.
+    /// [`WrongCamera`] if this camera is still publishing.
     pub fn admit(
         &mut self,
         frame_id: &str,

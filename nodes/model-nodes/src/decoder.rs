@@ -1,6 +1,7 @@
 //! The decoder node: predicted latents in, pictures out.
 //!
-//! [`DecoderStep`] is the node without its wires. A picture has the stamp of its prediction: the time that is predicted.
+//! [`DecoderStep`] is the node without its ROS interface. A picture has the stamp of its prediction: the predicted
+//! time.
 
 mod node;
 mod rollouts;

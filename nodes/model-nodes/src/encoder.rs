@@ -1,7 +1,7 @@
 //! The encoder node: camera images in, latents out.
 //!
-//! [`EncoderStep`] is the node without its wires. `/camera/image_raw` and its `/compressed` sibling carry the same
-//! frames; the node takes either, and of a frame that comes by both ways only the first.
+//! [`EncoderStep`] is the node without its ROS interface. `/camera/image_raw` and its `/compressed` sibling carry the
+//! same frames; the node takes either, and if a frame arrives on both, only the first.
 
 mod node;
 mod repeats;

@@ -1,8 +1,8 @@
 //! The env node: the world model itself is the environment. Actions in, predicted camera images out.
 //!
-//! [`Env`] is the node without its wires: episodes are [reset](Env::reset) and take [steps](Env::step) in gymnasium's
-//! sense (<https://gymnasium.farama.org/api/env/>), several side by side in one batch of the transition model. One step
-//! is one model step. The same start, calls and seed give the same images, alone or in a batch.
+//! [`Env`] is the node without its ROS interface: episodes are [reset](Env::reset) and take [steps](Env::step) in
+//! gymnasium's sense (<https://gymnasium.farama.org/api/env/>), several side by side in one batch of the transition
+//! model. One step is one model step. The same start, calls and seed give the same images, alone or in a batch.
 //!
 //! Each episode starts from real frames; from then on the model sees only what it predicted itself (the closed loop of
 //! the paper's policy evaluation, 50 steps an episode), in the sampler's sliding window. An episode that has a single

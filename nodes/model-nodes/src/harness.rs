@@ -1,5 +1,5 @@
-//! What all nodes that compute with the world model have in common: the lifecycle, the parameter `model`, loading it
-//! off the message loop, and the endpoints, which live from configure to cleanup. A node adds a [`ModelNode`].
+//! What all nodes that compute with the world model have in common: the lifecycle, the parameter `model`, loading the
+//! model off the message loop, and the endpoints, which exist from configure to cleanup. A node adds a [`ModelNode`].
 //!
 //! ```no_run
 //! use wm_model_nodes::harness::{self, Configured, ModelNode};
@@ -89,7 +89,7 @@ pub trait ModelNode: Sized + 'static {
     /// What it loads when it is configured, and keeps until cleanup.
     type Model: Send + 'static;
 
-    /// Refuses parameters that do not go together, before anything else is done.
+    /// Refuses inconsistent parameters, before anything else is done.
     ///
     /// # Errors
     /// Names them.
@@ -97,22 +97,22 @@ pub trait ModelNode: Sized + 'static {
         Ok(())
     }
 
-    /// Loads what it needs of the model. Runs on a thread of its own.
+    /// Loads the parts of the model that it needs. Runs on a separate thread.
     ///
     /// # Errors
     /// Names what is missing or wrong.
     fn load(model: ModelFolder, parameters: &Self::Parameters) -> Result<Self::Model>;
 
-    /// Begins anew, with no history.
+    /// Starts with an empty history.
     ///
     /// # Errors
-    /// Whatever keeps it from that; the node stays inactive.
+    /// Whatever prevents that; the node stays inactive.
     fn activate(at: &Configured<Self>) -> Result<Self>;
 
-    /// Works until the shutdown, at which every `recv` gives `None`. Deactivating drops this future where it waits.
+    /// Runs until the shutdown, at which every `recv` returns `None`. Deactivating drops this future where it waits.
     ///
     /// # Errors
-    /// What it cannot go on after: the node ends with it. Bad input is no such thing.
+    /// An error after which the node cannot continue, and with which it ends. Bad input is not such an error.
     fn run(&mut self, at: &mut Configured<Self>) -> impl Future<Output = Result<()>>;
 }
 
@@ -129,9 +129,9 @@ pub struct Configured<N: ModelNode> {
 }
 
 wm_ros::parameters! {
-    /// What every node of this kind has.
+    /// The parameter that every node of this kind has.
     struct Common {
-        /// World model: tiny (embedded), or a folder of weights.
+        /// World model: tiny (embedded), or the path of a model folder.
         model: String = EMBEDDED;
     }
 }
@@ -165,10 +165,10 @@ fn component<N: ModelNode>() -> Component<anyhow::Error> {
     Component::new(N::NAME, body::<N>)
 }
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body<N: ModelNode>(node: Node) -> Result<()> {
     let lifecycle = Lifecycle::new(&node)?;
     let common = Common::declare(&node)?;

@@ -1,14 +1,13 @@
-//! What was observed and done, aligned in time: the one picture of the moment that predictor, planner, evaluator and env
-//! share.
+//! What was observed and done, aligned in time: the view of the present that predictor, planner, evaluator and env use.
 //!
 //! Latents, actions and chunks arrive each with a stamp; the transition model counts in model steps of several camera
 //! frames. A [`History`] holds the last few of all of them and answers with a [`Moment`] (the context of the newest
 //! frame) and what happens in the steps after it ([`History::future`]), by stamps alone. It knows no clock and no
 //! topic: the same messages give the same moments.
 //!
-//! A history is of one camera, one latent space and one stretch of time, its *epoch*. Where time jumps (a bag that loops,
-//! a simulation that restarts, a camera that was away), and where somebody asks for it, a new epoch begins and all frames
-//! are forgotten. One odd stamp is no jump: time has jumped when two frames in a row say so.
+//! A history belongs to one camera, one latent space and one *epoch*. Where time jumps (a bag that loops, a simulation
+//! that restarts, a camera that was away), and where somebody asks for it, a new epoch begins and all frames are
+//! forgotten. One odd stamp is no jump: time has jumped when two frames in a row say so.
 
 mod error;
 mod frames;
@@ -53,7 +52,7 @@ use held_back::HeldBack;
 const FAR_AHEAD_NS: i64 = 60_000_000_000;
 /// Clocks of machines that are not synchronised well differ by less \[ns\].
 const CLOCKS_DIFFER_NS: i64 = 10_000_000_000;
-/// A camera that is silent for so many frame periods, and at least a second, may be replaced by another.
+/// A camera that is silent for this many frame periods, and at least a second, may be replaced by another.
 const SILENT_FRAMES: u32 = 5;
 
 /// What can be chosen of a history.
@@ -100,8 +99,8 @@ impl std::fmt::Display for LateChunk {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "action chunk of {} had ended {:.1} s before the newest frame, that of {}, when it came: stamp it with the stamp \
-             of the image that it answers",
+            "action chunk of {} had ended {:.1} s before the newest frame, that of {}, when it arrived: stamp it with \
+             the stamp of the image that it answers",
             seconds_of(self.stamp_ns),
             (self.newest_ns.saturating_sub(self.end_ns)) as f64 / 1e9,
             seconds_of(self.newest_ns)
@@ -174,8 +173,7 @@ impl History {
         &self.encoding
     }
 
-    /// The stretch of time that the history is of. Later ones have greater numbers: what was computed of an earlier one
-    /// is of the past.
+    /// The epoch of the history. Later epochs have greater numbers; results of an earlier epoch are out of date.
     pub fn epoch(&self) -> u64 {
         self.epoch
     }
@@ -183,7 +181,7 @@ impl History {
     /// Takes a latent.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out, and the history is as before.
+    /// [`HistoryError`]: it is dropped, and the history does not change.
     pub fn latent(
         &mut self,
         latent: &Latent,
@@ -297,7 +295,7 @@ impl History {
     /// Takes an action that the robot took; one of the same stamp replaces the earlier one.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out.
+    /// [`HistoryError`]: it is dropped.
     pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
         let stamp_ns = stamp_of("action", action.header.stamp, now)?;
         let values = self.parse(action, || "action".into())?;
@@ -320,7 +318,7 @@ impl History {
     /// Takes the actions to come; they replace what was announced before for the same time, or are merged with it.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out, the one before stays.
+    /// [`HistoryError`]: it is dropped, and the previous one stays.
     pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Arrival, HistoryError> {
         let stamp_ns = stamp_of("action chunk", chunk.header.stamp, now)?;
         self.expect_near("action chunk", stamp_ns)?;
@@ -447,7 +445,7 @@ impl History {
     }
 
     /// What happens in the model steps after the newest frame: what was taken or is announced, and beyond that the last
-    /// action goes on.
+    /// action is held.
     ///
     /// # Errors
     /// [`Wait`] says what is missing.

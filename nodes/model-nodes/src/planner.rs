@@ -1,8 +1,8 @@
 //! The planner node: a goal image, latents and actions in, plans out.
 //!
-//! [`PlannerStep`] is the node's state without its wires: it keeps the goal's latent and the observed history, and says
-//! when and from what to plan ([`PlanRequest`]). [`PlannerModel::plan`] computes a request by the cross-entropy method
-//! over the transition model, which this node holds itself: candidates never cross a topic.
+//! [`PlannerStep`] is the node's state without its ROS interface: it keeps the goal's latent and the observed history,
+//! and says when and from what to plan ([`PlanRequest`]). [`PlannerModel::plan`] computes a request by the
+//! cross-entropy method over the transition model, which this node holds itself: candidates never cross a topic.
 
 mod error;
 mod goal;

@@ -1,4 +1,4 @@
-//! Threads on which a node computes what may come later than what others compute, be they in its process or not.
+//! Threads of lower priority, for work that may finish later than the work of other nodes in or outside this process.
 
 use std::sync::Arc;
 
@@ -20,7 +20,9 @@ impl Pool {
             .start_handler(move |_| {
                 // Linux has a priority for each thread, where POSIX has one for the process.
                 if let Err(error) = rustix::process::nice(nice) {
-                    tracing::warn!("computing at the usual priority: {error}");
+                    tracing::warn!(
+                        "cannot lower the priority; computing at the usual priority: {error}"
+                    );
                 }
             })
             .build()

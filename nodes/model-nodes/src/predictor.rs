@@ -1,9 +1,10 @@
-//! The predictor node: latents and actions in, predicted latents out, one step a message.
+//! The predictor node: latents and actions in, predicted latents out, one message per step.
 //!
-//! [`PredictorStep`] is the node's state without its wires: it aligns frames and actions, says when and from what to
-//! roll out ([`RolloutRequest`]), and scores predictions whose moment has come. [`RunningRollout`] computes a request,
-//! one [`wm_msgs::wm_msgs::Prediction`] after another, so that the first is sent while the last is still to come. Both
-//! are deterministic: the same messages with the same stamps give the same predictions.
+//! [`PredictorStep`] is the node's state without its ROS interface: it aligns frames and actions, says when and from
+//! what to roll out ([`RolloutRequest`]), and scores predictions when the frame of the predicted time arrives.
+//! [`RunningRollout`] computes a request, one [`wm_msgs::wm_msgs::Prediction`] after another, so that the first is sent
+//! while the last is still to come. Both are deterministic: the same messages with the same stamps give the same
+//! predictions.
 
 mod error;
 mod node;

@@ -1,8 +1,8 @@
-//! Heavy computation beside a node's message loop.
+//! Heavy computation off a node's message loop.
 //!
-//! A [`Work`] runs one job at a time on a blocking thread and lets a bounded number wait. When one more comes, the
-//! oldest that waits is given back to be counted as a drop (`DropOldest`): a node that is too slow falls behind by
-//! leaving frames out, not by growing late. A job learns from [`Stop`] that nobody waits for it any more.
+//! A [`Work`] runs one job at a time on a blocking thread and lets a bounded number wait. When one more arrives, the
+//! oldest waiting job is returned and counted as a drop (drop-oldest): a node that is too slow drops frames instead of
+//! falling further and further behind. [`Stop`] tells a job that its result is no longer needed.
 
 use std::{
     collections::VecDeque,
@@ -61,7 +61,7 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
         self
     }
 
-    /// Starts a job, or lets it wait; gives back the oldest waiting one where there is no room. Within a tokio runtime.
+    /// Starts a job, or queues it; returns the oldest waiting job if the queue is full. Within a tokio runtime.
     #[must_use = "a job that is given back will never run: count it"]
     pub fn submit(&mut self, job: T) -> Option<T> {
         if self.running.is_none() {

@@ -332,7 +332,7 @@ async fn goal_before_any_frame(world: &mut World) {
             if status.iter().any(|status| {
                 status
                     .message
-                    .contains("a goal is set, but no frame has come yet")
+                    .contains("a goal is set, but no frame has arrived yet")
             }) {
                 return;
             }

@@ -1,4 +1,4 @@
-//! A recorded bag scored as if it were live: log times stand for the times of arrival.
+//! Scores a recorded bag as if it were live: log times stand for arrival times.
 
 use super::Scorer;
 use anyhow::{Context as _, Result, bail};
@@ -53,7 +53,7 @@ impl BagTopics {
             diagnostics: "/diagnostics".to_owned(),
         };
         if reader.message_count() == 0 {
-            bail!("the bag has no message that can be read");
+            bail!("the bag has no readable messages");
         }
         for needed in [&topics.camera, &topics.predicted] {
             if reader.topic(needed).is_none() {

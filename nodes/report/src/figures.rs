@@ -30,7 +30,8 @@ pub struct Report {
 }
 
 impl Report {
-    /// Why the predictions are not to be trusted, where the last frame held still is as close to what came one step ahead.
+    /// Why the predictions are not to be trusted, where the persistence baseline is as close to what came one step
+    /// ahead.
     #[must_use]
     pub fn doubt(&self) -> Option<String> {
         let first = self.steps.iter().find(|step| step.step == 1)?;
@@ -47,8 +48,8 @@ impl Report {
             (None, None) => return None,
         };
         Some(format!(
-            "The predictions are no better than the last frame held still ({why}): the model may not know such pictures, or the \
-             actions are not this robot's."
+            "The predictions are no better than the persistence baseline, the last frame repeated ({why}): the model \
+             may not be trained on such pictures, or the actions may not be this robot's."
         ))
     }
 
@@ -62,11 +63,11 @@ impl Report {
         } = self;
         match frame_rate_hz {
             rate if *rate > 0.0 => format!(
-                "{frames} frames came at {rate:.2} Hz; predictor and planner expect one every \"frame_period\" (0.2 s by \
-                 default): set that parameter of both to {:.3} s where the camera is slower",
+                "{frames} frames arrived at {rate:.2} Hz; predictor and planner expect one every \"frame_period\" (0.2 \
+                 s by default): if the camera is slower, set that parameter of both to {:.3} s",
                 1.0 / rate
             ),
-            _ => format!("{frames} frame(s) came"),
+            _ => format!("{frames} frame(s) arrived"),
         }
     }
 }
@@ -87,9 +88,9 @@ pub struct StepFigures {
     pub psnr_db: Option<f64>,
     /// Mean SSIM of the predicted pictures.
     pub ssim: Option<f64>,
-    /// The same PSNR of the last observed frame held still \[dB\].
+    /// The same PSNR of the last observed frame, repeated \[dB\].
     pub persistence_psnr_db: Option<f64>,
-    /// The same SSIM of the last observed frame held still.
+    /// The same SSIM of the last observed frame, repeated.
     pub persistence_ssim: Option<f64>,
     /// Mean latent squared error of the predictions over that of persistence: below 1 the model beats standing still.
     pub latent_error_ratio: Option<f64>,

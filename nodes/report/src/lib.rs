@@ -1,11 +1,11 @@
-//! How well the predictions came true: scores, tables and a picture strip, live or from a recorded bag.
+//! How well the predictions matched the camera: scores, tables and a picture strip, live or from a recorded bag.
 //!
 //! A [`Scorer`] takes frames, predictions, their pictures and errors as they come, matches them by stamp, and keeps
 //! sums, histograms and one rollout to show: its memory does not grow with time. [`Report`] is what comes out, as
 //! JSON, Markdown and a table for the terminal ([`files`]), with the picture strip ([`strip`]).
 //!
 //! What is compared: the decoded prediction of a moment with the camera's frame of that moment, at the prediction's
-//! resolution; and, as baseline, the last observed frame held still ("persistence") with that same frame.
+//! resolution; and, as baseline, the last observed frame, repeated ("persistence") with that same frame.
 //!
 //! Not here: topics and DDS (the node [`monitor`] alone), metrics themselves (`wm_model::metrics`).
 

@@ -1,7 +1,7 @@
-//! The monitor node: what is happening in one live line, and at the end how well the predictions came true.
+//! The monitor node: shows a live status line, and reports at the end how well the predictions matched the camera.
 //!
-//! It matches and scores with this crate; here are the wires and the live line. The report is written when the
-//! node is stopped, however that comes.
+//! It matches and scores with this crate; here are the wires and the live line. The report is written when the node
+//! stops, for whatever reason.
 
 mod live_line;
 mod node;

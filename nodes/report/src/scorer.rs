@@ -29,7 +29,7 @@ const WAITING_LIMIT: usize = 512;
 /// Rollouts of which it is known that they have pictures: more than are decoded within one.
 const PICTURED_LIMIT: usize = 64;
 
-/// Steps of a rollout that are told apart.
+/// Steps of a rollout that are distinguished.
 const STEP_LIMIT: u32 = 64;
 
 /// A stamp this far from the newest means that time jumped \[ns\].
@@ -329,7 +329,7 @@ impl Scorer {
         }
     }
 
-    /// Compares a picture with the frame of its moment, or waits for that frame.
+    /// Compares a picture with the frame of the same time, or waits for that frame.
     fn compare_or_wait(&mut self, waiting: Waiting) {
         let prediction = waiting.prediction;
         // a stamp that is off by an eighth of a step is still that moment; the next frame is further away

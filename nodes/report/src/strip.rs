@@ -16,16 +16,16 @@ const DIFFERENCE_GAIN: u16 = 2;
 
 /// What the rows of figures at the foot are.
 const LEGEND: [&str; 2] = [
-    "PSNR: of predicted against real",
-    "held: the same of the last observed frame held still, as if nothing moved",
+    "PSNR: predicted against real",
+    "held: the same for the last observed frame, repeated (persistence)",
 ];
 
 const BACKGROUND: Rgb<u8> = Rgb([24, 24, 28]);
 const BLANK: Rgb<u8> = Rgb([40, 40, 46]);
 const INK: Rgb<u8> = Rgb([230, 230, 230]);
 
-/// Rows real, predicted, difference; columns the observation and every step that was seen, with the PSNR of the prediction and of
-/// the observation held still, and what these are. `period_s` is the time of a step.
+/// Rows real, predicted, difference; columns the observation and every step that was seen, with the PSNR of the
+/// prediction and of the persistence baseline, and what these are. `period_s` is the time of a step.
 #[must_use]
 pub fn picture_strip(rollout: &ShownRollout, period_s: f64) -> RgbImage {
     let scale = LEAST_SIDE.div_ceil(rollout.observed.width().max(1)).max(1);

@@ -119,12 +119,12 @@ fn remarks(report: &Report, bullet: &str) -> String {
         // writing to a String cannot fail
         writeln!(text, "{bullet}{line}").ok();
     };
-    add("n: pictures compared with the frame of their moment; held: the last observed frame held still; latent \
-         ratio: latent error of the model over that of holding still; ms: capture of the observed frame to the \
-         prediction's arrival"
+    add("n: pictures compared with the frame of the same time; held: the persistence baseline, which repeats the last \
+         observed frame; latent ratio: latent error of the model over that of the persistence baseline; ms: from the \
+         capture of the observed frame to the arrival of the prediction"
         .to_owned());
     if !is_compared(report) {
-        add("nothing was compared: no predicted picture has a frame of its moment; an env's bag has no predicted \
+        add("nothing was compared: no predicted picture has a frame of the same time; an env's bag has no predicted \
              pictures, since its frames are the predictions"
             .to_owned());
     }

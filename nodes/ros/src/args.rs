@@ -133,7 +133,7 @@ impl NodeArgs {
     /// The value given for a parameter of the node that has these defaults, before there is such a node.
     ///
     /// # Errors
-    /// The node's name is none, or the value is of another type.
+    /// The node's name is invalid, or the value has a different type.
     pub fn given<T: ParameterType>(
         &self,
         default_name: &str,

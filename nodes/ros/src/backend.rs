@@ -131,7 +131,7 @@ pub(crate) trait Backend: Send + Sync {
     fn seen(&self) -> Vec<Seen>;
     /// How many endpoints of others this one is connected to.
     fn matched(&self, endpoint: &EndpointId) -> usize;
-    /// How many of those are of another implementation than this suite's.
+    /// How many of those are of a different implementation than this suite's.
     fn foreign(&self, endpoint: &EndpointId) -> usize;
     /// Why endpoints of others on the same topic are not connected to this one, in words.
     fn mismatches(&self, endpoint: &EndpointId) -> Vec<String>;

@@ -1,4 +1,4 @@
-//! What a node says of bad input: every case is counted, and named in the log, but not five times a second.
+//! What a node says about bad input: every case is counted and logged, at a limited rate.
 
 use std::{
     collections::BTreeMap,
@@ -11,7 +11,7 @@ use crate::{
     logging::printable::{OF_OTHERS, printable},
 };
 
-/// Kinds of warnings that are told apart; texts hold what others send, and could be many.
+/// Kinds of warnings that are distinguished; texts hold what others send, and could be many.
 const KINDS: usize = 64;
 
 /// After a warning, how long more of its kind are only counted.
@@ -35,12 +35,12 @@ impl Complaints {
         }
     }
 
-    /// Counts something that was left out, and says why.
+    /// Counts something that was dropped, and says why.
     pub fn left_out(&mut self, reason: &'static str, error: &dyn Display) {
         self.left_out_many(reason, 1, error);
     }
 
-    /// Counts several things that were left out for one reason, and says why.
+    /// Counts several things that were dropped for one reason, and says why.
     pub fn left_out_many(&mut self, reason: &'static str, number: u64, error: &dyn Display) {
         self.diagnostics.count_drops(reason, number);
         let now = Instant::now();
@@ -97,12 +97,12 @@ fn remedy(reason: &str) -> Option<(&'static str, Level, &'static str)> {
         "wrong_space" => Some((
             "latent space",
             Level::Error,
-            "give encoder, predictor, decoder and planner the same parameter model",
+            "set the same parameter model on encoder, predictor, decoder and planner",
         )),
         "overload" => Some((
             "overload",
             Level::Warn,
-            "give the node more processor time or a higher priority, or less to do",
+            "give the node more processor time, a higher priority or less work",
         )),
         _ => None,
     }

@@ -100,7 +100,7 @@ impl Context {
     }
 }
 
-/// Ends the context when its middleware has failed: a node that nobody hears is better gone, so that who supervises it
+/// Ends the context when its middleware has failed: a node that nobody receives from should end, so that its supervisor
 /// starts it again.
 async fn watch(inner: Weak<Inner>) {
     loop {

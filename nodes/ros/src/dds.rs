@@ -4,7 +4,7 @@
 //! What is minded here, each at its place:
 //! - a reliable writer's window moves on ([`window`], [`wire`]), since rustdds' own only closes: a stopped reader would
 //!   silence the topic for all;
-//! - sockets hear only the interfaces that were asked for ([`confine`]), since rustdds binds them to all;
+//! - sockets hear only the interfaces that were requested ([`confine`]), since rustdds binds them to all;
 //! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
 //!   descriptors, and its spinner keeps the participant alive;
 //! - large messages go in parts ([`parts`]), since their bursts overflow the receive buffers of Linux;
@@ -132,7 +132,7 @@ impl Dds {
 }
 
 impl Dds {
-    /// Notes which endpoints elsewhere, known already, are of another type than this new one; for those that come
+    /// Notes which endpoints elsewhere, known already, have a different type than this new one; for those that come
     /// later, see [`Shared::compare_types`].
     fn compare_types(&self, own: EndpointId, endpoint: &Endpoint, is_writer: bool) {
         if endpoint.channel != Channel::Topic {

@@ -1,5 +1,5 @@
-//! How a node fares: rates, latencies, drops by reason, and a status in words; once a second on `/diagnostics`. What the
-//! watchdog looks after has a status of its own beside the node's: `wm/encoder: memory`.
+//! The state of a node: rates, latencies, drops by reason, and a status in words; once a second on `/diagnostics`. Each
+//! thing that the watchdog monitors has a separate status: `wm/encoder: memory`.
 
 mod latency;
 mod rate;
@@ -71,7 +71,7 @@ struct State {
 pub(crate) trait Graph {
     /// How many endpoints of others this one is connected to.
     fn matched(&self, endpoint: &EndpointId) -> usize;
-    /// How many of them are of another implementation than this suite's.
+    /// How many of them are of a different implementation than this suite's.
     fn foreign(&self, endpoint: &EndpointId) -> usize;
     /// Why others are not connected to this one, in words.
     fn mismatches(&self, endpoint: &EndpointId) -> Vec<String>;

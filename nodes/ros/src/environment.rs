@@ -128,8 +128,8 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<String>, E
     let mut warnings = Vec::new();
     if let Some(peers) = variable("ROS_STATIC_PEERS") {
         warnings.push(format!(
-            "ROS_STATIC_PEERS is `{peers}`, but this middleware announces itself by multicast only: these peers are found \
-             where multicast reaches them, or not at all"
+            "ROS_STATIC_PEERS is `{peers}`, but this middleware announces itself by multicast only: these peers are \
+             found only if multicast reaches them"
         ));
     }
     let is_wanted = match variable("ROS_SECURITY_ENABLE").as_deref() {
@@ -148,8 +148,8 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<String>, E
         match variable("ROS_SECURITY_STRATEGY").as_deref() {
             Some("Enforce") => return Err(Error::NoSecurity),
             None | Some("Permissive") => warnings.push(
-                "ROS_SECURITY_ENABLE is `true`, but DDS security is not built in: this node is neither encrypted nor \
-                 authenticated (ROS_SECURITY_STRATEGY=Enforce would refuse it)"
+                "ROS_SECURITY_ENABLE is `true`, but DDS security is not built in: this node's communication is neither \
+                 encrypted nor authenticated (with ROS_SECURITY_STRATEGY=Enforce it would not start)"
                     .to_owned(),
             ),
             Some(text) => {

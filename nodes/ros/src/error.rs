@@ -1,4 +1,4 @@
-//! What can go wrong, each error saying what was expected and what came.
+//! What can go wrong. Each error says what was expected and what came.
 
 use crate::{args::ArgsError, parameters::ParameterError};
 use wm_msgs::cdr::CdrError;
@@ -27,7 +27,7 @@ pub enum Error {
         reason: String,
     },
     /// Two nodes of one process with the same name.
-    #[error("two nodes are called {0}: give each its own name with -r NODE:__node:=NAME")]
+    #[error("two nodes have the name {0}: give each its own name with -r NODE:__node:=NAME")]
     SameName(String),
     /// An environment variable or `--interface` with a value that does not make sense.
     #[error("{variable} is `{value}`: expected {expected}")]
@@ -85,8 +85,8 @@ pub enum Error {
     },
     /// The middleware has ended by itself.
     #[error(
-        "the DDS library has ended, as it does when its process is stopped and continued (SIGSTOP, Ctrl-Z, a debugger): \
-         start the node again"
+        "the DDS library has ended, as it does when its process is stopped and continued (SIGSTOP, Ctrl-Z, a \
+         debugger): restart the node"
     )]
     MiddlewareEnded,
     /// A thread of the process has panicked.
@@ -94,7 +94,7 @@ pub enum Error {
     ThreadPanicked(String),
     /// A task that receives or sends for all nodes of the process has panicked.
     #[error(
-        "the task `{task}` has panicked: {message}; the node cannot go on: start it again, and report this"
+        "the task `{task}` has panicked: {message}; the node cannot continue: restart it, and report this"
     )]
     Panicked {
         /// What the task does.
@@ -104,8 +104,8 @@ pub enum Error {
     },
     /// The system's clock was set back, which makes rustdds' best-effort readers deaf for as long.
     #[error(
-        "the system's clock was set back by {by:.1?}: the DDS library would drop what it receives for as long: start the \
-         node again"
+        "the system's clock was set back by {by:.1?}: the DDS library would drop everything it receives for as long: \
+         restart the node"
     )]
     ClockStepped {
         /// How far.

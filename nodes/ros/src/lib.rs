@@ -1,7 +1,7 @@
 //! The ROS 2 runtime that the nodes share: command line, parameters, topics, services, clock, logs, diagnostics.
 //!
-//! A node written with it is an ordinary ROS 2 node to every other: it takes `--ros-args`, shows up in
-//! `ros2 node list`, answers `ros2 param`, follows `/clock`, and speaks on `/rosout` and `/diagnostics`.
+//! A node written with it is an ordinary ROS 2 node to every other: it takes `--ros-args`, shows up in `ros2 node
+//! list`, answers `ros2 param`, follows `/clock`, and publishes on `/rosout` and `/diagnostics`.
 //!
 //! ```no_run
 //! use wm_msgs::std_msgs;

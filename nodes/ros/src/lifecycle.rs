@@ -27,10 +27,10 @@ use wm_msgs::lifecycle_msgs::{ChangeState, ChangeStateResponse, TransitionEvent}
 /// As rcl_lifecycle has it: the default of its publishers.
 const EVENTS_QOS: Qos = Qos::reliable(10);
 
-/// How long a node that was shut down waits until everybody has heard of it.
+/// How long a node that was shut down waits until everybody has received the news.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// What a node does when it is told to.
+/// What a node does in each transition.
 pub trait Managed {
     /// What it holds from configure to cleanup: weights, publishers, subscriptions, services.
     type Configured;
@@ -48,7 +48,7 @@ pub trait Managed {
     fn configure(&self, node: &Node)
     -> impl Future<Output = Result<Self::Configured, Self::Error>>;
 
-    /// Begins anew: nothing of an earlier activation is left.
+    /// Starts fresh: nothing of an earlier activation remains.
     ///
     /// # Errors
     /// Whatever keeps it from that; the node stays inactive.
@@ -57,7 +57,7 @@ pub trait Managed {
     /// Works, until the context is shut down. Deactivating drops this future where it waits.
     ///
     /// # Errors
-    /// What it cannot go on after: the node ends with it.
+    /// An error after which the node cannot continue, and with which it ends.
     fn run(
         &self,
         configured: &mut Self::Configured,
@@ -74,7 +74,7 @@ pub struct Lifecycle {
     autostart: bool,
 }
 
-/// A transition under way, and who asked for it; none where the node does it by itself.
+/// A transition in progress, and who requested it; none if the node does it by itself.
 struct Asked {
     transition: &'static Transition,
     call: Option<Call<ChangeState>>,
@@ -206,7 +206,7 @@ impl Lifecycle {
         let transition = self.machine().begin(id, label)?;
         tracing::debug!("{}", transition.goal.label());
         if let Err(error) = self.announce(transition) {
-            tracing::warn!("a transition is not announced: {error}");
+            tracing::warn!("cannot publish a lifecycle transition: {error}");
         }
         Ok(transition)
     }
@@ -267,12 +267,13 @@ impl Lifecycle {
 
 /// The parameter of every managed node.
 pub(crate) fn autostart() -> ParameterSpec {
-    let text = "Whether the node configures and activates itself, or waits for ~/change_state.";
+    let text =
+        "Whether the node configures and activates itself. If false, it waits for ~/change_state.";
     ParameterSpec::of::<bool>("autostart", text, true)
 }
 
 fn answer(call: Call<ChangeState>, success: bool) {
     if let Err(error) = call.respond(&ChangeStateResponse { success }) {
-        tracing::warn!("change_state is not answered: {error}");
+        tracing::warn!("cannot answer change_state: {error}");
     }
 }

@@ -164,7 +164,7 @@ impl Node {
     /// Declares a parameter. Its value is the one that the command line or a parameter file gives, or the default.
     ///
     /// # Errors
-    /// The value given is of another type or out of range, or the parameter is declared already.
+    /// The value given has a different type or is out of range, or the parameter is declared already.
     pub fn declare<T: ParameterType>(
         &self,
         name: &str,
@@ -202,7 +202,7 @@ impl Node {
     fn check_parameters(&self, has_endpoints: bool) -> Result<(), Error> {
         for ignored in self.inner.parameters.check_all_declared(has_endpoints)? {
             tracing::warn!(
-                "the parameter `{}` from {} is not one of this node's",
+                "this node has no parameter `{}` (from {})",
                 ignored.name,
                 ignored.origin
             );
@@ -213,7 +213,7 @@ impl Node {
     /// The value of a declared parameter.
     ///
     /// # Errors
-    /// It is not declared, or of another type.
+    /// It is not declared, or of a different type.
     pub fn parameter<T: ParameterType>(&self, name: &str) -> Result<T, Error> {
         Ok(self.inner.parameters.get_typed(name)?)
     }
@@ -221,7 +221,7 @@ impl Node {
     /// Changes a parameter, under the rules that hold for everybody.
     ///
     /// # Errors
-    /// Not declared, read-only, of another type, out of range, or refused by a check of [`on_set`](Self::on_set).
+    /// Not declared, read-only, of a different type, out of range, or refused by a check of [`on_set`](Self::on_set).
     pub fn set_parameter<T: ParameterType>(&self, name: &str, value: T) -> Result<(), Error> {
         Ok(self
             .inner

@@ -37,7 +37,7 @@ pub enum ParameterError {
         /// The parameters that there are.
         known: Box<str>,
     },
-    /// The value is of another type.
+    /// The value has a different type.
     #[error("{node}: parameter `{parameter}` expects {expected}, got {} {got}{}", got.kind(), from(origin))]
     WrongType {
         /// The node's full name.
@@ -86,7 +86,7 @@ pub enum ParameterError {
         origin: Box<str>,
     },
     /// It is fixed once the node runs.
-    #[error("{node}: parameter `{parameter}` is read-only; give it when the node is started")]
+    #[error("{node}: parameter `{parameter}` is read-only; set it when you start the node")]
     ReadOnly {
         /// The node's full name.
         node: Box<str>,

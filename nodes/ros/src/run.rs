@@ -140,7 +140,7 @@ async fn until_late<E>(
     tokio::select! {
         result = bodies => result,
         () = late => {
-            tracing::warn!("still busy {} ms after the signal: stopped", GRACE.as_millis());
+            tracing::warn!("still busy {} ms after the signal: ended anyway", GRACE.as_millis());
             Ok(())
         }
     }

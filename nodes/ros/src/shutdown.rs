@@ -1,4 +1,4 @@
-//! The end of a process, asked for by a signal or by the program.
+//! The end of a process, requested by a signal or by the program.
 
 use crate::Error;
 use std::sync::Arc;
@@ -25,12 +25,12 @@ impl Shutdown {
         self.requested.send_replace(true);
     }
 
-    /// Whether the end was asked for.
+    /// Whether the end was requested.
     pub fn is_triggered(&self) -> bool {
         *self.requested.borrow()
     }
 
-    /// Waits until the end is asked for.
+    /// Waits until the end is requested.
     pub async fn wait(&self) {
         // The sender lives in `self`, so the channel cannot close.
         self.requested

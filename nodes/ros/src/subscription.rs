@@ -237,7 +237,7 @@ impl Intake {
     fn refuse(&self, reason: &str) {
         if self.undecodable.fetch_add(1, Ordering::Relaxed) == 0 {
             tracing::warn!(
-                "{}: a sample is skipped, and others like it will be: {reason}",
+                "{}: a sample is skipped, as will be others like it: {reason}",
                 self.topic
             );
         }
@@ -327,7 +327,7 @@ impl RawSubscription {
         self.intake.mailbox.dropped()
     }
 
-    /// Samples that never arrived, by the gaps in their publishers' numbering.
+    /// Samples that never arrived, as shown by gaps in their publishers' sequence numbers.
     pub fn lost(&self) -> u64 {
         self.intake.lost.load(Ordering::Relaxed)
     }
@@ -402,7 +402,7 @@ impl<M: Message> Subscription<M> {
         self.raw.dropped()
     }
 
-    /// Messages that never arrived, by the gaps in their publishers' numbering.
+    /// Messages that never arrived, as shown by gaps in their publishers' sequence numbers.
     pub fn lost(&self) -> u64 {
         self.raw.lost()
     }

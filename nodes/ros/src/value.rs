@@ -148,7 +148,7 @@ impl Value {
             }
             Yaml::String(value) => Ok(Self::String(value.clone())),
             Yaml::Sequence(items) => Self::from_yaml_list(items),
-            Yaml::Null => Err("a value; got nothing (write '' for an empty text)".to_owned()),
+            Yaml::Null => Err("a value; got nothing (write '' for an empty string)".to_owned()),
             Yaml::Mapping(_) => Err("a scalar or a list; got a mapping".to_owned()),
             Yaml::Tagged(tagged) => Err(format!("plain YAML; got the tag {}", tagged.tag)),
         }
@@ -198,7 +198,7 @@ pub trait ParameterType: Sized + Clone + Send + Sync + 'static {
     const KIND: Kind;
     /// The value as ROS holds it.
     fn into_value(self) -> Value;
-    /// The value back, or `None` for one of another type.
+    /// The value back, or `None` for one of a different type.
     fn from_value(value: &Value) -> Option<Self>;
 }
 

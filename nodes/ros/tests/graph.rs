@@ -441,8 +441,8 @@ async fn incompatible_qos_is_told_by_policy() {
     let subject = "wm/listener: connections of /wm/typed";
     let text = soon("the warning", told(subject)).await.message;
     for part in [
-        "a publisher elsewhere is of type std_msgs/msg/String",
-        "here it is std_msgs/msg/Bool",
+        "a publisher has the type std_msgs/msg/String",
+        "this node uses std_msgs/msg/Bool",
     ] {
         assert!(text.contains(part), "{text}");
     }

@@ -94,7 +94,7 @@ fn the_oldest_lines_go_where_nobody_reads() {
     let lines: Vec<&str> = text.trim_start_matches('.').lines().collect();
     let note = lines
         .iter()
-        .position(|line| line.contains("lines are missing here"))
+        .position(|line| line.contains("lines were dropped here"))
         .unwrap();
     // Before the note comes the line that was being written, after it an unbroken rest.
     let number = |line: &&str| -> Option<usize> {

@@ -1,8 +1,8 @@
 //! Latents between messages and numbers.
 //!
 //! On the wire a latent is little-endian f32, f16 or bf16; within the nodes it is `Vec<f32>`, row-major, channels last.
-//! A latent of another space, shape or length, or with a value that is not finite, is an error that names it: it never
-//! reaches a model.
+//! A latent of a different space, shape or length, or with a value that is not finite, is an error that names it: it
+//! never reaches a model.
 
 use half::{bf16, f16};
 use thiserror::Error;

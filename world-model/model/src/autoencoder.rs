@@ -118,7 +118,7 @@ impl Autoencoder {
     /// Random weights with which training starts; equal seeds give equal weights.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn random(config: AutoencoderConfig, seed: u64) -> Result<Self> {
         config.validate()?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

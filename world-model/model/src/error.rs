@@ -69,7 +69,7 @@ pub enum Error {
     },
 
     /// A tensor holds NaN or infinity.
-    #[error("{file}: tensor `{name}` holds a value that is not finite")]
+    #[error("{file}: tensor `{name}` has a value that is not finite")]
     TensorNotFinite {
         /// Where the bytes came from.
         file: String,
@@ -110,8 +110,8 @@ pub enum Error {
         found: String,
     },
 
-    /// Latents of one space were given to a network of another.
-    #[error("latents of space {found}, expected {expected}")]
+    /// Latents of one space were given to a network of a different space.
+    #[error("latents are from space {found}, expected {expected}")]
     LatentSpaceMismatch {
         /// The space that the network works in.
         expected: Box<LatentSpace>,
@@ -131,7 +131,7 @@ pub enum Error {
     },
 
     /// An input holds NaN or infinity.
-    #[error("{what} holds a value that is not finite")]
+    #[error("{what} has a value that is not finite")]
     NotFinite {
         /// What the input is.
         what: &'static str,

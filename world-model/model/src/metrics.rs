@@ -1,4 +1,4 @@
-//! Image metrics: how like the camera's frame a decoded prediction is.
+//! Image metrics: how similar a decoded prediction is to the camera's frame.
 //!
 //! [`psnr`] and [`ssim`] are over 8-bit RGB with data range 255; [`masked_psnr`] counts only the pixels of a mask, since
 //! a still background flatters every other figure. Latent errors need no more than [`mean_squared_error`].

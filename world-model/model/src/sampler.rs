@@ -48,8 +48,8 @@ pub struct Given<'a> {
     /// from the seed.
     pub noise: Option<&'a Tensor>,
     /// The action that leads on from the new frame, (candidates, A), or (1, A) for all of them: that of the next step.
-    /// Under [`ActionAlignment::WithFrame`](crate::transition::ActionAlignment::WithFrame) it is fed with the frame, as in
-    /// training, where every frame carries its own action; without it the last action goes on. Under the other
+    /// Under [`ActionAlignment::WithFrame`](crate::transition::ActionAlignment::WithFrame) it is fed with the frame, as
+    /// in training, where every frame carries its own action; without it the last action is held. Under the other
     /// alignment it is not used.
     pub own_action: Option<&'a Tensor>,
 }
@@ -175,7 +175,7 @@ impl<'m> Rollout<'m> {
         self.steps_taken
     }
 
-    /// Predicts where `action` (candidates, A) leads from the last frame: (candidates, H, W, C), if it goes on
+    /// Predicts where `action` (candidates, A) leads from the last frame: (candidates, H, W, C), if it continues
     /// thereafter. The prediction is part of the context of the next one.
     ///
     /// # Errors

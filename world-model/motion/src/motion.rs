@@ -131,7 +131,7 @@ impl Motion {
     }
 
     /// What happens from `from_ns` to `to_ns`; none where nothing is known of its beginning. What was taken wins over
-    /// what was announced, and beyond both the last action goes on.
+    /// what was announced, and beyond both the last action is held.
     pub fn between(&self, space: &ActionSpace, from_ns: i64, to_ns: i64) -> Option<Interval> {
         integrate(space, &self.pieces(), from_ns, to_ns)
     }

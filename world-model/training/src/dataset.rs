@@ -174,8 +174,8 @@ fn find_bags(root: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     if !others.is_empty() {
         others.sort();
         tracing::warn!(
-            "{} folder(s) left out, which have no metadata.yaml (`wm bag recover` makes one for a recording that was cut \
-             off): {}",
+            "{} folder(s) skipped, because they have no metadata.yaml (`wm bag recover` repairs a truncated \
+             recording): {}",
             others.len(),
             others.join(", ")
         );

@@ -74,7 +74,7 @@ impl Latents {
         let expected = frames * space.elements() * size_of::<f16>();
         ensure!(
             values.len() == expected,
-            "{}: expected {expected} bytes, found {}; remove it to have it made anew",
+            "{}: expected {expected} bytes, found {}; remove the file to recompute it",
             path.display(),
             values.len()
         );

@@ -11,11 +11,11 @@ use wm_training::{
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
 };
 
-/// The workers of a training allocate and free large tensors all the time.
+/// Training workers constantly allocate and free large tensors.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Makes bags, trains models of them and measures these.
+/// Makes bags, trains models on them and evaluates the models.
 #[derive(Debug, Parser)]
 #[command(
     name = "wm-training",
@@ -26,10 +26,10 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 enum Command {
     /// Make bags with a simulated arm on a tabletop
     Sim(SimArgs),
-    /// Train the models from bags
+    /// Train models from bags
     #[command(subcommand)]
     Train(Box<TrainCommand>),
-    /// Measure models on bags that they were not trained on
+    /// Evaluate models on held-out bags
     #[command(subcommand)]
     Eval(EvalCommand),
 }
@@ -44,9 +44,9 @@ enum TrainCommand {
 
 #[derive(Debug, Subcommand)]
 enum EvalCommand {
-    /// What an autoencoder makes of the frames
+    /// Measure how well an autoencoder reconstructs frames
     Autoencoder(EvaluateAutoencoderArgs),
-    /// A transition model's predictions against persistence, and plans made with it
+    /// Compare a transition model's predictions with the persistence baseline, and measure plans made with it
     Transition(EvaluateTransitionArgs),
 }
 

@@ -65,7 +65,7 @@ impl TrainTransitionArgs {
             Accumulation::default(),
         )?;
         if let Some(held_out) = &held_out {
-            let (own, others) = ("the training's bags", "the held-out bags");
+            let (own, others) = ("the training bags", "the held-out bags");
             actions
                 .space()
                 .expect_same(held_out.action_space(), own, others)?;

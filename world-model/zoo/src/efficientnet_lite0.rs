@@ -72,7 +72,7 @@ impl EfficientNetLite0 {
     /// Loads the network up to the block of the configuration.
     ///
     /// # Errors
-    /// If there is no such block; tensors that are missing are told by [`Loader::finish`].
+    /// If there is no such block; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &EfficientNetLite0Config, loader: &Loader<'_>) -> Result<Self> {
         if !(8..=10).contains(&config.block) {
             let reason = format!("{}, expected 8, 9 or 10", config.block);

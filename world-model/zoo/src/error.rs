@@ -31,7 +31,7 @@ pub enum Error {
     },
 
     /// The file is neither safetensors nor a torch checkpoint, or is damaged.
-    #[error("{file}: not a checkpoint that can be read: {reason}")]
+    #[error("{file}: not a readable checkpoint: {reason}")]
     Corrupt {
         /// Where the bytes came from.
         file: String,
@@ -40,11 +40,11 @@ pub enum Error {
     },
 
     /// There is no such part in a checkpoint of several.
-    #[error("{file}: no tensors under `{part}`; there are: {}", .found.join(", "))]
+    #[error("{file}: no tensors under `{part}`; the file has: {}", .found.join(", "))]
     NoSuchPart {
         /// Where the bytes came from.
         file: String,
-        /// What was asked for.
+        /// What was requested.
         part: String,
         /// First components of the names that are there.
         found: Vec<String>,
@@ -78,9 +78,7 @@ pub enum Error {
     },
 
     /// An engine does not compute on a device.
-    #[error(
-        "engine {engine} does not compute on {device}, expected engine candle (--engine candle)"
-    )]
+    #[error("engine {engine} does not support {device}; use engine candle (--engine candle)")]
     EngineDevice {
         /// The engine.
         engine: Engine,

@@ -24,7 +24,7 @@
 //! ```
 //!
 //! [`Description`] has every field. Names of files are relative to the folder; a `config` is an object or the name of a
-//! JSON file. A transition with several `views` has as many pictures, and latents, beside each other along the width.
+//! JSON file. A transition with several `views` has as many pictures, and latents, side by side along the width.
 //!
 //! Opening a folder reads names and shapes of all tensors, and refuses what does not fit together before a value is
 //! read. The hash of the latent space is over encoder and adapter (kind, configuration, every tensor that they ask for,

@@ -157,8 +157,7 @@ impl Idm {
     /// Loads the model.
     ///
     /// # Errors
-    /// If the configuration cannot be built; tensors that are missing are told by
-    /// [`Loader::finish`].
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &IdmConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         let (width, frames) = (config.hidden, config.horizon + 1);

@@ -303,7 +303,7 @@ impl<'a> Loader<'a> {
         account.requested.iter().map(Requested::count).sum()
     }
 
-    /// All tensors that were asked for so far, each once, in order.
+    /// All tensors that were requested so far, each once, in order.
     pub fn requested(&self) -> Vec<Requested> {
         self.account.borrow().requested.clone()
     }

@@ -73,8 +73,7 @@ impl SuccessProbe {
     /// Loads the probe.
     ///
     /// # Errors
-    /// If the configuration cannot be built; tensors that are missing are told by
-    /// [`Loader::finish`].
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &SuccessProbeConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         let (width, frames) = (config.hidden, config.max_frames);

@@ -89,8 +89,7 @@ impl Svae {
     /// Loads the adapter.
     ///
     /// # Errors
-    /// If the configuration cannot be built; tensors that are missing are told by
-    /// [`Loader::finish`].
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &SvaeConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         let (width, latent) = (config.features, config.latent);

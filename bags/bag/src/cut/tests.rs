@@ -121,7 +121,7 @@ fn times_and_topics_select() {
         error.to_string()
     };
     let (start, end) = (CutStart::After(Duration::from_secs(60)), CutEnd::End);
-    assert!(failure(start, end, &only_text).contains("has nothing from"));
+    assert!(failure(start, end, &only_text).contains("has no messages from"));
     let absent = TopicFilter::new(vec!["/absent".into()], None, vec![], None).unwrap();
     let error = failure(CutStart::Beginning, CutEnd::End, &absent);
     assert!(

@@ -72,7 +72,7 @@ pub(crate) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
     let size = header.uncompressed_size;
     if size > MAX_RECORD_BYTES {
         return Err(format!(
-            "it claims {size} bytes, more than the {MAX_RECORD_BYTES} that are read"
+            "it claims {size} bytes, more than the limit of {MAX_RECORD_BYTES}"
         ));
     }
     let records = match header.compression.as_str() {
@@ -87,7 +87,7 @@ pub(crate) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
         )?,
         other => {
             return Err(format!(
-                "its compression {other:?} is not known; zstd and lz4 are"
+                "its compression is {other:?}, expected zstd or lz4"
             ));
         }
     };

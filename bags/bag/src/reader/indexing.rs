@@ -85,7 +85,7 @@ pub(crate) fn check_magic(file: &mut File, path: &Path, size_bytes: u64) -> Resu
             format: "zstd".to_owned(),
         })
     } else if front.starts_with(b"#ROSBAG") {
-        not_a_bag("it is a ROS 1 bag; `rosbags-convert` makes a ROS 2 bag of it")
+        not_a_bag("it is a ROS 1 bag; convert it with `rosbags-convert`")
     } else if MAGIC.starts_with(&front) {
         not_a_bag("it ends within the first bytes of an MCAP file")
     } else {
@@ -127,7 +127,9 @@ fn check_summary_records(
         return Ok(Ok(()));
     }
     if at > footer_at {
-        return Ok(Err(format!("it begins at byte {at}, behind its end")));
+        return Ok(Err(format!(
+            "it begins at byte {at}, after the end of the file"
+        )));
     }
     file.seek(SeekFrom::Start(at))?;
     while footer_at - at >= RECORD_HEADER_BYTES {
@@ -149,7 +151,7 @@ fn check_summary_records(
         let room = footer_at - at - RECORD_HEADER_BYTES;
         if !belongs || length > room.min(MAX_RECORD_BYTES) {
             return Ok(Err(format!(
-                "the record at byte {at} (opcode {opcode}, {length} bytes) does not belong there"
+                "the record at byte {at} (opcode {opcode}, {length} bytes) is not allowed there"
             )));
         }
         // Bounded by the file's size, so that it fits.
@@ -208,7 +210,7 @@ fn read_summary(
             .filter(|end| *end <= size_bytes && chunk.chunk_length <= MAX_RECORD_BYTES);
         let Some(end) = end else {
             return Ok(Err(format!(
-                "it puts a chunk at byte {}, which the file cannot hold",
+                "it puts a chunk at byte {}, beyond the end of the file",
                 chunk.chunk_start_offset
             )));
         };

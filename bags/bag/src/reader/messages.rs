@@ -189,7 +189,7 @@ impl Messages {
             };
             let Some(topic) = file_index.channels.get(&header.channel_id) else {
                 return Err(damaged(format!(
-                    "it has a message of channel {}, which is unknown",
+                    "it has a message of the unknown channel {}",
                     header.channel_id
                 )));
             };

@@ -22,7 +22,7 @@ use crate::{BagError, BagWarning};
 /// Messages outside chunks are read in stretches of about this size.
 const STRETCH_BYTES: u64 = 1 << 20;
 
-/// Damaged places of a file that are told of one by one; a file of nothing else could fill the memory.
+/// Damaged places of a file that are reported one by one; a file of nothing else could fill the memory.
 const DAMAGE_TOLD: u64 = 100;
 
 /// How far a scan came.
@@ -138,7 +138,12 @@ impl<'a> Scan<'a> {
                 self.skip(length)?;
             } else if length > MAX_RECORD_BYTES {
                 self.skip(length)?;
-                self.warn(at, format!("a record of {length} bytes is more than the {MAX_RECORD_BYTES} that are read"));
+                self.warn(
+                    at,
+                    format!(
+                        "a record has {length} bytes, more than the limit of {MAX_RECORD_BYTES}"
+                    ),
+                );
             } else {
                 let mut body = vec![0; length as usize];
                 self.file

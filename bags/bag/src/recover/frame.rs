@@ -1,4 +1,4 @@
-//! Whether bytes are framed as a record, told without the lengths that damage may have forged.
+//! Whether bytes are framed as a record, determined without the lengths, which may be damaged.
 
 use mcap::records::op;
 

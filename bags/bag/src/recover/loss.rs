@@ -33,7 +33,7 @@ impl fmt::Display for Loss {
     }
 }
 
-/// Losses that are told of one by one; a file of nothing else could fill the memory.
+/// Losses that are reported one by one; a file of nothing else could fill the memory.
 const TOLD: usize = 100;
 
 /// What was lost of a bag.
@@ -83,7 +83,7 @@ impl fmt::Display for Losses {
         }
         write!(
             f,
-            "lost: {} bytes in {} place(s), {} chunk(s) among them",
+            "lost: {} bytes in {} place(s), including {} chunk(s)",
             self.bytes, self.places, self.chunks
         )?;
         for loss in &self.told {
@@ -96,8 +96,8 @@ impl fmt::Display for Losses {
         if self.messages > 0 {
             write!(
                 f,
-                "\nlost: {} message(s) whose channel is unknown, without a type or not CDR, or whose time rosbag2 \
-                 cannot hold",
+                "\nlost: {} message(s) whose channel is unknown, has no type or is not CDR, or whose time is out of \
+                 rosbag2's range",
                 self.messages
             )?;
         }

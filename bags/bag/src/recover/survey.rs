@@ -1,4 +1,4 @@
-//! What of a file is sound, found by walking all of it.
+//! Which parts of a file are undamaged, found by scanning all of it.
 
 use std::{
     fs::File,
@@ -57,7 +57,12 @@ pub(super) fn survey(path: &Path, losses: &mut Losses) -> Result<Survey, BagErro
             let before = losses.clone();
             let mut walk = Walk::new(file, path, size_bytes, losses);
             let first = walk.next_chunk(0)?.unwrap_or(size_bytes);
-            walk.lost(0, first, 0, "it does not begin as MCAP does".to_owned());
+            walk.lost(
+                0,
+                first,
+                0,
+                "it does not begin like an MCAP file".to_owned(),
+            );
             let found = walk.run(first)?;
             if found.stretches.is_empty() {
                 *losses = before;
@@ -150,7 +155,7 @@ impl<'a> Walk<'a> {
                 at,
                 opcode,
                 false,
-                "it is larger than any record that is read",
+                "it is larger than the limit for a record",
             );
         }
         let body = self.bytes(at + RECORD_HEADER_BYTES, length)?;
@@ -215,7 +220,9 @@ impl<'a> Walk<'a> {
             if (is_definition || record.opcode == op::MESSAGE)
                 && !is_exact(record.opcode, &record.body)
             {
-                return Err("a record in it has another length than its fields".to_owned());
+                return Err(
+                    "the length of a record in it differs from that of its fields".to_owned(),
+                );
             }
             if is_definition {
                 definitions.push(record);
@@ -245,7 +252,7 @@ impl<'a> Walk<'a> {
             None => behind.first().is_none_or(|next| is_known(*next)),
         };
         if !is_followed && behind.get(..MAGIC.len()) != Some(MAGIC) {
-            return self.damaged(at, opcode, false, "no record is behind it");
+            return self.damaged(at, opcode, false, "no record follows it");
         }
         match opcode {
             // A damaged record of the summary, where no message can be.

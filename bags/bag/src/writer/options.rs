@@ -74,7 +74,7 @@ pub struct WriterOptions {
     pub compression: Compression,
     /// A preset of rosbag2; other than [`StoragePreset::None`], it goes before `compression` and `chunk_size`.
     pub preset: StoragePreset,
-    /// The next file of the bag is begun where this one has reached so many bytes; it may exceed them by a chunk's
+    /// The next file of the bag starts when this one has reached this many bytes; it may exceed them by a chunk's
     /// index, the summary and one message. None: one file.
     pub max_file_bytes: Option<u64>,
     /// The next file of the bag is begun with the first message that is later than the file's first by more than

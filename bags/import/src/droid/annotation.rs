@@ -79,7 +79,7 @@ fn checked(file: File) -> Result<Annotation, String> {
             Ok(video.video_path)
         } else {
             Err(format!(
-                "videos: expected a path below the data set, got {}",
+                "videos: expected a path inside the data set, got {}",
                 video.video_path.display()
             ))
         }

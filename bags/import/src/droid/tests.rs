@@ -144,7 +144,7 @@ fn what_does_not_fit_is_named() {
         ),
         (
             changed(&|a| a["videos"][0]["video_path"] = json!("../secret.mp4")),
-            "7.json: videos: expected a path below",
+            "7.json: videos: expected a path inside",
         ),
         (
             changed(&|a| drop(a.as_object_mut().unwrap().remove("states"))),
@@ -156,7 +156,7 @@ fn what_does_not_fit_is_named() {
         ),
         (
             read(&annotation(), [4, 3, 4]).unwrap_err(),
-            "1.mp4: expected 4 frames, one a state, got 3",
+            "1.mp4: expected 4 frames, one per state, got 3",
         ),
     ] {
         assert!(error.contains(part), "{part:?} in {error:?}");
@@ -198,7 +198,7 @@ fn folders_of_folders_are_found_in_order() {
         .unwrap_err()
         .to_string();
     assert!(
-        error.contains("holds no episodes: expected DROID's"),
+        error.contains("has no episodes: expected DROID's"),
         "{error}"
     );
 }

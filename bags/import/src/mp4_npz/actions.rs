@@ -49,14 +49,12 @@ pub(super) fn read(file: &Path) -> Result<Vec<[f32; VALUES]>, ImportError> {
     };
     if array.order() != Order::C {
         return Err(corrupt(format!(
-            "expected {name} row by row, got Fortran order"
+            "expected {name} in row-major (C) order, got Fortran order"
         )));
     }
     let held = bytes.len() as u64 / 4 / COLUMNS;
     if rows > held {
-        return Err(corrupt(format!(
-            "{name} claims {rows} rows and holds {held}"
-        )));
+        return Err(corrupt(format!("{name} claims {rows} rows but has {held}")));
     }
     let array = NpyFile::new(&bytes[..]).map_err(|error| corrupt(format!("{name}: {error}")))?;
     let values: Vec<f32> = array

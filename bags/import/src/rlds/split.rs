@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::ImportError;
 
-/// `dataset_info.json` of TensorFlow Datasets, as far as it is used.
+/// `dataset_info.json` of TensorFlow Datasets, as far as it is needed.
 #[derive(Deserialize)]
 struct DatasetInfo {
     #[serde(default)]
@@ -30,10 +30,7 @@ pub(super) fn expected_records(shard: &Path) -> Result<Option<u64>, ImportError>
         Err(error) => return Err(ImportError::io(&info_file, error)),
     };
     let info: DatasetInfo = serde_json::from_str(&text).map_err(|error| {
-        ImportError::corrupt(
-            &info_file,
-            format!("not the description of a data set: {error}"),
-        )
+        ImportError::corrupt(&info_file, format!("not a data set description: {error}"))
     })?;
     Ok(shard
         .file_name()

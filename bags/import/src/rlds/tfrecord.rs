@@ -48,13 +48,16 @@ impl TfRecords {
         if length > MAX_RECORD_BYTES {
             return Err(damaged(
                 &self.file,
-                &format!("{length} bytes, more than the {MAX_RECORD_BYTES} that are read"),
+                &format!("{length} bytes, more than the limit of {MAX_RECORD_BYTES}"),
             ));
         }
         if length.saturating_add(4) > self.left {
             return Err(damaged(
                 &self.file,
-                &format!("it has {length} bytes, {} are left in the file", self.left),
+                &format!(
+                    "it has {length} bytes, but only {} are left in the file",
+                    self.left
+                ),
             ));
         }
         // At most MAX_RECORD_BYTES, which fits.

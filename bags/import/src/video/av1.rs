@@ -47,7 +47,9 @@ impl Decoder for Av1Decoder {
                     self.ready(&mut frames)?;
                     sent = self.0.send_pending_data();
                     if frames.len() == before && sent.is_err() {
-                        return Err("the AV1 decoder neither takes data nor gives a frame".into());
+                        return Err(
+                            "the AV1 decoder neither accepts data nor returns a frame".into()
+                        );
                     }
                 }
                 Err(error) => return Err(error.to_string()),
@@ -69,7 +71,7 @@ fn rgb(picture: &Picture) -> Result<RgbImage, String> {
     check_size(width, height)?;
     if picture.pixel_layout() != PixelLayout::I420 || picture.bit_depth() != 8 {
         return Err(format!(
-            "expected AV1 of 8 bits with chroma at half size (yuv420p), got {} bits and {:?}",
+            "expected 8-bit AV1 with 4:2:0 chroma (yuv420p), got {} bits and {:?}",
             picture.bit_depth(),
             picture.pixel_layout()
         ));

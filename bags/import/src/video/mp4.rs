@@ -69,7 +69,7 @@ fn codec(track: &Mp4Track, file: &Path) -> Result<Codec, String> {
     match entry.map(|entry| &entry.codec_specific) {
         Some(VideoCodecSpecific::AVCConfig(config)) => {
             let (length_bytes, parameters) = parameters(config)
-                .ok_or_else(|| "its h264 parameters (avcC) are cut short".to_owned())?;
+                .ok_or_else(|| "its h264 parameters (avcC) are truncated".to_owned())?;
             Ok(Codec::H264 {
                 length_bytes,
                 parameters,
@@ -83,12 +83,12 @@ fn codec(track: &Mp4Track, file: &Path) -> Result<Codec, String> {
             } else {
                 "h264"
             };
-            let codec = entry.map_or("one that is not known".to_owned(), |entry| {
+            let codec = entry.map_or("an unknown codec".to_owned(), |entry| {
                 format!("{:?}", entry.codec_type)
             });
             Err(format!(
-                "expected video in {expected}, got {codec}; this converts it: ffmpeg -i {} -c:v libx264 \
-                 -pix_fmt yuv420p -fps_mode passthrough OUT.mp4",
+                "expected video in {expected}, got {codec}; convert it with: ffmpeg -i {} -c:v libx264 -pix_fmt \
+                 yuv420p -fps_mode passthrough OUT.mp4",
                 file.display()
             ))
         }
@@ -122,14 +122,14 @@ fn samples(mp4: &MediaContext, track: &Mp4Track, file_bytes: usize) -> Result<Ve
     // Held against the file first: the library makes a table as long as the boxes claim.
     let claimed = claimed_samples(track, file_bytes)?;
     let table = create_sample_table(track, CheckedInteger(0))
-        .ok_or_else(|| "its table of frames is not complete".to_owned())?;
+        .ok_or_else(|| "its frame table is incomplete".to_owned())?;
     if table.len() != claimed {
         return Err(format!(
             "expected the {claimed} frames that have a size, {} have a place",
             table.len()
         ));
     }
-    let start = start(mp4, track).ok_or("its edit list is not possible")?;
+    let start = start(mp4, track).ok_or("its edit list is invalid")?;
     table
         .iter()
         .enumerate()
@@ -138,11 +138,11 @@ fn samples(mp4: &MediaContext, track: &Mp4Track, file_bytes: usize) -> Result<Ve
             let bytes = usize::try_from(from).ok().zip(usize::try_from(to).ok());
             let (from, to) = bytes
                 .filter(|(from, to)| from <= to && *to <= file_bytes)
-                .ok_or_else(|| format!("frame {frame}: its bytes are not in the file"))?;
+                .ok_or_else(|| format!("frame {frame}: its data is not in the file"))?;
             let time = sample.start_composition.0.checked_add(start);
             Ok(Sample {
                 bytes: from..to,
-                time: time.ok_or_else(|| format!("frame {frame}: its time is not possible"))?,
+                time: time.ok_or_else(|| format!("frame {frame}: its time is invalid"))?,
                 is_sync: sample.sync,
             })
         })
@@ -154,7 +154,7 @@ fn claimed_samples(track: &Mp4Track, file_bytes: usize) -> Result<usize, String>
     let (Some(sizes), Some(runs), Some(offsets), Some(_)) =
         (&track.stsz, &track.stsc, &track.stco, &track.stts)
     else {
-        return Err("its table of frames is not complete".to_owned());
+        return Err("its frame table is incomplete".to_owned());
     };
     if sizes.sample_size != 0 {
         return Err(format!(

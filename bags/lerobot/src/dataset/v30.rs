@@ -125,7 +125,7 @@ fn natural(name: &str, value: i64) -> Result<u64, String> {
 fn tasks(path: &Path) -> Result<BTreeMap<i64, String>, LeRobotError> {
     let table = Table::open(path)?;
     let texts = table.text_column().ok_or_else(|| {
-        LeRobotError::corrupt(path, "expected a column of texts, the tasks, got none")
+        LeRobotError::corrupt(path, "expected a text column with the tasks, got none")
     })?;
     let mut tasks = BTreeMap::new();
     table.rows(&[TASK_INDEX, texts], 0..table.row_count(), |_, cells| {

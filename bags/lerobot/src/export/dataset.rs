@@ -95,7 +95,7 @@ impl DatasetWriter {
             if features.insert(key.clone(), feature).is_some() {
                 return Err(LeRobotError::unsuited(
                     &recording.bag,
-                    format!("{}: another camera is {key} already", camera.topic),
+                    format!("{}: another camera already has the key {key}", camera.topic),
                 ));
             }
             let place = Place::default();
@@ -474,7 +474,7 @@ fn sizes(recording: &Recording) -> Result<Vec<(u32, u32)>, LeRobotError> {
             Ok((width, height))
         } else {
             Err(unsuited(format!(
-                "expected pictures of even sides, as h264 takes them, got {width} x {height}"
+                "expected pictures with even width and height for h264, got {width} x {height}"
             )))
         }
     };

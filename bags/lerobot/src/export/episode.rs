@@ -68,7 +68,7 @@ impl Episode {
         let span_ns = end_ns.checked_sub(start_ns).ok_or_else(|| {
             LeRobotError::unsuited(
                 &recording.bag,
-                format!("no time at which every topic has a message: {start_ns} ns to {end_ns} ns"),
+                format!("there is no time at which every topic has a message: {start_ns} ns to {end_ns} ns"),
             )
         })?;
         // The last frame may lie a quarter of a period past the last message, as clocks that are not locked have it.
@@ -114,7 +114,7 @@ impl Episode {
         all.filter(|picks| picks.repeated > 0 || picks.skipped > 0)
             .map(|picks| {
                 format!(
-                    "{}: {} of {} frames repeat a message, {} messages are left out",
+                    "{}: {} of {} frames repeat a message, {} messages are not used",
                     picks.topic,
                     picks.repeated,
                     picks.numbers.len(),

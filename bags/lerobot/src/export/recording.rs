@@ -112,7 +112,7 @@ impl Recording {
                         return Err(LeRobotError::unsuited(
                             bag,
                             format!(
-                                "{JOINTS_TOPIC}: expected a position of each of {joint_names:?}, got {} of {:?}",
+                                "{JOINTS_TOPIC}: expected one position for each of {joint_names:?}, got {} of {:?}",
                                 state.position.len(),
                                 state.name
                             ),
@@ -223,7 +223,8 @@ impl Recording {
             Err(LeRobotError::unsuited(
                 &self.bag,
                 format!(
-                    "{ACTION_TOPIC}: expected 1 to 1000 actions a second, got one after {period_ns} ns; say the rate (--fps)"
+                    "{ACTION_TOPIC}: expected 1 to 1000 actions per second, got one after {period_ns} ns; give the \
+                     rate with --fps"
                 ),
             ))
         }
@@ -314,7 +315,7 @@ impl<T> Stream<T> {
             tracing::warn!(
                 topic = self.topic,
                 stamp,
-                "left out: not later than the message before"
+                "message ignored: it is not later than the previous message"
             );
         }
     }
@@ -349,7 +350,9 @@ fn camera_topics(
         if !info.is_some_and(|info| TYPES.contains(&&*info.type_name)) {
             return Err(LeRobotError::unsuited(
                 bag,
-                format!("expected pictures on {topic}, it has no such topic of an image type"),
+                format!(
+                    "expected pictures on {topic}, but the bag has no image topic of this name"
+                ),
             ));
         }
     }

@@ -114,7 +114,7 @@ impl VideoWriter {
             .into_iter()
             .partition(|unit| matches!(kind(unit), SEQUENCE | PICTURE));
         if units.is_empty() {
-            return Err(format!("frame {}: the encoder left it out", self.frames));
+            return Err(format!("frame {}: the encoder dropped it", self.frames));
         }
         let mut bytes = Vec::with_capacity(encoded.len());
         for unit in &units {
@@ -180,8 +180,9 @@ fn begin(
 ) -> Result<Mp4Writer<BufWriter<File>>, String> {
     let find = |wanted: u8| {
         let unit = parameters.iter().find(|unit| kind(unit) == wanted);
-        unit.map(|unit| unit.to_vec())
-            .ok_or_else(|| format!("the encoder gave no parameters (NAL unit of type {wanted})"))
+        unit.map(|unit| unit.to_vec()).ok_or_else(|| {
+            format!("the encoder returned no parameters (NAL unit of type {wanted})")
+        })
     };
     let side = |side: u32| u16::try_from(side).map_err(|error| error.to_string());
     let config = AvcConfig {

@@ -109,7 +109,7 @@ pub(super) fn read(
         // It is single: beside the tolerance, what that rounds.
         if (got - expected).abs() > TOLERANCE_S + expected * f64::from(f32::EPSILON) {
             return Err(format!(
-                "{TIMESTAMP}: expected {expected} s, frame {frame} at {} a second, got {got} s",
+                "{TIMESTAMP}: expected {expected} s, for frame {frame} at {} per second, got {got} s",
                 episode.fps
             ));
         }
@@ -177,7 +177,7 @@ fn frames(
         let expected_s = clip.from_s + frame as f64 / fps;
         let (nearest, got_s) = video
             .nearest(expected_s)
-            .ok_or_else(|| corrupt("it has no frame".to_owned()))?;
+            .ok_or_else(|| corrupt("it has no frames".to_owned()))?;
         let begin = *first.get_or_insert(nearest);
         let is_next = usize::try_from(frame).ok().map(|frame| begin + frame) == Some(nearest);
         if !is_next || (got_s - expected_s).abs() > 0.25 / fps {
@@ -207,7 +207,7 @@ fn picture_format(frames: &[Vec<u8>]) -> Result<&'static str, String> {
         };
         if *found.get_or_insert(format) != format {
             return Err(format!(
-                "frame {number}: a picture in {format} among others"
+                "frame {number}: a picture in {format} among pictures in another format"
             ));
         }
     }

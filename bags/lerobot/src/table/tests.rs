@@ -104,11 +104,11 @@ fn cells_that_do_not_fit_are_named() {
         ),
         (
             error(&["other"], 1, &|_| Ok(())),
-            "expected a column \"other\", it has vector, flag",
+            "expected a column \"other\", but it has vector, flag",
         ),
         (
             error(&["flag"], 2, &|_| Ok(())),
-            "expected rows 0 to 2, it has 1",
+            "expected rows 0 to 2, but it has 1",
         ),
     ] {
         assert!(

@@ -79,7 +79,7 @@ fn metadata_that_do_not_fit_are_named() {
         ),
         (
             changed(&|i| i["data_path"] = json!("../{file_index}")),
-            ["info.json", "expected a path below the data set"],
+            ["info.json", "expected a path inside the data set"],
         ),
         (
             changed(&|i| drop(i.as_object_mut().unwrap().remove("features"))),

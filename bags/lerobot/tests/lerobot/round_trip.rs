@@ -102,7 +102,7 @@ fn episodes_are_chosen_by_number() {
         .unwrap_err()
         .to_string();
     assert!(
-        error.contains("has 4 episodes, none of which was asked for"),
+        error.contains("has 4 episodes, but none of those that you asked for"),
         "{error}"
     );
 }
@@ -294,7 +294,10 @@ fn bags_that_do_not_fit_are_named() {
         ),
         (
             error(&["good"], &camera),
-            ["good: expected pictures on /wm/action", "no such topic"],
+            [
+                "good: expected pictures on /wm/action",
+                "no image topic of this name",
+            ],
         ),
         (error(&["absent"], &plain), ["absent", "no such file"]),
     ] {

@@ -36,7 +36,7 @@ pub struct Surroundings {
 pub struct Picture {
     /// The picture.
     pub rgb: RgbImage,
-    /// For each pixel the mask value that most of its samples have, if asked for.
+    /// For each pixel the mask value that most of its samples have, if requested.
     pub mask: Option<GrayImage>,
 }
 

@@ -1,4 +1,4 @@
-//! What an operator is asked to do.
+//! The tasks of the operator.
 
 use nalgebra::Vector3;
 

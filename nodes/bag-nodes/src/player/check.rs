@@ -1,4 +1,4 @@
-//! What can be known of a playback before anything starts.
+//! Checks of a playback that are possible before anything starts.
 
 use super::NODE;
 use anyhow::Result;

@@ -1,4 +1,4 @@
-//! The bag's coming actions, as a policy would announce them.
+//! The bag's next actions, as a policy would publish them.
 
 use thiserror::Error;
 use wm_msgs::{
@@ -12,7 +12,7 @@ use wm_msgs::{
 #[non_exhaustive]
 pub enum ChunkError {
     /// One action has no period.
-    #[error("the bag has {0} action(s); at least 2 are needed to know their period")]
+    #[error("the bag has {0} action(s); at least 2 are needed to determine their period")]
     TooFew(usize),
     /// Actions that do not come one after the other.
     #[error("the bag's actions have no positive period: their median distance is {0} ns")]

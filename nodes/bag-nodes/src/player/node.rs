@@ -61,13 +61,13 @@ fn endpoints() -> Vec<EndpointSpec> {
             published,
             CHUNKS.0,
             CHUNKS.1,
-            "The bag's coming actions, with action_chunk_length.",
+            "The next actions of the bag, with action_chunk_length.",
         ),
         EndpointSpec::topic::<CompressedImage>(
             published,
             GOAL.0,
             GOAL.1,
-            "The bag's last frame, with goal.",
+            "The last frame of the bag, with goal.",
         ),
     ];
     specs.extend(command::Services::specs());
@@ -97,7 +97,7 @@ pub fn run(args: &NodeArgs) -> Result<Ending> {
     Ok(ending)
 }
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
 /// As [`run`].
@@ -114,7 +114,7 @@ pub async fn body(node: Node) -> Result<Ending> {
     let shutdown = node.shutdown();
     tokio::select! {
         result = player.play(&mut calls) => result?,
-        () = shutdown.wait() => info!("stopped before the bag's end"),
+        () = shutdown.wait() => info!("stopped before the end of the bag"),
     }
     Ok(player.report())
 }
@@ -135,7 +135,7 @@ struct Player {
     playlist: Playlist,
     clock: Option<Publisher<Clock>>,
     chunks: Option<Publisher<ActionChunk>>,
-    /// Kept to the end: who comes late still gets the goal.
+    /// Kept to the end: late joiners still get the goal.
     goal: Option<Publisher<CompressedImage>>,
     playback: Playback,
     /// The moment zero of the playback, and the node's time then \[ns\], as it was when playing began last.
@@ -258,7 +258,7 @@ impl Player {
                     continue;
                 }
                 Step::Rewind(bag_ns) => {
-                    info!("beginning again");
+                    info!("starting again");
                     self.read_from(bag_ns);
                     continue;
                 }
@@ -311,9 +311,9 @@ impl Player {
         {
             let waited = self.settings.parameters.wait_timeout.as_secs_f64();
             match missing().as_slice() {
-                [] => warn!("beginning after {waited:.1} s although the graph still changes"),
+                [] => warn!("starting after {waited:.1} s although the graph is still changing"),
                 missing => warn!(
-                    "beginning after {waited:.1} s without {}",
+                    "starting after {waited:.1} s without {}",
                     missing.join(", ")
                 ),
             }
@@ -330,7 +330,7 @@ impl Player {
             let left = limit.saturating_sub(begin.elapsed());
             if track.is_reliable && !track.publisher.wait_for_acknowledgments(left).await? {
                 warn!(
-                    "{topic}: not all subscribers have everything after {:.1} s",
+                    "{topic}: not all subscribers have acknowledged all messages after {:.1} s",
                     limit.as_secs_f64()
                 );
             }
@@ -425,7 +425,7 @@ impl Player {
             Err(problem @ wm_ros::Error::Representation { .. }) => {
                 let left_out = self.left_out.entry(message.topic.clone()).or_default();
                 if *left_out == 0 {
-                    error!("{}: message left out: {problem}", message.topic);
+                    error!("{}: message dropped: {problem}", message.topic);
                 }
                 *left_out += 1;
             }
@@ -491,7 +491,9 @@ impl Player {
     fn report(&self) -> Ending {
         let mut is_lost = self.unreadable > 0 || self.reader.truncated();
         for (topic, messages) in &self.left_out {
-            warn!("{topic}: {messages} message(s) left out: not in a form that can be sent");
+            warn!(
+                "{topic}: {messages} message(s) dropped: they are not in a format that can be sent"
+            );
             is_lost = true;
         }
         for (topic, track) in &self.playlist.tracks {
@@ -503,12 +505,12 @@ impl Player {
         }
         if self.unreadable > 0 {
             warn!(
-                "{} unreadable part(s) of the bag were left out",
+                "{} unreadable part(s) of the bag were skipped",
                 self.unreadable
             );
         }
         if self.reader.truncated() {
-            warn!("the bag ends early: it was cut off while it was recorded or copied");
+            warn!("the bag ends early: it was truncated while it was recorded or copied");
         }
         info!("played {} message(s)", self.published);
         Ending::lost_if(is_lost)

@@ -1,4 +1,4 @@
-//! What of a bag is played, and with which publishers.
+//! Which topics of a bag are played, and with which publishers.
 
 use super::{Settings, chunks::ActionChunks, restamp::begins_with_header};
 use crate::qos_overrides::KEEP_ALL_DEPTH;
@@ -18,7 +18,7 @@ pub(super) struct Track {
     pub is_restamped: bool,
     /// Whether its subscribers acknowledge what they receive.
     pub is_reliable: bool,
-    /// Whether `/clock` tells of each of its messages.
+    /// Whether `/clock` is published before each of its messages.
     pub is_clocked: bool,
 }
 
@@ -134,7 +134,7 @@ fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result
     for message in reader.messages().only_topics([topic]).flatten() {
         match message.decode::<Action>() {
             Ok(action) => actions.push((message.log_time_ns, action)),
-            Err(problem) => warn!("action left out of the chunks: {problem}"),
+            Err(problem) => warn!("action not used in the chunks: {problem}"),
         }
     }
     Ok(ActionChunks::new(actions, length)?)

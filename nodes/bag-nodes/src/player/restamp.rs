@@ -14,15 +14,13 @@ const NANOSECONDS: std::ops::Range<usize> = 8..12;
 #[non_exhaustive]
 pub enum RestampError {
     /// Too short for a header.
-    #[error("{0} byte(s) are too few for a message with a header: at least 12 are needed")]
+    #[error("expected at least 12 bytes for a message with a header, got {0}")]
     TooShort(usize),
     /// An encapsulation whose first field is elsewhere.
-    #[error(
-        "CDR encapsulation {0:#06x} is not known; expected plain CDR or plain CDR 2 (0, 1, 6, 7)"
-    )]
+    #[error("unknown CDR encapsulation {0:#06x}; expected plain CDR or plain CDR 2 (0, 1, 6, 7)")]
     Encapsulation(u16),
     /// A time that the message cannot express.
-    #[error("{0} ns is out of the range of a ROS time")]
+    #[error("{0} ns is outside the range of ROS time")]
     OutOfRange(i64),
 }
 

@@ -20,64 +20,66 @@ const MOST_AHEAD: i64 = 1_000_000;
 const GAP: Duration = Duration::from_millis(1500);
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     #[derive(Clone, Debug)]
     pub struct Parameters {
-        /// Bag to play: its folder, or one .mcap file; relative to the working directory.
+        /// Bag to play: its folder or a single .mcap file, relative to the working directory.
         pub bag: PathBuf = "";
-        /// Seconds of the bag per second.
+        /// Playback rate: seconds of the bag per second.
         pub rate: f64 = 1.0, in RATES;
-        /// Begin again at the end.
+        /// Start again at the end of the bag.
         pub is_looping as "loop": bool = false;
-        /// Publish the bag's time on /clock this often [Hz], for nodes with use_sim_time; 0: never. Not with restamp.
+        /// Rate at which the bag's time is published on /clock [Hz], for nodes with use_sim_time; 0: never. Not with
+        /// restamp.
         pub clock_hz as "clock": f64 = 0.0, in 0.0..=1000.0;
         /// Publish the log time on /clock before each message of these topics. Not with restamp.
         pub clock_topics: Vec<String> = Vec::<String>::new();
         /// Publish the log time on /clock before each message. Not with restamp.
         pub is_clock_of_all as "clock_topics_all": bool = false;
-        /// Move header stamps from the bag's time to now, so that the nodes' latencies are those of live data.
+        /// Shift header stamps from the bag's time to the present, so that nodes measure latencies as with live data.
         pub is_restamping as "restamp": bool = false;
-        /// Time before the first message, in each round of a loop [s].
+        /// Delay before the first message [s], also in each round of a loop.
         pub delay: Duration = 0.0, in 0.0..=LONGEST_S;
-        /// Part of the bag's beginning to leave out [s].
+        /// Start this long after the beginning of the bag [s].
         pub start_offset: Duration = 0.0, in 0.0..=LONGEST_S;
-        /// How much of the bag to play [s]; negative: all.
+        /// Duration to play [s]; negative: to the end of the bag.
         playback_duration: f64 = -1.0, in -1e9..=1e9;
-        /// Log time of the last message to play [ns since 1970]; negative: the bag's. Where a duration is given too, the
-        /// later end counts.
+        /// Log time of the last message to play [ns since 1970]; negative: the last of the bag. If a duration is also
+        /// given, the later of the two ends applies.
         playback_until_nsec: i64 = -1;
-        /// Wait to be resumed before the first message.
+        /// Start paused: the first message waits until the player is resumed.
         pub is_starting_paused as "start_paused": bool = false;
-        /// Leave the keys of the terminal alone.
+        /// Ignore the keyboard.
         disable_keyboard_controls: bool = false;
-        /// The longest to wait at the end until reliable subscribers have everything [ms]; 0: for ever; negative: not.
+        /// How long to wait at the end for acknowledgements from reliable subscribers [ms]; 0: without limit; negative:
+        /// do not wait.
         wait_for_all_acked: i64 = -1;
-        /// Messages to read ahead of their time; 256 MiB at most.
+        /// Number of messages to read ahead; at most 256 MiB of them.
         pub read_ahead as "read_ahead_queue_size": usize = 1000, in 1..=MOST_AHEAD;
-        /// YAML file of quality of service by topic, as ros2 bag reads it; empty: as recorded.
+        /// YAML file with the QoS of each topic, in the format of ros2 bag; empty: QoS as recorded.
         qos_profile_overrides_path: PathBuf = "";
-        /// Topics to play; empty: all, or those of regex.
+        /// Topics to play; empty: all topics, or those that match regex.
         topics: Vec<String> = Vec::<String>::new();
-        /// Play topics in whose name this regular expression is found, beside those of topics.
+        /// Also play topics whose name contains a match of this regular expression.
         regex: String = "";
         /// Topics not to play.
         exclude_topics: Vec<String> = Vec::<String>::new();
-        /// Do not play topics in whose name this regular expression is found.
+        /// Do not play topics whose name contains a match of this regular expression.
         exclude_regex: String = "";
-        /// Topics that need a publisher and a subscriber, in a graph that is quiet for half a second, before the first
-        /// message.
+        /// Before the first message, wait until each of these topics has a publisher and a subscriber and the graph has
+        /// not changed for half a second.
         pub wait_for: Vec<String> = Vec::<String>::new();
-        /// The longest to wait for them [s].
+        /// Maximum time to wait for the topics in wait_for [s].
         pub wait_timeout: Duration = 10.0, in 0.0..=LONGEST_S;
-        /// Time from the last message to the player's end [s], for the nodes that still work on it.
+        /// How long the player keeps running after the last message [s], while nodes still work on it.
         pub linger: Duration = 0.0, in 0.0..=LONGEST_S;
-        /// Publish so many coming actions at each action, on /wm/action_chunk; 0: none.
+        /// With each action, publish this many next actions on /wm/action_chunk; 0: none.
         pub chunk_length as "action_chunk_length": usize = 0, in 0..=1024;
-        /// The bag's topic of actions.
+        /// Topic of the actions in the bag.
         pub action_topic: String = "/wm/action";
-        /// Publish the bag's last frame as goal, on /wm/goal/image/compressed.
+        /// Publish the last frame of the bag as the goal, on /wm/goal/image/compressed.
         pub has_goal as "goal": bool = false;
-        /// The goal's camera topic in the bag; empty: the first camera.
+        /// Camera topic in the bag from which the goal is taken; empty: the first camera.
         pub camera_topic: String = "";
     }
 }
@@ -118,11 +120,11 @@ impl Settings {
 
     fn check(&self) -> Result<()> {
         if self.parameters.bag.as_os_str().is_empty() {
-            bail!("parameter \"bag\" is empty: name the bag to play");
+            bail!("parameter \"bag\" is empty: give the bag to play");
         }
         ensure!(
             !(self.parameters.is_restamping && self.has_clock()),
-            "\"restamp\" moves stamps to now and \"clock\" publishes the bag's time: give one of them"
+            "\"restamp\" shifts stamps to the present and \"clock\" publishes the bag's time: set only one of them"
         );
         Ok(())
     }
@@ -171,7 +173,7 @@ impl Settings {
             || !self.parameters.clock_topics.is_empty()
     }
 
-    /// Whether `/clock` tells of each message of this topic.
+    /// Whether `/clock` is published before each message of this topic.
     #[must_use]
     pub fn clocks(&self, topic: &str) -> bool {
         self.parameters.is_clock_of_all

@@ -1,4 +1,4 @@
-//! Messages that did not get into the bag.
+//! Messages that are missing from the bag.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,8 +14,8 @@ pub struct Loss {
     queues: AtomicU64,
     /// Came in a form that is no message's.
     undecodable: AtomicU64,
-    /// Never came, by the gaps in their publishers' numbering; best effort ones too. What was sent before the first
-    /// that came, or after the last, leaves no gap.
+    /// Never came, as shown by gaps in their publishers' sequence numbers; best effort ones too. What was sent before
+    /// the first that came, or after the last, leaves no gap.
     missing: AtomicU64,
 }
 
@@ -48,9 +48,12 @@ impl Loss {
 impl fmt::Display for Loss {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let causes: Vec<String> = [
-            (&self.queues, "found a queue full"),
+            (&self.queues, "dropped from a full queue"),
             (&self.undecodable, "undecodable"),
-            (&self.missing, "missing in their publishers' numbering"),
+            (
+                &self.missing,
+                "missing in their publishers' sequence numbers",
+            ),
         ]
         .iter()
         .map(|(count, cause)| (count.load(Ordering::Relaxed), cause))
@@ -74,7 +77,7 @@ mod tests {
         assert_eq!((loss.total(), loss.to_string()), (0, String::new()));
         loss.count_queues(2);
         loss.count_missing(3);
-        let text = "2 found a queue full, 3 missing in their publishers' numbering";
+        let text = "2 dropped from a full queue, 3 missing in their publishers' sequence numbers";
         assert_eq!((loss.total(), loss.to_string()), (5, text.to_owned()));
     }
 }

@@ -43,7 +43,7 @@ use wm_ros::{calls::Calls, calls::answer};
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
     name: "recorder",
-    about: "Records topics, as they are found, into a bag.",
+    about: "Records topics into a bag, as they appear.",
     parameters: Parameters::specs,
     endpoints: command::Services::specs,
     is_managed: false,
@@ -54,8 +54,8 @@ pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
 /// More topics than this are not recorded: whoever makes so many does not mean well, and each has a queue.
 const MOST_TOPICS: usize = 2000;
 
-/// Records until a signal. `DataLost` where messages did not get into the bag: those that found a queue full, those in
-/// no known form, and those that are missing in their publishers' numbering.
+/// Records until a signal. `DataLost` if messages are missing from the bag: those dropped from a full queue, those that
+/// could not be decoded, and those that are missing in their publishers' sequence numbers.
 ///
 /// # Errors
 /// Names what is wrong with arguments or parameters, or why the bag cannot be written.
@@ -160,7 +160,10 @@ async fn record(
                     continue;
                 }
                 None if types.len() >= MOST_TOPICS => {
-                    news.skipped(&topic, &format_args!("{MOST_TOPICS} topics are recorded"));
+                    news.skipped(
+                        &topic,
+                        &format_args!("{MOST_TOPICS} topics are already recorded"),
+                    );
                     continue;
                 }
                 None => {}
@@ -202,11 +205,12 @@ async fn record(
                 Command::Stop(call) => break Some(call),
                 Command::Record(call) => answer(call, &RecordResponse {
                     return_code: 1,
-                    error_string: "a recording is under way".to_owned(),
+                    error_string: "a recording is already running".to_owned(),
                 }),
                 Command::Snapshot(call) => {
                     let success = queue.take_snapshot()?;
-                    info!("snapshot {}", if success { "taken" } else { "refused: the last is still being written" });
+                    info!("snapshot {}", if success { "taken" } else { "refused: the previous snapshot is still being \
+                                                                        written" });
                     answer(call, &Success { success });
                 }
                 Command::SplitBagfile(call) => {
@@ -279,7 +283,7 @@ fn subscribe(
     let schema = definitions::definition(&topic.type_name, prefixes).unwrap_or_else(|| {
         news.undefined(
             &topic.type_name,
-            "is not on AMENT_PREFIX_PATH: recorded without its definition",
+            "is not on AMENT_PREFIX_PATH: it is recorded without its definition",
         );
         definitions::unknown()
     });

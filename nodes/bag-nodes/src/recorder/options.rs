@@ -17,54 +17,56 @@ use wm_ros::{Node, Qos};
 const LONGEST_S: i64 = 100 * 365 * 24 * 3600;
 
 wm_ros::parameters! {
-    /// What the parameters say. They have the names and meanings of rosbag2's options.
+    /// The node's parameters. They have the names and meanings of rosbag2's options.
     pub(super) struct Parameters {
-        /// Folder of the new bag; relative to the working directory.
+        /// Folder for the new bag, relative to the working directory.
         output: PathBuf = "";
-        /// Replace a bag that is there already, once the new one holds a message. Only the bag of output: what a service
-        /// asks for is always a new one.
+        /// Replace an existing bag once the new one holds a message. This applies only to the bag of output: a bag that
+        /// a service asks for must not exist yet.
         overwrite: bool = false;
-        /// Give what is there already a name with the time of its last change.
+        /// Rename an existing bag by adding the time of its last change to its name.
         rename_existing: bool = false;
-        /// Folder below which ~/record may make bags; empty: the folder that output is in.
+        /// Calls of ~/record may create bags only below this folder; empty: the folder that contains output.
         root: PathBuf = "";
-        /// Topics to record; empty: all that are not hidden, or those of regex and topic_types.
+        /// Topics to record; empty: all that are not hidden, or those selected by regex and topic_types.
         topics: Vec<String> = Vec::<String>::new();
         /// Topics not to record.
         exclude_topics: Vec<String> = Vec::<String>::new();
-        /// Record topics in whose name this regular expression is found, too.
+        /// Also record topics whose name contains a match of this regular expression.
         regex: String = "";
-        /// Do not record topics in whose name this regular expression is found.
+        /// Do not record topics whose name contains a match of this regular expression.
         exclude_regex: String = "";
-        /// Record topics of these types, too.
+        /// Also record topics of these types.
         topic_types: Vec<String> = Vec::<String>::new();
         /// Do not record topics of these types.
         exclude_topic_types: Vec<String> = Vec::<String>::new();
-        /// YAML file of quality of service by topic, as ros2 bag reads it; empty: what all publishers of a topic offer.
+        /// YAML file with the QoS of each topic, in the format of ros2 bag; empty: what all publishers of a topic
+        /// offer.
         qos_profile_overrides_path: PathBuf = "";
-        /// Hold the latest max_cache_size bytes back, and write them when ~/snapshot is called.
+        /// Snapshot mode: keep the latest max_cache_size bytes in memory, and write them when ~/snapshot is called.
         snapshot_mode: bool = false;
-        /// Record nothing until it is resumed.
+        /// Start paused: record nothing until the recorder is resumed.
         start_paused: bool = false;
-        /// Leave the keys of the terminal alone.
+        /// Ignore the keyboard.
         disable_keyboard_controls: bool = false;
-        /// Begin the bag's next file at this size [bytes]; 0: never.
+        /// Split the bag: start its next file at this size [bytes]; 0: never.
         max_bag_size: u64 = 0;
-        /// Begin the bag's next file after this time [s]; 0: never.
+        /// Split the bag: start its next file after this time [s]; 0: never.
         max_bag_duration: u64 = 0, in 0..=LONGEST_S;
-        /// Messages that may wait for the disk [bytes]; what finds no room is dropped and counted.
+        /// Maximum size of the messages that wait for the disk [bytes]; further messages are dropped and counted.
         max_cache_size: usize = CACHE_BYTES as i64, in 1..=i64::MAX;
         /// Compression of the bag's chunks.
         compression_format: Compression = "zstd", one_of {
             "none" => Compression::None, "zstd" => Compression::Zstd, "lz4" => Compression::Lz4,
         };
-        /// Preset of rosbag2's MCAP storage, instead of compression_format: fastwrite (no chunks, no compression),
-        /// zstd_fast (fastest level, no CRC of the chunks), zstd_small (slowest level, chunks of 4 MiB).
+        /// Preset of rosbag2's MCAP storage, used instead of compression_format: fastwrite (no chunks, no compression),
+        /// zstd_fast (fastest level, no chunk CRC), zstd_small (slowest level, chunks of 4 MiB).
         storage_preset_profile: StoragePreset = "none", one_of {
             "none" => StoragePreset::None, "fastwrite" => StoragePreset::FastWrite,
             "zstd_fast" => StoragePreset::ZstdFast, "zstd_small" => StoragePreset::ZstdSmall,
         };
-        /// How far compressing and writing give way to other nodes and programs, as nice(1).
+        /// Added to the nice value of the thread that compresses and writes, as with nice(1). Above 0, other nodes and
+        /// programs go first.
         nice: i32 = 0, in 0..=19;
     }
 }
@@ -93,15 +95,15 @@ impl Options {
     /// What the parameters mean.
     ///
     /// # Errors
-    /// Names the parameter that makes no sense.
+    /// Names the invalid parameter.
     pub fn new(parameters: Parameters, node: &Node) -> Result<Self> {
         ensure!(
             !parameters.output.as_os_str().is_empty(),
-            "parameter \"output\" is empty: name the folder of the new bag"
+            "parameter \"output\" is empty: give the folder for the new bag"
         );
         ensure!(
             !(parameters.overwrite && parameters.rename_existing),
-            "\"overwrite\" and \"rename_existing\": give one of them"
+            "\"overwrite\" and \"rename_existing\" exclude each other: set only one of them"
         );
         let existing = match (parameters.overwrite, parameters.rename_existing) {
             (true, _) => Existing::Replaced,

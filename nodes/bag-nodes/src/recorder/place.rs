@@ -1,7 +1,7 @@
 //! Where bags are made.
 //!
-//! The first bag goes where the user said, and what is there already is dealt with as the user said. Every later one is
-//! asked for by a peer, and gets a folder that is new: below the root, and not by way of a symbolic link.
+//! The user chooses the path of the first bag, and what happens to an existing bag there. Every later bag is requested
+//! by a peer and gets a new folder below the root, never through a symbolic link.
 
 use anyhow::{Context as _, Result, bail, ensure};
 use std::path::{Component, Path, PathBuf};
@@ -73,7 +73,7 @@ impl Place {
         let aside = set_aside(output)?;
         if let Some(aside) = &aside {
             info!(
-                "what was at {} is now {}",
+                "renamed the existing {} to {}",
                 output.display(),
                 aside.display()
             );
@@ -128,7 +128,7 @@ impl Place {
                 Ok(found) if found.is_symlink() => {
                     bail!("{} is a symbolic link", folder.display())
                 }
-                Ok(_) => bail!("{} is there already", folder.display()),
+                Ok(_) => bail!("{} already exists", folder.display()),
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
                 Err(error) => return Err(error).with_context(|| folder.display().to_string()),
             }
@@ -148,7 +148,7 @@ impl OldBag {
     pub fn give_way(self, messages: u64) {
         let folder = self.folder.display();
         if messages == 0 {
-            warn!("nothing was recorded: the bag that was to be replaced is kept as {folder}");
+            warn!("nothing was recorded: the existing bag is kept as {folder}");
             return;
         }
         let remove = || -> Result<()> {
@@ -158,7 +158,7 @@ impl OldBag {
             Ok(std::fs::remove_dir(&self.folder)?)
         };
         if let Err(error) = remove() {
-            warn!("the bag that was replaced is kept as {folder}: {error:#}");
+            warn!("the replaced bag could not be removed and is kept as {folder}: {error:#}");
         }
     }
 }
@@ -182,7 +182,7 @@ fn bag_files(folder: &Path) -> Result<Vec<PathBuf>> {
     };
     if let Some(stranger) = paths.iter().find(|path| !is_part_of_bag(path)) {
         bail!(
-            "will not overwrite {}: it holds {}, which is no part of a bag",
+            "will not overwrite {}: it contains {}, which is not part of a bag",
             folder.display(),
             stranger.display()
         );
@@ -238,7 +238,7 @@ mod tests {
                 assert!(refusal(uri).contains("below"), "{uri}: {}", refusal(uri));
             }
             for uri in ["bag", "strangers", "file", &whole(root.join("bag")), "bag/"] {
-                assert!(refusal(uri).contains("there already"), "{uri}");
+                assert!(refusal(uri).contains("already exists"), "{uri}");
             }
             for uri in ["link", "link/new", "dangling", "dangling/new"] {
                 assert!(refusal(uri).contains("symbolic link"), "{uri}");

@@ -13,7 +13,7 @@ pub struct Selection {
     pub topics: TopicFilter,
     /// Types whose topics are recorded beside those, as `package/msg/Type`.
     pub types: Vec<String>,
-    /// Types whose topics are left out.
+    /// Types whose topics are not recorded.
     pub exclude_types: Vec<String>,
 }
 

@@ -172,7 +172,9 @@ impl Recording {
             .spawn(move || {
                 // Linux has a priority for each thread, where POSIX has one for the process.
                 if let Err(error) = rustix::process::nice(nice) {
-                    tracing::warn!("recording at the usual priority: {error}");
+                    tracing::warn!(
+                        "cannot lower the priority; recording at the usual priority: {error}"
+                    );
                 }
                 let result = write(writer, &entries, &waiting);
                 if let Err(error) = &result {

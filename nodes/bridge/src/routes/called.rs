@@ -125,14 +125,14 @@ impl Caller {
             .map_err(|error| anyhow!("{error}"))?;
         let reply = replies.recv_async().await;
         // When the time is over, Zenoh itself answers that.
-        let reply = reply.ok().context("the other side gave no answer")?;
+        let reply = reply.ok().context("the other side did not answer")?;
         match reply.result() {
             Ok(sample) => {
                 let answer = Bytes::from(sample.payload().to_bytes().into_owned());
                 Ok(call.respond(answer)?)
             }
             Err(error) => bail!(
-                "the other side says: {}",
+                "the other side answered: {}",
                 String::from_utf8_lossy(&error.payload().to_bytes())
             ),
         }
@@ -141,7 +141,7 @@ impl Caller {
     /// Waits until Zenoh knows a way to the other side: it tells of the server before it does, and a query without a way is
     /// answered by nobody, at once.
     async fn reach(&self) -> Result<()> {
-        let failed = |error| anyhow!("cannot see who serves {}: {error}", self.key);
+        let failed = |error| anyhow!("cannot watch the servers of {}: {error}", self.key);
         let listener = self.querier.matching_listener().await.map_err(failed)?;
         let status = self.querier.matching_status().await.map_err(failed)?;
         let mut is_matching = status.matching();

@@ -114,7 +114,7 @@ impl Stream {
     /// Subscribes to the topic while somebody on Zenoh does. A latched one is always subscribed to, so that its last
     /// samples are there when somebody does.
     async fn forward(&mut self) -> Result<()> {
-        let failed = |error| anyhow!("cannot see who subscribes on Zenoh: {error}");
+        let failed = |error| anyhow!("cannot watch the subscribers on Zenoh: {error}");
         let is_latched = self.qos.durability == Durability::TransientLocal;
         let publisher = Arc::clone(&self.publisher);
         let listener = publisher.matching_listener().await.map_err(failed)?;

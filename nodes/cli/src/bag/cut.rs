@@ -16,31 +16,31 @@ use wm_bag_nodes::ending::Ending;
 /// Cuts a bag.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "Messages, times, sequence numbers, schemas and QoS stay as they were. Of each topic that is transient_local,\n\
-    the last message before the start is kept too, since it still holds: with the start as its log time, so that\n\
-    it is played first, and with its own publish time.\n\n\
-    STAMP is what `wm bag info` shows: seconds since the epoch (1700000000.25) or a date (2023-11-14T22:13:20.25Z).\n\n\
+    after_help = "Messages, times, sequence numbers, schemas and QoS are not changed. For each latched (transient_local) topic,\n\
+    the last message before the start is kept too, because it is still valid. Its log time becomes the start, so\n\
+    that it is played first; its publish time is kept.\n\n\
+    STAMP is as in `wm bag info`: seconds since the epoch (1700000000.25) or a date (2023-11-14T22:13:20.25Z).\n\n\
     Examples:\n  \
     wm bag cut run part --start-offset 12.5 --duration 30\n  \
     wm bag cut run part --start-time 2023-11-14T22:13:20Z --end-time 2023-11-14T22:14:00Z\n  \
     wm bag cut run cameras -e '^/camera/' -x '/compressedDepth$'\n  \
     wm bag cut run small --exclude-topics /camera/image_raw\n\n\
-    Exit codes: 0 done, 3 the bag is damaged and what can be read was kept, 1 failed."
+    Exit codes: 0 done, 3 the bag is damaged and only its readable part was kept, 1 failed."
 )]
 pub struct CutCommand {
-    /// The bag's folder, or one .mcap file
+    /// Folder of the bag, or a single .mcap file
     #[arg(value_name = "IN")]
     input: PathBuf,
-    /// Folder of the new bag
+    /// Folder for the new bag
     #[arg(value_name = "OUT")]
     output: PathBuf,
-    /// Begin so long after the bag's first message, in seconds
+    /// Start this many seconds after the bag's first message
     #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
     start_offset: Option<Duration>,
-    /// End so long after the start, in seconds; a message of that very time is left out
+    /// End this many seconds after the start; a message at exactly that time is not included
     #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
     duration: Option<Duration>,
-    /// Begin at this log time
+    /// Start at this log time
     #[arg(long, value_name = "STAMP", value_parser = parse_stamp_ns, conflicts_with = "start_offset")]
     start_time: Option<u64>,
     /// End before this log time
@@ -72,7 +72,9 @@ impl CutCommand {
             part.summary.path.display()
         ))?;
         for topic in &part.latched {
-            print(format_args!("kept what held at the start: {topic}\n"))?;
+            print(format_args!(
+                "kept the last message before the start: {topic}\n"
+            ))?;
         }
         for warning in &part.warnings {
             print(format_args!("Warning: {warning}\n"))?;

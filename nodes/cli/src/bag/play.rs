@@ -15,10 +15,10 @@ use wm_ros::{NodeArgs, ParameterSpec};
 /// Plays a bag.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "Keys, where it runs in a terminal: space pauses and resumes, cursor right plays the next message of a paused\n\
-    playback, up and down change the rate by 0.1.\n\n\
-    Services, of rosbag2_interfaces: ~/pause ~/resume ~/toggle_paused ~/is_paused ~/get_rate ~/set_rate ~/play_next\n\
-    ~/burst ~/seek ~/play ~/stop; the node's name is /wm/player.\n\n\
+    after_help = "Keys in a terminal: space pauses and resumes, cursor right plays the next message of a paused playback,\n\
+    up and down change the rate by 0.1.\n\n\
+    Services (rosbag2_interfaces): ~/pause ~/resume ~/toggle_paused ~/is_paused ~/get_rate ~/set_rate ~/play_next\n\
+    ~/burst ~/seek ~/play ~/stop. The node is /wm/player.\n\n\
     Examples:\n  \
     wm bag play run --clock --rate 0.5 --start-offset 10 --playback-duration 5\n  \
     wm bag play run -e '^/camera/' -x '/compressedDepth$' -m /camera/image_raw:=/front\n  \
@@ -26,18 +26,18 @@ use wm_ros::{NodeArgs, ParameterSpec};
     Exit codes: 0 everything was played, 3 something was lost or unreadable, 1 failed."
 )]
 pub struct PlayCommand {
-    /// The bag's folder, or one .mcap file
+    /// Folder of the bag, or a single .mcap file
     bag: PathBuf,
     #[command(flatten)]
     flags: ParameterFlags<Player>,
-    /// Play under other names
+    /// Remap topics
     #[arg(short = 'm', long, value_name = "FROM:=TO", num_args = 1.., value_parser = parse_rule)]
     remap: Vec<String>,
-    /// Play what was logged until this time; the later end counts, where a duration is given too. STAMP is seconds
-    /// since 1970 (1700000000.25) or a date (2023-11-14T22:13:20.25Z)
+    /// Play messages up to this log time. If a duration is also given, the later of the two ends applies. STAMP is
+    /// seconds since 1970 (1700000000.25) or a date (2023-11-14T22:13:20.25Z)
     #[arg(long, value_name = "STAMP", value_parser = parse_stamp_ns, conflicts_with = "playback_until_nsec")]
     playback_until_sec: Option<u64>,
-    /// What is logged: debug, info, warn, error or fatal
+    /// Log level: debug, info, warn, error or fatal
     #[arg(long, value_name = "LEVEL")]
     log_level: Option<String>,
 }

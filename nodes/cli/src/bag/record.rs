@@ -13,11 +13,11 @@ use wm_ros::{NodeArgs, ParameterSpec};
 /// Records a bag.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "At the end it says which messages did not get into the bag, by topic and cause: those that found a queue\n\
-    full, those in no known form, and those that are missing in their publishers' numbering (best effort ones too;\n\
-    what was sent before the first that came, or after the last, cannot be seen).\n\n\
-    Space, in its terminal, pauses and resumes. Services, of rosbag2_interfaces: ~/pause ~/resume ~/is_paused\n\
-    ~/split_bagfile ~/stop ~/record, in snapshot mode ~/snapshot; the node's name is /wm/recorder.\n\n\
+    after_help = "At the end it reports which messages are missing from the bag, by topic and cause: dropped because a queue\n\
+    was full, not decodable, or missing in their publishers' sequence numbers (best effort too; messages sent\n\
+    before the first or after the last received one cannot be detected).\n\n\
+    Space pauses and resumes in a terminal. Services (rosbag2_interfaces): ~/pause ~/resume ~/is_paused\n\
+    ~/split_bagfile ~/stop ~/record and, in snapshot mode, ~/snapshot. The node is /wm/recorder.\n\n\
     Examples:\n  \
     wm bag record -a -o run\n  \
     wm bag record -e '^/camera/' --topic-types wm_msgs/msg/Action -o run\n  \
@@ -28,22 +28,22 @@ use wm_ros::{NodeArgs, ParameterSpec};
     Exit codes: 0 everything is in the bag, 3 something was lost, 1 failed."
 )]
 pub struct RecordCommand {
-    /// Topics to record; as --topics
+    /// Topics to record; the same as --topics
     #[arg(value_name = "TOPIC")]
     names: Vec<String>,
-    /// Record all topics that are not hidden, those that appear later too
+    /// Record all topics that are not hidden, including those that appear later
     #[arg(short, long, visible_alias = "all-topics", conflicts_with_all = ["names", "topics", "regex", "topic_types"])]
     all: bool,
     #[command(flatten)]
     flags: ParameterFlags<Recorder>,
-    /// Log times are those of /clock; nothing is recorded before it speaks
+    /// Take log times from /clock; nothing is recorded before its first message
     #[arg(long)]
     use_sim_time: bool,
-    /// What is logged: debug, info, warn, error or fatal
+    /// Log level: debug, info, warn, error or fatal
     #[arg(long, value_name = "LEVEL")]
     log_level: Option<String>,
-    /// What is compressed: chunks of the file by --compression-format, which is MCAP's own way. rosbag2's modes file and
-    /// message are refused: they hide the messages from other readers of MCAP
+    /// What to compress. Only chunks of the file can be compressed (see --compression-format), as MCAP defines it.
+    /// rosbag2's modes file and message are refused, because other MCAP readers cannot read such messages
     #[arg(long, value_name = "MODE", value_parser = parse_compression_mode)]
     compression_mode: Option<String>,
 }
@@ -72,7 +72,7 @@ fn parse_compression_mode(text: &str) -> Result<String, String> {
     match text.to_lowercase().as_str() {
         mode @ "none" => Ok(mode.to_owned()),
         "file" | "message" => Err(format!(
-            "rosbag2's compression mode {text} is not written; chunks are compressed instead, by --compression-format \
+            "rosbag2's compression mode {text} is not supported; compress chunks instead, with --compression-format \
              none|zstd|lz4"
         )),
         _ => Err("expected none".to_owned()),
@@ -88,7 +88,7 @@ impl RecordCommand {
             .any(|name| self.flags.has(name));
         if !self.all && !is_named {
             let problem =
-                "what is to be recorded? Name topics, or give --all, --regex or --topic-types\n";
+                "nothing to record: name topics, or give --all, --regex or --topic-types\n";
             clap::Error::raw(clap::error::ErrorKind::MissingRequiredArgument, problem).exit();
         }
         let mut parameters = Parameters::new();

@@ -10,18 +10,18 @@ use wm_bag_nodes::ending::Ending;
 /// Recovers a bag.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "Every chunk that is whole is kept, also behind a damaged one, with messages, times, sequence numbers,\n\
-    schemas and QoS as they were; indexes, summary and metadata.yaml are made anew. IN stays as it is.\n\n\
+    after_help = "Every whole chunk is kept, also after a damaged one, with unchanged messages, times, sequence numbers,\n\
+    schemas and QoS. Indexes, summary and metadata.yaml are rebuilt. IN is not changed.\n\n\
     Examples:\n  \
     wm bag recover robot_run robot_run_sound           # a recorder was killed, or its disk was full\n  \
-    wm bag recover download.mcap sound                 # a copy was cut short\n\n\
-    Exit codes: 0 nothing of the files was lost, 3 something was (it is listed by byte), 1 there is no bag to recover."
+    wm bag recover download.mcap sound                 # a copy was truncated\n\n\
+    Exit codes: 0 nothing was lost, 3 something was lost (each loss is listed with its byte), 1 there is no bag to recover."
 )]
 pub struct RecoverCommand {
-    /// The bag's folder, or one .mcap file
+    /// Folder of the bag, or a single .mcap file
     #[arg(value_name = "IN")]
     input: PathBuf,
-    /// Folder of the new bag
+    /// Folder for the new bag
     #[arg(value_name = "OUT")]
     output: PathBuf,
 }

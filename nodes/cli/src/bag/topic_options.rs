@@ -7,16 +7,16 @@ use wm_bag::TopicFilter;
 /// Which topics.
 #[derive(Args, Debug)]
 pub struct TopicOptions {
-    /// Keep these topics; all, where none is named here nor found by --regex
+    /// Select these topics; all topics if neither this option nor --regex is given
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     topics: Vec<String>,
-    /// Keep the topics in whose name this regular expression is found, beside those of --topics
+    /// Also select topics whose name contains a match of this regular expression
     #[arg(short = 'e', long, value_name = "REGEX")]
     regex: Option<String>,
-    /// Leave these topics out, whatever keeps them
+    /// Exclude these topics, even if they are selected
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     exclude_topics: Vec<String>,
-    /// Leave the topics out in whose name this regular expression is found
+    /// Exclude topics whose name contains a match of this regular expression
     #[arg(short = 'x', long, value_name = "REGEX")]
     exclude_regex: Option<String>,
 }
@@ -25,7 +25,7 @@ impl TopicOptions {
     /// The topics meant.
     ///
     /// # Errors
-    /// Text that is no regular expression.
+    /// A text is not a regular expression.
     pub fn filter(self) -> Result<TopicFilter> {
         Ok(TopicFilter::new(
             self.topics,

@@ -19,7 +19,7 @@ use wm_zoo::success_probe::SuccessClassifier;
 /// Loads a world model as the nodes do, runs it once, and says what it is.
 #[derive(Args, Debug)]
 pub struct CheckCommand {
-    /// What a node's parameter `model` takes: a folder, or `tiny`
+    /// A model folder, or `tiny`, as for the parameter `model` of a node
     #[arg(value_name = "DIR")]
     model: String,
 }
@@ -88,7 +88,7 @@ fn table(summary: &Summary) -> Result<String> {
     let ([height, width], [rows, columns, channels]) = (summary.image, summary.latent);
     let views = match summary.views {
         1 => String::new(),
-        views => format!(", {views} views beside each other"),
+        views => format!(", {views} views side by side"),
     };
     writeln!(
         text,
@@ -101,7 +101,8 @@ fn table(summary: &Summary) -> Result<String> {
     )?;
     writeln!(
         text,
-        "a model step is {} camera frames, sampled in {} Euler steps with time shift {:.3}; at most {} frames are seen",
+        "a model step is {} camera frames, sampled in {} Euler steps with time shift {:.3}; the context window has at \
+         most {} frames",
         summary.frame_skip, summary.integration_steps, summary.shift, summary.max_frames
     )?;
     Ok(text)

@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use wm_zoo::Checkpoint;
 use wm_zoo::checkpoint::{Average, convert};
 
-/// Writes a checkpoint as safetensors. What a training keeps beside a network's tensors is left out: of `model` and
-/// `ema` the average is taken, and of the optimiser nothing. Nothing in a torch file is executed.
+/// Writes a checkpoint as safetensors. Only the tensors of the network are written: of `model` and `ema` the average,
+/// and no optimiser state. Nothing in a torch file is executed.
 #[derive(Args, Debug)]
 pub struct ConvertCommand {
     /// Checkpoint: a torch file, or safetensors
@@ -17,13 +17,13 @@ pub struct ConvertCommand {
     /// File to write
     #[arg(value_name = "OUT.safetensors")]
     output: PathBuf,
-    /// Take the weights as the optimiser left them, not their moving average
+    /// Take the raw weights instead of their moving average
     #[arg(long, conflicts_with = "all")]
     raw: bool,
-    /// Take only this part of a checkpoint of several networks, as `adapter` or `ema_encoder`
+    /// Take only this part of a checkpoint with several networks, for example `adapter` or `ema_encoder`
     #[arg(long, value_name = "NAME")]
     part: Option<String>,
-    /// Take every tensor there is, by its whole name
+    /// Take all tensors, with their full names
     #[arg(long)]
     all: bool,
 }

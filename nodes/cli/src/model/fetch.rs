@@ -16,28 +16,27 @@ use clap::Args;
 use config_file::Written;
 use std::path::{Path, PathBuf};
 
-/// Downloads a published model from where its authors put it, with a configuration beside it.
+/// Downloads a published model from its authors' site, and writes its configuration beside it.
 ///
-/// `fetched.json` in the folder notes the commit of a Hugging Face repository and the SHA-256 of every file; later
-/// downloads to the folder take that commit and files of these hashes only. A file that is there and differs is never
-/// replaced without `--overwrite`. An interrupted download continues where it stopped if the server still has the same
-/// file.
+/// `fetched.json` in the folder records the commit of the Hugging Face repository and the SHA-256 of every file. Later
+/// downloads to the folder accept only that commit and these hashes. An existing file that differs is replaced only
+/// with `--overwrite`. An interrupted download continues where it stopped if the server still has the same file.
 #[derive(Args, Debug)]
 #[command(after_help = catalogue::names())]
 pub struct FetchCommand {
-    /// The model
+    /// Name of the model
     #[arg(value_name = "NAME")]
     name: String,
-    /// Folder for its files [default: models/NAME]
+    /// Folder for the files [default: models/NAME]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Revision of a Hugging Face repository: a branch, a tag or a commit [default: that of fetched.json, else main]
     #[arg(long)]
     revision: Option<String>,
-    /// Replace files that are there and differ, config.json and the hashes of fetched.json included
+    /// Replace existing files that differ, including config.json and the hashes in fetched.json
     #[arg(long)]
     overwrite: bool,
-    /// File with a Hugging Face access token, for models whose licence has to be accepted first
+    /// File with a Hugging Face access token, for models whose licence must be accepted first
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
 }
@@ -46,7 +45,7 @@ impl FetchCommand {
     /// Runs it.
     pub fn run(self) -> Result<()> {
         let Some(model) = MODELS.iter().find(|model| model.name == self.name) else {
-            bail!("no model `{}` is known; {}", self.name, catalogue::names());
+            bail!("unknown model `{}`; {}", self.name, catalogue::names());
         };
         let folder = match &self.output {
             Some(folder) => folder.clone(),
@@ -90,7 +89,7 @@ impl FetchCommand {
             let url = model.url(file, revision.as_deref());
             let hint = || match model.gated {
                 true => format!(
-                    "{url} (its licence has to be accepted at {}, and a token given with --token-file)",
+                    "{url} (accept its licence at {}, and give a token with --token-file)",
                     model.page()
                 ),
                 false => url.clone(),
@@ -145,7 +144,7 @@ fn file_name(file: &str) -> &str {
 
 fn kept(path: &Path) -> String {
     format!(
-        "{} is there and was kept; --overwrite replaces it",
+        "{} exists and was kept; --overwrite replaces it",
         path.display()
     )
 }

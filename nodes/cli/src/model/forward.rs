@@ -36,7 +36,7 @@ Kinds, their configurations and tensors (image: N,256,256,3 in 0..1; latent: N,h
 #[derive(Args, Debug)]
 #[command(after_help = KINDS)]
 pub struct ForwardCommand {
-    /// What the model is
+    /// Kind of the model
     #[arg(long)]
     kind: Kind,
     #[command(flatten)]

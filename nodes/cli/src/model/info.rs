@@ -10,7 +10,7 @@ use wm_zoo::cost::Row;
 /// Counts parameters and operations.
 #[derive(Args, Debug)]
 pub struct InfoCommand {
-    /// Only this system, a row of the table
+    /// Show only this system, which is a row of the table
     #[arg(value_name = "NAME")]
     name: Option<String>,
     /// Print JSON
@@ -74,7 +74,7 @@ fn table(rows: &[Row]) -> Result<String> {
     Ok(text)
 }
 
-/// Cells of one width beside each other.
+/// Cells of one width side by side.
 fn cells(texts: [String; 9]) -> String {
     texts.map(|text| format!("{text:>8}")).join(" ")
 }

@@ -7,30 +7,33 @@ use wm_model::sampler::Sampler;
 use wm_zoo::kinds::{self, DitConfig, Kind, RolloutOptions};
 
 /// What goes in and comes out.
-const TENSORS: &str = "\
-Input: context (B,T,H,W,C), T observed latents (2 in the paper); actions (B,T+K,A), number i being fed with frame i
-and leading on from it; noise (B,K,H,W,C). Output: predicted (B,K,H,W,C). The configuration is that of
+const TENSORS: &str =
+    "Input: context (B,T,H,W,C), T observed latents (2 in the paper); actions (B,T+K,A), where \
+                       action i is paired with frame i
+and leads from it to the next frame; noise (B,K,H,W,C). Output: \
+                       predicted (B,K,H,W,C). The configuration is that of
 `wm model forward --kind dit`.";
 
 /// Predicts frames.
 #[derive(Args, Debug)]
 #[command(after_help = TENSORS)]
 pub struct RolloutCommand {
-    /// What the model is: there is only one kind that predicts
+    /// Kind of the model; only one kind predicts frames
     #[arg(long, default_value_t = Kind::Dit)]
     kind: Kind,
     #[command(flatten)]
     running: RunningArgs,
-    /// Euler steps a frame
+    /// Euler steps per frame
     #[arg(long, default_value_t = Sampler::default().steps)]
     steps: usize,
-    /// Time shift gamma; 1 is none [default: what models of such latents were trained with]
+    /// Time shift gamma; 1 means no shift [default: as in the training of models with such latents]
     #[arg(long)]
     shift: Option<f64>,
-    /// Noise level that context frames are said to have
+    /// Noise level tau of the context frames
     #[arg(long, default_value_t = Sampler::default().context_tau)]
     context_tau: f64,
-    /// Compute the whole window in every Euler step, as the reference does, instead of reusing what clean frames give
+    /// Compute the whole window in every Euler step, as the reference does, instead of reusing the keys and values of
+    /// clean frames
     #[arg(long)]
     no_cache: bool,
 }
@@ -40,7 +43,7 @@ impl RolloutCommand {
     pub fn run(self) -> Result<()> {
         ensure!(
             self.kind == Kind::Dit,
-            "kind {} predicts no frames, only dit does",
+            "kind {} predicts no frames; expected dit",
             self.kind
         );
         let files = self.running.read(self.kind)?;

@@ -1,4 +1,4 @@
-//! What running any model takes: its files, and what computes it.
+//! What every run of a model needs: its files and a compute engine.
 
 use crate::output::print;
 use anyhow::{Context as _, Result, bail};
@@ -13,10 +13,10 @@ use wm_zoo::{Checkpoint, Compute, DeviceName, Engine};
 /// Files and engine of a model.
 #[derive(Args, Debug)]
 pub struct RunningArgs {
-    /// Configuration, JSON: Hugging Face's config.json, or ours (`wm model forward --help`)
+    /// Configuration in JSON: a Hugging Face config.json, or wm's own format (`wm model forward --help`)
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Checkpoint: safetensors, or a torch file
+    /// Checkpoint: safetensors or a torch file
     #[arg(long, value_name = "FILE")]
     weights: PathBuf,
     /// Input tensors, safetensors
@@ -25,16 +25,16 @@ pub struct RunningArgs {
     /// Output tensors, safetensors
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
-    /// What computes: `cpu`, our kernels, or `candle`, the reference
+    /// Compute engine: `cpu` (wm's own kernels) or `candle` (the reference)
     #[arg(long, default_value_t = Engine::Cpu)]
     engine: Engine,
-    /// Where it computes: `cpu`, `cuda` or `cuda:N`, an NVIDIA GPU, with `--engine candle`
+    /// Device: `cpu`, or with `--engine candle` also `cuda` or `cuda:N`, an NVIDIA GPU
     #[arg(long, default_value_t = DeviceName::Cpu)]
     device: DeviceName,
     /// Number format of the weights: f32 or bf16
     #[arg(long, default_value = "f32", value_parser = parse_dtype)]
     dtype: DType,
-    /// Take the weights as the optimiser left them where the checkpoint has their moving average, too
+    /// Take the raw weights, even if the checkpoint also has their moving average
     #[arg(long)]
     raw: bool,
 }

@@ -263,7 +263,7 @@ fn parameter_arguments(parameter: &Parameter, site: &Site<'_>) -> Result<[String
                 let value = resolve_scalar(&name, scalar, wanted, site)?;
                 check_type(value, wanted).map_err(|(wanted, value)| {
                     site.error(format!(
-                        "parameter {name:?} is to be of type {wanted}, got {}",
+                        "parameter {name:?} must be of type {wanted}, got {}",
                         describe(&value)
                     ))
                 })
@@ -279,18 +279,21 @@ fn parameter_arguments(parameter: &Parameter, site: &Site<'_>) -> Result<[String
                 (ParameterValue::One(scalar), None, _) => typed(scalar, wanted)?,
                 (ParameterValue::List(_), None, Some(wanted)) => {
                     return Err(site.error(format!(
-                        "parameter {name:?} is to be of type {wanted}, got a list"
+                        "parameter {name:?} must be of type {wanted}, got a list"
                     )));
                 }
                 (ParameterValue::One(_), Some(_), _) => {
                     return Err(site.error(format!(
-                        "parameter {name:?} is to be of type {}, got a single value",
+                        "parameter {name:?} must be of type {}, got a single value",
                         wanted.unwrap_or_default()
                     )));
                 }
             };
-            let value = flow_yaml(&value)
-                .ok_or_else(|| site.error(format!("parameter {name:?} is no ROS parameter")))?;
+            let value = flow_yaml(&value).ok_or_else(|| {
+                site.error(format!(
+                    "parameter {name:?} has a value that is not a ROS parameter value"
+                ))
+            })?;
             Ok(["-p".to_owned(), format!("{name}:={value}")])
         }
     }

@@ -1,4 +1,4 @@
-//! What a launch file may look at outside itself, behind a trait so that plans are tested without a system.
+//! What a launch file may read from its environment, behind a trait so that plans are tested without a system.
 
 use std::path::{Path, PathBuf};
 

@@ -240,7 +240,7 @@ fn an_included_file_gets_its_arguments() {
 fn wrong_arguments_are_named() {
     let text = "launch:\n- arg: {name: bag, description: the bag}\n- arg: {name: mode, default: a, choice: [{value: a}, {value: b}]}";
     assert!(message(text, &[]).contains("bag:=VALUE"));
-    assert!(message(text, &[("bag", "x"), ("mode", "c")]).contains("it may be: a, b"));
+    assert!(message(text, &[("bag", "x"), ("mode", "c")]).contains("expected one of: a, b"));
     assert!(message(text, &[("bag", "x"), ("bgg", "y")]).contains("\"bgg\" is not declared"));
     assert!(
         message("launch:\n- let: {name: a, value: $(var b)}", &[])

@@ -30,35 +30,34 @@ pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Decoder>()
 const WAITING: usize = 16;
 /// Pictures of the rollout before that may wait when a new one begins: a hiccup is no reason to leave it out.
 const UNFINISHED: usize = WAITING / 4;
-const OVERLOAD: &str =
-    "decoding is slower than the predictions come; decode fewer steps or rollouts";
+const OVERLOAD: &str = "decoding is slower than the predictions arrive; decode fewer steps (steps) or rollouts (decode_period)";
 const NO_PREDICTOR: &str =
-    "start the predictor, which predicts when latents and an action have come";
+    "start the predictor; it predicts once latents and an action have arrived";
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Decoder>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
         /// Image transport of the pictures.
         image_transport: Transports = "both";
-        /// Least time between two observations whose rollouts are decoded [s]; 0: all. At 0.6 it is every third frame of
-        /// a camera at 5 Hz, with all steps of its rollout.
+        /// Minimum time between two observations whose rollouts are decoded [s]; 0: decode all. With 0.6 and a camera
+        /// at 5 Hz, every third rollout is decoded, with all its steps.
         decode_period: f64 = 0.6, in 0.0..=3600.0;
         /// JPEG quality of the compressed pictures.
         jpeg_quality: Parameter<i64> = 90, in 1..=100;
-        /// Steps k that are decoded, for example [1, 4, 8]; empty: all.
+        /// Steps k to decode, for example [1, 4, 8]; empty: all.
         steps: Parameter<Vec<i64>> = Vec::<i64>::new();
-        /// How far computing gives way to other nodes and programs, as nice(1): a picture may come later, a prediction
-        /// may not.
+        /// Added to the nice value of the computing threads, as with nice(1). Above 0, other nodes and programs go
+        /// first: a picture may be late, a prediction may not.
         nice: i32 = 5, in 0..=19;
     }
 }
@@ -68,12 +67,12 @@ wm_ros::endpoints! {
     struct Endpoints {
         /// Predicted latents.
         predictions: Subscription<Prediction> = "predicted", qos(Qos::best_effort(WAITING));
-        /// Predicted pictures; the stamp is the time that is predicted.
+        /// Predicted pictures, stamped with the predicted time.
         pictures: ImagePublisher = "predicted/image", qos(Qos::reliable(WAITING));
     }
 }
 
-/// What is loaded.
+/// What the node loads.
 struct Model {
     name: String,
     /// `None` where the model has no decoder.
@@ -139,8 +138,8 @@ impl ModelNode for Decoder {
             && step.raw_bytes() > SAFE_BYTES
         {
             tracing::warn!(
-                "raw pictures of {} bytes: a stock ROS 2 subscriber loses messages beyond {SAFE_BYTES} bytes; use \
-                 image_transport:=compressed, or give it a larger receive buffer",
+                "raw pictures have {} bytes: a ROS 2 subscriber with default settings loses messages of more than \
+                 {SAFE_BYTES} bytes; use image_transport:=compressed, or enlarge the receive buffer on its machine",
                 step.raw_bytes(),
             );
         }
@@ -150,7 +149,7 @@ impl ModelNode for Decoder {
             pool: Pool::new(Self::NAME, parameters.nice)?,
         };
         if model.step.is_none() {
-            tracing::warn!("{}: there will be no pictures", model.idle());
+            tracing::warn!("{}: no pictures will be published", model.idle());
         }
         Ok(model)
     }

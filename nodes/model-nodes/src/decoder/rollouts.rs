@@ -35,7 +35,7 @@ impl Rollouts {
     }
 
     /// What becomes of a prediction from this observation. `is_behind` tells whether pictures wait to be made: then no
-    /// new rollout is begun, since half a rollout, late, is worth less than a whole one left out.
+    /// new rollout is begun, since half a rollout, late, is worth less than none.
     pub(super) fn choose(&mut self, observed_ns: i64, is_behind: bool) -> Choice {
         match self.newest {
             Some((newest_ns, choice)) if newest_ns == observed_ns => return choice,

@@ -35,7 +35,7 @@ impl From<candle_core::Error> for DecoderError {
 }
 
 impl DecoderError {
-    /// Why a prediction is left out, for counters.
+    /// Why a prediction is dropped, for counters.
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Latent(LatentError::Space { .. }) => "wrong_space",
@@ -58,7 +58,7 @@ impl DecoderStep {
     /// The picture of a prediction, its latent checked against the decoder's space.
     ///
     /// # Errors
-    /// [`DecoderError::Latent`] where the latent is of another space or malformed, and the decoder's own.
+    /// [`DecoderError::Latent`] where the latent is of a different space or malformed, and the decoder's own.
     pub fn decode(&self, prediction: &Prediction) -> Result<RgbImage, DecoderError> {
         let space = self.decoder.space();
         let values = decode_latent(&prediction.latent, space)?;

@@ -32,29 +32,29 @@ use wm_wire::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>();
 
-/// Frames that may wait for the one that is being encoded.
+/// Length of the queue of frames behind the one that is being encoded.
 const WAITING: usize = 1;
 /// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
 const SILENCE: Duration = Duration::from_secs(1);
-/// What to do where there is no camera.
+/// Advice for a missing camera.
 const NO_CAMERA: &str = "start the camera's driver, or remap /camera/image_raw to its topic";
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Encoder>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
-        /// Type of the latents' numbers. At f16 a latent of the embedded model takes 6 KB.
+        /// Number type of the latents. In f16 a latent of the embedded model takes 6 KB.
         dtype: LatentDtype = "f16", one_of {
             "f32" => LatentDtype::F32, "f16" => LatentDtype::F16, "bf16" => LatentDtype::Bf16,
         };
-        /// Image transport of the camera. With both, a frame that comes twice counts once.
+        /// Image transport of the camera. With both, a frame that arrives twice counts once.
         image_transport: Transports = "both";
     }
 }
@@ -64,7 +64,7 @@ wm_ros::endpoints! {
     struct Endpoints {
         /// The camera's frames.
         images: ImageSubscription = "/camera/image_raw", qos(Qos::sensor_data());
-        /// The frames' latents, with the frames' stamps.
+        /// The latents of the frames, stamped with the frames' capture time.
         latents: Publisher<Latent> = "latent", qos(LATENT_QOS);
     }
 }
@@ -76,9 +76,9 @@ struct Encoder {
     work: Work<(CameraFrame, Instant, u64), Encoded>,
     clock: Clock,
     jumps: watch::Receiver<u64>,
-    /// The stretch of time that frames are of.
+    /// The epoch of the frames.
     epoch: u64,
-    /// The camera that it follows, once a frame has come.
+    /// The camera that it follows, once a frame has arrived.
     camera: Option<Camera>,
     repeats: Repeats,
     complaints: Complaints,
@@ -176,7 +176,8 @@ impl Encoder {
                 let job = (frame, Instant::now(), self.epoch);
                 if let Some((late, ..)) = self.work.submit(job) {
                     self.complaints.left_out("overload", &format_args!(
-                        "the frame of {} waited when a newer one came: encoding is slower than the camera",
+                        "dropped the waiting frame of {}, because a newer one arrived: encoding is slower than the \
+                         camera",
                         seconds(late.header().stamp),
                     ));
                 }
@@ -184,12 +185,12 @@ impl Encoder {
             Arrival::OtherTransport => {}
             Arrival::Duplicate => self.complaints.left_out(
                 "duplicate",
-                &format_args!("the frame of {} came twice", seconds(stamp)),
+                &format_args!("the frame of {} arrived twice", seconds(stamp)),
             ),
         }
     }
 
-    /// Follows the first camera that comes. Another one that takes over begins a new epoch.
+    /// Follows the first camera that publishes. If another one takes over, a new epoch starts.
     fn follow(&mut self, frame: &CameraFrame, reception: &Reception) -> Result<(), WrongCamera> {
         let frame_id = frame.header().frame_id.as_str();
         let source = match frame {
@@ -201,7 +202,7 @@ impl Encoder {
             return Ok(());
         };
         if camera.admit(frame_id, source, reception, SILENCE)? == Admission::TakenOver {
-            tracing::info!("another camera takes over: \"{frame_id}\"");
+            tracing::info!("following another camera now: \"{frame_id}\"");
             self.epoch = epoch_after(self.epoch, self.clock.now());
             self.repeats = Repeats::default();
         }

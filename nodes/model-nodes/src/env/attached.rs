@@ -1,4 +1,4 @@
-//! The episode that a policy plays by topics.
+//! The episode that a policy plays through topics.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use wm_motion::{
 
 use crate::history::{ChunkMerging, HistoryError, Timing};
 
-/// Where an episode stands that is played by topics: what the policy has said so far of the moments to come.
+/// Where an episode stands that is played through topics: what the policy has said so far of the moments to come.
 #[derive(Clone, Debug)]
 pub struct Attached {
     episode_id: String,
@@ -51,7 +51,8 @@ impl Attached {
         &self.episode_id
     }
 
-    /// Takes an action; whether it came in time. One for a moment that has passed, or that is far ahead, is left out.
+    /// Takes an action, and returns whether it arrived in time. An action for a time that has passed, or far ahead, is
+    /// dropped.
     ///
     /// # Errors
     /// [`HistoryError`] says what is wrong with it.
@@ -67,7 +68,7 @@ impl Attached {
         Ok(true)
     }
 
-    /// Takes the actions to come; whether any of them is still to come. A chunk that is far ahead is left out.
+    /// Takes the next actions, and returns whether any of them is still to come. A chunk far ahead is dropped.
     ///
     /// # Errors
     /// [`HistoryError`] says what is wrong with the chunk.

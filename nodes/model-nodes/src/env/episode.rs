@@ -1,4 +1,4 @@
-//! What the model knows of one episode.
+//! The model's state of one episode.
 
 use std::{collections::VecDeque, sync::Arc};
 

@@ -8,21 +8,24 @@ use crate::{encoder::EncoderError, predictor::PredictorError};
 use wm_camera::{goal::GoalError, image_message::ImageError};
 use wm_wire::latent_message::LatentError;
 
-/// Why an episode does not begin or go on.
+/// Why an episode does not begin or continue.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum EnvError {
     /// More than one start, or none.
-    #[error("{0} of bag, image and topic are set; expected one, here or as parameters of the env")]
+    #[error(
+        "{0} of bag, image and topic are set; set exactly one, in the request or in the env's parameters"
+    )]
     Starts(usize),
     /// A file that a call names and that is not for it, or no start. It does not say why: a call that could tell a file that
     /// is not there from one that is, or is of another kind, would read the env's disk.
     #[error(
-        "the bag or image cannot be a start: expected a bag, or a PNG or JPEG file, below the env's parameter start_root"
+        "no episode can start from this bag or image: expected a bag, or a PNG or JPEG file, below the env's parameter \
+         start_root"
     )]
     NoStart,
     /// Too many calls wait.
-    #[error("{0} calls wait already: call again later")]
+    #[error("{0} calls are already waiting: try again later")]
     Busy(usize),
     /// An offset that is no time.
     #[error("bag_offset is {0} s; expected 0 or more")]
@@ -36,7 +39,7 @@ pub enum EnvError {
         offset_s: f64,
     },
     /// No image came.
-    #[error("no image came on {topic} within {seconds} s")]
+    #[error("no image arrived on {topic} within {seconds} s")]
     Silent {
         /// The camera's topic.
         topic: String,
@@ -45,19 +48,20 @@ pub enum EnvError {
     },
     /// A name that is none.
     #[error(
-        "the episode_id \"{0}\" is no name; expected 1 to 100 of letters, digits, \"_\", \"-\" and \".\", not \".\" first"
+        "invalid episode_id \"{0}\"; expected 1 to 100 characters: letters, digits, \"_\", \"-\" and \".\", and no \
+         \".\" at the start"
     )]
     Name(String),
     /// An episode that is not there.
     #[error("there is no episode \"{name}\"; there are: {known}")]
     Unknown {
-        /// What was asked for.
+        /// What was requested.
         name: String,
         /// Those that there are.
         known: String,
     },
     /// No room.
-    #[error("{0} episodes are open, as many as max_episodes allows; close one")]
+    #[error("{0} episodes are open, which is the maximum (max_episodes); close one")]
     Full(usize),
     /// Its steps are used up.
     #[error("episode \"{name}\" has taken its {steps} steps; close it or reset it")]
@@ -70,7 +74,7 @@ pub enum EnvError {
     /// Nothing to do, or too much.
     #[error("{0} actions; expected 1 to {max} (0 only with close)", max = crate::history::MAX_CHUNK)]
     Count(usize),
-    /// The start's actions are others than the model's.
+    /// The actions of the start are not in the model's action space.
     #[error(transparent)]
     Actions(ActionError),
     /// Values that are no action.

@@ -1,4 +1,4 @@
-//! The models of an env: what is seen, what comes next, what that looks like.
+//! The models of an env: encoder, predictor and decoder.
 
 use std::sync::Arc;
 

@@ -44,11 +44,11 @@ const FAREWELL: Duration = Duration::from_millis(500);
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
 const SAFE_BYTES: usize = 98_000;
 
-/// The node itself, in a process that may hold others. It ends when the episodes are played that the parameter `episodes`
-/// asks for.
+/// The node itself, in a process that may run other nodes too. It ends when the episodes are played that the parameter
+/// `episodes` asks for.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Active>(node).await
 }
@@ -57,30 +57,30 @@ pub async fn body(node: Node) -> Result<()> {
 wm_ros::endpoints! {
     /// Topics and services.
     struct Endpoints {
-        /// Actions of a policy that plays by topics.
+        /// Actions of a policy, for the episode that is played through topics.
         actions: Subscription<Action> = "action";
-        /// Its chunks of actions.
+        /// Action chunks of a policy, for the episode that is played through topics.
         chunks: Subscription<ActionChunk> = "action_chunk";
-        /// Whether the task is done; ends the episode that is played by topics.
+        /// Whether the task was done. Ends the episode that is played through topics.
         successes: Subscription<Bool> = "/task/success";
-        /// What the policy sees of an episode that is played by topics.
+        /// Predicted pictures of the episode that is played through topics.
         pictures: ImagePublisher = "/camera/image_raw";
-        /// What the policy is to do.
+        /// The policy's task in words.
         instructions: Publisher<Text> = INSTRUCTION, qos(Qos::latched(1));
-        /// What is seen of episodes by service.
+        /// Predicted pictures of the episodes that are driven through services.
         observations: Publisher<EnvObservation> = "~/observation", qos(Qos::reliable(OBSERVATIONS));
         /// Begins an episode.
         resets: Service<EnvReset> = "~/reset", made(|node, name, _| node.service_or_refuse(name, |reason| {
             EnvResetResponse { message: reason.to_owned(), ..EnvResetResponse::default() }
         }));
-        /// Takes actions in an episode.
+        /// Executes actions in an episode.
         steps: Service<EnvStep> = "~/step", made(|node, name, _| node.service_or_refuse(name, |reason| {
             EnvStepResponse { message: reason.to_owned(), ..EnvStepResponse::default() }
         }));
     }
 }
 
-/// What is loaded.
+/// What the node loads.
 struct Model {
     env: Arc<Mutex<Env>>,
     timing: Timing,
@@ -93,7 +93,8 @@ type EnvNode = Configured<Active>;
 
 impl ModelNode for Active {
     const NAME: &'static str = "env";
-    const ABOUT: &'static str = "Lets the world model play camera and robot for a policy.";
+    const ABOUT: &'static str =
+        "Makes the world model the environment of a policy, in place of camera and robot.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;
@@ -110,7 +111,7 @@ impl ModelNode for Active {
         let (predictor, decoder) = (folder.world_model()?, folder.decoder()?);
         let decoder = decoder.with_context(|| {
             format!(
-                "model {} has no decoder: an env shows pictures",
+                "model {} has no decoder, but the env needs one to publish pictures",
                 folder.name()
             )
         })?;
@@ -123,7 +124,7 @@ impl ModelNode for Active {
         );
         let timing = Timing::of_camera(parameters.frame_period, &world.predictor().encoding);
         tracing::info!(
-            "the world of {} in latent space {}: a step is {} s and takes {} actions",
+            "world model {} in latent space {}: a step is {} s and takes {} actions",
             world.predictor().name,
             world.predictor().space,
             timing.step_ns() as f64 / 1e9,
@@ -131,8 +132,8 @@ impl ModelNode for Active {
         );
         if parameters.image_transport.raw && world.raw_bytes() > SAFE_BYTES {
             tracing::warn!(
-                "raw pictures of {} bytes: a stock ROS 2 subscriber loses messages beyond {SAFE_BYTES} bytes; use \
-                 image_transport:=compressed, or give it a larger receive buffer",
+                "raw pictures have {} bytes: a ROS 2 subscriber with default settings loses messages of more than \
+                 {SAFE_BYTES} bytes; use image_transport:=compressed, or enlarge the receive buffer on its machine",
                 world.raw_bytes(),
             );
         }
@@ -196,7 +197,7 @@ impl ModelNode for Active {
         let env = Arc::clone(&at.model.env);
         let failed = tokio::task::spawn_blocking(move || lock(&env).close()).await?;
         for error in failed {
-            tracing::error!("the bag of an episode is not finished: {error}");
+            tracing::error!("cannot finish the bag of an episode: {error}");
         }
         result
     }

@@ -9,57 +9,59 @@ use super::{EnvError, EnvSettings, Start, StartRoot};
 use crate::chunk_merging::Merging;
 
 wm_ros::parameters! {
-    /// What the parameters say, read once at the start.
+    /// The node's parameters, read once at the start.
     pub(super) struct Parameters {
         /// Image transport of the observations.
         pub image_transport: Transports = "both";
-        /// Bag that episodes start from, where their reset does not say it; at most one of bag, image and topic.
+        /// Bag that episodes start from, unless their reset names another start. Set at most one of bag, image and
+        /// topic.
         bag: String = "";
         /// Image file (PNG, JPEG) that episodes start from.
         image: String = "";
         /// Camera topic whose next image episodes start from.
         topic: String = "";
-        /// Folder below which bags and images are that ~/reset may name; empty: it may name none. Anybody in the ROS graph
-        /// may call.
+        /// Calls of ~/reset may name bags and images only below this folder; empty: they may name none. Anybody in the
+        /// ROS graph can call.
         pub start_root: String = ".";
-        /// From the bag's start to the episode's [s].
+        /// Time from the start of the bag to the start of the episode [s].
         bag_offset: f64 = 0.0, in 0.0..=1e9;
-        /// How long an episode waits for the image of the topic [s].
+        /// How long an episode waits for an image on the topic [s].
         pub start_timeout: Duration = 10.0, in 0.1..=3600.0;
-        /// What the policy is to do, where neither request nor bag says it.
+        /// The policy's task in words, if neither the request nor the bag has an instruction.
         instruction: String = "";
-        /// Episodes that are played by topics, one after the other, after which the node ends; 0: they begin by ~/reset
-        /// only.
+        /// Number of episodes to play through topics, one after the other, before the node ends; 0: episodes begin only
+        /// with ~/reset.
         pub episodes: u64 = 0, in 0..=1_000_000_000;
-        /// Seed of the first episode that is played by topics; each later one adds 1.
+        /// Seed of the first episode that is played through topics; each later episode adds 1.
         seed: i64 = 0;
-        /// Steps per second at most, by topics. 2.5: as time passes for the robot, where a model step is 0.4 s.
+        /// Maximum steps per second of an episode that is played through topics. With a model step of 0.4 s, 2.5 is
+        /// real time.
         rate: f64 = 2.5, in 0.001..=1000.0;
-        /// Whether a policy's last action is held where none has come in time; else the env waits for it.
+        /// Whether the policy's last action is held if the next one is late. If false, the env waits for it.
         pub hold: bool = false;
-        /// How overlapping action chunks are merged; weighted: 0.3 of the older, 0.7 of the newer.
+        /// How overlapping action chunks are merged; weighted: 0.3 of the older and 0.7 of the newer chunk.
         pub merging as "chunk_merging": Merging = "latest";
-        /// Steps of an episode.
+        /// Maximum number of steps of an episode.
         max_steps: u32 = 50, in 1..=1_000_000;
-        /// Episodes that may be open at once.
+        /// Maximum number of open episodes.
         pub max_episodes: usize = 16, in 1..=4096;
-        /// Episodes that are computed together at most.
+        /// Maximum number of episodes that are computed in one batch.
         pub batch: usize = 8, in 1..=256;
-        /// Frames, one model step apart, that an episode starts from.
+        /// Number of frames that an episode starts from, one model step apart.
         context_frames: usize = 2, in 1..=64;
-        /// Euler steps per predicted frame; 0: what the model was trained for.
+        /// Euler steps per predicted frame; 0: the model's own number.
         pub integration_steps: usize = 0, in 0..=1000;
-        /// Time from one camera-rate action to the next [s], as the model was trained.
+        /// Period of the policy's actions at the camera's frame rate [s], as in the model's training.
         pub frame_period: f64 = 0.2, in 1e-3..=60.0;
         /// JPEG quality of the observations.
         jpeg_quality: u8 = 95, in 1..=100;
-        /// Folder for the episodes' bags; empty: no bags.
+        /// Folder for the bags of the episodes; empty: no bags.
         output: PathBuf = "out/env";
     }
 }
 
 impl Parameters {
-    /// What is asked of an episode that is played by topics, and where the others begin that do not say so.
+    /// What is asked of an episode that is played through topics, and where the others begin that do not say so.
     pub(super) fn reset(&self) -> EnvResetRequest {
         EnvResetRequest {
             bag: self.bag.clone(),
@@ -84,7 +86,7 @@ impl Parameters {
         }
     }
 
-    /// Least time from one step to the next, of an episode that is played by topics.
+    /// Least time from one step to the next, of an episode that is played through topics.
     pub(super) fn period(&self) -> Duration {
         // The range keeps it within 1 ms and 1000 s.
         Duration::from_secs_f64(1.0 / self.rate)

@@ -27,7 +27,7 @@ pub(super) struct Recording {
 }
 
 impl Recording {
-    /// Begins the bag `folder`/`name`, or `name_2`, `name_3` and so on where that is there already.
+    /// Begins the bag `folder`/`name`, or `name_2`, `name_3` and so on if that already exists.
     pub fn begin(
         folder: &Path,
         name: &str,

@@ -50,7 +50,7 @@ pub enum Start {
     Image(PathBuf),
     /// The next image of a topic.
     Topic(String),
-    /// An image that has come.
+    /// An image that has arrived.
     Frame(Box<CameraFrame>),
 }
 
@@ -278,7 +278,7 @@ fn open_bag(
         // The bag begins here, or has a gap, or no actions.
         (Err(wait), Some(latent)) => {
             if !matches!(wait, Wait::Context { .. }) {
-                tracing::warn!("the episode starts as if the robot had stood still: {wait}");
+                tracing::warn!("the episode starts as if the robot had not moved before: {wait}");
             }
             still(latent, &first.header().frame_id, world, context_frames)?
         }

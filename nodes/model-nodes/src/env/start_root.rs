@@ -29,7 +29,7 @@ impl StartRoot {
         let folder = fs::canonicalize(folder)
             .with_context(|| format!("parameter \"start_root\": folder {folder:?}"))?;
         if folder == Path::new("/") {
-            tracing::warn!("start_root is /: no bag or image may be named in a call");
+            tracing::warn!("start_root is /: calls may not name any bag or image");
             return Ok(Self::default());
         }
         Ok(Self {

@@ -45,41 +45,41 @@ use wm_wire::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Evaluator>();
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Evaluator>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
-        /// Image transport of the goal and of the candidates' picture.
+        /// Image transport of the goal and of the picture of the candidates.
         image_transport: Transports = "both";
-        /// Model steps that are predicted at most; the shortest candidate ends them earlier.
+        /// Maximum number of predicted model steps; no more than the shortest candidate has.
         horizon: usize = 8, in 1..=64;
-        /// Candidates of one message at most.
+        /// Maximum number of candidates in a message.
         max_candidates: usize = 16, in 1..=256;
-        /// Observed frames, one model step apart, that a prediction starts from.
+        /// Number of observed frames that a prediction starts from, one model step apart.
         context_frames: usize = 2, in 1..=64;
-        /// Euler steps per predicted frame; 0: what the model was trained for.
+        /// Euler steps per predicted frame; 0: the model's own number.
         integration_steps: usize = 0, in 0..=1000;
-        /// Time from one camera frame to the next [s], as the model was trained.
+        /// Time from one camera frame to the next [s], as in the model's training.
         frame_period: f64 = 0.2, in 1e-3..=60.0;
-        /// Greatest age of the newest frame, by when it was received, at which candidates are evaluated [s].
+        /// Maximum time since the newest frame was received [s]. After that, candidates are not evaluated.
         max_age: Duration = 2.0, in 0.01..=3600.0;
-        /// How overlapping action chunks are merged; weighted: 0.3 of the older, 0.7 of the newer.
+        /// How overlapping action chunks are merged; weighted: 0.3 of the older and 0.7 of the newer chunk.
         chunk_merging: Merging = "latest";
-        /// Seed of the noise, which all candidates share.
+        /// Seed of the noise. All candidates share the noise.
         seed: i64 = 0;
-        /// Steps of each candidate that the picture shows, the last one among them.
+        /// Number of steps of each candidate in the picture, including the last one.
         picture_steps: usize = 2, in 1..=64;
         /// JPEG quality of the picture.
         jpeg_quality: u8 = 90, in 1..=100;
-        /// How far computing gives way to other nodes and programs, as nice(1): an assessment may come later than a
-        /// prediction.
+        /// Added to the nice value of the computing threads, as with nice(1). Above 0, other nodes and programs go
+        /// first: an assessment may be later than a prediction.
         nice: i32 = 10, in 0..=19;
     }
 }
@@ -87,13 +87,13 @@ wm_ros::parameters! {
 wm_ros::endpoints! {
     /// Topics and services.
     struct Endpoints {
-        /// What follows the robot.
+        /// Inputs about the robot.
         inputs: Inputs;
         /// A policy's candidate chunks.
         candidates: Subscription<ActionCandidates> = "action_candidates";
-        /// The image to reach; a latched one is heard, too.
+        /// The goal image, volatile or latched.
         goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
-        /// The task, for the success probe, where the model has one; a latched one is heard, too.
+        /// The task in words, volatile or latched, for the success probe if the model has one.
         instructions: Subscription<Text> = INSTRUCTION, qos(Qos::reliable(1)), made(Node::subscription_catching_up);
         /// What each candidate would do.
         assessments: Publisher<Assessment> = "assessment";
@@ -102,7 +102,7 @@ wm_ros::endpoints! {
     }
 }
 
-/// What is loaded.
+/// What the node loads.
 struct Model {
     encoder: Arc<Mutex<EncoderStep>>,
     evaluator: Arc<EvaluatorModel>,
@@ -138,7 +138,8 @@ struct Evaluator {
 
 impl ModelNode for Evaluator {
     const NAME: &'static str = "evaluator";
-    const ABOUT: &'static str = "Evaluates what each of a policy's candidate chunks would do.";
+    const ABOUT: &'static str =
+        "Predicts and scores what each candidate chunk of a policy would do.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;
@@ -325,8 +326,8 @@ impl Evaluator {
             self.complaints.left_out(
                 "overload",
                 &format_args!(
-                    "candidates come faster than they are evaluated: those of {stamp} are left out; send fewer, shorter ones \
-                     or fewer times a second"
+                    "candidates arrive faster than they are evaluated: those of {stamp} are dropped; send fewer or \
+                     shorter candidates, or send them less often"
                 ),
             );
         }
@@ -346,7 +347,7 @@ impl Evaluator {
                 if pictures.and_then(|work| work.submit(evaluation)).is_some() {
                     self.complaints.left_out(
                         "overload_pictures",
-                        &"candidates come faster than they are decoded",
+                        &"candidates arrive faster than they are decoded",
                     );
                 }
             }
@@ -365,7 +366,7 @@ impl Evaluator {
         {
             self.complaints.left_out(
                 "superseded_instruction",
-                &"a newer instruction came before this one was read",
+                &"a newer instruction arrived before this one was encoded",
             );
         }
         self.say_probability();

@@ -34,7 +34,7 @@ pub struct EvaluatorSettings {
     pub seed: u64,
 }
 
-/// Why an input is left out, or there is no assessment.
+/// Why an input is dropped, or there is no assessment.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum EvaluatorError {
@@ -142,7 +142,7 @@ impl EvaluatorStep {
     /// Takes a latent.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out.
+    /// [`HistoryError`]: it is dropped.
     pub fn latent(
         &mut self,
         latent: &Latent,
@@ -154,7 +154,7 @@ impl EvaluatorStep {
     /// Takes an action that was taken.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out.
+    /// [`HistoryError`]: it is dropped.
     pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
         self.history.action(action, now)
     }
@@ -162,7 +162,7 @@ impl EvaluatorStep {
     /// Takes the actions that are under way: what the robot does before a candidate begins.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out.
+    /// [`HistoryError`]: it is dropped.
     pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Arrival, HistoryError> {
         self.history.chunk(chunk, now)
     }

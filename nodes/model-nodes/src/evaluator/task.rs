@@ -12,7 +12,7 @@ const SHOWN: usize = 80;
 /// each instruction, beside the node's loop.
 #[derive(Clone, Debug, Default)]
 pub enum Task {
-    /// No instruction has come, or an empty one.
+    /// No instruction has arrived, or an empty one.
     #[default]
     Unknown,
     /// It is being read.
@@ -44,7 +44,7 @@ impl Task {
         Some(text.to_owned())
     }
 
-    /// Takes what reading `text` gave; leaves it where another instruction has come since.
+    /// Takes the result of encoding `text`; ignores it if another instruction has arrived since.
     pub fn read(&mut self, text: String, outcome: wm_zoo::Result<Instruction>) {
         if !matches!(self, Self::Reading(awaited) if *awaited == text) {
             return;
@@ -76,16 +76,19 @@ impl Task {
     }
 }
 
-/// What a success probability is of, or why there is none.
+/// The instruction that a success probability is for, or why there is none.
 impl fmt::Display for Task {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let shown: String = self.text().chars().take(SHOWN).collect();
         match self {
             Self::Unknown => write!(f, "NaN: no instruction yet"),
-            Self::Reading(_) => write!(f, "NaN: the instruction {shown:?} is being read"),
+            Self::Reading(_) => write!(f, "NaN: the instruction {shown:?} is still being encoded"),
             Self::Read(_) => write!(f, "of {shown:?}"),
             Self::Refused { reason, .. } => {
-                write!(f, "NaN: the instruction {shown:?} cannot be read: {reason}")
+                write!(
+                    f,
+                    "NaN: the instruction {shown:?} cannot be encoded: {reason}"
+                )
             }
         }
     }

@@ -1,4 +1,4 @@
-//! How a node follows the robot: latents of its camera, its actions, resets, and jumps of the clock.
+//! How a node follows the robot: latents of its camera, its actions, resets, and clock jumps.
 
 use std::sync::Arc;
 
@@ -21,15 +21,15 @@ use crate::{
 };
 
 wm_ros::endpoints! {
-    /// What a node hears that follows the robot.
+    /// The inputs of a node that follows the robot.
     pub struct Inputs {
         /// Latents of the camera's frames.
         pub latents: Subscription<Latent> = "latent", qos(LATENT_QOS);
         /// Actions that the robot takes.
         pub actions: Subscription<Action> = "action";
-        /// Actions that a policy is about to take.
+        /// Actions that a policy will take next.
         chunks: Subscription<ActionChunk> = "action_chunk";
-        /// Forgets what was observed, and takes the seed of the request.
+        /// Forgets the observed history, and takes the seed of the request.
         resets: Service<Reset> = "~/reset", made(|node, name, _| {
             node.service_or_refuse(name, |reason| ResetResponse { success: false, message: reason.to_owned() })
         });
@@ -38,19 +38,19 @@ wm_ros::endpoints! {
 
 /// The state of a node that follows the robot.
 pub trait Follows {
-    /// What a chunk that answers the newest frame sets off.
+    /// What a chunk that answers the newest frame triggers.
     type Due;
 
     /// Takes an action, at `now` by the node's clock.
     ///
     /// # Errors
-    /// Why it is left out.
+    /// Why it is dropped.
     fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError>;
 
-    /// Takes a policy's chunk of actions, at `now` by the node's clock, and says what that sets off.
+    /// Takes a policy's chunk of actions, at `now` by the node's clock, and returns what that triggers.
     ///
     /// # Errors
-    /// Why it is left out.
+    /// Why it is dropped.
     fn chunk(
         &mut self,
         chunk: &ActionChunk,
@@ -60,7 +60,7 @@ pub trait Follows {
     /// Forgets what was observed, takes the seed where there is one, and says what it did.
     fn reset(&mut self, seed: Option<u64>, now: Time) -> String;
 
-    /// Forgets what lies ahead of `now`; whether there was anything.
+    /// Forgets what lies ahead of `now`, and returns whether there was anything.
     fn clock_jumped(&mut self, now: Time) -> bool;
 }
 
@@ -68,11 +68,11 @@ pub trait Follows {
 pub enum Told<D> {
     /// A latent.
     Latent(Received<Arc<Latent>>),
-    /// What a chunk has set off.
+    /// What a chunk has triggered.
     Due(D),
 }
 
-/// Something that came.
+/// An input.
 pub enum Event {
     /// A call of `~/reset`.
     Reset(Call<Reset>),
@@ -93,7 +93,7 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// Misses latents on `/diagnostics` from now on where they stay away, as `advice` says what to do about.
+    /// From now on, reports missing latents on `/diagnostics`, with `advice`.
     pub fn new(node: &Node, inputs: &Inputs, advice: &'static str) -> Self {
         let expected = Input::new("latents", [inputs.latents.topic()], advice);
         node.diagnostics().expect_input(expected);
@@ -103,7 +103,7 @@ impl Follower {
         }
     }
 
-    /// What comes next; `None` at the shutdown. Cancel safe.
+    /// The next input; `None` at the shutdown. Cancel safe.
     pub async fn next(&mut self, inputs: &mut Inputs) -> Option<Event> {
         // Actions and chunks before latents: those of a moment and its frame may all be there.
         tokio::select! {
@@ -142,7 +142,7 @@ impl Follower {
             },
             Event::Jumped => {
                 if state.clock_jumped(now) {
-                    tracing::info!("/clock jumped back: a new history begins");
+                    tracing::info!("/clock jumped back: starting a new history");
                 }
             }
             Event::Reset(call) => {

@@ -46,7 +46,7 @@ impl Goals {
                 received = images.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(None) };
                     if self.0.submit(message).is_some() {
-                        complaints.left_out("superseded_goal", &"a newer goal came before this one was encoded");
+                        complaints.left_out("superseded_goal", &"a newer goal arrived before this one was encoded");
                     }
                 }
             }

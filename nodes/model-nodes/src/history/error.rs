@@ -1,4 +1,4 @@
-//! Why an input is left out.
+//! Why an input is dropped.
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
@@ -7,7 +7,7 @@ use wm_wire::latent_message::LatentError;
 use super::seconds_of;
 use crate::camera::WrongCamera;
 
-/// Why a frame, an action or a chunk is left out.
+/// Why a frame, an action or a chunk is dropped.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum HistoryError {
@@ -38,13 +38,16 @@ pub enum HistoryError {
         ahead_s: f64,
     },
     /// The same stamp again.
-    #[error("frame of {} has already come: left out", seconds_of(*.stamp_ns))]
+    #[error("the frame of {} arrived twice: ignored", seconds_of(*.stamp_ns))]
     Duplicate {
         /// Its stamp.
         stamp_ns: i64,
     },
     /// Older than the newest, by less than a jump of time.
-    #[error("{what} of {} came after that of {}: out of order, left out", seconds_of(*.stamp_ns), seconds_of(*.newest_ns))]
+    #[error(
+        "{what} of {} arrived after that of {}: out of order, dropped",
+        seconds_of(*.stamp_ns), seconds_of(*.newest_ns)
+    )]
     OutOfOrder {
         /// `frame` or `action chunk`.
         what: &'static str,
@@ -57,7 +60,7 @@ pub enum HistoryError {
     #[error(transparent)]
     WrongCamera(#[from] WrongCamera),
     /// A latent of a history that is over.
-    #[error("latent of epoch {epoch}, but epoch {newest} has begun: left out")]
+    #[error("latent of epoch {epoch} dropped, because epoch {newest} has begun")]
     OldEpoch {
         /// Its epoch.
         epoch: u64,

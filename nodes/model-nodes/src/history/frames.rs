@@ -16,7 +16,7 @@ pub struct Frame {
     pub frame_id: Arc<str>,
     /// Its normalised latent, row-major, channels last.
     pub values: Arc<[f32]>,
-    /// When and from whom it came.
+    /// When it arrived, and from which publisher.
     pub reception: Reception,
 }
 

@@ -1,4 +1,4 @@
-//! What may be of a time that time is about to jump to.
+//! Messages that may belong to a time to which the clock is about to jump.
 
 use std::{collections::BTreeMap, sync::Arc};
 

@@ -30,7 +30,7 @@ pub struct Moment {
     pub earlier: Vec<Frame>,
     /// What was done from each earlier frame to the next, in their order.
     pub past: Vec<StepAction>,
-    /// The frame of the actions' deltas, as the robot names it; empty where no action has come.
+    /// The frame of the actions' deltas, as the robot names it; empty if no action has arrived.
     pub base_frame: Arc<str>,
     /// How stamps make model steps.
     pub timing: Timing,

@@ -1,4 +1,4 @@
-//! What nodes say of their inputs.
+//! What nodes log about their inputs.
 
 use wm_ros::complaints::Complaints;
 
@@ -14,13 +14,11 @@ pub(crate) fn note(complaints: &mut Complaints, arrival: Result<Arrival, History
         }
     };
     if arrival.flushed {
-        tracing::info!(
-            "a new history begins: time has jumped, or the camera or the encoder is another"
-        );
+        tracing::info!("starting a new history: time jumped, or the camera or the encoder changed");
     }
     if arrival.untimely > 0 {
         let text =
-            "stamps are far from those of the frames, and no second frame confirms a jump of time";
+            "stamps are far from those of the frames, and no second frame confirms a clock jump";
         complaints.left_out_many("untimely", arrival.untimely, &text);
     }
     if let Some(late) = arrival.late_chunk {

@@ -1,11 +1,11 @@
-//! How a message came.
+//! How a message was received.
 
 use std::time::Instant;
 
 use wm_msgs::builtin_interfaces::Time;
 use wm_ros::{PublisherId, Received};
 
-/// When and from whom a message came.
+/// When a message arrived, and from which publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reception {
     /// By the node's clock; zero while `/clock` has not come.

@@ -204,7 +204,7 @@ fn duplicates_and_late_frames_are_left_out() {
     let error = see(&mut history, 3).unwrap_err();
     let text = error.to_string();
     assert!(
-        text.contains("frame of 1700000000.600000000 s came after"),
+        text.contains("frame of 1700000000.600000000 s arrived after"),
         "{text}"
     );
     assert_eq!(error.reason(), "out_of_order");
@@ -602,7 +602,7 @@ fn a_frame_is_too_old_to_act_on_by_when_it_was_received() {
         Ok(())
     );
     let text = moment.expect_fresh(later, limit).unwrap_err().to_string();
-    assert!(text.contains("came 60.0 s ago; at most 2.0 s"), "{text}");
+    assert!(text.contains("arrived 60.0 s ago; at most 2.0 s"), "{text}");
 }
 
 #[test]

@@ -1,8 +1,8 @@
-//! How stamps make model steps.
+//! How stamps are grouped into model steps.
 
 use wm_motion::actions::ActionEncoding;
 
-/// How stamps make model steps.
+/// How stamps are grouped into model steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timing {
     /// From one camera frame to the next, as the model counts them \[ns\].

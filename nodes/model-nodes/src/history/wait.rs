@@ -9,10 +9,10 @@ use super::seconds_of;
 #[non_exhaustive]
 pub enum Wait {
     /// No frame at all.
-    #[error("no frame has come yet")]
+    #[error("no frame has arrived yet")]
     NoFrame,
     /// The history is still short.
-    #[error("{have} of {need} context frames have come")]
+    #[error("{have} of {need} context frames have arrived")]
     Context {
         /// Context frames at hand.
         have: usize,
@@ -27,8 +27,9 @@ pub enum Wait {
     },
     /// The camera is slower than the model's frames.
     #[error(
-        "the camera gives a frame every {camera_s:.2} s, the model needs one every {frame_s:.2} s: give it a faster camera, or \
-         set frame_period:={camera_s:.2} on all nodes of the model to predict in steps of {step_s:.2} s"
+        "the camera publishes a frame every {camera_s:.2} s, but the model needs one every {frame_s:.2} s: use a \
+         faster camera, or set frame_period:={camera_s:.2} on all nodes of the model to predict in steps of \
+         {step_s:.2} s"
     )]
     SlowCamera {
         /// From one of its frames to the next \[s\].
@@ -39,13 +40,15 @@ pub enum Wait {
         step_s: f64,
     },
     /// Nothing says what the robot does.
-    #[error("no action has come for {} or before", seconds_of(*.needed_ns))]
+    #[error("no action has arrived for {} or before", seconds_of(*.needed_ns))]
     NoAction {
         /// The moment whose action is needed.
         needed_ns: i64,
     },
     /// The newest frame is too old to act on.
-    #[error("the newest frame came {age_s:.1} s ago; at most {max_s:.1} s are accepted (max_age)")]
+    #[error(
+        "the newest frame arrived {age_s:.1} s ago; at most {max_s:.1} s are accepted (max_age)"
+    )]
     Stale {
         /// Since it was received \[s\].
         age_s: f64,

@@ -7,21 +7,23 @@ use wm_motion::actions::ActionError;
 use crate::{history::HistoryError, predictor::PredictorError};
 use wm_wire::latent_message::LatentError;
 
-/// Why an input is left out, or there is no plan.
+/// Why an input is dropped, or there is no plan.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PlannerError {
     /// A latent message that cannot be used.
     #[error(transparent)]
     Latent(#[from] LatentError),
-    /// A frame or an action that is left out.
+    /// A frame or an action that is dropped.
     #[error(transparent)]
     History(#[from] HistoryError),
     /// Actions that cannot be encoded, or a plan that cannot be decoded.
     #[error(transparent)]
     Action(#[from] ActionError),
     /// A dimension to search that there is not.
-    #[error("parameter search names {name:?}; the model's actions are {space}")]
+    #[error(
+        "parameter search names the unknown dimension {name:?}; the model's dimensions are {space}"
+    )]
     Searched {
         /// The name.
         name: String,

@@ -36,16 +36,16 @@ const MANY: i64 = 1_000_000;
 /// How long the first search is taken to be where there is no deadline.
 const FIRST_SEARCH: Duration = Duration::from_secs(1);
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Planner>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
         /// Image transport of the goal.
         image_transport: Transports = "both";
@@ -53,46 +53,47 @@ wm_ros::parameters! {
         population: usize = 32, in 2..=MANY;
         /// Iterations per plan.
         iterations: usize = 3, in 1..=MANY;
-        /// Candidates that the next iteration is fitted to.
+        /// Number of best candidates that the next iteration is fitted to.
         elites: usize = 8, in 2..=MANY;
-        /// Model steps of a plan.
+        /// Number of model steps in a plan.
         horizon: usize = 1, in 1..=MANY;
-        /// Candidates rolled out at once; the deadline is looked at after each batch.
+        /// Candidates per batch. The deadline is checked after each batch.
         batch: usize = 16, in 1..=MANY;
-        /// First standard deviation, as a part of each dimension's range.
+        /// Initial standard deviation, as a fraction of each dimension's range.
         initial_std: f64 = 0.25, in 1e-6..=10.0;
-        /// Least standard deviation [model units].
+        /// Minimum standard deviation [model units].
         std_floor: f64 = 1e-4, in 1e-9..=10.0;
         /// Which actions are returned.
         returned: Returned = "best_seen", one_of {
             "best_seen" => Returned::BestSeen, "final_mean" => Returned::FinalMean,
         };
-        /// Observed frames, one model step apart, that a plan starts from; 64 at most.
+        /// Number of observed frames that a plan starts from, one model step apart; at most 64.
         context_frames: usize = 2, in 1..=MANY;
-        /// Least time between two plans for one goal [s].
+        /// Minimum time between two plans for one goal [s].
         plan_period: f64 = 2.0, in 0.0..=3600.0;
-        /// Seed of the first plan's candidates and noise; each later plan adds 1.
+        /// Seed of the candidates and the noise of the first plan; each later plan adds 1.
         seed: i64 = 0;
-        /// Euler steps per predicted frame; 0: what the model was trained for.
+        /// Euler steps per predicted frame; 0: the model's own number.
         integration_steps: usize = 0, in 0..=MANY;
-        /// Dimensions of the action space that are searched; empty: all but grippers, which hold their state.
+        /// Names of the action dimensions to search; empty: all except grippers, which hold their state.
         search: Vec<String> = Vec::<String>::new();
-        /// Greatest age of the newest frame, by when it was received, at which a plan is made or sent [s].
+        /// Maximum time since the newest frame was received [s]. After that, no plan is made or sent.
         max_age: Duration = 2.0, in 0.01..=3600.0;
-        /// Model steps from the observed frame to the first planned action, for which the robot's motion is predicted; -1:
-        /// as many as the last searches took.
+        /// Model steps from the observed frame to the first planned action. The robot's motion in between is predicted.
+        /// -1: as many as the last searches took.
         lead_steps: i64 = -1, in -1..=16;
-        /// How overlapping action chunks are merged; weighted: 0.3 of the older, 0.7 of the newer.
+        /// How overlapping action chunks are merged; weighted: 0.3 of the older and 0.7 of the newer chunk.
         chunk_merging: Merging = "latest";
-        /// Bound of each translation in one model step [m]; 0: the model's own.
+        /// Maximum translation per dimension in one model step [m]; 0: the model's own bound.
         max_translation: f64 = 0.0, in 0.0..=10.0;
-        /// Bound of each rotation in one model step [rad]; 0: the model's own.
+        /// Maximum rotation per dimension in one model step [rad]; 0: the model's own bound.
         max_rotation: f64 = 0.0, in 0.0..=10.0;
-        /// Time from one camera frame to the next [s], as the model was trained.
+        /// Time from one camera frame to the next [s], as in the model's training.
         frame_period: f64 = 0.2, in 1e-3..=60.0;
-        /// Time that a search may take [s]; 0: no limit.
+        /// Maximum duration of a search [s]; 0: no limit.
         deadline: Duration = 1.5, in 0.0..=3600.0;
-        /// How far computing gives way to other nodes and programs, as nice(1): a plan may come later than a prediction.
+        /// Added to the nice value of the computing threads, as with nice(1). Above 0, other nodes and programs go
+        /// first: a plan may be later than a prediction.
         nice: i32 = 15, in 0..=19;
     }
 }
@@ -100,9 +101,9 @@ wm_ros::parameters! {
 wm_ros::endpoints! {
     /// Topics and services.
     struct Endpoints {
-        /// What follows the robot.
+        /// Inputs about the robot.
         inputs: Inputs;
-        /// The image to reach; a latched one is heard, too.
+        /// The goal image, volatile or latched.
         goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
         /// The best actions found.
         plans: Publisher<Plan> = "plan", qos(Qos::reliable(10));
@@ -144,7 +145,7 @@ impl Parameters {
     }
 }
 
-/// What is loaded.
+/// What the node loads.
 struct Model {
     encoder: Arc<Mutex<EncoderStep>>,
     planner: Arc<PlannerModel>,
@@ -171,7 +172,7 @@ struct Planner {
 
 impl ModelNode for Planner {
     const NAME: &'static str = "planner";
-    const ABOUT: &'static str = "Plans actions that bring the camera's view to a goal image.";
+    const ABOUT: &'static str = "Plans actions that lead to a goal image.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;

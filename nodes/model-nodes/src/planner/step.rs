@@ -31,7 +31,7 @@ pub struct PlannerSettings {
     pub seed: u64,
 }
 
-/// When a plan begins: a search takes time, in which the robot goes on.
+/// When a plan begins: the robot keeps moving during a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lead {
     /// When the search will be over, as the last ones were; before the first one it takes `first`.
@@ -78,9 +78,9 @@ impl PlanRequest {
 #[non_exhaustive]
 pub enum Unsent {
     /// There is another goal, or another history.
-    #[error("it came after a new goal, a reset or a jump of time")]
+    #[error("it was ready only after a new goal, a reset or a clock jump")]
     Superseded,
-    /// No frame has come for long: nobody knows what the robot has done since.
+    /// No frame has arrived for long: nobody knows what the robot has done since.
     #[error(transparent)]
     Stale(Wait),
     /// Its last action would be over.
@@ -109,7 +109,7 @@ impl Unsent {
 #[non_exhaustive]
 pub enum PlanWait {
     /// No goal is set.
-    #[error("no goal image has come yet")]
+    #[error("no goal image has arrived yet")]
     NoGoal,
     /// The history is not complete.
     #[error(transparent)]
@@ -155,7 +155,7 @@ impl PlannerStep {
     /// Takes a latent; [`Self::request`] then says whether to plan.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out.
+    /// [`HistoryError`]: it is dropped.
     pub fn latent(
         &mut self,
         latent: &Latent,
@@ -171,7 +171,7 @@ impl PlannerStep {
     /// Takes an action that was taken.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out.
+    /// [`HistoryError`]: it is dropped.
     pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
         self.history.action(action, now)
     }
@@ -179,12 +179,13 @@ impl PlannerStep {
     /// Takes the actions to come.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out.
+    /// [`HistoryError`]: it is dropped.
     pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Arrival, HistoryError> {
         self.history.chunk(chunk, now)
     }
 
-    /// Takes a goal, row-major values of the planner's own latent space. The next plan starts anew.
+    /// Takes a goal, row-major values of the planner's own latent space. The next plan does not start from the last
+    /// one.
     pub fn set_goal(&mut self, goal: Goal) {
         self.goal = Some(goal);
         self.forget_plans();

@@ -26,35 +26,35 @@ use wm_wire::latent_message::LatentDtype;
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Predictor>();
 
-/// Observations that may wait for the rollout that is under way. A newer one takes the place.
+/// Length of the queue of observations behind the running rollout. A newer observation replaces the waiting one.
 const WAITING: usize = 1;
-/// What to do where inputs stay away, or rollouts take too long.
+/// Advice for missing inputs and for rollouts that take too long.
 const NO_ENCODER: &str = "start the encoder";
 const NO_ACTIONS: &str =
     "start the arm's driver, or remap /wm/action to its topic; until then the last action is held";
-const SLOW: &str = "observations are left out; shorten the parameter horizon or integration_steps, or give the predictor more \
-                    processor time";
+const SLOW: &str = "observations are dropped; reduce the parameter horizon or integration_steps, or give the predictor \
+                    more processor time";
 
-/// The node itself, in a process that may hold others.
+/// The node itself, in a process that may run other nodes too.
 ///
 /// # Errors
-/// Wrong parameters, weights that cannot be loaded, the graph.
+/// Parameters are invalid, weights cannot be loaded, or the graph fails.
 pub async fn body(node: Node) -> Result<()> {
     harness::body::<Predictor>(node).await
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
-        /// Model steps of a rollout (K).
+        /// Number of model steps in a rollout (K).
         horizon: Parameter<i64> = 8, in 1..=64;
-        /// Euler steps per predicted frame; 0: what the model was trained for.
+        /// Euler steps per predicted frame; 0: the model's own number.
         integration_steps: Parameter<i64> = 0, in 0..=1000;
-        /// Observed frames, one model step apart, that a rollout starts from.
+        /// Number of observed frames that a rollout starts from, one model step apart.
         context_frames: usize = 2, in 1..=64;
-        /// Time from one camera frame to the next [s], as the model was trained.
+        /// Time from one camera frame to the next [s], as in the model's training.
         frame_period: f64 = 0.2, in 1e-3..=60.0;
-        /// How overlapping action chunks are merged; weighted: 0.3 of the older, 0.7 of the newer.
+        /// How overlapping action chunks are merged; weighted: 0.3 of the older and 0.7 of the newer chunk.
         chunk_merging: Merging = "latest";
         /// Seed of the sampler's noise.
         seed: i64 = 0;
@@ -64,11 +64,11 @@ wm_ros::parameters! {
 wm_ros::endpoints! {
     /// Topics and services.
     struct Endpoints {
-        /// What follows the robot.
+        /// Inputs about the robot.
         inputs: Inputs;
         /// Predicted latents, one message per model step.
         predictions: Publisher<Prediction> = "predicted", qos(Qos::reliable(16));
-        /// How far a prediction was off, once its frame has come.
+        /// Error of a prediction, published when the frame of the predicted time arrives.
         errors: Publisher<PredictionError> = "prediction_error", qos(Qos::reliable(16));
     }
 }
@@ -92,7 +92,7 @@ struct Predictor {
     work: Work<(RolloutRequest, Instant), Result<()>>,
     /// Predictions given up that have been counted.
     unscored: u64,
-    /// Whether something speaks against the predictions, as was said in the log.
+    /// Whether the log has warned against trusting the predictions.
     is_doubtful: bool,
     complaints: Complaints,
 }
@@ -219,7 +219,7 @@ impl Predictor {
             self.complaints.left_out_many(
                 "unscored",
                 unscored - self.unscored,
-                &"more predictions wait for their moment than are kept: they get no error",
+                &"more predictions wait for their frames than are kept: the oldest are not scored",
             );
             self.unscored = unscored;
         }
@@ -239,7 +239,7 @@ impl Predictor {
             self.complaints.left_out(
                 "overload",
                 &format_args!(
-                    "a rollout takes longer than a frame: the observation of {stamp} is left out"
+                    "a rollout takes longer than a camera period: the observation of {stamp} is dropped"
                 ),
             );
         }

@@ -1,4 +1,4 @@
-//! Predictions whose moment is still to come, and how they did when it came.
+//! Predictions that wait for the frame of their predicted time, and their errors once it arrives.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -10,7 +10,7 @@ use crate::history::Frame;
 /// Most predictions that wait for their moment, whatever the horizon.
 const MAX_PENDING: usize = 8192;
 
-/// A prediction to be compared with what is seen when its moment comes.
+/// A prediction to be compared with the frame of the predicted time.
 #[derive(Clone, Debug)]
 pub(super) struct Pending {
     /// The moment that is predicted \[ns\].
@@ -64,7 +64,7 @@ impl Scoring {
         self.given_up
     }
 
-    /// Adds a prediction; `seen` is the frame of its moment where that came first.
+    /// Adds a prediction; `seen` is the frame of the same time where that came first.
     pub(super) fn add(
         &mut self,
         pending: Pending,

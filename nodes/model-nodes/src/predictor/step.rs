@@ -32,7 +32,7 @@ pub struct PredictorSettings {
 pub struct Outcome {
     /// What it did to the history.
     pub arrival: Arrival,
-    /// How the predictions of its moment did.
+    /// The errors of the predictions of this time.
     pub errors: Vec<PredictionError>,
     /// The rollout that is due, or what that waits for; none where none is due.
     pub rollout: Option<Result<RolloutRequest, Wait>>,
@@ -63,7 +63,7 @@ impl PredictorStep {
     /// Takes a latent.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out, the state is as before.
+    /// [`HistoryError`]: it is dropped, and the state does not change.
     pub fn latent(
         &mut self,
         latent: &Latent,
@@ -93,7 +93,7 @@ impl PredictorStep {
     /// Takes an action that was taken.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out.
+    /// [`HistoryError`]: it is dropped.
     pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
         self.history.action(action, now)
     }
@@ -102,7 +102,7 @@ impl PredictorStep {
     /// the encoder.
     ///
     /// # Errors
-    /// [`HistoryError`]: it is left out, the one before stays.
+    /// [`HistoryError`]: it is dropped, and the previous one stays.
     pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Outcome, HistoryError> {
         let arrival = self.history.chunk(chunk, now)?;
         let rollout = match arrival.is_due.then(|| self.request()) {
@@ -117,8 +117,8 @@ impl PredictorStep {
         })
     }
 
-    /// Takes note of a prediction that was made. Where its moment has come already, its error is returned at once.
-    /// One of an earlier epoch is ignored.
+    /// Records a prediction. If the frame of its time has already arrived, its error is returned at once. One of an
+    /// earlier epoch is ignored.
     pub fn predicted(&mut self, step: &PredictedStep) -> Option<PredictionError> {
         if step.prediction.epoch != self.epoch() {
             return None;

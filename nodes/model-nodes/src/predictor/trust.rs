@@ -27,9 +27,9 @@ pub enum Doubt {
         /// Part of the latents' values that are far from the training's.
         part: f32,
     },
-    /// The last frame held still is as close to what came.
+    /// The persistence baseline is as close to the real frames as the predictions are.
     NoBetterThanPersistence {
-        /// Squared latent error of the first step over that of the last frame, held still.
+        /// Squared latent error of the first step over that of the persistence baseline.
         ratio: f64,
     },
 }
@@ -39,16 +39,16 @@ impl fmt::Display for Doubt {
         match self {
             Self::UnlikeTraining { part } => write!(
                 f,
-                "the camera shows pictures unlike those that the model was trained on ({:.1} % of the latent's values lie \
-                 beyond 3 standard deviations, where a normal distribution has 0.3 %): predictions and plans mean little; use a model that was trained on such pictures \
-                 (parameter model)",
+                "the camera shows pictures unlike those that the model was trained on ({:.1} % of the latent's values \
+                 lie beyond 3 standard deviations, where a normal distribution has 0.3 %): predictions and plans are \
+                 not meaningful; use a model that was trained on such pictures (parameter model)",
                 100.0 * part
             ),
             Self::NoBetterThanPersistence { ratio } => write!(
                 f,
-                "the predictions are no better than the last frame held still (squared latent error {ratio:.2} times as large, \
-                 over the last seconds): check the model, and that the actions are those of this robot and stamped like its \
-                 images"
+                "the predictions are no better than the persistence baseline, the last frame repeated (squared latent \
+                 error {ratio:.2} times as large, over the last seconds): check the model, and that the actions are \
+                 those of this robot and stamped like its images"
             ),
         }
     }

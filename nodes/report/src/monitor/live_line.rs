@@ -68,7 +68,7 @@ impl LiveLine {
         sorted.sort_by(f64::total_cmp);
         parts.push(match (sorted.get(sorted.len() / 2), sorted.last()) {
             (_, Some(worst)) if worst.abs() > AN_HOUR_MS => {
-                "k=1 - (the images' stamps are not of now)".to_owned()
+                "k=1 - (the stamps of the images are not current)".to_owned()
             }
             (Some(median), Some(worst)) => format!("k=1 {median:.0} ms (max {worst:.0})"),
             _ => "k=1 -".to_owned(),
@@ -115,7 +115,7 @@ mod tests {
         line.prediction(1, 95_321_650_161_000_000, now);
         let text = line.text(now, None, 0);
         assert!(
-            text.contains("k=1 - (the images' stamps are not of now)"),
+            text.contains("k=1 - (the stamps of the images are not current)"),
             "{text}"
         );
     }

@@ -24,7 +24,7 @@ use wm_wire::transport::{ImageSubscription, Transports};
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
     name: "monitor",
-    about: "Shows a live line, and reports at the end how well the predictions came true.",
+    about: "Shows a live status line, and reports at the end how well the predictions matched the camera.",
     parameters: Parameters::specs,
     endpoints: Inputs::specs,
     is_managed: false,
@@ -85,15 +85,15 @@ struct Topics {
 }
 
 wm_ros::parameters! {
-    /// What the parameters say.
+    /// The node's parameters.
     struct Parameters {
-        /// Folder of the report; relative to the working directory.
+        /// Folder for the report, relative to the working directory.
         output: PathBuf = "out/monitor";
-        /// Show a line of what is happening.
+        /// Show a live status line.
         live_line: bool = true;
-        /// The camera's topic; its sibling /compressed too.
+        /// Image topic of the camera; its sibling /compressed is used too.
         camera_topic: String = CAMERA;
-        /// Image transport of the camera. With both, a frame that comes twice counts once.
+        /// Image transport of the camera. With both, a frame that arrives twice counts once.
         _image_transport as "image_transport": Transports = "both";
     }
 }
@@ -101,7 +101,7 @@ wm_ros::parameters! {
 wm_ros::endpoints! {
     /// Topics.
     struct Inputs {
-        /// The camera's frames; the parameter camera_topic names another topic.
+        /// The camera's frames. The parameter camera_topic sets the topic.
         camera: ImageSubscription = CAMERA, qos(QOS), made(|node, _, qos| {
             let topic: String = node.parameter("camera_topic")?;
             ImageSubscription::new(node, &topic, Transports::of(node), qos)
@@ -112,11 +112,11 @@ wm_ros::endpoints! {
         pictures: ImageSubscription = "predicted/image", qos(QOS), made(|node, topic, qos| {
             ImageSubscription::new(node, topic, Transports::BOTH, qos)
         });
-        /// How far predictions were off.
+        /// Errors of the predictions.
         errors: Subscription<PredictionError> = "prediction_error", qos(QOS);
         /// Plans.
         plans: Subscription<Plan> = "plan", qos(QOS);
-        /// How the nodes fare.
+        /// The state of the nodes.
         diagnostics: Subscription<DiagnosticArray> = "/diagnostics", qos(QOS);
     }
 }
@@ -131,7 +131,7 @@ fn start(node: &Node) -> Result<(Monitor, Inputs)> {
     node.seal_parameters()?;
     ensure!(
         !output.as_os_str().is_empty(),
-        "parameter \"output\" is empty: name the folder of the report"
+        "parameter \"output\" is empty: give the folder for the report"
     );
     let inputs = Inputs::make(node)?;
     node.seal_endpoints()?;
@@ -191,7 +191,8 @@ impl Monitor {
         // as where the player found no bag: a table of nothing would hide why
         ensure!(
             !self.scorer.is_empty(),
-            "no report: no frame came on {camera} or {camera}/compressed, no prediction on {predicted}, no plan on {plan}"
+            "no report: no frame arrived on {camera} or {camera}/compressed, no prediction on {predicted}, no plan on \
+             {plan}"
         );
         let (report, files) = write_report(&self.scorer, "live", &self.output)?;
         let mut result = terminal_table(&report);
@@ -201,12 +202,12 @@ impl Monitor {
         wm_ros::logging::print(result);
         ensure!(
             report.frames > 0,
-            "no frame came on {camera} or {camera}/compressed: nothing could be compared; is the parameter \
+            "no frame arrived on {camera} or {camera}/compressed: nothing could be compared; is the parameter \
              \"camera_topic\" the camera's?"
         );
         ensure!(
             !self.scorer.is_without_predictions(),
-            "no prediction came on {predicted}, although {}",
+            "no prediction arrived on {predicted}, although {}",
             report.frames_in_words()
         );
         Ok(())
@@ -257,7 +258,7 @@ impl Monitor {
 
     fn left_out(&self, what: &str, problem: &dyn std::fmt::Display) {
         self.diagnostics.count_drop(what);
-        warn!("{what} left out: {problem}");
+        warn!("{what} ignored: {problem}");
     }
 
     /// On a terminal the line renews itself in place; elsewhere it is a line that begins with a carriage return, by

@@ -71,7 +71,7 @@ impl Rollouts {
         self.observations
     }
 
-    /// A picture and the frame of its moment.
+    /// A picture and the frame of the same time.
     pub fn picture(
         &mut self,
         observed_ns: i64,

@@ -1,6 +1,7 @@
-//! Keeps datagrams from elsewhere out. rustdds 0.15.1 binds its sockets to every address of the host, whichever networks
-//! it is told to use, and acts on all that comes in. So the kernel is asked to drop, before rustdds sees it, what did
-//! not come by an interface that was asked for: a classic BPF program on each of the sockets, which needs no privilege.
+//! Keeps datagrams from elsewhere out. rustdds 0.15.1 binds its sockets to every address of the host, whichever
+//! networks it is told to use, and processes everything that arrives. So the kernel is asked to drop, before rustdds
+//! sees it, what did not come by an interface that was requested: a classic BPF program on each of the sockets, which
+//! needs no privilege.
 //!
 //! What comes from this host's own addresses is let in whatever its interface: multicast that a neighbour process sends
 //! by Ethernet comes back by Ethernet. The kernel itself drops such a source on packets of other hosts.

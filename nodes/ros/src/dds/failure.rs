@@ -1,4 +1,4 @@
-//! What ends a participant for good: a task that panicked, a wall clock that was set back, or rustdds' own end.
+//! What ends a participant permanently: a task that panicked, a wall clock that was set back, or rustdds' own end.
 
 use super::lock::lock;
 use crate::{Error, clock::system_nanos};

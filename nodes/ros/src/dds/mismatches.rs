@@ -1,6 +1,6 @@
-//! Endpoints on one topic that do not understand each other, since one asks for more than the other offers, or is of
-//! another type. It is the commonest riddle of ROS 2: each is logged once, by the policy or types that keep the two apart,
-//! and stays on the diagnostics while both are there.
+//! Endpoints on one topic that cannot communicate, because one requests more than the other offers or has a different
+//! type. This is a frequent problem in ROS 2, so each pair is logged once, with the policy or the types at fault, and
+//! stays on the diagnostics while both exist.
 
 use super::{lock::lock, qos};
 use crate::backend::EndpointId;
@@ -56,15 +56,15 @@ impl Mismatches {
         };
         let topic = topic.unwrap_or_else(|| "a service".to_owned());
         let text = format!(
-            "{topic}: not connected to {what} for incompatible {policy:?}: the subscription requests `{}`, the publisher \
-             offers `{}`; change one of them, by qos_overrides for example",
+            "{topic}: not connected to {what} because of incompatible {policy:?}: the subscription requests `{}`, the \
+             publisher offers `{}`; change one of them, for example with qos_overrides",
             qos::from_dds(requested),
             qos::from_dds(offered)
         );
         self.know(own, other, text);
     }
 
-    /// An endpoint elsewhere is of another type. rustdds connects the two all the same; others do not.
+    /// An endpoint elsewhere has a different type. rustdds connects the two all the same; others do not.
     pub(super) fn types(
         &self,
         own: EndpointId,
@@ -78,7 +78,7 @@ impl Mismatches {
             false => "a subscription",
         };
         let text = format!(
-            "{topic}: {what} elsewhere is of type {other_type}, here it is {own_type}: they do not understand each other"
+            "{topic}: {what} has the type {other_type}, but this node uses {own_type}: they cannot communicate"
         );
         self.know(own, other, text);
     }
@@ -146,7 +146,9 @@ mod tests {
             panic!("{texts:?}")
         };
         assert!(
-            text.starts_with("/wm/plan: not connected to a publisher for incompatible Durability"),
+            text.starts_with(
+                "/wm/plan: not connected to a publisher because of incompatible Durability"
+            ),
             "{text}"
         );
         mismatches.forget_other(&[2; 16]);
@@ -157,7 +159,10 @@ mod tests {
         let best_effort = qos::for_writer(Qos::best_effort(1));
         let reliable = qos::for_reader(Qos::reliable(1));
         mismatches.subscription([1; 16], [2; 16], topic(), &reliable, &best_effort);
-        assert!(mismatches.of(&[1; 16])[0].contains("a subscription for incompatible Reliability"));
+        assert!(
+            mismatches.of(&[1; 16])[0]
+                .contains("a subscription because of incompatible Reliability")
+        );
         mismatches.subscription([1; 16], [4; 16], topic(), &best_effort, &reliable);
         assert_eq!(mismatches.of(&[1; 16]).len(), 1, "these two do match");
     }

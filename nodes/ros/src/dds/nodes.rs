@@ -137,7 +137,8 @@ impl Nodes {
             .map(|seen| seen.name.clone())
     }
 
-    /// The own endpoints that are to be connected to one elsewhere on this topic, but are of another type; with their type.
+    /// The own endpoints that are to be connected to one elsewhere on this topic, but have a different type; with their
+    /// type.
     pub(super) fn of_other_type(
         &self,
         topic: &str,

@@ -6,7 +6,7 @@ use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 /// Samples that a reliable writer keeps for readers that have not acknowledged them: what bounds its memory when a
 /// reader stops. A reader that is further behind loses the oldest ([`super::window`]).
 pub(crate) const RELIABLE_WINDOW: usize = 512;
-/// Samples that the middleware keeps of a topic until they are taken, which happens at once on a thread of its own.
+/// Samples that the middleware keeps of a topic until they are taken, which happens at once on a separate thread.
 const READER_CACHE: usize = 64;
 
 pub(super) fn for_writer(qos: Qos) -> QosPolicies {

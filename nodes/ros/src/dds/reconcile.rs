@@ -1,5 +1,5 @@
-//! Holds what is believed of the graph against what rustdds knows. Its events come through a channel of 2048, and those
-//! that find it full are lost without a word; a missed one would hide a reader, or keep one that is gone, for ever.
+//! Compares this runtime's view of the graph with that of rustdds. Events of rustdds come through a channel of 2048,
+//! and are lost silently when it is full. A lost event would hide a reader, or keep one that is gone, for ever.
 
 use super::{lock::lock, parts::profile, shared::Shared};
 use crate::backend::EndpointId;
@@ -102,7 +102,7 @@ impl Shared {
             return false;
         }
         tracing::warn!(
-            "discovery events were lost: {} connections were not known, {} endpoints are gone; this is mended now",
+            "discovery events were lost: {} connections were unknown, {} endpoints are gone; this is corrected now",
             unknown.len(),
             ghosts.len()
         );

@@ -1,4 +1,4 @@
-//! What a participant's endpoints share: the book of who is there and who is connected.
+//! What a participant's endpoints share: the record of endpoints and their connections.
 
 use super::{
     datagram,
@@ -101,7 +101,7 @@ impl Shared {
         self.parts.forget_participant(peer);
     }
 
-    /// Notes where own endpoints on the topic of one elsewhere are of another type.
+    /// Notes where own endpoints on the topic of one elsewhere have a different type.
     pub(super) fn compare_types(&self, other: &EndpointDescription, is_writer: bool) {
         let Some((Channel::Topic, topic, type_name)) =
             ros_names(&other.topic_name, &other.type_name)
@@ -143,7 +143,7 @@ pub(super) fn is_foreign(one: &EndpointId, other: &EndpointId) -> bool {
     one.get(..2) != other.get(..2)
 }
 
-/// Keeps the book of who is connected to whom, from the participant's events.
+/// Keeps track of which endpoints are connected, from the participant's events.
 pub(super) async fn follow(
     listener: rustdds::DomainParticipantStatusListener,
     shared: Arc<Shared>,

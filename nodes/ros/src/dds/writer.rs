@@ -346,7 +346,7 @@ impl DdsWriter {
             let Some(core) = core.upgrade() else { return };
             let topic = &core.topic;
             if !is_reached {
-                tracing::warn!("{topic}: a call is not answered: its client cannot be reached");
+                tracing::warn!("{topic}: a call is not answered: its client is unreachable");
                 return;
             }
             match core.send(&payload, Some(request), WhenFull::DropOldest) {

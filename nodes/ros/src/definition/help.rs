@@ -1,4 +1,4 @@
-//! What `wm NODE --help` says of a node.
+//! What `wm NODE --help` prints about a node.
 
 use super::NodeDefinition;
 use crate::{Direction, EndpointSpec, ParameterSpec, parameters::Range};
@@ -27,13 +27,13 @@ impl<E> NodeDefinition<E> {
         }
         heading(
             &mut text,
-            "Parameters (--ros-args -p NAME:=VALUE, or --params-file FILE; dynamic: can be changed while the node runs)",
+            "Parameters (--ros-args -p NAME:=VALUE or --params-file FILE; dynamic: can be changed while the node runs)",
         );
         for spec in self.specs() {
             parameter(&mut text, &spec);
         }
         let lifecycle = if self.is_managed {
-            "; being a managed node, also the lifecycle services (~/change_state, ~/get_state, ...)"
+            ". This is a managed node, so it also has the lifecycle services (~/change_state, ~/get_state, ...)"
         } else {
             ""
         };
@@ -42,7 +42,7 @@ impl<E> NodeDefinition<E> {
             "",
             &format!(
                 "\nEvery node also has use_sim_time, the parameter and logger services, /parameter_events, /rosout and \
-                 /diagnostics{lifecycle}. Relative names are in the namespace /wm; ~ is the node's own name."
+                 /diagnostics{lifecycle}. Relative names are in the namespace /wm; ~ stands for the node's name."
             ),
         );
         text

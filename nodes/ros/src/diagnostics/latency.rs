@@ -32,7 +32,7 @@ pub(super) struct Summary {
     pub(super) samples: u64,
 }
 
-/// The longest latency that is told apart from longer ones \[us\]: 10 minutes.
+/// The longest latency that is distinguished from longer ones \[us\]: 10 minutes.
 const MAX_US: u64 = 600_000_000;
 
 impl Latency {

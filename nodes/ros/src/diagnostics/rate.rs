@@ -1,4 +1,4 @@
-//! Messages a second.
+//! Messages per second.
 
 use std::{
     collections::VecDeque,

@@ -1,6 +1,6 @@
-//! What an operator must know of a running node, judged from counts and times alone: inputs that stay away, deadlines
-//! that are missed, memory that grows, and conditions that the node names itself. Each has a level and a sentence that
-//! says what to do.
+//! What an operator must know about a running node, determined only from counts and times: inputs that are missing,
+//! deadlines that are missed, memory that grows, and conditions that the node names itself. Each has a level and a
+//! sentence that says what to do.
 
 mod deadline;
 mod input;
@@ -23,7 +23,7 @@ use std::{
 /// it.
 const HOLD: Duration = Duration::from_secs(5);
 
-/// Conditions that are told apart; their subjects hold topics, and could be many.
+/// Conditions that are distinguished; their subjects hold topics, and could be many.
 const MAX_CONDITIONS: usize = 64;
 
 /// What the watchdog has found of one subject.
@@ -58,7 +58,7 @@ impl Watchdog {
         self.inputs.insert(input.name, InputWatch::new(input, now));
     }
 
-    /// Watches no input and no deadline any more, and measures memory anew.
+    /// Stops watching inputs and deadlines, and restarts the memory measurement.
     pub(super) fn stand_down(&mut self) {
         self.inputs.clear();
         self.deadlines.clear();

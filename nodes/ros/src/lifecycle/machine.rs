@@ -16,7 +16,7 @@ pub struct Refused {
     pub state: State,
     /// What could be asked for.
     pub expected: String,
-    /// What was asked for.
+    /// What was requested.
     pub asked: String,
 }
 

@@ -72,7 +72,7 @@ pub(crate) fn get(names: &[String]) -> LoggerLevels {
 pub(crate) fn set(wanted: &[LoggerLevel]) -> SetLoggerLevelsResponse {
     let mut installed = LEVELS.lock().unwrap_or_else(PoisonError::into_inner);
     let results = match installed.as_mut() {
-        None => vec![Err("the program has a log of its own".to_owned())],
+        None => vec![Err("the program does its own logging".to_owned())],
         Some(Levels { levels, .. }) => levels.set_all(wanted),
     };
     if let Some(Levels {
@@ -150,7 +150,7 @@ impl LogLevels {
         if let Some(level) = level {
             if self.loggers.len() >= MAX_LOGGERS {
                 return Err(format!(
-                    "logger `{logger}`: {MAX_LOGGERS} loggers have levels already"
+                    "logger `{logger}`: {MAX_LOGGERS} loggers already have levels"
                 ));
             }
             self.loggers.push((logger.to_owned(), level));

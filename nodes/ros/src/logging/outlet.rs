@@ -90,7 +90,7 @@ impl Queue {
             let dropped = std::mem::take(&mut self.dropped);
             let stamp = seconds(system_nanos());
             let note = format!(
-                "[WARN] [{stamp}] [wm_ros.logging]: {dropped} lines are missing here: nobody read {stream}\n"
+                "[WARN] [{stamp}] [wm_ros.logging]: {dropped} lines were dropped here: nobody read {stream}\n"
             );
             return Some(note.into_bytes());
         }
@@ -241,7 +241,7 @@ mod tests {
         assert_eq!((dropped, queue.texts.len(), queue.len), (2, 4, MOST_BYTES));
         let note = String::from_utf8(queue.pop("standard error").unwrap()).unwrap();
         assert!(
-            note.contains("2 lines are missing here: nobody read standard error"),
+            note.contains("2 lines were dropped here: nobody read standard error"),
             "{note}"
         );
         assert_eq!(queue.pop("standard error"), Some(line));

@@ -1,5 +1,5 @@
-//! A panic ends the process, in order where it can: a thread or task that is gone in silence leaves a node that looks
-//! alive and does nothing.
+//! A panic ends the process, in order where it can: a thread or task that ends silently leaves a node that looks alive
+//! but does nothing.
 //!
 //! The body is asked to end as by a signal, so that a recorder still closes its bag, and `run` returns
 //! [`Error::ThreadPanicked`](crate::Error::ThreadPanicked). A process that does not end in time ends with code 101, which is that of

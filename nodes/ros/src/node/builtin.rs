@@ -40,7 +40,7 @@ pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     node.declare(
         "use_sim_time",
         false,
-        Descriptor::new("Whether the clock follows /clock instead of the system."),
+        Descriptor::new("Whether the node's clock follows /clock instead of the system clock."),
     )?;
     parameter_services(node)?;
     logger_services(node)?;
@@ -88,7 +88,7 @@ fn parameter_events(node: &Node) -> Result<(), Error> {
                 writer.write(&Payload::Cdr(bytes.into()), None, WhenFull::DropOldest)
             });
         if let Err(error) = sent {
-            tracing::warn!("a change of parameters is not announced: {error}");
+            tracing::warn!("cannot publish a parameter change: {error}");
         }
     }));
     Ok(())
@@ -274,7 +274,7 @@ fn diagnostics(node: &Node) -> Result<(), Error> {
                 frame_id: String::new(),
             };
             if let Err(error) = publisher.publish(&DiagnosticArray { header, status }) {
-                tracing::warn!("diagnostics are not published: {error}");
+                tracing::warn!("cannot publish diagnostics: {error}");
             }
         }
     });

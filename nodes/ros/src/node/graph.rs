@@ -1,4 +1,4 @@
-//! What there is in the graph.
+//! The contents of the graph.
 
 use super::Node;
 use crate::{

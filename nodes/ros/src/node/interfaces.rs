@@ -91,7 +91,7 @@ impl Interfaces {
         let hash = description.hash().to_string();
         if request.type_hash != hash {
             return Err(format!(
-                "the {name} of this node has the hash {hash}, not `{}`",
+                "the type {name} has the hash {hash} in this node, not `{}`",
                 request.type_hash
             ));
         }

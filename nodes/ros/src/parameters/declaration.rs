@@ -52,7 +52,7 @@ impl ParameterSpec {
     /// Declares it on `node` and reads it.
     ///
     /// # Errors
-    /// The value given is of another type or not allowed, or the parameter is declared already.
+    /// The value given has a different type or is not allowed, or the parameter is declared already.
     pub fn declare<F: Field>(&self, node: &Node) -> Result<F, Error> {
         let refused = |reason: String| ParameterError::Refused {
             node: node.fully_qualified_name().into(),

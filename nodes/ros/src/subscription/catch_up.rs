@@ -38,7 +38,7 @@ impl CatchUp {
                     std::future::pending::<()>().await;
                 }
                 Err(error) => tracing::warn!(
-                    "{}: what was latched before is not heard: {error}",
+                    "{}: cannot receive samples that were latched before: {error}",
                     endpoint.name
                 ),
             }

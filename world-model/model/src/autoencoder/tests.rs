@@ -155,7 +155,7 @@ fn inputs_of_the_wrong_shape_or_with_nan_are_refused() {
     let latent = Tensor::full(f32::NAN, (1, 2, 3, 3), &Device::Cpu).unwrap();
     assert_eq!(
         autoencoder.decode(&latent).unwrap_err().to_string(),
-        "latents holds a value that is not finite"
+        "latents has a value that is not finite"
     );
 }
 

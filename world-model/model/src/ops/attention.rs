@@ -2,8 +2,8 @@
 //! weighted values, in one operation: normalisation of queries and keys, rotary embedding, scores,
 //! softmax and weighted sum.
 //!
-//! Each (sequence, head) is small enough for the first-level cache, so nothing but the result is
-//! written to memory; the backward pass computes the attention weights anew.
+//! Each (sequence, head) is small enough for the first-level cache, so nothing but the result is written to memory; the
+//! backward pass recomputes the attention weights.
 
 mod head;
 mod product;

@@ -74,7 +74,8 @@ impl TryFrom<RawEncoding> for ActionEncoding {
         ];
         let space = match raw.space {
             Some(_) if scales.iter().any(Option::is_some) => {
-                let text = "translation_scale and its like are Bridge V2's; give scale and clip in `space` instead";
+                let text = "translation_scale and similar keys apply only to Bridge V2; give scale and clip in `space` \
+                            instead";
                 return Err(ActionError::Encoding(text.into()));
             }
             Some(space) => space,

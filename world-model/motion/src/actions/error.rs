@@ -9,7 +9,7 @@ use crate::motion::MAX_CHUNK;
 #[non_exhaustive]
 pub enum ActionError {
     /// Not as many values as the action space has.
-    #[error("an action of {actual} values; expected {expected} of {space}")]
+    #[error("an action has {actual} values; expected {expected} of {space}")]
     Length {
         /// Values expected.
         expected: usize,
@@ -39,7 +39,7 @@ pub enum ActionError {
         unit: String,
     },
     /// A model step got another number of intervals than it spans.
-    #[error("a model step spans {expected} intervals, but {actual} came")]
+    #[error("expected {expected} intervals for a model step, got {actual}")]
     Count {
         /// Intervals of a step.
         expected: usize,

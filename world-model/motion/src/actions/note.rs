@@ -3,7 +3,7 @@
 use super::{ActionError, ActionSpace};
 
 impl ActionSpace {
-    /// The key of a bag's `custom_data` (in `metadata.yaml`) that says what the bag's actions are.
+    /// The key of a bag's `custom_data` (in `metadata.yaml`) with the bag's action space.
     pub const NOTE: &str = "action_space";
 
     /// As JSON, as `model.json` has it.
@@ -14,10 +14,10 @@ impl ActionSpace {
         serde_json::to_string(self).map_err(|error| ActionError::Space(error.to_string()))
     }
 
-    /// What a bag's actions are: what its note says, else Bridge V2's, as all bags were before they had one.
+    /// The action space of a bag: that in its metadata, else Bridge V2's, as for all bags before the entry existed.
     ///
     /// # Errors
-    /// [`ActionError::Space`] where the note is no description of an action space.
+    /// [`ActionError::Space`] if the entry does not describe an action space.
     pub fn of_note(note: Option<&str>) -> Result<Self, ActionError> {
         let Some(note) = note else {
             return Ok(Self::bridge());

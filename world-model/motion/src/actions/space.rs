@@ -191,7 +191,7 @@ impl ActionSpace {
     fn problem(&self) -> Option<String> {
         let is_name = |name: &str| !name.is_empty() && name.chars().count() <= MAX_NAME;
         if !is_name(&self.name) {
-            return Some(format!("a name of 1 to {MAX_NAME} characters is needed"));
+            return Some(format!("expected a name of 1 to {MAX_NAME} characters"));
         }
         if !(1..=MAX_DIMENSIONS).contains(&self.dimensions.len()) {
             return Some(format!(
@@ -207,7 +207,7 @@ impl ActionSpace {
             let name = &dimension.name;
             if !is_name(name) || !names.insert(name) {
                 return Some(format!(
-                    "dimension {name:?}: a name of its own of 1 to {MAX_NAME} characters is needed"
+                    "dimension {name:?}: expected a unique name of 1 to {MAX_NAME} characters"
                 ));
             }
             if !(dimension.scale.is_finite() && dimension.scale != 0.0) {
@@ -377,7 +377,7 @@ mod tests {
         let delta = |name| dimension(name, Kind::RotationDelta);
         for (dimensions, named) in [
             (vec![delta("roll"), delta("pitch")], "in threes"),
-            (vec![dimension("a", Kind::JointDelta); 2], "name of its own"),
+            (vec![dimension("a", Kind::JointDelta); 2], "unique name"),
             (
                 vec![Dimension {
                     clip: 0.0,

@@ -72,7 +72,7 @@ impl Chunk {
     }
 }
 
-/// How a chunk joins the one before where both speak of the same moments (the `aggregate_fn` of LeRobot's asynchronous
+/// How a chunk joins the one before where both speak of the same times (the `aggregate_fn` of LeRobot's asynchronous
 /// inference, <https://huggingface.co/docs/lerobot/async>).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ChunkMerging {

@@ -9,31 +9,31 @@ use crate::dataset::Dataset;
 /// Trains the autoencoder on bags of episodes.
 #[derive(Args, Clone, Debug)]
 pub struct TrainAutoencoderArgs {
-    /// Folder of the episodes' bags; masks in them say what to look at.
+    /// Folder with the bags of the episodes. If they have masks, pixels inside the masks get more weight.
     #[arg(long)]
     pub bags: PathBuf,
-    /// Folder of bags that are not trained on, to judge by.
+    /// Folder with held-out bags, for evaluation.
     #[arg(long)]
     pub held_out: Option<PathBuf>,
-    /// Folder for checkpoint, loss curve and weights; a training that was stopped goes on from here.
+    /// Folder for checkpoint, loss curve and weights. An interrupted training resumes from here.
     #[arg(long)]
     pub out: PathBuf,
     /// Folder for decoded frames; `cache` in the output folder by default.
     #[arg(long)]
     pub cache: Option<PathBuf>,
-    /// Steps of the optimiser.
+    /// Optimiser steps.
     #[arg(long, default_value_t = AutoencoderSettings::default().steps)]
     pub steps: u64,
-    /// Steps at the end that see whole pictures instead of crops.
+    /// Number of final steps that use whole pictures instead of crops.
     #[arg(long, default_value_t = AutoencoderSettings::default().whole_picture_steps)]
     pub whole_picture_steps: u64,
-    /// Crops a step.
+    /// Crops per step.
     #[arg(long, default_value_t = AutoencoderSettings::default().batch)]
     pub batch: usize,
     /// Highest learning rate.
     #[arg(long, default_value_t = AutoencoderSettings::default().learning_rate)]
     pub learning_rate: f64,
-    /// Part of the crops that are centred on something that moves.
+    /// Fraction of the crops that are centred on something that moves.
     #[arg(long, default_value_t = AutoencoderSettings::default().salient)]
     pub salient: f64,
     /// Weight of pixels inside masks, added to 1.
@@ -76,7 +76,7 @@ impl TrainAutoencoderArgs {
         settings
     }
 
-    /// Trains, and judges if held-out bags are given.
+    /// Trains, and evaluates if held-out bags are given.
     ///
     /// # Errors
     /// When the data, the settings or a file cannot be used.
@@ -103,22 +103,22 @@ impl TrainAutoencoderArgs {
     }
 }
 
-/// Measures what an autoencoder makes of the frames of bags that it was not trained on.
+/// Measures how well an autoencoder reconstructs the frames of held-out bags.
 #[derive(Args, Clone, Debug)]
 pub struct EvaluateAutoencoderArgs {
-    /// Folder of the episodes' bags.
+    /// Folder with the bags of the episodes.
     #[arg(long)]
     pub bags: PathBuf,
-    /// Weights: a file, or a folder of `autoencoder.safetensors` or of the published TAEF2 halves.
+    /// Weights: a file, or a folder with `autoencoder.safetensors` or with the two published TAEF2 files.
     #[arg(long)]
     pub autoencoder: PathBuf,
     /// Folder for decoded frames.
     #[arg(long)]
     pub cache: PathBuf,
-    /// Frames at most, spread over all bags.
+    /// Maximum number of frames, spread over all bags.
     #[arg(long, default_value_t = 1000)]
     pub frames: usize,
-    /// Also writes a picture: some frames, what becomes of them, and four times the difference.
+    /// Also write a picture with some frames, their reconstructions, and four times the difference.
     #[arg(long)]
     pub picture: Option<PathBuf>,
 }

@@ -5,7 +5,7 @@ use wm_model::{Autoencoder, Decoder as _, Encoder as _, image::to_rgb};
 use super::trainer::{TrainingError, pictures};
 use crate::{dataset::Dataset, squared_error::SquaredError};
 
-/// How well an autoencoder gives back what it is shown.
+/// How well an autoencoder reconstructs frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reconstruction {
     /// Frames looked at.

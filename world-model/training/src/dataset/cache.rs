@@ -73,7 +73,7 @@ impl CacheWriter<'_> {
         if *self.masked.get_or_insert(masked) != masked {
             return Err(DatasetError::Episode {
                 bag: bag.to_owned(),
-                what: "some bags have masks and some have none; expected all or none".to_owned(),
+                what: "some bags have masks and some do not; expected all or none".to_owned(),
             });
         }
         let write = |file: &mut BufWriter<File>, name: &str, bytes: &[u8]| {

@@ -114,7 +114,7 @@ pub(super) fn decode(
     })
 }
 
-/// What a bag's actions are.
+/// The action space of a bag.
 pub(super) fn action_space(reader: &BagReader, bag: &Path) -> Result<ActionSpace, DatasetError> {
     ActionSpace::of_note(reader.note(ActionSpace::NOTE)).map_err(|error| DatasetError::Episode {
         bag: bag.to_owned(),
@@ -129,7 +129,7 @@ fn thinned(stamps: &[i64], space: &ActionSpace) -> Result<Vec<usize>, String> {
     for (before, after) in stamps.iter().zip(stamps.iter().skip(1)) {
         if after <= before {
             return Err(format!(
-                "camera stamps do not rise: {after} ns follows {before} ns"
+                "camera stamps do not increase: {after} ns follows {before} ns"
             ));
         }
         gaps.push(after - before);
@@ -141,7 +141,7 @@ fn thinned(stamps: &[i64], space: &ActionSpace) -> Result<Vec<usize>, String> {
     let gap_ns = gaps.get(gaps.len() / 2).copied().unwrap_or(period_ns);
     if gap_ns > period_ns + period_ns / 2 {
         return Err(format!(
-            "the camera gives a frame every {:.2} s; actions of {} Hz need one every {:.2} s",
+            "the camera has a frame every {:.2} s, but actions of {} Hz need one every {:.2} s",
             gap_ns as f64 / 1e9,
             space.rate(),
             period_ns as f64 / 1e9

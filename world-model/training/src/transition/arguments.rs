@@ -16,7 +16,7 @@ use crate::latents::Latents;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TauDistribution {
-    /// Evenly over 0..1.
+    /// Uniform over 0..1.
     Uniform,
     /// The logistic function of a standard normal variable.
     LogitNormal,
@@ -25,22 +25,22 @@ pub enum TauDistribution {
 /// Trains the transition model on bags of episodes, with the latents of a frozen encoder.
 #[derive(Clone, Debug, Args)]
 pub struct TrainTransitionArgs {
-    /// Folder of the episodes' bags.
+    /// Folder with the bags of the episodes.
     #[arg(long)]
     pub bags: PathBuf,
-    /// Folder of bags that are not trained on, to judge by.
+    /// Folder with held-out bags, for evaluation.
     #[arg(long)]
     pub held_out: Option<PathBuf>,
-    /// Weights of the autoencoder whose latents are learned.
+    /// Weights of the autoencoder that encodes the frames to latents.
     #[arg(long)]
     pub autoencoder: PathBuf,
-    /// Folder for checkpoint, loss curve and weights; a training that was stopped goes on from here.
+    /// Folder for checkpoint, loss curve and weights. An interrupted training resumes from here.
     #[arg(long)]
     pub out: PathBuf,
     /// Folder for decoded frames and latents; `cache` in the output folder by default.
     #[arg(long)]
     pub cache: Option<PathBuf>,
-    /// tiny, dit-s, dit-b or dit-l.
+    /// Preset: tiny, dit-s, dit-b or dit-l.
     #[arg(long, default_value = "tiny")]
     pub preset: String,
     /// Width instead of the preset's.
@@ -52,59 +52,61 @@ pub struct TrainTransitionArgs {
     /// Attention heads instead of the preset's.
     #[arg(long)]
     pub heads: Option<usize>,
-    /// Frames of a clip, and of the model's window.
+    /// Frames in a clip and in the model's context window.
     #[arg(long, default_value_t = 10)]
     pub frames: usize,
-    /// Side of a patch of the latent.
+    /// Patch size: side of a patch of the latent.
     #[arg(long, default_value_t = 2)]
     pub patch: usize,
-    /// Predict the velocity itself, as the published checkpoints and their presets do, not the change from the last frame.
+    /// Predict the velocity, as the published checkpoints and their presets do, instead of the change from the last
+    /// frame.
     #[arg(long)]
     pub velocity: bool,
-    /// Feed an action with the frame that it starts from, as the published checkpoints and their presets do, not the one that it leads to.
+    /// Pair an action with the frame that it starts from, as the published checkpoints and their presets do, instead of
+    /// the frame that it leads to.
     #[arg(long)]
     pub action_with_frame: bool,
-    /// Euler steps that the weights file recommends, instead of the preset's.
+    /// Number of Euler steps that the weights file recommends, instead of the preset's.
     #[arg(long)]
     pub sampling_steps: Option<usize>,
-    /// Steps of the optimiser.
+    /// Optimiser steps.
     #[arg(long, default_value_t = 1400)]
     pub steps: u64,
-    /// Clips a step.
+    /// Clips per step.
     #[arg(long, default_value_t = 8)]
     pub batch: usize,
-    /// Clips that one thread takes at once.
+    /// Clips that one thread computes at once.
     #[arg(long, default_value_t = 2)]
     pub micro_batch: usize,
     /// Highest learning rate.
     #[arg(long, default_value_t = 2e-3)]
     pub learning_rate: f64,
-    /// Steps over which the learning rate rises.
+    /// Warm-up steps, over which the learning rate rises.
     #[arg(long, default_value_t = 60)]
     pub warm_up: u64,
-    /// Last learning rate as a part of the highest.
+    /// Final learning rate, as a fraction of the highest.
     #[arg(long, default_value_t = 0.02)]
     pub final_rate: f64,
     /// Decay of the moving average of the weights.
     #[arg(long, default_value_t = 0.99)]
     pub ema_decay: f64,
-    /// How noise levels are drawn.
+    /// Distribution of the noise levels.
     #[arg(long, value_enum, default_value_t = TauDistribution::Uniform)]
     pub tau: TauDistribution,
-    /// Time shift, instead of the preset's: of the noise levels drawn in training and of those sampled at, which the
-    /// weights file states.
+    /// Time shift, instead of the preset's. It applies to the noise levels in training and in sampling, and is written
+    /// to the weights file.
     #[arg(long)]
     pub shift: Option<f64>,
-    /// Standard deviation of the noise level that history frames are given.
+    /// Standard deviation of the noise level of history frames.
     #[arg(long, default_value_t = 0.15)]
     pub history_noise: f64,
-    /// Part of the clips whose history holds the model's own predictions in place of the later frames.
+    /// Fraction of the clips whose history has the model's own predictions in place of the later frames.
     #[arg(long, default_value_t = 0.0)]
     pub own_history: f64,
-    /// Part of the clips that are given no action (the null action: zeros, the last value 1).
+    /// Fraction of the clips with no action (the null action: zeros, the last value 1).
     #[arg(long, default_value_t = 0.0)]
     pub action_dropout: f64,
-    /// Threads; all of the machine by default.
+    /// Number of threads; all of the machine by default.
     #[arg(long)]
     pub threads: Option<usize>,
     /// Seed of weights, clips and noise.
@@ -181,10 +183,10 @@ impl TrainTransitionArgs {
     }
 }
 
-/// Judges a trained transition model on bags that it was not trained on.
+/// Evaluates a trained transition model on held-out bags.
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateTransitionArgs {
-    /// Folder of the episodes' bags.
+    /// Folder with the bags of the episodes.
     #[arg(long)]
     pub bags: PathBuf,
     /// Weights of the autoencoder.
@@ -196,13 +198,13 @@ pub struct EvaluateTransitionArgs {
     /// Folder for decoded frames and latents.
     #[arg(long)]
     pub cache: Option<PathBuf>,
-    /// Most windows to judge on.
+    /// Maximum number of windows to evaluate.
     #[arg(long, default_value_t = usize::MAX)]
     pub windows: usize,
-    /// Other numbers of Euler steps to try.
+    /// Other numbers of Euler steps to evaluate.
     #[arg(long, value_delimiter = ',')]
     pub sampling_steps: Vec<usize>,
-    /// One-step plans from zero to make, to see how well they recover the true action.
+    /// Number of one-step plans from zero, to measure how well they recover the true action.
     #[arg(long, default_value_t = 24)]
     pub plans: usize,
 }

@@ -22,7 +22,7 @@ pub(super) struct Clip {
 }
 
 impl<'a> ClipSource<'a> {
-    /// Clips of `frames` frames, one model step apart; episodes shorter than that are left out.
+    /// Clips of `frames` frames, one model step apart; episodes shorter than that are ignored.
     ///
     /// # Errors
     /// When no episode is long enough.
@@ -41,7 +41,7 @@ impl<'a> ClipSource<'a> {
             .collect();
         ensure!(
             !source.episodes.is_empty(),
-            "no episode has the {span} frames that a clip of {frames} steps spans"
+            "no episode is long enough: a clip of {frames} steps needs {span} frames"
         );
         Ok(source)
     }
@@ -104,8 +104,9 @@ impl<'a> ClipSource<'a> {
         clips.collect()
     }
 
-    /// Appends a clip's latents (frames, h, w, C) and the model action of each frame (frames, A): what leads from it to the
-    /// next one. That of the last frame is in the episode too, but for an episode's end, where the action before goes on.
+    /// Appends a clip's latents (frames, h, w, C) and the model action of each frame (frames, A): what leads from it to
+    /// the next one. That of the last frame is in the episode too, but for an episode's end, where the action before is
+    /// held.
     pub(super) fn load(
         &self,
         clip: Clip,

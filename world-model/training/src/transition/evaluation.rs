@@ -20,7 +20,7 @@ pub(super) const CONTEXT: usize = 2;
 /// Seed of the noise of all evaluated predictions.
 const SEED: u64 = 0;
 
-/// What the predictions are told in place of the true actions.
+/// The actions that the predictions get in place of the true ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActionChange {
     /// The true actions.

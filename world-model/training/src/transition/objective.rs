@@ -44,7 +44,7 @@ impl Objective {
     pub(super) fn validate(&self) -> Result<()> {
         ensure!(
             self.micro_batch > 0 && self.clips > 0 && self.clips.is_multiple_of(self.micro_batch),
-            "{} clips a step cannot be split into batches of {}",
+            "{} clips per step cannot be split into batches of {}",
             self.clips,
             self.micro_batch
         );
@@ -123,7 +123,7 @@ impl Batch {
         let (b, n, past) = (objective.micro_batch, clips.frames(), objective.history);
         ensure!(
             past >= 1 && past < n,
-            "clips of {n} frames leave none to learn after {past}"
+            "clips of {n} frames have no frame to learn after the {past} history frames"
         );
         let (h, w, c) = clips.shape();
         let a = clips.action_dim();

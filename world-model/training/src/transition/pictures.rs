@@ -8,7 +8,7 @@ use wm_model::{Decoder, transition::PackedTransition};
 use super::evaluation::{ActionChange, CONTEXT, Evaluation};
 use crate::{dataset::Dataset, squared_error::SquaredError};
 
-/// Decoded predictions against the frames that came, beside the last observed frame held still, step by step.
+/// Decoded predictions against the frames that came, beside the last observed frame, repeated, step by step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PictureErrors {
     steps: Vec<StepErrors>,
@@ -133,7 +133,7 @@ impl fmt::Display for PictureErrors {
         ];
         write!(
             f,
-            "PSNR [dB] of the decoded pictures, and of the last observed frame held still"
+            "PSNR [dB] of the decoded pictures, and of the last observed frame, repeated"
         )?;
         for (name, of) in rows {
             if self.steps.iter().all(|step| of(step).is_none()) {

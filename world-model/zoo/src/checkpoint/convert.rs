@@ -66,7 +66,7 @@ fn check_size(checkpoint: &Checkpoint) -> Result<()> {
     Err(Error::Corrupt {
         file: checkpoint.file().to_owned(),
         reason: format!(
-            "its tensors have {bytes} bytes in a file of {file}: they are the same values over and over"
+            "its tensors have {bytes} bytes in a file of {file}: they share the same values"
         ),
     })
 }

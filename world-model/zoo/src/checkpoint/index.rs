@@ -16,7 +16,7 @@ pub(super) fn index(bytes: &[u8]) -> Result<BTreeMap<String, Entry>, String> {
     // A pickle of protocol 2 or more starts with this and the protocol's number.
     if let [0x80, 2..=5, ..] = bytes {
         return Err(
-            "a torch file of the format before version 1.6: write it again with a newer torch.save"
+            "a torch file in the format before version 1.6: save it again with a newer torch.save"
                 .to_owned(),
         );
     }

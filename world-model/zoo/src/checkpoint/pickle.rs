@@ -172,7 +172,7 @@ impl<'a> Machine<'a> {
         let id = *self
             .memo
             .get(&key)
-            .ok_or_else(|| format!("nothing is remembered as {key}"))?;
+            .ok_or_else(|| format!("the memo has no entry {key}"))?;
         self.stack.push(id);
         Ok(())
     }
@@ -228,7 +228,7 @@ impl<'a> Machine<'a> {
     fn text(&self, id: Id) -> Result<&'a str, String> {
         match self.values.get(id) {
             Some(Value::Text(text)) => Ok(text),
-            other => Err(format!("{} where a name is expected", named(other))),
+            other => Err(format!("expected a name, got {}", named(other))),
         }
     }
 
@@ -363,8 +363,8 @@ impl<'a> Machine<'a> {
     fn push_global(&mut self, module: &'a str, name: &'a str) -> Result<(), String> {
         if is_attack(module, name) {
             return Err(format!(
-                "it imports {module}.{name}, which no checkpoint needs: where Python loads this file, it may do \
-                 anything there; it is refused"
+                "it imports {module}.{name}, which no checkpoint needs: if Python loaded this file, it could run any \
+                 code; it is refused"
             ));
         }
         self.push(Value::Global { module, name });

@@ -211,7 +211,7 @@ fn rebuilt<'a>(pickle: &Pickle<'a>, items: &[Id]) -> Result<Option<Stored<'a>>, 
 fn sequence<'p>(pickle: &'p Pickle<'_>, id: Id) -> Result<&'p [Id], String> {
     match pickle.get(id) {
         Value::Sequence(items) => Ok(items),
-        other => Err(format!("{other} where a tuple is expected")),
+        other => Err(format!("expected a tuple, got {other}")),
     }
 }
 
@@ -222,7 +222,7 @@ fn sizes(pickle: &Pickle<'_>, id: Id) -> Result<Vec<usize>, String> {
 
 fn size(pickle: &Pickle<'_>, id: Id) -> Result<usize, String> {
     let Value::Int(value) = pickle.get(id) else {
-        return Err(format!("{} where a size is expected", pickle.get(id)));
+        return Err(format!("expected a size, got {}", pickle.get(id)));
     };
     usize::try_from(*value).map_err(|_| format!("a size of {value}"))
 }

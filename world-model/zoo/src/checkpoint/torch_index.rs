@@ -44,7 +44,7 @@ pub(super) fn index(bytes: &[u8]) -> Result<BTreeMap<String, Entry>, String> {
         }
     }
     let Some((i, root, size)) = pickled else {
-        return Err("a zip archive without data.pkl: no torch file".to_owned());
+        return Err("a zip archive without data.pkl: not a torch file".to_owned());
     };
     if size > MAX_PICKLE {
         return Err(format!(
@@ -63,7 +63,7 @@ pub(super) fn index(bytes: &[u8]) -> Result<BTreeMap<String, Entry>, String> {
     if let Some(order) = storages.get(&format!("{root}byteorder"))
         && order.bytes(bytes) != b"little"
     {
-        return Err("written on a big-endian machine".to_owned());
+        return Err("written on a big-endian machine, which is not supported".to_owned());
     }
     let mut inflated = Vec::new();
     let pickle_bytes = match storages.get(&format!("{root}data.pkl")) {

@@ -11,7 +11,7 @@ use crate::{Error, Result};
 /// Bytes that are read before their pages are given back: a whole embedding table can be a gigabyte.
 const CHUNK: usize = 16 << 20;
 
-/// Values in the format that was asked for.
+/// Values in the format that was requested.
 pub(super) enum Values {
     F32(Vec<f32>),
     F16(Vec<f16>),

@@ -1,4 +1,4 @@
-//! The success probe of a model folder: opened with the rest, loaded by whom it is for.
+//! The success probe of a model folder: opened with the rest, loaded only by the node that uses it.
 
 use std::path::{Path, PathBuf};
 

@@ -20,7 +20,7 @@ pub struct PartSummary {
     pub operations: usize,
 }
 
-/// What a model is made of.
+/// The parts of a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
     /// Encoder, adapter, transition, decoder, probe: those that there are.
@@ -29,7 +29,7 @@ pub struct Summary {
     pub latent: [usize; 3],
     /// Height and width of the camera's picture, all views together.
     pub image: [usize; 2],
-    /// Camera views beside each other.
+    /// Camera views side by side.
     pub views: usize,
     /// Camera frames of a model step.
     pub frame_skip: usize,

@@ -1,4 +1,4 @@
-//! Several camera views: beside each other along the width of pictures and latents, one after the other in a batch.
+//! Several camera views: side by side along the width of pictures and latents, one after the other in a batch.
 
 use candle_core::Tensor;
 

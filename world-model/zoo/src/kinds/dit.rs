@@ -50,7 +50,7 @@ pub struct DitConfig {
     pub patch: usize,
     /// Rows and columns of a latent, before patching.
     pub grid: [usize; 2],
-    /// Camera views that lie beside each other in a latent, 1 if absent; with several, positions have three axes (row,
+    /// Camera views that lie side by side in a latent, 1 if absent; with several, positions have three axes (row,
     /// column in the view, view).
     #[serde(default = "one_view")]
     pub views: usize,

@@ -21,7 +21,7 @@ use crate::{Checkpoint, Compute, Loader, Result};
 /// First of EfficientNet-Lite0's blocks that is given.
 const FIRST_BLOCK: usize = 8;
 
-/// What a loaded model makes of its inputs.
+/// The outputs of a loaded model.
 type Run = Box<dyn Fn(&Inputs<'_>) -> Result<Tensors> + Send + Sync>;
 
 /// A model of some [`Kind`]; the [module](super) says what each takes and gives.

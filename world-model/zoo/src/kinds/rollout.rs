@@ -1,4 +1,4 @@
-//! Predicting many frames, one after the other.
+//! Predicts many frames, one after the other.
 
 use candle_core::Tensor;
 use wm_model::sampler::{Given, Rollout, Sampler};
@@ -16,7 +16,8 @@ pub struct RolloutOptions {
     /// Euler steps a frame, time shift, and noise level that context frames are said to have.
     pub sampler: Sampler,
     /// Whether what clean frames contribute to later ones is computed once. Without it every Euler step computes the
-    /// whole window anew, as the reference implementation does, and always with the engine `candle`: slower, and the same to rounding.
+    /// whole window again, as the reference implementation does, and always with the engine `candle`: slower, and the
+    /// same to rounding.
     pub cache: bool,
 }
 

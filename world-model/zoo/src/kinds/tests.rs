@@ -164,7 +164,7 @@ fn an_input_that_cannot_be_computed_with_is_named() {
             zeros(&[2, 0, 4, 6, 4]),
             "`x` of shape [2, 0, 4, 6, 4] is empty",
         ),
-        ("action", nan, "`action` holds a value that is not finite"),
+        ("action", nan, "`action` has a value that is not finite"),
         (
             "tau",
             (zeros(&[2, 3]) + 500.0).unwrap(),

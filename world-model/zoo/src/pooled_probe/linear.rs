@@ -34,7 +34,7 @@ impl LinearProbe {
     /// Loads the probe.
     ///
     /// # Errors
-    /// If the configuration cannot be built; [`Loader::finish`] tells of tensors that are missing.
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &LinearProbeConfig, loader: &Loader<'_>) -> Result<Self> {
         check_sizes(&[
             ("features", config.features),

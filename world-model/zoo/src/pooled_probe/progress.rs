@@ -1,4 +1,4 @@
-//! How far a task has come, frame by frame.
+//! The progress of a task, frame by frame.
 
 use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ impl ProgressProbe {
     /// Loads the probe.
     ///
     /// # Errors
-    /// If the configuration cannot be built; [`Loader::finish`] tells of tensors that are missing.
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &ProgressProbeConfig, loader: &Loader<'_>) -> Result<Self> {
         let c = config;
         check_sizes(&[

@@ -77,7 +77,7 @@ impl TemporalProbe {
     /// Loads the probe.
     ///
     /// # Errors
-    /// If the configuration cannot be built; [`Loader::finish`] tells of tensors that are missing.
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &TemporalProbeConfig, loader: &Loader<'_>) -> Result<Self> {
         let c = config;
         check_sizes(&[

@@ -130,7 +130,7 @@ impl CosmosEncoder {
     /// Loads the encoder; a decoder in the same checkpoint is passed over.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn load(config: &CosmosConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let latent = config.latent;
@@ -179,7 +179,7 @@ impl CosmosDecoder {
     /// Loads the decoder; an encoder in the same checkpoint is passed over.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn load(config: &CosmosConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let latent = config.latent;

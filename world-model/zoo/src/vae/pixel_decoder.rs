@@ -59,7 +59,7 @@ impl PixelDecoderConfig {
     /// Pixels along the side of one latent place.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn upsampling(&self) -> Result<usize> {
         self.check()?;
         Ok(1 << self.multipliers.len().saturating_sub(1))
@@ -104,7 +104,7 @@ impl PixelDecoder {
     /// Loads the decoder.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn load(config: &PixelDecoderConfig, loader: &Loader<'_>) -> Result<Self> {
         config.check()?;
         let naming = Naming::Pixel;

@@ -138,7 +138,7 @@ impl SdVaeConfig {
     /// Pixels along the side of one latent place.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn downsampling(&self) -> Result<usize> {
         Ok(self.plan()?.downsampling())
     }
@@ -200,7 +200,7 @@ impl SdVaeEncoder {
     /// Loads the encoder; a decoder in the same checkpoint is passed over.
     ///
     /// # Errors
-    /// If the configuration makes no sense or names a block that is not known here.
+    /// If the configuration is invalid or names a block that is not known here.
     pub fn load(config: &SdVaeConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let moments = 2 * config.latent_channels;
@@ -263,7 +263,7 @@ impl SdVaeDecoder {
     /// Loads the decoder; an encoder in the same checkpoint is passed over.
     ///
     /// # Errors
-    /// If the configuration makes no sense or names a block that is not known here.
+    /// If the configuration is invalid or names a block that is not known here.
     pub fn load(config: &SdVaeConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let latent = config.latent_channels;

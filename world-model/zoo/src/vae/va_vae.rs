@@ -71,7 +71,7 @@ impl VaVaeConfig {
     /// Pixels along the side of one latent place.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn downsampling(&self) -> Result<usize> {
         Ok(self.plan()?.downsampling())
     }
@@ -118,7 +118,7 @@ impl VaVaeEncoder {
     /// Loads the encoder; a decoder in the same checkpoint is passed over, as is what only training needs.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn load(config: &VaVaeConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let moments = 2 * config.latent;
@@ -166,7 +166,7 @@ impl VaVaeDecoder {
     /// Loads the decoder; an encoder in the same checkpoint is passed over, as is what only training needs.
     ///
     /// # Errors
-    /// If the configuration makes no sense.
+    /// If the configuration is invalid.
     pub fn load(config: &VaVaeConfig, loader: &Loader<'_>) -> Result<Self> {
         let plan = config.plan()?;
         let latent = config.latent;

@@ -154,8 +154,7 @@ impl SiglipVision {
     /// Loads the vision tower.
     ///
     /// # Errors
-    /// If the configuration cannot be built; tensors that are missing are told by
-    /// [`Loader::finish`].
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &SiglipVisionConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         for prefix in ["text_model.", "logit_scale", "logit_bias"] {

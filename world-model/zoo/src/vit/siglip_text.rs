@@ -119,8 +119,7 @@ impl SiglipText {
     /// Loads the text tower; a vision tower and a logit scale beside it are ignored.
     ///
     /// # Errors
-    /// If the configuration cannot be built; tensors that are missing are told by
-    /// [`Loader::finish`].
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &SiglipTextConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         for prefix in ["vision_model.", "logit_scale", "logit_bias"] {

@@ -143,8 +143,7 @@ impl Vjepa {
     /// Loads the encoder.
     ///
     /// # Errors
-    /// If the configuration cannot be built; tensors that are missing are told by
-    /// [`Loader::finish`].
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &VjepaConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         // A sine table that older files hold beside the rotary embedding.

@@ -138,8 +138,7 @@ impl WebDino {
     /// Loads the encoder; a classifier beside it is ignored.
     ///
     /// # Errors
-    /// If the configuration cannot be built; tensors that are missing are told by
-    /// [`Loader::finish`].
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
     pub fn load(config: &WebDinoConfig, loader: &Loader<'_>) -> Result<Self> {
         config.validate()?;
         loader.ignore("classifier.");

@@ -1,4 +1,4 @@
-//! What a player is asked for while it plays: the services of rosbag2's player, under its own name, and keys.
+//! What a player can be asked for while it plays: by keys, and by the services of rosbag2's player under its own name.
 
 use crate::keyboard::Key;
 use wm_msgs::rosbag2_interfaces::{
@@ -26,25 +26,25 @@ pub(super) enum Command {
 wm_ros::endpoints! {
     /// The services of rosbag2's player.
     pub(super) struct Services {
-        /// Pauses.
+        /// Pauses the playback.
         pause: Service<Pause> = "~/pause";
-        /// Plays on.
+        /// Resumes the playback.
         resume: Service<Resume> = "~/resume";
-        /// Pauses or plays on.
+        /// Pauses or resumes the playback.
         toggle_paused: Service<TogglePaused> = "~/toggle_paused";
-        /// Whether it is paused.
+        /// Whether the playback is paused.
         is_paused: Service<IsPaused> = "~/is_paused";
-        /// Seconds of the bag per second.
+        /// Playback rate: seconds of the bag per second.
         get_rate: Service<GetRate> = "~/get_rate";
-        /// Changes the rate.
+        /// Sets the playback rate.
         set_rate: Service<SetRate> = "~/set_rate";
         /// Plays the next message of a paused playback.
         play_next: Service<PlayNext> = "~/play_next";
         /// Plays the next messages of a paused playback.
         burst: Service<Burst> = "~/burst";
-        /// Goes to a time of the bag.
+        /// Jumps to a time of the bag.
         seek: Service<Seek> = "~/seek";
-        /// Plays again from the beginning, or another part.
+        /// Starts a new playback, from the beginning or of a part.
         play: Service<Play> = "~/play";
         /// Ends the playback.
         stop: Service<Stop> = "~/stop";

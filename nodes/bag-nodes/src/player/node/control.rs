@@ -13,7 +13,7 @@ use wm_ros::calls::answer;
 /// What a key changes the rate by.
 const RATE_STEP: f64 = 0.1;
 
-/// Messages that were asked for one by one while the playback is paused.
+/// Messages that were requested one by one while the playback is paused.
 pub(super) struct Asked {
     messages: u64,
     pub published: u64,
@@ -66,7 +66,7 @@ impl Player {
                 let wanted_ns = u64::try_from(call.request.time.to_nanos()).unwrap_or(0);
                 let found_ns = self.playback.seek(now, wanted_ns);
                 if let Some(found_ns) = found_ns {
-                    info!("going on from {:.3}", found_ns as f64 / 1e9);
+                    info!("resumed at {:.3}", found_ns as f64 / 1e9);
                     self.read_from(found_ns);
                 }
                 let success = found_ns.is_some();
@@ -115,7 +115,7 @@ impl Player {
             info!("rate {rate}");
         } else {
             warn!(
-                "rate {rate} is out of range: {} stays",
+                "rate {rate} is out of range: the rate stays {}",
                 self.playback.rate()
             );
         }
@@ -148,7 +148,7 @@ impl Player {
         let is_first = self.asked.is_empty();
         self.asked.push_back(asked);
         if is_first && !self.playback.burst(messages) {
-            warn!("single messages are played only while the playback is paused");
+            warn!("pause the playback to play single messages");
         }
     }
 

@@ -1,4 +1,4 @@
-//! The bag that is being recorded, and what was lost on the way.
+//! The bag that is being recorded, and the messages that were lost.
 
 use crate::recorder::{
     losses::Losses,
@@ -26,7 +26,7 @@ impl Book {
     /// Begins the first bag, where the user said.
     ///
     /// # Errors
-    /// It cannot be made, or something is there already.
+    /// It cannot be made, or something already exists there.
     pub async fn begin_first(&mut self, options: &Options) -> Result<()> {
         let place = options.place.clone();
         let (folder, replaced) = tokio::task::spawn_blocking(move || place.first()).await??;
@@ -37,7 +37,7 @@ impl Book {
     /// Begins the bag that a peer asks for, which is always a new one.
     ///
     /// # Errors
-    /// It cannot be made, is not to be made there, or something is there already.
+    /// It cannot be made, is not to be made there, or something already exists there.
     pub async fn begin_asked_for(&mut self, options: &Options, uri: &str) -> Result<()> {
         let folder = options.place.asked_for(uri)?;
         self.begin(options, folder).await

@@ -1,4 +1,5 @@
-//! What a recorder is asked for while it runs: the services of rosbag2's recorder, under its own name, and keys.
+//! What a recorder can be asked for while it runs: by keys, and by the services of rosbag2's recorder, under its own
+//! name.
 
 use crate::keyboard::Key;
 use wm_msgs::rosbag2_interfaces::{IsPaused, Pause, Record, Resume, Snapshot, SplitBagfile, Stop};
@@ -20,19 +21,19 @@ pub(super) enum Command {
 wm_ros::endpoints! {
     /// The services of rosbag2's recorder.
     pub(super) struct Services {
-        /// Records nothing until it is resumed.
+        /// Pauses the recording.
         pause: Service<Pause> = "~/pause";
-        /// Records again.
+        /// Resumes the recording.
         resume: Service<Resume> = "~/resume";
-        /// Whether it is paused.
+        /// Whether the recording is paused.
         is_paused: Service<IsPaused> = "~/is_paused";
-        /// Begins the bag's next file.
+        /// Starts the bag's next file.
         split_bagfile: Service<SplitBagfile> = "~/split_bagfile";
-        /// Begins another bag after ~/stop.
+        /// Starts another bag after ~/stop.
         record: Service<Record> = "~/record";
         /// Closes the bag.
         stop: Service<Stop> = "~/stop";
-        /// Writes the messages that are held back; in snapshot mode alone, as rosbag2 does it.
+        /// Writes the messages in memory. Only in snapshot mode, as in rosbag2.
         snapshot: Option<Service<Snapshot>> = "~/snapshot", made(|node, name, _| {
             match node.parameter("snapshot_mode")? {
                 true => node.service(name).map(Some),

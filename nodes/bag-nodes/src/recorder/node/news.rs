@@ -1,5 +1,5 @@
-//! What a recorder says of topics: once each, and in few lines, however many there are. `/rosout` keeps only so many lines,
-//! and names come from others.
+//! What a recorder logs about topics: once for each topic, and in few lines however many topics there are. `/rosout`
+//! keeps only a limited number of lines, and the names come from others.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -8,7 +8,7 @@ use wm_ros::{Diagnostics, TopicInfo};
 
 /// Names that a line of the log holds.
 const NAMES: usize = 10;
-/// Topics that are not recorded, and types without a definition, that are told of one by one.
+/// Topics that are not recorded, and types without a definition, that are reported one by one.
 const WARNINGS: usize = 20;
 /// Topics that are remembered as not recorded. Beyond them the count stands still.
 const MOST_SKIPPED: usize = 10_000;
@@ -57,7 +57,7 @@ impl News {
             warn!("{name} ({type_name}) is not recorded: {reason}");
         }
         if total == WARNINGS {
-            warn!("more such topics are only counted, in /diagnostics");
+            warn!("further topics of this kind are only counted, on /diagnostics");
         }
     }
 
@@ -66,7 +66,7 @@ impl News {
         if self.undefined.len() < WARNINGS && self.undefined.insert(type_name.to_owned()) {
             warn!("{} {what}", shown(type_name));
             if self.undefined.len() == WARNINGS {
-                warn!("more such types are not told of");
+                warn!("further warnings of this kind are not logged");
             }
         }
     }

@@ -26,7 +26,8 @@ impl fmt::Display for Times {
         if self.encode > FRAME_PERIOD {
             write!(
                 f,
-                "too slow for {rate:.0} Hz: a frame takes {} to encode, so camera frames are dropped and the history gets gaps",
+                "too slow for {rate:.0} Hz: a frame takes {} to encode, so camera frames are dropped and the history \
+                 has gaps",
                 seconds(self.encode)
             )?;
             if let Some(rollout) = rollout {
@@ -70,7 +71,7 @@ impl fmt::Display for Times {
                 match self.decode {
                     Some(decode) if decode > FRAME_PERIOD => write!(
                         f,
-                        "; but a picture takes {} to decode, so most are left out",
+                        "; but a picture takes {} to decode, so most are dropped",
                         seconds(decode)
                     ),
                     _ => Ok(()),

@@ -1,4 +1,4 @@
-//! Which published models there are, and where.
+//! The published models, and where they are.
 
 use wm_zoo::kinds::Kind;
 

@@ -1,4 +1,4 @@
-//! A configuration beside the weights, which belongs to the user once it is there.
+//! A configuration beside the weights. Once it exists, it belongs to the user.
 
 use anyhow::{Context as _, Result};
 use serde_json::Value;
@@ -15,7 +15,7 @@ pub(super) enum Written {
     Kept,
 }
 
-/// Writes `content` to `path`; what is there already and differs is replaced only if `overwrite` says so.
+/// Writes `content` to `path`; an existing file that differs is replaced only if `overwrite` says so.
 pub(super) fn write(path: &Path, content: &str, overwrite: bool) -> Result<Written> {
     let context = || path.display().to_string();
     match OpenOptions::new().write(true).create_new(true).open(path) {

@@ -1,7 +1,7 @@
 //! Downloads that can be resumed and are checked.
 //!
-//! A download goes on only where the server confirms, by the entity tag, that it is still the same file; the hash that
-//! was noted the last time, or that the server states, has the last word.
+//! A download is resumed only if the server confirms, by the entity tag, that it is still the same file. In the end the
+//! hash decides: the one recorded last time, or the one that the server states.
 
 mod part;
 
@@ -60,8 +60,8 @@ impl Request<'_> {
     fn expected(&self) -> Result<Option<&str>> {
         match (self.pinned.filter(|_| !self.overwrite), self.stated) {
             (Some(pinned), Some(stated)) if pinned != stated => bail!(
-                "the server has another file than the one noted in fetched.json: SHA-256 {stated}, expected {pinned}; \
-                 --overwrite takes it"
+                "the server's file differs from the one recorded in fetched.json: SHA-256 {stated}, expected {pinned}; \
+                 --overwrite accepts it"
             ),
             (pinned, stated) => Ok(pinned.or(stated)),
         }
@@ -98,7 +98,7 @@ impl Client {
                 _ if request.overwrite => {}
                 None => return Ok(found),
                 Some(expected) => bail!(
-                    "{} is there and is another file: SHA-256 {found}, expected {expected}; --overwrite replaces it",
+                    "{} exists and is a different file: SHA-256 {found}, expected {expected}; --overwrite replaces it",
                     path.display()
                 ),
             }
@@ -111,7 +111,7 @@ impl Client {
             // Going on from wrong bytes would never end.
             part.discard()?;
             bail!(
-                "not the file expected, or damaged on the way: SHA-256 {found}, expected {expected}; it was removed"
+                "not the expected file, or damaged in transfer: SHA-256 {found}, expected {expected}; it was removed"
             );
         }
         part.finish(path)?;
@@ -171,14 +171,14 @@ impl Client {
         // What was not asked for in part has to come whole.
         ensure!(
             have > 0 || answer.status() == StatusCode::OK,
-            "the server answers {}",
+            "the server answered {}",
             answer.status()
         );
         let rest = answer.body().content_length();
         let total = rest.map(|rest| rest + have);
         ensure!(
             total.is_none_or(|total| total <= MAX_BYTES),
-            "{} bytes, expected at most {MAX_BYTES}",
+            "the file has {} bytes, expected at most {MAX_BYTES}",
             total.unwrap_or_default()
         );
         let mut file = match have {
@@ -191,7 +191,7 @@ impl Client {
         let mut chunk = vec![0; CHUNK];
         loop {
             let count = reader.read(&mut chunk).with_context(|| {
-                format!("interrupted after {have} bytes; run the command again to go on")
+                format!("interrupted after {have} bytes; run the command again to resume")
             })?;
             let Some(received) = chunk.get(..count).filter(|received| !received.is_empty()) else {
                 break;
@@ -208,7 +208,7 @@ impl Client {
         if let Some(total) = total {
             ensure!(
                 have == total,
-                "the server sent {have} of {total} bytes; run the command again to go on"
+                "the server sent {have} of {total} bytes; run the command again to resume"
             );
         }
         Ok(hex(&hash))
@@ -266,7 +266,7 @@ fn check_status(answer: &Response<Body>) -> Result<()> {
     match status.as_u16() {
         200..=299 => Ok(()),
         401 | 403 => bail!("access denied ({status})"),
-        404 => bail!("there is no such file ({status})"),
+        404 => bail!("the file does not exist ({status})"),
         _ => bail!("the server answers {status}"),
     }
 }

@@ -27,9 +27,9 @@ use wm_camera::camera_frame::CameraFrame;
 use wm_ros::complaints::Complaints;
 use wm_wire::transport::{ImageSubscription, Transports};
 
-/// An observation that a policy does not answer is sent again: it may have been lost, or the policy started anew.
+/// An observation that a policy does not answer is sent again: it may have been lost, or the policy may have restarted.
 pub(super) const RESEND: Duration = Duration::from_secs(1);
-/// How often the graph is asked whether a policy has come.
+/// How often the graph is checked for a policy.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Calls of one kind that may wait; each holds its request.
@@ -83,7 +83,7 @@ pub(super) struct Awaited {
     pub(super) until: Instant,
 }
 
-/// The episode that is played by topics.
+/// The episode that is played through topics.
 pub(super) struct Played {
     pub(super) attached: Attached,
     pub(super) observation: Observation,
@@ -139,7 +139,8 @@ impl Active {
                 request.seed = request.seed.wrapping_add(self.begun);
                 self.begun += 1;
                 self.waiting_resets.push_back((request, Resetter::Topics));
-                self.complaints.working("an episode is played by topics");
+                self.complaints
+                    .working("an episode is played through topics");
             } else {
                 let (kind, text) = missing(node);
                 self.complaints.waiting(kind, true, &text);
@@ -297,7 +298,7 @@ impl Active {
                 Ok(())
             }
             // Nobody is there to begin another one.
-            Resetter::Topics => anyhow::bail!("the episode does not begin: {error}"),
+            Resetter::Topics => anyhow::bail!("cannot begin the episode: {error}"),
         }
     }
 
@@ -346,7 +347,7 @@ impl Active {
             let id = &call.request.episode_id;
             if own.as_ref() == Some(id) {
                 let response = EnvStepResponse {
-                    message: format!("episode \"{id}\" is played by topics"),
+                    message: format!("episode \"{id}\" is played through topics"),
                     ..EnvStepResponse::default()
                 };
                 self.answer(call.respond(&response));
@@ -363,7 +364,7 @@ impl Active {
     fn submit(&mut self, job: Job) {
         // Nothing runs and nothing waits: `in_flight` says so.
         if self.work.submit(job).is_some() {
-            tracing::error!("a job of the env was left out");
+            tracing::error!("a job of the env was dropped");
         }
     }
 

@@ -1,4 +1,4 @@
-//! The policy that plays an episode by topics.
+//! The policy that plays an episode through topics.
 
 use std::time::Duration;
 
@@ -49,7 +49,7 @@ pub(super) fn missing(node: &EnvNode) -> (&'static str, String) {
     }
 }
 
-/// Shows the policy that plays by topics what there is to see.
+/// Shows the policy that plays through topics what there is to see.
 pub(super) fn publish(observation: &Observation, node: &EnvNode) -> Result<()> {
     let transports = node.parameters.image_transport;
     let header = || observation.jpeg.header.clone();
@@ -89,7 +89,7 @@ impl Active {
 
     /// The played episode has taken a step, or has ended.
     pub(super) fn stepped(&mut self, moved: Result<Moved, EnvError>, node: &EnvNode) -> Result<()> {
-        let moved = moved.context("the episode played by topics")?;
+        let moved = moved.context("the episode played through topics")?;
         let Some(mut played) = self.played.take() else {
             return Ok(());
         };
@@ -111,7 +111,8 @@ impl Active {
             played.observation = observation;
         }
         let now = Instant::now();
-        self.complaints.working("an episode is played by topics");
+        self.complaints
+            .working("an episode is played through topics");
         played.published = now;
         played.shown = now;
         played.due = (played.due + node.parameters.period()).max(now);
@@ -129,8 +130,8 @@ impl Active {
             Some(Ok(false)) => self.complaints.left_out(
                 "untimely_action",
                 &format_args!(
-                    "the action of {} is not of this moment: stamp it with the stamp of the image that it answers, the newest \
-                     is that of {}",
+                    "the action of {} does not answer the current image: stamp it with the stamp of the image that it \
+                     answers; the newest image is that of {}",
                     seconds(stamp),
                     shown.as_deref().unwrap_or("none")
                 ),
@@ -138,7 +139,7 @@ impl Active {
             Some(Err(error)) => self.complaints.left_out("malformed_action", &error),
             None => self.complaints.left_out(
                 "no_episode",
-                &"an action came while no episode is played by topics",
+                &"an action arrived while no episode is played through topics",
             ),
         }
     }

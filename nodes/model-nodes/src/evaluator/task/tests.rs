@@ -223,7 +223,7 @@ fn an_instruction_is_read_once_and_the_newest_counts() {
     assert_eq!(first, "open the drawer");
     assert_eq!(
         task.to_string(),
-        "NaN: the instruction \"open the drawer\" is being read"
+        "NaN: the instruction \"open the drawer\" is still being encoded"
     );
     assert_eq!(
         task.take(&text("open the drawer")),
@@ -248,7 +248,7 @@ fn an_instruction_is_read_once_and_the_newest_counts() {
     assert!(task.instruction().is_none());
     let said = task.to_string();
     assert!(
-        said.contains("cannot be read: instruction: 4999 bytes"),
+        said.contains("cannot be encoded: instruction: 4999 bytes"),
         "{said}"
     );
     assert!(said.len() < 250, "{said}");

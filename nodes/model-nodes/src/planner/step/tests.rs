@@ -157,7 +157,7 @@ fn it_waits_for_a_goal_and_for_frames_by_name() {
     step.set_goal(goal(40));
     let wait = step.request(at(0)).unwrap_err();
     assert_eq!(wait, PlanWait::History(Wait::NoFrame));
-    assert_eq!(wait.to_string(), "no frame has come yet");
+    assert_eq!(wait.to_string(), "no frame has arrived yet");
     feed(&mut step, 0..=2);
     assert!(step.request(at(2)).is_ok());
 }

@@ -383,7 +383,7 @@ fn without_actions_it_waits_and_says_so() {
         .unwrap()
         .unwrap_err();
     assert!(matches!(wait, Wait::NoAction { .. }));
-    assert!(wait.to_string().contains("no action has come"), "{wait}");
+    assert!(wait.to_string().contains("no action has arrived"), "{wait}");
 }
 
 #[test]

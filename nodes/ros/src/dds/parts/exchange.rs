@@ -1,4 +1,5 @@
-//! What the parts' book decides, done: said to the others, and handed to the readers here.
+//! Carries out the decisions of the parts protocol: sends them to other participants, and hands messages to the readers
+//! here.
 
 use super::{
     super::{codec::Raw, local::is_same_participant, lock::lock, shared::Shared},

@@ -15,9 +15,9 @@ use std::{
 /// which counts for twice as much, so that there is room for all else.
 const FLYING: usize = 3;
 
-/// A part that does not come is asked for again after this time, or twice as long as parts of its writer take, and then
-/// after twice the last (as RFC 6298 has it for TCP): on a slow network what is late is not lost, and to ask for it again
-/// would make it later.
+/// A part that does not come is requested again after this time, or twice as long as parts of its writer take, and then
+/// after twice the last (as RFC 6298 has it for TCP): on a slow network what is late is not lost, and to ask for it
+/// again would make it later.
 const PATIENCE: Duration = Duration::from_millis(20);
 const LONGEST_PATIENCE: Duration = Duration::from_millis(500);
 

@@ -1,4 +1,4 @@
-//! What participants say to each other about messages in parts.
+//! The messages between participants about messages in parts.
 
 use crate::backend::EndpointId;
 use bytes::Bytes;

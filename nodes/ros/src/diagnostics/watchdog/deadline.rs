@@ -1,4 +1,4 @@
-//! A stage that should take no longer than so.
+//! A stage with a deadline.
 
 use super::{Finding, Level};
 use std::{collections::VecDeque, time::Duration};

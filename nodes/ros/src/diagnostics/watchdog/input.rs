@@ -1,4 +1,4 @@
-//! An input that should keep coming.
+//! An input that should arrive regularly.
 
 use super::{Finding, Level};
 use std::time::{Duration, Instant};
@@ -94,7 +94,7 @@ impl InputWatch {
             None => {
                 let waited = now.saturating_duration_since(self.since);
                 let text = format!(
-                    "no {name} on {topics} in {:.0} s since the node began to listen",
+                    "no {name} on {topics} in the {:.0} s since the node subscribed",
                     waited.as_secs_f64()
                 );
                 if waited <= FIRST {
@@ -107,7 +107,7 @@ impl InputWatch {
                 let silent = now.saturating_duration_since(last);
                 let period = self.period.unwrap_or(MISSED_LEAST);
                 let text = format!(
-                    "no {name} on {topics} for {:.1} s, where one came every {:.2} s",
+                    "no {name} on {topics} for {:.1} s; before, one arrived every {:.2} s",
                     silent.as_secs_f64(),
                     period.as_secs_f64()
                 );
@@ -134,11 +134,12 @@ impl InputWatch {
     fn cause(&self, publishers: &dyn Fn(&str) -> usize) -> String {
         let topics = self.input.topics.iter();
         match topics.map(|topic| publishers(topic)).sum::<usize>() {
-            0 => format!("nobody publishes it; {}", self.input.advice),
-            1 => "its publisher is connected but silent; look whether it waits for its own input, hangs or was killed"
+            0 => format!("it has no publisher; {}", self.input.advice),
+            1 => "its publisher is connected but silent; check whether it waits for its own input, hangs or was killed"
                 .to_owned(),
             many => format!(
-                "{many} publishers are connected but silent; look whether they wait for their own input, hang or were killed"
+                "{many} publishers are connected but silent; check whether they wait for their own input, hang or were \
+                 killed"
             ),
         }
     }
@@ -180,8 +181,7 @@ mod tests {
         };
         assert_eq!(
             message(0),
-            "no camera images on /image and /image/compressed for 3.0 s, where one came every 0.20 s: nobody publishes \
-             it; start it"
+            "no camera images on /image and /image/compressed for 3.0 s; before, one arrived every 0.20 s: it has no publisher; start it"
         );
         assert!(message(2).contains("2 publishers are connected but silent"));
     }

@@ -1,4 +1,4 @@
-//! The process's resident memory, which is to stand still once the node works.
+//! The process's resident memory, which should not grow once the node works.
 
 use super::{Finding, Level};
 use std::time::{Duration, Instant};
@@ -36,8 +36,8 @@ impl MemoryWatch {
         let message = match level {
             Level::Ok => format!("{} MiB resident", resident / MIB),
             _ => format!(
-                "{} MiB resident, where it settled at {} MiB {:.0} min ago: a subscriber that does not take its messages, or \
-                 a leak; look at the drops above, and restart the node before memory runs out",
+                "{} MiB resident, up from {} MiB {:.0} min ago: a subscriber may be too slow, or memory leaks; check \
+                 the drops above, and restart the node before memory runs out",
                 resident / MIB,
                 self.settled / MIB,
                 age.as_secs_f64() / 60.0

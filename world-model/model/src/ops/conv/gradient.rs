@@ -26,7 +26,7 @@ const PIXELS_A_PASS: usize = 64;
 /// input as mask that is the gradient through the ReLU that made the input.
 ///
 /// # Errors
-/// If the shape makes no sense or a slice has the wrong length for it.
+/// If the shape is invalid or a slice has the wrong length for it.
 pub fn conv2d_input_gradient(
     shape: &ConvShape,
     weight: &[f32],
@@ -183,7 +183,7 @@ fn pool(
 /// (after the ReLU, if there was one); both are overwritten.
 ///
 /// # Errors
-/// If the shape makes no sense or a slice has the wrong length for it.
+/// If the shape is invalid or a slice has the wrong length for it.
 pub fn conv2d_weight_gradient(
     shape: &ConvShape,
     input: &[f32],

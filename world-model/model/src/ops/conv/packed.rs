@@ -34,7 +34,7 @@ impl PackedConv {
     /// outputs each do less than half the work of one over the doubled input.
     ///
     /// # Errors
-    /// If the shape makes no sense or a slice has the wrong length for it.
+    /// If the shape is invalid or a slice has the wrong length for it.
     pub fn new(shape: &ConvShape, weight: &[f32], bias: Option<&[f32]>) -> Result<Self> {
         shape.check()?;
         check_length("convolution weights", weight, shape.weights())?;

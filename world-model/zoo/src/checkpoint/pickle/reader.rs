@@ -58,7 +58,7 @@ impl<'a> Reader<'a> {
         let end = rest
             .iter()
             .position(|byte| *byte == b'\n')
-            .ok_or("a line has no end")?;
+            .ok_or("a line does not end")?;
         let line = self.take(end)?;
         self.skip(1)?;
         std::str::from_utf8(line).map_err(|e| e.to_string())

@@ -53,7 +53,7 @@ fn what_is_damaged_says_where() {
         (&b"\x80\x02"[..], "1 bytes expected at 2"),
         (b"\x80\x02X\xff\xff\xff\xffab", "byte 2"),
         (b"\x80\x02R.", "byte 2"),
-        (b"\x80\x02h\x07.", "nothing is remembered as 7"),
+        (b"\x80\x02h\x07.", "the memo has no entry 7"),
         (b"\x80\x02\xfe", "unknown instruction 0xfe"),
         (b"\x80\x02K\x01(K\x02s.", "empty"),
     ] {

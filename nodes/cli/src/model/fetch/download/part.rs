@@ -1,4 +1,4 @@
-//! What is there of an unfinished download.
+//! The part of an unfinished download that exists.
 
 use anyhow::{Context as _, Result};
 use sha2::Sha256;
@@ -72,7 +72,7 @@ impl Part {
         Ok(String::from_utf8(etag).ok())
     }
 
-    /// Begins anew, with a file of this entity tag.
+    /// Starts over, with a file of this entity tag.
     pub(super) fn begin(&self, etag: Option<&str>) -> Result<File> {
         let context = || self.path.display().to_string();
         let mut options = OpenOptions::new();

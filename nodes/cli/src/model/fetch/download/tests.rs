@@ -191,7 +191,7 @@ fn the_stated_hash_has_the_last_word() {
     assert_eq!(resumed(&head, OLD, &[good]).0.unwrap(), "the old file");
     let bad = answer("206 Partial Content", &rest, " fire");
     let error = resumed(&head, OLD, &[bad]).0.unwrap_err().to_string();
-    assert!(error.contains("not the file expected"), "{error}");
+    assert!(error.contains("not the expected file"), "{error}");
 }
 
 #[test]
