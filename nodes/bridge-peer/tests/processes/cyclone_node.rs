@@ -28,7 +28,7 @@ pub struct CycloneNode {
 impl CycloneNode {
     pub fn join(domain: u16) -> Self {
         let loopback = IpAddr::from(Ipv4Addr::LOCALHOST);
-        let participant = DomainParticipantBuilder::new(domain).with_only_networks(vec![loopback]);
+        let participant = DomainParticipantBuilder::new(domain).with_only_networks([loopback]);
         let context = Context::from_domain_participant(participant.build().unwrap()).unwrap();
         let name = NodeName::new("/", "cyclone").unwrap();
         let options = NodeOptions::new().enable_rosout(false);

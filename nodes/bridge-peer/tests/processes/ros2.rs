@@ -5,13 +5,13 @@ use crate::{
     pair::{Pair, next},
 };
 use std::{
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::{Child, Command, Stdio},
 };
 use wm_msgs::std_msgs::String as Text;
 use wm_ros::Qos;
 
-/// The program that runs Python with the real ROS 2; `None` (with a plain message) where `tests/setup_ros2` was not run.
+/// What the environment of the real ROS 2 is set up by; `None` (with a plain message) where `tests/setup_ros2` was not run.
 fn ros2() -> Option<PathBuf> {
     let environment = root().join(".venv/ros2/ros2_env.sh");
     if environment.is_file() {
@@ -29,7 +29,7 @@ fn ros2() -> Option<PathBuf> {
 struct Python(Child);
 
 impl Python {
-    fn start(environment: &PathBuf, domain: u16, script: &str, args: &[&str]) -> Self {
+    fn start(environment: &Path, domain: u16, script: &str, args: &[&str]) -> Self {
         let mut command = Command::new("bash");
         command
             .args(["-c", ". \"$0\" && exec python \"$@\""])
@@ -43,8 +43,8 @@ impl Python {
     }
 
     fn output(mut self) -> String {
-        let mut output = self.0.stdout.take().unwrap();
-        std::io::read_to_string(&mut output).unwrap()
+        let output = self.0.stdout.take().unwrap();
+        std::io::read_to_string(output).unwrap()
     }
 }
 
