@@ -20,6 +20,11 @@ pub enum Direction {
     Called,
 }
 
+/// Samples of a latched topic from Zenoh that are at least kept for who comes late. Several publishers may share it; and this
+/// is what a subscription's depth is taken for where its DDS does not tell it, so that none that comes or goes makes the
+/// route another, whose writer would send again what the subscriptions have.
+const LEAST_LATCHED: usize = 10;
+
 /// Names a route.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RouteId {
@@ -104,6 +109,9 @@ pub fn plan(
         if id.direction == Direction::Incoming {
             // A reliable writer matches every reader, as the real bridge has it.
             route.qos.reliability = Reliability::Reliable;
+            if route.qos.durability == Durability::TransientLocal {
+                route.qos.depth = route.qos.depth.max(LEAST_LATCHED);
+            }
         }
     }
     routes
@@ -248,8 +256,20 @@ mod tests {
             panic!("{routes:?}");
         };
         assert_eq!((topic.as_str(), service.as_str()), ("/a", "/reset"));
-        assert_eq!((into.qos, into.local), (Qos::latched(3), None));
+        assert_eq!((into.qos, into.local), (Qos::latched(10), None));
         assert!(called.is_remote && called.local.is_none());
+    }
+
+    #[test]
+    fn a_subscription_that_comes_or_goes_does_not_make_a_latched_route_another() {
+        let announcements = [announced(Subject::Publisher(Qos::latched(1)), "a")];
+        let subscription = endpoint(Role::Subscription, "/a", Qos::latched(10));
+        let qos = |endpoints: &[RemoteEndpoint]| {
+            planned(endpoints, &announcements, Options::default())[0]
+                .2
+                .qos
+        };
+        assert_eq!(qos(&[]), qos(&[subscription]));
     }
 
     #[test]

@@ -7,7 +7,10 @@ use bytes::Bytes;
 use std::{
     any::Any,
     collections::HashMap,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
     time::Duration,
 };
 use wm_ros::{Durability, Gaps, Qos, RawPublisher};
@@ -25,6 +28,14 @@ const BURST: usize = 512;
 /// How long this side's subscription is waited for to be connected, at most.
 const CONNECTING: Duration = Duration::from_secs(2);
 
+/// When the history of a latched topic is asked for again as long as nothing has come: the real bridge begins to read a topic
+/// when it sees a subscriber on Zenoh, and what it sends at once may end on the way ([`ROUTING`]), but is in its history.
+const AGAIN: [Duration; 3] = [
+    Duration::from_secs(1),
+    Duration::from_secs(2),
+    Duration::from_secs(4),
+];
+
 /// Sources of a latched topic that are remembered; beyond that it has met more restarts than anybody repeats samples over.
 const MOST_SOURCES: usize = 64;
 
@@ -36,7 +47,8 @@ pub struct Incoming {
     /// Whether another bridge publishes the topic.
     is_remote: bool,
     task: Option<Task>,
-    /// What this side's subscriptions are announced with.
+    /// What this side's subscriptions are announced with, for as long as samples are fetched: the real bridge sends nothing
+    /// to a subscriber on Zenoh that it was not told of, and does not begin again when it is.
     announced: Option<(Qos, LivelinessToken)>,
 }
 
@@ -48,7 +60,6 @@ impl Incoming {
     pub async fn begin(ends: Arc<Ends>, name: &str, route: &Route) -> Result<Self> {
         let depth = match route.qos.durability {
             Durability::Volatile => route.qos.depth.max(BURST),
-            // How many a late subscriber is given is the publisher's word.
             Durability::TransientLocal => route.qos.depth,
         };
         let qos = Qos { depth, ..route.qos };
@@ -58,6 +69,7 @@ impl Incoming {
             publisher: ends.node.raw_publisher(name, &route.type_name, qos)?,
             ends,
             newest: Mutex::default(),
+            has_come: AtomicBool::new(false),
         };
         let mut incoming = Self {
             stream: Arc::new(stream),
@@ -89,9 +101,9 @@ impl Incoming {
             self.task = Some(Task::spawn(Arc::clone(stream).run(is_new, before)));
         }
         let Some(local) = route.local else {
-            self.announced = None;
             if !is_latched {
                 self.task = None;
+                self.announced = None;
             }
             return Ok(());
         };
@@ -111,6 +123,7 @@ struct Stream {
     publisher: RawPublisher,
     /// Of a latched topic, when the newest sample of each source was sent.
     newest: Mutex<HashMap<TimestampId, NTP64>>,
+    has_come: AtomicBool,
 }
 
 impl Stream {
@@ -118,14 +131,25 @@ impl Stream {
         if is_new && self.qos.durability == Durability::TransientLocal {
             tokio::time::sleep(ROUTING).await;
         }
-        match Arc::clone(&self).subscribe().await {
-            Ok(subscriber) => {
-                drop(before);
-                let _held = subscriber;
-                std::future::pending::<()>().await;
-            }
-            Err(error) => tracing::error!("{}: not carried: {error:#}", self.key),
+        if let Err(error) = self.fetch(before).await {
+            tracing::error!("{}: not carried: {error:#}", self.key);
         }
+    }
+
+    async fn fetch(self: &Arc<Self>, before: Option<Task>) -> Result<()> {
+        let mut _held = Arc::clone(self).subscribe().await?;
+        drop(before);
+        if self.qos.durability == Durability::TransientLocal {
+            for pause in AGAIN {
+                tokio::time::sleep(pause).await;
+                if self.has_come.load(Ordering::Relaxed) {
+                    break;
+                }
+                // The one before is let go of when this one is there.
+                _held = Arc::clone(self).subscribe().await?;
+            }
+        }
+        std::future::pending().await
     }
 
     async fn subscribe(self: Arc<Self>) -> Result<Box<dyn Any + Send + Sync>> {
@@ -195,6 +219,7 @@ impl Stream {
         if sample.kind() == SampleKind::Delete {
             return;
         }
+        self.has_come.store(true, Ordering::Relaxed);
         let diagnostics = self.ends.node.diagnostics();
         diagnostics.received(input);
         let bytes = Bytes::from(sample.payload().to_bytes().into_owned());

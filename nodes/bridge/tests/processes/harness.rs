@@ -11,13 +11,19 @@ use std::{
     time::{Duration, Instant},
 };
 use wm_msgs::std_msgs;
-use wm_ros::{Context, Environment, Node, NodeArgs, Reach};
+use wm_ros::{Context, Environment, Node, NodeArgs, Reach, Role};
 
 /// Far above anything that happens on one host; it only ends a test that hangs.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The program under test.
-pub const BRIDGE: &str = env!("CARGO_BIN_EXE_wm-bridge");
+pub const BRIDGE: &str = "wm-bridge";
+
+/// Where cargo puts a program of the workspace: one folder above the tests'.
+pub fn program(name: &str) -> PathBuf {
+    let tests = std::env::current_exe().unwrap();
+    tests.parent().unwrap().with_file_name(name)
+}
 
 /// The root of the repository.
 pub fn root() -> &'static Path {
@@ -103,7 +109,7 @@ pub fn in_domain(command: &mut Command, domain: u16) {
 
 /// The bridge of a domain on loopback.
 pub fn bridge(domain: u16, args: &[impl AsRef<OsStr>]) -> Process {
-    let mut command = Command::new(BRIDGE);
+    let mut command = Command::new(program(BRIDGE));
     command.args(args);
     in_domain(&mut command, domain);
     Process::start(command)
@@ -112,7 +118,7 @@ pub fn bridge(domain: u16, args: &[impl AsRef<OsStr>]) -> Process {
 /// The nodes' program, which cargo builds beside the bridge's when it tests the workspace; `None` (with a plain message)
 /// where it was not built.
 pub fn wm() -> Option<PathBuf> {
-    let wm = Path::new(BRIDGE).with_file_name("wm");
+    let wm = program("wm");
     if wm.is_file() {
         return Some(wm);
     }
@@ -143,6 +149,24 @@ impl Site {
         let node = Node::new(&context, "site", "/wm", &NodeArgs::default()).unwrap();
         Self { node, context }
     }
+}
+
+/// Waits until nobody subscribes to a topic any more but the bridge.
+pub async fn gone(domain: u16, topic: &str) {
+    let observer = Site::join(domain);
+    let mut changes = observer.node.graph_changes();
+    let is_there = |role, name: &str| {
+        let endpoints = observer.node.remote_endpoints();
+        let mut endpoints = endpoints.iter();
+        endpoints.any(|endpoint| endpoint.role == role && endpoint.name == name)
+    };
+    soon("seeing the subscriptions go", async {
+        // By the time that it knows of the bridge's publisher it knows of all.
+        while !is_there(Role::Publisher, topic) || is_there(Role::Subscription, topic) {
+            changes.changed().await.unwrap();
+        }
+    })
+    .await;
 }
 
 impl Drop for Site {

@@ -2,7 +2,7 @@
 //! goals and calls to the robot's planner. The nodes are the real ones, and the camera is the bundled bag.
 
 use crate::{
-    harness::{BRIDGE, Process, root, soon, wm},
+    harness::{BRIDGE, Process, program, root, soon, wm},
     link::{DELAY, Link},
 };
 use std::{
@@ -183,7 +183,7 @@ async fn predictions_and_plans_cross_50_ms_and_2_percent_loss() {
     let Some(mut link) = Link::new() else { return };
     let bridge = |end, network: [&str; 2]| {
         let carried = ["--allow", "/wm/.*", "--queries-timeout", "20"];
-        link.start(end, Path::new(BRIDGE), &[&network[..], &carried].concat())
+        link.start(end, &program(BRIDGE), &[&network[..], &carried].concat())
     };
     let _bridges = [
         bridge(ROBOT, ["--listen", "tcp/10.99.0.1:7447"]),

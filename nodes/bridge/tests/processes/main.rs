@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
 mod access;
+mod announced;
 mod harness;
 mod link;
 mod lossy_link;

@@ -1,7 +1,7 @@
 //! Two domains, each with its bridge.
 
 use crate::harness::{
-    BRIDGE, PATIENCE, Process, Site, bridge, fresh_domain, fresh_endpoint, soon, text,
+    BRIDGE, PATIENCE, Process, Site, bridge, fresh_domain, fresh_endpoint, program, soon, text,
 };
 use rustix::process::Signal;
 use std::{process::Command, time::Duration};
@@ -369,7 +369,7 @@ async fn what_a_full_network_drops_is_counted_at_the_other_end() {
 #[test]
 fn wrong_usage_is_told_from_failure() {
     let code = |args: &[&str]| {
-        let output = Command::new(BRIDGE).args(args).output().unwrap();
+        let output = Command::new(program(BRIDGE)).args(args).output().unwrap();
         let reason = String::from_utf8_lossy(&output.stderr).into_owned();
         (output.status.code(), reason)
     };

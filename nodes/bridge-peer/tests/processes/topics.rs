@@ -1,0 +1,259 @@
+//! Topics.
+
+use crate::{
+    harness::{Process, Site, bridge, fresh_domain, fresh_endpoint, gone, soon, text},
+    pair::{Pair, next, real_bridge},
+};
+use std::time::Duration;
+use wm_msgs::{Message, sensor_msgs::Image, std_msgs::String as Text};
+use wm_ros::{Node, Publisher, Qos, Subscription};
+
+/// A topic from one side to the other on which messages arrive.
+async fn across<M: Message + Default + PartialEq>(
+    from: &Node,
+    to: &Node,
+    topic: &str,
+) -> (Publisher<M>, Subscription<M>) {
+    let qos = Qos::reliable(100);
+    let publisher = from.publisher::<M>(topic, qos).unwrap();
+    let mut subscription = to.subscription::<M>(topic, qos).unwrap();
+    soon("connecting", async {
+        publisher.wait_for_subscribers(1).await;
+        subscription.wait_for_publishers(1).await;
+    })
+    .await;
+    arrives(&publisher, &M::default(), &mut subscription).await;
+    (publisher, subscription)
+}
+
+/// Publishes until a message arrives: what the real bridge sends within 0.1 s after it has learned of a subscriber may end on
+/// the way.
+async fn arrives<M: Message + PartialEq>(
+    publisher: &Publisher<M>,
+    message: &M,
+    heard: &mut Subscription<M>,
+) {
+    let mut arrived = async || while heard.recv().await.unwrap().message != *message {};
+    soon("a message", async {
+        loop {
+            publisher.publish(message).unwrap();
+            let wait = tokio::time::timeout(Duration::from_millis(200), arrived());
+            if wait.await.is_ok() {
+                break;
+            }
+        }
+    })
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_topic_crosses_both_ways_and_nothing_comes_back() {
+    let pair = Pair::new(&[]);
+    let qos = Qos::reliable(100);
+    let out = pair.here.node.publisher::<Text>("said", qos).unwrap();
+    let back = pair.there.node.publisher::<Text>("said", qos).unwrap();
+    // Subscriptions of other participants than the publishers', who hear both.
+    let (ear_here, ear_there) = (Site::join(pair.domain_here), Site::join(pair.domain_there));
+    let mut heard_here = ear_here.node.subscription::<Text>("said", qos).unwrap();
+    let mut heard_there = ear_there.node.subscription::<Text>("said", qos).unwrap();
+    soon("connecting", async {
+        // The subscription of this side, and the bridge's.
+        out.wait_for_subscribers(2).await;
+        back.wait_for_subscribers(2).await;
+        heard_here.wait_for_publishers(2).await;
+        heard_there.wait_for_publishers(2).await;
+    })
+    .await;
+    arrives(&out, &text("hello from here"), &mut heard_there).await;
+    arrives(&back, &text("hello from there"), &mut heard_here).await;
+    for number in 0..20 {
+        out.publish(&text(&format!("here {number}"))).unwrap();
+        back.publish(&text(&format!("there {number}"))).unwrap();
+    }
+    for heard in [&mut heard_here, &mut heard_there] {
+        let mut said = Vec::new();
+        while said.len() < 40 {
+            said.push(word(heard).await);
+        }
+        for side in ["here", "there"] {
+            let of_side: Vec<_> = said.iter().filter(|text| text.starts_with(side)).collect();
+            let expected: Vec<_> = (0..20).map(|number| format!("{side} {number}")).collect();
+            assert_eq!(of_side, expected.iter().collect::<Vec<_>>());
+        }
+    }
+    // One more of each: whatever had come back would come before it.
+    for (publisher, words) in [(&out, "last"), (&back, "very last")] {
+        publisher.publish(&text(words)).unwrap();
+        assert_eq!(word(&mut heard_here).await, words);
+        assert_eq!(word(&mut heard_there).await, words);
+    }
+}
+
+/// The next message after those that were published until one arrived.
+async fn word(heard: &mut Subscription<Text>) -> String {
+    loop {
+        let word = next(heard).await;
+        if !word.starts_with("hello") {
+            return word;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_image_crosses_both_ways() {
+    let pair = Pair::new(&[]);
+    let (here, there) = (&pair.here.node, &pair.there.node);
+    // More than a datagram, and less than overflows the receive buffer of another DDS at Linux's default.
+    let (height, width) = (160, 160);
+    for (from, to, topic) in [(here, there, "image_here"), (there, here, "image_there")] {
+        let (publisher, mut subscription) = across::<Image>(from, to, topic).await;
+        let bytes = (0..height * width * 3).map(|index: u32| (index % 251) as u8);
+        let image = Image {
+            height,
+            width,
+            encoding: "rgb8".into(),
+            step: width * 3,
+            data: bytes.collect(),
+            ..Image::default()
+        };
+        publisher.publish(&image).unwrap();
+        let received = soon("the image", async {
+            loop {
+                let received = subscription.recv().await.unwrap().message;
+                if received != Image::default() {
+                    break received;
+                }
+            }
+        });
+        assert!(received.await == image, "the image is another");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn names_and_lists_hold() {
+    let pair = Pair::new(&["--namespace", "/robot1", "--deny", "/wm/secret"]);
+    let (here, there) = (&pair.here.node, &pair.there.node);
+    let qos = Qos::reliable(10);
+    let secret = here.publisher::<Text>("secret", qos).unwrap();
+    let _unheard = there
+        .subscription::<Text>("/robot1/wm/secret", qos)
+        .unwrap();
+    let open = here.publisher::<Text>("open", qos).unwrap();
+    let mut heard = there.subscription::<Text>("/robot1/wm/open", qos).unwrap();
+    soon("connecting", open.wait_for_subscribers(1)).await;
+    soon("connecting", heard.wait_for_publishers(1)).await;
+    open.publish(&text("open")).unwrap();
+    assert_eq!(next(&mut heard).await, "open");
+    assert_eq!(secret.subscribers(), 0);
+}
+
+/// A latched publisher on one side, and those who come late to the other.
+struct Latched {
+    from: Site,
+    to: Site,
+    domains: [u16; 2],
+    endpoint: String,
+}
+
+impl Latched {
+    fn new() -> Self {
+        let domains = [fresh_domain(), fresh_domain()];
+        let [from, to] = domains.map(Site::join);
+        Self {
+            from,
+            to,
+            domains,
+            endpoint: fresh_endpoint(),
+        }
+    }
+
+    /// As a peer: a router of Zenoh 1.10.2 that comes back at once may be told nothing.
+    fn real_bridge(&self, domain: u16) -> Process {
+        real_bridge(domain, &self.endpoint, "peer")
+    }
+
+    fn publisher(&self) -> Publisher<Text> {
+        self.from.node.publisher("map", Qos::latched(1)).unwrap()
+    }
+
+    fn late(&self) -> Subscription<Text> {
+        self.to.node.subscription("map", Qos::latched(1)).unwrap()
+    }
+}
+
+/// Waits for the last of the states that are held: a bridge that has begun anew may send some before it once more.
+async fn until(heard: &mut Subscription<Text>, last: &str) {
+    while next(heard).await != last {}
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_comes_late_behind_the_real_bridge_gets_what_is_latched() {
+    let latched = Latched::new();
+    let map = latched.publisher();
+    map.publish(&text("new")).unwrap();
+    // The bridges come after it was said,
+    let [domain_here, domain_there] = latched.domains;
+    let _bridge = bridge(domain_here, &["--listen", &latched.endpoint]);
+    let real = latched.real_bridge(domain_there);
+    let mut first = latched.late();
+    assert_eq!(next(&mut first).await, "new");
+    // and a second subscriber later,
+    let mut second = latched.late();
+    assert_eq!(next(&mut second).await, "new");
+    map.publish(&text("newer")).unwrap();
+    assert_eq!(next(&mut first).await, "newer");
+    assert_eq!(next(&mut second).await, "newer");
+    // and a third when the real bridge has begun anew.
+    drop((first, second, real));
+    let _real = latched.real_bridge(domain_there);
+    let mut third = latched.late();
+    until(&mut third, "newer").await;
+    map.publish(&text("newest")).unwrap();
+    until(&mut third, "newest").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_comes_late_gets_what_is_latched_behind_the_real_bridge() {
+    let latched = Latched::new();
+    let map = latched.publisher();
+    map.publish(&text("new")).unwrap();
+    let [domain_there, domain_here] = latched.domains;
+    let _bridge = bridge(domain_here, &["--listen", &latched.endpoint]);
+    let real = latched.real_bridge(domain_there);
+    let mut first = latched.late();
+    assert_eq!(next(&mut first).await, "new");
+    let mut second = latched.late();
+    assert_eq!(next(&mut second).await, "new");
+    map.publish(&text("newer")).unwrap();
+    assert_eq!(next(&mut first).await, "newer");
+    assert_eq!(next(&mut second).await, "newer");
+    drop(real);
+    let _real = latched.real_bridge(domain_there);
+    map.publish(&text("newest")).unwrap();
+    until(&mut first, "newest").await;
+    let mut third = latched.late();
+    until(&mut third, "newest").await;
+}
+
+/// The real bridge stops to read a topic when no subscriber of it is announced any more, and reads it again only when one
+/// comes to a network that had none.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_latched_topic_is_heard_again_when_all_its_subscribers_had_gone() {
+    let latched = Latched::new();
+    let [domain_there, domain_here] = latched.domains;
+    let _bridge = bridge(domain_here, &["--listen", &latched.endpoint]);
+    let _real = latched.real_bridge(domain_there);
+    let map = latched.publisher();
+    map.publish(&text("new")).unwrap();
+    let mut first = latched.late();
+    assert_eq!(next(&mut first).await, "new");
+    drop(first);
+    gone(domain_here, "/wm/map").await;
+    // Whoever carries what comes after it has seen it go.
+    let (from, to) = (&latched.from.node, &latched.to.node);
+    let _after = across::<Text>(from, to, "map_after").await;
+    let mut second = latched.late();
+    assert_eq!(next(&mut second).await, "new");
+    map.publish(&text("newer")).unwrap();
+    assert_eq!(next(&mut second).await, "newer");
+}
