@@ -16,17 +16,13 @@ use crate::harness::{
     Process, Signal, WM, fresh_domain, in_domain, peers, rclpy, root, whole_suite,
 };
 
-const NODES: [&str; 9] = [
-    "encoder",
-    "predictor",
-    "decoder",
-    "planner",
-    "evaluator",
-    "env",
-    "player",
-    "recorder",
-    "monitor",
-];
+/// The nodes, as the program lists them.
+fn nodes_of_wm() -> Vec<String> {
+    let list = Command::new(WM).arg("nodes").output().expect("wm runs");
+    let list = String::from_utf8(list.stdout).expect("UTF-8");
+    let names = list.lines().filter_map(|line| line.split(' ').next());
+    names.map(str::to_owned).collect()
+}
 
 /// `script` of bash after `setup` was sourced; gives its stdout.
 fn shell(setup: &Path, script: &str, args: &[&Path]) -> String {
@@ -116,7 +112,8 @@ fn an_overlay_has_what_the_commands_of_ros_look_up() {
     let nodes = &overlay["wm_nodes"];
     assert_eq!(path(&nodes["prefix"]), install.join("wm_nodes"));
     let executables = nodes["executables"].as_object().expect("executables");
-    for name in NODES {
+    let names = nodes_of_wm();
+    for name in &names {
         let help = Command::new(path(&executables[name]))
             .arg("--help")
             .output();
@@ -128,8 +125,8 @@ fn an_overlay_has_what_the_commands_of_ros_look_up() {
     }
     assert_eq!(
         executables.len(),
-        NODES.len() + 1,
-        "and wm: {executables:?}"
+        names.len() + 1,
+        "one link for each node of `wm nodes`, and wm: {executables:?}"
     );
     let replay = &nodes["launch"]["replay.launch.yaml"][0]["path"];
     for name in ["replay.launch.py", "replay.launch.xml", "live.launch.yaml"] {
@@ -154,10 +151,10 @@ fn an_overlay_has_what_the_commands_of_ros_look_up() {
     let words: Vec<&str> = commands.split_whitespace().collect();
     let settings = words.windows(2).filter(|pair| pair[0] == "--params-file");
     let settings: Vec<&Path> = settings.map(|pair| Path::new(pair[1])).collect();
-    // A replay has no evaluator and no env; what it sets itself comes after the defaults of player and recorder.
+    // A replay has seven nodes, no evaluator and no env; what it sets itself comes after the defaults of player and recorder.
     let of_job = |path: &&&Path| path.ends_with("jobs.yaml");
     assert_eq!(settings.iter().filter(of_job).count(), 2, "{commands}");
-    assert_eq!(settings.len(), NODES.len() - 2 + 2, "{commands}");
+    assert_eq!(settings.len(), 7 + 2, "{commands}");
     let bag = words.iter().find_map(|word| word.split_once("bag:="));
     let (_, bag) = bag.expect("the player is given a bag");
     let bag = Path::new(bag.trim_matches(['"', '\'']));

@@ -168,7 +168,8 @@ fn run_together(args: &NodeArgs) -> Result<()> {
 }
 
 fn list() -> String {
-    let line = |node: &Definition| format!("{:10} {}\n", node.name, node.about);
+    let width = definitions().map(|node| node.name.len()).max().unwrap_or(0);
+    let line = |node: &Definition| format!("{:width$} {}\n", node.name, node.about);
     definitions().map(line).collect()
 }
 

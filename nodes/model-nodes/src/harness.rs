@@ -63,6 +63,7 @@
 mod follower;
 mod goals;
 
+pub(crate) use follower::follows;
 pub use follower::{Event, Follower, Follows, Inputs, Told};
 pub use goals::Goals;
 

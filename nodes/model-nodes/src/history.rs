@@ -72,6 +72,7 @@ pub struct Arrival {
     /// A new epoch has begun, and what was observed before is forgotten.
     pub flushed: bool,
     /// It may be of a time that time is about to jump to: it waits for the next frame to say so.
+    /// [`History::moment`] is still that of the frame before.
     pub held_back: bool,
     /// Inputs that were held back for a jump of time that did not come.
     pub untimely: u64,

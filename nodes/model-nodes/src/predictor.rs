@@ -16,5 +16,6 @@ mod trust;
 pub use error::PredictorError;
 pub use node::{NODE, body};
 pub use rollout::{PredictedStep, RolloutRequest, RunningRollout};
+use step::Seen;
 pub use step::{Outcome, PredictorSettings, PredictorStep};
 pub use trust::{Doubt, Trust};

@@ -32,7 +32,7 @@ use crate::{
     encoder::EncoderStep,
     env::INSTRUCTION,
     harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
-    history::{History, HistorySettings, Reception, Timing, note, seconds},
+    history::{History, HistorySettings, Timing, seconds},
     pool::Pool,
     work::Work,
 };
@@ -265,9 +265,7 @@ impl ModelNode for Evaluator {
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
-                    if let Some(Told::Latent(latent)) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
-                        let taken = self.step.latent(&latent.message, Reception::from(&latent));
-                        note(&mut self.complaints, taken);
+                    if let Some(Told::Seen(())) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
                         if self.waiting.as_ref().is_some_and(|waiting| !self.step.awaits_frame(&waiting.message)) {
                             self.evaluate_waiting();
                         }

@@ -1,6 +1,7 @@
 //! The evaluator's state.
 
 use std::{
+    convert::Infallible,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -15,6 +16,7 @@ use wm_zoo::success_probe::Instruction;
 
 use super::Task;
 use crate::{
+    harness::follows,
     history::{Arrival, History, HistoryError, Moment, Reception, Timing, Wait, seconds},
     planner::Goal,
     predictor::PredictorError,
@@ -127,6 +129,14 @@ pub struct EvaluatorStep {
     goal: Option<Goal>,
     task: Task,
 }
+
+follows!(
+    EvaluatorStep,
+    (),
+    |arrival| (arrival, ()),
+    Infallible,
+    |arrival| (arrival, None)
+);
 
 impl EvaluatorStep {
     /// An evaluator over an empty `history`.

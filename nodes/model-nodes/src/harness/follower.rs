@@ -1,4 +1,146 @@
 //! How a node follows the robot: latents of its camera, its actions, resets, and clock jumps.
+//!
+//! The state keeps a [`History`](crate::history::History) and implements [`Follows`]; [`Follower::next`] waits for an
+//! input, and [`Follower::tell`] hands it to the state, and counts what is wrong with it:
+//!
+//! ```no_run
+//! use std::convert::Infallible;
+//! use wm_model_nodes::harness::{self, Configured, Follower, Follows, Inputs, ModelNode, Told};
+//! use wm_model_nodes::history::{
+//!     Arrival, ChunkMerging, History, HistoryError, HistorySettings, Reception, Timing, Wait,
+//! };
+//! use wm_msgs::builtin_interfaces::Time;
+//! use wm_msgs::std_msgs::Float32;
+//! use wm_msgs::wm_msgs::{Action, ActionChunk, Latent};
+//! use wm_ros::{NodeDefinition, Parameter, Publisher, complaints::Complaints};
+//! use wm_zoo::ModelFolder;
+//!
+//! wm_ros::parameters! {
+//!     /// Its parameters.
+//!     struct Parameters {
+//!         /// Changes below this are published as 0 [normalised units squared].
+//!         threshold: Parameter<f64> = 0.05, in 0.0..=10.0;
+//!         /// Time between camera frames [s].
+//!         frame_period: f64 = 0.2, in 1e-3..=60.0;
+//!     }
+//! }
+//!
+//! wm_ros::endpoints! {
+//!     /// Its topics and services.
+//!     struct Endpoints {
+//!         /// What follows the robot.
+//!         inputs: Inputs;
+//!         /// How much the newest latent differs from the one a model step before.
+//!         changes: Publisher<Float32> = "change";
+//!     }
+//! }
+//!
+//! /// The pure step: messages in, messages out.
+//! struct ChangeStep {
+//!     history: History,
+//! }
+//!
+//! impl ChangeStep {
+//!     fn change(&self) -> Result<f32, Wait> {
+//!         let moment = self.history.moment()?;
+//!         let before = moment.earlier.last().ok_or(Wait::NoFrame)?;
+//!         let pairs = moment.observed.values.iter().zip(before.values.iter());
+//!         Ok(pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>() / before.values.len() as f32)
+//!     }
+//! }
+//!
+//! impl Follows for ChangeStep {
+//!     type Seen = Option<Result<f32, Wait>>;
+//!     type Due = Infallible;
+//!
+//!     fn latent(
+//!         &mut self,
+//!         latent: &Latent,
+//!         reception: Reception,
+//!     ) -> Result<(Arrival, Self::Seen), HistoryError> {
+//!         let arrival = self.history.latent(latent, reception)?;
+//!         Ok((arrival, (!arrival.held_back).then(|| self.change())))
+//!     }
+//!
+//!     fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
+//!         self.history.action(action, now)
+//!     }
+//!
+//!     fn chunk(
+//!         &mut self,
+//!         chunk: &ActionChunk,
+//!         now: Time,
+//!     ) -> Result<(Arrival, Option<Infallible>), HistoryError> {
+//!         Ok((self.history.chunk(chunk, now)?, None))
+//!     }
+//!
+//!     fn reset(&mut self, _seed: Option<u64>, now: Time) -> String {
+//!         self.history.reset(now);
+//!         "forgot all frames and actions".to_owned()
+//!     }
+//!
+//!     fn clock_jumped(&mut self, now: Time) -> bool {
+//!         self.history.clock_jumped(now)
+//!     }
+//! }
+//!
+//! struct Change {
+//!     follower: Follower,
+//!     step: ChangeStep,
+//!     complaints: Complaints,
+//! }
+//!
+//! impl ModelNode for Change {
+//!     const NAME: &'static str = "change";
+//!     const ABOUT: &'static str = "Measures how much latents change in a model step.";
+//!     type Parameters = Parameters;
+//!     type Endpoints = Endpoints;
+//!     type Model = wm_model::WorldModel;
+//!
+//!     fn load(folder: ModelFolder, _: &Parameters) -> anyhow::Result<Self::Model> {
+//!         Ok(folder.world_model()?)
+//!     }
+//!
+//!     fn activate(at: &Configured<Self>) -> anyhow::Result<Self> {
+//!         let model = &at.model;
+//!         let settings = HistorySettings {
+//!             timing: Timing::of_camera(at.parameters.frame_period, &model.encoding),
+//!             context_frames: 2,
+//!             merging: ChunkMerging::Latest,
+//!         };
+//!         let (space, encoding) = (model.space.clone(), model.encoding.clone());
+//!         let history = History::new(settings, space, encoding, at.node.now());
+//!         Ok(Self {
+//!             follower: Follower::new(&at.node, &at.endpoints.inputs, "start the encoder"),
+//!             step: ChangeStep { history },
+//!             complaints: Complaints::new(at.node.diagnostics()),
+//!         })
+//!     }
+//!
+//!     async fn run(&mut self, at: &mut Configured<Self>) -> anyhow::Result<()> {
+//!         let Endpoints { inputs, changes } = &mut at.endpoints;
+//!         while let Some(event) = self.follower.next(inputs).await {
+//!             let told = self.follower.tell(event, &mut self.step, &mut self.complaints);
+//!             match told {
+//!                 Some(Told::Seen(Some(Ok(change)))) => {
+//!                     self.complaints.working("measuring");
+//!                     let is_change = f64::from(change) >= at.parameters.threshold.get();
+//!                     let data = if is_change { change } else { 0.0 };
+//!                     changes.publish(&Float32 { data })?;
+//!                 }
+//!                 Some(Told::Seen(Some(Err(wait)))) => {
+//!                     self.complaints.waiting(wait.kind(), wait.is_usual(), &wait);
+//!                 }
+//!                 _ => {}
+//!             }
+//!         }
+//!         Ok(())
+//!     }
+//! }
+//!
+//! /// For the registry, `NODES` in `lib.rs`.
+//! pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Change>();
+//! ```
 
 use std::sync::Arc;
 
@@ -13,12 +155,7 @@ use wm_ros::{
 };
 use wm_wire::latent_message::LATENT_QOS;
 
-use crate::{
-    evaluator::EvaluatorStep,
-    history::{Arrival, HistoryError, note},
-    planner::PlannerStep,
-    predictor::{PredictorStep, RolloutRequest},
-};
+use crate::history::{Arrival, HistoryError, Reception, note};
 
 wm_ros::endpoints! {
     /// The inputs of a node that follows the robot.
@@ -29,7 +166,7 @@ wm_ros::endpoints! {
         pub actions: Subscription<Action> = "action";
         /// Actions that a policy will take next.
         chunks: Subscription<ActionChunk> = "action_chunk";
-        /// Forgets the observed history, and takes the seed of the request.
+        /// Forgets the observed history. A node with a seed takes that of the request.
         resets: Service<Reset> = "~/reset", made(|node, name, _| {
             node.service_or_refuse(name, |reason| ResetResponse { success: false, message: reason.to_owned() })
         });
@@ -38,8 +175,21 @@ wm_ros::endpoints! {
 
 /// The state of a node that follows the robot.
 pub trait Follows {
+    /// What a latent leads to; `()` where the node asks its state itself.
+    type Seen;
     /// What a chunk that answers the newest frame triggers.
     type Due;
+
+    /// Takes a latent, and returns what it leads to. If [`Arrival::held_back`] is set, the newest frame is still the one
+    /// before.
+    ///
+    /// # Errors
+    /// Why it is dropped.
+    fn latent(
+        &mut self,
+        latent: &Latent,
+        reception: Reception,
+    ) -> Result<(Arrival, Self::Seen), HistoryError>;
 
     /// Takes an action, at `now` by the node's clock.
     ///
@@ -65,11 +215,11 @@ pub trait Follows {
 }
 
 /// What is left to the node itself.
-pub enum Told<D> {
-    /// A latent.
-    Latent(Received<Arc<Latent>>),
+pub enum Told<F: Follows> {
+    /// What a latent has led to.
+    Seen(F::Seen),
     /// What a chunk has triggered.
-    Due(D),
+    Due(F::Due),
 }
 
 /// An input.
@@ -116,17 +266,24 @@ impl Follower {
         }
     }
 
-    /// Tells the node's state of it. A latent comes back, and what a chunk sets off: what becomes of them is the node's
-    /// own.
+    /// Hands an input to the node's state, counts and reports what is wrong with it, and returns what it leads to.
     pub fn tell<F: Follows>(
         &self,
         event: Event,
         state: &mut F,
         complaints: &mut Complaints,
-    ) -> Option<Told<F::Due>> {
+    ) -> Option<Told<F>> {
         let now = self.clock.now();
         match event {
-            Event::Latent(received) => return Some(Told::Latent(received)),
+            Event::Latent(received) => {
+                match state.latent(&received.message, Reception::from(&received)) {
+                    Ok((arrival, seen)) => {
+                        note(complaints, Ok(arrival));
+                        return Some(Told::Seen(seen));
+                    }
+                    Err(error) => note(complaints, Err(error)),
+                }
+            }
             Event::Action(received) => {
                 let taken = state.action(&received.message, received.received);
                 note(complaints, taken);
@@ -136,9 +293,7 @@ impl Follower {
                     note(complaints, Ok(arrival));
                     return due.map(Told::Due);
                 }
-                Err(error) => {
-                    note(complaints, Err(error));
-                }
+                Err(error) => note(complaints, Err(error)),
             },
             Event::Jumped => {
                 if state.clock_jumped(now) {
@@ -157,40 +312,43 @@ impl Follower {
     }
 }
 
-/// The states of the nodes, whose own methods do it.
+/// Implements [`Follows`] for a state by its own methods. `$seen` and `$due` split what its `latent` and `chunk` return.
 macro_rules! follows {
-    ($($step:ty, $due:ty, |$outcome:ident| $split:expr;)*) => {
-        $(
-            impl Follows for $step {
-                type Due = $due;
+    ($step:ty, $seen:ty, |$latent:ident| $split_latent:expr, $due:ty, |$chunk:ident| $split_chunk:expr) => {
+        impl $crate::harness::Follows for $step {
+            type Seen = $seen;
+            type Due = $due;
 
-                fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
-                    self.action(action, now)
-                }
-
-                fn chunk(
-                    &mut self,
-                    chunk: &ActionChunk,
-                    now: Time,
-                ) -> Result<(Arrival, Option<$due>), HistoryError> {
-                    let $outcome = self.chunk(chunk, now)?;
-                    Ok($split)
-                }
-
-                fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
-                    self.reset(seed, now)
-                }
-
-                fn clock_jumped(&mut self, now: Time) -> bool {
-                    self.clock_jumped(now)
-                }
+            fn latent(
+                &mut self,
+                latent: &Latent,
+                reception: Reception,
+            ) -> Result<(Arrival, $seen), HistoryError> {
+                let $latent = self.latent(latent, reception)?;
+                Ok($split_latent)
             }
-        )*
+
+            fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
+                self.action(action, now)
+            }
+
+            fn chunk(
+                &mut self,
+                chunk: &ActionChunk,
+                now: Time,
+            ) -> Result<(Arrival, Option<$due>), HistoryError> {
+                let $chunk = self.chunk(chunk, now)?;
+                Ok($split_chunk)
+            }
+
+            fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
+                self.reset(seed, now)
+            }
+
+            fn clock_jumped(&mut self, now: Time) -> bool {
+                self.clock_jumped(now)
+            }
+        }
     };
 }
-
-follows! {
-    PredictorStep, RolloutRequest, |outcome| (outcome.arrival, outcome.rollout.and_then(Result::ok));
-    PlannerStep, std::convert::Infallible, |arrival| (arrival, None);
-    EvaluatorStep, std::convert::Infallible, |arrival| (arrival, None);
-}
+pub(crate) use follows;

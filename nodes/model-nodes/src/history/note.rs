@@ -4,13 +4,13 @@ use wm_ros::complaints::Complaints;
 
 use super::{Arrival, HistoryError};
 
-/// Counts and names what became of an input; whether it was taken.
-pub(crate) fn note(complaints: &mut Complaints, arrival: Result<Arrival, HistoryError>) -> bool {
+/// Counts and reports what became of an input.
+pub(crate) fn note(complaints: &mut Complaints, arrival: Result<Arrival, HistoryError>) {
     let arrival = match arrival {
         Ok(arrival) => arrival,
         Err(error) => {
             complaints.left_out(error.reason(), &error);
-            return false;
+            return;
         }
     };
     if arrival.flushed {
@@ -28,5 +28,4 @@ pub(crate) fn note(complaints: &mut Complaints, arrival: Result<Arrival, History
         let text = format!("{} camera frames are missing", arrival.missed_frames);
         complaints.left_out_many("gap", arrival.missed_frames, &text);
     }
-    true
 }

@@ -19,7 +19,7 @@ use crate::{
     chunk_merging::Merging,
     encoder::EncoderStep,
     harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
-    history::{History, HistorySettings, Reception, Timing, Wait, note, seconds},
+    history::{History, HistorySettings, Timing, Wait, seconds},
     pool::Pool,
     work::{Stop, Work},
 };
@@ -249,11 +249,8 @@ impl ModelNode for Planner {
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
-                    if let Some(Told::Latent(latent)) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
-                        let taken = self.step.latent(&latent.message, Reception::from(&latent));
-                        if note(&mut self.complaints, taken) {
-                            self.plan();
-                        }
+                    if let Some(Told::Seen(())) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
+                        self.plan();
                     }
                 }
             }

@@ -1,6 +1,9 @@
 //! The planner's state.
 
-use std::time::{Duration, Instant};
+use std::{
+    convert::Infallible,
+    time::{Duration, Instant},
+};
 
 use thiserror::Error;
 use wm_model::planner::PlannedActions;
@@ -11,7 +14,10 @@ use wm_msgs::{
 };
 
 use super::Goal;
-use crate::history::{Arrival, History, HistoryError, Moment, Reception, Wait};
+use crate::{
+    harness::follows,
+    history::{Arrival, History, HistoryError, Moment, Reception, Wait},
+};
 
 /// Searches that the lead of the next one is estimated from.
 const RECENT: usize = 4;
@@ -137,6 +143,14 @@ pub struct PlannerStep {
     searches: Vec<Duration>,
     seed: u64,
 }
+
+follows!(
+    PlannerStep,
+    (),
+    |arrival| (arrival, ()),
+    Infallible,
+    |arrival| (arrival, None)
+);
 
 impl PlannerStep {
     /// A planner over an empty `history`.

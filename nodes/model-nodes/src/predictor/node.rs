@@ -7,18 +7,18 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use wm_model::WorldModel;
-use wm_msgs::wm_msgs::{Latent, Prediction, PredictionError};
+use wm_msgs::wm_msgs::{Prediction, PredictionError};
 use wm_ros::{
     Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
-    Received, complaints::Complaints,
+    complaints::Complaints,
 };
 use wm_zoo::ModelFolder;
 
-use super::{Doubt, Outcome, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout};
+use super::{Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen};
 use crate::{
     chunk_merging::Merging,
     harness::{self, Configured, Follower, Inputs, ModelNode, Told},
-    history::{History, HistorySettings, Reception, Timing, note, seconds},
+    history::{History, HistorySettings, Timing, seconds},
     work::{Stop, Work},
 };
 use wm_wire::latent_message::LatentDtype;
@@ -173,10 +173,17 @@ impl ModelNode for Predictor {
                     let Some(event) = event else { return Ok(()) };
                     let told = {
                         let mut step = self.shared.step();
+                        let horizon = at.parameters.horizon.get() as usize;
+                        let integration_steps = match at.parameters.integration_steps.get() {
+                            0 => self.shared.model.transition.config().sampler.steps,
+                            // The range keeps it positive.
+                            steps => steps as usize,
+                        };
+                        step.set(horizon, integration_steps);
                         self.follower.tell(event, &mut *step, &mut self.complaints)
                     };
                     match told {
-                        Some(Told::Latent(latent)) => self.latent(&latent, &at.parameters)?,
+                        Some(Told::Seen(seen)) => self.seen(seen)?,
                         Some(Told::Due(request)) => self.submit(request),
                         None => {}
                     }
@@ -187,34 +194,15 @@ impl ModelNode for Predictor {
 }
 
 impl Predictor {
-    fn latent(&mut self, received: &Received<Arc<Latent>>, parameters: &Parameters) -> Result<()> {
-        let horizon = parameters.horizon.get() as usize;
-        let integration_steps = match parameters.integration_steps.get() {
-            0 => self.shared.model.transition.config().sampler.steps,
-            // The range keeps it positive.
-            steps => steps as usize,
-        };
-        let (outcome, doubt, unscored) = {
-            let mut step = self.shared.step();
-            step.set(horizon, integration_steps);
-            let outcome = step.latent(&received.message, Reception::from(received));
-            (outcome, step.doubt(), step.unscored())
-        };
-        let Outcome {
-            arrival,
-            errors,
-            rollout,
-        } = match outcome {
-            Ok(outcome) => outcome,
-            Err(error) => {
-                note(&mut self.complaints, Err(error));
-                return Ok(());
-            }
-        };
-        note(&mut self.complaints, Ok(arrival));
+    /// What a latent has led to: errors of predictions of its moment, and a rollout, or what that waits for.
+    fn seen(&mut self, (errors, rollout): Seen) -> Result<()> {
         for error in &errors {
             self.shared.errors.publish(error)?;
         }
+        let (doubt, unscored) = {
+            let step = self.shared.step();
+            (step.doubt(), step.unscored())
+        };
         if unscored > self.unscored {
             self.complaints.left_out_many(
                 "unscored",

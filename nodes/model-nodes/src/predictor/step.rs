@@ -12,7 +12,10 @@ use super::{
     Doubt, PredictedStep, RolloutRequest, Trust,
     scoring::{Pending, Scoring},
 };
-use crate::history::{Arrival, History, HistoryError, Reception, Wait};
+use crate::{
+    harness::follows,
+    history::{Arrival, History, HistoryError, Reception, Wait},
+};
 
 /// What can be chosen of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,6 +41,9 @@ pub struct Outcome {
     pub rollout: Option<Result<RolloutRequest, Wait>>,
 }
 
+/// What a latent leads to: the errors of the predictions of its time, and a rollout, or what that waits for.
+pub(super) type Seen = (Vec<PredictionError>, Option<Result<RolloutRequest, Wait>>);
+
 /// The predictor node's state: messages in, rollout requests and prediction errors out.
 #[derive(Clone, Debug)]
 pub struct PredictorStep {
@@ -46,6 +52,14 @@ pub struct PredictorStep {
     scoring: Scoring,
     trust: Trust,
 }
+
+follows!(
+    PredictorStep,
+    Seen,
+    |outcome| (outcome.arrival, (outcome.errors, outcome.rollout)),
+    RolloutRequest,
+    |outcome| (outcome.arrival, outcome.rollout.and_then(Result::ok))
+);
 
 impl PredictorStep {
     /// A predictor over an empty `history`.
