@@ -8,7 +8,7 @@ use std::{
 use thiserror::Error;
 use wm_ros::PublisherId;
 
-use crate::history::Reception;
+use crate::reception::Reception;
 
 /// A frame of a different camera.
 #[derive(Clone, Debug, Error, PartialEq)]

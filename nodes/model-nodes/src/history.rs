@@ -14,7 +14,6 @@ mod frames;
 mod held_back;
 mod moment;
 mod note;
-mod reception;
 mod timing;
 mod wait;
 
@@ -32,13 +31,12 @@ use wm_msgs::{
 };
 use wm_wire::latent_message::decode_latent;
 
-pub use crate::camera::WrongCamera;
+pub use crate::{camera::WrongCamera, reception::Reception};
 pub use error::HistoryError;
 pub use frames::Frame;
 pub use moment::Moment;
 pub(crate) use moment::stack;
 pub(crate) use note::note;
-pub use reception::Reception;
 pub use timing::Timing;
 pub use wait::Wait;
 pub use wm_motion::motion::{ChunkMerging, MAX_CHUNK};

@@ -18,6 +18,7 @@ pub mod history;
 pub mod planner;
 pub mod pool;
 pub mod predictor;
+mod reception;
 pub mod work;
 
 use wm_ros::NodeDefinition;

@@ -233,7 +233,7 @@ mod tests {
         for name in ["rcl_interfaces/msg/Log", "rcl_interfaces/srv/SetParameters"] {
             let reason = ask(name, String::new()).failure_reason;
             let (_, hash) = reason.split_once("the hash ").unwrap();
-            let hash = hash.split(',').next().unwrap();
+            let hash = hash.split(' ').next().unwrap();
             let answer = ask(name, hash.to_owned());
             assert!(answer.successful, "{name}: {}", answer.failure_reason);
         }

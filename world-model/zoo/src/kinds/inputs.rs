@@ -41,7 +41,7 @@ impl<'a> Inputs<'a> {
         check_not_empty(name, tensor)?;
         let tensor = tensor.to_dtype(DType::F32)?.contiguous()?;
         if !is_finite(&tensor)? {
-            return Err(input(format!("`{name}` holds a value that is not finite")));
+            return Err(input(format!("`{name}` has a value that is not finite")));
         }
         Ok(Some(tensor))
     }

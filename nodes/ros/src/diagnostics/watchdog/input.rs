@@ -193,7 +193,11 @@ mod tests {
         let judge = |seconds| watch.judge(start + Duration::from_secs(seconds), &|_| 0);
         assert_eq!(judge(4).level, Level::Ok);
         assert_eq!(judge(9).level, Level::Warn);
-        assert!(judge(9).message.contains("in 9 s since"), "{:?}", judge(9));
+        assert!(
+            judge(9).message.contains("in the 9 s since"),
+            "{:?}",
+            judge(9)
+        );
 
         let input = Input::new("actions", ["/action"], "start it").dispensable();
         let mut watch = InputWatch::new(input, start);
