@@ -265,10 +265,10 @@ impl ModelNode for Evaluator {
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
-                    if let Some(Told::Seen(())) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
-                        if self.waiting.as_ref().is_some_and(|waiting| !self.step.awaits_frame(&waiting.message)) {
-                            self.evaluate_waiting();
-                        }
+                    let told = self.follower.tell(event, &mut self.step, &mut self.complaints);
+                    let has_its_frame = |waiting: &Waiting| !self.step.awaits_frame(&waiting.message);
+                    if matches!(told, Some(Told::Seen(()))) && self.waiting.as_ref().is_some_and(has_its_frame) {
+                        self.evaluate_waiting();
                     }
                 }
                 () = overdue(&self.waiting) => self.evaluate_waiting(),
