@@ -66,7 +66,7 @@ struct FromLerobot {
     /// Import only these episodes: FIRST..LAST (including LAST), or one number
     #[arg(long, value_parser = episodes)]
     episodes: Option<RangeInclusive<i64>>,
-    /// Action space of the data set: a JSON file with name, rate [Hz] and dimensions, like "space" in model.json. It is
+    /// Action space of the data set: a JSON file with name, rate in Hz and dimensions, like "space" in model.json. It is
     /// stored with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
     #[arg(long, value_name = "FILE")]
     action_space: Option<PathBuf>,
