@@ -20,9 +20,9 @@ pub enum Direction {
     Called,
 }
 
-/// Samples of a latched topic from Zenoh that are at least kept for who comes late. Several publishers may share it; and this
-/// is what a subscription's depth is taken for where its DDS does not tell it, so that none that comes or goes makes the
-/// route another, whose writer would send again what the subscriptions have.
+/// Minimum number of samples of a latched topic from Zenoh that are kept for late joiners: several publishers may share the
+/// topic. It is also the assumed depth of subscriptions whose DDS does not announce one. So a subscription that joins or
+/// leaves does not change the route, whose new writer would send every subscription its samples again.
 const LEAST_LATCHED: usize = 10;
 
 /// Names a route.

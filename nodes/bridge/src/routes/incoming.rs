@@ -28,8 +28,8 @@ const BURST: usize = 512;
 /// How long this side's subscription is waited for to be connected, at most.
 const CONNECTING: Duration = Duration::from_secs(2);
 
-/// When the history of a latched topic is asked for again as long as nothing has come: the real bridge begins to read a topic
-/// when it sees a subscriber on Zenoh, and what it sends at once may end on the way ([`ROUTING`]), but is in its history.
+/// Pauses before the history of a latched topic is requested again, until a sample arrives. The real bridge starts to read a
+/// topic when it sees a subscriber on Zenoh. What it sends at once may be lost ([`ROUTING`]), but stays in its history.
 const AGAIN: [Duration; 3] = [
     Duration::from_secs(1),
     Duration::from_secs(2),
