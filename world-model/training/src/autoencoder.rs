@@ -9,26 +9,34 @@ mod trainer;
 
 pub use arguments::{EvaluateAutoencoderArgs, TrainAutoencoderArgs};
 pub use evaluation::{Reconstruction, evaluate, picture};
-pub use trainer::{TrainingError, train};
+pub use trainer::TrainingError;
 
 use serde::{Deserialize, Serialize};
 use wm_model::AutoencoderConfig;
 
-/// All that decides what a training gives, together with the data.
+use crate::recipe::{Bundled, Optimisation, Span};
+
+/// The recipes that are part of the program. The paper trains no autoencoder.
+pub const RECIPES: Bundled = &[("tiny", include_str!("../recipes/tiny/autoencoder.yaml"))];
+
+/// Every number of a training of the autoencoder; `recipes/tiny/autoencoder.yaml` says what each is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct AutoencoderSettings {
-    /// Shape of the networks.
-    pub model: AutoencoderConfig,
+#[serde(deny_unknown_fields)]
+pub struct AutoencoderRecipe {
     /// Seed of the weights and of every draw.
     pub seed: u64,
-    /// Steps in all.
-    pub steps: u64,
-    /// Steps at the end that see whole pictures, so that the borders and the far context are learnt as they will be.
-    pub whole_picture_steps: u64,
+    /// How long to train; an epoch is one crop of each episode.
+    pub length: Span,
+    /// Steps between validations.
+    pub validate_every: u64,
+    /// Wall-clock time between checkpoints \[s\].
+    pub checkpoint_seconds: u64,
     /// Crops a step.
     pub batch: usize,
     /// Pixels in each direction of a crop.
     pub crop: usize,
+    /// Steps at the end that see whole pictures, so that the borders and the far context are learnt as they will be.
+    pub whole_picture_steps: u64,
     /// Share of the crops that are centred on something salient.
     pub salient: f64,
     /// Weight of the pixels inside masks, added to 1.
@@ -39,36 +47,10 @@ pub struct AutoencoderSettings {
     pub latent_penalty: f32,
     /// Standard deviation of the noise added to the latents.
     pub latent_noise: f32,
-    /// Highest learning rate.
-    pub learning_rate: f64,
-    /// Steps until it is reached.
-    pub warm_up_steps: u64,
-    /// Last learning rate as a fraction of the highest.
-    pub final_rate: f64,
-    /// Decay of the moving average of the weights, which is what is saved.
-    pub ema_decay: f64,
-}
-
-impl Default for AutoencoderSettings {
-    fn default() -> Self {
-        Self {
-            model: AutoencoderConfig::tiny(),
-            seed: 0,
-            steps: 5500,
-            whole_picture_steps: 900,
-            batch: 16,
-            crop: 64,
-            salient: 0.85,
-            mask_weight: 3.0,
-            squared: 2.0,
-            latent_penalty: 3e-4,
-            latent_noise: 0.05,
-            learning_rate: 1.5e-3,
-            warm_up_steps: 100,
-            final_rate: 0.02,
-            ema_decay: 0.998,
-        }
-    }
+    /// Shape of the networks.
+    pub model: AutoencoderConfig,
+    /// The optimiser.
+    pub optimisation: Optimisation,
 }
 
 #[cfg(test)]

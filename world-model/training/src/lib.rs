@@ -2,10 +2,13 @@
 //!
 //! Not here: the models themselves and inference (`wm_model`), making data (`wm_sim`, `wm_import`).
 
+pub mod arguments;
 pub mod autoencoder;
 pub mod dataset;
 pub mod latents;
-pub mod loss_curve;
 pub mod optimiser;
+pub mod recipe;
+pub mod run;
 pub mod squared_error;
 pub mod transition;
+pub mod workers;

@@ -1,6 +1,6 @@
 //! `wm-training`: `wm sim`, `wm train` and `wm eval`, a program of its own, since a robot needs none of them.
 //!
-//! Exit codes: 0 done, 1 failed, 2 wrong usage.
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 a training that a signal stopped and that was saved.
 
 use std::process::ExitCode;
 
@@ -8,8 +8,12 @@ use clap::{Parser, Subcommand};
 use wm_sim::SimArgs;
 use wm_training::{
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
+    run::{Ended, Stop},
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
 };
+
+/// Of a training that was stopped by a signal, as a shell reports it.
+const STOPPED: u8 = 130;
 
 /// Training workers constantly allocate and free large tensors.
 #[global_allocator]
@@ -50,18 +54,29 @@ enum EvalCommand {
     Transition(EvaluateTransitionArgs),
 }
 
+impl TrainCommand {
+    fn run(self) -> anyhow::Result<ExitCode> {
+        let stop = Stop::on_signals()?;
+        let ended = match self {
+            Self::Autoencoder(arguments) => arguments.run(&stop)?,
+            Self::Transition(arguments) => arguments.run(&stop)?,
+        };
+        Ok(match ended {
+            Ended::Finished => ExitCode::SUCCESS,
+            Ended::Stopped => ExitCode::from(STOPPED),
+        })
+    }
+}
+
 impl Command {
-    fn run(self) -> anyhow::Result<()> {
+    fn run(self) -> anyhow::Result<ExitCode> {
         match self {
             Self::Sim(arguments) => arguments.run()?,
-            Self::Train(command) => match *command {
-                TrainCommand::Autoencoder(arguments) => arguments.run()?,
-                TrainCommand::Transition(arguments) => arguments.run()?,
-            },
+            Self::Train(command) => return command.run(),
             Self::Eval(EvalCommand::Autoencoder(arguments)) => arguments.run()?,
             Self::Eval(EvalCommand::Transition(arguments)) => arguments.run()?,
         }
-        Ok(())
+        Ok(ExitCode::SUCCESS)
     }
 }
 
@@ -78,7 +93,7 @@ fn keep_candle_to_one_thread() {
 fn main() -> ExitCode {
     keep_candle_to_one_thread();
     match Command::parse().run() {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             eprintln!("wm: {error:#}");
             ExitCode::FAILURE

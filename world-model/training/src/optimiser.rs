@@ -1,16 +1,14 @@
-//! What both trainings step with: AdamW with decoupled weight decay, clipping by the global norm, an exponential moving
+//! What every training steps with: AdamW with decoupled weight decay, clipping by the global norm, an exponential moving
 //! average of the weights, and a learning rate that warms up and then follows a cosine.
 //!
-//! The state is plain `f32` buffers in the order of the parameters' names; randomness is derived from (seed, step)
+//! The state is plain `f32` buffers in the order of the parameters; randomness is derived from (seed, step)
 //! (see [`step_rng`]), so that a checkpoint is the buffers and the step alone, and a resumed run equals an
 //! uninterrupted one bit for bit.
 
 mod checkpoint;
 mod schedule;
+mod variables;
 
-use std::collections::BTreeMap;
-
-use candle_core::{DType, Device, Tensor, Var, backprop::GradStore};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -18,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use schedule::Schedule;
+pub use variables::Variables;
 
 /// Why an optimiser step, or a checkpoint, was refused.
 #[derive(Debug, Error)]
@@ -40,6 +39,14 @@ pub enum OptimiserError {
         /// The first parameter, by name, whose gradient is not finite.
         parameter: String,
     },
+    /// The checkpoint is of a training with other settings or data.
+    #[error("{path} is the checkpoint of another training:{}", listed(.differences))]
+    OtherTraining {
+        /// The file.
+        path: String,
+        /// What differs, a line each.
+        differences: Vec<String>,
+    },
     /// A checkpoint does not fit the model.
     #[error("checkpoint {path}: {what}")]
     Checkpoint {
@@ -48,9 +55,10 @@ pub enum OptimiserError {
         /// What was expected and what came.
         what: String,
     },
-    /// A tensor operation failed.
-    #[error(transparent)]
-    Tensor(#[from] candle_core::Error),
+}
+
+fn listed(lines: &[String]) -> String {
+    lines.iter().map(|line| format!("\n  {line}")).collect()
 }
 
 /// Settings of [`AdamW`]; the defaults are the paper's.
@@ -83,9 +91,47 @@ impl Default for AdamWSettings {
     }
 }
 
-struct Parameter {
+/// A tensor that is trained, as it is at step 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// Name, as in the weights file.
+    pub name: String,
+    /// Shape.
+    pub shape: Vec<usize>,
+    /// Values in row-major order.
+    pub values: Vec<f32>,
+    /// Which of the optimiser's [`Group`]s it belongs to.
+    pub group: usize,
+}
+
+/// Parameters that have a learning rate of their own, and whose gradient is clipped apart from the others'.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Group {
+    /// Factor on the learning rate.
+    pub rate: f64,
+}
+
+impl Default for Group {
+    fn default() -> Self {
+        Self { rate: 1.0 }
+    }
+}
+
+/// A tensor as it is now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trained<'a> {
+    /// Name, as in the weights file.
+    pub name: &'a str,
+    /// Shape.
+    pub shape: &'a [usize],
+    /// Values in row-major order.
+    pub values: &'a [f32],
+}
+
+struct State {
     name: String,
-    var: Var,
+    shape: Vec<usize>,
+    group: usize,
     weights: Vec<f32>,
     first_moment: Vec<f32>,
     second_moment: Vec<f32>,
@@ -95,76 +141,70 @@ struct Parameter {
 /// The optimiser and its state.
 pub struct AdamW {
     settings: AdamWSettings,
-    parameters: Vec<Parameter>,
+    groups: Vec<Group>,
+    parameters: Vec<State>,
     step: u64,
+    skipped: u64,
 }
 
 impl AdamW {
-    /// An optimiser of `vars` (f32, by name), at step 0, whose moving average starts at the present weights.
-    ///
-    /// # Errors
-    /// When a variable is not f32.
-    pub fn new(
-        vars: &BTreeMap<String, Var>,
-        settings: AdamWSettings,
-    ) -> Result<Self, OptimiserError> {
-        let parameters = vars
-            .iter()
-            .map(|(name, var)| {
-                let weights = var.flatten_all()?.to_vec1::<f32>()?;
-                Ok(Parameter {
-                    name: name.clone(),
-                    var: var.clone(),
-                    first_moment: vec![0.0; weights.len()],
-                    second_moment: vec![0.0; weights.len()],
-                    ema: weights.clone(),
-                    weights,
-                })
-            })
-            .collect::<Result<_, OptimiserError>>()?;
-        Ok(Self {
-            settings,
-            parameters,
-            step: 0,
-        })
+    /// An optimiser of `parameters`, all in one group, at step 0, whose moving average starts at the present values.
+    #[must_use]
+    pub fn new(parameters: Vec<Parameter>, settings: AdamWSettings) -> Self {
+        Self::in_groups(parameters, vec![Group::default()], settings)
     }
 
-    /// Steps taken so far.
+    /// The same with several groups; a parameter of a group that is not there belongs to the last one.
+    #[must_use]
+    pub fn in_groups(
+        parameters: Vec<Parameter>,
+        groups: Vec<Group>,
+        settings: AdamWSettings,
+    ) -> Self {
+        let last = groups.len().saturating_sub(1);
+        let parameters = parameters.into_iter().map(|parameter| State {
+            name: parameter.name,
+            shape: parameter.shape,
+            group: parameter.group.min(last),
+            first_moment: vec![0.0; parameter.values.len()],
+            second_moment: vec![0.0; parameter.values.len()],
+            ema: parameter.values.clone(),
+            weights: parameter.values,
+        });
+        Self {
+            settings,
+            groups,
+            parameters: parameters.collect(),
+            step: 0,
+            skipped: 0,
+        }
+    }
+
+    /// Steps so far, those included that were skipped.
     #[must_use]
     pub fn steps_taken(&self) -> u64 {
         self.step
     }
 
-    /// One step along `gradients` with `learning_rate`; gives the gradient's global norm before clipping.
-    ///
-    /// # Errors
-    /// When a parameter has no gradient, or one that is not finite; nothing is changed then.
-    pub fn step(
-        &mut self,
-        gradients: &GradStore,
-        learning_rate: f64,
-    ) -> Result<f64, OptimiserError> {
-        let gradients = self
-            .parameters
-            .iter()
-            .map(|parameter| {
-                let gradient = gradients
-                    .get(&parameter.var)
-                    .ok_or_else(|| OptimiserError::NoGradient(parameter.name.clone()))?;
-                Ok(gradient
-                    .flatten_all()?
-                    .to_dtype(DType::F32)?
-                    .to_vec1::<f32>()?)
-            })
-            .collect::<Result<Vec<_>, OptimiserError>>()?;
-        self.step_along(&gradients, learning_rate)
+    /// Steps that were skipped.
+    #[must_use]
+    pub fn steps_skipped(&self) -> u64 {
+        self.skipped
     }
 
-    /// As [`Self::step`], along plain buffers: one for each variable, in the order of the names, in row-major order.
+    /// Counts a step that changes nothing, because its loss or its gradient is not finite: the next one draws other
+    /// samples.
+    pub fn skip(&mut self) {
+        self.step += 1;
+        self.skipped += 1;
+    }
+
+    /// One step along `gradients`, one for each parameter in their order, in row-major order; gives the gradient's
+    /// global norm before clipping.
     ///
     /// # Errors
-    /// When a gradient is missing, has another length than its variable or is not finite; nothing is changed then.
-    pub fn step_along(
+    /// When a gradient is missing, has another length than its parameter or is not finite; nothing is changed then.
+    pub fn step(
         &mut self,
         gradients: &[Vec<f32>],
         learning_rate: f64,
@@ -196,19 +236,34 @@ impl AdamW {
 
         self.step += 1;
         let settings = &self.settings;
-        let step = self.step as f64;
-        let scale = (settings.clip_norm / norm.max(f64::MIN_POSITIVE)).min(1.0) as f32;
+        // A skipped step has moved no moment.
+        let step = (self.step - self.skipped) as f64;
         let (beta1, beta2) = (settings.beta1 as f32, settings.beta2 as f32);
         let first_correction = (1.0 - settings.beta1.powf(step)) as f32;
         let second_correction = (1.0 - settings.beta2.powf(step)) as f32;
-        let decay = (1.0 - learning_rate * settings.weight_decay) as f32;
-        let rate = learning_rate as f32 / first_correction;
         let epsilon = settings.epsilon as f32;
         let ema_decay = settings.ema_decay.min((1.0 + step) / (10.0 + step)) as f32;
+        // (scale of the gradient, learning rate after bias correction, decay of the weights)
+        let of_groups: Vec<[f32; 3]> = (self.groups.iter().enumerate())
+            .map(|(group, Group { rate })| {
+                let own = self.parameters.iter().zip(&squares);
+                let own = own.filter(|(parameter, _)| parameter.group == group);
+                let norm = own.map(|(_, square)| square).sum::<f64>().sqrt();
+                let scale = (settings.clip_norm / norm.max(f64::MIN_POSITIVE)).min(1.0);
+                let rate = rate * learning_rate;
+                [
+                    scale as f32,
+                    rate as f32 / first_correction,
+                    (1.0 - rate * settings.weight_decay) as f32,
+                ]
+            })
+            .collect();
         self.parameters
             .par_iter_mut()
             .zip(gradients.par_iter())
             .for_each(|(parameter, gradient)| {
+                let of_group = of_groups.get(parameter.group).copied();
+                let [scale, rate, decay] = of_group.unwrap_or([0.0, 0.0, 1.0]);
                 let moments = parameter
                     .first_moment
                     .iter_mut()
@@ -225,39 +280,32 @@ impl AdamW {
                     *ema = ema_decay * *ema + (1.0 - ema_decay) * *weight;
                 }
             });
-        self.write_back()?;
         Ok(norm)
     }
 
-    /// Every variable's weights in row-major order, in the order of the names.
-    pub fn weights(&self) -> impl Iterator<Item = (&str, &[f32])> {
-        self.parameters
-            .iter()
-            .map(|parameter| (parameter.name.as_str(), parameter.weights.as_slice()))
+    /// Every parameter as it is now, in their order.
+    pub fn weights(&self) -> impl Iterator<Item = Trained<'_>> {
+        self.parameters.iter().map(|parameter| Trained {
+            name: &parameter.name,
+            shape: &parameter.shape,
+            values: &parameter.weights,
+        })
     }
 
-    /// The moving average of every weight, by name, in the shapes of the variables.
-    ///
-    /// # Errors
-    /// When a tensor cannot be made.
-    pub fn ema(&self) -> Result<BTreeMap<String, Tensor>, OptimiserError> {
-        self.parameters
-            .iter()
-            .map(|parameter| {
-                let tensor =
-                    Tensor::from_slice(&parameter.ema, parameter.var.shape(), &Device::Cpu)?;
-                Ok((parameter.name.clone(), tensor))
-            })
-            .collect()
+    /// The moving average of every parameter, in their order.
+    pub fn averaged(&self) -> impl Iterator<Item = Trained<'_>> {
+        self.parameters.iter().map(|parameter| Trained {
+            name: &parameter.name,
+            shape: &parameter.shape,
+            values: &parameter.ema,
+        })
     }
 
-    fn write_back(&self) -> Result<(), OptimiserError> {
-        for parameter in &self.parameters {
-            let tensor =
-                Tensor::from_slice(&parameter.weights, parameter.var.shape(), &Device::Cpu)?;
-            parameter.var.set(&tensor)?;
-        }
-        Ok(())
+    /// Number of trained values.
+    #[must_use]
+    pub fn parameter_count(&self) -> usize {
+        let counts = self.parameters.iter().map(|state| state.weights.len());
+        counts.sum()
     }
 }
 
@@ -274,35 +322,75 @@ pub fn step_rng(seed: u64, step: u64) -> ChaCha8Rng {
 mod tests {
     use super::*;
 
-    fn quadratic() -> (BTreeMap<String, Var>, Var) {
-        let var = Var::new(&[3f32, -2., 0.5], &Device::Cpu).unwrap();
-        (BTreeMap::from([("w".to_owned(), var.clone())]), var)
+    use serde_json::json;
+
+    fn at(values: &[f32]) -> Vec<Parameter> {
+        vec![Parameter {
+            name: "w".into(),
+            shape: vec![values.len()],
+            values: values.to_vec(),
+            group: 0,
+        }]
     }
 
-    fn descend(optimiser: &mut AdamW, var: &Var, steps: u64, schedule: &Schedule) {
+    fn quadratic(settings: AdamWSettings) -> AdamW {
+        AdamW::new(at(&[3., -2., 0.5]), settings)
+    }
+
+    fn now(optimiser: &AdamW) -> Vec<f32> {
+        optimiser
+            .weights()
+            .flat_map(|w| w.values.to_vec())
+            .collect()
+    }
+
+    /// The gradient of the sum of squares.
+    fn slope(optimiser: &AdamW) -> Vec<Vec<f32>> {
+        vec![now(optimiser).iter().map(|w| 2. * w).collect()]
+    }
+
+    fn descend(optimiser: &mut AdamW, steps: u64, schedule: &Schedule) {
         for _ in 0..steps {
-            let loss = var.sqr().unwrap().sum_all().unwrap();
             let rate = schedule.at(optimiser.steps_taken());
-            optimiser.step(&loss.backward().unwrap(), rate).unwrap();
+            optimiser.step(&slope(optimiser), rate).unwrap();
         }
     }
 
     #[test]
     fn one_step_is_adamw_worked_by_hand() {
-        let (vars, var) = quadratic();
-        let settings = AdamWSettings {
+        let mut optimiser = quadratic(AdamWSettings {
             clip_norm: 1e9,
             ..Default::default()
-        };
-        let mut optimiser = AdamW::new(&vars, settings).unwrap();
-        let loss = var.sqr().unwrap().sum_all().unwrap();
-        let norm = optimiser.step(&loss.backward().unwrap(), 0.1).unwrap();
+        });
+        let norm = optimiser.step(&slope(&optimiser), 0.1).unwrap();
         assert!((norm - (36f64 + 16. + 1.).sqrt()).abs() < 1e-5);
         // After bias correction the first step has length lr in the direction of the sign.
         let expected = [3., -2., 0.5].map(|w: f32| w * (1. - 0.1 * 2e-3) - 0.1 * w.signum());
-        for (weight, expected) in var.to_vec1::<f32>().unwrap().iter().zip(expected) {
+        for (weight, expected) in now(&optimiser).iter().zip(expected) {
             assert!((weight - expected).abs() < 1e-6, "{weight} {expected}");
         }
+    }
+
+    #[test]
+    fn groups_have_their_own_rate_and_their_own_clipping() {
+        let mut parameters = at(&[1.]);
+        parameters.extend(at(&[1.]).into_iter().map(|parameter| Parameter {
+            name: "z".into(),
+            group: 1,
+            ..parameter
+        }));
+        let settings = AdamWSettings {
+            weight_decay: 0.0,
+            epsilon: 1.0,
+            ..Default::default()
+        };
+        let groups = vec![Group::default(), Group { rate: 3.0 }];
+        let mut optimiser = AdamW::in_groups(parameters, groups, settings);
+        // The first is clipped to 1, the second stays as it is.
+        optimiser.step(&[vec![100.], vec![0.5]], 0.1).unwrap();
+        let moved: Vec<f32> = now(&optimiser).iter().map(|w| 1. - w).collect();
+        assert!((moved[0] - 0.1 / 2.).abs() < 1e-5, "{moved:?}");
+        assert!((moved[1] - 0.3 * 0.5 / 1.5).abs() < 1e-5, "{moved:?}");
     }
 
     #[test]
@@ -310,65 +398,60 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("checkpoint.safetensors");
         let schedule = Schedule::new(0.1, 5, 40, 0.1);
-        let (vars, var) = quadratic();
-        let mut whole = AdamW::new(&vars, AdamWSettings::default()).unwrap();
-        descend(&mut whole, &var, 20, &schedule);
-        whole.save(&path, "run 1").unwrap();
-        descend(&mut whole, &var, 20, &schedule);
+        let mut whole = quadratic(AdamWSettings::default());
+        descend(&mut whole, 20, &schedule);
+        whole.skip();
+        whole.save(&path, &json!({"seed": 1})).unwrap();
+        descend(&mut whole, 20, &schedule);
 
-        let (vars, resumed_var) = quadratic();
-        let mut resumed = AdamW::new(&vars, AdamWSettings::default()).unwrap();
-        resumed.resume(&path, "run 1").unwrap();
-        assert_eq!(resumed.steps_taken(), 20);
-        descend(&mut resumed, &resumed_var, 20, &schedule);
-        assert_eq!(
-            var.to_vec1::<f32>().unwrap(),
-            resumed_var.to_vec1::<f32>().unwrap()
-        );
-        assert_eq!(
-            whole.ema().unwrap()["w"].to_vec1::<f32>().unwrap(),
-            resumed.ema().unwrap()["w"].to_vec1::<f32>().unwrap()
-        );
+        let mut resumed = quadratic(AdamWSettings::default());
+        resumed.resume(&path, &json!({"seed": 1})).unwrap();
+        assert_eq!((resumed.steps_taken(), resumed.steps_skipped()), (21, 1));
+        descend(&mut resumed, 20, &schedule);
+        assert_eq!(now(&whole), now(&resumed));
+        let averaged = |run: &AdamW| run.averaged().flat_map(|w| w.values.to_vec()).collect();
+        let (first, second): (Vec<f32>, Vec<f32>) = (averaged(&whole), averaged(&resumed));
+        assert_eq!(first, second);
     }
 
     #[test]
-    fn a_checkpoint_of_another_run_or_shape_is_refused_by_name() {
+    fn what_differs_from_a_checkpoint_is_named_by_itself() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("checkpoint.safetensors");
-        let (vars, _) = quadratic();
-        AdamW::new(&vars, AdamWSettings::default())
-            .unwrap()
-            .save(&path, "run 1")
+        let mut optimiser = quadratic(AdamWSettings::default());
+        optimiser
+            .save(
+                &path,
+                &json!({"data": "a", "optimiser": {"rate": 0.1, "decay": 2}}),
+            )
             .unwrap();
-        let mut same = AdamW::new(&vars, AdamWSettings::default()).unwrap();
-        let error = same.resume(&path, "run 2").unwrap_err().to_string();
-        assert!(
-            error.contains("run 1") && error.contains("run 2"),
-            "{error}"
+        let other = json!({"data": "a", "optimiser": {"rate": 0.2, "decay": 2}});
+        let error = optimiser.resume(&path, &other).unwrap_err();
+        let OptimiserError::OtherTraining { differences, .. } = &error else {
+            panic!("{error}");
+        };
+        assert_eq!(
+            differences,
+            &["optimiser.rate: 0.1 in the checkpoint, 0.2 now"],
         );
-        let wider = Var::new(&[0f32; 4], &Device::Cpu).unwrap();
-        let vars = BTreeMap::from([("w".to_owned(), wider)]);
-        let mut other = AdamW::new(&vars, AdamWSettings::default()).unwrap();
-        let error = other.resume(&path, "run 1").unwrap_err().to_string();
+        let run = json!({"data": "a", "optimiser": {"rate": 0.1, "decay": 2}});
+        let mut other = AdamW::new(at(&[0.; 4]), AdamWSettings::default());
+        let error = other.resume(&path, &run).unwrap_err().to_string();
         assert!(error.contains("`w`"), "{error}");
         std::fs::write(&path, b"noise").unwrap();
-        assert!(same.resume(&path, "run 1").is_err());
+        assert!(optimiser.resume(&path, &run).is_err());
     }
 
     #[test]
-    fn a_parameter_without_gradient_and_a_nan_are_named() {
-        let (mut vars, var) = quadratic();
-        vars.insert("idle".into(), Var::new(&[1f32], &Device::Cpu).unwrap());
-        let mut optimiser = AdamW::new(&vars, AdamWSettings::default()).unwrap();
-        let loss = var.sqr().unwrap().sum_all().unwrap();
-        let error = optimiser.step(&loss.backward().unwrap(), 0.1).unwrap_err();
-        assert!(error.to_string().contains("`idle`"));
-
-        let (vars, var) = quadratic();
-        let mut optimiser = AdamW::new(&vars, AdamWSettings::default()).unwrap();
-        let loss = var.affine(f64::NAN, 0.).unwrap().sum_all().unwrap();
-        let error = optimiser.step(&loss.backward().unwrap(), 0.1).unwrap_err();
-        assert!(error.to_string().contains("`w`"));
-        assert_eq!(optimiser.steps_taken(), 0);
+    fn a_missing_gradient_and_a_nan_are_named_and_change_nothing() {
+        let mut optimiser = quadratic(AdamWSettings::default());
+        let error = optimiser.step(&[], 0.1).unwrap_err().to_string();
+        assert!(error.contains("`w`"), "{error}");
+        let error = optimiser.step(&[vec![0., f32::NAN, 0.]], 0.1).unwrap_err();
+        assert!(error.to_string().contains("`w`"), "{error}");
+        assert_eq!(
+            (optimiser.steps_taken(), now(&optimiser)),
+            (0, vec![3., -2., 0.5])
+        );
     }
 }

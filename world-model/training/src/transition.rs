@@ -1,199 +1,251 @@
 //! Training of the transition model on the latents of a frozen encoder.
 //!
-//! Flow matching on clips of model steps: the first frames are history, every later frame is learned from the clean
-//! frames before it, its action, and itself at a random noise level. A step's clips are split into small batches whose
-//! activations stay in cache; each worker thread takes the next of them, and the gradients are summed in their order,
-//! so that the result does not depend on the number of threads.
+//! Flow matching on clips of model steps: the first frames are history, the later ones are learned, each at a random noise
+//! level of its own. What they see of one another is the recipe's: clean predecessors (teacher forcing), or one another's
+//! noisy frames (diffusion forcing, the paper's). A step's clips are split into small batches whose activations stay in
+//! cache; see [`Workers`].
 
 mod arguments;
 mod clips;
 mod evaluation;
+mod noised_at_once;
 mod objective;
 mod pictures;
-mod workers;
+mod recipe;
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::{path::Path, time::Duration};
 
-use anyhow::{Context as _, Result, ensure};
-use candle_core::Var;
-use indicatif::{ProgressBar, ProgressStyle};
+use anyhow::{Context as _, Result};
+use candle_core::{Device, Tensor};
+use serde_json::json;
 use wm_model::{
     Autoencoder, Encoder, Weights,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
-use wm_motion::actions::{Accumulation, ActionEncoding};
+use wm_motion::actions::ActionEncoding;
 
 use crate::{
+    arguments::RunArgs,
     dataset::Dataset,
     latents::Latents,
-    loss_curve::LossCurve,
-    optimiser::{AdamW, AdamWSettings, Schedule},
+    optimiser::{Parameter, Trained, Variables},
+    run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
+    workers::{BatchLoss, Batches, Workers},
 };
-pub use arguments::{EvaluateTransitionArgs, TauDistribution, TrainTransitionArgs};
+pub use arguments::{EvaluateTransitionArgs, TrainTransitionArgs};
 pub use clips::ClipSource;
 pub use evaluation::{ActionChange, Evaluation, recover_actions};
-pub use objective::Objective;
+pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
 pub use pictures::{PictureErrors, StepErrors};
-use workers::Workers;
+pub use recipe::{ModelRecipe, RECIPES, SamplerRecipe, TransitionRecipe};
 
 /// Model steps that are predicted in an evaluation.
 const HORIZON: usize = 8;
 /// Windows of the evaluations during the training.
 const QUICK_WINDOWS: usize = 32;
+/// Weights are saved as half floats.
+const PRECISION: Precision = Precision::F16;
+/// The weights' file in a model's folder.
+const FILE: &str = "transition.safetensors";
 
 impl TrainTransitionArgs {
-    /// Trains until the last step and writes the averaged weights.
+    /// Trains until the last step, or until `stop` asks for the end.
     ///
     /// # Errors
-    /// When data, checkpoint or weights cannot be read or written, or the training diverges.
-    pub fn run(&self) -> Result<()> {
+    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<Ended> {
         let encoder = self.encoder()?;
-        let train = self.latents(&self.bags, &encoder)?;
-        let held_out = match &self.held_out {
-            Some(bags) => Some(self.latents(bags, &encoder)?),
+        let train = latents(&self.run, &self.run.bags, &*encoder)?;
+        let held_out = match &self.run.held_out {
+            Some(bags) => Some(latents(&self.run, bags, &*encoder)?),
             None => None,
         };
-        let config = self.config(&train)?;
-        let actions = ActionEncoding::new(
-            train.action_space().clone(),
-            config.action_dim,
-            config.frame_skip,
-            Accumulation::default(),
-        )?;
+        let recipe: TransitionRecipe =
+            crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
         if let Some(held_out) = &held_out {
             let (own, others) = ("the training bags", "the held-out bags");
-            actions
-                .space()
+            train
+                .action_space()
                 .expect_same(held_out.action_space(), own, others)?;
         }
-        self.train(config, &actions, &train, held_out.as_ref())
+        train_on(&self.run, &recipe, &train, held_out.as_ref(), stop)
+    }
+}
+
+fn latents(run: &RunArgs, bags: &Path, encoder: &(dyn Encoder + Sync)) -> Result<Latents> {
+    let cache = run.cache();
+    let dataset = Dataset::open(bags, &cache, encoder.input_size())?;
+    Latents::open(&dataset, encoder, &cache)
+}
+
+fn train_on(
+    run: &RunArgs,
+    recipe: &TransitionRecipe,
+    train: &Latents,
+    held_out: Option<&Latents>,
+    stop: &Stop,
+) -> Result<Ended> {
+    let encoding = recipe.encoding(train.action_space())?;
+    let mut task = TransitionTask::new(recipe, &encoding, train, held_out, run.threads()?)?;
+    let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
+    let steps = recipe.length.steps(per_epoch);
+    // Whatever decides the result but the number of steps, which may grow.
+    let mut identity = serde_json::to_value(recipe)?;
+    if let Some(recipe) = identity.as_object_mut() {
+        for key in ["length", "validate_every", "checkpoint_seconds"] {
+            recipe.remove(key);
+        }
+    }
+    let settings = RunSettings {
+        out: run.out.clone(),
+        steps,
+        schedule: recipe.optimisation.schedule(steps, per_epoch),
+        optimiser: recipe.optimisation.adamw(),
+        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
+        validate_every: recipe.validate_every,
+        identity: json!({
+            "recipe": identity,
+            "latent_space": train.space().to_string(),
+            "data": train.digest(),
+            "actions": task.encoding,
+        }),
+    };
+    crate::recipe::write(&run.out, task.name(), recipe)?;
+    println!(
+        "{} episodes, {} threads",
+        task.clips.len(),
+        task.workers.threads()
+    );
+    let ended = crate::run::train(&mut task, &settings, stop)?;
+    if ended == Ended::Finished {
+        println!("wrote {}", run.out.join(FILE).display());
+    }
+    Ok(ended)
+}
+
+/// Held-out latents, and some windows of them.
+struct HeldOut<'a> {
+    latents: &'a Latents,
+    quick: Evaluation,
+}
+
+/// A transition model in training.
+struct TransitionTask<'a> {
+    config: TransitionConfig,
+    encoding: &'a ActionEncoding,
+    objective: Objective,
+    train: &'a Latents,
+    clips: ClipSource<'a>,
+    held_out: Option<HeldOut<'a>>,
+    variables: Variables,
+    model: Transition,
+    workers: Workers,
+    /// The model that was written last.
+    written: Option<Transition>,
+}
+
+impl<'a> TransitionTask<'a> {
+    fn new(
+        recipe: &TransitionRecipe,
+        encoding: &'a ActionEncoding,
+        train: &'a Latents,
+        held_out: Option<&'a Latents>,
+        threads: usize,
+    ) -> Result<Self> {
+        let config = recipe.config(train.space(), encoding)?;
+        let (variables, model) = trainable(&config, recipe.seed)?;
+        Ok(Self {
+            objective: recipe.objective(&config)?,
+            clips: ClipSource::new(train, encoding, config.max_frames)?,
+            config,
+            encoding,
+            train,
+            held_out: match held_out {
+                Some(latents) => Some(HeldOut {
+                    latents,
+                    quick: Evaluation::new(latents, encoding, HORIZON, QUICK_WINDOWS)
+                        .context("the held-out bags")?,
+                }),
+                None => None,
+            },
+            variables,
+            model,
+            workers: Workers::new(threads)?,
+            written: None,
+        })
+    }
+}
+
+impl Task for TransitionTask<'_> {
+    fn name(&self) -> &'static str {
+        "transition"
     }
 
-    fn latents(&self, bags: &Path, encoder: &(dyn Encoder + Sync)) -> Result<Latents> {
-        let cache = self.cache_dir();
-        let dataset = Dataset::open(bags, &cache, encoder.input_size())?;
-        Latents::open(&dataset, encoder, &cache)
+    fn parameters(&self) -> Result<Vec<Parameter>> {
+        Ok(self.variables.parameters(|_| 0)?)
     }
 
-    fn train(
-        &self,
-        config: TransitionConfig,
-        actions: &ActionEncoding,
-        train: &Latents,
-        held_out: Option<&Latents>,
-    ) -> Result<()> {
-        std::fs::create_dir_all(&self.out).with_context(|| self.out.display().to_string())?;
-        let clips = ClipSource::new(train, actions, config.max_frames)?;
-        let (vars, model) = trainable(&config, self.seed)?;
-        let run = self.run_description(&config, train)?;
-        let settings = AdamWSettings {
-            ema_decay: self.ema_decay,
-            ..AdamWSettings::default()
+    fn step(&mut self, step: u64) -> Result<StepLoss> {
+        let objective = &self.objective;
+        let batches = Batches {
+            count: objective.clips / objective.micro_batch,
+            seed: objective.seed,
+            step,
         };
-        let mut optimiser = AdamW::new(&vars, settings)?;
-        let checkpoint = self.out.join("checkpoint.safetensors");
-        if checkpoint.is_file() {
-            optimiser.resume(&checkpoint, &run)?;
-            tracing::info!(step = optimiser.steps_taken(), "resumed");
-        }
-        let mut curve = LossCurve::resume(&self.out, optimiser.steps_taken())?;
-        let schedule = Schedule::new(
-            self.learning_rate,
-            self.warm_up,
-            self.steps,
-            self.final_rate,
-        );
-        let workers = Workers::new(self.threads()?)?;
-        let objective = self.objective(&config)?;
-        println!(
-            "{} parameters, {} episodes, {} threads",
-            config.parameter_count(),
-            clips.len(),
-            workers.len()
-        );
+        self.workers.step(&self.variables, batches, &|rng| {
+            Ok(BatchLoss::from(objective.loss(
+                &self.model,
+                &self.clips,
+                rng,
+            )?))
+        })
+    }
 
-        let progress = progress_bar(self.steps, optimiser.steps_taken());
-        while optimiser.steps_taken() < self.steps {
-            let step = optimiser.steps_taken();
-            let (loss, gradients) = workers.step(&model, &vars, &clips, &objective, step)?;
-            ensure!(loss.is_finite(), "the loss of step {step} is {loss}");
-            let norm = optimiser.step(&gradients, schedule.at(step))?;
-            curve.push(step, loss);
-            progress.inc(1);
-            progress.set_message(format!("loss {:.4} |g| {norm:.2}", curve.recent_mean(50)));
-            let done = optimiser.steps_taken();
-            if done.is_multiple_of(self.save_every) || done == self.steps {
-                optimiser.save(&checkpoint, &run)?;
-                curve.write(&self.out, "transition model: loss")?;
-                let averaged = self.write(&config, actions, train, &optimiser)?;
-                if let Some(held_out) = held_out {
-                    let windows = if done == self.steps {
-                        usize::MAX
-                    } else {
-                        QUICK_WINDOWS
-                    };
-                    let evaluation = Evaluation::new(held_out, actions, HORIZON, windows)?;
-                    let ratios = evaluation.ratios(&averaged.pack()?, ActionChange::None)?;
-                    let row = format!(
-                        "step {done}, loss {:.4}, error / persistence at k = 1..{HORIZON}: {}",
-                        curve.recent_mean(200),
-                        table_row(&ratios)
-                    );
-                    progress.suspend(|| println!("{row}"));
-                }
-            }
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        Ok(self.variables.assign(weights)?)
+    }
+
+    fn write(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        folder: &Path,
+    ) -> Result<()> {
+        let mut weights = WeightsBuilder::new();
+        for Trained {
+            name,
+            shape,
+            values,
+        } in averaged
+        {
+            let tensor = Tensor::from_slice(values, shape, &Device::Cpu)?;
+            weights.tensor(name, &tensor, PRECISION)?;
         }
-        progress.finish();
-        // Also where the last step was taken by a run that ended before it could write.
-        self.write(&config, actions, train, &optimiser)?;
-        println!("wrote {}", self.weights_file().display());
+        weights.metadata(CONFIG_KEY, serde_json::to_string(&self.config)?);
+        weights.metadata(ACTIONS_KEY, serde_json::to_string(self.encoding)?);
+        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(self.train.space())?);
+        let path = folder.join(FILE);
+        weights.write(&path)?;
+        // Of exactly what was written.
+        self.written = Some(Transition::from_weights(Weights::open(&path)?)?);
         Ok(())
     }
 
-    /// Writes the averaged weights, and gives the model of exactly what was written.
-    fn write(
-        &self,
-        config: &TransitionConfig,
-        actions: &ActionEncoding,
-        latents: &Latents,
-        optimiser: &AdamW,
-    ) -> Result<Transition> {
-        let mut weights = WeightsBuilder::new();
-        for (name, tensor) in optimiser.ema()? {
-            weights.tensor(&name, &tensor, Precision::F16)?;
-        }
-        weights.metadata(CONFIG_KEY, serde_json::to_string(config)?);
-        weights.metadata(ACTIONS_KEY, serde_json::to_string(actions)?);
-        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(latents.space())?);
-        let path = self.weights_file();
-        weights.write(&path)?;
-        Ok(Transition::from_weights(Weights::open(&path)?)?)
-    }
-
-    fn weights_file(&self) -> PathBuf {
-        self.out.join("transition.safetensors")
-    }
-
-    /// What a checkpoint must have been made for, to be resumed.
-    fn run_description(&self, config: &TransitionConfig, latents: &Latents) -> Result<String> {
-        let objective = self.objective(config)?;
-        Ok(format!(
-            "{} {} latents {} of {} seed {} rate {} warm-up {} steps {} final {} average {}",
-            serde_json::to_string(config)?,
-            serde_json::to_string(&objective)?,
-            latents.space().hash,
-            latents.digest(),
-            self.seed,
-            self.learning_rate,
-            self.warm_up,
-            self.steps,
-            self.final_rate,
-            self.ema_decay,
-        ))
+    fn validate(&mut self, thorough: bool) -> Result<Vec<Figure>> {
+        let (Some(held_out), Some(model)) = (&self.held_out, &self.written) else {
+            return Ok(Vec::new());
+        };
+        let model = model.pack()?;
+        let ratios = if thorough {
+            Evaluation::new(held_out.latents, self.encoding, HORIZON, usize::MAX)?
+                .ratios(&model, ActionChange::None)?
+        } else {
+            held_out.quick.ratios(&model, ActionChange::None)?
+        };
+        let figures = (1..).zip(ratios);
+        Ok(figures
+            .map(|(k, ratio)| Figure::new(format!("ratio_k{k}"), ratio))
+            .collect())
     }
 }
 
@@ -258,29 +310,16 @@ impl EvaluateTransitionArgs {
 }
 
 /// A model whose tensors are variables.
-fn trainable(config: &TransitionConfig, seed: u64) -> Result<(BTreeMap<String, Var>, Transition)> {
-    let mut vars = BTreeMap::new();
+fn trainable(config: &TransitionConfig, seed: u64) -> Result<(Variables, Transition)> {
+    let mut variables = Variables::default();
     let model = Transition::build(config.clone(), &mut |parameter| {
-        let var = Var::from_tensor(&parameter.initial(seed)?)?;
-        let tensor = var.as_tensor().clone();
-        vars.insert(parameter.name.clone(), var);
-        Ok(tensor)
+        Ok(variables.add(&parameter.name, &parameter.initial(seed)?)?)
     })?;
-    Ok((vars, model))
+    Ok((variables, model))
 }
 
 fn table_row(ratios: &[f64]) -> String {
     ratios.iter().map(|ratio| format!("{ratio:<7.3}")).collect()
-}
-
-fn progress_bar(steps: u64, done: u64) -> ProgressBar {
-    let template = "{bar:30} {pos}/{len} {msg} {per_sec}, {eta} left";
-    let style =
-        ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    let progress = ProgressBar::new(steps).with_style(style);
-    progress.set_position(done);
-    progress.reset_eta();
-    progress
 }
 
 #[cfg(test)]

@@ -1,106 +1,94 @@
 use std::{path::PathBuf, time::Duration};
 
+use anyhow::Result;
 use clap::Args;
+use serde_json::json;
 use wm_model::{Autoencoder, Encoder as _};
 
-use super::{AutoencoderSettings, evaluate, picture, train, trainer::TrainingError};
-use crate::dataset::Dataset;
+use super::{
+    AutoencoderRecipe, RECIPES, evaluate, picture,
+    trainer::{AutoencoderTask, FILE, TrainingError},
+};
+use crate::{
+    arguments::RunArgs,
+    dataset::Dataset,
+    recipe::Override,
+    run::{Ended, RunSettings, Stop, Task as _},
+};
 
-/// Trains the autoencoder on bags of episodes.
+/// Trains the autoencoder on bags of episodes. If the bags have masks, pixels inside the masks get more weight.
 #[derive(Args, Clone, Debug)]
 pub struct TrainAutoencoderArgs {
-    /// Folder with the bags of the episodes. If they have masks, pixels inside the masks get more weight.
-    #[arg(long)]
-    pub bags: PathBuf,
-    /// Folder with held-out bags, for evaluation.
-    #[arg(long)]
-    pub held_out: Option<PathBuf>,
-    /// Folder for checkpoint, loss curve and weights. An interrupted training resumes from here.
-    #[arg(long)]
-    pub out: PathBuf,
-    /// Folder for decoded frames; `cache` in the output folder by default.
-    #[arg(long)]
-    pub cache: Option<PathBuf>,
-    /// Optimiser steps.
-    #[arg(long, default_value_t = AutoencoderSettings::default().steps)]
-    pub steps: u64,
-    /// Number of final steps that use whole pictures instead of crops.
-    #[arg(long, default_value_t = AutoencoderSettings::default().whole_picture_steps)]
-    pub whole_picture_steps: u64,
-    /// Crops per step.
-    #[arg(long, default_value_t = AutoencoderSettings::default().batch)]
-    pub batch: usize,
-    /// Highest learning rate.
-    #[arg(long, default_value_t = AutoencoderSettings::default().learning_rate)]
-    pub learning_rate: f64,
-    /// Fraction of the crops that are centred on something that moves.
-    #[arg(long, default_value_t = AutoencoderSettings::default().salient)]
-    pub salient: f64,
-    /// Weight of pixels inside masks, added to 1.
-    #[arg(long, default_value_t = AutoencoderSettings::default().mask_weight)]
-    pub mask_weight: f32,
-    /// Standard deviation of the noise on the latents.
-    #[arg(long, default_value_t = AutoencoderSettings::default().latent_noise)]
-    pub latent_noise: f32,
-    /// Weight of the mean square of the latents.
-    #[arg(long, default_value_t = AutoencoderSettings::default().latent_penalty)]
-    pub latent_penalty: f32,
-    /// Channels of the latents.
-    #[arg(long, default_value_t = AutoencoderSettings::default().model.latent_channels)]
-    pub latent_channels: usize,
-    /// Seed of weights, crops and noise.
-    #[arg(long, default_value_t = 0)]
-    pub seed: u64,
-    /// Seconds between checkpoints.
-    #[arg(long, default_value_t = 180)]
-    pub checkpoint_seconds: u64,
+    /// What every training has.
+    #[command(flatten)]
+    pub run: RunArgs,
 }
 
 impl TrainAutoencoderArgs {
-    /// The settings that these arguments ask for.
-    #[must_use]
-    pub fn settings(&self) -> AutoencoderSettings {
-        let mut settings = AutoencoderSettings {
-            seed: self.seed,
-            steps: self.steps,
-            whole_picture_steps: self.whole_picture_steps,
-            batch: self.batch,
-            salient: self.salient,
-            mask_weight: self.mask_weight,
-            latent_penalty: self.latent_penalty,
-            latent_noise: self.latent_noise,
-            learning_rate: self.learning_rate,
-            ..AutoencoderSettings::default()
-        };
-        settings.model.latent_channels = self.latent_channels;
-        settings
-    }
-
-    /// Trains, and evaluates if held-out bags are given.
+    /// The recipe that these arguments ask for.
     ///
     /// # Errors
-    /// When the data, the settings or a file cannot be used.
-    pub fn run(&self) -> Result<(), TrainingError> {
-        let settings = self.settings();
-        let cache = self.cache.clone().unwrap_or_else(|| self.out.join("cache"));
-        let size = (settings.model.height, settings.model.width);
-        let dataset = Dataset::open(&self.bags, &cache, size)?;
-        tracing::info!(
-            "{} episodes, {} frames of {}x{}",
-            dataset.episodes().len(),
-            dataset.frame_count(),
-            size.0,
-            size.1
-        );
-        let every = Duration::from_secs(self.checkpoint_seconds);
-        let autoencoder = train(&dataset, settings, &self.out, every)?;
-        println!("latent space {}", autoencoder.space());
-        if let Some(held_out) = &self.held_out {
-            let dataset = Dataset::open(held_out, &cache, size)?;
-            println!("held-out bags, {}", evaluate(&autoencoder, &dataset, 1000)?);
-        }
-        Ok(())
+    /// Names what is wrong in it.
+    pub fn recipe(&self) -> Result<AutoencoderRecipe> {
+        let mut overrides = self.run.overrides();
+        overrides.push(Override::if_open("model.name", self.run.model_name()));
+        Ok(crate::recipe::load(RECIPES, &self.run.recipe, &overrides)?)
     }
+
+    /// Trains until the last step, or until `stop` asks for the end.
+    ///
+    /// # Errors
+    /// When the data, the recipe or a file cannot be used.
+    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        let recipe = self.recipe()?;
+        let cache = self.run.cache();
+        let size = (recipe.model.height, recipe.model.width);
+        let train = Dataset::open(&self.run.bags, &cache, size)?;
+        let held_out = match &self.run.held_out {
+            Some(bags) => Some(Dataset::open(bags, &cache, size)?),
+            None => None,
+        };
+        let ended = train_on(&self.run, &recipe, &train, held_out.as_ref(), stop)?;
+        if ended == Ended::Finished {
+            println!("wrote {}", self.run.out.join(FILE).display());
+        }
+        Ok(ended)
+    }
+}
+
+pub(super) fn train_on(
+    run: &RunArgs,
+    recipe: &AutoencoderRecipe,
+    train: &Dataset,
+    held_out: Option<&Dataset>,
+    stop: &Stop,
+) -> Result<Ended> {
+    let per_epoch = train.episodes().len() as f64 / recipe.batch as f64;
+    let steps = recipe.length.steps(per_epoch);
+    let mut identity = serde_json::to_value(recipe)?;
+    if let Some(recipe) = identity.as_object_mut() {
+        for key in ["length", "validate_every", "checkpoint_seconds"] {
+            recipe.remove(key);
+        }
+    }
+    let settings = RunSettings {
+        out: run.out.clone(),
+        steps,
+        schedule: recipe.optimisation.schedule(steps, per_epoch),
+        optimiser: recipe.optimisation.adamw(),
+        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
+        validate_every: recipe.validate_every,
+        identity: json!({"recipe": identity, "data": train.digest()}),
+    };
+    let mut task = AutoencoderTask::new(recipe.clone(), steps, train, held_out)?;
+    crate::recipe::write(&run.out, task.name(), recipe)?;
+    let (height, width) = train.size();
+    println!(
+        "{} episodes, {} frames of {height}x{width}",
+        train.episodes().len(),
+        train.frame_count()
+    );
+    crate::run::train(&mut task, &settings, stop)
 }
 
 /// Measures how well an autoencoder reconstructs the frames of held-out bags.

@@ -1,7 +1,7 @@
 use rand::Rng;
 use wm_model::ops::GridSize;
 
-use super::{AutoencoderSettings, salience::Salience};
+use super::{AutoencoderRecipe, salience::Salience};
 use crate::dataset::Dataset;
 
 /// Pictures that one step trains on.
@@ -14,32 +14,31 @@ pub(super) struct Crops {
     pub weights: Vec<f32>,
 }
 
-/// Draws the crops of step `step`.
+/// Draws the crops of a step, or, if `whole`, as many whole pictures as cost the same.
 pub(super) fn draw(
     dataset: &Dataset,
     salience: &Salience<'_>,
-    settings: &AutoencoderSettings,
-    step: u64,
+    recipe: &AutoencoderRecipe,
+    whole: bool,
     rng: &mut impl Rng,
 ) -> Crops {
     let (height, width) = dataset.size();
-    let whole = step + settings.whole_picture_steps >= settings.steps;
     let (rows, columns) = if whole {
         (height, width)
     } else {
-        (settings.crop.min(height), settings.crop.min(width))
+        (recipe.crop.min(height), recipe.crop.min(width))
     };
     // A step costs the same whether it sees crops or whole pictures.
     let count = if whole {
-        (settings.batch * settings.crop * settings.crop / (height * width)).max(1)
+        (recipe.batch * recipe.crop * recipe.crop / (height * width)).max(1)
     } else {
-        settings.batch
+        recipe.batch
     };
     let mut values = Vec::with_capacity(count * rows * columns * 3);
     let mut weights = Vec::with_capacity(count * rows * columns);
     for _ in 0..count {
         let frame = rng.random_range(0..dataset.frame_count().max(1));
-        let salient = rng.random_bool(settings.salient) && !whole;
+        let salient = rng.random_bool(recipe.salient) && !whole;
         let centre = salient
             .then(|| salience.pixel(episode_of(dataset, frame), frame, rng))
             .flatten();
@@ -56,7 +55,7 @@ pub(super) fn draw(
             match mask.and_then(|mask| mask.get(first..first + columns)) {
                 Some(mask) => weights.extend(
                     mask.iter()
-                        .map(|class| 1.0 + settings.mask_weight * f32::from(u8::from(*class > 0))),
+                        .map(|class| 1.0 + recipe.mask_weight * f32::from(u8::from(*class > 0))),
                 ),
                 None => weights.extend(std::iter::repeat_n(1.0, columns)),
             }

@@ -1,4 +1,4 @@
-use std::{io::Cursor, path::Path, time::Duration};
+use std::{io::Cursor, path::Path};
 
 use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
 use wm_bag::{BagWriter, WriterOptions};
@@ -8,13 +8,17 @@ use wm_msgs::{
 };
 
 use super::{
-    AutoencoderSettings, TrainingError, evaluate, picture, salience::Salience, train,
-    trainer::AutoencoderRun,
+    AutoencoderRecipe, RECIPES, TrainingError, arguments::train_on, evaluate, picture,
+    trainer::AutoencoderTask,
 };
-use crate::dataset::Dataset;
+use crate::{
+    arguments::RunArgs,
+    dataset::Dataset,
+    recipe::{self, Override, Span},
+    run::{Ended, Stop},
+};
 
 const SIZE: u32 = 16;
-const NEVER: Duration = Duration::from_secs(3600);
 
 /// A red square that moves over a shaded ground, and its mask.
 fn frame(at: u32) -> (DynamicImage, DynamicImage) {
@@ -75,8 +79,10 @@ fn dataset(scratch: &Path, masks: bool) -> Dataset {
     .unwrap()
 }
 
-fn settings() -> AutoencoderSettings {
-    AutoencoderSettings {
+fn recipe() -> AutoencoderRecipe {
+    let name = [Override::new("model.name", "test")];
+    let tiny: AutoencoderRecipe = recipe::load(RECIPES, "tiny", &name).unwrap();
+    AutoencoderRecipe {
         model: AutoencoderConfig {
             name: "test".into(),
             height: SIZE as usize,
@@ -88,15 +94,43 @@ fn settings() -> AutoencoderSettings {
             branch: false,
         },
         seed: 3,
-        steps: 60,
+        length: Span::Steps(60),
         whole_picture_steps: 10,
         batch: 4,
         crop: 8,
-        warm_up_steps: 5,
-        learning_rate: 3e-3,
-        ema_decay: 0.9,
-        ..AutoencoderSettings::default()
+        optimisation: recipe::Optimisation {
+            warm_up: Span::Steps(5),
+            learning_rate: 3e-3,
+            ema_decay: 0.9,
+            ..tiny.optimisation
+        },
+        ..tiny
     }
+}
+
+fn run_in(out: &Path) -> RunArgs {
+    RunArgs {
+        bags: out.into(),
+        held_out: None,
+        out: out.into(),
+        cache: None,
+        recipe: "tiny".into(),
+        set: Vec::new(),
+        steps: None,
+        threads: None,
+    }
+}
+
+fn trained(recipe: &AutoencoderRecipe, dataset: &Dataset, out: &Path) -> Autoencoder {
+    let ended = train_on(
+        &run_in(out),
+        recipe,
+        dataset,
+        Some(dataset),
+        &Stop::default(),
+    );
+    assert_eq!(ended.unwrap(), Ended::Finished);
+    Autoencoder::open(out).unwrap()
 }
 
 #[test]
@@ -105,18 +139,23 @@ fn training_learns_and_leaves_weights_and_curve() {
     for masks in [false, true] {
         let dataset = dataset(scratch.path(), masks);
         let out = scratch.path().join(format!("run_{masks}"));
-        let trained = train(&dataset, settings(), &out, NEVER).unwrap();
-        let fresh = Autoencoder::random(settings().model, 3).unwrap();
+        let trained = trained(&recipe(), &dataset, &out);
+        let fresh = Autoencoder::random(recipe().model, 3).unwrap();
         let before = evaluate(&fresh, &dataset, 8).unwrap();
         let after = evaluate(&trained, &dataset, 8).unwrap();
         assert!(after.psnr > before.psnr + 6.0, "{before} then {after}");
         assert_eq!(after.masked_psnr.is_some(), masks);
         // The latents of the training data are normalised.
         assert!((after.latent_std - 1.0).abs() < 0.05, "{after}");
-        let opened = Autoencoder::open(out.join("autoencoder.safetensors")).unwrap();
-        assert_eq!(opened.space(), trained.space());
-        assert!(out.join("loss.svg").is_file());
-        let picture = picture(&opened, &dataset, 2).unwrap();
+        for file in [
+            "autoencoder.loss.svg",
+            "autoencoder.samples/step_0000060.png",
+        ] {
+            assert!(out.join(file).is_file(), "{file}");
+        }
+        let journal = std::fs::read_to_string(out.join("autoencoder.journal.jsonl")).unwrap();
+        assert!(journal.contains("\"psnr\""), "{journal}");
+        let picture = picture(&trained, &dataset, 2).unwrap();
         assert_eq!(picture.dimensions(), (3 * SIZE, 2 * SIZE));
     }
 }
@@ -125,27 +164,36 @@ fn training_learns_and_leaves_weights_and_curve() {
 fn a_resumed_training_gives_the_weights_of_the_uninterrupted_one() {
     let scratch = tempfile::tempdir().unwrap();
     let dataset = dataset(scratch.path(), true);
-    let salience = Salience::new(&dataset);
-    let checkpoint = scratch.path().join("checkpoint.safetensors");
-    let mut whole = AutoencoderRun::new(settings(), dataset.digest()).unwrap();
-    for step in 0..20 {
-        if step == 9 {
-            whole.save(&checkpoint).unwrap();
-        }
-        whole.step(&dataset, &salience).unwrap();
-    }
-    let mut resumed = AutoencoderRun::new(settings(), dataset.digest()).unwrap();
-    resumed.resume(&checkpoint).unwrap();
-    assert_eq!(resumed.steps_taken(), 9);
-    while resumed.steps_taken() < 20 {
-        resumed.step(&dataset, &salience).unwrap();
-    }
-    let hash = |run: &AutoencoderRun| run.finished(&dataset, 8).unwrap().space().hash.clone();
-    assert_eq!(hash(&whole), hash(&resumed));
+    let (whole, parts) = (scratch.path().join("whole"), scratch.path().join("parts"));
+    let shorter = AutoencoderRecipe {
+        length: Span::Steps(20),
+        // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+        optimisation: recipe::Optimisation {
+            final_rate: 1.0,
+            ..recipe().optimisation
+        },
+        whole_picture_steps: 0,
+        ..recipe()
+    };
+    let pause = AutoencoderRecipe {
+        length: Span::Steps(9),
+        ..shorter.clone()
+    };
+    let all = trained(&shorter, &dataset, &whole);
+    trained(&pause, &dataset, &parts);
+    let resumed = trained(&shorter, &dataset, &parts);
+    assert_eq!(all.space().hash, resumed.space().hash);
 
-    let mut other = AutoencoderRun::new(settings(), "other data").unwrap();
-    let error = other.resume(&checkpoint).unwrap_err().to_string();
-    assert!(error.contains("other data"), "{error}");
+    let other = AutoencoderRecipe {
+        crop: 16,
+        ..shorter
+    };
+    let error = train_on(&run_in(&parts), &other, &dataset, None, &Stop::default()).unwrap_err();
+    let error = format!("{error:#}");
+    assert!(
+        error.contains("recipe.crop: 8 in the checkpoint, 16 now"),
+        "{error}"
+    );
 }
 
 /// Along each half's gradient the loss must change by the gradient's length: this holds the chain of picture loss,
@@ -154,18 +202,15 @@ fn a_resumed_training_gives_the_weights_of_the_uninterrupted_one() {
 fn the_whole_gradient_is_that_of_the_loss() {
     let scratch = tempfile::tempdir().unwrap();
     let dataset = dataset(scratch.path(), true);
-    let salience = Salience::new(&dataset);
-    let settings = AutoencoderSettings {
+    let recipe = AutoencoderRecipe {
         // Large enough to be seen beside the picture's loss.
         latent_penalty: 0.3,
         latent_noise: 0.3,
-        ..settings()
+        ..recipe()
     };
-    let mut run = AutoencoderRun::new(settings, dataset.digest()).unwrap();
+    let mut task = AutoencoderTask::new(recipe, 60, &dataset, None).unwrap();
     for half in 0..2 {
-        let (length, slope) = run
-            .slope_along_gradient(&dataset, &salience, half, 2e-3)
-            .unwrap();
+        let (length, slope) = task.slope_along_gradient(half, 2e-3).unwrap();
         assert!(length > 0.01, "half {half}: {length}");
         assert!(
             (slope / length - 1.0).abs() < 0.03,
@@ -178,13 +223,11 @@ fn the_whole_gradient_is_that_of_the_loss() {
 fn frames_of_another_size_are_refused() {
     let scratch = tempfile::tempdir().unwrap();
     let dataset = dataset(scratch.path(), true);
-    let error = train(
-        &dataset,
-        AutoencoderSettings::default(),
-        scratch.path(),
-        NEVER,
-    )
-    .unwrap_err();
+    let name = [Override::new("model.name", "test")];
+    let tiny: AutoencoderRecipe = recipe::load(RECIPES, "tiny", &name).unwrap();
+    let error = AutoencoderTask::new(tiny, 1, &dataset, None)
+        .map(|_| ())
+        .unwrap_err();
     assert!(
         matches!(
             error,

@@ -1,11 +1,11 @@
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
-    time::{Duration, Instant},
 };
 
-use candle_core::{Device, Tensor, Var};
-use indicatif::{ProgressBar, ProgressStyle};
+use anyhow::Result;
+use candle_core::{Device, Tensor};
+use image::RgbImage;
 use rand::Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use rayon::prelude::*;
@@ -17,20 +17,28 @@ use wm_model::{
     weights::Precision,
 };
 
-use super::{AutoencoderSettings, crops, crops::Crops, salience::Salience};
+use super::{
+    AutoencoderRecipe, crops,
+    crops::Crops,
+    evaluation::{evaluate, picture},
+    salience::Salience,
+};
 use crate::{
     dataset::{Dataset, DatasetError},
-    loss_curve::LossCurve,
-    optimiser::{AdamW, AdamWSettings, OptimiserError, Schedule, step_rng},
+    optimiser::{OptimiserError, Parameter, Trained, step_rng},
+    run::{Figure, StepLoss, Task},
 };
 
-/// Steps between two lines of the log, where the progress bar is not seen.
-const LOG_STEPS: u64 = 100;
-/// Frames that the normalisation of the latents is taken over, at most; and while the training goes on.
+/// Frames that the normalisation of the latents is taken over, at most.
 const NORMALISATION_FRAMES: usize = 2000;
-const INTERIM_FRAMES: usize = 200;
+/// Frames of a validation, and of one during the training.
+const VALIDATION_FRAMES: [usize; 2] = [1000, 200];
+/// Rows of the samples.
+const SAMPLES: usize = 6;
 /// Weights are saved as half floats.
 const PRECISION: Precision = Precision::F16;
+/// The weights' file in a model's folder.
+pub(super) const FILE: &str = "autoencoder.safetensors";
 
 /// Why a training stopped.
 #[derive(Debug, Error)]
@@ -67,15 +75,18 @@ pub enum TrainingError {
 }
 
 /// An autoencoder in training.
-pub(super) struct AutoencoderRun {
-    settings: AutoencoderSettings,
-    /// Settings and data, as the checkpoint names them.
-    run: String,
+pub(super) struct AutoencoderTask<'a> {
+    recipe: AutoencoderRecipe,
+    /// Steps in all.
+    steps: u64,
+    train: &'a Dataset,
+    held_out: Option<&'a Dataset>,
+    salience: Salience<'a>,
     model: Autoencoder,
-    optimiser: AdamW,
-    schedule: Schedule,
     encoder: Half,
     decoder: Half,
+    /// The model that was written last.
+    written: Option<Autoencoder>,
 }
 
 #[derive(Default)]
@@ -86,7 +97,7 @@ struct Half {
 
 /// The parts of a step's loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct StepLoss {
+pub(super) struct CropLoss {
     /// What is minimised.
     pub total: f32,
     /// Mean squared error of the crops.
@@ -95,99 +106,44 @@ pub(super) struct StepLoss {
     pub latent_square: f32,
 }
 
-impl AutoencoderRun {
-    /// A run at step 0 over the data of digest `data`.
+impl<'a> AutoencoderTask<'a> {
+    /// A training of `steps` steps.
     ///
     /// # Errors
-    /// When the settings make no sense.
-    pub(super) fn new(settings: AutoencoderSettings, data: &str) -> Result<Self, TrainingError> {
-        let model = Autoencoder::random(settings.model.clone(), settings.seed)?;
-        let optimiser = AdamW::new(
-            &variables(&model)?,
-            AdamWSettings {
-                ema_decay: settings.ema_decay,
-                ..AdamWSettings::default()
-            },
-        )?;
-        let schedule = Schedule::new(
-            settings.learning_rate,
-            settings.warm_up_steps,
-            settings.steps,
-            settings.final_rate,
-        );
-        let run = serde_json::json!({"settings": settings, "data": data}).to_string();
+    /// When the recipe makes no sense, or the pictures have another size.
+    pub(super) fn new(
+        recipe: AutoencoderRecipe,
+        steps: u64,
+        train: &'a Dataset,
+        held_out: Option<&'a Dataset>,
+    ) -> Result<Self, TrainingError> {
+        let expected = (recipe.model.height, recipe.model.width);
+        for found in [Some(train), held_out].into_iter().flatten() {
+            if found.size() != expected {
+                let found = found.size();
+                return Err(TrainingError::FrameSize { expected, found });
+            }
+        }
         Ok(Self {
-            settings,
-            run,
-            model,
-            optimiser,
-            schedule,
+            model: Autoencoder::random(recipe.model.clone(), recipe.seed)?,
+            recipe,
+            steps,
+            train,
+            held_out,
+            salience: Salience::new(train),
             encoder: Half::default(),
             decoder: Half::default(),
+            written: None,
         })
     }
 
-    /// Steps taken so far.
-    pub(super) fn steps_taken(&self) -> u64 {
-        self.optimiser.steps_taken()
-    }
-
-    /// Writes the whole state.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
-    pub(super) fn save(&mut self, path: &Path) -> Result<(), TrainingError> {
-        Ok(self.optimiser.save(path, &self.run)?)
-    }
-
-    /// Takes up the state that [`Self::save`] wrote with the same settings and data.
-    ///
-    /// # Errors
-    /// When the file is of another run or broken.
-    pub(super) fn resume(&mut self, path: &Path) -> Result<(), TrainingError> {
-        self.optimiser.resume(path, &self.run)?;
-        self.load_weights();
-        Ok(())
-    }
-
-    /// One step on the crops that belong to it.
-    pub(super) fn step(
-        &mut self,
-        dataset: &Dataset,
-        salience: &Salience<'_>,
-    ) -> Result<StepLoss, TrainingError> {
-        let step = self.optimiser.steps_taken();
-        let mut rng = step_rng(self.settings.seed, step);
-        let crops = crops::draw(dataset, salience, &self.settings, step, &mut rng);
-        let loss = self.gradients(&crops, &mut rng)?;
-        let halves = [
-            (self.model.encoder(), &mut self.encoder.gradient),
-            (self.model.decoder(), &mut self.decoder.gradient),
-        ];
-        let mut named = BTreeMap::new();
-        for ((network, gradient), half) in halves.into_iter().zip(["encoder", "decoder"]) {
-            for (conv, (weight, bias)) in network.convs().iter().zip(&mut gradient.convs) {
-                let name = format!("{half}.{}", conv.name);
-                named.insert(format!("{name}.weight"), std::mem::take(weight));
-                if conv.bias.is_some() {
-                    named.insert(format!("{name}.bias"), std::mem::take(bias));
-                }
-            }
-        }
-        let gradients: Vec<Vec<f32>> = named.into_values().collect();
-        self.optimiser
-            .step_along(&gradients, self.schedule.at(step))?;
-        self.load_weights();
-        Ok(loss)
-    }
-
     /// Forward and backward through both halves.
-    fn gradients(&mut self, crops: &Crops, rng: &mut impl Rng) -> Result<StepLoss, TrainingError> {
+    fn gradients(&mut self, crops: &Crops, rng: &mut impl Rng) -> Result<CropLoss, TrainingError> {
         let latents = self
             .encoder
             .tape
             .forward(self.model.encoder(), &crops.values, crops.grid)?;
-        let factor = self.settings.model.downsampling();
+        let factor = self.recipe.model.downsampling();
         let grid = GridSize {
             images: crops.grid.images,
             height: crops.grid.height / factor,
@@ -197,14 +153,14 @@ impl AutoencoderRun {
             .iter()
             .map(|z| {
                 let noise: f32 = StandardNormal.sample(rng);
-                clamp(z + self.settings.latent_noise * noise)
+                clamp(z + self.recipe.latent_noise * noise)
             })
             .collect();
         let pictures = self
             .decoder
             .tape
             .forward(self.model.decoder(), &clamped, grid)?;
-        let (squared, loss, by_picture) = picture_loss(pictures, crops, self.settings.squared);
+        let (squared, loss, by_picture) = picture_loss(pictures, crops, self.recipe.squared);
         let mut by_latent = Vec::new();
         self.decoder.tape.backward(
             self.model.decoder(),
@@ -213,7 +169,7 @@ impl AutoencoderRun {
             Some(&mut by_latent),
         )?;
         let count = latents.len().max(1) as f32;
-        let penalty = self.settings.latent_penalty;
+        let penalty = self.recipe.latent_penalty;
         let latent_square = latents.iter().map(|z| z * z).sum::<f32>() / count;
         for ((g, z), clamped) in by_latent.iter_mut().zip(latents).zip(&clamped) {
             *g = *g * clamp_slope(*clamped) + 2.0 * penalty * z / count;
@@ -224,7 +180,7 @@ impl AutoencoderRun {
             &mut self.encoder.gradient,
             None,
         )?;
-        Ok(StepLoss {
+        Ok(CropLoss {
             total: loss + penalty * latent_square,
             squared_error: squared,
             latent_square,
@@ -236,13 +192,11 @@ impl AutoencoderRun {
     #[cfg(test)]
     pub(super) fn slope_along_gradient(
         &mut self,
-        dataset: &Dataset,
-        salience: &Salience<'_>,
         half: usize,
         step: f32,
     ) -> Result<(f32, f32), TrainingError> {
-        let mut rng = step_rng(self.settings.seed, 0);
-        let crops = crops::draw(dataset, salience, &self.settings, 0, &mut rng);
+        let mut rng = step_rng(self.recipe.seed, 0);
+        let crops = self.crops(0, &mut rng);
         let start = self.model.clone();
         self.gradients(&crops, &mut rng.clone())?;
         let gradient = [&self.encoder.gradient, &self.decoder.gradient][half].clone();
@@ -269,43 +223,136 @@ impl AutoencoderRun {
         Ok((length, (losses[0] - losses[1]) / (2.0 * step)))
     }
 
-    fn load_weights(&mut self) {
-        let weights = self.optimiser.weights();
-        let named = weights
-            .map(|(name, values)| (name.to_owned(), values.to_vec()))
-            .collect();
-        assign(&mut self.model, named);
+    fn crops(&self, step: u64, rng: &mut impl Rng) -> Crops {
+        let whole = step + self.recipe.whole_picture_steps >= self.steps;
+        crops::draw(self.train, &self.salience, &self.recipe, whole, rng)
     }
 
-    /// The autoencoder with the averaged weights and the normalisation of its latents over at most `frames` frames of
-    /// `dataset`.
+    /// The autoencoder of these weights, with the normalisation of its latents over the training data.
     ///
     /// # Errors
     /// When a channel of the latents does not vary.
-    pub(super) fn finished(
+    fn finished(
         &self,
-        dataset: &Dataset,
-        frames: usize,
+        weights: &mut dyn Iterator<Item = Trained<'_>>,
     ) -> Result<Autoencoder, TrainingError> {
         let mut model = self.model.clone();
-        let mut averaged = BTreeMap::new();
-        for (name, tensor) in self.optimiser.ema()? {
-            averaged.insert(name, tensor.flatten_all()?.to_vec1::<f32>()?);
-        }
-        assign(&mut model, averaged);
+        assign(&mut model, weights);
         let model = model.rounded(PRECISION);
-        let stride = dataset.frame_count().div_ceil(frames.max(1)).max(1);
-        let frames: Vec<usize> = (0..dataset.frame_count()).step_by(stride).collect();
+        let count = self.train.frame_count();
+        let stride = count.div_ceil(NORMALISATION_FRAMES).max(1);
+        let frames: Vec<usize> = (0..count).step_by(stride).collect();
         // The model has the identity as normalisation here, so these are the plain latents.
         let latents = frames
             .chunks(32)
             .map(|chunk| {
-                let latents = model.encode(&pictures(dataset, chunk)?)?;
+                let latents = model.encode(&pictures(self.train, chunk)?)?;
                 Ok(latents.flatten_all()?.to_vec1::<f32>()?)
             })
             .collect::<Result<Vec<_>, TrainingError>>()?;
-        let normalisation = Normalisation::of(latents, self.settings.model.latent_channels)?;
+        let normalisation = Normalisation::of(latents, self.recipe.model.latent_channels)?;
         Ok(model.with_normalisation(normalisation)?)
+    }
+}
+
+impl Task for AutoencoderTask<'_> {
+    fn name(&self) -> &'static str {
+        "autoencoder"
+    }
+
+    fn parameters(&self) -> Result<Vec<Parameter>> {
+        let mut parameters = BTreeMap::new();
+        for (half, network) in halves(&self.model) {
+            for conv in network.convs() {
+                let name = format!("{half}.{}", conv.name);
+                let shape = conv.shape;
+                let dims = vec![shape.kernel, shape.kernel, shape.inputs, shape.outputs];
+                parameters.insert(format!("{name}.weight"), (dims, conv.weight.clone()));
+                if let Some(bias) = &conv.bias {
+                    parameters.insert(format!("{name}.bias"), (vec![bias.len()], bias.clone()));
+                }
+            }
+        }
+        let parameters = parameters.into_iter();
+        Ok(parameters
+            .map(|(name, (shape, values))| Parameter {
+                name,
+                shape,
+                values,
+                group: 0,
+            })
+            .collect())
+    }
+
+    fn step(&mut self, step: u64) -> Result<StepLoss> {
+        let mut rng = step_rng(self.recipe.seed, step);
+        let crops = self.crops(step, &mut rng);
+        let loss = self.gradients(&crops, &mut rng)?;
+        let halves = [
+            (self.model.encoder(), &mut self.encoder.gradient),
+            (self.model.decoder(), &mut self.decoder.gradient),
+        ];
+        // By name, as the parameters are.
+        let mut named = BTreeMap::new();
+        for ((network, gradient), half) in halves.into_iter().zip(["encoder", "decoder"]) {
+            for (conv, (weight, bias)) in network.convs().iter().zip(&mut gradient.convs) {
+                let name = format!("{half}.{}", conv.name);
+                named.insert(format!("{name}.weight"), std::mem::take(weight));
+                if conv.bias.is_some() {
+                    named.insert(format!("{name}.bias"), std::mem::take(bias));
+                }
+            }
+        }
+        Ok(StepLoss {
+            loss: loss.total,
+            parts: vec![
+                ("squared_error", f64::from(loss.squared_error)),
+                ("latent_square", f64::from(loss.latent_square)),
+            ],
+            gradient: named.into_values().collect(),
+        })
+    }
+
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        assign(&mut self.model, weights);
+        Ok(())
+    }
+
+    fn write(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        folder: &Path,
+    ) -> Result<()> {
+        let model = self.finished(averaged)?;
+        model.save(folder.join(FILE), PRECISION)?;
+        self.written = Some(model);
+        Ok(())
+    }
+
+    fn validate(&mut self, thorough: bool) -> Result<Vec<Figure>> {
+        let (Some(held_out), Some(model)) = (self.held_out, &self.written) else {
+            return Ok(Vec::new());
+        };
+        let [all, few] = VALIDATION_FRAMES;
+        let found = evaluate(model, held_out, if thorough { all } else { few })?;
+        let mut figures = vec![
+            Figure::new("psnr", found.psnr),
+            Figure::new("latent_std", found.latent_std),
+        ];
+        figures.extend(
+            found
+                .masked_psnr
+                .map(|psnr| Figure::new("psnr_in_masks", psnr)),
+        );
+        Ok(figures)
+    }
+
+    fn samples(&mut self) -> Result<Option<RgbImage>> {
+        let dataset = self.held_out.unwrap_or(self.train);
+        let model = self.written.as_ref();
+        Ok(model
+            .map(|model| picture(model, dataset, SAMPLES))
+            .transpose()?)
     }
 }
 
@@ -361,101 +408,19 @@ fn halves(model: &Autoencoder) -> [(&'static str, &Network); 2] {
     [("encoder", model.encoder()), ("decoder", model.decoder())]
 }
 
-fn variables(model: &Autoencoder) -> Result<BTreeMap<String, Var>, TrainingError> {
-    let mut variables = BTreeMap::new();
-    for (half, network) in halves(model) {
-        for conv in network.convs() {
-            let name = format!("{half}.{}", conv.name);
-            let shape = conv.shape;
-            let dims = (shape.kernel, shape.kernel, shape.inputs, shape.outputs);
-            let weight = Var::from_slice(&conv.weight, dims, &Device::Cpu)?;
-            variables.insert(format!("{name}.weight"), weight);
-            if let Some(bias) = &conv.bias {
-                let bias = Var::from_slice(bias, bias.len(), &Device::Cpu)?;
-                variables.insert(format!("{name}.bias"), bias);
-            }
-        }
-    }
-    Ok(variables)
-}
-
-fn assign(model: &mut Autoencoder, mut weights: BTreeMap<String, Vec<f32>>) {
+fn assign(model: &mut Autoencoder, weights: &mut dyn Iterator<Item = Trained<'_>>) {
+    let mut weights: BTreeMap<&str, &[f32]> = weights
+        .map(|trained| (trained.name, trained.values))
+        .collect();
     let (encoder, decoder) = model.networks_mut();
     for (half, network) in [("encoder", encoder), ("decoder", decoder)] {
         for conv in network.convs_mut() {
-            if let Some(weight) = weights.remove(&format!("{half}.{}.weight", conv.name)) {
-                conv.weight = weight;
+            if let Some(weight) = weights.remove(format!("{half}.{}.weight", conv.name).as_str()) {
+                conv.weight = weight.to_vec();
             }
-            if let Some(bias) = weights.remove(&format!("{half}.{}.bias", conv.name)) {
-                conv.bias = Some(bias);
+            if let Some(bias) = weights.remove(format!("{half}.{}.bias", conv.name).as_str()) {
+                conv.bias = Some(bias.to_vec());
             }
         }
     }
-}
-
-/// Trains to the end and writes `autoencoder.safetensors`, `checkpoint.safetensors`, `loss.csv` and `loss.svg` into
-/// `out`; takes up a checkpoint that is there. `checkpoint_every` is wall-clock time.
-///
-/// # Errors
-/// When the data do not fit the model, or a file cannot be written.
-pub fn train(
-    dataset: &Dataset,
-    settings: AutoencoderSettings,
-    out: &Path,
-    checkpoint_every: Duration,
-) -> Result<Autoencoder, TrainingError> {
-    let expected = (settings.model.height, settings.model.width);
-    if dataset.size() != expected {
-        return Err(TrainingError::FrameSize {
-            expected,
-            found: dataset.size(),
-        });
-    }
-    let io = |source| TrainingError::Io {
-        path: out.to_owned(),
-        source,
-    };
-    std::fs::create_dir_all(out).map_err(io)?;
-    let steps = settings.steps;
-    let mut run = AutoencoderRun::new(settings, dataset.digest())?;
-    let checkpoint = out.join("checkpoint.safetensors");
-    if checkpoint.is_file() {
-        run.resume(&checkpoint)?;
-        tracing::info!("resumed at step {} of {steps}", run.steps_taken());
-    }
-    let mut curve = LossCurve::resume(out, run.steps_taken()).map_err(io)?;
-    let salience = Salience::new(dataset);
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} {msg}, {eta} left")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    let progress = ProgressBar::new(steps).with_style(style);
-    let mut saved = Instant::now();
-    while run.steps_taken() < steps {
-        let step = run.steps_taken();
-        let loss = run.step(dataset, &salience)?;
-        curve.push(step, loss.total);
-        progress.set_position(step + 1);
-        progress.set_message(format!("loss {:.4}", curve.recent_mean(50)));
-        if progress.is_hidden() && step % LOG_STEPS == LOG_STEPS - 1 {
-            let psnr = -10.0 * loss.squared_error.log10();
-            let mean = curve.recent_mean(LOG_STEPS as usize);
-            tracing::info!(
-                "step {} loss {mean:.5}, last crops {psnr:.1} dB, latent square {:.2}",
-                step + 1,
-                loss.latent_square
-            );
-        }
-        if saved.elapsed() >= checkpoint_every {
-            run.save(&checkpoint)?;
-            curve.write(out, "autoencoder").map_err(io)?;
-            run.finished(dataset, INTERIM_FRAMES)?
-                .save(out.join("autoencoder.safetensors"), PRECISION)?;
-            saved = Instant::now();
-        }
-    }
-    progress.finish_and_clear();
-    run.save(&checkpoint)?;
-    curve.write(out, "autoencoder").map_err(io)?;
-    let autoencoder = run.finished(dataset, NORMALISATION_FRAMES)?;
-    autoencoder.save(out.join("autoencoder.safetensors"), PRECISION)?;
-    Ok(autoencoder)
 }

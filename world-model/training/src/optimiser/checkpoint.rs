@@ -1,12 +1,27 @@
-use std::{collections::HashMap, path::Path};
+use std::{
+    collections::{BTreeSet, HashMap},
+    path::Path,
+};
 
-use candle_core::{Device, Tensor};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-use super::{AdamW, OptimiserError, Parameter};
+use super::{AdamW, OptimiserError, State};
+
+/// The metadata entry of a checkpoint.
+const TOLD: &str = "training";
+
+/// What a checkpoint tells besides its tensors.
+#[derive(Serialize, Deserialize)]
+struct Told {
+    step: u64,
+    skipped: u64,
+    run: Value,
+}
 
 /// The buffers of one parameter, under the prefixes that they are stored with.
-fn buffers(parameter: &mut Parameter) -> [(&'static str, &mut Vec<f32>); 4] {
+fn buffers(parameter: &mut State) -> [(&'static str, &mut Vec<f32>); 4] {
     [
         ("weights", &mut parameter.weights),
         ("ema", &mut parameter.ema),
@@ -16,25 +31,30 @@ fn buffers(parameter: &mut Parameter) -> [(&'static str, &mut Vec<f32>); 4] {
 }
 
 impl AdamW {
-    /// Writes the whole state to a safetensors file; `run` says what is being trained (settings, data), so that
-    /// another run does not resume from it. The file is replaced in one move: a kill leaves the old or the new one.
+    /// Writes the whole state to a safetensors file. `run` tells what is being trained (settings, data), so that another
+    /// training does not resume from it. The file is replaced in one move: a kill leaves the old or the new one.
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn save(&mut self, path: &Path, run: &str) -> Result<(), OptimiserError> {
-        let mut tensors: Vec<(String, Tensor)> = Vec::new();
+    pub fn save(&mut self, path: &Path, run: &Value) -> Result<(), OptimiserError> {
+        let mut tensors = Vec::new();
         for parameter in &mut self.parameters {
-            let shape = parameter.var.shape().clone();
-            let name = parameter.name.clone();
+            let (shape, name) = (parameter.shape.clone(), parameter.name.clone());
             for (prefix, buffer) in buffers(parameter) {
-                let tensor = Tensor::from_slice(buffer, shape.clone(), &Device::Cpu)?;
-                tensors.push((format!("{prefix}/{name}"), tensor));
+                let bytes: &[u8] = bytemuck::cast_slice(buffer);
+                let view = TensorView::new(Dtype::F32, shape.clone(), bytes)
+                    .map_err(|error| refused(path, error))?;
+                tensors.push((format!("{prefix}/{name}"), view));
             }
         }
-        let metadata = HashMap::from([
-            ("step".to_owned(), self.step.to_string()),
-            ("run".to_owned(), run.to_owned()),
-        ]);
+        // One entry: the order of several would differ from file to file.
+        let told = Told {
+            step: self.step,
+            skipped: self.skipped,
+            run: run.clone(),
+        };
+        let told = serde_json::to_string(&told).map_err(|error| refused(path, error))?;
+        let metadata = HashMap::from([(TOLD.to_owned(), told)]);
         let partial = path.with_extension("partial");
         safetensors::serialize_to_file(tensors, Some(metadata), &partial)
             .map_err(|error| refused(path, error))?;
@@ -44,32 +64,29 @@ impl AdamW {
     /// Takes up the state that [`Self::save`] wrote for the same `run`.
     ///
     /// # Errors
-    /// When the file cannot be read, is of another run, or lacks a parameter or has it in another shape.
-    pub fn resume(&mut self, path: &Path, run: &str) -> Result<(), OptimiserError> {
-        let bytes = std::fs::read(path).map_err(|error| refused(path, error))?;
+    /// When the file cannot be read, is of another training (what differs is named), or lacks a parameter or has it in
+    /// another shape.
+    pub fn resume(&mut self, path: &Path, run: &Value) -> Result<(), OptimiserError> {
+        let file = std::fs::File::open(path).map_err(|error| refused(path, error))?;
+        // SAFETY: the checkpoint is this program's own, and replaced in one move.
+        let bytes = unsafe { memmap2::Mmap::map(&file) }.map_err(|error| refused(path, error))?;
         let file = SafeTensors::deserialize(&bytes).map_err(|error| refused(path, error))?;
         let (_, metadata) =
             SafeTensors::read_metadata(&bytes).map_err(|error| refused(path, error))?;
-        let entry = |key: &str| {
-            metadata
-                .metadata()
-                .as_ref()
-                .and_then(|entries| entries.get(key))
-                .ok_or_else(|| refused(path, format!("metadata entry `{key}` is missing")))
-        };
-        let saved_run = entry("run")?;
-        if saved_run != run {
-            return Err(refused(
-                path,
-                format!("expected run {run:?}, found {saved_run:?}"),
-            ));
+        let told = metadata.metadata().as_ref().and_then(|told| told.get(TOLD));
+        let told = told.ok_or_else(|| refused(path, "no checkpoint of a training"))?;
+        let told: Told = serde_json::from_str(told)
+            .map_err(|error| refused(path, format!("metadata entry `{TOLD}`: {error}")))?;
+        let mut differences = Vec::new();
+        differ("", Some(&told.run), Some(run), &mut differences);
+        if !differences.is_empty() {
+            return Err(OptimiserError::OtherTraining {
+                path: path.display().to_string(),
+                differences,
+            });
         }
-        let step = entry("step")?
-            .parse()
-            .map_err(|error| refused(path, format!("metadata entry `step`: {error}")))?;
         for parameter in &mut self.parameters {
-            let shape = parameter.var.dims().to_vec();
-            let name = parameter.name.clone();
+            let (shape, name) = (parameter.shape.clone(), parameter.name.clone());
             for (prefix, buffer) in buffers(parameter) {
                 let tensor = file.tensor(&format!("{prefix}/{name}")).map_err(|_| {
                     refused(path, format!("{prefix} of parameter `{name}` are missing"))
@@ -86,8 +103,24 @@ impl AdamW {
                 })?;
             }
         }
-        self.step = step;
-        self.write_back()
+        (self.step, self.skipped) = (told.step, told.skipped);
+        Ok(())
+    }
+}
+
+/// What differs between two descriptions, a line for each value.
+fn differ(path: &str, saved: Option<&Value>, now: Option<&Value>, lines: &mut Vec<String>) {
+    if let (Some(Value::Object(saved)), Some(Value::Object(now))) = (saved, now) {
+        let keys: BTreeSet<&String> = saved.keys().chain(now.keys()).collect();
+        for key in keys {
+            let dot = if path.is_empty() { "" } else { "." };
+            let below = format!("{path}{dot}{key}");
+            differ(&below, saved.get(key), now.get(key), lines);
+        }
+    } else if saved != now {
+        let told = |value: Option<&Value>| value.map_or("nothing".to_owned(), Value::to_string);
+        let (saved, now) = (told(saved), told(now));
+        lines.push(format!("{path}: {saved} in the checkpoint, {now} now"));
     }
 }
 
@@ -95,8 +128,10 @@ fn f32_values(tensor: &TensorView<'_>, shape: &[usize]) -> Option<Vec<f32>> {
     (tensor.dtype() == Dtype::F32 && tensor.shape() == shape).then(|| {
         tensor
             .data()
-            .chunks_exact(4)
-            .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|bytes| f32::from_le_bytes(*bytes))
             .collect()
     })
 }

@@ -6,10 +6,10 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 use wm_model::{
     sampler::shift_time,
-    transition::{ActionAlignment, Parametrisation, TemporalPattern, Transition},
+    transition::{ActionAlignment, Parametrisation, TemporalPattern, Transition, TransitionConfig},
 };
 
-use super::{ClipSource, TauDistribution};
+use super::{ClipSource, noised_at_once};
 
 /// Smallest noise level that is trained on: the velocity of the residual parametrisation is divided by it.
 const SMALLEST_TAU: f64 = 0.01;
@@ -17,56 +17,99 @@ const SMALLEST_TAU: f64 = 0.01;
 /// Noise level at which the weight of a clean-frame error stops rising towards that of a velocity error, 1 / tau^2.
 const SOFTENING: f64 = 0.4;
 
-/// What is minimised, on what clips.
+/// How noise levels are drawn, before the time shift.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TauDistribution {
+    /// Uniform over 0..1.
+    Uniform,
+    /// The logistic function of a standard normal variable.
+    LogitNormal,
+}
+
+/// What the frames to be learned see of one another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Forcing {
+    /// Each sees the clean frames before it: as the model is used.
+    Teacher,
+    /// All are noised at once, each at its own level, and see each other so: the paper's (diffusion forcing).
+    Diffusion,
+}
+
+/// What is minimised; `recipes/*/transition.yaml` says what each is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Objective {
-    /// Clips a step.
-    pub clips: usize,
-    /// Clips that are computed together.
-    pub micro_batch: usize,
+#[serde(deny_unknown_fields)]
+pub struct ObjectiveRecipe {
+    /// What the frames to be learned see of one another.
+    pub forcing: Forcing,
     /// Frames at the start of a clip that are given, not learned.
     pub history: usize,
     /// How noise levels are drawn.
     pub tau: TauDistribution,
-    /// Time shift of the drawn noise levels.
-    pub shift: f64,
     /// Standard deviation of the noise level s that history frames get: (z + s noise) / sqrt(1 + s^2).
     pub history_noise: f64,
     /// Part of the clips whose history holds the model's own predictions in place of the later frames.
     pub own_history: f64,
     /// Part of the clips that are given the null action.
     pub action_dropout: f64,
+}
+
+/// What is minimised, on what clips.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Objective {
+    /// Clips a step.
+    pub clips: usize,
+    /// Clips that are computed together.
+    pub micro_batch: usize,
+    /// Time shift of the drawn noise levels.
+    pub shift: f64,
     /// Seed of clips and noise.
     pub seed: u64,
+    /// What is minimised.
+    pub recipe: ObjectiveRecipe,
 }
 
 impl Objective {
-    pub(super) fn validate(&self) -> Result<()> {
+    pub(super) fn validate(&self, config: &TransitionConfig) -> Result<()> {
+        let recipe = &self.recipe;
         ensure!(
             self.micro_batch > 0 && self.clips > 0 && self.clips.is_multiple_of(self.micro_batch),
-            "{} clips per step cannot be split into batches of {}",
+            "batch {} cannot be split into parts of micro_batch {}",
             self.clips,
             self.micro_batch
         );
+        ensure!(
+            (1..config.max_frames).contains(&recipe.history),
+            "objective.history is {}: clips of {} frames have no frame to learn after it",
+            recipe.history,
+            config.max_frames
+        );
         for (name, part) in [
-            ("own-history", self.own_history),
-            ("action-dropout", self.action_dropout),
+            ("own_history", recipe.own_history),
+            ("action_dropout", recipe.action_dropout),
         ] {
             ensure!(
                 (0.0..=1.0).contains(&part),
-                "{name} is {part}, expected 0 to 1"
+                "objective.{name} is {part}, expected 0 to 1"
             );
         }
         ensure!(
-            self.shift > 0.0,
-            "the shift is {}, expected above 0",
-            self.shift
+            recipe.history_noise >= 0.0,
+            "objective.history_noise is {}, expected at least 0",
+            recipe.history_noise
         );
-        ensure!(
-            self.history_noise >= 0.0,
-            "the history noise is {}, expected at least 0",
-            self.history_noise
-        );
+        if recipe.forcing == Forcing::Diffusion {
+            ensure!(
+                config.parametrisation == Parametrisation::Velocity,
+                "objective.forcing is diffusion, where the frame before may be noisy: model.predicts must be velocity"
+            );
+            ensure!(
+                recipe.own_history == 0.0,
+                "objective.own_history is {}, which needs objective.forcing: teacher",
+                recipe.own_history
+            );
+        }
         Ok(())
     }
 
@@ -77,18 +120,59 @@ impl Objective {
         clips: &ClipSource<'_>,
         rng: &mut ChaCha8Rng,
     ) -> Result<Tensor> {
+        if self.recipe.forcing == Forcing::Diffusion {
+            return noised_at_once::loss(self, model, clips, rng);
+        }
+        let past = self.recipe.history;
         let batch = Batch::draw(self, model, clips, rng)?;
-        let own = rng.random_bool(self.own_history);
+        let own = rng.random_bool(self.recipe.own_history);
         let history = if own {
-            batch.with_predictions(model, self.history)?
+            batch.with_predictions(model, past)?
         } else {
             batch.history.clone()
         };
-        batch.loss(model, &history, self.history)
+        batch.loss(model, &history, past)
     }
 
-    fn draw_tau(&self, rng: &mut ChaCha8Rng) -> f32 {
-        let tau = match self.tau {
+    /// Clips (B, n, h, w, C) with the actions (B, n, A) of their frames, some of which are the null action.
+    pub(super) fn draw_clips(
+        &self,
+        clips: &ClipSource<'_>,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<(Tensor, Tensor)> {
+        let (b, n) = (self.micro_batch, clips.frames());
+        let (h, w, c) = clips.shape();
+        let (mut latents, mut actions) = (Vec::new(), Vec::new());
+        for _ in 0..b {
+            clips.load(clips.draw(rng), &mut latents, &mut actions)?;
+        }
+        let latents = Tensor::from_vec(latents, (b, n, h, w, c), &Device::Cpu)?;
+        let actions = Tensor::from_vec(actions, (b, n, clips.action_dim()), &Device::Cpu)?;
+        let part = self.recipe.action_dropout;
+        if part > 0.0 {
+            return Ok((latents, drop_actions(&actions, part, rng)?));
+        }
+        Ok((latents, actions))
+    }
+
+    /// Frames (B, n, h, w, C) as history: a little noise of a level of its own for each frame.
+    pub(super) fn with_history_noise(
+        &self,
+        clean: &Tensor,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Tensor> {
+        let (b, n, ..) = clean.dims5()?;
+        let levels = (0..b * n).map(|_| {
+            let normal: f64 = StandardNormal.sample(rng);
+            (normal * self.recipe.history_noise) as f32
+        });
+        let levels = Tensor::from_vec(levels.collect(), (b, n, 1, 1, 1), &Device::Cpu)?;
+        let noised = (clean + normals(clean.dims(), rng)?.broadcast_mul(&levels)?)?;
+        Ok(noised.broadcast_div(&(levels.sqr()? + 1.0)?.sqrt()?)?)
+    }
+
+    pub(super) fn draw_tau(&self, rng: &mut ChaCha8Rng) -> f32 {
+        let tau = match self.recipe.tau {
             TauDistribution::Uniform => rng.random::<f64>(),
             TauDistribution::LogitNormal => {
                 let normal: f64 = StandardNormal.sample(rng);
@@ -120,22 +204,13 @@ impl Batch {
         clips: &ClipSource<'_>,
         rng: &mut ChaCha8Rng,
     ) -> Result<Self> {
-        let (b, n, past) = (objective.micro_batch, clips.frames(), objective.history);
-        ensure!(
-            past >= 1 && past < n,
-            "clips of {n} frames have no frame to learn after the {past} history frames"
+        let (b, n, past) = (
+            objective.micro_batch,
+            clips.frames(),
+            objective.recipe.history,
         );
-        let (h, w, c) = clips.shape();
         let a = clips.action_dim();
-        let (mut latents, mut actions) = (Vec::new(), Vec::new());
-        for _ in 0..b {
-            clips.load(clips.draw(rng), &mut latents, &mut actions)?;
-        }
-        let latents = Tensor::from_vec(latents, (b, n, h, w, c), &Device::Cpu)?;
-        let mut actions = Tensor::from_vec(actions, (b, n, a), &Device::Cpu)?;
-        if objective.action_dropout > 0.0 {
-            actions = drop_actions(&actions, objective.action_dropout, rng)?;
-        }
+        let (latents, actions) = objective.draw_clips(clips, rng)?;
         let later = n - past;
         let zero = |frames| Tensor::zeros((b, frames, a), DType::F32, &Device::Cpu);
         let actions = match model.config().action_alignment {
@@ -156,14 +231,8 @@ impl Batch {
                 1,
             )?,
         };
-        let clean = latents.narrow(1, 0, n - 1)?;
-        let levels = (0..b * (n - 1)).map(|_| {
-            let normal: f64 = StandardNormal.sample(rng);
-            (normal * objective.history_noise) as f32
-        });
-        let levels = Tensor::from_vec(levels.collect(), (b, n - 1, 1, 1, 1), &Device::Cpu)?;
-        let noised = (&clean + normals(clean.dims(), rng)?.broadcast_mul(&levels)?)?;
-        let history = noised.broadcast_div(&(levels.sqr()? + 1.0)?.sqrt()?)?;
+        let clean = latents.narrow(1, 0, n - 1)?.contiguous()?;
+        let history = objective.with_history_noise(&clean, rng)?;
         let target = latents.narrow(1, past, later)?.contiguous()?;
         let noise = normals(target.dims(), rng)?;
         let tau: Vec<f32> = (0..b * later).map(|_| objective.draw_tau(rng)).collect();
@@ -255,7 +324,7 @@ fn drop_actions(actions: &Tensor, part: f64, rng: &mut ChaCha8Rng) -> Result<Ten
     Ok(Tensor::from_vec(values, (b, n, a), &Device::Cpu)?)
 }
 
-fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
+pub(super) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
     let values: Vec<f32> = (0..dims.iter().product())
         .map(|_| StandardNormal.sample(rng))
         .collect();
@@ -281,7 +350,7 @@ mod tests {
         let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
         let config = config(Parametrisation::Velocity, ActionAlignment::WithFrame);
         let (_, model) = trainable(&config, 3).unwrap();
-        let objective = objective();
+        let objective = objective(Forcing::Teacher);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let batch = Batch::draw(&objective, &model, &clips, &mut rng).unwrap();
         // Frames 0 to 3 clean, then 2 to 4 to be learned.

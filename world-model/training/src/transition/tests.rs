@@ -8,7 +8,11 @@ use wm_model::{
 use wm_motion::actions::{Accumulation, ActionSpace};
 
 use super::*;
-use crate::dataset::Episode;
+use crate::{
+    dataset::Episode,
+    optimiser::{AdamW, AdamWSettings, Schedule},
+    recipe::{self, Span},
+};
 
 const SIDE: usize = 4;
 const CHANNELS: usize = 2;
@@ -76,18 +80,42 @@ pub(super) fn config(
     }
 }
 
-pub(super) fn objective() -> Objective {
+fn tiny() -> TransitionRecipe {
+    recipe::load(RECIPES, "tiny", &[]).unwrap()
+}
+
+pub(super) fn objective(forcing: Forcing) -> Objective {
     Objective {
         clips: 8,
         micro_batch: 2,
-        history: 2,
-        tau: TauDistribution::Uniform,
         shift: 3.0,
-        history_noise: 0.05,
-        own_history: 0.25,
-        action_dropout: 0.0,
         seed: 1,
+        recipe: ObjectiveRecipe {
+            forcing,
+            history_noise: 0.05,
+            own_history: match forcing {
+                Forcing::Teacher => 0.25,
+                Forcing::Diffusion => 0.0,
+            },
+            ..tiny().objective
+        },
     }
+}
+
+fn step(
+    workers: &Workers,
+    (variables, model): &(Variables, Transition),
+    clips: &ClipSource<'_>,
+    objective: &Objective,
+    step: u64,
+) -> StepLoss {
+    let batches = Batches {
+        count: 4,
+        seed: objective.seed,
+        step,
+    };
+    let loss = |rng: &mut _| Ok(BatchLoss::from(objective.loss(model, clips, rng)?));
+    workers.step(variables, batches, &loss).unwrap()
 }
 
 #[test]
@@ -97,25 +125,10 @@ fn a_step_does_not_depend_on_the_number_of_threads() {
     let encoding = encoding();
     let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
     let config = config(Parametrisation::Residual, ActionAlignment::WithResult);
-    let (vars, model) = trainable(&config, 3).unwrap();
+    let trained = trainable(&config, 3).unwrap();
     let run = |threads: usize| {
         let workers = Workers::new(threads).unwrap();
-        let (loss, gradients) = workers
-            .step(&model, &vars, &clips, &objective(), 7)
-            .unwrap();
-        let gradients: Vec<Vec<f32>> = vars
-            .values()
-            .map(|var| {
-                gradients
-                    .get(var)
-                    .unwrap()
-                    .flatten_all()
-                    .unwrap()
-                    .to_vec1()
-                    .unwrap()
-            })
-            .collect();
-        (loss, gradients)
+        step(&workers, &trained, &clips, &objective(Forcing::Teacher), 7)
     };
     assert_eq!(run(1), run(3));
 }
@@ -126,31 +139,34 @@ fn it_learns_what_actions_do() {
     let latents = moving(dir.path(), 24, 1);
     let held_out = moving(dir.path(), 6, 2);
     let encoding = encoding();
-    for (parametrisation, alignment, steps) in [
-        (Parametrisation::Residual, ActionAlignment::WithResult, 150),
-        (Parametrisation::Residual, ActionAlignment::WithFrame, 150),
-        (Parametrisation::Velocity, ActionAlignment::WithResult, 400),
+    use {ActionAlignment::*, Forcing::*, Parametrisation::*};
+    for (predicts, alignment, forcing, steps) in [
+        (Residual, WithResult, Teacher, 150),
+        (Residual, WithFrame, Teacher, 150),
+        (Velocity, WithResult, Teacher, 400),
+        (Velocity, WithFrame, Diffusion, 400),
     ] {
         let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
-        let (vars, model) = trainable(&config(parametrisation, alignment), 3).unwrap();
+        let trained = trainable(&config(predicts, alignment), 3).unwrap();
         let workers = Workers::new(2).unwrap();
-        let mut optimiser = AdamW::new(&vars, AdamWSettings::default()).unwrap();
+        let parameters = trained.0.parameters(|_| 0).unwrap();
+        let mut optimiser = AdamW::new(parameters, AdamWSettings::default());
         let schedule = Schedule::new(4e-3, 10, steps, 0.05);
-        for step in 0..steps {
-            let (_, gradients) = workers
-                .step(&model, &vars, &clips, &objective(), step)
-                .unwrap();
-            optimiser.step(&gradients, schedule.at(step)).unwrap();
+        for index in 0..steps {
+            let found = step(&workers, &trained, &clips, &objective(forcing), index);
+            optimiser.step(&found.gradient, schedule.at(index)).unwrap();
+            trained.0.assign(optimiser.weights()).unwrap();
         }
+        let model = trained.1;
         let evaluation = Evaluation::new(&held_out, &encoding, 3, usize::MAX).unwrap();
         let model = model.pack().unwrap();
         let ratio = |change| evaluation.ratios(&model, change).unwrap()[0];
         let (told, negated) = (ratio(ActionChange::None), ratio(ActionChange::Negated));
-        println!("{parametrisation:?} {alignment:?}: {told:.3}, negated {negated:.3}");
-        assert!(told < 0.4, "{parametrisation:?} {alignment:?}: {told}");
+        println!("{predicts:?} {alignment:?} {forcing:?}: {told:.3}, negated {negated:.3}");
+        assert!(told < 0.4, "{predicts:?} {alignment:?} {forcing:?}: {told}");
         assert!(
             negated > 1.5,
-            "{parametrisation:?} {alignment:?}: {negated}"
+            "{predicts:?} {alignment:?} {forcing:?}: {negated}"
         );
     }
 }
@@ -170,37 +186,105 @@ fn episodes_shorter_than_a_clip_are_refused_by_length() {
     );
 }
 
+fn run_in(out: &Path) -> RunArgs {
+    RunArgs {
+        bags: out.into(),
+        held_out: None,
+        out: out.into(),
+        cache: None,
+        recipe: "tiny".into(),
+        set: Vec::new(),
+        steps: None,
+        threads: Some(2),
+    }
+}
+
+/// The recipe `name` for a model that is trained in no time.
+fn small(name: &str, shift: Option<f64>) -> TransitionRecipe {
+    let recipe: TransitionRecipe = recipe::load(RECIPES, name, &[]).unwrap();
+    TransitionRecipe {
+        length: Span::Steps(3),
+        batch: 2,
+        micro_batch: 2,
+        model: ModelRecipe {
+            hidden: Some(32),
+            depth: Some(1),
+            heads: Some(2),
+            frames: 5,
+            patch: Some(2),
+            ..recipe.model
+        },
+        sampler: SamplerRecipe {
+            shift,
+            ..recipe.sampler
+        },
+        ..recipe
+    }
+}
+
 #[test]
 fn a_model_is_trained_at_the_shift_that_its_weights_are_sampled_with() {
-    #[derive(clap::Parser)]
-    struct Cli {
-        #[command(flatten)]
-        train: TrainTransitionArgs,
-    }
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     // The published shift of latents as small as these is 1.
-    for (preset, shift, expected) in [
-        ("dit-s", None, 1.0),
-        ("dit-s", Some("3"), 3.0),
+    for (name, shift, expected) in [
+        ("paper", None, 1.0),
+        ("paper", Some(3.0), 3.0),
         ("tiny", None, 16.0),
     ] {
-        let out = dir.path().join(format!("{preset} {expected}"));
-        let mut line = format!(
-            "train --bags=b --autoencoder=a --preset={preset} --hidden=32 --depth=1 --heads=2 --frames=5 --steps=1"
-        );
-        if let Some(shift) = shift {
-            line += &format!(" --shift={shift}");
-        }
-        let mut arguments: Vec<_> = line.split(' ').map(std::ffi::OsString::from).collect();
-        arguments.extend(["--out".into(), out.clone().into()]);
-        let args = <Cli as clap::Parser>::parse_from(arguments).train;
-        let config = args.config(&latents).unwrap();
-        assert_eq!(args.objective(&config).unwrap().shift, expected, "{preset}");
-        let encoding = ActionEncoding::default();
-        args.train(config, &encoding, &latents, None).unwrap();
-        let written = Weights::open(out.join("transition.safetensors")).unwrap();
+        let recipe = small(name, shift);
+        let encoding = recipe.encoding(latents.action_space()).unwrap();
+        let config = recipe.config(latents.space(), &encoding).unwrap();
+        assert_eq!(recipe.objective(&config).unwrap().shift, expected, "{name}");
+        let out = dir.path().join(format!("{name} {expected}"));
+        train_on(&run_in(&out), &recipe, &latents, None, &Stop::default()).unwrap();
+        let written = Weights::open(out.join(FILE)).unwrap();
         let written: TransitionConfig = written.json(CONFIG_KEY).unwrap();
-        assert_eq!(written.sampler.shift, expected, "{preset}");
+        assert_eq!(written.sampler.shift, expected, "{name}");
     }
+}
+
+#[test]
+fn a_paused_training_gives_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 2, 1);
+    for name in ["paper", "tiny"] {
+        let mut recipe = small(name, None);
+        // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+        recipe.optimisation.final_rate = 1.0;
+        let (whole, parts) = (
+            dir.path().join(name),
+            dir.path().join(format!("{name} parts")),
+        );
+        let mut train = |out: &Path, steps| {
+            recipe.length = Span::Steps(steps);
+            train_on(&run_in(out), &recipe, &latents, None, &Stop::default()).unwrap();
+        };
+        train(&whole, 4);
+        train(&parts, 2);
+        train(&parts, 4);
+        for file in [FILE, "transition.checkpoint.safetensors"] {
+            let read = |out: &Path| std::fs::read(out.join(file)).unwrap();
+            assert!(read(&whole) == read(&parts), "{name}: {file}");
+        }
+    }
+}
+
+#[test]
+fn settings_that_do_not_go_together_are_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 2, 1);
+    let refused = |change: &dyn Fn(&mut TransitionRecipe)| {
+        let mut recipe = small("tiny", None);
+        change(&mut recipe);
+        let out = dir.path().join("refused");
+        let error = train_on(&run_in(&out), &recipe, &latents, None, &Stop::default());
+        format!("{:#}", error.unwrap_err())
+    };
+    let error = refused(&|recipe| recipe.objective.forcing = Forcing::Diffusion);
+    assert!(error.contains("model.predicts must be velocity"), "{error}");
+    let error = refused(&|recipe| recipe.objective.action_dropout = 0.1);
+    assert!(error.contains("model.null_action"), "{error}");
+    let error = refused(&|recipe| recipe.micro_batch = 3);
+    assert!(error.contains("micro_batch 3"), "{error}");
 }

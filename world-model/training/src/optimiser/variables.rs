@@ -1,0 +1,111 @@
+use std::collections::BTreeMap;
+
+use candle_core::{DType, Device, Result, Tensor, Var, backprop::GradStore};
+
+use super::{OptimiserError, Parameter, Trained};
+
+/// The tensors of a candle model that are trained, by name.
+#[derive(Clone, Debug, Default)]
+pub struct Variables(BTreeMap<String, Var>);
+
+impl Variables {
+    /// A tensor that starts at `initial` and is trained.
+    ///
+    /// # Errors
+    /// If it cannot be copied.
+    pub fn add(&mut self, name: &str, initial: &Tensor) -> Result<Tensor> {
+        let var = Var::from_tensor(initial)?;
+        let tensor = var.as_tensor().clone();
+        self.0.insert(name.to_owned(), var);
+        Ok(tensor)
+    }
+
+    /// What an optimiser starts from; `group` tells the group of a name.
+    ///
+    /// # Errors
+    /// If a value cannot be read.
+    pub fn parameters(&self, group: impl Fn(&str) -> usize) -> Result<Vec<Parameter>> {
+        let parameters = self.0.iter().map(|(name, var)| {
+            Ok(Parameter {
+                name: name.clone(),
+                shape: var.dims().to_vec(),
+                values: values(var)?,
+                group: group(name),
+            })
+        });
+        parameters.collect()
+    }
+
+    /// Takes over trained values; names that are not here are passed over.
+    ///
+    /// # Errors
+    /// If a shape differs.
+    pub fn assign<'a>(&self, weights: impl Iterator<Item = Trained<'a>>) -> Result<()> {
+        for Trained {
+            name,
+            shape,
+            values,
+        } in weights
+        {
+            if let Some(var) = self.0.get(name) {
+                let tensor = Tensor::from_slice(values, shape, &Device::Cpu)?;
+                var.set(&tensor.to_device(var.device())?)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The gradient of every variable, in the order of the names.
+    ///
+    /// # Errors
+    /// When a variable has no gradient: an operation between it and the loss does not propagate one.
+    pub fn gradients(&self, store: &GradStore) -> anyhow::Result<Vec<Vec<f32>>> {
+        let gradients = self.0.iter().map(|(name, var)| {
+            let gradient = store
+                .get(var)
+                .ok_or_else(|| OptimiserError::NoGradient(name.clone()))?;
+            Ok(values(gradient)?)
+        });
+        gradients.collect()
+    }
+}
+
+fn values(tensor: &Tensor) -> Result<Vec<f32>> {
+    tensor.flatten_all()?.to_dtype(DType::F32)?.to_vec1()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gradients_come_by_name_and_a_missing_one_is_named() {
+        let mut variables = Variables::default();
+        let two = Tensor::new(&[2f32, 3.], &Device::Cpu).unwrap();
+        let w = variables.add("w", &two).unwrap();
+        let b = variables.add("b", &two).unwrap();
+        let loss = (w.sqr().unwrap() + b).unwrap().sum_all().unwrap();
+        let store = loss.backward().unwrap();
+        assert_eq!(
+            variables.gradients(&store).unwrap(),
+            [vec![1., 1.], vec![4., 6.]]
+        );
+        variables.add("idle", &two).unwrap();
+        let error = variables.gradients(&store).unwrap_err().to_string();
+        assert!(error.contains("`idle`"), "{error}");
+    }
+
+    #[test]
+    fn a_model_sees_what_is_assigned() {
+        let mut variables = Variables::default();
+        let zero = Tensor::zeros(2, DType::F32, &Device::Cpu).unwrap();
+        let w = variables.add("w", &zero).unwrap();
+        let told = Trained {
+            name: "w",
+            shape: &[2],
+            values: &[4., 5.],
+        };
+        variables.assign(std::iter::once(told)).unwrap();
+        assert_eq!(w.to_vec1::<f32>().unwrap(), [4., 5.]);
+    }
+}

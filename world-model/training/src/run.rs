@@ -1,0 +1,327 @@
+//! The run of every training: steps, checkpoints, validation, progress, and a clean end.
+//!
+//! What is trained is a [`Task`]; the run knows neither the network nor the data. It resumes from a checkpoint that an
+//! earlier run of the same training left, saves on SIGINT and SIGTERM, skips steps whose loss is not finite, and keeps a
+//! journal (a line per step and per validation) with pictures of it. All files begin with the task's name, so that the
+//! trainings of a model share its folder.
+
+mod journal;
+mod progress;
+mod stop;
+
+use std::{
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail};
+use image::RgbImage;
+use serde_json::Value;
+
+use crate::optimiser::{AdamW, AdamWSettings, Group, OptimiserError, Parameter, Schedule, Trained};
+pub use journal::{Figure, Journal};
+use progress::Progress;
+pub use stop::Stop;
+
+/// Steps in a row whose loss is not finite, after which a run gives up.
+const MOST_SKIPPED: u32 = 10;
+
+/// The loss of a step and its gradient.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepLoss {
+    /// What is minimised.
+    pub loss: f32,
+    /// Parts of the loss worth following, by name.
+    pub parts: Vec<(&'static str, f64)>,
+    /// The gradient by each parameter, in the order of [`Task::parameters`].
+    pub gradient: Vec<Vec<f32>>,
+}
+
+/// What a run trains.
+pub trait Task {
+    /// What is trained, in a word; its files begin with it.
+    fn name(&self) -> &'static str;
+
+    /// The parameters at step 0.
+    ///
+    /// # Errors
+    /// If they cannot be made.
+    fn parameters(&self) -> Result<Vec<Parameter>>;
+
+    /// The groups that the parameters belong to.
+    fn groups(&self) -> Vec<Group> {
+        vec![Group::default()]
+    }
+
+    /// The loss and gradient of the samples of step `step`, which depend on it and the seed alone.
+    ///
+    /// # Errors
+    /// If data or network fail; a loss that is not finite is no error.
+    fn step(&mut self, step: u64) -> Result<StepLoss>;
+
+    /// Takes over the parameters after a step.
+    ///
+    /// # Errors
+    /// If they do not fit.
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()>;
+
+    /// Writes the files of the model with the averaged parameters into `folder`.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    fn write(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        folder: &Path,
+    ) -> Result<()>;
+
+    /// Figures of the model that was written last, on validation data where there are any. `thorough` at the last step:
+    /// on all of them.
+    ///
+    /// # Errors
+    /// If data or network fail.
+    fn validate(&mut self, thorough: bool) -> Result<Vec<Figure>> {
+        let _ = thorough;
+        Ok(Vec::new())
+    }
+
+    /// Samples of the model that was written last, as a picture.
+    ///
+    /// # Errors
+    /// If data or network fail.
+    fn samples(&mut self) -> Result<Option<RgbImage>> {
+        Ok(None)
+    }
+}
+
+/// How to run a training.
+#[derive(Clone, Debug)]
+pub struct RunSettings {
+    /// Folder of all files.
+    pub out: PathBuf,
+    /// Steps in all.
+    pub steps: u64,
+    /// Learning rates.
+    pub schedule: Schedule,
+    /// The optimiser.
+    pub optimiser: AdamWSettings,
+    /// Wall-clock time between checkpoints.
+    pub checkpoint_every: Duration,
+    /// Steps between validations.
+    pub validate_every: u64,
+    /// What decides the result besides the number of steps: recipe and data. A checkpoint of another identity is
+    /// refused.
+    pub identity: Value,
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// With its last step.
+    Finished,
+    /// Before, as it was asked to; it resumes from its checkpoint.
+    Stopped,
+}
+
+/// Trains `task` to the last step, or until `stop` asks for the end.
+///
+/// # Errors
+/// If the checkpoint in the folder is of another training, data or network fail, a file cannot be written, or the loss
+/// of ten steps in a row is not finite (the last good checkpoint stays).
+pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result<Ended> {
+    let out = &settings.out;
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    let mut run = Run::new(task, settings)?;
+    run.resume()?;
+    run.announce();
+    let mut progress = Progress::new(settings.steps, run.optimiser.steps_taken());
+    let mut saved = Instant::now();
+    while run.optimiser.steps_taken() < settings.steps {
+        if stop.is_asked() {
+            run.save()?;
+            progress.end();
+            let (done, all) = (run.optimiser.steps_taken(), settings.steps);
+            println!("stopped and saved after step {done} of {all}; the same command resumes");
+            return Ok(Ended::Stopped);
+        }
+        let line = run.step()?;
+        progress.step(&line);
+        let done = run.optimiser.steps_taken();
+        let is_last = done == settings.steps;
+        if is_last || done.is_multiple_of(settings.validate_every.max(1)) {
+            run.save()?;
+            let line = run.validate(is_last)?;
+            progress.say(&line);
+            saved = Instant::now();
+        } else if saved.elapsed() >= settings.checkpoint_every {
+            run.save()?;
+            saved = Instant::now();
+        }
+    }
+    progress.end();
+    if !run.has_written {
+        // An earlier run took the last step, and ended before it could write.
+        run.write()?;
+    }
+    Ok(Ended::Finished)
+}
+
+struct Run<'a> {
+    task: &'a mut dyn Task,
+    settings: &'a RunSettings,
+    optimiser: AdamW,
+    journal: Journal,
+    /// Steps in a row that were not finite.
+    in_a_row: u32,
+    has_written: bool,
+}
+
+impl<'a> Run<'a> {
+    fn new(task: &'a mut dyn Task, settings: &'a RunSettings) -> Result<Self> {
+        let parameters = task.parameters()?;
+        let optimiser = AdamW::in_groups(parameters, task.groups(), settings.optimiser.clone());
+        Ok(Self {
+            task,
+            settings,
+            optimiser,
+            journal: Journal::default(),
+            in_a_row: 0,
+            has_written: false,
+        })
+    }
+
+    fn checkpoint(&self) -> PathBuf {
+        self.settings
+            .out
+            .join(format!("{}.checkpoint.safetensors", self.task.name()))
+    }
+
+    fn resume(&mut self) -> Result<()> {
+        let checkpoint = self.checkpoint();
+        if checkpoint.is_file() {
+            self.optimiser
+                .resume(&checkpoint, &self.settings.identity)
+                .context("use another --out to begin anew")?;
+            let done = self.optimiser.steps_taken();
+            if done > self.settings.steps {
+                bail!(
+                    "{}: {done} steps are taken, more than the {} asked for; use another --out to begin anew",
+                    checkpoint.display(),
+                    self.settings.steps
+                );
+            }
+            self.task.assign(&mut self.optimiser.weights())?;
+            println!("resumes after step {done} from {}", checkpoint.display());
+        }
+        self.journal = Journal::resume(
+            &self.settings.out,
+            self.task.name(),
+            self.optimiser.steps_taken(),
+        )?;
+        Ok(())
+    }
+
+    fn announce(&self) {
+        let count = self.optimiser.parameter_count();
+        // Weights, two moments, the average, and the gradient.
+        let mib = (count * 5 * size_of::<f32>()) as f64 / f64::from(1 << 20);
+        println!(
+            "{}: {:.2} M parameters, {mib:.0} MiB for them and the optimiser, {} steps",
+            self.task.name(),
+            count as f64 / 1e6,
+            self.settings.steps,
+        );
+    }
+
+    /// One step; what to say of it.
+    fn step(&mut self) -> Result<String> {
+        let step = self.optimiser.steps_taken();
+        let rate = self.settings.schedule.at(step);
+        let found = self.task.step(step)?;
+        let taken = if found.loss.is_finite() {
+            self.optimiser.step(&found.gradient, rate)
+        } else {
+            Err(OptimiserError::NotFinite {
+                step,
+                norm: f64::from(found.loss),
+                parameter: "the loss itself".into(),
+            })
+        };
+        match taken {
+            Ok(norm) => {
+                self.in_a_row = 0;
+                self.task.assign(&mut self.optimiser.weights())?;
+                self.journal.step(step, &found, norm, rate);
+                let loss = self.journal.recent_mean(50);
+                Ok(format!("loss {loss:.4} |g| {norm:.2}"))
+            }
+            Err(error @ OptimiserError::NotFinite { .. }) => {
+                self.in_a_row += 1;
+                if self.in_a_row == MOST_SKIPPED {
+                    let kept = match self.checkpoint().is_file() {
+                        true => format!(
+                            "the last good checkpoint is {}",
+                            self.checkpoint().display()
+                        ),
+                        false => "there was no checkpoint yet".to_owned(),
+                    };
+                    return Err(error).context(format!(
+                        "{MOST_SKIPPED} steps in a row are not finite; {kept}; a lower learning rate may help"
+                    ));
+                }
+                self.optimiser.skip();
+                let skipped = self.optimiser.steps_skipped();
+                Ok(format!(
+                    "step {step} is not finite: skipped ({skipped} so far)"
+                ))
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Writes checkpoint and journal. Not while steps are skipped: what is kept is then from before.
+    fn save(&mut self) -> Result<()> {
+        if self.in_a_row > 0 {
+            return Ok(());
+        }
+        let checkpoint = self.checkpoint();
+        self.optimiser.save(&checkpoint, &self.settings.identity)?;
+        self.journal.write(&self.settings.out)?;
+        Ok(())
+    }
+
+    fn write(&mut self) -> Result<()> {
+        self.task
+            .write(&mut self.optimiser.averaged(), &self.settings.out)?;
+        self.has_written = true;
+        Ok(())
+    }
+
+    /// Writes the model and measures it; what to say of it.
+    fn validate(&mut self, is_last: bool) -> Result<String> {
+        self.write()?;
+        let figures = self.task.validate(is_last)?;
+        let step = self.optimiser.steps_taken();
+        let mut line = format!("step {step}, loss {:.4}", self.journal.recent_mean(200));
+        for Figure { name, value } in &figures {
+            line += &format!(", {name} {value:.3}");
+        }
+        self.journal.validated(step, figures);
+        self.journal.write(&self.settings.out)?;
+        if let Some(picture) = self.task.samples()? {
+            let folder = self
+                .settings
+                .out
+                .join(format!("{}.samples", self.task.name()));
+            std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+            let path = folder.join(format!("step_{step:07}.png"));
+            picture
+                .save(&path)
+                .with_context(|| path.display().to_string())?;
+        }
+        Ok(line)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,156 @@
+use anyhow::{Result, ensure};
+use serde::{Deserialize, Serialize};
+use wm_model::{
+    LatentSpace,
+    sampler::Sampler,
+    transition::{ActionAlignment, Parametrisation, TransitionConfig},
+};
+use wm_motion::actions::{Accumulation, ActionEncoding, ActionSpace};
+
+use super::objective::{Objective, ObjectiveRecipe};
+use crate::recipe::{Bundled, Optimisation, Span};
+
+/// The recipes that are part of the program.
+pub const RECIPES: Bundled = &[
+    ("tiny", include_str!("../../recipes/tiny/transition.yaml")),
+    ("paper", include_str!("../../recipes/paper/transition.yaml")),
+];
+
+/// Values that the null action adds to an action, as in the authors' release: the last one says that there is no action.
+const NULL_ACTION: usize = 3;
+
+/// Every number of a training of the transition model; `recipes/*/transition.yaml` says what each is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TransitionRecipe {
+    /// Seed of weights, clips and noise.
+    pub seed: u64,
+    /// How long to train; an epoch is one random clip per episode.
+    pub length: Span,
+    /// Steps between validations.
+    pub validate_every: u64,
+    /// Wall-clock time between checkpoints \[s\].
+    pub checkpoint_seconds: u64,
+    /// Clips a step.
+    pub batch: usize,
+    /// Clips that are computed together.
+    pub micro_batch: usize,
+    /// Shape and conventions.
+    pub model: ModelRecipe,
+    /// What is minimised.
+    pub objective: ObjectiveRecipe,
+    /// How the model is to be sampled.
+    pub sampler: SamplerRecipe,
+    /// The optimiser.
+    pub optimisation: Optimisation,
+}
+
+/// Shape and conventions of the model; `None` stands for the preset's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the recipes say what each is")]
+pub struct ModelRecipe {
+    pub preset: String,
+    pub hidden: Option<usize>,
+    pub depth: Option<usize>,
+    pub heads: Option<usize>,
+    pub frames: usize,
+    pub patch: Option<usize>,
+    pub wide_head: Option<usize>,
+    pub views: usize,
+    pub predicts: Parametrisation,
+    pub action_alignment: ActionAlignment,
+    pub frame_skip: usize,
+    pub accumulation: Accumulation,
+    pub null_action: bool,
+}
+
+/// How the model is to be sampled; `None` stands for the preset's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the recipes say what each is")]
+pub struct SamplerRecipe {
+    pub steps: Option<usize>,
+    pub shift: Option<f64>,
+    pub context_tau: Option<f64>,
+}
+
+impl TransitionRecipe {
+    /// What the actions of `space` become for the model.
+    ///
+    /// # Errors
+    /// If they cannot be encoded.
+    pub fn encoding(&self, space: &ActionSpace) -> Result<ActionEncoding> {
+        let null = if self.model.null_action {
+            NULL_ACTION
+        } else {
+            0
+        };
+        Ok(ActionEncoding::new(
+            space.clone(),
+            space.len() + null,
+            self.model.frame_skip,
+            self.model.accumulation,
+        )?)
+    }
+
+    /// The model for latents of `space` and actions of `encoding`.
+    ///
+    /// # Errors
+    /// If they do not fit.
+    pub fn config(
+        &self,
+        space: &LatentSpace,
+        encoding: &ActionEncoding,
+    ) -> Result<TransitionConfig> {
+        let own = &self.model;
+        // As published: 256 tokens a frame.
+        let published = if space.height > 16 { 2 } else { 1 };
+        let patch = own.patch.unwrap_or(published);
+        let actions = encoding.action_dim();
+        let preset = TransitionConfig::preset(&own.preset, space.shape(), patch, actions)?;
+        let config = TransitionConfig {
+            hidden: own.hidden.unwrap_or(preset.hidden),
+            depth: own.depth.unwrap_or(preset.depth),
+            heads: own.heads.unwrap_or(preset.heads),
+            max_frames: own.frames,
+            views: own.views,
+            wide_head: own.wide_head,
+            frame_skip: own.frame_skip,
+            parametrisation: own.predicts,
+            action_alignment: own.action_alignment,
+            sampler: Sampler {
+                steps: self.sampler.steps.unwrap_or(preset.sampler.steps),
+                shift: self.sampler.shift.unwrap_or(preset.sampler.shift),
+                context_tau: self
+                    .sampler
+                    .context_tau
+                    .unwrap_or(preset.sampler.context_tau),
+            },
+            ..preset
+        };
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The objective of a model of `config`, which is trained at the time shift that it is sampled with.
+    ///
+    /// # Errors
+    /// Names the setting that makes no sense.
+    pub fn objective(&self, config: &TransitionConfig) -> Result<Objective> {
+        ensure!(
+            self.objective.action_dropout == 0.0 || self.model.null_action,
+            "objective.action_dropout is {}, but model.null_action is false: there is no null action",
+            self.objective.action_dropout
+        );
+        let objective = Objective {
+            clips: self.batch,
+            micro_batch: self.micro_batch,
+            shift: config.sampler.shift,
+            seed: self.seed,
+            recipe: self.objective.clone(),
+        };
+        objective.validate(config)?;
+        Ok(objective)
+    }
+}

@@ -1,0 +1,147 @@
+//! Worker threads for the small batches of a step.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use anyhow::{Context as _, Result, anyhow, ensure};
+use candle_core::{Tensor, backprop::GradStore};
+use rand_chacha::ChaCha8Rng;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::{
+    optimiser::{Variables, step_rng},
+    run::StepLoss,
+};
+
+/// The loss of a small batch.
+pub struct BatchLoss {
+    /// What is minimised: a scalar.
+    pub loss: Tensor,
+    /// Parts of it worth following, by name, in the same order for every batch.
+    pub parts: Vec<(&'static str, f64)>,
+}
+
+impl From<Tensor> for BatchLoss {
+    fn from(loss: Tensor) -> Self {
+        Self {
+            loss,
+            parts: Vec::new(),
+        }
+    }
+}
+
+/// Threads that each compute whole small batches by themselves.
+///
+/// Operations that are split over threads wait for each other at every layer; whole batches side by side do not.
+pub struct Workers {
+    /// One pool of one thread a worker, so that operations within do not spread.
+    pools: Vec<ThreadPool>,
+}
+
+/// The batches of a step: how many, and the seed of their samples.
+#[derive(Clone, Copy, Debug)]
+pub struct Batches {
+    /// Small batches a step.
+    pub count: usize,
+    /// Seed.
+    pub seed: u64,
+    /// The step.
+    pub step: u64,
+}
+
+impl Workers {
+    /// This many threads.
+    ///
+    /// # Errors
+    /// If it is 0, or they cannot be started.
+    pub fn new(threads: usize) -> Result<Self> {
+        ensure!(threads > 0, "0 threads, expected at least 1");
+        let pools = (0..threads)
+            .map(|_| ThreadPoolBuilder::new().num_threads(1).build())
+            .collect::<Result<_, _>>()?;
+        Ok(Self { pools })
+    }
+
+    /// Number of threads.
+    #[must_use]
+    pub fn threads(&self) -> usize {
+        self.pools.len()
+    }
+
+    /// The mean loss over one step's batches, and its gradient by `variables`. `loss` computes that of one batch, from
+    /// random numbers of its own: what comes out does not depend on the number of threads.
+    ///
+    /// # Errors
+    /// If `loss` fails, or a variable has no gradient.
+    pub fn step(
+        &self,
+        variables: &Variables,
+        batches: Batches,
+        loss: &(dyn Fn(&mut ChaCha8Rng) -> Result<BatchLoss> + Sync),
+    ) -> Result<StepLoss> {
+        let Batches { count, seed, step } = batches;
+        let next = AtomicUsize::new(0);
+        let batch = |index: usize| -> Result<(BatchLoss, GradStore)> {
+            // A stream of its own for each batch, whichever worker takes it.
+            let mut rng = step_rng(seed, step * count as u64 + index as u64);
+            let BatchLoss { loss, parts } = loss(&mut rng)?;
+            let loss = (loss / count as f64)?;
+            let gradients = loss.backward()?;
+            Ok((BatchLoss { loss, parts }, gradients))
+        };
+        let work = || {
+            let mut done = Vec::new();
+            loop {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                if index >= count {
+                    return done;
+                }
+                done.push((
+                    index,
+                    batch(index).and_then(|(loss, gradients)| {
+                        Ok(StepLoss {
+                            loss: loss.loss.to_scalar()?,
+                            parts: loss.parts,
+                            gradient: variables.gradients(&gradients)?,
+                        })
+                    }),
+                ));
+            }
+        };
+        let mut results = std::thread::scope(|scope| -> Result<Vec<_>> {
+            let running: Vec<_> = self
+                .pools
+                .iter()
+                .map(|pool| scope.spawn(|| pool.install(work)))
+                .collect();
+            let mut results = Vec::new();
+            for worker in running {
+                results.extend(
+                    worker
+                        .join()
+                        .map_err(|_| anyhow!("a training thread panicked"))?,
+                );
+            }
+            Ok(results)
+        })?;
+        // In this order, sums do not depend on which worker was faster.
+        results.sort_by_key(|(index, _)| *index);
+        let mut results = results.into_iter().map(|(_, result)| result);
+        let mut total = results.next().context("a step without batches")??;
+        for result in results {
+            let batch = result?;
+            total.loss += batch.loss;
+            for ((_, sum), (_, part)) in total.parts.iter_mut().zip(batch.parts) {
+                *sum += part;
+            }
+            for (sum, part) in total.gradient.iter_mut().zip(batch.gradient) {
+                for (sum, part) in sum.iter_mut().zip(part) {
+                    *sum += part;
+                }
+            }
+        }
+        for (_, part) in &mut total.parts {
+            *part /= count as f64;
+        }
+        Ok(total)
+    }
+}
