@@ -8,6 +8,7 @@ use clap::{Parser, Subcommand};
 use wm_sim::SimArgs;
 use wm_training::{
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
+    idm::{EvaluateIdmArgs, TrainIdmArgs},
     run::{Ended, Stop},
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
 };
@@ -44,6 +45,8 @@ enum TrainCommand {
     Autoencoder(TrainAutoencoderArgs),
     /// Train the transition model on the latents of a frozen encoder
     Transition(TrainTransitionArgs),
+    /// Train the inverse dynamics model on the latents of a frozen encoder
+    Idm(TrainIdmArgs),
 }
 
 #[derive(Debug, Subcommand)]
@@ -52,6 +55,8 @@ enum EvalCommand {
     Autoencoder(EvaluateAutoencoderArgs),
     /// Compare a transition model's predictions with the persistence baseline, and measure plans made with it
     Transition(EvaluateTransitionArgs),
+    /// Measure how well an inverse dynamics model tells actions, from real and from predicted latents
+    Idm(EvaluateIdmArgs),
 }
 
 impl TrainCommand {
@@ -60,6 +65,7 @@ impl TrainCommand {
         let ended = match self {
             Self::Autoencoder(arguments) => arguments.run(&stop)?,
             Self::Transition(arguments) => arguments.run(&stop)?,
+            Self::Idm(arguments) => arguments.run(&stop)?,
         };
         Ok(match ended {
             Ended::Finished => ExitCode::SUCCESS,
@@ -75,6 +81,7 @@ impl Command {
             Self::Train(command) => return command.run(),
             Self::Eval(EvalCommand::Autoencoder(arguments)) => arguments.run()?,
             Self::Eval(EvalCommand::Transition(arguments)) => arguments.run()?,
+            Self::Eval(EvalCommand::Idm(arguments)) => arguments.run()?,
         }
         Ok(ExitCode::SUCCESS)
     }

@@ -182,7 +182,21 @@ pub fn write(folder: &Path, name: &str, recipe: &impl Serialize) -> Result<(), R
         })
 }
 
-/// How long a training is and how it steps: what every recipe has.
+/// What of a recipe decides the result, step by step: all but how long it goes on and how often it saves.
+///
+/// # Errors
+/// When a value cannot be told in JSON.
+pub fn identity(recipe: &impl Serialize) -> Result<serde_json::Value, serde_json::Error> {
+    let mut identity = serde_json::to_value(recipe)?;
+    if let Some(settings) = identity.as_object_mut() {
+        for key in ["length", "validate_every", "checkpoint_seconds"] {
+            settings.remove(key);
+        }
+    }
+    Ok(identity)
+}
+
+/// How a training steps: what every recipe has.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Optimisation {

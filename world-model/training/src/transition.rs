@@ -90,13 +90,6 @@ fn train_on(
     let mut task = TransitionTask::new(recipe, &encoding, train, held_out, run.threads()?)?;
     let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
     let steps = recipe.length.steps(per_epoch);
-    // Whatever decides the result but the number of steps, which may grow.
-    let mut identity = serde_json::to_value(recipe)?;
-    if let Some(recipe) = identity.as_object_mut() {
-        for key in ["length", "validate_every", "checkpoint_seconds"] {
-            recipe.remove(key);
-        }
-    }
     let settings = RunSettings {
         out: run.out.clone(),
         steps,
@@ -105,7 +98,7 @@ fn train_on(
         checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
         validate_every: recipe.validate_every,
         identity: json!({
-            "recipe": identity,
+            "recipe": crate::recipe::identity(recipe)?,
             "latent_space": train.space().to_string(),
             "data": train.digest(),
             "actions": task.encoding,
@@ -323,4 +316,4 @@ fn table_row(ratios: &[f64]) -> String {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

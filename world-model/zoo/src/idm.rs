@@ -6,8 +6,7 @@
 //! number k of actions.
 //!
 //! Latents lose their channels' scale (RMSNorm), are projected and given a temporal and a spatial embedding; k learned
-//! queries go in front; all tokens attend to all in pre-norm blocks, and each query's output becomes an action. There
-//! is no dropout here: it is for inference.
+//! queries go in front; all tokens attend to all in pre-norm blocks, and each query's output becomes an action.
 //!
 //! Names in the authors' release: `input_proj.*` Linear, `temporal_pos_emb` (K+1, hidden) of which the first k+1 rows
 //! are used, `spatial_pos_emb` (rows * columns, hidden), `cls_queries` (k, hidden), `transformer.{i}.{norm1,norm2}.*`,
@@ -19,16 +18,18 @@
 //! "patch": 1, "grid": [16, 16], "hidden": 512, "depth": 6, "heads": 8, "mlp": 2048, "actions": 7}`.
 
 mod names;
+mod trained;
 
 use candle_core::{D, DType, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::Result;
-use crate::layers::{LayerNorm, Linear, rms_norm};
+use crate::layers::{Dropout, LayerNorm, Linear, rms_norm};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 use crate::vit::{Activation, Block};
 use names::Names;
+pub use trained::{IDM_KEY, TrainedIdm};
 
 /// Epsilon of the input's RMSNorm, that of the transition model's.
 const RMS_NORM_EPS: f64 = 1e-6;
@@ -205,6 +206,14 @@ impl Idm {
     /// # Errors
     /// If the latents have another shape.
     pub fn forward(&self, latents: &Tensor) -> Result<Tensor> {
+        self.forward_dropping(latents, &mut Dropout::none())
+    }
+
+    /// The same in training, with dropout in its blocks (the paper: 0.1).
+    ///
+    /// # Errors
+    /// If the latents have another shape.
+    pub fn forward_dropping(&self, latents: &Tensor, dropout: &mut Dropout<'_>) -> Result<Tensor> {
         let latents = latents.to_device(self.queries.device())?;
         let patches = self.patches(&latents.to_dtype(self.queries.dtype())?)?;
         let (b, frames, tokens, _) = patches.dims4()?;
@@ -218,7 +227,7 @@ impl Idm {
         let queries = self.queries.expand((b, k, width))?;
         let mut x = Tensor::cat(&[&queries, &x], 1)?;
         for block in &self.blocks {
-            x = block.forward(&x, None, None)?;
+            x = block.forward_dropping(&x, None, None, dropout)?;
         }
         let answers = self.norm.forward(&x.narrow(1, 0, k)?.contiguous()?)?;
         let [first, second] = &self.head;

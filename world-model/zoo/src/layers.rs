@@ -7,6 +7,7 @@
 mod activation;
 mod attention;
 mod conv2d;
+mod dropout;
 mod group_norm;
 mod host;
 mod layer_norm;
@@ -17,6 +18,7 @@ mod upsample;
 pub use activation::{gelu_exact, gelu_tanh, silu};
 pub use attention::attention;
 pub use conv2d::{Conv2d, ConvSpec, Padding};
+pub use dropout::Dropout;
 pub use group_norm::GroupNorm;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;

@@ -55,6 +55,6 @@ pub use checkpoint::Checkpoint;
 pub use compute::Compute;
 pub use device::DeviceName;
 pub use error::{Error, Misshapen, Result};
-pub use loader::Loader;
+pub use loader::{Loader, Supply};
 pub use model_folder::ModelFolder;
 pub use wm_model::ops::Engine;

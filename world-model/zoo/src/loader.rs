@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
-use std::fmt::Display;
+use std::fmt::{self, Display};
 use std::rc::Rc;
 
 use candle_core::{DType, Device, Tensor};
@@ -23,7 +23,7 @@ use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Result};
 /// tensors.
 #[derive(Clone, Debug)]
 pub struct Loader<'a> {
-    source: Option<&'a Checkpoint>,
+    source: Source<'a>,
     /// Where in the tree, with a dot at the end; empty at the root.
     prefix: String,
     engine: Engine,
@@ -33,6 +33,33 @@ pub struct Loader<'a> {
     /// Whether values are read from `source`, or only names and shapes.
     reads: bool,
     account: Rc<RefCell<Account>>,
+}
+
+/// What gives tensors that are in no checkpoint, as the variables of a training.
+pub trait Supply {
+    /// Tensor `name` of `shape`: on the CPU, f32.
+    ///
+    /// # Errors
+    /// Whatever keeps it from that.
+    fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor>;
+}
+
+#[derive(Clone, Copy)]
+enum Source<'a> {
+    Checkpoint(&'a Checkpoint),
+    Supply(&'a dyn Supply),
+    /// A skeleton's.
+    Nothing,
+}
+
+impl fmt::Debug for Source<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Checkpoint(checkpoint) => checkpoint.fmt(f),
+            Self::Supply(_) => f.write_str("Supply"),
+            Self::Nothing => f.write_str("Nothing"),
+        }
+    }
 }
 
 /// A tensor that a model asked for.
@@ -71,7 +98,7 @@ impl<'a> Loader<'a> {
     /// Gives `source`'s tensors on the device of `compute`, rounded to its precision.
     pub fn on(source: &'a Checkpoint, compute: &Compute) -> Self {
         Self {
-            source: Some(source),
+            source: Source::Checkpoint(source),
             prefix: String::new(),
             engine: compute.engine(),
             precision: compute.precision(),
@@ -93,13 +120,23 @@ impl<'a> Loader<'a> {
     /// A loader without a checkpoint. Every tensor that is asked for is one zero, repeated, which takes no memory.
     pub fn skeleton(engine: Engine) -> Loader<'static> {
         Loader {
-            source: None,
+            source: Source::Nothing,
             prefix: String::new(),
             engine,
             precision: DType::F32,
             device: Device::Cpu,
             reads: false,
             account: Rc::default(),
+        }
+    }
+
+    /// Gives what `supply` has for each name, on the CPU, in f32. Plain operations ([`Engine::Candle`]) propagate
+    /// gradients to it. Names are those of the published checkpoints.
+    pub fn supplied(supply: &'a dyn Supply, engine: Engine) -> Self {
+        Self {
+            source: Source::Supply(supply),
+            reads: true,
+            ..Self::skeleton(engine)
         }
     }
 
@@ -143,15 +180,21 @@ impl<'a> Loader<'a> {
         &self.device
     }
 
-    /// Whether the checkpoint has a tensor `name` here. A skeleton has none.
+    /// Whether the checkpoint has a tensor `name` here. A skeleton has none; what is supplied has all.
     pub fn has(&self, name: &str) -> bool {
-        self.source
-            .is_some_and(|source| source.contains(&self.path(name)))
+        match self.source {
+            Source::Checkpoint(source) => source.contains(&self.path(name)),
+            Source::Supply(_) => true,
+            Source::Nothing => false,
+        }
     }
 
-    /// Shape of the checkpoint's tensor `name` here, if there is one. A skeleton has none.
+    /// Shape of the checkpoint's tensor `name` here, if there is one. Without a checkpoint there is none.
     pub fn shape(&self, name: &str) -> Option<&'a [usize]> {
-        self.source?.shape(&self.path(name))
+        match self.source {
+            Source::Checkpoint(source) => source.shape(&self.path(name)),
+            Source::Supply(_) | Source::Nothing => None,
+        }
     }
 
     /// Tensor `name`, which has to be of `shape`.
@@ -169,8 +212,10 @@ impl<'a> Loader<'a> {
                 shape: shape.to_vec(),
             });
         }
-        let Some(source) = self.source else {
-            return self.zeros(shape);
+        let source = match self.source {
+            Source::Checkpoint(source) => source,
+            Source::Supply(supply) => return supply.supply(&path, shape),
+            Source::Nothing => return self.zeros(shape),
         };
         match source.shape(&path) {
             Some(found) if found == shape && !self.reads => self.zeros(shape),
@@ -269,7 +314,7 @@ impl<'a> Loader<'a> {
     /// # Errors
     /// [`Error::Tensors`], with all that does not fit.
     pub fn finish(&self) -> Result<()> {
-        let Some(source) = self.source else {
+        let Source::Checkpoint(source) = self.source else {
             return Ok(());
         };
         let account = self.account.borrow();

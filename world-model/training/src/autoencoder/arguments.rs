@@ -65,12 +65,6 @@ pub(super) fn train_on(
 ) -> Result<Ended> {
     let per_epoch = train.episodes().len() as f64 / recipe.batch as f64;
     let steps = recipe.length.steps(per_epoch);
-    let mut identity = serde_json::to_value(recipe)?;
-    if let Some(recipe) = identity.as_object_mut() {
-        for key in ["length", "validate_every", "checkpoint_seconds"] {
-            recipe.remove(key);
-        }
-    }
     let settings = RunSettings {
         out: run.out.clone(),
         steps,
@@ -78,7 +72,7 @@ pub(super) fn train_on(
         optimiser: recipe.optimisation.adamw(),
         checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
         validate_every: recipe.validate_every,
-        identity: json!({"recipe": identity, "data": train.digest()}),
+        identity: json!({"recipe": crate::recipe::identity(recipe)?, "data": train.digest()}),
     };
     let mut task = AutoencoderTask::new(recipe.clone(), steps, train, held_out)?;
     crate::recipe::write(&run.out, task.name(), recipe)?;

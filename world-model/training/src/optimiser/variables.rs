@@ -20,6 +20,12 @@ impl Variables {
         Ok(tensor)
     }
 
+    /// The tensor of this name.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<Tensor> {
+        self.0.get(name).map(|var| var.as_tensor().clone())
+    }
+
     /// What an optimiser starts from; `group` tells the group of a name.
     ///
     /// # Errors

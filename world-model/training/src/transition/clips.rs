@@ -1,4 +1,5 @@
 use anyhow::{Result, ensure};
+use candle_core::{Device, Tensor};
 use rand::Rng;
 use wm_motion::actions::ActionEncoding;
 
@@ -16,9 +17,9 @@ pub struct ClipSource<'a> {
 
 /// A clip: which episode, and its first camera frame there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Clip {
-    pub(super) episode: usize,
-    pub(super) start: usize,
+pub struct Clip {
+    episode: usize,
+    start: usize,
 }
 
 impl<'a> ClipSource<'a> {
@@ -93,7 +94,8 @@ impl<'a> ClipSource<'a> {
     }
 
     /// Clips that do not overlap, in order.
-    pub(super) fn all(&self) -> Vec<Clip> {
+    #[must_use]
+    pub fn all(&self) -> Vec<Clip> {
         let clips = self.episodes.iter().flat_map(|episode| {
             let starts = 0..=self.latents.episodes()[*episode].frame_count - self.span();
             let episode = *episode;
@@ -102,6 +104,31 @@ impl<'a> ClipSource<'a> {
                 .map(move |start| Clip { episode, start })
         });
         clips.collect()
+    }
+
+    /// This many random clips, as [`Self::tensors`].
+    ///
+    /// # Errors
+    /// If they cannot be read.
+    pub fn batch(&self, count: usize, rng: &mut impl Rng) -> Result<(Tensor, Tensor)> {
+        let clips: Vec<Clip> = (0..count).map(|_| self.draw(rng)).collect();
+        self.tensors(&clips)
+    }
+
+    /// Latents (B, frames, h, w, C) and the action of each frame (B, frames, A).
+    ///
+    /// # Errors
+    /// If they cannot be read.
+    pub fn tensors(&self, clips: &[Clip]) -> Result<(Tensor, Tensor)> {
+        let (mut latents, mut actions) = (Vec::new(), Vec::new());
+        for clip in clips {
+            self.load(*clip, &mut latents, &mut actions)?;
+        }
+        let (b, n, (h, w, c)) = (clips.len(), self.frames, self.shape());
+        Ok((
+            Tensor::from_vec(latents, (b, n, h, w, c), &Device::Cpu)?,
+            Tensor::from_vec(actions, (b, n, self.action_dim()), &Device::Cpu)?,
+        ))
     }
 
     /// Appends a clip's latents (frames, h, w, C) and the model action of each frame (frames, A): what leads from it to

@@ -77,15 +77,12 @@ impl Evaluation {
         let source = ClipSource::new(latents, encoding, CONTEXT + horizon)?;
         let clips = source.all();
         let stride = clips.len().div_ceil(most.max(1)).max(1);
-        let (h, w, c) = source.shape();
         let cases = clips.into_iter().step_by(stride).map(|clip| {
-            let (mut frames, mut actions) = (Vec::new(), Vec::new());
-            source.load(clip, &mut frames, &mut actions)?;
-            let n = source.frames();
+            let (frames, actions) = source.tensors(&[clip])?;
             Ok(Case {
                 first_frame: source.first_frame(clip),
-                frames: Tensor::from_vec(frames, (n, h, w, c), &Device::Cpu)?,
-                actions: Tensor::from_vec(actions, (n, source.action_dim()), &Device::Cpu)?,
+                frames: frames.squeeze(0)?,
+                actions: actions.squeeze(0)?,
             })
         });
         Ok(Self {
@@ -164,7 +161,7 @@ impl Evaluation {
     }
 
     /// The predicted latents (1, h, w, C) of a window, step by step.
-    pub(super) fn predict(
+    pub(crate) fn predict(
         &self,
         index: usize,
         model: &PackedTransition,
@@ -196,22 +193,29 @@ impl Evaluation {
             .collect())
     }
 
+    /// The last observed latent (1, h, w, C) of a window.
+    pub(crate) fn last_observed(&self, index: usize) -> Result<Tensor> {
+        Ok(self.case(index)?.frames.narrow(0, CONTEXT - 1, 1)?)
+    }
+
+    /// The true actions (K + 1, A) of a window, from the last observed frame on.
+    pub(crate) fn actions(&self, index: usize) -> Result<Tensor> {
+        let actions = &self.case(index)?.actions;
+        Ok(actions.narrow(0, CONTEXT - 1, self.horizon + 1)?)
+    }
+
     fn case(&self, index: usize) -> Result<&Case> {
         self.cases.get(index).context("no such window")
     }
 
     /// The actions (K + 1, A) that the prediction of a window is told: the last frame carries one too.
     fn changed(&self, index: usize, change: ActionChange) -> Result<Tensor> {
-        let of = |index: usize| -> Result<Tensor> {
-            let case = self.case(index)?;
-            Ok(case.actions.narrow(0, CONTEXT - 1, self.horizon + 1)?)
-        };
-        let own = of(index)?;
+        let own = self.actions(index)?;
         Ok(match change {
             ActionChange::None => own,
             ActionChange::Zero => own.zeros_like()?,
             // Half the windows away is another episode.
-            ActionChange::Shuffled => of((index + self.len() / 2) % self.len())?,
+            ActionChange::Shuffled => self.actions((index + self.len() / 2) % self.len())?,
             ActionChange::Negated => {
                 // The gripper, and what follows it, keep their sign.
                 let width = own.dim(1)?;

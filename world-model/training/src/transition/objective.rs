@@ -140,14 +140,7 @@ impl Objective {
         clips: &ClipSource<'_>,
         rng: &mut ChaCha8Rng,
     ) -> Result<(Tensor, Tensor)> {
-        let (b, n) = (self.micro_batch, clips.frames());
-        let (h, w, c) = clips.shape();
-        let (mut latents, mut actions) = (Vec::new(), Vec::new());
-        for _ in 0..b {
-            clips.load(clips.draw(rng), &mut latents, &mut actions)?;
-        }
-        let latents = Tensor::from_vec(latents, (b, n, h, w, c), &Device::Cpu)?;
-        let actions = Tensor::from_vec(actions, (b, n, clips.action_dim()), &Device::Cpu)?;
+        let (latents, actions) = clips.batch(self.micro_batch, rng)?;
         let part = self.recipe.action_dropout;
         if part > 0.0 {
             return Ok((latents, drop_actions(&actions, part, rng)?));

@@ -19,7 +19,12 @@ const CHANNELS: usize = 2;
 const FRAMES: usize = 12;
 
 /// Episodes in which dx moves the first channel as a whole, by an amount that nothing but the action tells.
-pub(super) fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
+pub(crate) fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
+    of_space(dir, episodes, seed, "moving")
+}
+
+/// The same in a latent space of this name.
+pub(crate) fn of_space(dir: &Path, episodes: usize, seed: u64, name: &str) -> Latents {
     let mut bytes = Vec::new();
     let mut list = Vec::new();
     let mut state = seed;
@@ -51,8 +56,8 @@ pub(super) fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
     let path = dir.join(format!("latents {seed}"));
     std::fs::write(&path, bytes).unwrap();
     let space = LatentSpace {
-        name: "moving".into(),
-        hash: "0".into(),
+        name: name.into(),
+        hash: name.into(),
         height: SIDE,
         width: SIDE,
         channels: CHANNELS,

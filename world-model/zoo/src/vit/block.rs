@@ -4,7 +4,7 @@ use candle_core::Tensor;
 
 use super::{Activation, Mlp, Projections, Rotary, SelfAttention};
 use crate::Result;
-use crate::layers::LayerNorm;
+use crate::layers::{Dropout, LayerNorm};
 use crate::loader::Loader;
 
 /// x += scale * attention(norm(x)); x += scale * mlp(norm(x)), the scales being optional.
@@ -74,12 +74,24 @@ impl Block {
         mask: Option<&Tensor>,
         rotary: Option<&Rotary>,
     ) -> Result<Tensor> {
+        self.forward_dropping(x, mask, rotary, &mut Dropout::none())
+    }
+
+    /// The same in training, with dropout of what each half adds.
+    pub(crate) fn forward_dropping(
+        &self,
+        x: &Tensor,
+        mask: Option<&Tensor>,
+        rotary: Option<&Rotary>,
+        dropout: &mut Dropout<'_>,
+    ) -> Result<Tensor> {
         let attended = self
             .attention
             .forward(&self.attention_norm.forward(x)?, mask, rotary)?;
+        let attended = dropout.apply(&attended)?;
         let x = add_scaled(x, &attended, self.attention_scale.as_ref())?;
         let fed = self.mlp.forward(&self.mlp_norm.forward(&x)?)?;
-        add_scaled(&x, &fed, self.mlp_scale.as_ref())
+        add_scaled(&x, &dropout.apply(&fed)?, self.mlp_scale.as_ref())
     }
 }
 

@@ -1,0 +1,188 @@
+//! Training of the inverse dynamics model: which actions lie between consecutive latents (the paper, appendix B.6), by
+//! Smooth-L1 on the latents of a frozen encoder.
+
+mod arguments;
+mod correlation;
+mod recipe;
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result, ensure};
+use candle_core::{DType, Device, Tensor};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+use wm_model::{
+    Weights,
+    transition::{ACTIONS_KEY, LATENT_SPACE_KEY},
+    weights::{Precision, WeightsBuilder},
+};
+use wm_motion::actions::ActionEncoding;
+use wm_zoo::{
+    idm::{IDM_KEY, Idm, IdmConfig, TrainedIdm},
+    layers::Dropout,
+};
+
+use crate::{
+    fresh_weights::FreshWeights,
+    latents::Latents,
+    optimiser::{Parameter, Trained, Variables},
+    run::{Figure, StepLoss, Task},
+    transition::ClipSource,
+    workers::{BatchLoss, Batches, Workers},
+};
+pub use arguments::{EvaluateIdmArgs, TrainIdmArgs};
+pub use correlation::{Correlation, on_predicted, on_real};
+pub use recipe::{IdmModelRecipe, IdmRecipe, RECIPES};
+
+/// Windows of the evaluations during the training.
+const QUICK_WINDOWS: usize = 256;
+/// Weights are saved as half floats.
+const PRECISION: Precision = Precision::F16;
+/// The weights' file in a model's folder.
+pub const FILE: &str = "idm.safetensors";
+
+/// An inverse dynamics model in training.
+struct IdmTask<'a> {
+    recipe: &'a IdmRecipe,
+    config: IdmConfig,
+    encoding: &'a ActionEncoding,
+    train: &'a Latents,
+    clips: ClipSource<'a>,
+    held_out: Option<&'a Latents>,
+    variables: Variables,
+    model: Idm,
+    workers: Workers,
+    /// The model that was written last.
+    written: Option<TrainedIdm>,
+}
+
+impl<'a> IdmTask<'a> {
+    fn new(
+        recipe: &'a IdmRecipe,
+        encoding: &'a ActionEncoding,
+        train: &'a Latents,
+        held_out: Option<&'a Latents>,
+        threads: usize,
+    ) -> Result<Self> {
+        ensure!(
+            recipe.micro_batch > 0 && recipe.batch.is_multiple_of(recipe.micro_batch),
+            "batch {} cannot be split into parts of micro_batch {}",
+            recipe.batch,
+            recipe.micro_batch
+        );
+        ensure!(
+            (0.0..1.0).contains(&recipe.dropout),
+            "dropout is {}, expected 0 up to 1",
+            recipe.dropout
+        );
+        let config = recipe.config(train.space(), encoding)?;
+        let fresh = FreshWeights::new(recipe.seed);
+        let model = Idm::load(&config, &fresh.loader())?;
+        let frames = config.horizon + 1;
+        if let Some(held_out) = held_out {
+            ClipSource::new(held_out, encoding, frames).context("the held-out bags")?;
+        }
+        Ok(Self {
+            clips: ClipSource::new(train, encoding, frames)?,
+            recipe,
+            config,
+            encoding,
+            train,
+            held_out,
+            variables: fresh.into_variables(),
+            model,
+            workers: Workers::new(threads)?,
+            written: None,
+        })
+    }
+
+    fn loss(&self, rng: &mut ChaCha8Rng) -> Result<Tensor> {
+        let (latents, actions) = self.clips.batch(self.recipe.micro_batch, rng)?;
+        let latents = match self.recipe.latent_noise {
+            0.0 => latents,
+            deviation => {
+                let noise = (0..latents.elem_count()).map(|_| {
+                    let normal: f64 = StandardNormal.sample(rng);
+                    (normal * deviation) as f32
+                });
+                let noise = Tensor::from_vec(noise.collect(), latents.shape(), &Device::Cpu)?;
+                (latents + noise)?
+            }
+        };
+        // The last frame's own action leads out of the window.
+        let truth = actions.narrow(1, 0, self.config.horizon)?;
+        let mut dropout = Dropout::new(self.recipe.dropout, rng);
+        let found = self.model.forward_dropping(&latents, &mut dropout)?;
+        smooth_l1(&found, &truth)
+    }
+}
+
+/// The mean of d^2 / 2 where |d| is below 1, and of |d| - 1/2 elsewhere: `torch.nn.SmoothL1Loss()`.
+fn smooth_l1(found: &Tensor, truth: &Tensor) -> Result<Tensor> {
+    let distance = (found - truth)?.abs()?;
+    let is_small = distance.detach().lt(1.0)?.to_dtype(DType::F32)?;
+    let square = (distance.sqr()? * 0.5)?;
+    let line = (distance - 0.5)?;
+    let loss = ((&is_small * square)? + ((1.0 - &is_small)? * line)?)?;
+    Ok(loss.mean_all()?)
+}
+
+impl Task for IdmTask<'_> {
+    fn name(&self) -> &'static str {
+        "idm"
+    }
+
+    fn parameters(&self) -> Result<Vec<Parameter>> {
+        Ok(self.variables.parameters(|_| 0)?)
+    }
+
+    fn step(&mut self, step: u64) -> Result<StepLoss> {
+        let batches = Batches {
+            count: self.recipe.batch / self.recipe.micro_batch,
+            seed: self.recipe.seed,
+            step,
+        };
+        self.workers.step(&self.variables, batches, &|rng| {
+            Ok(BatchLoss::from(self.loss(rng)?))
+        })
+    }
+
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        Ok(self.variables.assign(weights)?)
+    }
+
+    fn write(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        folder: &Path,
+    ) -> Result<()> {
+        let mut weights = WeightsBuilder::new();
+        for Trained {
+            name,
+            shape,
+            values,
+        } in averaged
+        {
+            weights.values(name, shape, values, PRECISION);
+        }
+        weights.metadata(IDM_KEY, serde_json::to_string(&self.config)?);
+        weights.metadata(ACTIONS_KEY, serde_json::to_string(self.encoding)?);
+        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(self.train.space())?);
+        let path = folder.join(FILE);
+        weights.write(&path)?;
+        // Of exactly what was written.
+        self.written = Some(TrainedIdm::from_weights(Weights::open(&path)?)?);
+        Ok(())
+    }
+
+    fn validate(&mut self, thorough: bool) -> Result<Vec<Figure>> {
+        let (Some(held_out), Some(model)) = (self.held_out, &self.written) else {
+            return Ok(Vec::new());
+        };
+        let most = if thorough { usize::MAX } else { QUICK_WINDOWS };
+        Ok(on_real(model, held_out, most)?.figures())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,141 @@
+use std::{path::PathBuf, time::Duration};
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+use serde_json::json;
+use wm_model::{
+    Encoder as _, Weights,
+    transition::{ACTIONS_KEY, Transition},
+};
+use wm_motion::actions::ActionEncoding;
+use wm_zoo::idm::TrainedIdm;
+
+use super::{FILE, IdmRecipe, IdmTask, RECIPES, on_predicted, on_real};
+use crate::{
+    arguments::RunArgs,
+    dataset::Dataset,
+    latents::Latents,
+    run::{Ended, RunSettings, Stop, Task as _},
+    transition::Evaluation,
+};
+
+/// Model steps that a transition model predicts for an evaluation.
+const HORIZON: usize = 8;
+
+/// Trains the inverse dynamics model: which actions lie between consecutive latents of a frozen encoder.
+#[derive(Clone, Debug, Args)]
+pub struct TrainIdmArgs {
+    /// What every training has.
+    #[command(flatten)]
+    pub run: RunArgs,
+    /// Weights of the autoencoder that encodes the frames to latents: a file, or a model's folder.
+    #[arg(long)]
+    pub autoencoder: PathBuf,
+}
+
+impl TrainIdmArgs {
+    /// Trains until the last step, or until `stop` asks for the end.
+    ///
+    /// # Errors
+    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        let encoder = wm_model::Autoencoder::open(&self.autoencoder)?;
+        let (run, cache) = (&self.run, self.run.cache());
+        let latents = |bags| -> Result<Latents> {
+            let dataset = Dataset::open(bags, &cache, encoder.input_size())?;
+            Latents::open(&dataset, &encoder, &cache)
+        };
+        let train = latents(&run.bags)?;
+        let held_out = run.held_out.as_deref().map(latents).transpose()?;
+        let recipe: IdmRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
+        train_on(run, &recipe, &train, held_out.as_ref(), stop)
+    }
+}
+
+pub(super) fn train_on(
+    run: &RunArgs,
+    recipe: &IdmRecipe,
+    train: &Latents,
+    held_out: Option<&Latents>,
+    stop: &Stop,
+) -> Result<Ended> {
+    let encoding = recipe.encoding(train.action_space())?;
+    let mut task = IdmTask::new(recipe, &encoding, train, held_out, run.threads()?)?;
+    let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
+    let steps = recipe.length.steps(per_epoch);
+    let settings = RunSettings {
+        out: run.out.clone(),
+        steps,
+        schedule: recipe.optimisation.schedule(steps, per_epoch),
+        optimiser: recipe.optimisation.adamw(),
+        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
+        validate_every: recipe.validate_every,
+        identity: json!({
+            "recipe": crate::recipe::identity(recipe)?,
+            "latent_space": train.space().to_string(),
+            "data": train.digest(),
+            "actions": encoding,
+        }),
+    };
+    crate::recipe::write(&run.out, task.name(), recipe)?;
+    println!("{} episodes, {} threads", task.clips.len(), run.threads()?);
+    let ended = crate::run::train(&mut task, &settings, stop)?;
+    if ended == Ended::Finished {
+        println!("wrote {}", run.out.join(FILE).display());
+    }
+    Ok(ended)
+}
+
+/// Measures how well an inverse dynamics model tells actions, from real and from predicted latents.
+#[derive(Clone, Debug, Args)]
+pub struct EvaluateIdmArgs {
+    /// Folder with the bags of the episodes.
+    #[arg(long)]
+    pub bags: PathBuf,
+    /// Weights of the autoencoder: a file, or a model's folder.
+    #[arg(long)]
+    pub autoencoder: PathBuf,
+    /// Weights of the inverse dynamics model.
+    #[arg(long)]
+    pub weights: PathBuf,
+    /// Weights of a transition model, to measure on what it predicts too.
+    #[arg(long)]
+    pub transition: Option<PathBuf>,
+    /// Folder for decoded frames and latents.
+    #[arg(long)]
+    pub cache: Option<PathBuf>,
+    /// Maximum number of windows of predictions.
+    #[arg(long, default_value_t = usize::MAX)]
+    pub windows: usize,
+}
+
+impl EvaluateIdmArgs {
+    /// Prints the figures.
+    ///
+    /// # Errors
+    /// When data or weights cannot be read, or do not fit one another.
+    pub fn run(&self) -> Result<()> {
+        let encoder = wm_model::Autoencoder::open(&self.autoencoder)?;
+        let cache = self.cache.clone().unwrap_or_else(std::env::temp_dir);
+        let dataset = Dataset::open(&self.bags, &cache, encoder.input_size())?;
+        let latents = Latents::open(&dataset, &encoder, &cache)?;
+        let model = TrainedIdm::open(&self.weights)?;
+        let (own, others) = ("the model", "the bags");
+        model
+            .encoding()
+            .space()
+            .expect_same(latents.action_space(), own, others)?;
+        println!("real latents: {}", on_real(&model, &latents, usize::MAX)?);
+        if let Some(path) = &self.transition {
+            let weights = Weights::open(path)?;
+            let encoding: ActionEncoding = weights.json(ACTIONS_KEY)?;
+            let transition = Transition::from_weights(weights)
+                .with_context(|| path.display().to_string())?
+                .pack()?;
+            let evaluation = Evaluation::new(&latents, &encoding, HORIZON, self.windows)?;
+            let found = on_predicted(&model, &transition, &evaluation)?;
+            println!("predicted latents: {found}");
+        }
+        Ok(())
+    }
+}

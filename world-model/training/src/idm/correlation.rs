@@ -1,0 +1,172 @@
+use std::fmt;
+
+use anyhow::{Result, ensure};
+use candle_core::{Device, Tensor};
+use rayon::prelude::*;
+use wm_model::transition::PackedTransition;
+use wm_motion::actions::{ActionSpace, Kind};
+use wm_zoo::idm::{TrainedIdm, pearson};
+
+use crate::{
+    latents::Latents,
+    run::Figure,
+    transition::{ActionChange, ClipSource, Evaluation},
+};
+
+/// Windows that are computed at once.
+const BATCH: usize = 16;
+
+/// How well the actions between latents are told, over all windows and all k actions of each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Correlation {
+    /// Actions compared.
+    pub actions: usize,
+    /// Pearson's r of each dimension that is no gripper and varies.
+    pub continuous: Vec<(String, Kind, f64)>,
+    /// Part of the actions whose gripper is told on the right side of its middle; `None` without a gripper.
+    pub gripper: Option<f64>,
+}
+
+impl Correlation {
+    /// The figures of a validation.
+    #[must_use]
+    pub fn figures(&self) -> Vec<Figure> {
+        let groups = [
+            ("r_mean", self.mean(|_| true)),
+            (
+                "r_translation",
+                self.mean(|kind| kind == Kind::TranslationDelta),
+            ),
+            ("r_rotation", self.mean(|kind| kind == Kind::RotationDelta)),
+        ];
+        let groups = groups.into_iter();
+        let mut figures: Vec<Figure> = groups
+            .filter_map(|(name, r)| Some(Figure::new(name, r?)))
+            .collect();
+        let each = self.continuous.iter();
+        figures.extend(each.map(|(name, _, r)| Figure::new(format!("r_{name}"), *r)));
+        figures.extend(self.gripper.map(|right| Figure::new("gripper", right)));
+        figures
+    }
+
+    /// The mean of r over the dimensions of some kinds; `None` where there are none.
+    #[must_use]
+    pub fn mean(&self, of: impl Fn(Kind) -> bool) -> Option<f64> {
+        let chosen = self.continuous.iter().filter(|(_, kind, _)| of(*kind));
+        let r: Vec<f64> = chosen.map(|(_, _, r)| *r).collect();
+        (!r.is_empty()).then(|| r.iter().sum::<f64>() / r.len() as f64)
+    }
+
+    /// `told` and `truth` are (actions, A), one row after another.
+    fn of(space: &ActionSpace, told: Vec<f32>, truth: Vec<f32>) -> Result<Self> {
+        let width = space.len();
+        let actions = told.len() / width.max(1);
+        let table = |values| Tensor::from_vec(values, (actions, width), &Device::Cpu);
+        let sides = told.clone().into_iter().zip(truth.clone());
+        let sides: Vec<(f32, f32)> = sides.collect();
+        let (r, _) = pearson(&table(told)?, &table(truth)?, width)?;
+        // What never varies has no correlation.
+        let varies = |column: usize| {
+            let mut values = sides.iter().skip(column).step_by(width);
+            let first = values.next();
+            values.any(|pair| first.is_some_and(|first| first.1 != pair.1))
+        };
+        let dimensions = space.dimensions().iter().zip(r).enumerate();
+        let continuous = dimensions
+            .filter(|(column, (dimension, _))| !dimension.kind.is_gripper() && varies(*column));
+        let continuous = continuous
+            .map(|(_, (dimension, r))| (dimension.name.clone(), dimension.kind, r))
+            .collect();
+        let gripper = (space.dimensions().iter()).position(|dimension| dimension.kind.is_gripper());
+        let gripper = gripper.map(|column| {
+            let pairs = sides.iter().skip(column).step_by(width);
+            // A gripper is -1 or 1 in model units.
+            let right = pairs.filter(|(told, truth)| (*told > 0.0) == (*truth > 0.0));
+            right.count() as f64 / actions.max(1) as f64
+        });
+        Ok(Self {
+            actions,
+            continuous,
+            gripper,
+        })
+    }
+}
+
+impl fmt::Display for Correlation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} actions, Pearson's r:", self.actions)?;
+        for Figure { name, value } in self.figures() {
+            write!(f, " {} {value:.3}", name.trim_start_matches("r_"))?;
+        }
+        Ok(())
+    }
+}
+
+/// On the latents of frames: at most `most` windows, spread over all that do not overlap.
+///
+/// # Errors
+/// If no episode is long enough, or the latents are of another space.
+pub fn on_real(model: &TrainedIdm, latents: &Latents, most: usize) -> Result<Correlation> {
+    model.space().require(latents.space())?;
+    let encoding = model.encoding();
+    let horizon = model.idm().config().horizon;
+    let clips = ClipSource::new(latents, encoding, horizon + 1)?;
+    let all = clips.all();
+    let stride = all.len().div_ceil(most.max(1)).max(1);
+    let chosen: Vec<_> = all.into_iter().step_by(stride).collect();
+    let batches = chosen
+        .par_chunks(BATCH)
+        .map(|batch| {
+            let (latents, truth) = clips.tensors(batch)?;
+            let told = model.actions(&latents)?;
+            let truth = truth.narrow(1, 0, horizon)?;
+            Ok((
+                told.flatten_all()?.to_vec1::<f32>()?,
+                truth.flatten_all()?.to_vec1::<f32>()?,
+            ))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let (told, truth): (Vec<_>, Vec<_>) = batches.into_iter().unzip();
+    Correlation::of(encoding.space(), told.concat(), truth.concat())
+}
+
+/// On latents that `transition` predicts from the true actions: the last observed frame and those after it, of every
+/// window of `evaluation`.
+///
+/// # Errors
+/// If the two models do not step alike, or the latents are of another space.
+pub fn on_predicted(
+    model: &TrainedIdm,
+    transition: &PackedTransition,
+    evaluation: &Evaluation,
+) -> Result<Correlation> {
+    let encoding = model.encoding();
+    let (own, others) = (encoding.frame_skip(), transition.config().frame_skip);
+    ensure!(
+        own == others,
+        "the inverse dynamics model steps over {own} frames, the transition model over {others}"
+    );
+    let (horizon, width) = (model.idm().config().horizon, encoding.action_dim());
+    let windows = (0..evaluation.len())
+        .into_par_iter()
+        .map(|window| {
+            let sampler = &transition.config().sampler;
+            let predicted = evaluation.predict(window, transition, sampler, ActionChange::None)?;
+            let mut frames = vec![evaluation.last_observed(window)?];
+            frames.extend(predicted);
+            let frames = Tensor::cat(&frames, 0)?;
+            let actions = evaluation.actions(window)?;
+            let (mut told, mut truth) = (Vec::new(), Vec::new());
+            for first in 0..frames.dim(0)? - horizon {
+                let latents = frames.narrow(0, first, horizon + 1)?.unsqueeze(0)?;
+                told.extend(model.actions(&latents)?.flatten_all()?.to_vec1::<f32>()?);
+                // The transition model may take more values, those of the null action.
+                let own = actions.narrow(0, first, horizon)?.narrow(1, 0, width)?;
+                truth.extend(own.flatten_all()?.to_vec1::<f32>()?);
+            }
+            Ok((told, truth))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let (told, truth): (Vec<_>, Vec<_>) = windows.into_iter().unzip();
+    Correlation::of(encoding.space(), told.concat(), truth.concat())
+}

@@ -1,0 +1,129 @@
+use super::{arguments::train_on, *};
+use crate::{
+    arguments::RunArgs,
+    recipe::{self, Override},
+    run::Stop,
+    transition::tests::{moving, of_space},
+};
+
+/// A recipe for the episodes of [`moving`], whose camera has a frame per model step.
+fn small(name: &str) -> IdmRecipe {
+    let settings = [
+        "batch=8",
+        "micro_batch=4",
+        "model.patch=2",
+        "model.hidden=32",
+        "model.depth=1",
+    ];
+    let others = [
+        "model.heads=2",
+        "model.frame_skip=1",
+        "dropout=0.05",
+        "optimisation.ema_decay=0.9",
+    ];
+    let settings: Vec<Override> = settings
+        .iter()
+        .chain(&others)
+        .map(|setting| setting.parse().unwrap())
+        .collect();
+    recipe::load(RECIPES, name, &settings).unwrap()
+}
+
+fn run_in(out: &Path) -> RunArgs {
+    RunArgs {
+        bags: out.into(),
+        held_out: None,
+        out: out.into(),
+        cache: None,
+        recipe: "tiny".into(),
+        set: Vec::new(),
+        steps: None,
+        threads: Some(2),
+    }
+}
+
+#[test]
+fn it_learns_to_tell_actions_that_latents_show() {
+    let dir = tempfile::tempdir().unwrap();
+    let (train, held_out) = (moving(dir.path(), 200, 1), moving(dir.path(), 30, 2));
+    let recipe = IdmRecipe {
+        length: recipe::Span::Steps(1000),
+        ..small("tiny")
+    };
+    let stop = Stop::default();
+    train_on(&run_in(dir.path()), &recipe, &train, Some(&held_out), &stop).unwrap();
+    let model = TrainedIdm::open(dir.path().join(FILE)).unwrap();
+    let found = on_real(&model, &held_out, usize::MAX).unwrap();
+    println!("{found}");
+    // The other dimensions never vary.
+    assert_eq!(found.continuous.len(), 1, "{found}");
+    let (name, kind, r) = found.continuous.first().unwrap();
+    assert_eq!(
+        (name.as_str(), *kind),
+        ("dx", wm_motion::actions::Kind::TranslationDelta)
+    );
+    assert!(*r > 0.8, "{found}");
+    assert_eq!(found.gripper, Some(1.0));
+}
+
+#[test]
+fn a_paused_training_gives_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 4, 1);
+    for name in ["tiny", "paper"] {
+        let mut recipe = small(name);
+        // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+        recipe.optimisation.final_rate = 1.0;
+        recipe.model.horizon = 2;
+        let mut train = |out: &Path, steps| {
+            recipe.length = recipe::Span::Steps(steps);
+            train_on(&run_in(out), &recipe, &latents, None, &Stop::default()).unwrap();
+        };
+        let (whole, parts) = (
+            dir.path().join(name),
+            dir.path().join(format!("{name} parts")),
+        );
+        train(&whole, 4);
+        train(&parts, 2);
+        train(&parts, 4);
+        for file in [FILE, "idm.checkpoint.safetensors"] {
+            let read = |out: &Path| std::fs::read(out.join(file)).unwrap();
+            assert!(read(&whole) == read(&parts), "{name}: {file}");
+        }
+    }
+}
+
+#[test]
+fn latents_of_another_space_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 2, 1);
+    let recipe = IdmRecipe {
+        length: recipe::Span::Steps(1),
+        ..small("tiny")
+    };
+    train_on(
+        &run_in(dir.path()),
+        &recipe,
+        &latents,
+        None,
+        &Stop::default(),
+    )
+    .unwrap();
+    let model = TrainedIdm::open(dir.path().join(FILE)).unwrap();
+    assert_eq!(model.space(), latents.space());
+    let other = of_space(dir.path(), 2, 3, "another");
+    let error = on_real(&model, &other, 1).unwrap_err().to_string();
+    assert!(error.contains("another"), "{error}");
+}
+
+#[test]
+fn smooth_l1_is_pytorchs() {
+    let on = &Device::Cpu;
+    let found = Tensor::new(&[0.0f32, 0.5, 3.0, -2.0], on).unwrap();
+    let truth = Tensor::new(&[0.0f32, 0.0, 1.0, 0.0], on).unwrap();
+    let loss = smooth_l1(&found, &truth)
+        .unwrap()
+        .to_scalar::<f32>()
+        .unwrap();
+    assert!((loss - (0.125 + 1.5 + 1.5) / 4.0).abs() < 1e-6, "{loss}");
+}
