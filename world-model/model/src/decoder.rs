@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use crate::{LatentSpace, Result};
 
 /// Turns latents into images.
-pub trait Decoder: Send {
+pub trait Decoder: Send + Sync {
     /// The space of the latents that go in.
     fn space(&self) -> &LatentSpace;
 

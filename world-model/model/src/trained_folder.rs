@@ -15,7 +15,8 @@ use wm_motion::actions::ActionEncoding;
 /// Name of the embedded default.
 pub const EMBEDDED: &str = "tiny";
 
-const TRANSITION_FILE: &str = "transition.safetensors";
+/// The file of the transition model in a folder.
+pub const TRANSITION_FILE: &str = "transition.safetensors";
 
 static EMBEDDED_AUTOENCODER: &[u8] = include_bytes!("../weights/tiny/autoencoder.safetensors");
 static EMBEDDED_TRANSITION: &[u8] = include_bytes!("../weights/tiny/transition.safetensors");

@@ -38,11 +38,7 @@ impl Latents {
     ///
     /// # Errors
     /// When a frame cannot be encoded, or the cache cannot be read or written.
-    pub fn open(
-        dataset: &Dataset,
-        encoder: &(dyn Encoder + Sync),
-        cache_dir: &Path,
-    ) -> Result<Self> {
+    pub fn open(dataset: &Dataset, encoder: &dyn Encoder, cache_dir: &Path) -> Result<Self> {
         let space = encoder.space().clone();
         let short = |digest: &str| digest.chars().take(16).collect::<String>();
         let name = format!("latents-{}-{}", short(dataset.digest()), short(&space.hash));
@@ -57,6 +53,15 @@ impl Latents {
             dataset.digest().to_owned(),
             dataset.action_space().clone(),
         )
+    }
+
+    /// The latents of the frames of `bags`; see [`Dataset::open`] and [`Self::open`].
+    ///
+    /// # Errors
+    /// As these two.
+    pub fn of_bags(bags: &Path, encoder: &dyn Encoder, cache_dir: &Path) -> Result<Self> {
+        let dataset = Dataset::open(bags, cache_dir, encoder.input_size())?;
+        Self::open(&dataset, encoder, cache_dir)
     }
 
     /// Maps the file of the latents of `episodes`.
@@ -131,7 +136,7 @@ impl Latents {
     }
 }
 
-fn encode(dataset: &Dataset, encoder: &(dyn Encoder + Sync), path: &Path) -> Result<()> {
+fn encode(dataset: &Dataset, encoder: &dyn Encoder, path: &Path) -> Result<()> {
     let (height, width) = dataset.size();
     ensure!(
         encoder.input_size() == (height, width),
@@ -167,7 +172,7 @@ fn encode(dataset: &Dataset, encoder: &(dyn Encoder + Sync), path: &Path) -> Res
 /// The latents of `count` frames from `first` on, as the cache holds them.
 fn encode_batch(
     dataset: &Dataset,
-    encoder: &(dyn Encoder + Sync),
+    encoder: &dyn Encoder,
     first: usize,
     count: usize,
 ) -> Result<Vec<u8>> {

@@ -19,11 +19,12 @@ use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
 use serde_json::json;
 use wm_model::{
-    Autoencoder, Encoder, Weights,
+    Weights,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
 use wm_motion::actions::ActionEncoding;
+use wm_zoo::ModelFolder;
 
 use crate::{
     arguments::RunArgs,
@@ -55,10 +56,11 @@ impl TrainTransitionArgs {
     /// # Errors
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
-        let encoder = self.encoder()?;
-        let train = latents(&self.run, &self.run.bags, &*encoder)?;
+        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
+        let cache = self.run.cache();
+        let train = Latents::of_bags(&self.run.bags, &*encoder, &cache)?;
         let held_out = match &self.run.held_out {
-            Some(bags) => Some(latents(&self.run, bags, &*encoder)?),
+            Some(bags) => Some(Latents::of_bags(bags, &*encoder, &cache)?),
             None => None,
         };
         let recipe: TransitionRecipe =
@@ -71,12 +73,6 @@ impl TrainTransitionArgs {
         }
         train_on(&self.run, &recipe, &train, held_out.as_ref(), stop)
     }
-}
-
-fn latents(run: &RunArgs, bags: &Path, encoder: &(dyn Encoder + Sync)) -> Result<Latents> {
-    let cache = run.cache();
-    let dataset = Dataset::open(bags, &cache, encoder.input_size())?;
-    Latents::open(&dataset, encoder, &cache)
 }
 
 fn train_on(
@@ -249,10 +245,11 @@ impl EvaluateTransitionArgs {
     /// # Errors
     /// When data or weights cannot be read.
     pub fn run(&self) -> Result<()> {
-        let autoencoder = Autoencoder::open(&self.autoencoder)?;
+        let folder = ModelFolder::open(&self.encoder)?;
+        let encoder = folder.encoder()?;
         let cache = self.cache_dir();
-        let dataset = Dataset::open(&self.bags, &cache, autoencoder.input_size())?;
-        let latents = Latents::open(&dataset, &autoencoder, &cache)?;
+        let dataset = Dataset::open(&self.bags, &cache, encoder.input_size())?;
+        let latents = Latents::open(&dataset, &*encoder, &cache)?;
         let weights = Weights::open(&self.weights)?;
         let actions: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let space: wm_model::LatentSpace = weights.json(LATENT_SPACE_KEY)?;
@@ -288,10 +285,13 @@ impl EvaluateTransitionArgs {
             let ratios = evaluation.ratios_with(&model, &sampler, ActionChange::None)?;
             println!("{:<16} {}", format!("{steps} steps"), table_row(&ratios));
         }
-        println!(
-            "{}",
-            PictureErrors::measure(&evaluation, &model, &autoencoder, &dataset)?
-        );
+        match folder.decoder()? {
+            Some(decoder) => println!(
+                "{}",
+                PictureErrors::measure(&evaluation, &model, &*decoder, &dataset)?
+            ),
+            None => println!("no decoder: no pictures to measure"),
+        }
         if self.plans > 0 {
             println!(
                 "{}",

@@ -48,6 +48,7 @@ use std::sync::OnceLock;
 use sha2::{Digest as _, Sha256};
 use wm_model::WorldModel;
 use wm_model::autoencoder::{MEAN, Normalisation, STD};
+use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{PackedTransition, TransitionConfig};
 use wm_model::{Decoder, Encoder, LatentSpace};
 use wm_motion::actions::ActionEncoding;
@@ -57,7 +58,7 @@ pub use description::{
     TransitionPart,
 };
 pub use random::write_random_weights;
-pub use summary::{PartSummary, Summary};
+pub use summary::{PartSummary, Stepping, Summary};
 
 use crate::kinds::{DitConfig, Kind, build_transition, parse};
 use crate::layers::packed_format;
@@ -107,7 +108,11 @@ pub struct DescribedFolder {
     adapter: Option<Opened<SvaeConfig>>,
     normalisation: Normalisation,
     pictures: Option<Pictures>,
-    transition: Opened<Dynamics>,
+    transition: Option<Opened<Dynamics>>,
+    /// What a transition that is not described was trained on.
+    trained_on: Option<LatentSpace>,
+    /// Camera views side by side.
+    views: usize,
     probe: Option<Probe>,
     /// Rows, columns and channels of a latent, all views together.
     latent: [usize; 3],
@@ -141,7 +146,12 @@ impl DescribedFolder {
         let encoder = open_encoder(&description, &folder).map_err(in_part("encoder"))?;
         let adapter = open_adapter(description.adapter.as_ref(), &folder, "adapter")
             .map_err(in_part("adapter"))?;
-        let transition = open_transition(&description, &folder).map_err(in_part("transition"))?;
+        let (part, trained_on) =
+            transition_part(&description, &folder).map_err(in_part("transition"))?;
+        let transition = part
+            .map(|part| open_transition(&part, &folder))
+            .transpose()
+            .map_err(in_part("transition"))?;
         let pictures = open_decoder(&description, &folder).map_err(in_part("decoder"))?;
         let probe = match &description.probe {
             None => None,
@@ -152,10 +162,23 @@ impl DescribedFolder {
             .config
             .features(description.image)
             .map_err(in_part("encoder"))?;
-        let views = transition.config.dit.views;
+        let views = match (&transition, description.views) {
+            (None, views) => views.unwrap_or(1),
+            (Some(transition), None) => transition.config.dit.views,
+            (Some(transition), Some(views)) if transition.config.dit.views == views => views,
+            (Some(transition), Some(views)) => {
+                let taken = transition.config.dit.views;
+                return Err(Error::ConfigFile {
+                    file,
+                    reason: format!("views is {views}, the transition takes {taken}"),
+                });
+            }
+        };
         let latent = latent(features, adapter.as_ref(), views)
             .and_then(|latent| {
-                check_transition(&description, latent, &transition.config)?;
+                if let Some(transition) = &transition {
+                    check_transition(&description, latent, &transition.config)?;
+                }
                 if let Some(pictures) = &pictures {
                     check_decoder(&description, latent, pictures)?;
                 }
@@ -179,6 +202,8 @@ impl DescribedFolder {
             normalisation,
             pictures,
             transition,
+            trained_on,
+            views,
             probe,
             latent,
             space: OnceLock::new(),
@@ -208,7 +233,7 @@ impl DescribedFolder {
         let settings = (
             self.latent,
             self.description.image,
-            self.transition.config.dit.views,
+            self.views,
             self.description.dtype,
         );
         hash.update(format!("{}\n", canonical(&settings)?));
@@ -243,7 +268,7 @@ impl DescribedFolder {
             adapter: self.load_adapter(self.adapter.as_ref())?,
             normalisation: self.normalisation.clone(),
             image: self.description.image,
-            views: self.transition.config.dit.views,
+            views: self.views,
             space: self.space()?,
         }))
     }
@@ -264,31 +289,44 @@ impl DescribedFolder {
             adapter: self.load_adapter(adapter.as_ref())?,
             normalisation: self.normalisation.clone(),
             upsampling: decoder.config.upsampling()?,
-            views: self.transition.config.dit.views,
+            views: self.views,
             space: self.space()?,
         })))
+    }
+
+    /// Whether there is a transition model; without one it encodes and decodes only.
+    pub fn has_transition(&self) -> bool {
+        self.transition.is_some()
     }
 
     /// Loads the transition model.
     ///
     /// # Errors
-    /// If a value is not finite.
+    /// If there is none, a value is not finite, or it was trained on latents of another space.
     pub fn world_model(&self) -> Result<WorldModel> {
+        let Some(transition) = &self.transition else {
+            return Err(Error::ConfigFile {
+                file: Path::new(&self.name).join(FILE).display().to_string(),
+                reason: format!(
+                    "it names no transition, and there is no {TRANSITION_FILE} beside it; `wm train transition` makes one"
+                ),
+            });
+        };
         let Dynamics {
             config, encoding, ..
-        } = &self.transition.config;
+        } = &transition.config;
         let space = self.space()?;
+        if let Some(trained_on) = &self.trained_on {
+            trained_on.require(&space)?;
+        }
         let dtype = self.description.dtype.dtype();
-        let model = self
-            .transition
+        let model = transition
             .source
             .load(dtype, |loader| build_transition(config.clone(), loader))?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
         hash.update(format!("{}\n", canonical(&settings)?));
-        self.transition
-            .source
-            .hash(&self.transition.tensors, &mut hash)?;
+        transition.source.hash(&transition.tensors, &mut hash)?;
         Ok(WorldModel {
             name: self.name.clone(),
             transition: PackedTransition::new(&model, packed_format(dtype))?,
@@ -350,8 +388,20 @@ fn open_adapter(
     }))
 }
 
-fn open_transition(description: &Description, folder: &Path) -> Result<Opened<Dynamics>> {
-    let part = &description.transition;
+/// The transition that the description names or, with the latent space that it was trained on, the file beside it.
+fn transition_part(
+    description: &Description,
+    folder: &Path,
+) -> Result<(Option<TransitionPart>, Option<LatentSpace>)> {
+    let trained = folder.join(TRANSITION_FILE);
+    if description.transition.is_some() || !trained.is_file() {
+        return Ok((description.transition.clone(), None));
+    }
+    let (part, space) = TransitionPart::trained(&trained)?;
+    Ok((Some(part), Some(space)))
+}
+
+fn open_transition(part: &TransitionPart, folder: &Path) -> Result<Opened<Dynamics>> {
     let source = Source::open("transition", &part.part(), folder)?;
     let dit: DitConfig = parse(&source.config)?;
     let mut actions = part.actions.clone();

@@ -20,7 +20,7 @@ pub enum ModelFolder {
 }
 
 impl ModelFolder {
-    /// Opens `tiny`, the embedded default, or a folder.
+    /// Opens `tiny`, the embedded default, a folder, or the file of an autoencoder.
     ///
     /// # Errors
     /// As [`DescribedFolder::open`]; a folder without `model.json` tells of what is missing when a part is asked for.
@@ -76,7 +76,7 @@ impl ModelFolder {
     pub fn has_transition(&self) -> bool {
         match self {
             Self::Trained(folder) => folder.has_transition(),
-            Self::Described(_) => true,
+            Self::Described(folder) => folder.has_transition(),
         }
     }
 

@@ -99,12 +99,14 @@ fn table(summary: &Summary) -> Result<String> {
         "pictures {height}x{width}{views}; latents {rows}x{columns}x{channels}, {} KiB in f16",
         rows * columns * channels * 2 / 1024
     )?;
-    writeln!(
-        text,
-        "a model step is {} camera frames, sampled in {} Euler steps with time shift {:.3}; the context window has at \
-         most {} frames",
-        summary.frame_skip, summary.integration_steps, summary.shift, summary.max_frames
-    )?;
+    if let Some(stepping) = &summary.stepping {
+        writeln!(
+            text,
+            "a model step is {} camera frames, sampled in {} Euler steps with time shift {:.3}; the context window has \
+             at most {} frames",
+            stepping.frame_skip, stepping.integration_steps, stepping.shift, stepping.max_frames
+        )?;
+    }
     Ok(text)
 }
 

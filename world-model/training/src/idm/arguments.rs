@@ -4,16 +4,15 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use serde_json::json;
 use wm_model::{
-    Encoder as _, Weights,
+    Weights,
     transition::{ACTIONS_KEY, Transition},
 };
 use wm_motion::actions::ActionEncoding;
-use wm_zoo::idm::TrainedIdm;
+use wm_zoo::{ModelFolder, idm::TrainedIdm};
 
 use super::{FILE, IdmRecipe, IdmTask, RECIPES, on_predicted, on_real};
 use crate::{
     arguments::RunArgs,
-    dataset::Dataset,
     latents::Latents,
     run::{Ended, RunSettings, Stop, Task as _},
     transition::Evaluation,
@@ -28,9 +27,9 @@ pub struct TrainIdmArgs {
     /// What every training has.
     #[command(flatten)]
     pub run: RunArgs,
-    /// Weights of the autoencoder that encodes the frames to latents: a file, or a model's folder.
-    #[arg(long)]
-    pub autoencoder: PathBuf,
+    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    #[arg(long, visible_alias = "autoencoder")]
+    pub encoder: String,
 }
 
 impl TrainIdmArgs {
@@ -39,14 +38,13 @@ impl TrainIdmArgs {
     /// # Errors
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
-        let encoder = wm_model::Autoencoder::open(&self.autoencoder)?;
+        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let (run, cache) = (&self.run, self.run.cache());
-        let latents = |bags| -> Result<Latents> {
-            let dataset = Dataset::open(bags, &cache, encoder.input_size())?;
-            Latents::open(&dataset, &encoder, &cache)
+        let train = Latents::of_bags(&run.bags, &*encoder, &cache)?;
+        let held_out = match &run.held_out {
+            Some(bags) => Some(Latents::of_bags(bags, &*encoder, &cache)?),
+            None => None,
         };
-        let train = latents(&run.bags)?;
-        let held_out = run.held_out.as_deref().map(latents).transpose()?;
         let recipe: IdmRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
         train_on(run, &recipe, &train, held_out.as_ref(), stop)
     }
@@ -92,9 +90,9 @@ pub struct EvaluateIdmArgs {
     /// Folder with the bags of the episodes.
     #[arg(long)]
     pub bags: PathBuf,
-    /// Weights of the autoencoder: a file, or a model's folder.
-    #[arg(long)]
-    pub autoencoder: PathBuf,
+    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    #[arg(long, visible_alias = "autoencoder")]
+    pub encoder: String,
     /// Weights of the inverse dynamics model.
     #[arg(long)]
     pub weights: PathBuf,
@@ -115,10 +113,9 @@ impl EvaluateIdmArgs {
     /// # Errors
     /// When data or weights cannot be read, or do not fit one another.
     pub fn run(&self) -> Result<()> {
-        let encoder = wm_model::Autoencoder::open(&self.autoencoder)?;
+        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let cache = self.cache.clone().unwrap_or_else(std::env::temp_dir);
-        let dataset = Dataset::open(&self.bags, &cache, encoder.input_size())?;
-        let latents = Latents::open(&dataset, &encoder, &cache)?;
+        let latents = Latents::of_bags(&self.bags, &*encoder, &cache)?;
         let model = TrainedIdm::open(&self.weights)?;
         let (own, others) = ("the model", "the bags");
         model

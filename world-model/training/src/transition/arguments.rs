@@ -1,8 +1,6 @@
 use std::path::PathBuf;
 
-use anyhow::Result;
 use clap::Args;
-use wm_model::{Autoencoder, Encoder};
 
 use crate::arguments::RunArgs;
 
@@ -12,15 +10,9 @@ pub struct TrainTransitionArgs {
     /// What every training has.
     #[command(flatten)]
     pub run: RunArgs,
-    /// Weights of the autoencoder that encodes the frames to latents: a file, or a model's folder.
-    #[arg(long)]
-    pub autoencoder: PathBuf,
-}
-
-impl TrainTransitionArgs {
-    pub(super) fn encoder(&self) -> Result<Box<dyn Encoder + Sync>> {
-        Ok(Box::new(Autoencoder::open(&self.autoencoder)?))
-    }
+    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    #[arg(long, visible_alias = "autoencoder")]
+    pub encoder: String,
 }
 
 /// Evaluates a trained transition model on held-out bags.
@@ -29,9 +21,9 @@ pub struct EvaluateTransitionArgs {
     /// Folder with the bags of the episodes.
     #[arg(long)]
     pub bags: PathBuf,
-    /// Weights of the autoencoder.
-    #[arg(long)]
-    pub autoencoder: PathBuf,
+    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    #[arg(long, visible_alias = "autoencoder")]
+    pub encoder: String,
     /// Weights of the transition model.
     #[arg(long)]
     pub weights: PathBuf,

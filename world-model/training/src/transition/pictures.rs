@@ -35,7 +35,7 @@ impl PictureErrors {
     pub fn measure(
         evaluation: &Evaluation,
         model: &PackedTransition,
-        decoder: &(dyn Decoder + Sync),
+        decoder: &dyn Decoder,
         dataset: &Dataset,
     ) -> Result<Self> {
         let windows = (0..evaluation.len())
@@ -79,7 +79,7 @@ impl StepErrors {
         latent: &Tensor,
         truth: usize,
         held: usize,
-        decoder: &(dyn Decoder + Sync),
+        decoder: &dyn Decoder,
         dataset: &Dataset,
     ) -> Result<Self> {
         let picture = decoder.decode(latent)?.flatten_all()?.to_vec1::<f32>()?;

@@ -4,9 +4,13 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use wm_model::sampler::Sampler;
-use wm_model::transition::{ActionAlignment, Parametrisation};
+use wm_model::trained_folder::TRANSITION_FILE;
+use wm_model::transition::{
+    ACTIONS_KEY, ActionAlignment, CONFIG_KEY, LATENT_SPACE_KEY, Parametrisation, TransitionConfig,
+};
+use wm_model::{LatentSpace, Weights};
 
-use crate::kinds::Kind;
+use crate::kinds::{DitConfig, Kind};
 use crate::{Error, Result};
 
 /// Side of the paper's frames in pixels.
@@ -37,8 +41,13 @@ pub struct Description {
     /// Latents to pictures; a model without one predicts and plans all the same.
     #[serde(default)]
     pub decoder: Option<DecoderPart>,
-    /// The next latent from the last ones and an action.
-    pub transition: TransitionPart,
+    /// The next latent from the last ones and an action. Where it is absent, a `transition.safetensors` beside the
+    /// description that `wm train transition` wrote is taken; without either, the model encodes and decodes only.
+    #[serde(default)]
+    pub transition: Option<TransitionPart>,
+    /// Camera views that lie side by side in a picture; those of the transition where it is given, 1 if neither says.
+    #[serde(default)]
+    pub views: Option<usize>,
     /// What tells from latents whether an instruction is carried out; without it there are no success probabilities.
     #[serde(default)]
     pub probe: Option<ProbePart>,
@@ -214,6 +223,33 @@ impl DecoderPart {
 }
 
 impl TransitionPart {
+    /// The part that is a file of `wm train transition`, with the latent space that it was trained on.
+    ///
+    /// # Errors
+    /// If the file or its metadata cannot be read.
+    pub(super) fn trained(path: &Path) -> Result<(Self, LatentSpace)> {
+        let weights = Weights::open(path)?;
+        let config: TransitionConfig = weights.json(CONFIG_KEY)?;
+        let malformed = |error: serde_json::Error| Error::ConfigFile {
+            file: path.display().to_string(),
+            reason: error.to_string(),
+        };
+        let object = |value: serde_json::Value| match value {
+            serde_json::Value::Object(object) => object,
+            _ => serde_json::Map::new(),
+        };
+        let dit = serde_json::to_value(DitConfig::of(&config)).map_err(malformed)?;
+        let part = Self {
+            config: Configuration::Object(object(dit)),
+            weights: TRANSITION_FILE.to_owned(),
+            actions: object(weights.json(ACTIONS_KEY)?),
+            sampler: Some(config.sampler),
+            parametrisation: config.parametrisation,
+            action_alignment: config.action_alignment,
+        };
+        Ok((part, weights.json(LATENT_SPACE_KEY)?))
+    }
+
     /// The network alone.
     pub fn part(&self) -> Part {
         Part {

@@ -8,12 +8,12 @@ use wm_model::autoencoder::{MEAN, STD};
 use wm_model::transition::{Initialisation, Parameter};
 use wm_model::weights::{Precision as Stored, WeightsBuilder};
 
-use super::{Configuration, Description, FILE, Part, Statistics, TextPart};
+use super::{Configuration, Description, FILE, Part, Statistics, TextPart, TransitionPart};
 use crate::kinds::{DitConfig, Kind, build_dit, parse};
 use crate::loader::Requested;
 use crate::pooled_probe::PooledProbeConfig;
 use crate::success_probe::SuccessProbe;
-use crate::svae::Svae;
+use crate::svae::{Svae, SvaeConfig};
 use crate::vit::SiglipText;
 use crate::{Engine, Error, Loader, Result};
 
@@ -53,10 +53,10 @@ pub fn write_random_weights(folder: &Path, seed: u64) -> Result<Vec<PathBuf>> {
     if let Some(Statistics::File(name)) = &description.normalisation
         && !folder.join(name).exists()
     {
-        let dit: DitConfig = parse(&description.transition.config.text(folder)?)?;
+        let channels = channels(&description, folder)?;
         let file = files.entry(folder.join(name)).or_default();
         for (name, value) in [(MEAN, 0f32), (STD, 1.0)] {
-            let values = Tensor::full(value, dit.channels, &Device::Cpu)?;
+            let values = Tensor::full(value, channels, &Device::Cpu)?;
             file.tensor(name, &values, Stored::F32)?;
         }
     }
@@ -94,8 +94,20 @@ fn create_parent(path: &Path) -> Result<()> {
     }
 }
 
+/// Channels of the latents.
+fn channels(description: &Description, folder: &Path) -> Result<usize> {
+    if let Some(adapter) = &description.adapter {
+        return Ok(parse::<SvaeConfig>(&adapter.config.text(folder)?)?.latent);
+    }
+    let encoder = &description.encoder;
+    let config = EncoderConfig::parse(encoder.kind.parse()?, &encoder.config.text(folder)?)?;
+    let [_, _, channels] = config.features(description.image)?;
+    Ok(channels)
+}
+
 fn parts(description: &Description) -> Vec<Part> {
-    let mut parts = vec![description.encoder.clone(), description.transition.part()];
+    let mut parts = vec![description.encoder.clone()];
+    parts.extend(description.transition.as_ref().map(TransitionPart::part));
     parts.extend(description.adapter.clone());
     if let Some(decoder) = &description.decoder {
         parts.push(decoder.part());

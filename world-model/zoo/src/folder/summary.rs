@@ -31,6 +31,13 @@ pub struct Summary {
     pub image: [usize; 2],
     /// Camera views side by side.
     pub views: usize,
+    /// How it is stepped; `None` without a transition model.
+    pub stepping: Option<Stepping>,
+}
+
+/// How a transition model is stepped.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stepping {
     /// Camera frames of a model step.
     pub frame_skip: usize,
     /// Euler steps a predicted frame.
@@ -54,7 +61,7 @@ impl DescribedFolder {
                 parameters: tensors.iter().map(Requested::count).sum(),
                 operations: cost.operations,
             };
-        let views = self.transition.config.dit.views;
+        let views = self.views;
         let mut parts = Vec::new();
         let encoder = &self.encoder;
         let cost = encoder.config.cost()?;
@@ -63,10 +70,11 @@ impl DescribedFolder {
             let cost = cost::adapter(&adapter.config)?;
             parts.push(part("adapter", adapter.source.kind, &adapter.tensors, cost));
         }
-        let transition = &self.transition;
-        let cost = cost::transition(&transition.config.dit)?;
-        let (kind, tensors) = (transition.source.kind, &transition.tensors);
-        parts.push(part("transition", kind, tensors, cost));
+        if let Some(transition) = &self.transition {
+            let cost = cost::transition(&transition.config.dit)?;
+            let (kind, tensors) = (transition.source.kind, &transition.tensors);
+            parts.push(part("transition", kind, tensors, cost));
+        }
         if let Some(pictures) = &self.pictures {
             if let Some(adapter) = &pictures.adapter {
                 let cost = cost::adapter(&adapter.config)?;
@@ -92,17 +100,22 @@ impl DescribedFolder {
                 parts.push(part("probe", probe.source.kind, &probe.tensors, cost));
             }
         }
-        let config = &self.transition.config.config;
+        let stepping = self.transition.as_ref().map(|transition| {
+            let config = &transition.config.config;
+            Stepping {
+                frame_skip: config.frame_skip,
+                integration_steps: config.sampler.steps,
+                shift: config.sampler.shift,
+                max_frames: config.max_frames,
+            }
+        });
         let [height, width] = self.description.image;
         Ok(Summary {
             parts,
             latent: self.latent,
             image: [height, width * views],
             views,
-            frame_skip: config.frame_skip,
-            integration_steps: config.sampler.steps,
-            shift: config.sampler.shift,
-            max_frames: config.max_frames,
+            stepping,
         })
     }
 }

@@ -2,6 +2,8 @@ use candle_core::{DType, Device, Tensor};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use wm_model::sampler::Rollout;
+use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition};
+use wm_model::weights::{Precision as Stored, WeightsBuilder};
 use wm_motion::actions::Accumulation;
 
 use super::*;
@@ -102,6 +104,54 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
         assert_eq!(decoder.output_size(), (8, 8));
         assert_eq!(decoder.decode(&next).unwrap().dims(), [1, 8, 8, 3]);
     }
+}
+
+/// A model whose transition the training is still to write encodes and decodes; the file beside it is then taken, if it
+/// was trained on these latents.
+#[test]
+fn a_transition_may_be_trained_later() {
+    let mut model = adapted();
+    model.as_object_mut().unwrap().remove("transition");
+    let folder = folder(&model);
+    let open = || ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
+    let encoder = open().encoder().unwrap();
+    assert!(!open().has_transition() && open().decoder().unwrap().is_some());
+    let error = open().world_model().unwrap_err().to_string();
+    assert!(error.contains("wm train transition"), "{error}");
+
+    let space = encoder.space().clone();
+    let config = TransitionConfig {
+        hidden: 32,
+        depth: 1,
+        heads: 2,
+        ..TransitionConfig::preset("tiny", space.shape(), 2, 7).unwrap()
+    };
+    let write = |space: &LatentSpace| {
+        let mut weights = WeightsBuilder::new();
+        let mut source = |parameter: &wm_model::transition::Parameter| {
+            let tensor = parameter.initial(3)?;
+            weights.tensor(&parameter.name, &tensor, Stored::F16)?;
+            Ok(tensor)
+        };
+        Transition::build(config.clone(), &mut source).unwrap();
+        weights.metadata(CONFIG_KEY, json!(config).to_string());
+        weights.metadata(ACTIONS_KEY, json!(ActionEncoding::default()).to_string());
+        weights.metadata(LATENT_SPACE_KEY, json!(space).to_string());
+        weights.write(folder.path().join(TRANSITION_FILE)).unwrap();
+    };
+    write(&space);
+    let world_model = open().world_model().unwrap();
+    assert_eq!(world_model.space, space);
+    assert_eq!(world_model.transition.config(), &config);
+    assert_eq!(world_model.encoding, ActionEncoding::default());
+
+    write(&LatentSpace {
+        name: "another".into(),
+        hash: "1".into(),
+        ..space
+    });
+    let error = open().world_model().unwrap_err().to_string();
+    assert!(error.contains("another"), "{error}");
 }
 
 #[test]
@@ -356,5 +406,6 @@ fn a_model_need_not_decode() {
     let summary = model.summary().unwrap();
     let roles: Vec<_> = summary.parts.iter().map(|part| part.role).collect();
     assert_eq!(roles, ["encoder", "adapter", "transition"]);
-    assert_eq!((summary.latent, summary.frame_skip), ([4, 4, 6], 3));
+    let frame_skip = summary.stepping.map(|stepping| stepping.frame_skip);
+    assert_eq!((summary.latent, frame_skip), ([4, 4, 6], Some(3)));
 }

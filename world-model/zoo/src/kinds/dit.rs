@@ -79,6 +79,27 @@ fn default_max_frames() -> usize {
 }
 
 impl DitConfig {
+    /// The sizes of a model of ours.
+    pub(crate) fn of(config: &TransitionConfig) -> Self {
+        Self {
+            hidden: config.hidden,
+            depth: config.depth,
+            heads: config.heads,
+            channels: config.channels,
+            patch: config.patch,
+            grid: [config.latent_height, config.latent_width],
+            views: config.views,
+            rope_layout: config.rope_layout,
+            action_dim: config.action_dim,
+            max_frames: config.max_frames,
+            head: match config.wide_head {
+                None => Head::Plain,
+                Some(_) => Head::Wide,
+            },
+            wide_dim: config.wide_head,
+        }
+    }
+
     /// The configuration of [`Transition`], with the conventions of the published checkpoints.
     ///
     /// # Errors
