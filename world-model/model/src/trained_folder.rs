@@ -73,6 +73,20 @@ impl TrainedFolder {
         }
     }
 
+    /// Another file that the training wrote, as `probe.safetensors`; `None` where there is none.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn weights(&self, file: &str) -> Result<Option<Weights>> {
+        match self {
+            Self::Embedded => Ok(None),
+            Self::Folder(folder) => match folder.join(file) {
+                path if path.is_file() => Weights::open(path).map(Some),
+                _ => Ok(None),
+            },
+        }
+    }
+
     /// Loads the transition model, and checks that it belongs to the autoencoder beside it.
     ///
     /// # Errors

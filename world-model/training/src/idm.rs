@@ -18,6 +18,7 @@ use wm_model::{
 };
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
+    IDM_FILE as FILE,
     idm::{IDM_KEY, Idm, IdmConfig, TrainedIdm},
     layers::Dropout,
 };
@@ -38,9 +39,6 @@ pub use recipe::{IdmModelRecipe, IdmRecipe, RECIPES};
 const QUICK_WINDOWS: usize = 256;
 /// Weights are saved as half floats.
 const PRECISION: Precision = Precision::F16;
-/// The weights' file in a model's folder.
-pub const FILE: &str = "idm.safetensors";
-
 /// An inverse dynamics model in training.
 struct IdmTask<'a> {
     recipe: &'a IdmRecipe,

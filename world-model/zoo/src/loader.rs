@@ -6,6 +6,7 @@ use std::fmt::{self, Display};
 use std::rc::Rc;
 
 use candle_core::{DType, Device, Tensor};
+use wm_model::Weights;
 use wm_model::ops::PackedFormat;
 
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear, packed_format};
@@ -42,6 +43,15 @@ pub trait Supply {
     /// # Errors
     /// Whatever keeps it from that.
     fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor>;
+}
+
+/// Weights that the training wrote, as a supply.
+pub(crate) struct OfWeights<'a>(pub(crate) &'a Weights);
+
+impl Supply for OfWeights<'_> {
+    fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
+        Ok(self.0.tensor(name, shape)?)
+    }
 }
 
 #[derive(Clone, Copy)]

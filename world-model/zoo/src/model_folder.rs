@@ -3,11 +3,17 @@
 use std::path::Path;
 
 use wm_model::trained_folder::{EMBEDDED, TrainedFolder};
-use wm_model::{Decoder, Encoder, LatentSpace, WorldModel};
+use wm_model::{Decoder, Encoder, LatentSpace, Weights, WorldModel};
 
 use crate::Result;
 use crate::folder::DescribedFolder;
+use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
+
+/// The file of the success probe in a folder.
+pub const PROBE_FILE: &str = "probe.safetensors";
+/// The file of the inverse dynamics model in a folder.
+pub const IDM_FILE: &str = "idm.safetensors";
 
 /// What a node's parameter `model` names: the files of a world model, checked as far as names and shapes go. Its parts are
 /// loaded when they are asked for; [`ModelFolder::world_model`] gives the [`WorldModel`].
@@ -96,9 +102,35 @@ impl ModelFolder {
     /// # Errors
     /// Names what is missing or wrong in its files.
     pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
-        match self {
-            Self::Trained(_) => Ok(None),
-            Self::Described(folder) => folder.probe(),
+        if let Self::Described(folder) = self
+            && let Some(probe) = folder.probe()?
+        {
+            return Ok(Some(probe));
         }
+        match self.trained(PROBE_FILE)? {
+            Some(weights) => SuccessClassifier::of_trained(weights, &self.space()?).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// Loads the inverse dynamics model; `None` where the model has none.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in its file, or the space that it was trained on.
+    pub fn idm(&self) -> Result<Option<TrainedIdm>> {
+        let Some(weights) = self.trained(IDM_FILE)? else {
+            return Ok(None);
+        };
+        let idm = TrainedIdm::from_weights(weights)?;
+        idm.space().require(&self.space()?)?;
+        Ok(Some(idm))
+    }
+
+    /// A file of the training's in it.
+    fn trained(&self, file: &str) -> Result<Option<Weights>> {
+        Ok(match self {
+            Self::Trained(folder) => folder.weights(file)?,
+            Self::Described(folder) => TrainedFolder::Folder(folder.name().into()).weights(file)?,
+        })
     }
 }

@@ -7,7 +7,7 @@
 //!
 //! Each block is attention within a frame, attention over time at each place, attention to the text and a SwiGLU
 //! feed-forward network, each behind an RMSNorm and added to its input. Queries and keys are normalised per head as in
-//! the transition model. There is no dropout here: it is for inference.
+//! the transition model.
 //!
 //! The published probe carries a CLS token along. Only cross-attention and feed-forward network reach it, nothing reads
 //! it, and the readout is the mean of the patch tokens: it has no effect, so it is checked to be in the file and not
@@ -34,16 +34,20 @@ mod config;
 mod names;
 mod norm;
 mod tokenizer;
+mod trained;
+mod words;
 
 use candle_core::{DType, Tensor};
 
-pub(crate) use classifier::{Instructed, Judge};
+pub(crate) use classifier::{Instructed, Judge, Reader};
 pub use classifier::{Instruction, SuccessClassifier};
 pub use config::SuccessProbeConfig;
 pub use tokenizer::InstructionTokenizer;
+pub use trained::{PROBE_KEY, WORDS_KEY};
+pub use words::{WordEmbedding, WordsConfig};
 
 use crate::Result;
-use crate::layers::Linear;
+use crate::layers::{Dropout, Linear};
 use crate::loader::Loader;
 use crate::sizes::shape_error;
 use crate::vit::resample::{AxisWeights, resample};
@@ -121,6 +125,20 @@ impl SuccessProbe {
         text: &Tensor,
         text_mask: Option<&Tensor>,
     ) -> Result<Tensor> {
+        self.forward_dropping(latents, text, text_mask, &mut Dropout::none())
+    }
+
+    /// The same in training, with dropout of what each part of a block adds (the paper: 0.1).
+    ///
+    /// # Errors
+    /// As [`Self::forward`].
+    pub fn forward_dropping(
+        &self,
+        latents: &Tensor,
+        text: &Tensor,
+        text_mask: Option<&Tensor>,
+        dropout: &mut Dropout<'_>,
+    ) -> Result<Tensor> {
         let (b, t) = self.check_latents(latents)?;
         let text = self.text_tokens(text, b)?;
         let mask = text_mask
@@ -135,7 +153,7 @@ impl SuccessProbe {
             .broadcast_add(&self.temporal.narrow(0, 0, t)?)?
             .broadcast_add(&self.spatial)?;
         for block in &self.blocks {
-            x = block.forward(&x, &text, mask.as_ref())?;
+            x = block.forward(&x, &text, mask.as_ref(), dropout)?;
         }
         let tokens = self.norm.forward(&x)?.reshape((b, (), width))?;
         let mean = tokens

@@ -11,7 +11,8 @@ use super::{Description, Opened, ProbePart, TextPart};
 use crate::kinds::{Kind, parse};
 use crate::pooled_probe::PooledProbeConfig;
 use crate::success_probe::{
-    Instructed, InstructionTokenizer, Judge, SuccessClassifier, SuccessProbe, SuccessProbeConfig,
+    Instructed, InstructionTokenizer, Judge, Reader, SuccessClassifier, SuccessProbe,
+    SuccessProbeConfig,
 };
 use crate::vit::{SiglipText, SiglipTextConfig};
 use crate::{Error, Result};
@@ -144,11 +145,14 @@ impl Probe {
                 let tower = &text.tower;
                 // First what is cheap: it may be wrong.
                 let tokenizer = InstructionTokenizer::open(&text.tokenizer, &tower.config)?;
+                let text = tower
+                    .source
+                    .load(dtype, |loader| SiglipText::load(&tower.config, loader))?;
                 Judge::Instructed(Box::new(Instructed {
-                    tokenizer,
-                    text: tower
-                        .source
-                        .load(dtype, |loader| SiglipText::load(&tower.config, loader))?,
+                    reader: Reader::Siglip {
+                        tokenizer,
+                        text: Box::new(text),
+                    },
                     probe: probe
                         .source
                         .load(dtype, |loader| SuccessProbe::load(&probe.config, loader))?,

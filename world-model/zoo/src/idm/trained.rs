@@ -8,7 +8,7 @@ use wm_model::{
 use wm_motion::actions::ActionEncoding;
 
 use super::{Idm, IdmConfig};
-use crate::{Engine, Loader, Result, Supply};
+use crate::{Engine, Loader, Result, loader::OfWeights};
 
 /// Metadata key of the [`IdmConfig`] (JSON).
 pub const IDM_KEY: &str = "idm";
@@ -36,7 +36,10 @@ impl TrainedIdm {
     /// If a tensor or an entry of the metadata is missing, misshapen or unexpected.
     pub fn from_weights(weights: Weights) -> Result<Self> {
         let config: IdmConfig = weights.json(IDM_KEY)?;
-        let idm = Idm::load(&config, &Loader::supplied(&Supplied(&weights), Engine::Cpu))?;
+        let idm = Idm::load(
+            &config,
+            &Loader::supplied(&OfWeights(&weights), Engine::Cpu),
+        )?;
         let (space, encoding) = (weights.json(LATENT_SPACE_KEY)?, weights.json(ACTIONS_KEY)?);
         weights.finish()?;
         Ok(Self {
@@ -68,13 +71,5 @@ impl TrainedIdm {
     /// If the latents have another shape.
     pub fn actions(&self, latents: &Tensor) -> Result<Tensor> {
         self.idm.forward(latents)
-    }
-}
-
-struct Supplied<'a>(&'a Weights);
-
-impl Supply for Supplied<'_> {
-    fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
-        Ok(self.0.tensor(name, shape)?)
     }
 }

@@ -7,7 +7,7 @@ use super::names::Names;
 use super::norm::RmsNorm;
 use crate::Engine;
 use crate::Result;
-use crate::layers::{Linear, attention};
+use crate::layers::{Dropout, Linear, attention};
 use crate::loader::Loader;
 use crate::vit::{Mlp, join_heads, split_heads};
 
@@ -49,26 +49,27 @@ impl ProbeBlock {
         x: &Tensor,
         text: &Tensor,
         mask: Option<&Tensor>,
+        dropout: &mut Dropout<'_>,
     ) -> Result<Tensor> {
         let (b, t, p, d) = x.dims4()?;
         let [n1, n2, n3, n4] = &self.norms;
 
         let frames = n1.forward(x)?.reshape((b * t, p, d))?;
         let seen = self.spatial.forward(&frames, &frames, None)?;
-        let x = (x + seen.reshape((b, t, p, d))?)?;
+        let x = (x + dropout.apply(&seen.reshape((b, t, p, d))?)?)?;
 
         let places = n2.forward(&x)?.transpose(1, 2)?.contiguous()?;
         let places = places.reshape((b * p, t, d))?;
         let seen = self.temporal.forward(&places, &places, None)?;
         let seen = seen.reshape((b, p, t, d))?.transpose(1, 2)?.contiguous()?;
-        let x = (x + seen)?;
+        let x = (x + dropout.apply(&seen)?)?;
 
         let tokens = n3.forward(&x)?.reshape((b, t * p, d))?;
         let read = self.cross.forward(&tokens, text, mask)?;
-        let x = (x + read.reshape((b, t, p, d))?)?;
+        let x = (x + dropout.apply(&read.reshape((b, t, p, d))?)?)?;
 
         let fed = self.ffn.forward(&n4.forward(&x)?)?;
-        Ok((x + fed)?)
+        Ok((x + dropout.apply(&fed)?)?)
     }
 }
 

@@ -3,17 +3,17 @@
 use candle_core::{DType, Device, Tensor};
 use wm_model::autoencoder::Normalisation;
 
-use super::{InstructionTokenizer, SuccessProbe};
+use super::{InstructionTokenizer, SuccessProbe, WordEmbedding};
 use crate::Result;
 use crate::pooled_probe::PooledProbe;
 use crate::vit::SiglipText;
 
-/// A success probe with all that it needs: the latents' statistics, and for one that reads an instruction, tokenizer and
-/// text tower.
+/// A success probe with all that it needs: the latents' statistics, and for one that reads an instruction, what reads
+/// it.
 ///
-/// It reads latents as encoder and adapter give them, not normalised: the paper trains it with both frozen (appendix
+/// One of the paper's reads latents as encoder and adapter give them, not normalised: the paper trains it with both frozen (appendix
 /// B.7) and has no statistics of channels; where a model of ours normalises, that is of its transition model. So the
-/// normalisation is undone first, as a decoder does.
+/// normalisation is undone first, as a decoder does. One that `wm train probe` made reads normalised latents.
 #[derive(Clone, Debug)]
 pub struct SuccessClassifier {
     pub(crate) judge: Judge,
@@ -32,9 +32,20 @@ pub(crate) enum Judge {
 /// The paper's probe, and what reads the instruction for it.
 #[derive(Clone, Debug)]
 pub(crate) struct Instructed {
-    pub(crate) tokenizer: InstructionTokenizer,
-    pub(crate) text: SiglipText,
+    pub(crate) reader: Reader,
     pub(crate) probe: SuccessProbe,
+}
+
+/// What reads instructions.
+#[derive(Clone, Debug)]
+pub(crate) enum Reader {
+    /// The paper's: SigLIP 2's text tower with its tokenizer.
+    Siglip {
+        tokenizer: InstructionTokenizer,
+        text: Box<SiglipText>,
+    },
+    /// Words of a closed vocabulary.
+    Words(WordEmbedding),
 }
 
 /// An instruction as the probe reads it.
@@ -44,13 +55,13 @@ pub struct Instruction {
     tokens: Option<Tokens>,
 }
 
-/// What a text tower makes of an instruction.
+/// What a reader makes of an instruction.
 #[derive(Clone, Debug)]
 struct Tokens {
     /// (1, L, text features).
     features: Tensor,
-    /// (1, L), 0 for padding.
-    mask: Tensor,
+    /// (1, L), 0 for padding; `None` where there is no padding.
+    mask: Option<Tensor>,
 }
 
 impl Instruction {
@@ -114,15 +125,29 @@ impl SuccessClassifier {
 
 impl Instructed {
     fn read(&self, text: &str) -> Result<Tokens> {
-        let (ids, mask) = self.tokenizer.encode(text)?;
-        let ids = Tensor::from_vec(ids, (1, mask.len()), &Device::Cpu)?;
-        let mask = Tensor::from_vec(mask, ids.dims(), &Device::Cpu)?;
-        let features = self.text.forward(&ids, None)?;
-        Ok(Tokens { features, mask })
+        match &self.reader {
+            Reader::Siglip {
+                tokenizer,
+                text: tower,
+            } => {
+                let (ids, mask) = tokenizer.encode(text)?;
+                let ids = Tensor::from_vec(ids, (1, mask.len()), &Device::Cpu)?;
+                let mask = Tensor::from_vec(mask, ids.dims(), &Device::Cpu)?;
+                let features = tower.forward(&ids, None)?;
+                Ok(Tokens {
+                    features,
+                    mask: Some(mask),
+                })
+            }
+            Reader::Words(words) => Ok(Tokens {
+                features: words.read(text)?,
+                mask: None,
+            }),
+        }
     }
 
     fn probability(&self, latents: &Tensor, Tokens { features, mask }: &Tokens) -> Result<f32> {
-        let logit = self.probe.forward(latents, features, Some(mask))?;
+        let logit = self.probe.forward(latents, features, mask.as_ref())?;
         let logit = logit.squeeze(0)?.to_scalar::<f32>()?;
         if !logit.is_finite() {
             let what = "the success probe's logit";

@@ -93,7 +93,10 @@ fn the_probe_reads_no_padding_and_no_normalisation() {
     let Judge::Instructed(judge) = &classifier.judge else {
         panic!("another probe");
     };
-    let words = judge.text.forward(&ids, None).unwrap();
+    let Reader::Siglip { text, .. } = &judge.reader else {
+        panic!("another reader");
+    };
+    let words = text.forward(&ids, None).unwrap();
     let words = words.narrow(1, 0, 4).unwrap();
     let logit = judge.probe.forward(&latents, &words, None).unwrap();
     let logit = logit.to_vec1::<f32>().unwrap()[0];

@@ -1,0 +1,153 @@
+//! Instructions of a closed vocabulary, for a success probe that needs no text tower.
+
+use candle_core::{Device, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::loader::Loader;
+use crate::sizes::check_sizes;
+use crate::{Error, Result};
+
+/// Words that a vocabulary has at most.
+const MOST_WORDS: usize = 1 << 16;
+
+/// A vocabulary and its features.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WordsConfig {
+    /// Every word that is known, in lower case.
+    pub vocabulary: Vec<String>,
+    /// Words of the longest instruction.
+    pub max_words: usize,
+    /// Channels of a word's feature.
+    pub features: usize,
+}
+
+impl WordsConfig {
+    /// The vocabulary of these instructions, in alphabetical order.
+    pub fn of<'a>(instructions: impl IntoIterator<Item = &'a str>, features: usize) -> Self {
+        let mut vocabulary = std::collections::BTreeSet::new();
+        let mut max_words = 1;
+        for instruction in instructions {
+            let words = words(instruction);
+            max_words = max_words.max(words.len());
+            vocabulary.extend(words);
+        }
+        Self {
+            vocabulary: vocabulary.into_iter().collect(),
+            max_words,
+            features,
+        }
+    }
+
+    /// The places of the words of `instruction` in the vocabulary.
+    ///
+    /// # Errors
+    /// Names the word that is not in it; or if there are none, or too many.
+    pub fn encode(&self, instruction: &str) -> Result<Vec<u32>> {
+        let refused = |reason: String| Error::from(wm_model::Error::config("instruction", reason));
+        let words = words(instruction);
+        if words.is_empty() || words.len() > self.max_words {
+            return Err(refused(format!(
+                "{} words, expected 1 to {}",
+                words.len(),
+                self.max_words
+            )));
+        }
+        let place = |word: &String| {
+            let place = self.vocabulary.iter().position(|known| known == word);
+            place.map(|place| place as u32).ok_or_else(|| {
+                let known = self.vocabulary.join(", ");
+                refused(format!("the probe does not know `{word}`, only: {known}"))
+            })
+        };
+        words.iter().map(place).collect()
+    }
+}
+
+fn words(instruction: &str) -> Vec<String> {
+    let words = instruction.split(|c: char| !c.is_alphanumeric());
+    let words = words.filter(|word| !word.is_empty());
+    words.map(str::to_lowercase).collect()
+}
+
+/// A learned feature for each word, to which one for its place in the instruction is added.
+#[derive(Clone, Debug)]
+pub struct WordEmbedding {
+    config: WordsConfig,
+    /// (words, features).
+    words: Tensor,
+    /// (max_words, features).
+    places: Tensor,
+}
+
+impl WordEmbedding {
+    /// Loads `word_embed` (words, features) and `place_embed` (max_words, features).
+    ///
+    /// # Errors
+    /// If the configuration cannot be built; [`Loader::finish`] reports missing tensors.
+    pub fn load(config: &WordsConfig, loader: &Loader<'_>) -> Result<Self> {
+        let (words, places) = (config.vocabulary.len(), config.max_words);
+        check_sizes(&[
+            ("vocabulary", words),
+            ("max_words", places),
+            ("features", config.features),
+        ])?;
+        if words > MOST_WORDS {
+            let reason = format!("{words} words, expected at most {MOST_WORDS}");
+            return Err(wm_model::Error::config("vocabulary", reason).into());
+        }
+        Ok(Self {
+            words: loader.tensor("word_embed", &[words, config.features])?,
+            places: loader.tensor("place_embed", &[places, config.features])?,
+            config: config.clone(),
+        })
+    }
+
+    /// The vocabulary.
+    pub fn config(&self) -> &WordsConfig {
+        &self.config
+    }
+
+    /// The features (1, words, features) of an instruction.
+    ///
+    /// # Errors
+    /// As [`WordsConfig::encode`].
+    pub fn read(&self, instruction: &str) -> Result<Tensor> {
+        let ids = self.config.encode(instruction)?;
+        let count = ids.len();
+        let ids = Tensor::from_vec(ids, count, &Device::Cpu)?;
+        let features = self.words.index_select(&ids, 0)?;
+        Ok((features + self.places.narrow(0, 0, count)?)?.unsqueeze(0)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Engine;
+
+    #[test]
+    fn a_vocabulary_is_that_of_its_instructions() {
+        let config = WordsConfig::of(["Put the red cube in the bowl.", "pick the cup"], 4);
+        assert_eq!(
+            config.vocabulary,
+            ["bowl", "cube", "cup", "in", "pick", "put", "red", "the"]
+        );
+        assert_eq!(config.max_words, 7);
+        assert_eq!(config.encode("Pick  the RED cup!").unwrap(), [4, 7, 6, 2]);
+        let error = config.encode("pick the banana").unwrap_err().to_string();
+        assert!(
+            error.contains("`banana`") && error.contains("bowl"),
+            "{error}"
+        );
+        assert!(config.encode(" .").is_err());
+        assert!(config.encode(&"the ".repeat(8)).is_err());
+    }
+
+    #[test]
+    fn each_word_has_a_feature() {
+        let config = WordsConfig::of(["pick the cup"], 4);
+        let words = WordEmbedding::load(&config, &Loader::skeleton(Engine::Candle)).unwrap();
+        assert_eq!(words.read("the cup").unwrap().dims(), [1, 2, 4]);
+    }
+}
