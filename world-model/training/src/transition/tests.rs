@@ -42,6 +42,7 @@ pub(super) fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
             first_frame: index * FRAMES,
             frame_count: FRAMES,
             actions,
+            ..Episode::default()
         });
     }
     let path = dir.join(format!("latents {seed}"));
