@@ -33,6 +33,9 @@ enum Subcommands {
     /// Make bags with a simulated arm on a tabletop (runs wm-training)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Sim(external::Arguments),
+    /// Prepare bags for training, or say what is prepared (runs wm-training)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Dataset(external::Arguments),
     /// Train models from bags (runs wm-training)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Train(external::Arguments),
@@ -109,6 +112,7 @@ impl Command {
             Subcommands::Launch(command) => command.run(),
             Subcommands::Bag(command) => command.run(self.ros_args),
             Subcommands::Sim(own) => own.exec("wm-training", ["sim"], Vec::new()),
+            Subcommands::Dataset(own) => own.exec("wm-training", ["dataset"], Vec::new()),
             Subcommands::Train(own) => own.exec("wm-training", ["train"], Vec::new()),
             Subcommands::Eval(own) => own.exec("wm-training", ["eval"], Vec::new()),
             Subcommands::Model(command) => command.run(),

@@ -5,17 +5,23 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use clap::Args;
 
-use crate::recipe::Override;
+use wm_model::Encoder;
+
+use crate::{
+    dataset::{Data, DataOptions, Dataset, DatasetError},
+    latents::Latents,
+    recipe::Override,
+};
 
 /// Data, folder and recipe of a training.
 #[derive(Clone, Debug, Args)]
 pub struct RunArgs {
-    /// Folder with the bags of the episodes.
-    #[arg(long)]
-    pub bags: PathBuf,
-    /// Folder with held-out bags, for validation.
-    #[arg(long)]
-    pub held_out: Option<PathBuf>,
+    /// What to train on: bags, folders of bags, or folders that `wm dataset` prepared.
+    #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
+    pub data: Vec<PathBuf>,
+    /// How recordings become episodes, and which are for validation.
+    #[command(flatten)]
+    pub options: DataOptions,
     /// Folder of the model: weights, recipe, checkpoint, journal, loss curve and samples. A training that was
     /// interrupted resumes from here. Several trainings may share a folder.
     #[arg(long)]
@@ -38,6 +44,30 @@ pub struct RunArgs {
 }
 
 impl RunArgs {
+    /// The data, with frames of `size` (height, width), all cameras side by side.
+    ///
+    /// # Errors
+    /// Names what cannot be used.
+    pub fn data(&self, size: (usize, usize)) -> Result<Data, DatasetError> {
+        Data::open(&self.data, size, &self.cache(), &self.options)
+    }
+
+    /// The latents of the data: those to train on, and those for validation.
+    ///
+    /// # Errors
+    /// If the data cannot be used, or a frame cannot be encoded.
+    pub fn latents(&self, encoder: &dyn Encoder) -> Result<(Latents, Option<Latents>)> {
+        let data = self.data(encoder.input_size())?;
+        let cache = self.cache();
+        let validation = data.validation.as_ref();
+        Ok((
+            Latents::open(&data.training, encoder, &cache)?,
+            validation
+                .map(|data| Latents::open(data, encoder, &cache))
+                .transpose()?,
+        ))
+    }
+
     /// The settings that are overridden, in the order in which they apply.
     #[must_use]
     pub fn overrides(&self) -> Vec<Override> {
@@ -74,5 +104,33 @@ impl RunArgs {
         let name = std::path::absolute(&self.out).ok();
         let name = name.as_deref().and_then(|path| path.file_name());
         name.map_or("model".into(), |name| name.to_string_lossy().into_owned())
+    }
+}
+
+/// What an evaluation measures on.
+#[derive(Clone, Debug, Args)]
+pub struct HeldOutArgs {
+    /// What to measure on: bags, folders of bags, or folders that `wm dataset` prepared, of which the episodes for
+    /// validation are taken.
+    #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
+    pub data: Vec<PathBuf>,
+    /// Folder for decoded frames and latents; a temporary one by default.
+    #[arg(long)]
+    pub cache: Option<PathBuf>,
+}
+
+impl HeldOutArgs {
+    /// Where decoded frames and latents are kept.
+    #[must_use]
+    pub fn cache(&self) -> PathBuf {
+        self.cache.clone().unwrap_or_else(std::env::temp_dir)
+    }
+
+    /// The data, with frames of `size` (height, width), all cameras side by side.
+    ///
+    /// # Errors
+    /// Names what cannot be used.
+    pub fn open(&self, size: (usize, usize)) -> Result<Dataset, DatasetError> {
+        Dataset::held_out(&self.data, size, &self.cache(), &DataOptions::default())
     }
 }

@@ -1,24 +1,23 @@
 //! The latents of all frames of a [`Dataset`], encoded once by the frozen encoder and kept in one memory-mapped file of
 //! 16-bit floats.
 //!
-//! The cache is keyed by the dataset's digest and by the latent space: other frames or another encoder make a new one.
+//! The cache is keyed by the digest of the frames and by the latent space: other frames or another encoder make a new one.
 
 use std::{
     fs::{self, File},
     io::{BufWriter, Write as _},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
 use anyhow::{Context as _, Result, ensure};
 use candle_core::{Device, Tensor};
 use half::f16;
-use indicatif::{ProgressBar, ProgressStyle};
 use memmap2::Mmap;
 use rayon::prelude::*;
 use wm_model::{Encoder, LatentSpace};
 use wm_motion::actions::ActionSpace;
 
-use crate::dataset::{Dataset, Episode};
+use crate::dataset::{Dataset, Episode, Folder, LatentStatistics, Layout, progress_bar, short};
 
 /// Frames that are encoded at once: bounds the memory.
 const BATCH: usize = 16;
@@ -27,44 +26,52 @@ const BATCH: usize = 16;
 #[derive(Debug)]
 pub struct Latents {
     space: LatentSpace,
-    episodes: Vec<Episode>,
+    layout: Layout,
     digest: String,
     actions: ActionSpace,
-    values: Mmap,
+    files: Vec<Mmap>,
 }
 
 impl Latents {
-    /// The latents of `dataset`: encoded now, or taken from `cache_dir` where an earlier call has left them.
+    /// The latents of `dataset`: encoded now, or taken from `cache_dir`, or a prepared folder, where an earlier call has left
+    /// them. All frames of a folder are encoded, so that another choice of its episodes finds its latents too.
     ///
     /// # Errors
     /// When a frame cannot be encoded, or the cache cannot be read or written.
     pub fn open(dataset: &Dataset, encoder: &dyn Encoder, cache_dir: &Path) -> Result<Self> {
         let space = encoder.space().clone();
-        let short = |digest: &str| digest.chars().take(16).collect::<String>();
-        let name = format!("latents-{}-{}", short(dataset.digest()), short(&space.hash));
-        let path = cache_dir.join(name);
-        if !path.is_file() {
-            encode(dataset, encoder, &path)?;
+        ensure!(
+            encoder.input_size() == dataset.size(),
+            "frames of {:?} for an encoder of {:?} (height, width)",
+            dataset.size(),
+            encoder.input_size()
+        );
+        let mut files = Vec::new();
+        for folder in dataset.folders() {
+            let digest = short(&folder.manifest().digest);
+            let name = format!("latents-{digest}-{}", short(&space.hash));
+            let prepared = folder.dir().join(&name);
+            let path = if prepared.is_file() {
+                prepared
+            } else {
+                cache_dir.join(name)
+            };
+            if !path.is_file() {
+                encode(folder, dataset.size(), encoder, &path)?;
+            }
+            files.push(map(&path, folder.frame_count(), &space)?);
         }
-        Self::map(
-            &path,
+        Ok(Self {
             space,
-            dataset.episodes().to_vec(),
-            dataset.digest().to_owned(),
-            dataset.action_space().clone(),
-        )
+            layout: dataset.layout().clone(),
+            digest: dataset.digest().to_owned(),
+            actions: dataset.action_space().clone(),
+            files,
+        })
     }
 
-    /// The latents of the frames of `bags`; see [`Dataset::open`] and [`Self::open`].
-    ///
-    /// # Errors
-    /// As these two.
-    pub fn of_bags(bags: &Path, encoder: &dyn Encoder, cache_dir: &Path) -> Result<Self> {
-        let dataset = Dataset::open(bags, cache_dir, encoder.input_size())?;
-        Self::open(&dataset, encoder, cache_dir)
-    }
-
-    /// Maps the file of the latents of `episodes`.
+    /// The latents of `episodes` in one file.
+    #[cfg(test)]
     pub(crate) fn map(
         path: &Path,
         space: LatentSpace,
@@ -72,23 +79,16 @@ impl Latents {
         digest: String,
         actions: ActionSpace,
     ) -> Result<Self> {
-        let file = File::open(path).with_context(|| path.display().to_string())?;
-        // SAFETY: the cache is this program's own; whoever changes it during a training breaks only their own run.
-        let values = unsafe { Mmap::map(&file) }.with_context(|| path.display().to_string())?;
-        let frames: usize = episodes.iter().map(|episode| episode.frame_count).sum();
-        let expected = frames * space.elements() * size_of::<f16>();
-        ensure!(
-            values.len() == expected,
-            "{}: expected {expected} bytes, found {}; remove the file to recompute it",
-            path.display(),
-            values.len()
-        );
+        let mut layout = Layout::default();
+        for episode in &episodes {
+            layout.push(0, episode);
+        }
         Ok(Self {
+            files: vec![map(path, layout.frame_count(), &space)?],
             space,
-            episodes,
+            layout,
             digest,
             actions,
-            values,
         })
     }
 
@@ -101,7 +101,7 @@ impl Latents {
     /// The episodes, in the order of their frames.
     #[must_use]
     pub fn episodes(&self) -> &[Episode] {
-        &self.episodes
+        self.layout.episodes()
     }
 
     /// What the actions of its episodes are.
@@ -122,11 +122,13 @@ impl Latents {
     /// When there is no such frame.
     pub fn read(&self, index: usize, out: &mut Vec<f32>) -> Result<()> {
         let bytes = self.space.elements() * size_of::<f16>();
-        let latent = self
-            .values
-            .get(index * bytes..(index + 1) * bytes)
-            .with_context(|| format!("no frame {index}"))?;
-        let (values, _) = latent.as_chunks::<2>();
+        let latent = self.layout.locate(index).and_then(|(file, frame)| {
+            let values = self.files.get(file)?;
+            values.get(frame * bytes..(frame + 1) * bytes)
+        });
+        let (values, _) = latent
+            .with_context(|| format!("no frame {index}"))?
+            .as_chunks::<2>();
         out.extend(
             values
                 .iter()
@@ -134,21 +136,76 @@ impl Latents {
         );
         Ok(())
     }
+
+    /// Mean and standard deviation of each channel over all frames.
+    ///
+    /// # Errors
+    /// When there is no frame.
+    pub fn statistics(&self) -> Result<LatentStatistics> {
+        let channels = self.space.channels;
+        let frames = self.layout.frame_count();
+        ensure!(frames > 0, "there are no latents");
+        // Per channel sum and sum of squares: latents are of the order of 1, so that nothing
+        // cancels in double precision.
+        let sums = (0..frames).into_par_iter().try_fold(
+            || vec![(0.0_f64, 0.0_f64); channels],
+            |mut sums, frame| -> Result<_> {
+                let mut latent = Vec::with_capacity(self.space.elements());
+                self.read(frame, &mut latent)?;
+                for cell in latent.chunks_exact(channels) {
+                    for ((sum, squares), value) in sums.iter_mut().zip(cell) {
+                        let value = f64::from(*value);
+                        *sum += value;
+                        *squares += value * value;
+                    }
+                }
+                Ok(sums)
+            },
+        );
+        let sums = sums.try_reduce(
+            || vec![(0.0, 0.0); channels],
+            |mut a, b| {
+                for (a, b) in a.iter_mut().zip(b) {
+                    *a = (a.0 + b.0, a.1 + b.1);
+                }
+                Ok(a)
+            },
+        )?;
+        let n = (frames * self.space.elements() / channels) as f64;
+        let mean = |(sum, _): &(f64, f64)| sum / n;
+        let std = |sums: &(f64, f64)| (sums.1 / n - mean(sums).powi(2)).max(0.0).sqrt();
+        Ok(LatentStatistics {
+            space: self.space.to_string(),
+            mean: sums.iter().map(mean).collect(),
+            std: sums.iter().map(std).collect(),
+            count: frames as u64,
+        })
+    }
 }
 
-fn encode(dataset: &Dataset, encoder: &dyn Encoder, path: &Path) -> Result<()> {
-    let (height, width) = dataset.size();
+fn map(path: &Path, frames: usize, space: &LatentSpace) -> Result<Mmap> {
+    let file = File::open(path).with_context(|| path.display().to_string())?;
+    // SAFETY: the cache is this program's own; whoever changes it during a training breaks only their own run.
+    let values = unsafe { Mmap::map(&file) }.with_context(|| path.display().to_string())?;
+    let expected = frames * space.elements() * size_of::<f16>();
     ensure!(
-        encoder.input_size() == (height, width),
-        "frames of {height}x{width} for an encoder of {:?}",
-        encoder.input_size()
+        values.len() == expected,
+        "{}: expected {expected} bytes, found {}; remove the file to recompute it",
+        path.display(),
+        values.len()
     );
-    let total = dataset.frame_count();
+    Ok(values)
+}
+
+fn encode(folder: &Folder, size: (usize, usize), encoder: &dyn Encoder, path: &Path) -> Result<()> {
+    let total = folder.frame_count();
     let elements = encoder.space().elements();
-    let style = ProgressStyle::with_template("encoding {bar:40} {pos}/{len} frames, {eta} left")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    let progress = ProgressBar::new(total as u64).with_style(style);
-    let partial = partial(path);
+    let progress = progress_bar("encoding", "frames", total);
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    // Two programs may encode the same.
+    let partial = path.with_extension(format!("partial-{}", std::process::id()));
     let mut file =
         BufWriter::new(File::create(&partial).with_context(|| partial.display().to_string())?);
     let firsts: Vec<usize> = (0..total).step_by(BATCH).collect();
@@ -156,7 +213,7 @@ fn encode(dataset: &Dataset, encoder: &dyn Encoder, path: &Path) -> Result<()> {
     for group in firsts.chunks(rayon::current_num_threads()) {
         let encoded = group
             .par_iter()
-            .map(|first| encode_batch(dataset, encoder, *first, BATCH.min(total - first)))
+            .map(|first| encode_batch(folder, size, encoder, *first, BATCH.min(total - first)))
             .collect::<Result<Vec<_>>>()?;
         for latents in encoded {
             file.write_all(&latents)?;
@@ -171,15 +228,15 @@ fn encode(dataset: &Dataset, encoder: &dyn Encoder, path: &Path) -> Result<()> {
 
 /// The latents of `count` frames from `first` on, as the cache holds them.
 fn encode_batch(
-    dataset: &Dataset,
+    folder: &Folder,
+    (height, width): (usize, usize),
     encoder: &dyn Encoder,
     first: usize,
     count: usize,
 ) -> Result<Vec<u8>> {
-    let (height, width) = dataset.size();
     let mut pixels = Vec::with_capacity(count * height * width * 3);
     for index in first..first + count {
-        let frame = dataset
+        let frame = folder
             .frame(index)
             .with_context(|| format!("no frame {index}"))?;
         pixels.extend(frame.iter().map(|value| f32::from(*value) / 255.0));
@@ -195,8 +252,4 @@ fn encode_batch(
         .into_iter()
         .flat_map(|value| f16::from_f32(value).to_le_bytes())
         .collect())
-}
-
-fn partial(path: &Path) -> PathBuf {
-    path.with_extension("partial")
 }

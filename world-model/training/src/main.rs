@@ -1,13 +1,15 @@
-//! `wm-training`: `wm sim`, `wm train` and `wm eval`, a program of its own, since a robot needs none of them.
+//! `wm-training`: `wm sim`, `wm dataset`, `wm train` and `wm eval`, a program of its own, since a robot needs none of them.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 a training that a signal stopped and that was saved.
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
 use wm_sim::SimArgs;
 use wm_training::{
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
+    dataset::DatasetArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
     run::{Ended, Stop},
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
@@ -31,6 +33,8 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 enum Command {
     /// Make bags with a simulated arm on a tabletop
     Sim(SimArgs),
+    /// Prepare bags for training, or say what is prepared
+    Dataset(Box<DatasetArgs>),
     /// Train models from bags
     #[command(subcommand)]
     Train(Box<TrainCommand>),
@@ -78,6 +82,7 @@ impl Command {
     fn run(self) -> anyhow::Result<ExitCode> {
         match self {
             Self::Sim(arguments) => arguments.run()?,
+            Self::Dataset(arguments) => arguments.run()?,
             Self::Train(command) => return command.run(),
             Self::Eval(EvalCommand::Autoencoder(arguments)) => arguments.run()?,
             Self::Eval(EvalCommand::Transition(arguments)) => arguments.run()?,
@@ -99,6 +104,11 @@ fn keep_candle_to_one_thread() {
 
 fn main() -> ExitCode {
     keep_candle_to_one_thread();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .init();
     match Command::parse().run() {
         Ok(code) => code,
         Err(error) => {

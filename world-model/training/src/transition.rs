@@ -28,7 +28,6 @@ use wm_zoo::ModelFolder;
 
 use crate::{
     arguments::RunArgs,
-    dataset::Dataset,
     latents::Latents,
     optimiser::{Parameter, Trained, Variables},
     run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
@@ -57,20 +56,9 @@ impl TrainTransitionArgs {
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let cache = self.run.cache();
-        let train = Latents::of_bags(&self.run.bags, &*encoder, &cache)?;
-        let held_out = match &self.run.held_out {
-            Some(bags) => Some(Latents::of_bags(bags, &*encoder, &cache)?),
-            None => None,
-        };
+        let (train, held_out) = self.run.latents(&*encoder)?;
         let recipe: TransitionRecipe =
             crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
-        if let Some(held_out) = &held_out {
-            let (own, others) = ("the training bags", "the held-out bags");
-            train
-                .action_space()
-                .expect_same(held_out.action_space(), own, others)?;
-        }
         train_on(&self.run, &recipe, &train, held_out.as_ref(), stop)
     }
 }
@@ -247,9 +235,8 @@ impl EvaluateTransitionArgs {
     pub fn run(&self) -> Result<()> {
         let folder = ModelFolder::open(&self.encoder)?;
         let encoder = folder.encoder()?;
-        let cache = self.cache_dir();
-        let dataset = Dataset::open(&self.bags, &cache, encoder.input_size())?;
-        let latents = Latents::open(&dataset, &*encoder, &cache)?;
+        let dataset = self.on.open(encoder.input_size())?;
+        let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
         let weights = Weights::open(&self.weights)?;
         let actions: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let space: wm_model::LatentSpace = weights.json(LATENT_SPACE_KEY)?;

@@ -10,7 +10,7 @@ use super::{
     trainer::{AutoencoderTask, FILE, TrainingError},
 };
 use crate::{
-    arguments::RunArgs,
+    arguments::{HeldOutArgs, RunArgs},
     dataset::Dataset,
     recipe::Override,
     run::{Ended, RunSettings, Stop, Task as _},
@@ -41,14 +41,9 @@ impl TrainAutoencoderArgs {
     /// When the data, the recipe or a file cannot be used.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
         let recipe = self.recipe()?;
-        let cache = self.run.cache();
-        let size = (recipe.model.height, recipe.model.width);
-        let train = Dataset::open(&self.run.bags, &cache, size)?;
-        let held_out = match &self.run.held_out {
-            Some(bags) => Some(Dataset::open(bags, &cache, size)?),
-            None => None,
-        };
-        let ended = train_on(&self.run, &recipe, &train, held_out.as_ref(), stop)?;
+        let data = self.run.data((recipe.model.height, recipe.model.width))?;
+        let held_out = data.validation.as_ref();
+        let ended = train_on(&self.run, &recipe, &data.training, held_out, stop)?;
         if ended == Ended::Finished {
             println!("wrote {}", self.run.out.join(FILE).display());
         }
@@ -88,15 +83,12 @@ pub(super) fn train_on(
 /// Measures how well an autoencoder reconstructs the frames of held-out bags.
 #[derive(Args, Clone, Debug)]
 pub struct EvaluateAutoencoderArgs {
-    /// Folder with the bags of the episodes.
-    #[arg(long)]
-    pub bags: PathBuf,
+    /// What to measure on.
+    #[command(flatten)]
+    pub on: HeldOutArgs,
     /// Weights: a file, or a folder with `autoencoder.safetensors` or with the two published TAEF2 files.
     #[arg(long)]
     pub autoencoder: PathBuf,
-    /// Folder for decoded frames.
-    #[arg(long)]
-    pub cache: PathBuf,
     /// Maximum number of frames, spread over all bags.
     #[arg(long, default_value_t = 1000)]
     pub frames: usize,
@@ -112,7 +104,7 @@ impl EvaluateAutoencoderArgs {
     /// When the weights or the bags cannot be read, or the picture cannot be written.
     pub fn run(&self) -> Result<(), TrainingError> {
         let autoencoder = Autoencoder::open(&self.autoencoder)?;
-        let dataset = Dataset::open(&self.bags, &self.cache, autoencoder.input_size())?;
+        let dataset = self.on.open(autoencoder.input_size())?;
         println!("{}", evaluate(&autoencoder, &dataset, self.frames)?);
         if let Some(path) = &self.picture {
             let picture = picture(&autoencoder, &dataset, 8)?;

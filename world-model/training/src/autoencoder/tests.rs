@@ -13,6 +13,7 @@ use super::{
 };
 use crate::{
     arguments::RunArgs,
+    dataset::DataOptions,
     dataset::Dataset,
     recipe::{self, Override, Span},
     run::{Ended, Stop},
@@ -110,8 +111,8 @@ fn recipe() -> AutoencoderRecipe {
 
 fn run_in(out: &Path) -> RunArgs {
     RunArgs {
-        bags: out.into(),
-        held_out: None,
+        data: Vec::new(),
+        options: DataOptions::default(),
         out: out.into(),
         cache: None,
         recipe: "tiny".into(),

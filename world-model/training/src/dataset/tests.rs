@@ -1,4 +1,10 @@
-use std::io::Cursor;
+mod cutting;
+mod folder;
+mod options;
+mod recorder;
+mod robots;
+
+use std::{io::Cursor, path::Path};
 
 use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
 use wm_bag::{BagWriter, WriterOptions};

@@ -12,7 +12,7 @@ use wm_zoo::{ModelFolder, idm::TrainedIdm};
 
 use super::{FILE, IdmRecipe, IdmTask, RECIPES, on_predicted, on_real};
 use crate::{
-    arguments::RunArgs,
+    arguments::{HeldOutArgs, RunArgs},
     latents::Latents,
     run::{Ended, RunSettings, Stop, Task as _},
     transition::Evaluation,
@@ -39,12 +39,8 @@ impl TrainIdmArgs {
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let (run, cache) = (&self.run, self.run.cache());
-        let train = Latents::of_bags(&run.bags, &*encoder, &cache)?;
-        let held_out = match &run.held_out {
-            Some(bags) => Some(Latents::of_bags(bags, &*encoder, &cache)?),
-            None => None,
-        };
+        let run = &self.run;
+        let (train, held_out) = run.latents(&*encoder)?;
         let recipe: IdmRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
         train_on(run, &recipe, &train, held_out.as_ref(), stop)
     }
@@ -87,9 +83,9 @@ pub(super) fn train_on(
 /// Measures how well an inverse dynamics model tells actions, from real and from predicted latents.
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateIdmArgs {
-    /// Folder with the bags of the episodes.
-    #[arg(long)]
-    pub bags: PathBuf,
+    /// What to measure on.
+    #[command(flatten)]
+    pub on: HeldOutArgs,
     /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
@@ -99,9 +95,6 @@ pub struct EvaluateIdmArgs {
     /// Weights of a transition model, to measure on what it predicts too.
     #[arg(long)]
     pub transition: Option<PathBuf>,
-    /// Folder for decoded frames and latents.
-    #[arg(long)]
-    pub cache: Option<PathBuf>,
     /// Maximum number of windows of predictions.
     #[arg(long, default_value_t = usize::MAX)]
     pub windows: usize,
@@ -114,8 +107,8 @@ impl EvaluateIdmArgs {
     /// When data or weights cannot be read, or do not fit one another.
     pub fn run(&self) -> Result<()> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let cache = self.cache.clone().unwrap_or_else(std::env::temp_dir);
-        let latents = Latents::of_bags(&self.bags, &*encoder, &cache)?;
+        let dataset = self.on.open(encoder.input_size())?;
+        let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
         let model = TrainedIdm::open(&self.weights)?;
         let (own, others) = ("the model", "the bags");
         model

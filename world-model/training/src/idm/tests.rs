@@ -1,6 +1,7 @@
 use super::{arguments::train_on, *};
 use crate::{
     arguments::RunArgs,
+    dataset::DataOptions,
     recipe::{self, Override},
     run::Stop,
     transition::tests::{moving, of_space},
@@ -31,8 +32,8 @@ fn small(name: &str) -> IdmRecipe {
 
 fn run_in(out: &Path) -> RunArgs {
     RunArgs {
-        bags: out.into(),
-        held_out: None,
+        data: Vec::new(),
+        options: DataOptions::default(),
         out: out.into(),
         cache: None,
         recipe: "tiny".into(),

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::arguments::RunArgs;
+use crate::arguments::{HeldOutArgs, RunArgs};
 
 /// Trains the transition model on bags of episodes, with the latents of a frozen encoder.
 #[derive(Clone, Debug, Args)]
@@ -18,18 +18,15 @@ pub struct TrainTransitionArgs {
 /// Evaluates a trained transition model on held-out bags.
 #[derive(Clone, Debug, Args)]
 pub struct EvaluateTransitionArgs {
-    /// Folder with the bags of the episodes.
-    #[arg(long)]
-    pub bags: PathBuf,
+    /// What to measure on.
+    #[command(flatten)]
+    pub on: HeldOutArgs,
     /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
     /// Weights of the transition model.
     #[arg(long)]
     pub weights: PathBuf,
-    /// Folder for decoded frames and latents.
-    #[arg(long)]
-    pub cache: Option<PathBuf>,
     /// Maximum number of windows to evaluate.
     #[arg(long, default_value_t = usize::MAX)]
     pub windows: usize,
@@ -39,10 +36,4 @@ pub struct EvaluateTransitionArgs {
     /// Number of one-step plans from zero, to measure how well they recover the true action.
     #[arg(long, default_value_t = 24)]
     pub plans: usize,
-}
-
-impl EvaluateTransitionArgs {
-    pub(super) fn cache_dir(&self) -> PathBuf {
-        self.cache.clone().unwrap_or_else(std::env::temp_dir)
-    }
 }

@@ -9,7 +9,7 @@ use wm_motion::actions::{Accumulation, ActionSpace};
 
 use super::*;
 use crate::{
-    dataset::Episode,
+    dataset::{DataOptions, Episode},
     optimiser::{AdamW, AdamWSettings, Schedule},
     recipe::{self, Span},
 };
@@ -51,6 +51,7 @@ pub(crate) fn of_space(dir: &Path, episodes: usize, seed: u64, name: &str) -> La
             first_frame: index * FRAMES,
             frame_count: FRAMES,
             actions,
+            ..Episode::default()
         });
     }
     let path = dir.join(format!("latents {seed}"));
@@ -193,8 +194,8 @@ fn episodes_shorter_than_a_clip_are_refused_by_length() {
 
 fn run_in(out: &Path) -> RunArgs {
     RunArgs {
-        bags: out.into(),
-        held_out: None,
+        data: Vec::new(),
+        options: DataOptions::default(),
         out: out.into(),
         cache: None,
         recipe: "tiny".into(),

@@ -116,7 +116,7 @@ impl WordEmbedding {
         let ids = self.config.encode(instruction)?;
         let count = ids.len();
         let ids = Tensor::from_vec(ids, count, &Device::Cpu)?;
-        let features = self.words.index_select(&ids, 0)?;
+        let features = self.words.contiguous()?.index_select(&ids, 0)?;
         Ok((features + self.places.narrow(0, 0, count)?)?.unsqueeze(0)?)
     }
 }

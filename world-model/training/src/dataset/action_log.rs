@@ -1,0 +1,229 @@
+use std::sync::Arc;
+
+use wm_bag::{BagError, BagMessage};
+use wm_motion::{
+    actions::{ActionError, ActionSpace},
+    motion::{Interval, Motion, MotionSettings},
+};
+use wm_msgs::{Message as _, sensor_msgs::JointState, wm_msgs::Action};
+
+/// The actions of a recording, by their stamps.
+#[derive(Debug, Default)]
+pub(super) struct ActionLog {
+    /// In ns, increasing once [`Self::sort`] is called.
+    stamps: Vec<i64>,
+    /// `width` values a stamp: an hour at 100 Hz and seven dimensions takes 13 MB.
+    values: Vec<f32>,
+    width: usize,
+    /// When actions came that no robot makes \[ns\].
+    implausible: Vec<i64>,
+    /// The first of these, in words.
+    first_implausible: Option<String>,
+    /// The joints of the last message, whose motion lasts until the next one.
+    joints: Option<(i64, Joints)>,
+    /// Time from one message of joints to the next \[ns\].
+    joint_period_ns: i64,
+}
+
+/// What a message of joints says of each dimension of the action space.
+#[derive(Debug)]
+struct Joints {
+    positions: Vec<f32>,
+    velocities: Vec<f32>,
+}
+
+impl ActionLog {
+    pub fn new(space: &ActionSpace) -> Self {
+        Self {
+            width: space.len(),
+            ..Self::default()
+        }
+    }
+
+    /// Whether a topic of this type tells actions.
+    pub fn reads(type_name: &str) -> bool {
+        type_name == Action::ros_name() || type_name == JointState::ros_name()
+    }
+
+    /// The types that are read, for an error.
+    pub fn types() -> String {
+        format!("{} or {}", Action::ros_name(), JointState::ros_name())
+    }
+
+    /// Takes note of a message.
+    ///
+    /// # Errors
+    /// In words, where the message is not of this action space: that is another robot.
+    pub fn push(&mut self, message: &BagMessage, space: &ActionSpace) -> Result<(), String> {
+        let undecodable = |error: BagError| error.to_string();
+        if *message.type_name == Action::ros_name() {
+            let action: Action = message.decode().map_err(undecodable)?;
+            let at_ns = action.header.stamp.to_nanos();
+            return self.insert(at_ns, &action.values, space);
+        }
+        let state: JointState = message.decode().map_err(undecodable)?;
+        let at_ns = state.header.stamp.to_nanos();
+        let joints = Joints::of(&state, space)?;
+        if let Some((before_ns, before)) = self.joints.take() {
+            // One that comes late tells nothing that a later one has not told.
+            if at_ns <= before_ns {
+                self.joints = Some((before_ns, before));
+                return Ok(());
+            }
+            self.joint_period_ns = at_ns - before_ns;
+            let values = before.until(&joints, self.joint_period_ns, space);
+            self.insert(before_ns, &values, space)?;
+        }
+        self.joints = Some((at_ns, joints));
+        Ok(())
+    }
+
+    fn insert(&mut self, at_ns: i64, values: &[f32], space: &ActionSpace) -> Result<(), String> {
+        match space.check(values) {
+            Ok(()) => {
+                self.stamps.push(at_ns);
+                self.values.extend(values);
+            }
+            Err(error @ ActionError::Length { .. }) => return Err(error.to_string()),
+            Err(error) => {
+                self.implausible.push(at_ns);
+                self.first_implausible
+                    .get_or_insert_with(|| format!("at {at_ns} ns: {error}"));
+            }
+        }
+        Ok(())
+    }
+
+    /// To be called after the last message: brings the actions into the order of their stamps.
+    pub fn sort(&mut self, space: &ActionSpace) -> Result<(), String> {
+        if let Some((at_ns, last)) = self.joints.take() {
+            let mut values = last.until(&last, self.joint_period_ns, space);
+            // Nothing follows: what moves goes on as before.
+            let before = self.stamps.len().checked_sub(1);
+            if let Some(before) = before.and_then(|index| self.row(index)) {
+                let dimensions = values.iter_mut().zip(before).zip(space.dimensions());
+                for ((value, before), _) in dimensions.filter(|(_, d)| d.kind.is_delta()) {
+                    *value = *before;
+                }
+            }
+            self.insert(at_ns, &values, space)?;
+        }
+        self.implausible.sort_unstable();
+        if self.stamps.is_sorted() {
+            return Ok(());
+        }
+        let mut order: Vec<usize> = (0..self.stamps.len()).collect();
+        order.sort_by_key(|index| self.stamps.get(*index).copied());
+        let rows = order.iter().filter_map(|index| self.row(*index));
+        self.values = rows.flatten().copied().collect();
+        self.stamps.sort_unstable();
+        Ok(())
+    }
+
+    fn row(&self, index: usize) -> Option<&[f32]> {
+        self.values
+            .get(index * self.width..(index + 1) * self.width)
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.stamps.is_empty()
+    }
+
+    /// How many actions were left out, and the first one, in words.
+    pub fn implausible(&self) -> Option<(usize, &str)> {
+        let first = self.first_implausible.as_deref()?;
+        Some((self.implausible.len(), first))
+    }
+
+    /// Whether an action that was left out may have been taken from `from_ns` to `to_ns`.
+    fn is_doubtful(&self, from_ns: i64, to_ns: i64) -> bool {
+        let first = self.implausible.partition_point(|at_ns| *at_ns < from_ns);
+        self.implausible
+            .get(first)
+            .is_some_and(|at_ns| *at_ns <= to_ns)
+    }
+}
+
+impl Joints {
+    /// # Errors
+    /// A dimension that no joint has the name of.
+    fn of(state: &JointState, space: &ActionSpace) -> Result<Self, String> {
+        let mut joints = Self {
+            positions: Vec::with_capacity(space.len()),
+            velocities: Vec::with_capacity(space.len()),
+        };
+        for dimension in space.dimensions() {
+            let Some(index) = state.name.iter().position(|name| *name == dimension.name) else {
+                return Err(format!(
+                    "expected the joints of {space}; there is no {:?} among {:?}",
+                    dimension.name, state.name
+                ));
+            };
+            // Single precision is what an action carries. An absent list is no number, and found out by `check`.
+            let value = |values: &[f64]| values.get(index).map_or(f32::NAN, |value| *value as f32);
+            joints.positions.push(value(&state.position));
+            joints.velocities.push(value(&state.velocity));
+        }
+        Ok(joints)
+    }
+
+    /// The action from this message to the next, `span_ns` later: the change of the joints that are deltas, from their
+    /// positions where these are told and else from the velocity, and the position of the others.
+    fn until(&self, next: &Self, span_ns: i64, space: &ActionSpace) -> Vec<f32> {
+        let seconds = span_ns as f32 / 1e9;
+        let here = self.positions.iter().zip(&self.velocities);
+        let rows = here.zip(&next.positions).zip(space.dimensions());
+        let value = |(((position, velocity), next), dimension): (
+            ((&f32, &f32), &f32),
+            &wm_motion::actions::Dimension,
+        )| {
+            if !dimension.kind.is_delta() {
+                *position
+            } else if position.is_nan() {
+                velocity * seconds
+            } else {
+                next - position
+            }
+        };
+        rows.map(value).collect()
+    }
+}
+
+/// What the robot does from moment to moment of a recording, in the order of time.
+pub(super) struct Alignment<'a> {
+    log: &'a ActionLog,
+    space: &'a ActionSpace,
+    motion: Motion,
+    next: usize,
+    period_ns: i64,
+}
+
+impl<'a> Alignment<'a> {
+    pub fn new(log: &'a ActionLog, space: &'a ActionSpace, period_ns: i64) -> Self {
+        Self {
+            log,
+            space,
+            motion: Motion::new(MotionSettings::of_period(period_ns)),
+            next: 0,
+            period_ns,
+        }
+    }
+
+    /// What happens from `from_ns` to `to_ns`, which are not before those of the last call; none where no action is known
+    /// by then.
+    pub fn between(&mut self, from_ns: i64, to_ns: i64) -> Option<Interval> {
+        // In parts: a motion keeps a minute.
+        let until_ns = to_ns.saturating_add(self.period_ns);
+        while let Some(at_ns) = self.log.stamps.get(self.next)
+            && *at_ns <= until_ns
+            && let Some(values) = self.log.row(self.next)
+        {
+            self.motion.take(*at_ns, Arc::from(values));
+            self.next += 1;
+        }
+        let mut interval = self.motion.between(self.space, from_ns, to_ns)?;
+        let doubtful_from_ns = from_ns.saturating_sub(self.period_ns);
+        interval.is_given &= !self.log.is_doubtful(doubtful_from_ns, to_ns);
+        Some(interval)
+    }
+}

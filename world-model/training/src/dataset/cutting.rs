@@ -1,0 +1,294 @@
+use wm_motion::{actions::ActionSpace, motion::Pace};
+
+use super::{
+    Settings,
+    action_log::Alignment,
+    options::Cut,
+    recording::{Picture, Recording},
+};
+
+/// An episode before its pictures are decoded.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Draft {
+    /// The stamp of each frame's picture \[ns\], for each stream of the recording.
+    pub stamps: Vec<Vec<i64>>,
+    /// When the first and the last of these pictures were recorded \[ns\].
+    pub logged_ns: (u64, u64),
+    /// What the robot does from each frame to the next.
+    pub actions: Vec<Vec<f32>>,
+    pub instruction: Option<String>,
+    pub success: Option<bool>,
+}
+
+impl Draft {
+    /// Stamps of the first and the last frame \[ns\].
+    pub fn span_ns(&self) -> (i64, i64) {
+        let main = self.stamps.first().map(Vec::as_slice).unwrap_or_default();
+        let ends = main.first().zip(main.last());
+        ends.map_or((0, 0), |(first, last)| (*first, *last))
+    }
+}
+
+/// Frames that are in no episode, and why.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Omission {
+    pub span_ns: Option<(i64, i64)>,
+    pub frames: u64,
+    pub reason: String,
+}
+
+/// A frame: the pictures of all streams at one time.
+struct Moment {
+    /// Its number among the first camera's pictures.
+    place: usize,
+    pictures: Vec<Picture>,
+    stamp_ns: i64,
+}
+
+/// The episodes of a recording: frames a period of the action space's rate apart, with what the robot does from each to
+/// the next.
+///
+/// # Errors
+/// In words, where the camera is slower than the model.
+pub(super) fn cut(
+    recording: &Recording,
+    space: &ActionSpace,
+    settings: &Settings,
+) -> Result<(Vec<Draft>, Vec<Omission>), String> {
+    // A rate is at least 0.01 Hz.
+    let period_ns = (1e9 / space.rate()) as i64;
+    let mut cutter = Cutter {
+        recording,
+        settings,
+        period_ns,
+        alignment: Alignment::new(&recording.actions, space, period_ns),
+        actions_unknown: Omission {
+            span_ns: None,
+            frames: 0,
+            reason: format!(
+                "no message on {} within a period of the frame",
+                recording.action_topic
+            ),
+        },
+        drafts: Vec::new(),
+        omissions: Vec::new(),
+    };
+    for (count, what) in &recording.complaints {
+        cutter.omissions.push(Omission {
+            span_ns: None,
+            frames: *count,
+            reason: what.clone(),
+        });
+    }
+    let moments = cutter.moments();
+    let gap_ns = median_gap(&moments).unwrap_or(period_ns);
+    if gap_ns > period_ns + period_ns / 2 {
+        return Err(format!(
+            "the camera has a frame every {:.2} s, but actions of {} Hz need one every {:.2} s",
+            gap_ns as f64 / 1e9,
+            space.rate(),
+            period_ns as f64 / 1e9
+        ));
+    }
+    let parts = cutter.parts(moments, gap_ns);
+    for (index, part) in parts.iter().enumerate() {
+        let next = parts.get(index + 1).and_then(|part| part.first());
+        cutter.align(part, next.map(|moment| moment.place), parts.len() == 1);
+    }
+    if cutter.actions_unknown.frames > 0 {
+        cutter.omissions.push(cutter.actions_unknown);
+    }
+    Ok((cutter.drafts, cutter.omissions))
+}
+
+struct Cutter<'a> {
+    recording: &'a Recording,
+    settings: &'a Settings,
+    period_ns: i64,
+    alignment: Alignment<'a>,
+    /// Frames between whose neighbours no action is known.
+    actions_unknown: Omission,
+    drafts: Vec<Draft>,
+    omissions: Vec<Omission>,
+}
+
+impl Cutter<'_> {
+    /// Each picture of the first camera with the nearest one of every other stream, at most half a period away.
+    fn moments(&mut self) -> Vec<Moment> {
+        let Some((main, others)) = self.recording.streams.split_first() else {
+            return Vec::new();
+        };
+        let mut alone = vec![0_u64; others.len()];
+        let mut moments = Vec::with_capacity(main.pictures.len());
+        'pictures: for (place, picture) in main.pictures.iter().enumerate() {
+            let mut pictures = Vec::with_capacity(1 + others.len());
+            pictures.push(*picture);
+            for (other, alone) in others.iter().zip(&mut alone) {
+                let Some(partner) = other.nearest(picture.stamp_ns, self.period_ns / 2) else {
+                    *alone += 1;
+                    continue 'pictures;
+                };
+                pictures.push(partner);
+            }
+            moments.push(Moment {
+                place,
+                pictures,
+                stamp_ns: picture.stamp_ns,
+            });
+        }
+        for (other, frames) in others.iter().zip(alone).filter(|(_, frames)| *frames > 0) {
+            let tolerance = self.period_ns as f64 / 2e9;
+            self.omissions.push(Omission {
+                span_ns: None,
+                frames,
+                reason: format!("no frame of {} within {tolerance:.2} s", other.topic),
+            });
+        }
+        moments
+    }
+
+    /// The moments a period apart, in parts between which nothing may be learnt.
+    fn parts(&self, moments: Vec<Moment>, gap_ns: i64) -> Vec<Vec<Moment>> {
+        let longest_ns = self.settings.gap_periods * self.period_ns as f64;
+        let mut cuts = self.recording.cuts.clone();
+        if self.settings.cut.contains(&Cut::Instruction) {
+            let instructions = &self.recording.instructions;
+            let changes = instructions.iter().zip(instructions.iter().skip(1));
+            cuts.extend(
+                changes
+                    .filter(|((_, before), (_, after))| before != after)
+                    .map(|(_, (place, _))| *place),
+            );
+        }
+        cuts.sort_unstable();
+        let mut pace = Pace::new(self.period_ns, gap_ns);
+        let mut parts: Vec<Vec<Moment>> = Vec::new();
+        let mut before: Option<(usize, i64)> = None;
+        for moment in moments {
+            let begins = before.is_none_or(|(place, stamp_ns)| {
+                let is_gap = (moment.stamp_ns - stamp_ns) as f64 > longest_ns;
+                // A message that came before this picture and after that one.
+                let next = cuts.partition_point(|cut| *cut <= place);
+                let is_cut = cuts.get(next).is_some_and(|cut| *cut <= moment.place);
+                let begun_ns = parts.last().and_then(|part| part.first());
+                let is_long = self.settings.cut_seconds.is_some_and(|seconds| {
+                    // Of the frames around that time the nearest one begins it, as stamps jitter.
+                    let end_ns = seconds * 1e9 - (gap_ns / 2).min(self.period_ns / 4) as f64;
+                    begun_ns
+                        .is_some_and(|begun| (moment.stamp_ns - begun.stamp_ns) as f64 >= end_ns)
+                });
+                is_gap || is_cut || is_long
+            });
+            before = Some((moment.place, moment.stamp_ns));
+            if begins {
+                pace.restart();
+                parts.push(Vec::new());
+            }
+            if pace.is_due(moment.stamp_ns)
+                && let Some(part) = parts.last_mut()
+            {
+                part.push(moment);
+            }
+        }
+        parts
+    }
+
+    /// Makes episodes of a part: one, or several where actions are missing in between. `next` is where the next part begins.
+    fn align(&mut self, part: &[Moment], next: Option<usize>, is_only: bool) {
+        let mut run: Vec<(&Moment, Vec<f32>)> = Vec::new();
+        for (index, moment) in part.iter().enumerate() {
+            let following = part.get(index + 1);
+            let to_ns = match following {
+                Some(following) => following.stamp_ns,
+                None => moment.stamp_ns.saturating_add(self.period_ns),
+            };
+            let interval = self.alignment.between(moment.stamp_ns, to_ns);
+            let is_known = interval.as_ref().is_some_and(|interval| interval.is_given);
+            match interval {
+                // After the last frame nothing need be done any more: some data sets record no action for it.
+                Some(interval) if is_known || !run.is_empty() => {
+                    run.push((moment, interval.values));
+                }
+                _ => {
+                    self.actions_unknown.frames += 1;
+                    let span_ns = &mut self.actions_unknown.span_ns;
+                    let (begin_ns, _) = span_ns.unwrap_or((moment.stamp_ns, 0));
+                    *span_ns = Some((begin_ns, moment.stamp_ns));
+                }
+            }
+            if !is_known && !run.is_empty() {
+                let run = std::mem::take(&mut run);
+                self.finish(&run, following.map(|m| m.place).or(next), is_only);
+            }
+        }
+        if !run.is_empty() {
+            self.finish(&run, next, is_only);
+        }
+    }
+
+    fn finish(&mut self, run: &[(&Moment, Vec<f32>)], next: Option<usize>, is_only: bool) {
+        let (Some((first, _)), Some((last, _))) = (run.first(), run.last()) else {
+            return;
+        };
+        let span_ns = (first.stamp_ns, last.stamp_ns);
+        let seconds = (span_ns.1 - span_ns.0 + self.period_ns) as f64 / 1e9;
+        // A nanosecond of rounding is no reason to lose an episode.
+        if seconds + 1e-6 < self.settings.min_seconds {
+            self.omissions.push(Omission {
+                span_ns: Some(span_ns),
+                frames: run.len() as u64,
+                reason: format!(
+                    "an episode of {seconds:.2} s; at least {} s are asked for",
+                    self.settings.min_seconds
+                ),
+            });
+            return;
+        }
+        let stream_count = self.recording.streams.len();
+        let mut draft = Draft {
+            stamps: vec![Vec::with_capacity(run.len()); stream_count],
+            logged_ns: (u64::MAX, 0),
+            instruction: self.instruction(first.place, last.place),
+            success: self.success(first.place, next, is_only),
+            ..Draft::default()
+        };
+        for (moment, action) in run {
+            for (stamps, picture) in draft.stamps.iter_mut().zip(&moment.pictures) {
+                stamps.push(picture.stamp_ns);
+                let (from, to) = draft.logged_ns;
+                draft.logged_ns = (from.min(picture.logged_ns), to.max(picture.logged_ns));
+            }
+            draft.actions.push(action.clone());
+        }
+        self.drafts.push(draft);
+    }
+
+    /// The instruction at the first frame, or the first one that came while the episode lasted.
+    fn instruction(&self, first: usize, last: usize) -> Option<String> {
+        let instructions = &self.recording.instructions;
+        let before = instructions.iter().rfind(|(place, _)| *place <= first);
+        let later = || {
+            let mut later = instructions.iter();
+            later.find(|(place, _)| *place <= last + 1)
+        };
+        let (_, text) = before.or_else(later)?;
+        (!text.is_empty()).then(|| text.clone())
+    }
+
+    /// What came last from the first frame to the next episode; of the only episode whatever came last.
+    fn success(&self, first: usize, next: Option<usize>, is_only: bool) -> Option<bool> {
+        let is_of_it =
+            |place: &usize| is_only || (*place > first && next.is_none_or(|next| *place <= next));
+        let mut successes = self.recording.successes.iter();
+        let last = successes.rfind(|(place, _)| is_of_it(place));
+        last.map(|(_, success)| *success)
+    }
+}
+
+/// The median: a jittery pair of frames says nothing of the rate.
+fn median_gap(moments: &[Moment]) -> Option<i64> {
+    let pairs = moments.iter().zip(moments.iter().skip(1));
+    let mut gaps: Vec<i64> = pairs.map(|(a, b)| b.stamp_ns - a.stamp_ns).collect();
+    gaps.sort_unstable();
+    gaps.get(gaps.len() / 2).copied()
+}

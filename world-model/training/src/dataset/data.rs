@@ -1,0 +1,263 @@
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use super::{
+    DataOptions, Dataset, DatasetError, Manifest, Size,
+    manifest::Split,
+    preparation::{Preparation, identity},
+    search::{Found, find},
+    split::split,
+    store::{Folder, cache_name, if_another_was_first, is_prepared},
+};
+
+/// Most things that were left out that are named one by one.
+const NAMED: usize = 20;
+
+/// What a model is trained on, and what it is measured on.
+#[derive(Debug)]
+pub struct Data {
+    /// Episodes that the model is fitted to.
+    pub training: Dataset,
+    /// Episodes for validation, if there are any.
+    pub validation: Option<Dataset>,
+}
+
+impl Data {
+    /// The data at `paths`: bags (folders with `metadata.yaml`, or `.mcap` files), folders that are searched for bags, and
+    /// folders that `wm dataset` prepared. Bags are prepared into `cache`, or taken from there where an earlier call has
+    /// left them. Frames have `size` (height, width); with several cameras that is all of them side by side.
+    ///
+    /// Which episodes are for validation: those of `options.held_out`; else those that a prepared folder names; else, and
+    /// wherever `options.validation` or its seed is given, a share by the options.
+    ///
+    /// What is left out is named by `tracing` at the level of warnings.
+    ///
+    /// # Errors
+    /// When options or files cannot be used, bags are of different robots, or there is nothing to train on: the error
+    /// names the offender.
+    pub fn open(
+        paths: &[PathBuf],
+        size: (usize, usize),
+        cache: &Path,
+        options: &DataOptions,
+    ) -> Result<Self, DatasetError> {
+        let options = options.with_config()?;
+        let rule = options.split_rule()?;
+        let folders = open_all(paths, size, cache, &options)?;
+        if !options.held_out.is_empty() {
+            let held_out = open_all(&options.held_out, size, cache, &options)?;
+            expect_apart(&folders, &held_out)?;
+            let training = Dataset::of_folders(folders, &options, |_, _| true)?;
+            let validation = Dataset::of_folders(held_out, &options, |_, _| true)?;
+            training.expect_same(&validation)?;
+            return Ok(Self {
+                training,
+                validation: Some(validation),
+            });
+        }
+        let is_chosen = options.validation.is_some() || options.validation_seed.is_some();
+        let mut identities = Vec::new();
+        for folder in &folders {
+            let manifest = folder.folder.manifest();
+            for episode in manifest.episodes.iter() {
+                let source = manifest.sources.get(episode.source);
+                let identity = source.map(|source| identity(source, episode.begin_ns));
+                identities.push(identity.unwrap_or_else(|| episode.name.clone()));
+            }
+        }
+        let is_free = |folder: &Opened| is_chosen || !folder.is_given;
+        // Folders that are split already take no part.
+        let mut free = Vec::new();
+        let mut rest = identities.into_iter();
+        for folder in &folders {
+            let own = rest.by_ref().take(folder.folder.all_episodes().len());
+            if is_free(folder) {
+                free.extend(own);
+            } else {
+                own.for_each(drop);
+            }
+        }
+        let mut chosen = split(&free, rule).into_iter();
+        let mut splits: Vec<Vec<Split>> = Vec::with_capacity(folders.len());
+        for folder in &folders {
+            let listed = &folder.folder.manifest().episodes;
+            splits.push(if is_free(folder) {
+                chosen.by_ref().take(listed.len()).collect()
+            } else {
+                listed.iter().map(|episode| episode.split).collect()
+            });
+        }
+        let is = |wanted: Split| {
+            let splits = &splits;
+            move |folder: usize, episode: usize| {
+                splits.get(folder).and_then(|splits| splits.get(episode)) == Some(&wanted)
+            }
+        };
+        let training = Dataset::of_folders(folders.clone(), &options, is(Split::Training))?;
+        let validation = Dataset::of_folders(folders, &options, is(Split::Validation))?;
+        if training.episodes().is_empty() {
+            let what = "    all episodes are for validation".to_owned();
+            return Err(DatasetError::Nothing(what));
+        }
+        let validation = Some(validation).filter(|set| !set.episodes().is_empty());
+        Ok(Self {
+            training,
+            validation,
+        })
+    }
+}
+
+impl Dataset {
+    /// What a trained model is measured on: of prepared folders the episodes for validation (all of them if none is), of
+    /// bags all episodes. Otherwise as [`Data::open`].
+    ///
+    /// # Errors
+    /// Those of [`Data::open`].
+    pub fn held_out(
+        paths: &[PathBuf],
+        size: (usize, usize),
+        cache: &Path,
+        options: &DataOptions,
+    ) -> Result<Self, DatasetError> {
+        let options = options.with_config()?;
+        let folders = open_all(paths, size, cache, &options)?;
+        let held_out = folders.iter().map(|opened| {
+            let episodes = opened.folder.manifest().episodes.iter();
+            let is_held_out: Vec<bool> = episodes.map(|e| e.split == Split::Validation).collect();
+            (opened.is_given && is_held_out.contains(&true)).then_some(is_held_out)
+        });
+        let held_out: Vec<Option<Vec<bool>>> = held_out.collect();
+        Self::of_folders(folders, &options, |folder, episode| {
+            let chosen = held_out.get(folder).and_then(Option::as_ref);
+            chosen.is_none_or(|chosen| chosen.get(episode).copied().unwrap_or(true))
+        })
+    }
+
+    /// All episodes of the bags at or under `bags_root`, or of a prepared folder, with the usual options. Otherwise as
+    /// [`Data::open`].
+    ///
+    /// # Errors
+    /// Those of [`Data::open`].
+    pub fn open(
+        bags_root: &Path,
+        cache_dir: &Path,
+        size: (usize, usize),
+    ) -> Result<Self, DatasetError> {
+        let options = DataOptions::default();
+        let folders = open_all(&[bags_root.to_owned()], size, cache_dir, &options)?;
+        Self::of_folders(folders, &options, |_, _| true)
+    }
+}
+
+/// A folder, and whether the user gave it: else it is one of a cache, and its split means nothing.
+#[derive(Clone)]
+pub(super) struct Opened {
+    pub folder: Arc<Folder>,
+    is_given: bool,
+}
+
+fn open_all(
+    paths: &[PathBuf],
+    size: (usize, usize),
+    cache: &Path,
+    options: &DataOptions,
+) -> Result<Vec<Opened>, DatasetError> {
+    let (prepared, bags): (Vec<_>, Vec<_>) = paths.iter().cloned().partition(|p| is_prepared(p));
+    if let (Some(dir), Some(option), true) =
+        (prepared.first(), options.of_preparation(), bags.is_empty())
+    {
+        return Err(DatasetError::Prepared {
+            dir: dir.clone(),
+            what: format!("{option} has no effect on a data set that is prepared already"),
+        });
+    }
+    let mut opened = Vec::new();
+    for dir in prepared {
+        let folder = Folder::open(&dir)?;
+        name_left_out(folder.manifest(), &dir);
+        let view = view(size, folder.views())?;
+        opened.push(Opened {
+            folder: Arc::new(folder.at_size(view, cache)?),
+            is_given: true,
+        });
+    }
+    if !bags.is_empty() {
+        let settings = options.settings()?;
+        let view = view(size, settings.cameras.len().max(1))?;
+        let found = find(&bags)?;
+        let none = Found::default();
+        let rule = options.split_rule()?;
+        let preparation = Preparation::new(found, none, settings, view, rule)?;
+        let dir = cache.join(cache_name(preparation.digest()));
+        if !is_prepared(&dir) {
+            preparation
+                .write(&dir)
+                .or_else(if_another_was_first(&dir))?;
+        }
+        let folder = Folder::open(&dir)?;
+        name_left_out(folder.manifest(), &dir);
+        opened.push(Opened {
+            folder: Arc::new(folder),
+            is_given: false,
+        });
+    }
+    Ok(opened)
+}
+
+/// The size of one of `views` pictures that lie side by side.
+fn view(size: (usize, usize), views: usize) -> Result<Size, DatasetError> {
+    let (height, width) = size;
+    if !width.is_multiple_of(views) {
+        let what = format!("frames of {height}x{width} cannot show {views} cameras side by side");
+        return Err(DatasetError::Option {
+            option: "--camera",
+            what,
+        });
+    }
+    Ok(Size {
+        height,
+        width: width / views,
+    })
+}
+
+pub(super) fn name_left_out(manifest: &Manifest, dir: &Path) {
+    for left in manifest.left_out.iter().take(NAMED) {
+        tracing::warn!("left out: {left}");
+    }
+    let more = manifest.left_out.len().saturating_sub(NAMED);
+    if more > 0 {
+        let path = dir.join("dataset.json");
+        tracing::warn!("left out: {more} more; all are named in {}", path.display());
+    }
+}
+
+/// Refuses an episode that is for both.
+fn expect_apart(training: &[Opened], held_out: &[Opened]) -> Result<(), DatasetError> {
+    let identities = |folders: &[Opened]| {
+        let mut all = BTreeSet::new();
+        for opened in folders {
+            let manifest = opened.folder.manifest();
+            for episode in &manifest.episodes {
+                if let Some(source) = manifest.sources.get(episode.source) {
+                    let key = identity(source, episode.begin_ns);
+                    all.insert((key, source.bag.clone()));
+                }
+            }
+        }
+        all
+    };
+    let training = identities(training);
+    for (key, bag) in identities(held_out) {
+        if let Some((_, other)) = training.iter().find(|(other, _)| *other == key) {
+            let what = format!(
+                "held out, but its contents are also in {}, which is trained on",
+                other.display()
+            );
+            return Err(DatasetError::Episode { bag, what });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,88 @@
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+/// Why recordings cannot be trained on.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum DatasetError {
+    /// No bag under the folder.
+    #[error(
+        "{0}: expected bags of episodes (folders with metadata.yaml, or .mcap files), found none"
+    )]
+    Empty(PathBuf),
+    /// There are bags, but nothing in them can be used.
+    #[error("no episode can be used:\n{0}")]
+    Nothing(String),
+    /// A bag does not belong to the others, or holds something it cannot use.
+    #[error("{bag}: {what}")]
+    Episode {
+        /// The bag.
+        bag: PathBuf,
+        /// What was expected and what came.
+        what: String,
+    },
+    /// An option that cannot serve.
+    #[error("{option}: {what}")]
+    Option {
+        /// The option, as on the command line.
+        option: &'static str,
+        /// What was expected and what came.
+        what: String,
+    },
+    /// A file of options or of an action space that cannot be understood.
+    #[error("{path}: {what}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// A prepared folder that is damaged, of another version, or does not fit what is asked for.
+    #[error("{dir}: {what}")]
+    Prepared {
+        /// The folder.
+        dir: PathBuf,
+        /// What was expected and what came.
+        what: String,
+    },
+    /// The folder to write exists.
+    #[error("{0} exists already; give another folder, or remove this one")]
+    Exists(PathBuf),
+    /// Prepared pictures are smaller than those asked for.
+    #[error(
+        "{dir}: the prepared pictures have {}x{} pixels, but {}x{} are needed; prepare the bags again with --size {}x{}",
+        stored.0, stored.1, asked.0, asked.1, asked.0, asked.1
+    )]
+    Upscaling {
+        /// The prepared folder.
+        dir: PathBuf,
+        /// Height and width of a view in the folder.
+        stored: (usize, usize),
+        /// Height and width of a view that is asked for.
+        asked: (usize, usize),
+    },
+    /// A file cannot be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+impl DatasetError {
+    /// The error of an operation on a file.
+    pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
+        let path = path.to_owned();
+        move |source| Self::Io { path, source }
+    }
+
+    pub(super) fn file(path: &Path, what: impl ToString) -> Self {
+        Self::File {
+            path: path.to_owned(),
+            what: what.to_string(),
+        }
+    }
+}

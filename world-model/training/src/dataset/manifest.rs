@@ -1,0 +1,179 @@
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+use wm_motion::actions::ActionSpace;
+
+use super::{Settings, Size, SplitRule};
+
+/// Counts up where prepared folders become unreadable for older code, or the same bags give other frames or actions.
+pub(super) const VERSION: u32 = 3;
+
+/// What a prepared folder says of itself: `dataset.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// Version of the format.
+    pub version: u32,
+    /// Hex SHA-256 of what the folder was made from: contents of the bags, settings and picture size.
+    pub digest: String,
+    /// Size of one camera's picture. A frame is as high, and as many times as wide as there are cameras.
+    pub size: Size,
+    /// Topics of the cameras, without the transport, from the left to the right of a frame.
+    pub cameras: Vec<String>,
+    /// Whether there is a mask for each frame.
+    pub has_masks: bool,
+    /// How it was made.
+    pub settings: Settings,
+    /// How episodes for validation were chosen.
+    pub split: SplitRule,
+    /// What the actions are.
+    pub action_space: ActionSpace,
+    /// The bags that episodes come from.
+    pub sources: Vec<Source>,
+    /// The episodes, in the order of their frames.
+    pub episodes: Vec<ManifestEpisode>,
+    /// What was left out, and why.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// A bag.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Source {
+    /// The path, as it was given or found.
+    pub bag: PathBuf,
+    /// Hex SHA-256 of its files.
+    pub digest: String,
+    /// Whether it was given for validation.
+    pub held_out: bool,
+}
+
+/// Whether an episode is for training or for validation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Split {
+    /// A model is fitted to it.
+    Training,
+    /// A model is measured on it.
+    Validation,
+}
+
+/// An episode of a prepared folder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ManifestEpisode {
+    /// The bag's name, and a number where the bag has several episodes.
+    pub name: String,
+    /// Index of its bag among the sources.
+    pub source: usize,
+    /// Stamp of its first frame \[ns\].
+    pub begin_ns: i64,
+    /// Stamp of its last frame \[ns\].
+    pub end_ns: i64,
+    /// Number of frames.
+    pub frames: usize,
+    /// What it is for.
+    pub split: Split,
+    /// What the robot was told to do.
+    pub instruction: Option<String>,
+    /// Whether the robot did it.
+    pub success: Option<bool>,
+}
+
+/// Something that is in no episode.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeftOut {
+    /// The folder or bag.
+    pub path: PathBuf,
+    /// Stamps of the first and the last frame \[ns\], for a part of a bag.
+    pub span_ns: Option<(i64, i64)>,
+    /// Frames of the camera that this is about; `None` for a whole folder or bag.
+    pub frames: Option<u64>,
+    /// Why.
+    pub reason: String,
+}
+
+impl LeftOut {
+    pub(super) fn path(path: &Path, reason: &str) -> Self {
+        Self {
+            path: path.to_owned(),
+            span_ns: None,
+            frames: None,
+            reason: reason.to_owned(),
+        }
+    }
+
+    pub(super) fn is_under(&self, folder: &Path) -> bool {
+        self.path.starts_with(folder)
+    }
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: ", self.path.display())?;
+        if let Some(frames) = self.frames {
+            let s = if frames == 1 { "" } else { "s" };
+            write!(f, "{frames} frame{s}")?;
+            if let Some((begin, end)) = self.span_ns {
+                write!(f, " from {begin} to {end} ns")?;
+            }
+            write!(f, ": ")?;
+        }
+        write!(f, "{}", self.reason)
+    }
+}
+
+/// A summary in a few lines.
+impl fmt::Display for Manifest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let rate = self.action_space.rate();
+        writeln!(f, "{}", self.action_space)?;
+        writeln!(
+            f,
+            "cameras: {} ({} each{}), {rate} Hz",
+            self.cameras.join(", "),
+            self.size,
+            if self.has_masks { ", with masks" } else { "" }
+        )?;
+        for (split, name) in [
+            (Split::Training, "training"),
+            (Split::Validation, "validation"),
+        ] {
+            let mut count = 0;
+            let mut frames = 0;
+            let mut succeeded = [0, 0];
+            let mut instructions = std::collections::BTreeSet::new();
+            for episode in self.episodes.iter().filter(|e| e.split == split) {
+                count += 1;
+                frames += episode.frames;
+                instructions.extend(&episode.instruction);
+                if let Some(success) = episode.success {
+                    succeeded[usize::from(success)] += 1;
+                }
+            }
+            let minutes = frames as f64 / rate / 60.0;
+            write!(
+                f,
+                "{name}: {count} episodes, {frames} frames ({minutes:.1} min)"
+            )?;
+            if !instructions.is_empty() {
+                write!(f, ", {} instructions", instructions.len())?;
+            }
+            let [no, yes] = succeeded;
+            if no + yes > 0 {
+                write!(f, ", {yes} of {} succeeded", no + yes)?;
+            }
+            writeln!(f)?;
+        }
+        write!(
+            f,
+            "{} bags, {} things left out",
+            self.sources.len(),
+            self.left_out.len()
+        )
+    }
+}

@@ -1,0 +1,254 @@
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Deserializer, Serialize};
+use wm_motion::actions::ActionSpace;
+
+use super::{DatasetError, Size};
+
+/// The topic of actions, unless another one is given.
+const ACTION: &str = "/wm/action";
+/// Longest time between two frames of an episode, in periods of the model's rate: a frame that is missing is a gap, as for the
+/// nodes, while stamps may jitter.
+const GAP_PERIODS: f64 = 1.75;
+/// Share of the episodes that are kept for validation.
+const VALIDATION: f64 = 0.1;
+
+/// What begins a new episode within a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Cut {
+    /// A change of `/task/instruction`.
+    Instruction,
+}
+
+/// How recordings become episodes: options of the command line, or of a YAML file with the same names.
+///
+/// An option that is not given is `None` or empty, and has the default that its description names.
+#[derive(Args, Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
+pub struct DataOptions {
+    /// YAML file with the options of the data, by the same names without dashes in front. The command line wins
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip)]
+    pub config: Option<PathBuf>,
+    /// Topic of a camera, raw or compressed (repeatable: pictures of several cameras lie side by side)
+    /// [default: /camera/image_raw, or the only camera]
+    #[arg(long = "camera", value_name = "TOPIC")]
+    #[serde(rename = "camera", deserialize_with = "one_or_more")]
+    pub cameras: Vec<String>,
+    /// Topic of the actions: wm_msgs/Action, or sensor_msgs/JointState whose joints the action space names
+    /// [default: /wm/action]
+    #[arg(long, value_name = "TOPIC")]
+    pub action_topic: Option<String>,
+    /// Action space: a JSON or YAML file with name, rate in Hz and 1 to 32 dimensions, like "space" in model.json, or the
+    /// action_space.json of a prepared folder [default: that of the bags]
+    #[arg(long, value_name = "FILE")]
+    pub action_space: Option<PathBuf>,
+    /// Begin a new episode where this changes (repeatable)
+    #[arg(long, value_enum)]
+    #[serde(deserialize_with = "one_or_more")]
+    pub cut: Vec<Cut>,
+    /// Begin a new episode after each message of this topic, of whatever type (repeatable)
+    #[arg(long, value_name = "TOPIC")]
+    #[serde(deserialize_with = "one_or_more")]
+    pub cut_topic: Vec<String>,
+    /// Begin a new episode after this time [s]
+    #[arg(long, value_name = "SECONDS")]
+    pub cut_seconds: Option<f64>,
+    /// Begin a new episode where the camera has no frame for more than this many periods of the action space's rate
+    /// [default: 1.75]
+    #[arg(long, value_name = "PERIODS")]
+    pub gap_periods: Option<f64>,
+    /// Leave out episodes that are shorter [s] [default: 0]
+    #[arg(long, value_name = "SECONDS")]
+    pub min_seconds: Option<f64>,
+    /// Bags or prepared folders whose episodes are for validation (repeatable); all others are then for training
+    #[arg(long, value_name = "PATH")]
+    #[serde(deserialize_with = "one_or_more")]
+    pub held_out: Vec<PathBuf>,
+    /// Share of the episodes that are for validation, from 0 to 1 [default: 0.1]
+    #[arg(long, value_name = "SHARE")]
+    pub validation: Option<f64>,
+    /// Seed of the choice of the episodes for validation [default: 0]
+    #[arg(long, value_name = "SEED")]
+    pub validation_seed: Option<u64>,
+    /// Height and width of a camera's prepared pictures. A training ignores it, since its model says what it takes.
+    #[arg(skip)]
+    pub size: Option<Size>,
+}
+
+/// A list, or one value that stands for a list of it.
+fn one_or_more<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+) -> Result<Vec<T>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum OneOrMore<T> {
+        More(Vec<T>),
+        One(T),
+    }
+    Ok(match OneOrMore::deserialize(deserializer)? {
+        OneOrMore::More(values) => values,
+        OneOrMore::One(value) => vec![value],
+    })
+}
+
+/// The options that decide what is in a prepared folder, with their defaults.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Topics of the cameras that are asked for; empty for the usual one.
+    pub cameras: Vec<String>,
+    /// Topic of the actions.
+    pub action_topic: String,
+    /// What the actions are, if not what the bags say.
+    pub action_space: Option<ActionSpace>,
+    /// What begins an episode where it changes.
+    pub cut: Vec<Cut>,
+    /// Topics whose messages begin an episode.
+    pub cut_topics: Vec<String>,
+    /// Longest episode \[s\].
+    pub cut_seconds: Option<f64>,
+    /// Longest time between frames \[periods\].
+    pub gap_periods: f64,
+    /// Shortest episode \[s\].
+    pub min_seconds: f64,
+}
+
+/// Which episodes are for validation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SplitRule {
+    /// Their share, 0 to 1.
+    pub validation: f64,
+    /// Seed of the choice.
+    pub seed: u64,
+}
+
+impl Default for SplitRule {
+    fn default() -> Self {
+        Self {
+            validation: VALIDATION,
+            seed: 0,
+        }
+    }
+}
+
+impl DataOptions {
+    /// These options, and those of the file `--config` where these say nothing. A relative path in the file starts at the
+    /// file's folder.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or has an option that does not exist.
+    pub fn with_config(&self) -> Result<Self, DatasetError> {
+        let Some(path) = &self.config else {
+            return Ok(self.clone());
+        };
+        let text = std::fs::read_to_string(path).map_err(DatasetError::io(path))?;
+        // An empty file says nothing, and is no error.
+        let file: Option<Self> =
+            serde_yaml_ng::from_str(&text).map_err(|error| DatasetError::file(path, error))?;
+        let mut file = file.unwrap_or_default();
+        let folder = path.parent().unwrap_or(Path::new(""));
+        for path in file.held_out.iter_mut().chain(&mut file.action_space) {
+            *path = folder.join(&*path);
+        }
+        fn or<T: Clone>(own: &[T], file: Vec<T>) -> Vec<T> {
+            if own.is_empty() { file } else { own.to_vec() }
+        }
+        Ok(Self {
+            config: None,
+            cameras: or(&self.cameras, file.cameras),
+            action_topic: self.action_topic.clone().or(file.action_topic),
+            action_space: self.action_space.clone().or(file.action_space),
+            cut: or(&self.cut, file.cut),
+            cut_topic: or(&self.cut_topic, file.cut_topic),
+            cut_seconds: self.cut_seconds.or(file.cut_seconds),
+            gap_periods: self.gap_periods.or(file.gap_periods),
+            min_seconds: self.min_seconds.or(file.min_seconds),
+            held_out: or(&self.held_out, file.held_out),
+            validation: self.validation.or(file.validation),
+            validation_seed: self.validation_seed.or(file.validation_seed),
+            size: self.size.or(file.size),
+        })
+    }
+
+    /// What they ask for, checked; to be called on what [`Self::with_config`] gives.
+    pub(super) fn settings(&self) -> Result<Settings, DatasetError> {
+        let positive = |option, value: f64, least: f64| {
+            if value.is_finite() && value >= least {
+                return Ok(value);
+            }
+            let what = format!("expected a number of at least {least}, got {value}");
+            Err(DatasetError::Option { option, what })
+        };
+        for (index, camera) in self.cameras.iter().enumerate() {
+            if self.cameras.iter().skip(index + 1).any(|c| c == camera) {
+                let what = format!("{camera} is given twice");
+                return Err(DatasetError::Option {
+                    option: "--camera",
+                    what,
+                });
+            }
+        }
+        let cut_seconds = self
+            .cut_seconds
+            .map(|value| positive("--cut-seconds", value, 1e-3));
+        Ok(Settings {
+            cameras: self.cameras.clone(),
+            action_topic: self.action_topic.clone().unwrap_or_else(|| ACTION.into()),
+            action_space: self.space()?,
+            cut: self.cut.clone(),
+            cut_topics: self.cut_topic.clone(),
+            cut_seconds: cut_seconds.transpose()?,
+            gap_periods: positive(
+                "--gap-periods",
+                self.gap_periods.unwrap_or(GAP_PERIODS),
+                1.0,
+            )?,
+            min_seconds: positive("--min-seconds", self.min_seconds.unwrap_or(0.0), 0.0)?,
+        })
+    }
+
+    /// The action space of `--action-space`. YAML is read, and with it JSON.
+    pub(super) fn space(&self) -> Result<Option<ActionSpace>, DatasetError> {
+        let Some(path) = &self.action_space else {
+            return Ok(None);
+        };
+        let text = std::fs::read_to_string(path).map_err(DatasetError::io(path))?;
+        let space =
+            serde_yaml_ng::from_str(&text).map_err(|error| DatasetError::file(path, error))?;
+        Ok(Some(space))
+    }
+
+    pub(super) fn split_rule(&self) -> Result<SplitRule, DatasetError> {
+        let default = SplitRule::default();
+        let validation = self.validation.unwrap_or(default.validation);
+        if !(0.0..=1.0).contains(&validation) {
+            return Err(DatasetError::Option {
+                option: "--validation",
+                what: format!("expected 0 to 1, got {validation}"),
+            });
+        }
+        Ok(SplitRule {
+            validation,
+            seed: self.validation_seed.unwrap_or(default.seed),
+        })
+    }
+
+    /// The first option that is given and says how bags are prepared, which has no effect on what is prepared already.
+    pub(super) fn of_preparation(&self) -> Option<&'static str> {
+        let given = [
+            (!self.cameras.is_empty(), "--camera"),
+            (self.action_topic.is_some(), "--action-topic"),
+            (!self.cut.is_empty(), "--cut"),
+            (!self.cut_topic.is_empty(), "--cut-topic"),
+            (self.cut_seconds.is_some(), "--cut-seconds"),
+            (self.gap_periods.is_some(), "--gap-periods"),
+            (self.min_seconds.is_some(), "--min-seconds"),
+        ];
+        let mut given = given.into_iter().filter(|(is_given, _)| *is_given);
+        given.next().map(|(_, option)| option)
+    }
+}

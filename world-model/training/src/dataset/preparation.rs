@@ -1,0 +1,210 @@
+//! From bags to a prepared folder: a first reading of every bag finds the episodes, a second one decodes their frames
+//! straight into the file.
+
+mod bags;
+mod frames;
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use sha2::{Digest as _, Sha256};
+
+use super::{
+    DatasetError, Manifest, Settings, Size, SplitRule,
+    cutting::Draft,
+    fingerprint::{fingerprint, hex},
+    manifest::{LeftOut, ManifestEpisode, Source, Split, VERSION},
+    recording::Broken,
+    search::Found,
+    split::split,
+    statistics::DataStatistics,
+    store::{Folder, NewFolder},
+};
+use bags::Survey;
+pub(super) use frames::shrink;
+
+/// What is to be prepared, and how.
+pub(super) struct Preparation {
+    sources: Vec<Source>,
+    left_out: Vec<LeftOut>,
+    settings: Settings,
+    size: Size,
+    split: SplitRule,
+    digest: String,
+}
+
+/// A bag's part in a data set.
+pub(super) struct Planned {
+    /// Index of the bag among the sources.
+    pub source: usize,
+    /// Topics of its pictures: cameras, then masks.
+    pub topics: Vec<String>,
+    pub episodes: Vec<Draft>,
+}
+
+impl Preparation {
+    /// Of the bags for training, of which some become validation, and of those that are for validation in any case; the
+    /// pictures of a camera have `size`.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn new(
+        training: Found,
+        held_out: Found,
+        settings: Settings,
+        size: Size,
+        split: SplitRule,
+    ) -> Result<Self, DatasetError> {
+        let bags = training.bags.iter().map(|bag| (bag, false));
+        let bags: Vec<(&PathBuf, bool)> = bags
+            .chain(held_out.bags.iter().map(|bag| (bag, true)))
+            .collect();
+        let sources = bags.par_iter().map(|(bag, held_out)| {
+            Ok(Source {
+                bag: (*bag).clone(),
+                digest: fingerprint(bag)?,
+                held_out: *held_out,
+            })
+        });
+        let sources = sources.collect::<Result<Vec<_>, DatasetError>>()?;
+        let mut hash = Sha256::new();
+        hash.update(format!("{VERSION} {size}\n"));
+        // Settings are numbers, lists and texts, which JSON can always hold.
+        hash.update(serde_json::to_vec(&settings).unwrap_or_default());
+        for source in &sources {
+            let name = source.bag.file_name().unwrap_or_default();
+            hash.update(name.as_encoded_bytes());
+            hash.update(&source.digest);
+        }
+        let mut left_out = training.left_out;
+        left_out.extend(held_out.left_out);
+        Ok(Self {
+            sources,
+            left_out,
+            settings,
+            size,
+            split,
+            digest: hex(hash),
+        })
+    }
+
+    /// Hex SHA-256 of all that decides frames and actions.
+    pub fn digest(&self) -> &str {
+        &self.digest
+    }
+
+    /// Prepares the folder `dir`, which appears when all is in it.
+    ///
+    /// # Errors
+    /// When `dir` exists, bags are of different robots, nothing can be used, or a file cannot be read or written.
+    pub fn write(self, dir: &Path) -> Result<(), DatasetError> {
+        if dir.exists() {
+            return Err(DatasetError::Exists(dir.to_owned()));
+        }
+        let survey = Survey::of(&self.sources, &self.settings)?;
+        let mut broken: Vec<Broken> = vec![Broken::new(); self.sources.len()];
+        loop {
+            let plan = survey.plan(&self.sources, &self.settings, &broken)?;
+            let folder = NewFolder::create(dir)?;
+            let (manifest, actions) = self.manifest(&plan);
+            let found = frames::write(&plan.bags, &survey.readers, &manifest, &folder)?;
+            if found.iter().all(Broken::is_empty) {
+                folder.write_actions(&actions)?;
+                folder.write_statistics(&statistics(&manifest, &actions)?)?;
+                return folder.finish(&manifest);
+            }
+            // Now that it is known which pictures cannot be decoded, episodes are cut without them.
+            for (broken, found) in broken.iter_mut().zip(found) {
+                broken.extend(found);
+            }
+        }
+    }
+
+    /// What the folder will say of itself, and what the robot does from each frame to the next.
+    fn manifest(&self, plan: &bags::Plan) -> (Manifest, Vec<Vec<f32>>) {
+        let mut episodes = Vec::new();
+        let mut identities = Vec::new();
+        let mut actions = Vec::new();
+        for bag in &plan.bags {
+            let Some(source) = self.sources.get(bag.source) else {
+                continue;
+            };
+            for (number, draft) in bag.episodes.iter().enumerate() {
+                let stem = source.bag.file_stem().unwrap_or_default().to_string_lossy();
+                let name = if bag.episodes.len() == 1 {
+                    stem.into_owned()
+                } else {
+                    format!("{stem}#{}", number + 1)
+                };
+                let (begin_ns, end_ns) = draft.span_ns();
+                identities.push((source.held_out, identity(source, begin_ns)));
+                actions.extend(draft.actions.iter().cloned());
+                episodes.push(ManifestEpisode {
+                    name,
+                    source: bag.source,
+                    begin_ns,
+                    end_ns,
+                    frames: draft.actions.len(),
+                    split: Split::Validation,
+                    instruction: draft.instruction.clone(),
+                    success: draft.success,
+                });
+            }
+        }
+        let has_held_out = self.sources.iter().any(|source| source.held_out);
+        let rule = SplitRule {
+            // Those that are given are enough.
+            validation: if has_held_out {
+                0.0
+            } else {
+                self.split.validation
+            },
+            ..self.split
+        };
+        let free: Vec<String> = identities
+            .iter()
+            .filter(|(held_out, _)| !held_out)
+            .map(|(_, identity)| identity.clone())
+            .collect();
+        let mut splits = split(&free, rule).into_iter();
+        for (episode, (held_out, _)) in episodes.iter_mut().zip(&identities) {
+            if !held_out {
+                episode.split = splits.next().unwrap_or(Split::Training);
+            }
+        }
+        let mut left_out = self.left_out.clone();
+        left_out.extend(plan.left_out.iter().cloned());
+        let manifest = Manifest {
+            version: VERSION,
+            digest: self.digest.clone(),
+            size: self.size,
+            cameras: plan.cameras.clone(),
+            has_masks: plan.has_masks,
+            settings: self.settings.clone(),
+            split: rule,
+            action_space: plan.space.clone(),
+            sources: self.sources.clone(),
+            episodes,
+            left_out,
+        };
+        (manifest, actions)
+    }
+}
+
+/// What an episode is, wherever its bag lies and whatever else there is.
+pub(super) fn identity(source: &Source, begin_ns: i64) -> String {
+    format!("{} {begin_ns}", source.digest)
+}
+
+fn statistics(manifest: &Manifest, actions: &[Vec<f32>]) -> Result<DataStatistics, DatasetError> {
+    let episodes = Folder::episodes(manifest, actions.iter().cloned());
+    let training = manifest.episodes.iter().zip(&episodes);
+    let training = training.filter(|(listed, _)| listed.split == Split::Training);
+    let training = training.map(|(_, episode)| episode);
+    DataStatistics::of_episodes(training, &manifest.action_space).map_err(|error| {
+        DatasetError::Option {
+            option: "--action-space",
+            what: error.to_string(),
+        }
+    })
+}

@@ -1,0 +1,266 @@
+use std::collections::BTreeSet;
+
+use wm_bag::{BagError, BagMessage, BagReader};
+use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
+use wm_motion::actions::ActionSpace;
+use wm_msgs::{
+    Message as _,
+    std_msgs::{Bool, String as Text},
+};
+
+use super::{
+    Settings,
+    action_log::ActionLog,
+    cameras::{MASK, base, cameras},
+};
+
+const INSTRUCTION: &str = "/task/instruction";
+const SUCCESS: &str = "/task/success";
+
+/// The pictures of a topic, of which only the times are kept.
+#[derive(Debug)]
+pub(super) struct Stream {
+    pub topic: String,
+    /// In increasing order of stamps.
+    pub pictures: Vec<Picture>,
+    /// Pictures that were not later than the one before.
+    unordered: u64,
+}
+
+/// When a picture was taken and recorded.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Picture {
+    pub stamp_ns: i64,
+    pub logged_ns: u64,
+}
+
+/// All of a bag but its pictures. Where something came between pictures, its place is the number of pictures of the first
+/// camera before it: the order of recording is known even where clocks differ.
+#[derive(Debug)]
+pub(super) struct Recording {
+    /// Of each camera, and of the masks where there are any.
+    pub streams: Vec<Stream>,
+    pub has_masks: bool,
+    pub actions: ActionLog,
+    pub action_topic: String,
+    pub instructions: Vec<(usize, String)>,
+    pub successes: Vec<(usize, bool)>,
+    /// Where a message of a `--cut-topic` came.
+    pub cuts: Vec<usize>,
+    /// Whether the bag has one of these topics.
+    pub has_cut_topic: bool,
+    /// What is wrong with messages: how many, and what with the first.
+    pub complaints: Vec<(u64, String)>,
+}
+
+/// Why a bag gives nothing.
+#[derive(Debug)]
+pub(super) enum Unusable {
+    /// It lacks something, and is left out.
+    Lacks(String),
+    /// It is of another robot than it says.
+    Differs(String),
+}
+
+/// Pictures that cannot be decoded: topic and stamp \[ns\].
+pub(super) type Broken = BTreeSet<(String, i64)>;
+
+impl Recording {
+    /// Reads a bag once, and keeps none of its pictures; those in `broken` are left out.
+    pub fn read(
+        reader: &BagReader,
+        settings: &Settings,
+        space: &ActionSpace,
+        broken: &Broken,
+    ) -> Result<Self, Unusable> {
+        let topics = cameras(reader, &settings.cameras).map_err(Unusable::Lacks)?;
+        let action_topic = settings.action_topic.as_str();
+        check_actions(reader, action_topic).map_err(Unusable::Lacks)?;
+        let mut streams: Vec<Stream> = topics.iter().map(|topic| Stream::new(topic)).collect();
+        let has_messages = |name: &str| reader.topic(name).is_some_and(|t| t.message_count > 0);
+        // Masks are of the simulator's one camera.
+        let has_masks = topics.len() == 1 && has_messages(MASK);
+        if has_masks {
+            streams.push(Stream::new(MASK));
+        }
+        let mut recording = Self {
+            streams,
+            has_masks,
+            actions: ActionLog::new(space),
+            action_topic: action_topic.to_owned(),
+            instructions: Vec::new(),
+            successes: Vec::new(),
+            cuts: Vec::new(),
+            has_cut_topic: settings.cut_topics.iter().any(|name| has_messages(name)),
+            complaints: Vec::new(),
+        };
+        let mut unreadable: (u64, Option<String>) = (0, None);
+        let mut skipped = 0;
+        let wanted = recording.streams.iter().map(|s| s.topic.as_str());
+        let wanted = wanted.chain(settings.cut_topics.iter().map(String::as_str));
+        let wanted = wanted.chain([action_topic, INSTRUCTION, SUCCESS]);
+        let messages = reader.messages().only_topics(wanted);
+        for message in messages {
+            let read = message
+                .map_err(|error| Unusable::Lacks(error.to_string()))
+                .and_then(|message| recording.take(&message, settings, space, broken));
+            match read {
+                Ok(true) => {}
+                Ok(false) => skipped += 1,
+                Err(Unusable::Lacks(what)) => {
+                    unreadable.0 += 1;
+                    unreadable.1.get_or_insert(what);
+                }
+                Err(other) => return Err(other),
+            }
+        }
+        recording.actions.sort(space).map_err(Unusable::Differs)?;
+        if let (count, Some(first)) = unreadable {
+            recording
+                .complaints
+                .push((count, format!("messages that cannot be read: {first}")));
+        }
+        if skipped > 0 {
+            recording
+                .complaints
+                .push((skipped, "pictures that cannot be decoded".to_owned()));
+        }
+        recording.finish()
+    }
+
+    /// Takes note of a message; `false` for a picture that is known to be broken.
+    fn take(
+        &mut self,
+        message: &BagMessage,
+        settings: &Settings,
+        space: &ActionSpace,
+        broken: &Broken,
+    ) -> Result<bool, Unusable> {
+        let topic = &*message.topic;
+        let place = self.streams.first().map_or(0, |main| main.pictures.len());
+        let at = |what: String| format!("{topic} at {} ns: {what}", message.log_time_ns);
+        let lacks = |error: BagError| Unusable::Lacks(at(error.to_string()));
+        if settings.cut_topics.iter().any(|name| name == topic) {
+            self.cuts.push(place);
+        }
+        if topic == settings.action_topic {
+            let pushed = self.actions.push(message, space);
+            pushed.map_err(|what| Unusable::Differs(at(what)))?;
+        }
+        if topic == INSTRUCTION && *message.type_name == Text::ros_name() {
+            let text: Text = message.decode().map_err(lacks)?;
+            self.instructions.push((place, text.data));
+        }
+        if topic == SUCCESS && *message.type_name == Bool::ros_name() {
+            let success: Bool = message.decode().map_err(lacks)?;
+            self.successes.push((place, success.data));
+        }
+        if let Some(stream) = self.streams.iter_mut().find(|s| s.topic == topic) {
+            let frame = CameraFrame::of_bag(message).map_err(lacks)?;
+            let stamp_ns = frame.header().stamp.to_nanos();
+            if broken.contains(&(topic.to_owned(), stamp_ns)) {
+                return Ok(false);
+            }
+            if stream.pictures.is_empty() {
+                // What no picture of the topic will do is better known before hours of decoding.
+                let decoded = frame.decode();
+                if let Err(error @ (ImageError::Encoding(_) | ImageError::Format(_))) = decoded {
+                    return Err(Unusable::Lacks(at(error.to_string())));
+                }
+            }
+            stream.push(stamp_ns, message.log_time_ns);
+        }
+        Ok(true)
+    }
+
+    fn finish(mut self) -> Result<Self, Unusable> {
+        for stream in &self.streams {
+            if stream.pictures.is_empty() {
+                let why = self.complaints.first();
+                let why = why.map_or(String::new(), |(count, what)| format!(" ({count} {what})"));
+                let what = format!("no camera: no frame on {} can be used{why}", stream.topic);
+                return Err(Unusable::Lacks(what));
+            }
+            if stream.unordered > 0 {
+                let what = format!(
+                    "frames of {} whose stamps are not later than the one before",
+                    stream.topic
+                );
+                self.complaints.push((stream.unordered, what));
+            }
+        }
+        if let Some((count, first)) = self.actions.implausible() {
+            let what = format!(
+                "actions of {} that no robot makes, with the frames around them: {first}",
+                self.action_topic
+            );
+            self.complaints.push((count as u64, what));
+        }
+        if self.actions.is_empty() {
+            let what = no_actions(&self.action_topic);
+            return Err(Unusable::Lacks(what));
+        }
+        Ok(self)
+    }
+
+    /// The cameras without their transports.
+    pub fn cameras(&self) -> Vec<String> {
+        let cameras = self.streams.iter().take(self.views());
+        cameras.map(|s| base(&s.topic).to_owned()).collect()
+    }
+
+    /// Number of cameras.
+    pub fn views(&self) -> usize {
+        self.streams.len() - usize::from(self.has_masks)
+    }
+}
+
+fn no_actions(topic: &str) -> String {
+    format!("no actions: expected messages on {topic}")
+}
+
+fn check_actions(reader: &BagReader, topic: &str) -> Result<(), String> {
+    let info = reader.topic(topic).filter(|info| info.message_count > 0);
+    let Some(info) = info else {
+        return Err(no_actions(topic));
+    };
+    if ActionLog::reads(&info.type_name) {
+        return Ok(());
+    }
+    Err(format!(
+        "{topic} has the type {}; expected {}",
+        info.type_name,
+        ActionLog::types()
+    ))
+}
+
+impl Stream {
+    fn new(topic: &str) -> Self {
+        Self {
+            topic: topic.to_owned(),
+            pictures: Vec::new(),
+            unordered: 0,
+        }
+    }
+
+    fn push(&mut self, stamp_ns: i64, logged_ns: u64) {
+        let last = self.pictures.last();
+        if last.is_some_and(|last| stamp_ns <= last.stamp_ns) {
+            self.unordered += 1;
+        } else {
+            self.pictures.push(Picture {
+                stamp_ns,
+                logged_ns,
+            });
+        }
+    }
+
+    /// The picture that is nearest to a moment, at most `most_ns` from it.
+    pub fn nearest(&self, stamp_ns: i64, most_ns: i64) -> Option<Picture> {
+        let after = self.pictures.partition_point(|p| p.stamp_ns < stamp_ns);
+        let near = self.pictures.get(after.saturating_sub(1)..)?.iter().take(2);
+        let distance = |picture: &&Picture| picture.stamp_ns.abs_diff(stamp_ns);
+        let nearest = near.min_by_key(distance)?;
+        (distance(&nearest) <= most_ns.unsigned_abs()).then_some(*nearest)
+    }
+}

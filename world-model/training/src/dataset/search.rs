@@ -1,0 +1,94 @@
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use super::{DatasetError, manifest::LeftOut, store};
+
+/// How deep bags are looked for: folders of folders, and no whole disk.
+const DEPTH: usize = 5;
+
+/// The bags under some paths, and the folders without any.
+#[derive(Debug, Default)]
+pub(super) struct Found {
+    pub bags: Vec<PathBuf>,
+    pub left_out: Vec<LeftOut>,
+}
+
+/// All bags at or under `paths`, in order of their names: folders with `metadata.yaml`, and `.mcap` files in other
+/// folders.
+pub(super) fn find(paths: &[PathBuf]) -> Result<Found, DatasetError> {
+    let mut found = Found::default();
+    for path in paths {
+        let before = found.bags.len();
+        if is_bag(path) {
+            found.bags.push(path.clone());
+        } else if path.is_dir() {
+            search(path, DEPTH, &mut found)?;
+        } else {
+            fs::metadata(path).map_err(DatasetError::io(path))?;
+        }
+        if found.bags.len() == before {
+            return Err(DatasetError::Empty(path.clone()));
+        }
+    }
+    let mut seen = BTreeSet::new();
+    let mut twice = Vec::new();
+    found.bags.retain(|bag| {
+        let whole = bag.canonicalize().unwrap_or_else(|_| bag.clone());
+        let is_new = seen.insert(whole);
+        if !is_new {
+            twice.push(LeftOut::path(bag, "given twice"));
+        }
+        is_new
+    });
+    found.left_out.extend(twice);
+    Ok(found)
+}
+
+fn is_bag(path: &Path) -> bool {
+    if path.is_dir() {
+        path.join("metadata.yaml").is_file()
+    } else {
+        path.extension().is_some_and(|end| end == "mcap") && path.is_file()
+    }
+}
+
+/// Whether there was a bag in it.
+fn search(folder: &Path, depth: usize, found: &mut Found) -> Result<bool, DatasetError> {
+    let mut entries = Vec::new();
+    for entry in fs::read_dir(folder).map_err(DatasetError::io(folder))? {
+        entries.push(entry.map_err(DatasetError::io(folder))?.path());
+    }
+    entries.sort();
+    let is_hidden = |path: &Path| {
+        let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+        name.starts_with(b".")
+    };
+    let mut has_bags = false;
+    for path in entries.iter().filter(|path| !is_hidden(path)) {
+        let reason = if is_bag(path) {
+            found.bags.push(path.clone());
+            has_bags = true;
+            continue;
+        } else if !path.is_dir() {
+            continue;
+        } else if store::is_prepared(path) {
+            "a prepared data set; give its own path to use it".to_owned()
+        } else if depth == 0 {
+            format!("bags are looked for {DEPTH} folders deep")
+        } else if search(path, depth - 1, found)? {
+            has_bags = true;
+            continue;
+        } else if found.left_out.iter().any(|left| left.is_under(path)) {
+            // The folders in it are named.
+            continue;
+        } else {
+            "no bag in it: expected metadata.yaml or .mcap files (sqlite3 bags are not supported)"
+                .to_owned()
+        };
+        found.left_out.push(LeftOut::path(path, &reason));
+    }
+    Ok(has_bags)
+}

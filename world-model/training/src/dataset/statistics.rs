@@ -1,0 +1,202 @@
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use wm_motion::actions::{ActionError, ActionSpace, Dimension, Kind};
+
+use super::Episode;
+
+/// Greatest magnitude in model units that a fitted dimension keeps: the quantiles lie at 1, and a robot that is a little
+/// faster than nearly always is not yet clipped.
+const CLIP: f32 = 1.5;
+
+/// Statistics of some values, each a list with one number a dimension, by the names that LeRobot gives them.
+///
+/// Quantiles are those of the values, linear between neighbours, as NumPy's are by default.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Statistics {
+    /// Least value.
+    pub min: Vec<f64>,
+    /// Greatest value.
+    pub max: Vec<f64>,
+    /// Mean.
+    pub mean: Vec<f64>,
+    /// Standard deviation of the population: divided by n.
+    pub std: Vec<f64>,
+    /// Quantile 0.01.
+    pub q01: Vec<f64>,
+    /// Quantile 0.10.
+    pub q10: Vec<f64>,
+    /// Median.
+    pub q50: Vec<f64>,
+    /// Quantile 0.90.
+    pub q90: Vec<f64>,
+    /// Quantile 0.99.
+    pub q99: Vec<f64>,
+    /// Number of frames, as a list of one.
+    pub count: Vec<u64>,
+}
+
+impl Statistics {
+    /// Of rows of `width` values; without a row, of nothing.
+    #[must_use]
+    pub fn of_rows<'a>(rows: impl Iterator<Item = &'a [f32]> + Clone, width: usize) -> Self {
+        let mut statistics = Self::default();
+        let mut count = 0;
+        for index in 0..width {
+            let column = rows.clone().filter_map(|row| row.get(index));
+            let mut sorted: Vec<f64> = column.map(|value| f64::from(*value)).collect();
+            sorted.sort_unstable_by(f64::total_cmp);
+            count = sorted.len();
+            statistics.push(&sorted);
+        }
+        statistics.count.push(count as u64);
+        statistics
+    }
+
+    fn push(&mut self, sorted: &[f64]) {
+        let (Some(min), Some(max)) = (sorted.first(), sorted.last()) else {
+            return;
+        };
+        let n = sorted.len() as f64;
+        let mean = sorted.iter().sum::<f64>() / n;
+        let variance = sorted.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n;
+        self.min.push(*min);
+        self.max.push(*max);
+        self.mean.push(mean);
+        self.std.push(variance.sqrt());
+        for (quantiles, share) in [
+            (&mut self.q01, 0.01),
+            (&mut self.q10, 0.10),
+            (&mut self.q50, 0.50),
+            (&mut self.q90, 0.90),
+            (&mut self.q99, 0.99),
+        ] {
+            let place = share * (n - 1.0);
+            // Not negative, and below n.
+            let low = sorted.get(place.floor() as usize).copied().unwrap_or(*max);
+            let high = sorted.get(place.ceil() as usize).copied().unwrap_or(*max);
+            quantiles.push(low + (high - low) * place.fract());
+        }
+    }
+
+    /// `space` with scales, offsets and clips fitted to these statistics of its actions: the quantiles 0.01 and 0.99 lie
+    /// at the ends of -1..1, or the one that is farther from 0, for a delta. A binary gripper stays as it is, and so does a
+    /// dimension that does not move.
+    ///
+    /// # Errors
+    /// [`ActionError::Space`] where a range is so narrow that no scale fits it.
+    pub fn fit(&self, space: &ActionSpace) -> Result<ActionSpace, ActionError> {
+        if self.q01.is_empty() {
+            return Ok(space.clone());
+        }
+        let quantiles = self.q01.iter().zip(&self.q99);
+        let dimensions = space.dimensions().iter().zip(quantiles);
+        let dimensions = dimensions.map(|(dimension, (low, high))| fit(dimension, *low, *high));
+        ActionSpace::new(space.name().to_owned(), space.rate(), dimensions.collect())
+    }
+}
+
+fn fit(dimension: &Dimension, low: f64, high: f64) -> Dimension {
+    // Single precision is what a model's actions have.
+    let fitted = |offset: f64, range: f64| Dimension {
+        offset: offset as f32,
+        scale: (1.0 / range) as f32,
+        clip: CLIP,
+        ..dimension.clone()
+    };
+    let (range, offset) = match dimension.kind {
+        Kind::GripperBinary => return dimension.clone(),
+        // From 1 at the offset to -1.
+        Kind::GripperContinuous => (high - low, low),
+        kind if kind.is_delta() => (low.abs().max(high.abs()), 0.0),
+        _ => ((high - low) / 2.0, (high + low) / 2.0),
+    };
+    if range > 1e-9 {
+        fitted(offset, range)
+    } else {
+        dimension.clone()
+    }
+}
+
+/// What a prepared folder says of its values: `statistics.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DataStatistics {
+    /// Names of the action's values.
+    pub names: Vec<String>,
+    /// Of the actions of the training episodes, over a period each.
+    pub action: Statistics,
+    /// Of the latents of the training episodes, where they were encoded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latent: Option<LatentStatistics>,
+    /// The action space with scales and clips fitted to the quantiles.
+    pub action_space: ActionSpace,
+    /// Number of episodes with each instruction.
+    pub instructions: BTreeMap<String, usize>,
+    /// Number of episodes that succeeded, that did not, and of which nothing is known.
+    pub success: SuccessCounts,
+}
+
+/// How many episodes succeeded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SuccessCounts {
+    /// That did what they should.
+    pub succeeded: usize,
+    /// That did not.
+    pub failed: usize,
+    /// Of which nothing is known.
+    pub unknown: usize,
+}
+
+/// Statistics of latents, one number a channel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LatentStatistics {
+    /// The latent space's name and hash.
+    pub space: String,
+    /// Mean.
+    pub mean: Vec<f64>,
+    /// Standard deviation of the population.
+    pub std: Vec<f64>,
+    /// Number of frames.
+    pub count: u64,
+}
+
+impl DataStatistics {
+    /// Of the training episodes of a data set.
+    ///
+    /// # Errors
+    /// Those of [`Statistics::fit`].
+    pub fn of_episodes<'a>(
+        episodes: impl Iterator<Item = &'a Episode> + Clone,
+        space: &ActionSpace,
+    ) -> Result<Self, ActionError> {
+        let rows = episodes.clone().flat_map(|episode| &episode.actions);
+        let action = Statistics::of_rows(rows.map(Vec::as_slice), space.len());
+        let mut statistics = Self {
+            names: space.dimensions().iter().map(|d| d.name.clone()).collect(),
+            action_space: action.fit(space)?,
+            action,
+            latent: None,
+            instructions: BTreeMap::new(),
+            success: SuccessCounts::default(),
+        };
+        for episode in episodes {
+            if let Some(instruction) = &episode.instruction {
+                *statistics
+                    .instructions
+                    .entry(instruction.clone())
+                    .or_default() += 1;
+            }
+            let success = &mut statistics.success;
+            *match episode.success {
+                Some(true) => &mut success.succeeded,
+                Some(false) => &mut success.failed,
+                None => &mut success.unknown,
+            } += 1;
+        }
+        Ok(statistics)
+    }
+}
