@@ -150,7 +150,7 @@ impl Probe {
                     .load(dtype, |loader| SiglipText::load(&tower.config, loader))?;
                 Judge::Instructed(Box::new(Instructed {
                     reader: Reader::Siglip {
-                        tokenizer,
+                        tokenizer: Box::new(tokenizer),
                         text: Box::new(text),
                     },
                     probe: probe

@@ -41,7 +41,7 @@ pub(crate) struct Instructed {
 pub(crate) enum Reader {
     /// The paper's: SigLIP 2's text tower with its tokenizer.
     Siglip {
-        tokenizer: InstructionTokenizer,
+        tokenizer: Box<InstructionTokenizer>,
         text: Box<SiglipText>,
     },
     /// Words of a closed vocabulary.
