@@ -9,6 +9,7 @@ pub mod fresh_weights;
 pub mod idm;
 pub mod latents;
 pub mod optimiser;
+pub mod probe;
 pub mod recipe;
 pub mod run;
 pub mod squared_error;

@@ -11,6 +11,7 @@ use wm_training::{
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
     dataset::DatasetArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
+    probe::{EvaluateProbeArgs, TrainProbeArgs},
     run::{Ended, Stop},
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
 };
@@ -51,6 +52,8 @@ enum TrainCommand {
     Transition(TrainTransitionArgs),
     /// Train the inverse dynamics model on the latents of a frozen encoder
     Idm(TrainIdmArgs),
+    /// Train the success probe on the latents of a frozen encoder
+    Probe(TrainProbeArgs),
 }
 
 #[derive(Debug, Subcommand)]
@@ -61,6 +64,8 @@ enum EvalCommand {
     Transition(EvaluateTransitionArgs),
     /// Measure how well an inverse dynamics model tells actions, from real and from predicted latents
     Idm(EvaluateIdmArgs),
+    /// Measure how well a success probe tells success from failure
+    Probe(EvaluateProbeArgs),
 }
 
 impl TrainCommand {
@@ -70,6 +75,7 @@ impl TrainCommand {
             Self::Autoencoder(arguments) => arguments.run(&stop)?,
             Self::Transition(arguments) => arguments.run(&stop)?,
             Self::Idm(arguments) => arguments.run(&stop)?,
+            Self::Probe(arguments) => arguments.run(&stop)?,
         };
         Ok(match ended {
             Ended::Finished => ExitCode::SUCCESS,
@@ -87,6 +93,7 @@ impl Command {
             Self::Eval(EvalCommand::Autoencoder(arguments)) => arguments.run()?,
             Self::Eval(EvalCommand::Transition(arguments)) => arguments.run()?,
             Self::Eval(EvalCommand::Idm(arguments)) => arguments.run()?,
+            Self::Eval(EvalCommand::Probe(arguments)) => arguments.run()?,
         }
         Ok(ExitCode::SUCCESS)
     }

@@ -46,7 +46,8 @@ pub trait Supply {
 }
 
 /// Weights that the training wrote, as a supply.
-pub(crate) struct OfWeights<'a>(pub(crate) &'a Weights);
+#[derive(Debug)]
+pub struct OfWeights<'a>(pub &'a Weights);
 
 impl Supply for OfWeights<'_> {
     fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor> {

@@ -23,13 +23,22 @@ pub(crate) fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
     of_space(dir, episodes, seed, "moving")
 }
 
+/// The same with an instruction and an outcome: whether the level ended on the side that the instruction names.
+pub(crate) fn labelled(dir: &Path, episodes: usize, seed: u64) -> Latents {
+    latents(dir, episodes, seed, "moving", true)
+}
+
 /// The same in a latent space of this name.
 pub(crate) fn of_space(dir: &Path, episodes: usize, seed: u64, name: &str) -> Latents {
+    latents(dir, episodes, seed, name, false)
+}
+
+fn latents(dir: &Path, episodes: usize, seed: u64, name: &str, is_labelled: bool) -> Latents {
     let mut bytes = Vec::new();
     let mut list = Vec::new();
     let mut state = seed;
     for index in 0..episodes {
-        let mut level = 0.0_f32;
+        let (mut level, mut last) = (0.0_f32, 0.0);
         let mut actions = Vec::new();
         for _ in 0..FRAMES {
             for place in 0..SIDE * SIDE {
@@ -43,6 +52,7 @@ pub(crate) fn of_space(dir: &Path, episodes: usize, seed: u64, name: &str) -> La
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1_442_695_040_888_963_407);
             let step = (state >> 40) as f32 / (1 << 24) as f32 * 2.0 - 1.0;
+            last = level;
             level += step;
             actions.push(vec![step / 35.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
         }
@@ -51,7 +61,9 @@ pub(crate) fn of_space(dir: &Path, episodes: usize, seed: u64, name: &str) -> La
             first_frame: index * FRAMES,
             frame_count: FRAMES,
             actions,
-            ..Episode::default()
+            instruction: is_labelled
+                .then(|| format!("go {}", if index % 2 == 0 { "up" } else { "down" })),
+            success: is_labelled.then_some((last > 0.0) == (index % 2 == 0)),
         });
     }
     let path = dir.join(format!("latents {seed}"));

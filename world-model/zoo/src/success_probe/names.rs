@@ -14,9 +14,10 @@ pub(super) enum Names {
 impl Names {
     /// The names that the checkpoint of `loader` uses.
     pub(super) fn of(loader: &Loader<'_>) -> Self {
-        match loader.has("blocks.0.spatial_attn.q_proj.weight") {
-            true => Self::Published,
-            false => Self::Short,
+        // Of a checkpoint: what is trained here has short names, and no CLS token, which would get no gradient.
+        match loader.shape("blocks.0.spatial_attn.q_proj.weight") {
+            Some(_) => Self::Published,
+            None => Self::Short,
         }
     }
 

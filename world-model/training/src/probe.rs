@@ -1,0 +1,276 @@
+//! Training of the success probe: whether an episode shows what its instruction asks for (the paper, appendix B.7), by
+//! binary cross-entropy on the latents of a frozen encoder.
+//!
+//! Samples are successes, failures, and successes under another episode's instruction. The weights that are kept are the
+//! best of all validations, not the last.
+
+mod accuracy;
+mod arguments;
+mod episodes;
+mod recipe;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use candle_core::{Device, Tensor};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+use rayon::prelude::*;
+use wm_model::{
+    Weights,
+    transition::LATENT_SPACE_KEY,
+    weights::{Precision, WeightsBuilder},
+};
+use wm_zoo::{
+    Engine, Loader, PROBE_FILE as FILE,
+    layers::Dropout,
+    loader::OfWeights,
+    success_probe::{
+        PROBE_KEY, SuccessProbe, SuccessProbeConfig, WORDS_KEY, WordEmbedding, WordsConfig,
+    },
+};
+
+use crate::{
+    fresh_weights::FreshWeights,
+    latents::Latents,
+    optimiser::{Parameter, Trained, Variables},
+    run::{Figure, StepLoss, Task},
+    workers::{BatchLoss, Batches, Workers},
+};
+pub use accuracy::Accuracy;
+pub use arguments::{EvaluateProbeArgs, TrainProbeArgs};
+use episodes::{Episodes, Question};
+pub use recipe::{ProbeModelRecipe, ProbeRecipe, RECIPES};
+
+/// Questions of a validation at most: the same ones each time, since they decide which weights are kept.
+const QUESTIONS: usize = 1000;
+/// Weights are saved as half floats.
+const PRECISION: Precision = Precision::F16;
+/// Metadata key of the figures that the weights were chosen by.
+const VALIDATION_KEY: &str = "validation";
+/// Metadata key of the camera frames between two frames that the probe reads.
+const FRAME_SKIP_KEY: &str = "frame_skip";
+
+/// A success probe in training.
+struct ProbeTask<'a> {
+    recipe: &'a ProbeRecipe,
+    out: &'a Path,
+    train: &'a Latents,
+    episodes: Episodes<'a>,
+    held_out: Option<Episodes<'a>>,
+    config: SuccessProbeConfig,
+    words: WordEmbedding,
+    model: SuccessProbe,
+    variables: Variables,
+    workers: Workers,
+    /// The weights that were averaged last, and where they would go.
+    candidate: Option<(WeightsBuilder, PathBuf)>,
+    best: Option<Accuracy>,
+    has_stepped: bool,
+    /// Where an earlier run of this training has left its best weights.
+    earlier: Option<PathBuf>,
+}
+
+impl<'a> ProbeTask<'a> {
+    fn new(
+        recipe: &'a ProbeRecipe,
+        train: &'a Latents,
+        held_out: Option<&'a Latents>,
+        threads: usize,
+        out: &'a Path,
+    ) -> Result<Self> {
+        recipe.validate()?;
+        let own = &recipe.model;
+        let episodes = Episodes::new(train, own.frame_skip, own.max_frames)?;
+        let held_out = held_out
+            .map(|held_out| Episodes::new(held_out, own.frame_skip, Some(episodes.max_frames())))
+            .transpose()
+            .context("the episodes for validation")?;
+        let config = recipe.config(train.space(), episodes.max_frames());
+        let words = WordsConfig::of(episodes.instructions(), own.text_features);
+        if let Some(held_out) = &held_out {
+            for instruction in held_out.instructions() {
+                words
+                    .encode(instruction)
+                    .context("the episodes for validation")?;
+            }
+        }
+        let fresh = FreshWeights::new(recipe.seed);
+        let loader = fresh.loader();
+        Ok(Self {
+            model: SuccessProbe::load(&config, &loader)?,
+            words: WordEmbedding::load(&words, &loader)?,
+            recipe,
+            train,
+            episodes,
+            held_out,
+            config,
+            variables: fresh.into_variables(),
+            workers: Workers::new(threads)?,
+            candidate: None,
+            best: None,
+            has_stepped: false,
+            out,
+            earlier: None,
+        })
+    }
+
+    fn loss(&self, rng: &mut ChaCha8Rng) -> Result<Tensor> {
+        let recipe = self.recipe;
+        let mut losses = Vec::with_capacity(recipe.micro_batch);
+        for _ in 0..recipe.micro_batch {
+            let question = self
+                .episodes
+                .draw(recipe.successes, recipe.mismatches, rng)?;
+            let Question {
+                latents,
+                instruction,
+                answer,
+                ..
+            } = question;
+            let noise = (0..latents.elem_count()).map(|_| {
+                let normal: f64 = StandardNormal.sample(rng);
+                (normal * recipe.latent_noise) as f32
+            });
+            let noise = Tensor::from_vec(noise.collect(), latents.shape(), &Device::Cpu)?;
+            let text = self.words.read(&instruction)?;
+            let mut dropout = Dropout::new(recipe.dropout, rng);
+            let latents = (latents + noise)?;
+            let logit = self
+                .model
+                .forward_dropping(&latents, &text, None, &mut dropout)?;
+            losses.push(cross_entropy(&logit, answer)?);
+        }
+        Ok(Tensor::cat(&losses, 0)?.mean_all()?)
+    }
+
+    /// How well the weights that were averaged last do.
+    fn measure(&self, held_out: &Episodes<'_>) -> Result<Accuracy> {
+        let (weights, _) = self.candidate.as_ref().context("nothing was written yet")?;
+        let weights = Weights::from_bytes(FILE, weights.to_bytes())?;
+        accuracy(&weights, held_out, QUESTIONS)
+    }
+
+    /// Writes the candidate with the figures that it was chosen by.
+    fn keep(&mut self, found: Option<Accuracy>) -> Result<()> {
+        let Some((weights, path)) = &mut self.candidate else {
+            return Ok(());
+        };
+        if let Some(found) = found {
+            weights.metadata(VALIDATION_KEY, serde_json::to_string(&found)?);
+        }
+        Ok(weights.write(path)?)
+    }
+}
+
+/// What the weights of a probe answer.
+fn accuracy(weights: &Weights, episodes: &Episodes<'_>, most: usize) -> Result<Accuracy> {
+    let supply = OfWeights(weights);
+    let loader = Loader::supplied(&supply, Engine::Cpu);
+    let probe = SuccessProbe::load(&weights.json(PROBE_KEY)?, &loader)?;
+    let words = WordEmbedding::load(&weights.json(WORDS_KEY)?, &loader)?;
+    let questions: Vec<Question> = episodes.all(most).collect::<Result<_>>()?;
+    let answers = questions
+        .par_iter()
+        .map(|question| {
+            let text = words.read(&question.instruction)?;
+            let logit = probe.forward(&question.latents, &text, None)?;
+            Ok((logit.squeeze(0)?.to_scalar::<f32>()?, question))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let (mut own, mut mismatched) = (Vec::new(), Vec::new());
+    for (logit, question) in answers {
+        if question.is_mismatch {
+            mismatched.push(logit);
+        } else {
+            own.push((logit, question.answer));
+        }
+    }
+    Ok(Accuracy::of(&own, &mismatched))
+}
+
+/// max(x, 0) - x y + log(1 + exp(-|x|)): binary cross-entropy of logits (B), as PyTorch's `BCEWithLogitsLoss`.
+fn cross_entropy(logit: &Tensor, answer: bool) -> Result<Tensor> {
+    let softened = (logit.abs()?.neg()?.exp()? + 1.0)?.log()?;
+    let truth = (logit * if answer { 1.0 } else { 0.0 })?;
+    Ok(((logit.relu()? - truth)? + softened)?)
+}
+
+impl Task for ProbeTask<'_> {
+    fn name(&self) -> &'static str {
+        "probe"
+    }
+
+    fn parameters(&self) -> Result<Vec<Parameter>> {
+        Ok(self.variables.parameters(|_| 0)?)
+    }
+
+    fn step(&mut self, step: u64) -> Result<StepLoss> {
+        self.has_stepped = true;
+        let batches = Batches {
+            count: self.recipe.batch / self.recipe.micro_batch,
+            seed: self.recipe.seed,
+            step,
+        };
+        self.workers.step(&self.variables, batches, &|rng| {
+            Ok(BatchLoss::from(self.loss(rng)?))
+        })
+    }
+
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        if !self.has_stepped {
+            // The run resumes.
+            self.earlier = Some(self.out.join(FILE));
+        }
+        Ok(self.variables.assign(weights)?)
+    }
+
+    fn write(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        folder: &Path,
+    ) -> Result<()> {
+        let mut weights = WeightsBuilder::new();
+        for Trained {
+            name,
+            shape,
+            values,
+        } in averaged
+        {
+            weights.values(name, shape, values, PRECISION);
+        }
+        weights.metadata(PROBE_KEY, serde_json::to_string(&self.config)?);
+        weights.metadata(WORDS_KEY, serde_json::to_string(self.words.config())?);
+        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(self.train.space())?);
+        weights.metadata(FRAME_SKIP_KEY, self.recipe.model.frame_skip.to_string());
+        let path = folder.join(FILE);
+        let is_there = path.is_file();
+        self.candidate = Some((weights, path));
+        // With data to choose by, the validation decides.
+        if self.held_out.is_none() || !is_there {
+            self.keep(None)?;
+        }
+        Ok(())
+    }
+
+    fn validate(&mut self, _thorough: bool) -> Result<Vec<Figure>> {
+        let Some(held_out) = &self.held_out else {
+            return Ok(Vec::new());
+        };
+        let found = self.measure(held_out)?;
+        if let Some(path) = self.earlier.take()
+            && path.is_file()
+        {
+            // It has none if the earlier run ended before its first validation.
+            self.best = Weights::open(&path)?.json(VALIDATION_KEY).ok();
+        }
+        if self.best.is_none_or(|best| found.is_better_than(&best)) {
+            self.keep(Some(found))?;
+            self.best = Some(found);
+        }
+        Ok(found.figures())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,112 @@
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::run::Figure;
+
+/// How well a probe tells success from failure.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Accuracy {
+    /// Episodes under their own instruction.
+    pub episodes: usize,
+    /// Mean of the shares of successes and of failures that are told, at a probability of one half; NaN where there are
+    /// none of one kind.
+    pub balanced: f64,
+    /// Area under the ROC curve: how often a success gets a higher probability than a failure.
+    pub auc: f64,
+    /// Share of the successes that are told to fail under another episode's instruction; `None` where none was asked.
+    pub mismatches: Option<f64>,
+}
+
+impl Accuracy {
+    /// Of logits under an episode's own instruction, with the truth, and of logits under another's.
+    #[must_use]
+    pub fn of(own: &[(f32, bool)], mismatched: &[f32]) -> Self {
+        let of = |truth: bool| own.iter().filter(move |(_, own)| *own == truth);
+        let share = |truth: bool| {
+            let right = of(truth)
+                .filter(|(logit, _)| (*logit > 0.0) == truth)
+                .count();
+            right as f64 / of(truth).count() as f64
+        };
+        let (mut wins, mut pairs) = (0.0, 0.0);
+        for (success, _) in of(true) {
+            for (failure, _) in of(false) {
+                pairs += 1.0;
+                wins += match success.total_cmp(failure) {
+                    std::cmp::Ordering::Greater => 1.0,
+                    std::cmp::Ordering::Equal => 0.5,
+                    std::cmp::Ordering::Less => 0.0,
+                };
+            }
+        }
+        let refused = mismatched.iter().filter(|logit| **logit <= 0.0).count();
+        Self {
+            episodes: own.len(),
+            balanced: 0.5 * (share(true) + share(false)),
+            auc: wins / pairs,
+            mismatches: (!mismatched.is_empty()).then(|| refused as f64 / mismatched.len() as f64),
+        }
+    }
+
+    /// The figures of a validation.
+    #[must_use]
+    pub fn figures(&self) -> Vec<Figure> {
+        let mut figures = vec![
+            Figure::new("balanced_accuracy", self.balanced),
+            Figure::new("auc", self.auc),
+        ];
+        let mismatches = self.mismatches.into_iter();
+        figures.extend(mismatches.map(|share| Figure::new("mismatches_refused", share)));
+        figures
+    }
+
+    /// Whether it is to be preferred: by balanced accuracy, then by AUC (the paper, appendix B.7). What was measured on
+    /// one class alone decides nothing: the later one is preferred.
+    #[must_use]
+    pub fn is_better_than(&self, other: &Self) -> bool {
+        if self.balanced.is_nan() {
+            return true;
+        }
+        let order = self.balanced.total_cmp(&other.balanced);
+        order.then(self.auc.total_cmp(&other.auc)).is_gt()
+    }
+}
+
+impl fmt::Display for Accuracy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} episodes: balanced accuracy {:.3}, AUC {:.3}",
+            self.episodes, self.balanced, self.auc
+        )?;
+        match self.mismatches {
+            Some(share) => write!(f, ", {share:.3} of other instructions refused"),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_count_alike_and_ranks_decide_the_auc() {
+        let own = [
+            (2.0, true),
+            (-1.0, true),
+            (-2.0, false),
+            (-0.5, false),
+            (-3.0, false),
+        ];
+        let found = Accuracy::of(&own, &[-1.0, 1.0]);
+        assert_eq!(found.episodes, 5);
+        assert!((found.balanced - 0.75).abs() < 1e-12, "{found}");
+        // Of six pairs, only (-1, -0.5) is the wrong way round.
+        assert!((found.auc - 5.0 / 6.0).abs() < 1e-12, "{found}");
+        assert_eq!(found.mismatches, Some(0.5));
+        let better = Accuracy { auc: 0.9, ..found };
+        assert!(better.is_better_than(&found) && !found.is_better_than(&better));
+    }
+}

@@ -1,0 +1,118 @@
+use std::{path::PathBuf, time::Duration};
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::json;
+use wm_model::{LatentSpace, Weights, transition::LATENT_SPACE_KEY};
+use wm_zoo::{
+    ModelFolder,
+    success_probe::{PROBE_KEY, SuccessProbeConfig},
+};
+
+use super::{FILE, FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, episodes::Episodes};
+use crate::{
+    arguments::{HeldOutArgs, RunArgs},
+    latents::Latents,
+    run::{Ended, RunSettings, Stop, Task as _},
+};
+
+/// Trains the success probe: whether an episode's latents show what its instruction asks for. It takes the episodes that
+/// have an instruction (/task/instruction) and an outcome (/task/success).
+#[derive(Clone, Debug, Args)]
+pub struct TrainProbeArgs {
+    /// What every training has.
+    #[command(flatten)]
+    pub run: RunArgs,
+    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    #[arg(long, visible_alias = "autoencoder")]
+    pub encoder: String,
+}
+
+impl TrainProbeArgs {
+    /// Trains until the last step, or until `stop` asks for the end.
+    ///
+    /// # Errors
+    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
+        let (train, held_out) = self.run.latents(&*encoder)?;
+        let recipe: ProbeRecipe =
+            crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
+        train_on(&self.run, &recipe, &train, held_out.as_ref(), stop)
+    }
+}
+
+pub(super) fn train_on(
+    run: &RunArgs,
+    recipe: &ProbeRecipe,
+    train: &Latents,
+    held_out: Option<&Latents>,
+    stop: &Stop,
+) -> Result<Ended> {
+    let mut task = ProbeTask::new(recipe, train, held_out, run.threads()?, &run.out)?;
+    let per_epoch = task.episodes.len() as f64 / recipe.batch as f64;
+    let steps = recipe.length.steps(per_epoch);
+    let settings = RunSettings {
+        out: run.out.clone(),
+        steps,
+        schedule: recipe.optimisation.schedule(steps, per_epoch),
+        optimiser: recipe.optimisation.adamw(),
+        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
+        validate_every: recipe.validate_every,
+        identity: json!({
+            "recipe": crate::recipe::identity(recipe)?,
+            "latent_space": train.space().to_string(),
+            "data": train.digest(),
+        }),
+    };
+    crate::recipe::write(&run.out, task.name(), recipe)?;
+    let [successes, failures] = task.episodes.counts();
+    println!(
+        "{successes} successes, {failures} failures, {} words, {} threads",
+        task.words.config().vocabulary.len(),
+        run.threads()?
+    );
+    let ended = crate::run::train(&mut task, &settings, stop)?;
+    if ended == Ended::Finished {
+        println!("wrote {}", run.out.join(FILE).display());
+        if let Some(best) = &task.best {
+            println!("kept the best weights: {best}");
+        }
+    }
+    Ok(ended)
+}
+
+/// Measures how well a success probe tells success from failure.
+#[derive(Clone, Debug, Args)]
+pub struct EvaluateProbeArgs {
+    /// What to measure on.
+    #[command(flatten)]
+    pub on: HeldOutArgs,
+    /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
+    #[arg(long, visible_alias = "autoencoder")]
+    pub encoder: String,
+    /// Weights of the probe.
+    #[arg(long)]
+    pub weights: PathBuf,
+}
+
+impl EvaluateProbeArgs {
+    /// Prints the figures.
+    ///
+    /// # Errors
+    /// When data or weights cannot be read, or do not fit one another.
+    pub fn run(&self) -> Result<()> {
+        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
+        let dataset = self.on.open(encoder.input_size())?;
+        let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
+        let weights = Weights::open(&self.weights)?;
+        weights
+            .json::<LatentSpace>(LATENT_SPACE_KEY)?
+            .require(latents.space())?;
+        let config: SuccessProbeConfig = weights.json(PROBE_KEY)?;
+        let frame_skip = weights.json(FRAME_SKIP_KEY)?;
+        let episodes = Episodes::new(&latents, frame_skip, Some(config.max_frames))?;
+        println!("{}", accuracy(&weights, &episodes, usize::MAX)?);
+        Ok(())
+    }
+}

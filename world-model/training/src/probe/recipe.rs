@@ -1,0 +1,92 @@
+use anyhow::{Result, ensure};
+use serde::{Deserialize, Serialize};
+use wm_model::LatentSpace;
+use wm_zoo::success_probe::SuccessProbeConfig;
+
+use crate::recipe::{Bundled, Optimisation, Span};
+
+/// The recipes that are part of the program.
+pub const RECIPES: Bundled = &[
+    ("tiny", include_str!("../../recipes/tiny/probe.yaml")),
+    ("paper", include_str!("../../recipes/paper/probe.yaml")),
+];
+
+/// Every number of a training of the success probe; `recipes/*/probe.yaml` says what each is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the recipes say what each is")]
+pub struct ProbeRecipe {
+    pub seed: u64,
+    pub length: Span,
+    pub validate_every: u64,
+    pub checkpoint_seconds: u64,
+    pub batch: usize,
+    pub micro_batch: usize,
+    pub successes: f64,
+    pub mismatches: f64,
+    pub dropout: f64,
+    pub latent_noise: f64,
+    pub model: ProbeModelRecipe,
+    pub optimisation: Optimisation,
+}
+
+/// Shape of the model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the recipes say what each is")]
+pub struct ProbeModelRecipe {
+    pub text_features: usize,
+    pub pool: usize,
+    pub hidden: usize,
+    pub depth: usize,
+    pub heads: usize,
+    pub ffn: usize,
+    pub frame_skip: usize,
+    pub max_frames: Option<usize>,
+}
+
+impl ProbeRecipe {
+    pub(super) fn validate(&self) -> Result<()> {
+        ensure!(
+            self.micro_batch > 0 && self.batch.is_multiple_of(self.micro_batch),
+            "batch {} cannot be split into parts of micro_batch {}",
+            self.batch,
+            self.micro_batch
+        );
+        for (name, share) in [
+            ("successes", self.successes),
+            ("mismatches", self.mismatches),
+        ] {
+            ensure!(
+                (0.0..=1.0).contains(&share),
+                "{name} is {share}, expected 0 to 1"
+            );
+        }
+        ensure!(
+            (0.0..1.0).contains(&self.dropout),
+            "dropout is {}, expected 0 up to 1",
+            self.dropout
+        );
+        ensure!(
+            self.model.frame_skip > 0,
+            "model.frame_skip is 0, expected at least 1"
+        );
+        Ok(())
+    }
+
+    /// The probe for latents of `space`, and episodes of up to `frames` frames.
+    pub(super) fn config(&self, space: &LatentSpace, frames: usize) -> SuccessProbeConfig {
+        let own = &self.model;
+        SuccessProbeConfig {
+            features: space.channels,
+            max_frames: own.max_frames.unwrap_or(frames),
+            text_features: own.text_features,
+            pool: own.pool,
+            hidden: own.hidden,
+            depth: own.depth,
+            heads: own.heads,
+            ffn: own.ffn,
+            affine_norms: false,
+        }
+    }
+}
