@@ -10,7 +10,7 @@ use wm_model::Encoder;
 use crate::{
     dataset::{Data, DataOptions, Dataset, DatasetError},
     latents::Latents,
-    recipe::Override,
+    recipe::{Override, Span},
 };
 
 /// Data, folder and recipe of a training.
@@ -38,9 +38,23 @@ pub struct RunArgs {
     /// Optimiser steps, instead of the recipe's length.
     #[arg(long)]
     pub steps: Option<u64>,
+    /// Train for this fraction of the recipe's length.
+    #[arg(long, default_value_t = 1.0, value_name = "FRACTION")]
+    pub share: f64,
     /// Number of threads; all of the machine by default.
     #[arg(long)]
     pub threads: Option<usize>,
+}
+
+/// Data with their latents.
+#[derive(Debug)]
+pub struct Encoded {
+    /// The frames.
+    pub data: Data,
+    /// The latents to train on.
+    pub train: Latents,
+    /// Those for validation, if there are any.
+    pub held_out: Option<Latents>,
 }
 
 impl RunArgs {
@@ -52,20 +66,21 @@ impl RunArgs {
         Data::open(&self.data, size, &self.cache(), &self.options)
     }
 
-    /// The latents of the data: those to train on, and those for validation.
+    /// The data and their latents.
     ///
     /// # Errors
     /// If the data cannot be used, or a frame cannot be encoded.
-    pub fn latents(&self, encoder: &dyn Encoder) -> Result<(Latents, Option<Latents>)> {
+    pub fn encoded(&self, encoder: &dyn Encoder) -> Result<Encoded> {
         let data = self.data(encoder.input_size())?;
         let cache = self.cache();
         let validation = data.validation.as_ref();
-        Ok((
-            Latents::open(&data.training, encoder, &cache)?,
-            validation
+        Ok(Encoded {
+            train: Latents::open(&data.training, encoder, &cache)?,
+            held_out: validation
                 .map(|data| Latents::open(data, encoder, &cache))
                 .transpose()?,
-        ))
+            data,
+        })
     }
 
     /// The settings that are overridden, in the order in which they apply.
@@ -77,6 +92,13 @@ impl RunArgs {
                 .map(|steps| Override::new("length", format!("{steps} steps"))),
         );
         overrides
+    }
+
+    /// The steps of a training of this length, of which an epoch has `per_epoch`; at least one.
+    #[must_use]
+    pub fn length(&self, length: Span, per_epoch: f64) -> u64 {
+        let steps = length.steps(per_epoch) as f64 * self.share;
+        (steps.ceil() as u64).max(1)
     }
 
     /// Where decoded frames and latents are kept.

@@ -8,6 +8,8 @@ pub mod dataset;
 pub mod fresh_weights;
 pub mod idm;
 pub mod latents;
+pub mod model;
+pub mod model_folder;
 pub mod optimiser;
 pub mod probe;
 pub mod recipe;

@@ -11,6 +11,7 @@ use wm_training::{
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
     dataset::DatasetArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
+    model::TrainModelArgs,
     probe::{EvaluateProbeArgs, TrainProbeArgs},
     run::{Ended, Stop},
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
@@ -46,6 +47,8 @@ enum Command {
 
 #[derive(Debug, Subcommand)]
 enum TrainCommand {
+    /// Train a whole world model: all of the following, one after the other, into one folder
+    Model(TrainModelArgs),
     /// Train the autoencoder: frames to latents and back
     Autoencoder(TrainAutoencoderArgs),
     /// Train the transition model on the latents of a frozen encoder
@@ -72,6 +75,7 @@ impl TrainCommand {
     fn run(self) -> anyhow::Result<ExitCode> {
         let stop = Stop::on_signals()?;
         let ended = match self {
+            Self::Model(arguments) => arguments.run(&stop)?,
             Self::Autoencoder(arguments) => arguments.run(&stop)?,
             Self::Transition(arguments) => arguments.run(&stop)?,
             Self::Idm(arguments) => arguments.run(&stop)?,

@@ -88,6 +88,22 @@ impl Override {
         }
     }
 
+    /// The first name of its path.
+    #[must_use]
+    pub fn part(&self) -> &str {
+        self.path.split('.').next().unwrap_or_default()
+    }
+
+    /// The same without the first name of its path.
+    #[must_use]
+    pub fn of_part(&self) -> Self {
+        let (_, rest) = self.path.split_once('.').unwrap_or_default();
+        Self {
+            path: rest.to_owned(),
+            ..self.clone()
+        }
+    }
+
     /// `path` becomes `value` where the recipe leaves it open (null).
     pub fn if_open(path: &str, value: impl Into<Value>) -> Self {
         Self {

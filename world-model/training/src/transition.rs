@@ -12,14 +12,16 @@ mod noised_at_once;
 mod objective;
 mod pictures;
 mod recipe;
+mod strip;
 
 use std::{path::Path, time::Duration};
 
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
+use image::RgbImage;
 use serde_json::json;
 use wm_model::{
-    Weights,
+    Decoder, Weights,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
     weights::{Precision, WeightsBuilder},
 };
@@ -28,7 +30,9 @@ use wm_zoo::ModelFolder;
 
 use crate::{
     arguments::RunArgs,
+    dataset::Dataset,
     latents::Latents,
+    model_folder::carry_encoder,
     optimiser::{Parameter, Trained, Variables},
     run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
     workers::{BatchLoss, Batches, Workers},
@@ -39,6 +43,7 @@ pub use evaluation::{ActionChange, Evaluation, recover_actions};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
 pub use pictures::{PictureErrors, StepErrors};
 pub use recipe::{ModelRecipe, RECIPES, SamplerRecipe, TransitionRecipe};
+pub use strip::strip;
 
 /// Model steps that are predicted in an evaluation.
 const HORIZON: usize = 8;
@@ -55,25 +60,32 @@ impl TrainTransitionArgs {
     /// # Errors
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
-        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let (train, held_out) = self.run.latents(&*encoder)?;
+        let folder = ModelFolder::open(&self.encoder)?;
+        let on = self.run.encoded(&*folder.encoder()?)?;
         let recipe: TransitionRecipe =
             crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
-        train_on(&self.run, &recipe, &train, held_out.as_ref(), stop)
+        let decoder = folder.decoder()?;
+        let pictures = decoder.as_deref().zip(on.data.validation.as_ref());
+        carry_encoder(&self.encoder, &self.run.out)?;
+        let held_out = on.held_out.as_ref().map(|latents| (latents, pictures));
+        train_on(&self.run, &recipe, &on.train, held_out, stop)
     }
 }
+
+/// What decodes latents, and the frames that they are of.
+type Pictures<'a> = (&'a dyn Decoder, &'a Dataset);
 
 fn train_on(
     run: &RunArgs,
     recipe: &TransitionRecipe,
     train: &Latents,
-    held_out: Option<&Latents>,
+    held_out: Option<(&Latents, Option<Pictures<'_>>)>,
     stop: &Stop,
 ) -> Result<Ended> {
     let encoding = recipe.encoding(train.action_space())?;
     let mut task = TransitionTask::new(recipe, &encoding, train, held_out, run.threads()?)?;
     let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
-    let steps = recipe.length.steps(per_epoch);
+    let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
         out: run.out.clone(),
         steps,
@@ -105,6 +117,7 @@ fn train_on(
 struct HeldOut<'a> {
     latents: &'a Latents,
     quick: Evaluation,
+    pictures: Option<Pictures<'a>>,
 }
 
 /// A transition model in training.
@@ -127,7 +140,7 @@ impl<'a> TransitionTask<'a> {
         recipe: &TransitionRecipe,
         encoding: &'a ActionEncoding,
         train: &'a Latents,
-        held_out: Option<&'a Latents>,
+        held_out: Option<(&'a Latents, Option<Pictures<'a>>)>,
         threads: usize,
     ) -> Result<Self> {
         let config = recipe.config(train.space(), encoding)?;
@@ -139,8 +152,9 @@ impl<'a> TransitionTask<'a> {
             encoding,
             train,
             held_out: match held_out {
-                Some(latents) => Some(HeldOut {
+                Some((latents, pictures)) => Some(HeldOut {
                     latents,
+                    pictures,
                     quick: Evaluation::new(latents, encoding, HORIZON, QUICK_WINDOWS)
                         .context("the held-out bags")?,
                 }),
@@ -223,6 +237,16 @@ impl Task for TransitionTask<'_> {
         Ok(figures
             .map(|(k, ratio)| Figure::new(format!("ratio_k{k}"), ratio))
             .collect())
+    }
+
+    fn samples(&mut self) -> Result<Option<RgbImage>> {
+        let (Some(held_out), Some(model)) = (&self.held_out, &self.written) else {
+            return Ok(None);
+        };
+        let Some((decoder, dataset)) = held_out.pictures else {
+            return Ok(None);
+        };
+        strip(&held_out.quick, &model.pack()?, decoder, dataset).map(Some)
     }
 }
 

@@ -59,7 +59,7 @@ pub(super) fn train_on(
     stop: &Stop,
 ) -> Result<Ended> {
     let per_epoch = train.episodes().len() as f64 / recipe.batch as f64;
-    let steps = recipe.length.steps(per_epoch);
+    let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
         out: run.out.clone(),
         steps,

@@ -118,6 +118,7 @@ fn run_in(out: &Path) -> RunArgs {
         recipe: "tiny".into(),
         set: Vec::new(),
         steps: None,
+        share: 1.0,
         threads: None,
     }
 }

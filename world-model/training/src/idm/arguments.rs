@@ -14,6 +14,7 @@ use super::{FILE, IdmRecipe, IdmTask, RECIPES, on_predicted, on_real};
 use crate::{
     arguments::{HeldOutArgs, RunArgs},
     latents::Latents,
+    model_folder::carry_encoder,
     run::{Ended, RunSettings, Stop, Task as _},
     transition::Evaluation,
 };
@@ -40,9 +41,10 @@ impl TrainIdmArgs {
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let run = &self.run;
-        let (train, held_out) = run.latents(&*encoder)?;
+        let on = run.encoded(&*encoder)?;
         let recipe: IdmRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
-        train_on(run, &recipe, &train, held_out.as_ref(), stop)
+        carry_encoder(&self.encoder, &run.out)?;
+        train_on(run, &recipe, &on.train, on.held_out.as_ref(), stop)
     }
 }
 
@@ -56,7 +58,7 @@ pub(super) fn train_on(
     let encoding = recipe.encoding(train.action_space())?;
     let mut task = IdmTask::new(recipe, &encoding, train, held_out, run.threads()?)?;
     let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
-    let steps = recipe.length.steps(per_epoch);
+    let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
         out: run.out.clone(),
         steps,

@@ -13,6 +13,7 @@ use super::{FILE, FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, epi
 use crate::{
     arguments::{HeldOutArgs, RunArgs},
     latents::Latents,
+    model_folder::carry_encoder,
     run::{Ended, RunSettings, Stop, Task as _},
 };
 
@@ -35,10 +36,31 @@ impl TrainProbeArgs {
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let (train, held_out) = self.run.latents(&*encoder)?;
+        let on = self.run.encoded(&*encoder)?;
         let recipe: ProbeRecipe =
             crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
-        train_on(&self.run, &recipe, &train, held_out.as_ref(), stop)
+        carry_encoder(&self.encoder, &self.run.out)?;
+        train_on(&self.run, &recipe, &on.train, on.held_out.as_ref(), stop)
+    }
+}
+
+impl TrainProbeArgs {
+    /// The same where the data have outcomes of both kinds; otherwise nothing, which it says.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn run_if_labelled(&self, stop: &Stop) -> Result<Ended> {
+        let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
+        let data = self.run.data(encoder.input_size())?;
+        let outcomes = |success| {
+            let mut episodes = data.training.episodes().iter();
+            episodes.any(|e| e.instruction.is_some() && e.success == Some(success))
+        };
+        if outcomes(true) && outcomes(false) {
+            return self.run(stop);
+        }
+        println!("left out: the data have no instructions with both successes and failures");
+        Ok(Ended::Finished)
     }
 }
 
@@ -51,7 +73,7 @@ pub(super) fn train_on(
 ) -> Result<Ended> {
     let mut task = ProbeTask::new(recipe, train, held_out, run.threads()?, &run.out)?;
     let per_epoch = task.episodes.len() as f64 / recipe.batch as f64;
-    let steps = recipe.length.steps(per_epoch);
+    let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
         out: run.out.clone(),
         steps,

@@ -1,0 +1,114 @@
+//! Training of a whole world model: autoencoder, transition model and inverse dynamics model, and a success probe where
+//! the data tell of outcomes, one after the other into one folder, which is then a model for the nodes.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+
+use crate::{
+    arguments::RunArgs,
+    autoencoder::TrainAutoencoderArgs,
+    dataset::DataOptions,
+    idm::TrainIdmArgs,
+    probe::TrainProbeArgs,
+    recipe::Override,
+    run::{Ended, Stop},
+    transition::TrainTransitionArgs,
+};
+
+/// Trains a whole world model into one folder: the autoencoder, then the transition model and the inverse dynamics model
+/// on its latents, and a success probe where the data tell of outcomes. Run again, it goes on where it was interrupted.
+#[derive(Clone, Debug, Args)]
+pub struct TrainModelArgs {
+    /// What to train on: bags, folders of bags, or folders that `wm dataset` prepared.
+    #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
+    pub data: Vec<PathBuf>,
+    /// How recordings become episodes, and which are for validation.
+    #[command(flatten)]
+    pub options: DataOptions,
+    /// Folder of the model; pass it to the nodes as model:=FOLDER.
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Use this model's frozen encoder and decoder instead of training an autoencoder: tiny, or a model's folder.
+    #[arg(long)]
+    pub encoder: Option<String>,
+    /// Train each part for this fraction of its recipe's length: 0.05 for a first look.
+    #[arg(long, default_value_t = 1.0, value_name = "FRACTION")]
+    pub share: f64,
+    /// Recipe of all parts: tiny or paper (the autoencoder's is always tiny).
+    #[arg(long, default_value = "tiny")]
+    pub recipe: String,
+    /// A setting of a part's recipe, as transition.optimisation.learning_rate=1e-3; may be repeated.
+    #[arg(long, value_name = "PART.PATH=VALUE")]
+    pub set: Vec<Override>,
+    /// Folder for decoded frames and latents; `cache` in the output folder by default.
+    #[arg(long)]
+    pub cache: Option<PathBuf>,
+    /// Number of threads; all of the machine by default.
+    #[arg(long)]
+    pub threads: Option<usize>,
+}
+
+/// The parts, in the order in which they are trained.
+const PARTS: [&str; 4] = ["autoencoder", "transition", "idm", "probe"];
+
+impl TrainModelArgs {
+    /// Trains all parts, or until `stop` asks for the end.
+    ///
+    /// # Errors
+    /// When a part cannot be trained.
+    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        let known = |setting: &&Override| !PARTS.contains(&setting.part());
+        if let Some(setting) = self.set.iter().find(known) {
+            anyhow::bail!(
+                "--set {setting}: expected it to begin with one of {}",
+                PARTS.join(", ")
+            );
+        }
+        let own = self.out.display().to_string();
+        let encoder = self.encoder.clone().unwrap_or(own);
+        let mut ended = Ended::Finished;
+        for part in PARTS {
+            if part == "autoencoder" && self.encoder.is_some() {
+                continue;
+            }
+            let run = self.of(part);
+            let encoder = encoder.clone();
+            println!("== {part}");
+            ended = match part {
+                "autoencoder" => TrainAutoencoderArgs { run }.run(stop)?,
+                "transition" => TrainTransitionArgs { run, encoder }.run(stop)?,
+                "idm" => TrainIdmArgs { run, encoder }.run(stop)?,
+                _ => TrainProbeArgs { run, encoder }.run_if_labelled(stop)?,
+            };
+            if ended == Ended::Stopped {
+                return Ok(ended);
+            }
+        }
+        println!(
+            "{} is a model: pass it to the nodes as model:={}",
+            self.out.display(),
+            self.out.display()
+        );
+        Ok(ended)
+    }
+
+    fn of(&self, part: &str) -> RunArgs {
+        let own = self.set.iter().filter(|setting| setting.part() == part);
+        RunArgs {
+            data: self.data.clone(),
+            options: self.options.clone(),
+            out: self.out.clone(),
+            cache: self.cache.clone(),
+            recipe: match part {
+                "autoencoder" => "tiny".to_owned(),
+                _ => self.recipe.clone(),
+            },
+            set: own.map(Override::of_part).collect(),
+            steps: None,
+            share: self.share,
+            threads: self.threads,
+        }
+    }
+}
