@@ -13,7 +13,7 @@ use wm_motion::actions::ActionSpace;
 use super::{
     super::{
         Cut, Data, DataOptions, DataStatistics, Dataset, DatasetArgs, LeftOut, Manifest,
-        ManifestEpisode, Settings, Size, Source, Split, SplitRule,
+        ManifestEpisode, Settings, Size, Source, Split, SplitRule, Thing,
         store::{NewFolder, is_prepared, read_manifest},
     },
     recorder::{Outcome, Recorder},
@@ -335,7 +335,7 @@ prop_compose! {
     fn manifests()(
         episodes in prop::collection::vec(episodes(), 0..6),
         left_out in prop::collection::vec(
-            (any::<Option<(i64, i64)>>(), any::<Option<u64>>(), "\\PC{0,30}"), 0..4),
+            (any::<Option<(i64, i64)>>(), proptest::option::of((any::<u64>(), Just(Thing::Frame))), "\\PC{0,30}"), 0..4),
         cameras in prop::collection::vec("/[a-z]{1,8}", 1..4),
         (height, width) in (1_usize..4096, 1_usize..4096),
         // Of few digits, since decimals of more are not read to the last bit.
@@ -364,7 +364,7 @@ prop_compose! {
             episodes,
             left_out: left_out
                 .into_iter()
-                .map(|(span_ns, frames, reason)| LeftOut { path: "x".into(), span_ns, frames, reason })
+                .map(|(span_ns, count, reason)| LeftOut { path: "x".into(), span_ns, count, reason })
                 .collect(),
         }
     }
