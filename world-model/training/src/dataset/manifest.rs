@@ -131,10 +131,6 @@ impl LeftOut {
             reason: reason.to_owned(),
         }
     }
-
-    pub(super) fn is_under(&self, folder: &Path) -> bool {
-        self.path.starts_with(folder)
-    }
 }
 
 impl fmt::Display for LeftOut {

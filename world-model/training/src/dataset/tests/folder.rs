@@ -129,6 +129,35 @@ fn a_prepared_folder_is_what_the_bags_are() {
 }
 
 #[test]
+fn held_out_bags_are_the_validation_of_a_prepared_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let bags = bags(dir.path(), 5);
+    let held_out = dir.path().join("held_out");
+    fs::create_dir(&held_out).unwrap();
+    fs::rename(bags.join("episode_3"), held_out.join("episode_3")).unwrap();
+    let out = dir.path().join("data");
+    let prepare = |held_out: &Path| {
+        wm_dataset(&[
+            bags.to_str().unwrap(),
+            "--held-out",
+            held_out.to_str().unwrap(),
+            "-o",
+            out.to_str().unwrap(),
+        ])
+    };
+    let error = prepare(&bags.join("episode_1")).unwrap_err().to_string();
+    assert!(error.contains("episode_1: held out, but"), "{error}");
+    prepare(&held_out).unwrap();
+    let manifest = read_manifest(&out).unwrap();
+    let validation = manifest
+        .episodes
+        .iter()
+        .filter(|e| e.split == Split::Validation);
+    let names: Vec<&str> = validation.map(|e| &*e.name).collect();
+    assert_eq!(names, ["episode_3"]);
+}
+
+#[test]
 fn prepared_pictures_are_made_smaller_and_never_larger() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 2);
