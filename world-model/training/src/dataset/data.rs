@@ -58,38 +58,21 @@ impl Data {
                 validation: Some(validation),
             });
         }
+        // Without other wishes a prepared folder stays split as it is.
         let is_chosen = options.validation.is_some() || options.validation_seed.is_some();
-        let mut identities = Vec::new();
-        for folder in &folders {
-            let manifest = folder.folder.manifest();
-            for episode in manifest.episodes.iter() {
-                let source = manifest.sources.get(episode.source);
-                let identity = source.map(|source| identity(source, episode.begin_ns));
-                identities.push(identity.unwrap_or_else(|| episode.name.clone()));
-            }
-        }
-        let is_free = |folder: &Opened| is_chosen || !folder.is_given;
-        // Folders that are split already take no part.
-        let mut free = Vec::new();
-        let mut rest = identities.into_iter();
-        for folder in &folders {
-            let own = rest.by_ref().take(folder.folder.all_episodes().len());
-            if is_free(folder) {
-                free.extend(own);
-            } else {
-                own.for_each(drop);
-            }
-        }
+        let is_free = |opened: &&Opened| is_chosen || !opened.is_given;
+        let free = folders.iter().filter(is_free);
+        let free: Vec<String> = free.flat_map(|opened| opened.identities()).collect();
         let mut chosen = split(&free, rule).into_iter();
-        let mut splits: Vec<Vec<Split>> = Vec::with_capacity(folders.len());
-        for folder in &folders {
-            let listed = &folder.folder.manifest().episodes;
-            splits.push(if is_free(folder) {
+        let splits = folders.iter().map(|opened| {
+            let listed = &opened.folder.manifest().episodes;
+            if is_free(&opened) {
                 chosen.by_ref().take(listed.len()).collect()
             } else {
                 listed.iter().map(|episode| episode.split).collect()
-            });
-        }
+            }
+        });
+        let splits: Vec<Vec<Split>> = splits.collect();
         let is = |wanted: Split| {
             let splits = &splits;
             move |folder: usize, episode: usize| {
@@ -157,6 +140,22 @@ impl Dataset {
 pub(super) struct Opened {
     pub folder: Arc<Folder>,
     is_given: bool,
+}
+
+impl Opened {
+    /// What each of its episodes is, wherever their bags lie.
+    fn identities(&self) -> Vec<String> {
+        let manifest = self.folder.manifest();
+        let episodes = manifest.episodes.iter().map(|episode| {
+            let source = manifest.sources.get(episode.source);
+            // A manifest that names no source was changed by hand: a name is an identity too.
+            source.map_or_else(
+                || episode.name.clone(),
+                |source| identity(source, episode.begin_ns),
+            )
+        });
+        episodes.collect()
+    }
 }
 
 fn open_all(
@@ -236,27 +235,18 @@ pub(super) fn name_left_out(manifest: &Manifest, dir: &Path) {
 
 /// Refuses an episode that is for both.
 fn expect_apart(training: &[Opened], held_out: &[Opened]) -> Result<(), DatasetError> {
-    let identities = |folders: &[Opened]| {
-        let mut all = BTreeSet::new();
-        for opened in folders {
-            let manifest = opened.folder.manifest();
-            for episode in &manifest.episodes {
-                if let Some(source) = manifest.sources.get(episode.source) {
-                    let key = identity(source, episode.begin_ns);
-                    all.insert((key, source.bag.clone()));
-                }
+    let identities = training.iter().flat_map(Opened::identities);
+    let training: BTreeSet<String> = identities.collect();
+    for opened in held_out {
+        let manifest = opened.folder.manifest();
+        for (episode, identity) in manifest.episodes.iter().zip(opened.identities()) {
+            if training.contains(&identity) {
+                let source = manifest.sources.get(episode.source);
+                return Err(DatasetError::Episode {
+                    bag: source.map_or_else(PathBuf::new, |source| source.bag.clone()),
+                    what: format!("{} is held out, but also trained on", episode.name),
+                });
             }
-        }
-        all
-    };
-    let training = identities(training);
-    for (key, bag) in identities(held_out) {
-        if let Some((_, other)) = training.iter().find(|(other, _)| *other == key) {
-            let what = format!(
-                "held out, but its contents are also in {}, which is trained on",
-                other.display()
-            );
-            return Err(DatasetError::Episode { bag, what });
         }
     }
     Ok(())

@@ -166,14 +166,15 @@ impl fmt::Display for Manifest {
         ] {
             let mut count = 0;
             let mut frames = 0;
-            let mut succeeded = [0, 0];
+            let (mut succeeded, mut known) = (0, 0);
             let mut instructions = std::collections::BTreeSet::new();
             for episode in self.episodes.iter().filter(|e| e.split == split) {
                 count += 1;
                 frames += episode.frames;
                 instructions.extend(&episode.instruction);
                 if let Some(success) = episode.success {
-                    succeeded[usize::from(success)] += 1;
+                    known += 1;
+                    succeeded += usize::from(success);
                 }
             }
             let minutes = frames as f64 / rate / 60.0;
@@ -185,9 +186,8 @@ impl fmt::Display for Manifest {
             if !instructions.is_empty() {
                 write!(f, ", {}", counted(instructions.len(), "instruction"))?;
             }
-            let [no, yes] = succeeded;
-            if no + yes > 0 {
-                write!(f, ", {yes} of {} succeeded", no + yes)?;
+            if known > 0 {
+                write!(f, ", {succeeded} of {known} succeeded")?;
             }
             writeln!(f)?;
         }

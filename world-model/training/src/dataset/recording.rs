@@ -11,7 +11,7 @@ use wm_msgs::{
 use super::{
     Settings,
     action_log::ActionLog,
-    cameras::{MASK, base, cameras},
+    cameras::{CAMERA, MASK, base, cameras},
     manifest::Thing,
 };
 
@@ -89,8 +89,8 @@ impl Recording {
         check_actions(reader, action_topic).map_err(Unusable::Lacks)?;
         let mut streams: Vec<Stream> = topics.iter().map(|topic| Stream::new(topic)).collect();
         let has_messages = |name: &str| reader.topic(name).is_some_and(|t| t.message_count > 0);
-        // Masks are of the simulator's one camera.
-        let has_masks = topics.len() == 1 && has_messages(MASK);
+        let is_masked = |topics: &[String]| matches!(topics, [only] if base(only) == CAMERA);
+        let has_masks = is_masked(&topics) && has_messages(MASK);
         if has_masks {
             streams.push(Stream::new(MASK));
         }

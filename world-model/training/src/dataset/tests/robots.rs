@@ -295,7 +295,7 @@ fn held_out_bags_are_for_validation_and_may_not_be_trained_on() {
     assert_eq!(data.validation.unwrap().frame_count(), 6);
     let error = open("bags/b").unwrap_err().to_string();
     assert!(
-        error.contains("also in") && error.contains("bags/b"),
+        error.contains("bags/b: b is held out, but also trained on"),
         "{error}"
     );
     let all = Dataset::held_out(&paths, (16, 16), &cache, &DataOptions::default()).unwrap();
