@@ -101,6 +101,12 @@ fn a_prepared_folder_is_what_the_bags_are() {
     );
     let only = Dataset::held_out(from_ref(&out), (16, 16), &cache, &options).unwrap();
     assert_eq!(only.episodes(), validation.episodes());
+    // What a training on bags left for validation is found again by its options.
+    let only = Dataset::held_out(from_ref(&bags), (16, 16), &cache, &options).unwrap();
+    assert_eq!(only.episodes(), validation.episodes());
+    let default = DataOptions::default();
+    let all = Dataset::held_out(from_ref(&bags), (16, 16), &cache, &default).unwrap();
+    assert_eq!(all.episodes().len(), 8);
 
     // What the folder says of its actions can be passed back.
     let text = fs::read(out.join("statistics.json")).unwrap();
@@ -125,6 +131,13 @@ fn a_prepared_folder_is_what_the_bags_are() {
     };
     let error = Data::open(from_ref(&out), (16, 16), &cache, &options).unwrap_err();
     assert!(error.to_string().contains("--cut-seconds"), "{error}");
+    let file = dir.path().join("options.yaml");
+    fs::write(&file, "cut-seconds: 1\n").unwrap();
+    let options = DataOptions {
+        config: Some(file),
+        ..DataOptions::default()
+    };
+    Data::open(from_ref(&out), (16, 16), &cache, &options).unwrap();
     wm_dataset(&["info", out_text]).unwrap();
 }
 
