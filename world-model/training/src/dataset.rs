@@ -39,7 +39,7 @@ pub use data::Data;
 pub use error::DatasetError;
 pub(crate) use fingerprint::short;
 pub(crate) use layout::Layout;
-pub use manifest::{LeftOut, Manifest, ManifestEpisode, Source, Split};
+pub use manifest::{LeftOut, Manifest, ManifestEpisode, Source, Split, Thing};
 pub use options::{Cut, DataOptions, Settings, SplitRule};
 pub(crate) use progress::progress_bar;
 pub use size::Size;
@@ -226,4 +226,4 @@ fn expect_same_space(own: &ActionSpace, other: &ActionSpace) -> Result<(), Strin
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -253,3 +253,76 @@ fn encode_batch(
         .flat_map(|value| f16::from_f32(value).to_le_bytes())
         .collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use wm_model::Result;
+
+    use super::*;
+    use crate::dataset::{Data, DataOptions};
+
+    /// Two channels: the red of each pixel, and 0.5.
+    struct Red(LatentSpace);
+
+    impl Encoder for Red {
+        fn space(&self) -> &LatentSpace {
+            &self.0
+        }
+
+        fn input_size(&self) -> (usize, usize) {
+            (16, 16)
+        }
+
+        fn encode(&self, images: &Tensor) -> Result<Tensor> {
+            let red = images.narrow(3, 0, 1)?;
+            let half = (red.zeros_like()? + 0.5)?;
+            Ok(Tensor::cat(&[red, half], 3)?)
+        }
+    }
+
+    #[test]
+    fn another_split_finds_its_latents_and_their_statistics_are_right() {
+        let dir = tempfile::tempdir().unwrap();
+        let bags = dir.path().join("bags");
+        let frames = |name: &str, reds: &[u8]| {
+            crate::dataset::tests::write_reds(&bags.join(name), reds);
+        };
+        frames("a", &[0, 255, 0, 255]);
+        frames("b", &[51, 51, 51]);
+        let cache = dir.path().join("cache");
+        let space = LatentSpace {
+            name: "red".into(),
+            hash: "00".into(),
+            height: 16,
+            width: 16,
+            channels: 2,
+        };
+        let encoder = Red(space);
+        let mut made: Vec<PathBuf> = Vec::new();
+        for seed in 0..4 {
+            let options = DataOptions {
+                validation: Some(0.5),
+                validation_seed: Some(seed),
+                ..DataOptions::default()
+            };
+            let data = Data::open(std::slice::from_ref(&bags), (16, 16), &cache, &options).unwrap();
+            let latents = Latents::open(&data.training, &encoder, &cache).unwrap();
+            let statistics = latents.statistics().unwrap();
+            let (mean, std) = match latents.episodes()[0].name.as_str() {
+                "a" => (0.5, 0.5),
+                _ => (0.2, 0.0),
+            };
+            // As exact as 16-bit numbers.
+            assert!((statistics.mean[0] - mean).abs() < 1e-3, "{statistics:?}");
+            assert!((statistics.std[0] - std).abs() < 1e-3, "{statistics:?}");
+            assert_eq!((statistics.mean[1], statistics.std[1]), (0.5, 0.0));
+            let entries = fs::read_dir(&cache).unwrap();
+            let mut found: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+            found.sort();
+            assert!(made.is_empty() || made == found, "{found:?}");
+            made = found;
+        }
+    }
+}

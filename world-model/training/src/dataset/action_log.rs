@@ -7,6 +7,8 @@ use wm_motion::{
 };
 use wm_msgs::{Message as _, sensor_msgs::JointState, wm_msgs::Action};
 
+use super::recording::Unusable;
+
 /// The actions of a recording, by their stamps.
 #[derive(Debug, Default)]
 pub(super) struct ActionLog {
@@ -53,17 +55,20 @@ impl ActionLog {
     /// Takes note of a message.
     ///
     /// # Errors
-    /// In words, where the message is not of this action space: that is another robot.
-    pub fn push(&mut self, message: &BagMessage, space: &ActionSpace) -> Result<(), String> {
-        let undecodable = |error: BagError| error.to_string();
+    /// [`Unusable::Lacks`] for a message that cannot be decoded, [`Unusable::Differs`] for one that is not of this action
+    /// space.
+    pub fn push(&mut self, message: &BagMessage, space: &ActionSpace) -> Result<(), Unusable> {
+        let undecodable = |error: BagError| Unusable::Lacks(error.to_string());
         if *message.type_name == Action::ros_name() {
             let action: Action = message.decode().map_err(undecodable)?;
             let at_ns = action.header.stamp.to_nanos();
-            return self.insert(at_ns, &action.values, space);
+            return self
+                .insert(at_ns, &action.values, space)
+                .map_err(Unusable::Differs);
         }
         let state: JointState = message.decode().map_err(undecodable)?;
         let at_ns = state.header.stamp.to_nanos();
-        let joints = Joints::of(&state, space)?;
+        let joints = Joints::of(&state, space).map_err(Unusable::Differs)?;
         if let Some((before_ns, before)) = self.joints.take() {
             // One that comes late tells nothing that a later one has not told.
             if at_ns <= before_ns {
@@ -72,7 +77,8 @@ impl ActionLog {
             }
             self.joint_period_ns = at_ns - before_ns;
             let values = before.until(&joints, self.joint_period_ns, space);
-            self.insert(before_ns, &values, space)?;
+            self.insert(before_ns, &values, space)
+                .map_err(Unusable::Differs)?;
         }
         self.joints = Some((at_ns, joints));
         Ok(())

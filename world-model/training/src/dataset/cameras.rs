@@ -5,8 +5,8 @@ use wm_msgs::{
 };
 
 /// The camera of a robot that has one.
-const CAMERA: &str = "/camera/image_raw";
-/// The masks of the simulator's camera.
+pub(super) const CAMERA: &str = "/camera/image_raw";
+/// The masks of its pictures, which the simulator writes.
 pub(super) const MASK: &str = "/camera/mask/compressed";
 const COMPRESSED: &str = "/compressed";
 

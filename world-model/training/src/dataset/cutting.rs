@@ -3,6 +3,7 @@ use wm_motion::{actions::ActionSpace, motion::Pace};
 use super::{
     Settings,
     action_log::Alignment,
+    manifest::Thing,
     options::Cut,
     recording::{Picture, Recording},
 };
@@ -29,11 +30,12 @@ impl Draft {
     }
 }
 
-/// Frames that are in no episode, and why.
+/// What is in no episode, and why.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Omission {
     pub span_ns: Option<(i64, i64)>,
-    pub frames: u64,
+    pub count: u64,
+    pub thing: Thing,
     pub reason: String,
 }
 
@@ -64,7 +66,8 @@ pub(super) fn cut(
         alignment: Alignment::new(&recording.actions, space, period_ns),
         actions_unknown: Omission {
             span_ns: None,
-            frames: 0,
+            count: 0,
+            thing: Thing::Frame,
             reason: format!(
                 "no message on {} within a period of the frame",
                 recording.action_topic
@@ -73,10 +76,11 @@ pub(super) fn cut(
         drafts: Vec::new(),
         omissions: Vec::new(),
     };
-    for (count, what) in &recording.complaints {
+    for (count, thing, what) in &recording.complaints {
         cutter.omissions.push(Omission {
             span_ns: None,
-            frames: *count,
+            count: *count,
+            thing: *thing,
             reason: what.clone(),
         });
     }
@@ -95,7 +99,7 @@ pub(super) fn cut(
         let next = parts.get(index + 1).and_then(|part| part.first());
         cutter.align(part, next.map(|moment| moment.place), parts.len() == 1);
     }
-    if cutter.actions_unknown.frames > 0 {
+    if cutter.actions_unknown.count > 0 {
         cutter.omissions.push(cutter.actions_unknown);
     }
     Ok((cutter.drafts, cutter.omissions))
@@ -136,11 +140,12 @@ impl Cutter<'_> {
                 stamp_ns: picture.stamp_ns,
             });
         }
-        for (other, frames) in others.iter().zip(alone).filter(|(_, frames)| *frames > 0) {
+        for (other, count) in others.iter().zip(alone).filter(|(_, count)| *count > 0) {
             let tolerance = self.period_ns as f64 / 2e9;
             self.omissions.push(Omission {
                 span_ns: None,
-                frames,
+                count,
+                thing: Thing::Frame,
                 reason: format!("no frame of {} within {tolerance:.2} s", other.topic),
             });
         }
@@ -210,7 +215,7 @@ impl Cutter<'_> {
                     run.push((moment, interval.values));
                 }
                 _ => {
-                    self.actions_unknown.frames += 1;
+                    self.actions_unknown.count += 1;
                     let span_ns = &mut self.actions_unknown.span_ns;
                     let (begin_ns, _) = span_ns.unwrap_or((moment.stamp_ns, 0));
                     *span_ns = Some((begin_ns, moment.stamp_ns));
@@ -236,7 +241,8 @@ impl Cutter<'_> {
         if seconds + 1e-6 < self.settings.min_seconds {
             self.omissions.push(Omission {
                 span_ns: Some(span_ns),
-                frames: run.len() as u64,
+                count: run.len() as u64,
+                thing: Thing::Frame,
                 reason: format!(
                     "an episode of {seconds:.2} s; at least {} s are asked for",
                     self.settings.min_seconds

@@ -5,7 +5,7 @@ use std::{
 };
 
 use super::{
-    DataOptions, Dataset, DatasetError, Manifest, Size,
+    DataOptions, Dataset, DatasetError, Manifest, Size, SplitRule,
     manifest::Split,
     preparation::{Preparation, identity},
     search::{Found, find},
@@ -44,6 +44,7 @@ impl Data {
         cache: &Path,
         options: &DataOptions,
     ) -> Result<Self, DatasetError> {
+        expect_effect(paths, options)?;
         let options = options.with_config()?;
         let rule = options.split_rule()?;
         let folders = open_all(paths, size, cache, &options)?;
@@ -58,38 +59,7 @@ impl Data {
                 validation: Some(validation),
             });
         }
-        let is_chosen = options.validation.is_some() || options.validation_seed.is_some();
-        let mut identities = Vec::new();
-        for folder in &folders {
-            let manifest = folder.folder.manifest();
-            for episode in manifest.episodes.iter() {
-                let source = manifest.sources.get(episode.source);
-                let identity = source.map(|source| identity(source, episode.begin_ns));
-                identities.push(identity.unwrap_or_else(|| episode.name.clone()));
-            }
-        }
-        let is_free = |folder: &Opened| is_chosen || !folder.is_given;
-        // Folders that are split already take no part.
-        let mut free = Vec::new();
-        let mut rest = identities.into_iter();
-        for folder in &folders {
-            let own = rest.by_ref().take(folder.folder.all_episodes().len());
-            if is_free(folder) {
-                free.extend(own);
-            } else {
-                own.for_each(drop);
-            }
-        }
-        let mut chosen = split(&free, rule).into_iter();
-        let mut splits: Vec<Vec<Split>> = Vec::with_capacity(folders.len());
-        for folder in &folders {
-            let listed = &folder.folder.manifest().episodes;
-            splits.push(if is_free(folder) {
-                chosen.by_ref().take(listed.len()).collect()
-            } else {
-                listed.iter().map(|episode| episode.split).collect()
-            });
-        }
+        let splits = splits(&folders, &options, rule);
         let is = |wanted: Split| {
             let splits = &splits;
             move |folder: usize, episode: usize| {
@@ -111,8 +81,9 @@ impl Data {
 }
 
 impl Dataset {
-    /// What a trained model is measured on: of prepared folders the episodes for validation (all of them if none is), of
-    /// bags all episodes. Otherwise as [`Data::open`].
+    /// What a trained model is measured on: the episodes for validation, where a prepared folder names some or
+    /// `options` gives a share or a seed, as a training with these options chooses them; else all episodes. Otherwise as
+    /// [`Data::open`].
     ///
     /// # Errors
     /// Those of [`Data::open`].
@@ -122,17 +93,17 @@ impl Dataset {
         cache: &Path,
         options: &DataOptions,
     ) -> Result<Self, DatasetError> {
+        expect_effect(paths, options)?;
         let options = options.with_config()?;
         let folders = open_all(paths, size, cache, &options)?;
-        let held_out = folders.iter().map(|opened| {
-            let episodes = opened.folder.manifest().episodes.iter();
-            let is_held_out: Vec<bool> = episodes.map(|e| e.split == Split::Validation).collect();
-            (opened.is_given && is_held_out.contains(&true)).then_some(is_held_out)
-        });
-        let held_out: Vec<Option<Vec<bool>>> = held_out.collect();
+        let splits = splits(&folders, &options, options.split_rule()?);
+        let is_split = |(opened, splits): (&Opened, &Vec<Split>)| {
+            (is_chosen(&options) || opened.is_given) && splits.contains(&Split::Validation)
+        };
+        let is_split: Vec<bool> = folders.iter().zip(&splits).map(is_split).collect();
         Self::of_folders(folders, &options, |folder, episode| {
-            let chosen = held_out.get(folder).and_then(Option::as_ref);
-            chosen.is_none_or(|chosen| chosen.get(episode).copied().unwrap_or(true))
+            let split = splits.get(folder).and_then(|splits| splits.get(episode));
+            is_split.get(folder) != Some(&true) || split == Some(&Split::Validation)
         })
     }
 
@@ -159,6 +130,58 @@ pub(super) struct Opened {
     is_given: bool,
 }
 
+impl Opened {
+    /// What each of its episodes is, wherever their bags lie.
+    fn identities(&self) -> Vec<String> {
+        let manifest = self.folder.manifest();
+        let episodes = manifest.episodes.iter().map(|episode| {
+            let source = manifest.sources.get(episode.source);
+            // A manifest that names no source was changed by hand: a name is an identity too.
+            source.map_or_else(
+                || episode.name.clone(),
+                |source| identity(source, episode.begin_ns),
+            )
+        });
+        episodes.collect()
+    }
+}
+
+/// Whether the user wants a certain split, and not that of a prepared folder.
+fn is_chosen(options: &DataOptions) -> bool {
+    options.validation.is_some() || options.validation_seed.is_some()
+}
+
+/// What each episode of each folder is for. Without other wishes a prepared folder stays split as it is.
+fn splits(folders: &[Opened], options: &DataOptions, rule: SplitRule) -> Vec<Vec<Split>> {
+    let is_free = |opened: &&Opened| is_chosen(options) || !opened.is_given;
+    let free = folders.iter().filter(is_free);
+    let free: Vec<String> = free.flat_map(Opened::identities).collect();
+    let mut chosen = split(&free, rule).into_iter();
+    let splits = folders.iter().map(|opened| {
+        let listed = &opened.folder.manifest().episodes;
+        if is_free(&opened) {
+            chosen.by_ref().take(listed.len()).collect()
+        } else {
+            listed.iter().map(|episode| episode.split).collect()
+        }
+    });
+    splits.collect()
+}
+
+/// Refuses options for bags where there are none. Those of a file are no mistake: the bags were prepared by it.
+fn expect_effect(paths: &[PathBuf], options: &DataOptions) -> Result<(), DatasetError> {
+    let mut all = paths.iter().chain(&options.held_out);
+    match (paths.first(), options.of_preparation()) {
+        (Some(dir), Some(option)) if all.all(|path| is_prepared(path)) => {
+            Err(DatasetError::Prepared {
+                dir: dir.clone(),
+                what: format!("{option} has no effect on a data set that is prepared already"),
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
 fn open_all(
     paths: &[PathBuf],
     size: (usize, usize),
@@ -166,14 +189,6 @@ fn open_all(
     options: &DataOptions,
 ) -> Result<Vec<Opened>, DatasetError> {
     let (prepared, bags): (Vec<_>, Vec<_>) = paths.iter().cloned().partition(|p| is_prepared(p));
-    if let (Some(dir), Some(option), true) =
-        (prepared.first(), options.of_preparation(), bags.is_empty())
-    {
-        return Err(DatasetError::Prepared {
-            dir: dir.clone(),
-            what: format!("{option} has no effect on a data set that is prepared already"),
-        });
-    }
     let mut opened = Vec::new();
     for dir in prepared {
         let folder = Folder::open(&dir)?;
@@ -236,27 +251,18 @@ pub(super) fn name_left_out(manifest: &Manifest, dir: &Path) {
 
 /// Refuses an episode that is for both.
 fn expect_apart(training: &[Opened], held_out: &[Opened]) -> Result<(), DatasetError> {
-    let identities = |folders: &[Opened]| {
-        let mut all = BTreeSet::new();
-        for opened in folders {
-            let manifest = opened.folder.manifest();
-            for episode in &manifest.episodes {
-                if let Some(source) = manifest.sources.get(episode.source) {
-                    let key = identity(source, episode.begin_ns);
-                    all.insert((key, source.bag.clone()));
-                }
+    let identities = training.iter().flat_map(Opened::identities);
+    let training: BTreeSet<String> = identities.collect();
+    for opened in held_out {
+        let manifest = opened.folder.manifest();
+        for (episode, identity) in manifest.episodes.iter().zip(opened.identities()) {
+            if training.contains(&identity) {
+                let source = manifest.sources.get(episode.source);
+                return Err(DatasetError::Episode {
+                    bag: source.map_or_else(PathBuf::new, |source| source.bag.clone()),
+                    what: format!("{} is held out, but also trained on", episode.name),
+                });
             }
-        }
-        all
-    };
-    let training = identities(training);
-    for (key, bag) in identities(held_out) {
-        if let Some((_, other)) = training.iter().find(|(other, _)| *other == key) {
-            let what = format!(
-                "held out, but its contents are also in {}, which is trained on",
-                other.display()
-            );
-            return Err(DatasetError::Episode { bag, what });
         }
     }
     Ok(())

@@ -91,10 +91,35 @@ pub struct LeftOut {
     pub path: PathBuf,
     /// Stamps of the first and the last frame \[ns\], for a part of a bag.
     pub span_ns: Option<(i64, i64)>,
-    /// Frames of the camera that this is about; `None` for a whole folder or bag.
-    pub frames: Option<u64>,
+    /// How many of what were left out; `None` for a whole folder or bag.
+    pub count: Option<(u64, Thing)>,
     /// Why.
     pub reason: String,
+}
+
+/// What was counted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Thing {
+    /// Pictures of the first camera.
+    Frame,
+    /// Pictures of any topic.
+    Picture,
+    /// Messages of the topic of the actions.
+    Action,
+    /// Messages of any topic.
+    Message,
+}
+
+impl Thing {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Frame => "frame",
+            Self::Picture => "picture",
+            Self::Action => "action",
+            Self::Message => "message",
+        }
+    }
 }
 
 impl LeftOut {
@@ -102,22 +127,18 @@ impl LeftOut {
         Self {
             path: path.to_owned(),
             span_ns: None,
-            frames: None,
+            count: None,
             reason: reason.to_owned(),
         }
-    }
-
-    pub(super) fn is_under(&self, folder: &Path) -> bool {
-        self.path.starts_with(folder)
     }
 }
 
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: ", self.path.display())?;
-        if let Some(frames) = self.frames {
-            let s = if frames == 1 { "" } else { "s" };
-            write!(f, "{frames} frame{s}")?;
+        if let Some((count, thing)) = self.count {
+            let count = usize::try_from(count).unwrap_or(usize::MAX);
+            write!(f, "{}", counted(count, thing.name()))?;
             if let Some((begin, end)) = self.span_ns {
                 write!(f, " from {begin} to {end} ns")?;
             }
@@ -145,35 +166,44 @@ impl fmt::Display for Manifest {
         ] {
             let mut count = 0;
             let mut frames = 0;
-            let mut succeeded = [0, 0];
+            let (mut succeeded, mut known) = (0, 0);
             let mut instructions = std::collections::BTreeSet::new();
             for episode in self.episodes.iter().filter(|e| e.split == split) {
                 count += 1;
                 frames += episode.frames;
                 instructions.extend(&episode.instruction);
                 if let Some(success) = episode.success {
-                    succeeded[usize::from(success)] += 1;
+                    known += 1;
+                    succeeded += usize::from(success);
                 }
             }
             let minutes = frames as f64 / rate / 60.0;
             write!(
                 f,
-                "{name}: {count} episodes, {frames} frames ({minutes:.1} min)"
+                "{name}: {}, {frames} frames ({minutes:.1} min)",
+                counted(count, "episode")
             )?;
             if !instructions.is_empty() {
-                write!(f, ", {} instructions", instructions.len())?;
+                write!(f, ", {}", counted(instructions.len(), "instruction"))?;
             }
-            let [no, yes] = succeeded;
-            if no + yes > 0 {
-                write!(f, ", {yes} of {} succeeded", no + yes)?;
+            if known > 0 {
+                write!(f, ", {succeeded} of {known} succeeded")?;
             }
             writeln!(f)?;
         }
         write!(
             f,
-            "{} bags, {} things left out",
-            self.sources.len(),
-            self.left_out.len()
+            "{}; {} in the list of what was left out",
+            counted(self.sources.len(), "bag"),
+            counted(self.left_out.len(), "entry")
         )
+    }
+}
+
+fn counted(count: usize, thing: &str) -> String {
+    match (count, thing.strip_suffix('y')) {
+        (1, _) => format!("1 {thing}"),
+        (_, Some(stem)) => format!("{count} {stem}ies"),
+        _ => format!("{count} {thing}s"),
     }
 }

@@ -53,14 +53,14 @@ pub struct DataOptions {
     #[arg(long, value_name = "TOPIC")]
     #[serde(deserialize_with = "one_or_more")]
     pub cut_topic: Vec<String>,
-    /// Begin a new episode after this time [s]
+    /// Begin a new episode after this many seconds
     #[arg(long, value_name = "SECONDS")]
     pub cut_seconds: Option<f64>,
     /// Begin a new episode where the camera has no frame for more than this many periods of the action space's rate
     /// [default: 1.75]
     #[arg(long, value_name = "PERIODS")]
     pub gap_periods: Option<f64>,
-    /// Leave out episodes that are shorter [s] [default: 0]
+    /// Leave out episodes of fewer seconds [default: 0]
     #[arg(long, value_name = "SECONDS")]
     pub min_seconds: Option<f64>,
     /// Bags or prepared folders whose episodes are for validation (repeatable); all others are then for training

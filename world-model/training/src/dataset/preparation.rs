@@ -47,7 +47,7 @@ impl Preparation {
     /// pictures of a camera have `size`.
     ///
     /// # Errors
-    /// When a file cannot be read.
+    /// When a file cannot be read, or a bag is given for both.
     pub fn new(
         training: Found,
         held_out: Found,
@@ -67,6 +67,16 @@ impl Preparation {
             })
         });
         let sources = sources.collect::<Result<Vec<_>, DatasetError>>()?;
+        let trained = |held: &&Source| {
+            let mut others = sources.iter().filter(|source| !source.held_out);
+            held.held_out && others.any(|other| other.digest == held.digest)
+        };
+        if let Some(held) = sources.iter().find(trained) {
+            return Err(DatasetError::Episode {
+                bag: held.bag.clone(),
+                what: "held out, but its contents are also among the bags to train on".to_owned(),
+            });
+        }
         let mut hash = Sha256::new();
         hash.update(format!("{VERSION} {size}\n"));
         // Settings are numbers, lists and texts, which JSON can always hold.

@@ -11,7 +11,8 @@ use wm_msgs::{
 use super::{
     Settings,
     action_log::ActionLog,
-    cameras::{MASK, base, cameras},
+    cameras::{CAMERA, MASK, base, cameras},
+    manifest::Thing,
 };
 
 const INSTRUCTION: &str = "/task/instruction";
@@ -50,7 +51,7 @@ pub(super) struct Recording {
     /// Whether the bag has one of these topics.
     pub has_cut_topic: bool,
     /// What is wrong with messages: how many, and what with the first.
-    pub complaints: Vec<(u64, String)>,
+    pub complaints: Vec<(u64, Thing, String)>,
 }
 
 /// Why a bag gives nothing.
@@ -60,6 +61,16 @@ pub(super) enum Unusable {
     Lacks(String),
     /// It is of another robot than it says.
     Differs(String),
+}
+
+impl Unusable {
+    /// The same in other words.
+    fn map(self, words: impl FnOnce(String) -> String) -> Self {
+        match self {
+            Self::Lacks(what) => Self::Lacks(words(what)),
+            Self::Differs(what) => Self::Differs(words(what)),
+        }
+    }
 }
 
 /// Pictures that cannot be decoded: topic and stamp \[ns\].
@@ -78,8 +89,8 @@ impl Recording {
         check_actions(reader, action_topic).map_err(Unusable::Lacks)?;
         let mut streams: Vec<Stream> = topics.iter().map(|topic| Stream::new(topic)).collect();
         let has_messages = |name: &str| reader.topic(name).is_some_and(|t| t.message_count > 0);
-        // Masks are of the simulator's one camera.
-        let has_masks = topics.len() == 1 && has_messages(MASK);
+        let is_masked = |topics: &[String]| matches!(topics, [only] if base(only) == CAMERA);
+        let has_masks = is_masked(&topics) && has_messages(MASK);
         if has_masks {
             streams.push(Stream::new(MASK));
         }
@@ -118,12 +129,12 @@ impl Recording {
         if let (count, Some(first)) = unreadable {
             recording
                 .complaints
-                .push((count, format!("messages that cannot be read: {first}")));
+                .push((count, Thing::Message, format!("cannot be read: {first}")));
         }
         if skipped > 0 {
             recording
                 .complaints
-                .push((skipped, "pictures that cannot be decoded".to_owned()));
+                .push((skipped, Thing::Picture, "cannot be decoded".to_owned()));
         }
         recording.finish()
     }
@@ -145,7 +156,7 @@ impl Recording {
         }
         if topic == settings.action_topic {
             let pushed = self.actions.push(message, space);
-            pushed.map_err(|what| Unusable::Differs(at(what)))?;
+            pushed.map_err(|unusable| unusable.map(at))?;
         }
         if topic == INSTRUCTION && *message.type_name == Text::ros_name() {
             let text: Text = message.decode().map_err(lacks)?;
@@ -177,24 +188,25 @@ impl Recording {
         for stream in &self.streams {
             if stream.pictures.is_empty() {
                 let why = self.complaints.first();
-                let why = why.map_or(String::new(), |(count, what)| format!(" ({count} {what})"));
+                let why = why.map_or(String::new(), |(_, _, what)| format!(" ({what})"));
                 let what = format!("no camera: no frame on {} can be used{why}", stream.topic);
                 return Err(Unusable::Lacks(what));
             }
             if stream.unordered > 0 {
                 let what = format!(
-                    "frames of {} whose stamps are not later than the one before",
+                    "the stamps on {} are not later than the one before",
                     stream.topic
                 );
-                self.complaints.push((stream.unordered, what));
+                self.complaints
+                    .push((stream.unordered, Thing::Picture, what));
             }
         }
         if let Some((count, first)) = self.actions.implausible() {
             let what = format!(
-                "actions of {} that no robot makes, with the frames around them: {first}",
+                "no robot makes them, and the frames around them are left out too: {} {first}",
                 self.action_topic
             );
-            self.complaints.push((count as u64, what));
+            self.complaints.push((count as u64, Thing::Action, what));
         }
         if self.actions.is_empty() {
             let what = no_actions(&self.action_topic);

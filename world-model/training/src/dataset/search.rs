@@ -8,6 +8,7 @@ use super::{DatasetError, manifest::LeftOut, store};
 
 /// How deep bags are looked for: folders of folders, and no whole disk.
 const DEPTH: usize = 5;
+const NO_BAG: &str = "no bag in it: expected metadata.yaml or .mcap files";
 
 /// The bags under some paths, and the folders without any.
 #[derive(Debug, Default)]
@@ -78,15 +79,20 @@ fn search(folder: &Path, depth: usize, found: &mut Found) -> Result<bool, Datase
             "a prepared data set; give its own path to use it".to_owned()
         } else if depth == 0 {
             format!("bags are looked for {DEPTH} folders deep")
-        } else if search(path, depth - 1, found)? {
-            has_bags = true;
-            continue;
-        } else if found.left_out.iter().any(|left| left.is_under(path)) {
-            // The folders in it are named.
-            continue;
         } else {
-            "no bag in it: expected metadata.yaml or .mcap files (sqlite3 bags are not supported)"
-                .to_owned()
+            let before = found.left_out.len();
+            if search(path, depth - 1, found)? {
+                has_bags = true;
+                continue;
+            }
+            // One name for all folders in it, but for those of which there is more to say.
+            let mut inner = found.left_out.split_off(before);
+            inner.retain(|left| left.reason != NO_BAG);
+            found.left_out.append(&mut inner);
+            if found.left_out.len() > before {
+                continue;
+            }
+            NO_BAG.to_owned()
         };
         found.left_out.push(LeftOut::path(path, &reason));
     }

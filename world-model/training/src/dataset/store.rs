@@ -293,7 +293,7 @@ impl NewFolder {
         static NUMBER: AtomicU64 = AtomicU64::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let name = dir.file_name().unwrap_or_default().to_string_lossy();
-        let name = format!(".{name}.partial-{}-{number}", std::process::id());
+        let name = format!("{name}.partial-{}-{number}", std::process::id());
         let partial = dir.with_file_name(name);
         fs::create_dir_all(&partial).map_err(DatasetError::io(&partial))?;
         Ok(Self {

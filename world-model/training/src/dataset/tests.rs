@@ -14,6 +14,16 @@ use wm_msgs::{
 
 use super::*;
 
+/// A bag of frames with these amounts of red, at 5 Hz.
+pub(crate) fn write_reds(bag: &Path, reds: &[u8]) {
+    let mut recorder = recorder::Recorder::new(bag);
+    for (ms, red) in (0..).step_by(200).zip(reds) {
+        recorder.frame(recorder::CAMERA, ms, *red);
+        recorder.action(ms, 0.01);
+    }
+    recorder.finish();
+}
+
 const PERIOD_NS: i64 = 200_000_000;
 
 fn png(picture: DynamicImage) -> Vec<u8> {

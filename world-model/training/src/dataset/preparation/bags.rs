@@ -128,7 +128,7 @@ impl Survey {
             let left = contents.omissions.iter().map(|omission| LeftOut {
                 path: bag.to_owned(),
                 span_ns: omission.span_ns,
-                frames: Some(omission.frames),
+                count: Some((omission.count, omission.thing)),
                 reason: omission.reason.clone(),
             });
             plan.left_out.extend(left);

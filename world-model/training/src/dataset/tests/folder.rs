@@ -13,7 +13,7 @@ use wm_motion::actions::ActionSpace;
 use super::{
     super::{
         Cut, Data, DataOptions, DataStatistics, Dataset, DatasetArgs, LeftOut, Manifest,
-        ManifestEpisode, Settings, Size, Source, Split, SplitRule,
+        ManifestEpisode, Settings, Size, Source, Split, SplitRule, Thing,
         store::{NewFolder, is_prepared, read_manifest},
     },
     recorder::{Outcome, Recorder},
@@ -101,6 +101,12 @@ fn a_prepared_folder_is_what_the_bags_are() {
     );
     let only = Dataset::held_out(from_ref(&out), (16, 16), &cache, &options).unwrap();
     assert_eq!(only.episodes(), validation.episodes());
+    // What a training on bags left for validation is found again by its options.
+    let only = Dataset::held_out(from_ref(&bags), (16, 16), &cache, &options).unwrap();
+    assert_eq!(only.episodes(), validation.episodes());
+    let default = DataOptions::default();
+    let all = Dataset::held_out(from_ref(&bags), (16, 16), &cache, &default).unwrap();
+    assert_eq!(all.episodes().len(), 8);
 
     // What the folder says of its actions can be passed back.
     let text = fs::read(out.join("statistics.json")).unwrap();
@@ -125,7 +131,43 @@ fn a_prepared_folder_is_what_the_bags_are() {
     };
     let error = Data::open(from_ref(&out), (16, 16), &cache, &options).unwrap_err();
     assert!(error.to_string().contains("--cut-seconds"), "{error}");
+    let file = dir.path().join("options.yaml");
+    fs::write(&file, "cut-seconds: 1\n").unwrap();
+    let options = DataOptions {
+        config: Some(file),
+        ..DataOptions::default()
+    };
+    Data::open(from_ref(&out), (16, 16), &cache, &options).unwrap();
     wm_dataset(&["info", out_text]).unwrap();
+}
+
+#[test]
+fn held_out_bags_are_the_validation_of_a_prepared_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let bags = bags(dir.path(), 5);
+    let held_out = dir.path().join("held_out");
+    fs::create_dir(&held_out).unwrap();
+    fs::rename(bags.join("episode_3"), held_out.join("episode_3")).unwrap();
+    let out = dir.path().join("data");
+    let prepare = |held_out: &Path| {
+        wm_dataset(&[
+            bags.to_str().unwrap(),
+            "--held-out",
+            held_out.to_str().unwrap(),
+            "-o",
+            out.to_str().unwrap(),
+        ])
+    };
+    let error = prepare(&bags.join("episode_1")).unwrap_err().to_string();
+    assert!(error.contains("episode_1: held out, but"), "{error}");
+    prepare(&held_out).unwrap();
+    let manifest = read_manifest(&out).unwrap();
+    let validation = manifest
+        .episodes
+        .iter()
+        .filter(|e| e.split == Split::Validation);
+    let names: Vec<&str> = validation.map(|e| &*e.name).collect();
+    assert_eq!(names, ["episode_3"]);
 }
 
 #[test]
@@ -335,7 +377,7 @@ prop_compose! {
     fn manifests()(
         episodes in prop::collection::vec(episodes(), 0..6),
         left_out in prop::collection::vec(
-            (any::<Option<(i64, i64)>>(), any::<Option<u64>>(), "\\PC{0,30}"), 0..4),
+            (any::<Option<(i64, i64)>>(), proptest::option::of((any::<u64>(), Just(Thing::Frame))), "\\PC{0,30}"), 0..4),
         cameras in prop::collection::vec("/[a-z]{1,8}", 1..4),
         (height, width) in (1_usize..4096, 1_usize..4096),
         // Of few digits, since decimals of more are not read to the last bit.
@@ -364,7 +406,7 @@ prop_compose! {
             episodes,
             left_out: left_out
                 .into_iter()
-                .map(|(span_ns, frames, reason)| LeftOut { path: "x".into(), span_ns, frames, reason })
+                .map(|(span_ns, count, reason)| LeftOut { path: "x".into(), span_ns, count, reason })
                 .collect(),
         }
     }
