@@ -83,10 +83,9 @@ impl Episode {
         let surroundings = some_surroundings(&mut rng);
         let mut world = some_world(&mut rng);
         let scene = Scene::new(&world);
-        let mut renderer = Renderer::new(&surroundings);
-        let viewer = Camera::beside_the_arm()
-            .viewer_axes()
-            .map(|axis| axis.cast());
+        let camera = Camera::beside_the_arm();
+        let viewer = camera.viewer_axes().map(|axis| axis.cast());
+        let mut renderer = Renderer::new(&surroundings, camera);
         let mut operator = Operator::new(rng, viewer, &world);
         let mut frames = Vec::with_capacity(options.frames);
         for index in 0..options.frames {
@@ -185,8 +184,9 @@ fn some_world(rng: &mut ChaCha8Rng) -> World {
         let shape = some_shape(rng, bowl_allowed);
         // Four objects nearly always fit; a scene that is too full gets one fewer.
         for _ in 0..60 {
-            let (x, y) = (rng.random_range(0.19..0.36), rng.random_range(-0.15..0.15));
-            let yaw = rng.random_range(-1.2..1.2);
+            let (x, y) = (rng.random_range(0.20..0.34), rng.random_range(-0.11..0.11));
+            // A box's long sides run away from the viewer: across the way in which the hand opens.
+            let yaw = std::f64::consts::FRAC_PI_2 + rng.random_range(-1.1..1.1);
             let object = Object::standing(shape, colour, x, y, yaw);
             let free = objects.iter().all(|other| {
                 (other.position() - object.position()).norm()
@@ -202,7 +202,7 @@ fn some_world(rng: &mut ChaCha8Rng) -> World {
     let tool = loop {
         let mut position = Vector3::from_fn(|axis, _| rng.random_range(low[axis]..high[axis]));
         // Above all objects and their neighbours.
-        position.z = position.z.max(0.075);
+        position.z = position.z.max(0.09);
         let rpy = Vector3::new(
             rng.random_range(-0.2..0.2),
             rng.random_range(-0.2..0.2),

@@ -33,6 +33,7 @@ mod dataset;
 mod episode;
 mod error;
 mod gripper;
+mod links;
 pub mod object;
 pub mod render;
 mod scene;

@@ -2,6 +2,7 @@
 //!
 //! The noise is part of the command, and the command is carried out, so that actions explain motion.
 
+mod gesture;
 mod plan;
 mod task;
 
@@ -14,6 +15,7 @@ use rand_distr::{Distribution, Normal, UnitSphere};
 use std::collections::VecDeque;
 
 use crate::world::{EndEffectorAction, LARGEST_RPY, WORKSPACE_M, World};
+use gesture::Gesture;
 use plan::{Aim, Move};
 
 /// Largest change along one axis in one action, metres: what Bridge's usual scaling (35 a metre, clipped
@@ -23,6 +25,8 @@ pub const LARGEST_STEP_M: f64 = 1.74 / 35.0;
 pub const LARGEST_TURN_RAD: f64 = 1.39 / 5.6;
 /// A sub-goal is given up after this many actions.
 const PATIENCE: usize = 14;
+/// Nearer to a sub-goal than this the hand makes no gestures, metres.
+const GESTURE_DISTANCE_M: f64 = 0.035;
 /// Tasks end when fewer frames than this are left, and the operator only drifts.
 const LEAST_FRAMES_FOR_A_TASK: usize = 16;
 
@@ -46,6 +50,7 @@ pub struct Operator {
     spent: usize,
     gripper: f64,
     drift: Drift,
+    gesture: Gesture,
     /// The whole episode is free motion.
     explores: bool,
     /// Free motion stays below this height, metres: low enough in many episodes to touch things.
@@ -88,6 +93,7 @@ impl Operator {
             spent: 0,
             gripper: if world.opening() > 0.5 { 1.0 } else { 0.0 },
             drift: Drift::default(),
+            gesture: Gesture::default(),
             explores,
             ceiling_m,
         };
@@ -112,13 +118,26 @@ impl Operator {
                 self.gripper = to;
                 (Vector3::zeros(), Vector3::zeros())
             }
+            Some(Move::Linger { .. }) => {
+                let rpy = world.tool().rpy * 0.8;
+                let turn = self.gestured(world, rpy, self.gripper);
+                (Vector3::zeros(), turn)
+            }
             Some(Move::Go {
-                aim, rpy, gripper, ..
+                aim,
+                rpy,
+                gripper,
+                loose,
+                ..
             }) => {
-                self.gripper = gripper;
                 let offset = aim.point(world) - world.tool().position;
                 let speed = self.speed.min(offset.norm());
-                let turn = (rpy - world.tool().rpy).map(|v| v.clamp(-0.2, 0.2));
+                let turn = if loose && offset.norm() > GESTURE_DISTANCE_M {
+                    self.gestured(world, rpy, gripper)
+                } else {
+                    self.gripper = gripper;
+                    turn_towards(rpy, world)
+                };
                 (offset.try_normalize(1e-9).unwrap_or_default() * speed, turn)
             }
         };
@@ -181,12 +200,26 @@ impl Operator {
         self.moves.extend(moves);
     }
 
+    /// The turn towards `rpy` with what the hand does on the way besides; sets the gripper.
+    fn gestured(&mut self, world: &World, rpy: Vector3<f64>, gripper: f64) -> Vector3<f64> {
+        let free = world.held().is_none();
+        self.gesture.advance(&mut self.rng);
+        self.gripper = if free && self.gesture.gripper_turned() {
+            1.0 - gripper
+        } else {
+            gripper
+        };
+        turn_towards(rpy + self.gesture.turn(), world)
+    }
+
     /// Drops the present move once it is done or has taken too long.
     fn advance(&mut self, world: &World) {
         self.spent += 1;
         let done = match self.moves.front() {
             None => false,
-            Some(Move::Drift { frames } | Move::Grip { frames, .. }) => self.spent >= *frames,
+            Some(Move::Drift { frames } | Move::Linger { frames } | Move::Grip { frames, .. }) => {
+                self.spent >= *frames
+            }
             Some(Move::Go {
                 aim,
                 rpy,
@@ -212,13 +245,13 @@ impl Operator {
             let speed = self.rng.random_range(0.008..0.05);
             self.drift.velocity = Vector3::from(direction) * speed;
             self.drift.turning = Vector3::from_fn(|_, _| {
-                if self.rng.random_bool(0.45) {
+                if self.rng.random_bool(0.65) {
                     self.rng.random_range(-0.22..0.22)
                 } else {
                     0.0
                 }
             });
-            if self.rng.random_bool(0.3) {
+            if self.rng.random_bool(0.45) {
                 self.gripper = if world.held().is_some() && self.rng.random_bool(0.6) {
                     0.0
                 } else {
@@ -259,6 +292,11 @@ impl Operator {
             gripper: self.gripper,
         }
     }
+}
+
+/// The turn of one action from the hand's pose towards `rpy`, radians.
+fn turn_towards(rpy: Vector3<f64>, world: &World) -> Vector3<f64> {
+    (rpy - world.tool().rpy).map(|v| v.clamp(-LARGEST_TURN_RAD, LARGEST_TURN_RAD))
 }
 
 impl Aim {

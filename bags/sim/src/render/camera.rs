@@ -27,8 +27,8 @@ impl Camera {
     /// The camera of all episodes: beside the arm at its right, looking across and down at the
     /// workspace, which fills most of the picture.
     pub fn beside_the_arm() -> Self {
-        let eye = Vector3::new(0.19, -0.60, 0.52);
-        let target = Vector3::new(0.245, 0.0, 0.085);
+        let eye = Vector3::new(0.225, -0.47, 0.475);
+        let target = Vector3::new(0.262, 0.0, 0.095);
         let ahead = (target - eye).normalize();
         let right = ahead.cross(&Vector3::z()).normalize();
         Self {
@@ -36,7 +36,7 @@ impl Camera {
             right,
             down: ahead.cross(&right),
             ahead,
-            focal_px: 395.0,
+            focal_px: 455.0,
         }
     }
 

@@ -31,6 +31,19 @@ pub struct Surroundings {
     pub light_direction: [f32; 3],
 }
 
+#[cfg(test)]
+impl Surroundings {
+    /// A plain room.
+    pub(crate) fn plain() -> Self {
+        Self {
+            table_srgb: [0.7, 0.7, 0.65],
+            floor_srgb: [0.3, 0.3, 0.4],
+            light: [1.0; 3],
+            light_direction: [0.2, -0.2, 1.0],
+        }
+    }
+}
+
 /// A rendered frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
@@ -82,9 +95,8 @@ pub struct Renderer {
 const TABLE: [f32; 4] = [-0.30, 0.72, -0.60, 0.40];
 
 impl Renderer {
-    /// A renderer for the given surroundings.
-    pub fn new(surroundings: &Surroundings) -> Self {
-        let camera = Camera::beside_the_arm();
+    /// A renderer for the given surroundings and camera.
+    pub fn new(surroundings: &Surroundings, camera: Camera) -> Self {
         let backdrop = (0..SIZE * SIZE)
             .map(|index| backdrop_at(&camera, index % SIZE, index / SIZE))
             .collect();
@@ -358,15 +370,6 @@ mod tests {
     use nalgebra::{Isometry3, Point3};
     use std::sync::Arc;
 
-    fn room() -> Surroundings {
-        Surroundings {
-            table_srgb: [0.7, 0.7, 0.65],
-            floor_srgb: [0.3, 0.3, 0.4],
-            light: [1.0; 3],
-            light_direction: [0.2, -0.2, 1.0],
-        }
-    }
-
     #[test]
     fn the_mask_is_where_the_part_is_seen() {
         let part = Part {
@@ -376,7 +379,7 @@ mod tests {
             gloss: 0.0,
             mask: 7,
         };
-        let mut renderer = Renderer::new(&room());
+        let mut renderer = Renderer::new(&Surroundings::plain(), Camera::beside_the_arm());
         let with = renderer.render(std::slice::from_ref(&part), true);
         let without = renderer.render(&[], true);
         let mask = with.mask.expect("asked for");
@@ -398,8 +401,8 @@ mod tests {
             .pixel(&Point3::new(0.25, 0.0, 0.04))
             .expect("in view");
         assert_eq!(mask.get_pixel(seen[0] as u32, seen[1] as u32).0, [7]);
-        // A circle of 0.04 m at 0.7 m through a lens of 400 px: about 1600 pixels.
-        assert!((1000..2600).contains(&covered), "{covered}");
+        // A circle of 0.04 m at 0.65 m through a lens of 455 px: about 2500 pixels.
+        assert!((1700..3600).contains(&covered), "{covered}");
     }
 
     #[test]
@@ -411,7 +414,7 @@ mod tests {
             gloss: 0.0,
             mask: 2,
         };
-        let mut renderer = Renderer::new(&room());
+        let mut renderer = Renderer::new(&Surroundings::plain(), Camera::beside_the_arm());
         let empty = renderer.render(&[], false);
         let shaded = renderer.render(&[part], true);
         let mask = shaded.mask.expect("asked for");

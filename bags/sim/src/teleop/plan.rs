@@ -36,11 +36,18 @@ pub enum Move {
         gripper: f64,
         /// How near is near enough, metres.
         tolerance_m: f64,
+        /// Nothing depends on how the hand is held on the way.
+        loose: bool,
     },
     /// Work the gripper in place.
     Grip {
         /// 0 closed to 1 open.
         to: f64,
+        /// For how many actions.
+        frames: usize,
+    },
+    /// Stay about here, turning the hand.
+    Linger {
         /// For how many actions.
         frames: usize,
     },
@@ -102,13 +109,14 @@ fn some_object(rng: &mut ChaCha8Rng, world: &World) -> Option<usize> {
 /// How the hand is held on the way, where nothing depends on it.
 fn loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
     let tilt = |rng: &mut ChaCha8Rng| {
-        if rng.random_bool(0.5) {
-            rng.random_range(-0.4..0.4)
+        if rng.random_bool(0.8) {
+            rng.random_range(-0.5..0.5)
         } else {
             0.0
         }
     };
-    Vector3::new(tilt(rng), tilt(rng), yaw + rng.random_range(-0.4..0.4))
+    let yaw = (yaw + rng.random_range(-0.7..0.7)).clamp(-1.2, 1.2);
+    Vector3::new(tilt(rng), tilt(rng), yaw)
 }
 
 fn go(aim: Aim, rpy: Vector3<f64>, gripper: f64, tolerance_m: f64) -> Move {
@@ -117,6 +125,18 @@ fn go(aim: Aim, rpy: Vector3<f64>, gripper: f64, tolerance_m: f64) -> Move {
         rpy,
         gripper,
         tolerance_m,
+        loose: false,
+    }
+}
+
+/// A way on which the hand may turn and, while it holds nothing, open and close.
+fn go_loosely(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
+    Move::Go {
+        aim,
+        rpy,
+        gripper,
+        tolerance_m: ROUGH_M,
+        loose: true,
     }
 }
 
@@ -150,9 +170,10 @@ fn grasp_level(object: &Object) -> f64 {
 fn grasp(rng: &mut ChaCha8Rng, index: usize, object: &Object) -> (Vec<Move>, f64) {
     let yaw = match object.shape {
         Shape::Box { .. } => {
-            // Fingers on the long sides; half a turn is the same grasp.
-            let turns = (object.yaw() / std::f64::consts::PI).round();
-            (object.yaw() - turns * std::f64::consts::PI).clamp(-1.25, 1.25)
+            // Fingers on the long sides, across the box's x; half a turn is the same grasp.
+            let across = object.yaw() - std::f64::consts::FRAC_PI_2;
+            let turns = (across / std::f64::consts::PI).round();
+            (across - turns * std::f64::consts::PI).clamp(-1.25, 1.25)
         }
         _ => rng.random_range(-0.9..0.9),
     };
@@ -165,15 +186,22 @@ fn grasp(rng: &mut ChaCha8Rng, index: usize, object: &Object) -> (Vec<Move>, f64
     );
     offset.z = object.shape.height() + rng.random_range(0.03..0.06);
     let straight = Vector3::new(
-        rng.random_range(-0.08..0.08),
-        rng.random_range(-0.08..0.08),
+        rng.random_range(-0.12..0.12),
+        rng.random_range(-0.12..0.12),
         yaw,
     );
     let above = Aim::Object { index, offset };
+    let mut high = offset;
+    high.z += rng.random_range(0.02..0.05);
+    let approach = Aim::Object {
+        index,
+        offset: high,
+    };
     offset.z = grasp_level(object);
     let at = Aim::Object { index, offset };
     let moves = vec![
-        go(above, straight, 1.0, 0.012),
+        go_loosely(approach, loose_rpy(rng, yaw), 1.0),
+        go(above, straight, 1.0, 0.015),
         go(at, straight, 1.0, FINE_M),
         Move::Grip { to: 0.0, frames: 3 },
     ];
@@ -187,14 +215,14 @@ fn pick_up(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
         return None;
     }
     let (mut moves, yaw) = grasp(rng, index, object);
-    let lift = object.position() + Vector3::z() * rng.random_range(0.08..0.15);
-    moves.push(go(Aim::Point(lift), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+    let lift = object.position() + Vector3::z() * rng.random_range(0.08..0.13);
+    moves.push(go_loosely(Aim::Point(lift), loose_rpy(rng, yaw), 0.0));
     // Carry it about a little, so that held objects are seen moving in every direction.
     for _ in 0..rng.random_range(0..=3) {
         let [low, high] = WORKSPACE_M;
         let mut point = Vector3::from_fn(|axis, _| rng.random_range(low[axis]..high[axis]));
         point.z = point.z.max(0.06);
-        moves.push(go(Aim::Point(point), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+        moves.push(go_loosely(Aim::Point(point), loose_rpy(rng, yaw), 0.0));
     }
     Some((Task::PickUp { object: index }, moves))
 }
@@ -228,7 +256,7 @@ fn place(
     let [right, ahead] = viewer;
     let apart = object.shape.bounding_radius()
         + other.shape.bounding_radius()
-        + rng.random_range(0.02..0.04);
+        + rng.random_range(0.03..0.045);
     let base = Vector3::new(other.position().x, other.position().y, 0.0);
     let spot = match relation {
         Relation::Left => base - right * apart,
@@ -261,15 +289,15 @@ fn place(
     }
     let (mut moves, yaw) = grasp(rng, index, object);
     let level = grasp_level(object);
-    let height = rng.random_range(0.06..0.12) + spot.z;
+    let height = rng.random_range(0.06..0.10) + spot.z;
     let placing = Vector3::new(0.0, 0.0, yaw);
     let lift = object.position() + Vector3::z() * height;
-    moves.push(go(Aim::Point(lift), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+    moves.push(go_loosely(Aim::Point(lift), loose_rpy(rng, yaw), 0.0));
     moves.push(go(
         Aim::Point(spot + Vector3::z() * height),
         placing,
         0.0,
-        0.012,
+        0.015,
     ));
     moves.push(go(
         Aim::Point(spot + Vector3::z() * (level + 0.004)),
@@ -279,7 +307,7 @@ fn place(
     ));
     moves.push(Move::Grip { to: 1.0, frames: 2 });
     let retreat = spot + Vector3::z() * (height + 0.04);
-    moves.push(go(Aim::Point(retreat), loose_rpy(rng, yaw), 1.0, ROUGH_M));
+    moves.push(go_loosely(Aim::Point(retreat), loose_rpy(rng, yaw), 1.0));
     let task = Task::Place {
         object: index,
         other: other_index,
@@ -312,7 +340,7 @@ fn push(
         0.0,
     );
     let from = object.position();
-    let reach = object.shape.bounding_radius() + 0.03;
+    let reach = object.shape.bounding_radius() + 0.035;
     let level = Vector3::z() * rng.random_range(0.010..0.018);
     let start = from - direction * reach;
     let end = from + direction * (rng.random_range(0.04..0.12) - object.shape.bounding_radius());
@@ -320,23 +348,18 @@ fn push(
         return None;
     }
     let rpy = Vector3::new(
-        rng.random_range(-0.15..0.15),
-        rng.random_range(-0.15..0.15),
+        rng.random_range(-0.25..0.25),
+        rng.random_range(-0.25..0.25),
         rng.random_range(-1.1..1.1),
     );
     // Mostly a closed hand; an open one pushes with both fingers or lets a small thing in between.
     let gripper = if rng.random_bool(0.8) { 0.0 } else { 1.0 };
     let hover = Vector3::z() * rng.random_range(0.05..0.08);
     let moves = vec![
-        go(Aim::Point(start + hover), rpy, gripper, 0.015),
+        go_loosely(Aim::Point(start + hover), rpy, gripper),
         go(Aim::Point(start + level), rpy, gripper, 0.01),
         go(Aim::Point(end + level), rpy, gripper, 0.01),
-        go(
-            Aim::Point(end + hover),
-            loose_rpy(rng, rpy.z),
-            gripper,
-            ROUGH_M,
-        ),
+        go_loosely(Aim::Point(end + hover), loose_rpy(rng, rpy.z), gripper),
     ];
     let task = Task::Push {
         object: index,
@@ -355,10 +378,13 @@ fn reach(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
     let gripper = f64::from(u8::from(rng.random_bool(0.5)));
     let rpy = loose_rpy(rng, yaw);
     let moves = vec![
-        go(Aim::Object { index, offset }, rpy, gripper, 0.015),
+        go_loosely(Aim::Object { index, offset }, rpy, gripper),
         Move::Grip {
             to: 1.0 - gripper,
             frames: rng.random_range(2..=4),
+        },
+        Move::Linger {
+            frames: rng.random_range(4..=10),
         },
     ];
     Some((Task::Reach { object: index }, moves))
