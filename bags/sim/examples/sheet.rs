@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let start = Instant::now();
         let options = EpisodeOptions {
             frames: frames as usize,
-            masks: false,
+            ..EpisodeOptions::default()
         };
         let episode = Episode::generate(first + row, &options)?;
         let each = start.elapsed().as_secs_f64() * 1e3 / frames as f64;

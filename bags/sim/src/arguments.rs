@@ -44,6 +44,7 @@ impl SimArgs {
         let options = EpisodeOptions {
             frames: self.frames,
             masks: self.masks,
+            ..EpisodeOptions::default()
         };
         let succeeded = AtomicU64::new(0);
         let bags = generate_bags(&self.out, self.episodes, self.seed, &options, |episode| {

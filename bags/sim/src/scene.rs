@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::arm;
 use crate::gripper::{self, HALF_OPENING_M};
 use crate::links::{Link, LinkPart, arm_parts};
-use crate::object::{BOWL_FLOOR_M, BOWL_FOOT, CONE_TIP, Shape};
+use crate::object::{BOWL_FLOOR_M, BOWL_FOOT, CONE_TIP, MAT_HEIGHT_M, Shape};
 use crate::render::{Mesh, Part, linear};
 use crate::world::World;
 
@@ -71,7 +71,7 @@ impl Scene {
                 pose: object.pose.cast(),
                 albedo: linear(object.colour.srgb),
                 gloss: 0.12,
-                // A scene has at most four objects.
+                // A scene has at most four objects and two mats.
                 mask: FIRST_OBJECT_MASK + index as u8,
             });
         }
@@ -101,6 +101,7 @@ fn object_mesh(shape: &Shape) -> Mesh {
                 (0.0, height),
             ])
         }
+        Shape::Mat { radius } => Mesh::cylinder(radius as f32, MAT_HEIGHT_M as f32),
         Shape::Bowl { radius, height } => bowl(radius as f32, height as f32),
     }
 }

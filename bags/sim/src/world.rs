@@ -255,6 +255,9 @@ impl World {
             if level > object.shape.height() - 0.006 || level < -0.01 {
                 continue;
             }
+            if matches!(object.shape, Shape::Mat { .. }) {
+                continue;
+            }
             let middle = object.pose * nalgebra::Point3::new(0.0, 0.0, level.max(0.0));
             let in_hand = hand.inverse() * middle;
             let opening_axis = (hand.rotation * Vector3::y()).xy();

@@ -4,7 +4,7 @@ use image::{GrayImage, Luma, Rgb, RgbImage};
 use nalgebra::Vector3;
 
 use super::camera::{Camera, IMAGE_SIZE, Light, Projection, SHADOW_SIZE};
-use super::{Part, linear, raster};
+use super::{Part, Pattern, linear, raster};
 
 /// Samples along each side of a pixel.
 const SAMPLES: usize = 2;
@@ -15,6 +15,9 @@ const TONES: usize = 8192;
 /// Shares of the light: from the key light, and from all around.
 const KEY: f32 = 0.78;
 const AMBIENT: f32 = 0.36;
+/// Side of a block of the shadow map, cells, and blocks along the map.
+const BLOCK: usize = 16;
+const BLOCKS: usize = SHADOW_SIZE.div_ceil(BLOCK);
 /// Surfaces within this height of the light's first hit are lit, metres: above one shadow cell.
 const SHADOW_BIAS_M: f32 = 0.005;
 
@@ -25,10 +28,14 @@ pub struct Surroundings {
     pub table_srgb: [f32; 3],
     /// Colour of the floor behind the table, sRGB 0 to 1.
     pub floor_srgb: [f32; 3],
+    /// The table's pattern.
+    pub pattern: Pattern,
     /// Colour of the light, linear, about 1.
     pub light: [f32; 3],
     /// Direction towards the light.
     pub light_direction: [f32; 3],
+    /// Strength of the light from all around, about 1.
+    pub ambient: f32,
 }
 
 #[cfg(test)]
@@ -38,8 +45,10 @@ impl Surroundings {
         Self {
             table_srgb: [0.7, 0.7, 0.65],
             floor_srgb: [0.3, 0.3, 0.4],
+            pattern: Pattern::PLAIN,
             light: [1.0; 3],
             light_direction: [0.2, -0.2, 1.0],
+            ambient: 1.0,
         }
     }
 }
@@ -74,6 +83,8 @@ struct Backdrop {
     on_table: Vector3<f32>,
     /// Share of the pixel that the table covers; the rest is floor.
     table: f32,
+    /// Brightness of the table's pattern, averaged over the pixel.
+    tone: f32,
     /// Slow fall of brightness away from the middle of the table.
     falloff: f32,
 }
@@ -83,10 +94,13 @@ pub struct Renderer {
     camera: Camera,
     light: Light,
     light_colour: [f32; 3],
+    ambient: f32,
     table: [f32; 3],
     floor: [f32; 3],
     samples: Vec<Sample>,
     shadow: Vec<f32>,
+    /// The greatest height in each block of the shadow map.
+    blocks: Vec<f32>,
     backdrop: Vec<Backdrop>,
     tones: Vec<u8>,
 }
@@ -98,7 +112,7 @@ impl Renderer {
     /// A renderer for the given surroundings and camera.
     pub fn new(surroundings: &Surroundings, camera: Camera) -> Self {
         let backdrop = (0..SIZE * SIZE)
-            .map(|index| backdrop_at(&camera, index % SIZE, index / SIZE))
+            .map(|index| backdrop_at(&camera, &surroundings.pattern, index % SIZE, index / SIZE))
             .collect();
         let tones = (0..=TONES)
             .map(|i| {
@@ -110,10 +124,12 @@ impl Renderer {
             camera,
             light: Light::from(Vector3::from(surroundings.light_direction)),
             light_colour: surroundings.light,
+            ambient: AMBIENT * surroundings.ambient,
             table: linear(surroundings.table_srgb),
             floor: linear(surroundings.floor_srgb),
             samples: vec![EMPTY; SAMPLED * SAMPLED],
             shadow: vec![f32::MIN; SHADOW_SIZE * SHADOW_SIZE],
+            blocks: vec![f32::MIN; BLOCKS * BLOCKS],
             backdrop,
             tones,
         }
@@ -123,6 +139,7 @@ impl Renderer {
     pub fn render(&mut self, parts: &[Part], with_mask: bool) -> Picture {
         self.samples.fill(EMPTY);
         self.shadow.fill(f32::MIN);
+        self.blocks.fill(f32::MIN);
         for (index, part) in parts.iter().enumerate() {
             // Scenes have some tens of parts.
             self.draw(part, index as u16 + 1);
@@ -171,7 +188,7 @@ impl Renderer {
                 );
             }
             if let (Some(lit_a), Some(lit_b), Some(lit_c)) = (a.2, b.2, c.2) {
-                let shadow = &mut self.shadow;
+                let (shadow, blocks) = (&mut self.shadow, &mut self.blocks);
                 raster::fill(
                     (SHADOW_SIZE, SHADOW_SIZE),
                     [lit_a, lit_b, lit_c],
@@ -179,6 +196,10 @@ impl Renderer {
                     |index, _, height| {
                         if let Some(cell) = shadow.get_mut(index) {
                             *cell = cell.max(height);
+                        }
+                        let (x, y) = (index % SHADOW_SIZE, index / SHADOW_SIZE);
+                        if let Some(block) = blocks.get_mut(y / BLOCK * BLOCKS + x / BLOCK) {
+                            *block = block.max(height);
                         }
                     },
                 );
@@ -200,6 +221,19 @@ impl Renderer {
             return 1.0;
         }
         let limit = height + SHADOW_BIAS_M;
+        // Most points are far from every shadow: then the blocks around tell so at once.
+        let block = |at: isize| at as usize / BLOCK;
+        let columns = block(x0 - radius)..=block(x0 + radius + 1);
+        let unshaded = (block(y0 - radius)..=block(y0 + radius + 1)).all(|row| {
+            columns.clone().all(|column| {
+                self.blocks
+                    .get(row * BLOCKS + column)
+                    .is_none_or(|highest| *highest <= limit)
+            })
+        });
+        if unshaded {
+            return 1.0;
+        }
         let mut lit = 0.0;
         for dy in -radius..=radius + 1 {
             let weight_y = if dy == -radius {
@@ -294,7 +328,7 @@ impl Renderer {
         }
         // Ambient: brighter from above, and a little from the viewer's side, so that faces in the shade
         // still differ.
-        let ambient = AMBIENT * (0.72 + 0.28 * normal.z - 0.22 * normal.y + 0.1 * normal.x);
+        let ambient = self.ambient * (0.72 + 0.28 * normal.z - 0.22 * normal.y + 0.1 * normal.x);
         let mut colour = [0.0; 3];
         for ((out, albedo), light) in colour.iter_mut().zip(part.albedo).zip(self.light_colour) {
             *out = albedo * (ambient + key * light) + highlight * light;
@@ -313,9 +347,10 @@ impl Renderer {
         for (channel, out) in colour.iter_mut().enumerate() {
             let light = self.light_colour.get(channel).copied().unwrap_or(1.0);
             let of = |albedo: &[f32; 3], lit: f32| {
-                albedo.get(channel).copied().unwrap_or(0.0) * (AMBIENT + KEY * up * lit * light)
+                albedo.get(channel).copied().unwrap_or(0.0)
+                    * (self.ambient + KEY * up * lit * light)
             };
-            let table = of(&self.table, lit) * backdrop.falloff;
+            let table = of(&self.table, lit) * backdrop.falloff * backdrop.tone;
             let floor = of(&self.floor, 1.0) * backdrop.falloff;
             *out = backdrop.table * table + (1.0 - backdrop.table) * floor;
         }
@@ -323,7 +358,7 @@ impl Renderer {
     }
 }
 
-fn backdrop_at(camera: &Camera, px: usize, py: usize) -> Backdrop {
+fn backdrop_at(camera: &Camera, pattern: &Pattern, px: usize, py: usize) -> Backdrop {
     let meets = |x: f32, y: f32| {
         let ray = camera.ray(x, y);
         // A ray at or above the horizon is taken to meet the plane far away.
@@ -335,18 +370,20 @@ fn backdrop_at(camera: &Camera, px: usize, py: usize) -> Backdrop {
         camera.eye() + ray * distance
     };
     const ACROSS: usize = 4;
-    let mut inside = 0.0;
+    let (mut inside, mut tone) = (0.0, 0.0);
     for sub in 0..ACROSS * ACROSS {
         let at = |pixel: usize, i: usize| pixel as f32 + (i as f32 + 0.5) / ACROSS as f32;
         let point = meets(at(px, sub % ACROSS), at(py, sub / ACROSS));
         let [x0, x1, y0, y1] = TABLE;
         if (x0..x1).contains(&point.x) && (y0..y1).contains(&point.y) {
             inside += 1.0;
+            tone += pattern.at(point.x, point.y);
         }
     }
     let on_table = meets(px as f32 + 0.5, py as f32 + 0.5);
     let from_middle = (on_table - Vector3::new(0.25, 0.0, 0.0)).norm_squared();
     Backdrop {
+        tone: if inside > 0.0 { tone / inside } else { 1.0 },
         on_table,
         table: inside / (ACROSS * ACROSS) as f32,
         falloff: 0.72 + 0.28 / (1.0 + 3.0 * from_middle),

@@ -106,6 +106,12 @@ fn some_object(rng: &mut ChaCha8Rng, world: &World) -> Option<usize> {
     (!world.objects().is_empty()).then(|| rng.random_range(0..world.objects().len()))
 }
 
+fn some_other(rng: &mut ChaCha8Rng, world: &World, index: usize) -> Option<usize> {
+    let others = world.objects().len().checked_sub(1).filter(|n| *n > 0)?;
+    let other = rng.random_range(0..others);
+    Some(if other < index { other } else { other + 1 })
+}
+
 /// How the hand is held on the way, where nothing depends on it.
 fn loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
     let tilt = |rng: &mut ChaCha8Rng| {
@@ -141,7 +147,7 @@ fn go_loosely(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
 }
 
 fn graspable(object: &Object) -> bool {
-    !matches!(object.shape, Shape::Bowl { .. })
+    !matches!(object.shape, Shape::Bowl { .. } | Shape::Mat { .. })
 }
 
 /// Whether something stands on `object` or it holds something.
@@ -233,25 +239,25 @@ fn place(
     viewer: [Vector3<f64>; 2],
 ) -> Option<(Task, Vec<Move>)> {
     let index = some_object(rng, world)?;
-    let other_index = some_object(rng, world)?;
+    let other_index = some_other(rng, world, index)?;
     let (object, other) = (
         world.objects().get(index)?,
         world.objects().get(other_index)?,
     );
-    if index == other_index || !graspable(object) || burdened(world, index) {
+    if !graspable(object) || burdened(world, index) {
         return None;
     }
-    let relation = if matches!(other.shape, Shape::Bowl { .. }) {
-        Relation::In
-    } else {
-        *[
+    let relation = match other.shape {
+        Shape::Bowl { .. } => Relation::In,
+        Shape::Mat { .. } => Relation::OnMat,
+        _ => *[
             Relation::Left,
             Relation::Right,
             Relation::Front,
             Relation::Behind,
             Relation::On,
         ]
-        .choose(rng)?
+        .choose(rng)?,
     };
     let [right, ahead] = viewer;
     let apart = object.shape.bounding_radius()
@@ -263,7 +269,7 @@ fn place(
         Relation::Right => base + right * apart,
         Relation::Front => base - ahead * apart,
         Relation::Behind => base + ahead * apart,
-        Relation::On => base + Vector3::z() * other.shape.height(),
+        Relation::On | Relation::OnMat => base + Vector3::z() * other.shape.height(),
         Relation::In => base + Vector3::z() * BOWL_FLOOR_M,
     };
     let fits = match relation {
@@ -280,6 +286,7 @@ fn place(
         },
         _ => world.objects().iter().enumerate().all(|(i, third)| {
             i == index
+                || i == other_index && relation == Relation::OnMat
                 || (third.position() - spot).xy().norm()
                     > object.shape.bounding_radius() + third.shape.bounding_radius() + 0.01
         }),
@@ -344,7 +351,11 @@ fn push(
     let level = Vector3::z() * rng.random_range(0.010..0.018);
     let start = from - direction * reach;
     let end = from + direction * (rng.random_range(0.04..0.12) - object.shape.bounding_radius());
-    if from.z > 0.003 || !inside(start, 0.0) || !inside(end, -0.01) {
+    if from.z > 0.003
+        || matches!(object.shape, Shape::Mat { .. })
+        || !inside(start, 0.0)
+        || !inside(end, -0.01)
+    {
         return None;
     }
     let rpy = Vector3::new(

@@ -17,6 +17,8 @@ pub enum Relation {
     Behind,
     /// On top of it.
     On,
+    /// On it, a mat.
+    OnMat,
     /// Into it, a bowl.
     In,
 }
@@ -29,6 +31,7 @@ impl Relation {
             Self::Front => "in front of",
             Self::Behind => "behind",
             Self::On => "on top of",
+            Self::OnMat => "on",
             Self::In => "into",
         }
     }
