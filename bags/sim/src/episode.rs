@@ -6,13 +6,14 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::arm::ToolPose;
+use crate::attempt::Attempt;
 use crate::error::Error;
 use crate::layout;
 use crate::object::Object;
 use crate::render::Renderer;
 use crate::room;
 use crate::scene::Scene;
-use crate::teleop::Operator;
+use crate::teleop::Failure;
 use crate::variety::Variety;
 
 /// Fewest and most frames of an episode: two make an action visible, and the upper bound is 20 minutes.
@@ -25,6 +26,8 @@ pub struct EpisodeOptions {
     pub frames: usize,
     /// Whether to render object and gripper masks.
     pub masks: bool,
+    /// Share of the episodes that are to fail, 0 to 1. If it is not 0, every episode has one task.
+    pub failures: f64,
     /// How much episodes differ.
     pub variety: Variety,
 }
@@ -34,6 +37,7 @@ impl Default for EpisodeOptions {
         Self {
             frames: 50,
             masks: false,
+            failures: 0.0,
             variety: Variety::default(),
         }
     }
@@ -64,8 +68,10 @@ pub struct Episode {
     pub seed: u64,
     /// The instruction in English.
     pub instruction: String,
-    /// Whether what was asked for came about.
+    /// Whether what was asked for came about, as the world was in the end.
     pub success: bool,
+    /// What was made to go wrong; the episode may succeed all the same, though rarely.
+    pub failure: Option<Failure>,
     /// The frames.
     pub frames: Vec<Frame>,
 }
@@ -74,7 +80,8 @@ impl Episode {
     /// Makes the episode of a seed: the same seed and options give the same episode.
     ///
     /// # Errors
-    /// [`Error::Frames`] if the number of frames is outside [`FRAMES`].
+    /// [`Error::Frames`] if the number of frames is outside [`FRAMES`], [`Error::Share`] if the share of
+    /// failures is outside 0 to 1.
     pub fn generate(seed: u64, options: &EpisodeOptions) -> Result<Self, Error> {
         if !FRAMES.contains(&options.frames) {
             return Err(Error::Frames {
@@ -82,36 +89,38 @@ impl Episode {
                 possible: FRAMES,
             });
         }
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let variety = &options.variety;
-        let surroundings = room::surroundings(variety, &mut rng);
-        let camera = room::camera(variety, &mut rng);
-        let mut world = layout::world(variety, &mut rng);
-        let scene = Scene::new(&world);
-        let viewer = camera.viewer_axes().map(|axis| axis.cast());
-        let mut renderer = Renderer::new(&surroundings, camera);
-        let mut operator = Operator::new(rng, viewer, &world);
-        let mut frames = Vec::with_capacity(options.frames);
-        for index in 0..options.frames {
-            let picture = renderer.render(&scene.parts(&world), options.masks);
-            let (tool, opening) = (*world.tool(), world.opening());
-            let objects = world.objects().iter().map(Object::position).collect();
-            let command = operator.command(&world, options.frames - index);
-            let action = world.step(&command).values();
-            frames.push(Frame {
-                image: picture.rgb,
-                mask: picture.mask,
-                tool,
-                opening,
-                action,
-                objects,
+        if !(0.0..=1.0).contains(&options.failures) {
+            return Err(Error::Share {
+                share: options.failures,
             });
         }
-        let (instruction, success) = operator.conclude(&world);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let surroundings = room::surroundings(&options.variety, &mut rng);
+        let camera = room::camera(&options.variety, &mut rng);
+        let world = layout::world(&options.variety, &mut rng);
+        let scene = Scene::new(&world);
+        let attempt = Attempt::of(seed, options, &camera, world);
+        let mut renderer = Renderer::new(&surroundings, camera);
+        let frames = attempt
+            .steps
+            .iter()
+            .map(|(world, action)| {
+                let picture = renderer.render(&scene.parts(world), options.masks);
+                Frame {
+                    image: picture.rgb,
+                    mask: picture.mask,
+                    tool: *world.tool(),
+                    opening: world.opening(),
+                    action: *action,
+                    objects: world.objects().iter().map(Object::position).collect(),
+                }
+            })
+            .collect();
         Ok(Self {
             seed,
-            instruction,
-            success,
+            instruction: attempt.instruction,
+            success: attempt.success,
+            failure: attempt.failure,
             frames,
         })
     }
@@ -203,5 +212,19 @@ mod tests {
             Episode::generate(0, &short(1)),
             Err(Error::Frames { frames: 1, .. })
         ));
+    }
+
+    #[test]
+    fn shares_beyond_one_are_an_error() {
+        for share in [-0.1, 1.1, f64::NAN] {
+            let options = EpisodeOptions {
+                failures: share,
+                ..EpisodeOptions::default()
+            };
+            assert!(matches!(
+                Episode::generate(0, &options),
+                Err(Error::Share { .. })
+            ));
+        }
     }
 }

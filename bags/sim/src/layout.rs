@@ -11,7 +11,7 @@ use crate::variety::{Span, Variety};
 use crate::world::{WORKSPACE_M, World};
 
 /// Where objects start: x and y, metres. All of it is in view and within reach.
-const PLACES_M: [Span; 2] = [Span::new(0.20, 0.34), Span::new(-0.11, 0.11)];
+const PLACES_M: [Span; 2] = [Span::new(0.20, 0.34), Span::new(-0.085, 0.115)];
 /// Objects start at least this far apart, metres.
 const GAP_M: f64 = 0.02;
 

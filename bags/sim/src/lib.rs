@@ -28,6 +28,7 @@
 
 mod arguments;
 pub mod arm;
+mod attempt;
 mod bag;
 mod dataset;
 mod episode;
@@ -52,6 +53,6 @@ pub use dataset::generate_bags;
 pub use episode::{Episode, EpisodeOptions, FRAMES, Frame};
 pub use error::Error;
 pub use scene::{FIRST_OBJECT_MASK, GRIPPER_MASK, Scene};
-pub use teleop::{LARGEST_STEP_M, LARGEST_TURN_RAD, Relation, Task};
+pub use teleop::{Failure, LARGEST_STEP_M, LARGEST_TURN_RAD, Relation, Task};
 pub use variety::{Span, Variety};
 pub use world::{EndEffectorAction, LARGEST_RPY, STEP_S, WORKSPACE_M, World};

@@ -28,7 +28,7 @@ const TOUCH_M: f64 = 0.003;
 const TABLE_GAP_M: f64 = 0.003;
 
 /// Corners of the box in which the point between the fingertips stays, metres.
-pub const WORKSPACE_M: [[f64; 3]; 2] = [[0.19, -0.12, 0.008], [0.35, 0.12, 0.145]];
+pub const WORKSPACE_M: [[f64; 3]; 2] = [[0.19, -0.11, 0.008], [0.35, 0.125, 0.145]];
 /// Largest roll, pitch and yaw, radians.
 pub const LARGEST_RPY: [f64; 3] = [0.6, 0.6, 1.3];
 

@@ -58,6 +58,14 @@ pub enum Move {
     },
 }
 
+/// Ways to push: in words, and to the viewer's right and away from the viewer.
+pub const DIRECTIONS: [(&str, [f64; 2]); 4] = [
+    ("to the left", [-1.0, 0.0]),
+    ("to the right", [1.0, 0.0]),
+    ("forward", [0.0, -1.0]),
+    ("away", [0.0, 1.0]),
+];
+
 /// Near enough for a passing point, and for a point where contact matters, metres.
 const ROUGH_M: f64 = 0.02;
 const FINE_M: f64 = 0.008;
@@ -72,7 +80,7 @@ pub fn next(
     // Some scenes allow no placing or pushing in the chosen way: then it is another task.
     for _ in 0..8 {
         let choice = rng.random_range(0.0..1.0);
-        let found = if first && choice < 0.5 {
+        let found = if first && choice < 0.55 {
             place(rng, world, viewer)
         } else if choice < 0.6 {
             pick_up(rng, world)
@@ -113,7 +121,7 @@ fn some_other(rng: &mut ChaCha8Rng, world: &World, index: usize) -> Option<usize
 }
 
 /// How the hand is held on the way, where nothing depends on it.
-fn loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
+pub fn loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
     let tilt = |rng: &mut ChaCha8Rng| {
         if rng.random_bool(0.8) {
             rng.random_range(-0.5..0.5)
@@ -136,7 +144,7 @@ fn go(aim: Aim, rpy: Vector3<f64>, gripper: f64, tolerance_m: f64) -> Move {
 }
 
 /// A way on which the hand may turn and, while it holds nothing, open and close.
-fn go_loosely(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
+pub fn go_loosely(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
     Move::Go {
         aim,
         rpy,
@@ -146,7 +154,7 @@ fn go_loosely(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
     }
 }
 
-fn graspable(object: &Object) -> bool {
+pub fn graspable(object: &Object) -> bool {
     !matches!(object.shape, Shape::Bowl { .. } | Shape::Mat { .. })
 }
 
@@ -331,14 +339,8 @@ fn push(
 ) -> Option<(Task, Vec<Move>)> {
     let index = some_object(rng, world)?;
     let object = world.objects().get(index)?;
-    let [right, ahead] = viewer;
-    let (words, towards) = *[
-        ("to the left", -right),
-        ("to the right", right),
-        ("forward", -ahead),
-        ("away", ahead),
-    ]
-    .choose(rng)?;
+    let (words, [right, ahead]) = *DIRECTIONS.choose(rng)?;
+    let towards = viewer[0] * right + viewer[1] * ahead;
     // A hand pushes about where it means to.
     let (sin, cos) = rng.random_range(-0.35..0.35_f64).sin_cos();
     let direction = Vector3::new(
@@ -376,6 +378,7 @@ fn push(
         object: index,
         direction_words: words,
         direction: towards,
+        viewer,
         from,
     };
     Some((task, moves))
@@ -402,7 +405,7 @@ fn reach(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
 }
 
 /// Whether a spot on the table is inside the workspace by `margin` metres.
-fn inside(spot: Vector3<f64>, margin: f64) -> bool {
+pub fn inside(spot: Vector3<f64>, margin: f64) -> bool {
     let [low, high] = WORKSPACE_M;
     (0..2).all(|axis| spot[axis] > low[axis] + margin && spot[axis] < high[axis] - margin)
 }

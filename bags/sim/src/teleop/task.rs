@@ -71,12 +71,25 @@ pub enum Task {
         direction_words: &'static str,
         /// Where to, a horizontal unit vector.
         direction: Vector3<f64>,
+        /// To the viewer's right, and away from the viewer: horizontal unit vectors.
+        viewer: [Vector3<f64>; 2],
         /// Where it was, metres.
         from: Vector3<f64>,
     },
 }
 
 impl Task {
+    /// The object that it is about, if there is one.
+    pub fn object(&self) -> Option<usize> {
+        match self {
+            Self::Explore => None,
+            Self::Reach { object }
+            | Self::PickUp { object }
+            | Self::Place { object, .. }
+            | Self::Push { object, .. } => Some(*object),
+        }
+    }
+
     /// The task in words.
     pub fn instruction(&self, world: &World) -> String {
         let name = |index: usize| {
