@@ -212,9 +212,12 @@ impl Renderer {
         let [x, y, height] = self.light.place(point);
         // Bilinear weights keep the shadow's edge from stepping as things move.
         let (x, y) = (x - 0.5, y - 0.5);
-        let (x0, y0) = (x.floor(), y.floor());
-        let (fx, fy) = (x - x0, y - y0);
-        let (x0, y0) = (x0 as isize, y0 as isize);
+        if x < 0.0 || y < 0.0 {
+            return 1.0;
+        }
+        // Towards zero is down here, and a cast is much faster than `floor`.
+        let (x0, y0) = (x as isize, y as isize);
+        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
         let size = SHADOW_SIZE as isize;
         if x0 - radius < 0 || y0 - radius < 0 || x0 + radius + 1 >= size || y0 + radius + 1 >= size
         {
@@ -268,14 +271,23 @@ impl Renderer {
     fn shade(&self, parts: &[Part], with_mask: bool) -> Picture {
         let mut rgb = RgbImage::new(IMAGE_SIZE, IMAGE_SIZE);
         let mut mask = with_mask.then(|| GrayImage::new(IMAGE_SIZE, IMAGE_SIZE));
-        for (index, (pixel, backdrop)) in rgb.pixels_mut().zip(&self.backdrop).enumerate() {
+        for (index, backdrop) in self.backdrop.iter().enumerate() {
             let (px, py) = (index % SIZE, index / SIZE);
             let mut sum = [0.0_f32; 3];
             let mut empty = 0.0;
             let mut masks = [0_u8; SAMPLES * SAMPLES];
+            let four = self.samples_of(px, py);
+            if let Some((sample, part)) = one_surface(&four, parts) {
+                let ray = self.camera.ray(px as f32 + 0.5, py as f32 + 0.5);
+                let all = (SAMPLES * SAMPLES) as f32;
+                sum = self.surface(part, &sample, &ray).map(|value| value * all);
+                masks = [part.mask; SAMPLES * SAMPLES];
+                self.put(&mut rgb, mask.as_mut(), (px, py), sum, &masks);
+                continue;
+            }
             for (sub, mask) in masks.iter_mut().enumerate() {
                 let (x, y) = (px * SAMPLES + sub % SAMPLES, py * SAMPLES + sub / SAMPLES);
-                let sample = self.samples.get(y * SAMPLED + x).copied().unwrap_or(EMPTY);
+                let sample = four.get(sub).copied().unwrap_or(EMPTY);
                 let Some(part) = usize::from(sample.part)
                     .checked_sub(1)
                     .and_then(|i| parts.get(i))
@@ -296,19 +308,38 @@ impl Renderer {
                     *total += empty * value;
                 }
             }
-            let tone = |value: f32| {
-                let share = (value / (SAMPLES * SAMPLES) as f32).clamp(0.0, 1.0);
-                self.tones
-                    .get((share * TONES as f32) as usize)
-                    .copied()
-                    .unwrap_or(u8::MAX)
-            };
-            *pixel = Rgb(sum.map(tone));
-            if let Some(mask) = &mut mask {
-                mask.put_pixel(px as u32, py as u32, Luma([most_frequent(&masks)]));
-            }
+            self.put(&mut rgb, mask.as_mut(), (px, py), sum, &masks);
         }
         Picture { rgb, mask }
+    }
+
+    fn samples_of(&self, px: usize, py: usize) -> [Sample; SAMPLES * SAMPLES] {
+        std::array::from_fn(|sub| {
+            let (x, y) = (px * SAMPLES + sub % SAMPLES, py * SAMPLES + sub / SAMPLES);
+            self.samples.get(y * SAMPLED + x).copied().unwrap_or(EMPTY)
+        })
+    }
+
+    /// Sets a pixel from the sum of its samples' light and from their mask values.
+    fn put(
+        &self,
+        rgb: &mut RgbImage,
+        mask: Option<&mut GrayImage>,
+        (px, py): (usize, usize),
+        sum: [f32; 3],
+        masks: &[u8],
+    ) {
+        let tone = |value: f32| {
+            let share = (value / (SAMPLES * SAMPLES) as f32).clamp(0.0, 1.0);
+            self.tones
+                .get((share * TONES as f32) as usize)
+                .copied()
+                .unwrap_or(u8::MAX)
+        };
+        rgb.put_pixel(px as u32, py as u32, Rgb(sum.map(tone)));
+        if let Some(mask) = mask {
+            mask.put_pixel(px as u32, py as u32, Luma([most_frequent(masks)]));
+        }
     }
 
     fn surface(&self, part: &Part, sample: &Sample, ray: &Vector3<f32>) -> [f32; 3] {
@@ -388,6 +419,29 @@ fn backdrop_at(camera: &Camera, pattern: &Pattern, px: usize, py: usize) -> Back
         table: inside / (ACROSS * ACROSS) as f32,
         falloff: 0.72 + 0.28 / (1.0 + 3.0 * from_middle),
     }
+}
+
+/// The mean of a pixel's samples, if all show about the same surface: then it is shaded once.
+fn one_surface<'a>(samples: &[Sample], parts: &'a [Part]) -> Option<(Sample, &'a Part)> {
+    let first = samples.first()?;
+    let part = parts.get(usize::from(first.part).checked_sub(1)?)?;
+    let mut mean = Sample {
+        nearness: 0.0,
+        normal: [0.0; 3],
+        part: first.part,
+    };
+    let share = 1.0 / samples.len() as f32;
+    for sample in samples {
+        let alike = |(a, b): (&f32, &f32)| (a - b).abs() < 0.15;
+        if sample.part != first.part || !sample.normal.iter().zip(&first.normal).all(alike) {
+            return None;
+        }
+        mean.nearness += share * sample.nearness;
+        for (total, value) in mean.normal.iter_mut().zip(sample.normal) {
+            *total += share * value;
+        }
+    }
+    Some((mean, part))
 }
 
 /// The value that occurs most often; of equals the larger, so that thin things are not lost.
