@@ -6,7 +6,7 @@ use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 
 use super::task::{Relation, Task};
-use crate::object::{BOWL_FLOOR_M, Object, Shape};
+use crate::object::{Object, Shape};
 use crate::world::{WORKSPACE_M, World};
 
 /// A point to go to.
@@ -267,19 +267,15 @@ fn place(
         ]
         .choose(rng)?,
     };
-    let [right, ahead] = viewer;
+    // Room for a finger that opens between the two.
     let apart = object.shape.bounding_radius()
         + other.shape.bounding_radius()
-        + rng.random_range(0.03..0.045);
+        + rng.random_range(0.04..0.055);
+    let [right, ahead] = relation.direction();
     let base = Vector3::new(other.position().x, other.position().y, 0.0);
-    let spot = match relation {
-        Relation::Left => base - right * apart,
-        Relation::Right => base + right * apart,
-        Relation::Front => base - ahead * apart,
-        Relation::Behind => base + ahead * apart,
-        Relation::On | Relation::OnMat => base + Vector3::z() * other.shape.height(),
-        Relation::In => base + Vector3::z() * BOWL_FLOOR_M,
-    };
+    let spot = base
+        + (viewer[0] * right + viewer[1] * ahead) * apart
+        + Vector3::z() * relation.rise(other);
     let fits = match relation {
         Relation::On => {
             other.shape.carries()
@@ -303,7 +299,11 @@ fn place(
         return None;
     }
     let (mut moves, yaw) = grasp(rng, index, object);
-    let level = grasp_level(object);
+    // Over a bowl the fingers open above its rim: they would push it away from within.
+    let release = match relation {
+        Relation::In => (grasp_level(object) + 0.004).max(other.shape.height() + 0.006),
+        _ => grasp_level(object) + 0.004,
+    };
     let height = rng.random_range(0.06..0.10) + spot.z;
     let placing = Vector3::new(0.0, 0.0, yaw);
     let lift = object.position() + Vector3::z() * height;
@@ -315,7 +315,7 @@ fn place(
         0.015,
     ));
     moves.push(go(
-        Aim::Point(spot + Vector3::z() * (level + 0.004)),
+        Aim::Point(spot + Vector3::z() * release),
         placing,
         0.0,
         FINE_M,
@@ -327,6 +327,7 @@ fn place(
         object: index,
         other: other_index,
         relation,
+        viewer,
         spot,
     };
     Some((task, moves))
