@@ -9,6 +9,8 @@ use crate::render::Camera;
 use crate::teleop::{Assignment, Failure, Operator};
 use crate::world::World;
 
+/// Share of the demonstrations that are free motion.
+const EXPLORATION_SHARE: f64 = 0.2;
 /// How often an episode is tried until it ends as it should.
 const ATTEMPTS: u64 = 12;
 
@@ -35,7 +37,9 @@ impl Attempt {
             rng.set_stream(stream);
             rng
         };
-        let fails = rng(1).random_bool(options.failures.clamp(0.0, 1.0));
+        let mut chance = rng(1);
+        let fails = chance.random_bool(options.failures.clamp(0.0, 1.0));
+        let explores = chance.random_bool(EXPLORATION_SHARE);
         let mut attempt = Self::default();
         for number in 0..ATTEMPTS {
             let mut rng = rng(2 + number);
@@ -43,8 +47,10 @@ impl Attempt {
                 Assignment::OneTask(Failure::ALL.choose(&mut rng).copied())
             } else if options.failures > 0.0 {
                 Assignment::OneTask(None)
+            } else if explores {
+                Assignment::Exploration
             } else {
-                Assignment::Anything
+                Assignment::Tasks
             };
             let operator = Operator::new(rng, viewer, &world, assignment);
             attempt = Self::make(operator, world.clone(), options.frames);

@@ -37,8 +37,10 @@ const LEAST_FRAMES_FOR_A_TASK: usize = 16;
 /// What an operator is to do in an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Assignment {
-    /// One task after another, or free motion.
-    Anything,
+    /// Free motion.
+    Exploration,
+    /// One task after another.
+    Tasks,
     /// One task, that goes wrong in the given way, if any.
     OneTask(Option<Failure>),
 }
@@ -88,7 +90,7 @@ impl Operator {
         world: &World,
         assignment: Assignment,
     ) -> Self {
-        let explores = rng.random_bool(0.2) && assignment == Assignment::Anything;
+        let explores = assignment == Assignment::Exploration;
         let ceiling_m = if rng.random_bool(0.5) {
             0.07
         } else {
@@ -207,7 +209,7 @@ impl Operator {
             self.outcomes.push(task.succeeded(world));
         }
         self.spent = 0;
-        let one_task = self.assignment != Assignment::Anything;
+        let one_task = matches!(self.assignment, Assignment::OneTask(_));
         if (left < LEAST_FRAMES_FOR_A_TASK || one_task)
             && let Some(task) = self.tasks.last()
         {

@@ -81,10 +81,11 @@ pub fn next(
     for _ in 0..8 {
         let choice = rng.random_range(0.0..1.0);
         let found = if first && choice < 0.55 {
-            place(rng, world, viewer)
-        } else if choice < 0.6 {
+            // Few of the pairs and places suit.
+            (0..4).find_map(|_| place(rng, world, viewer))
+        } else if choice < if first { 0.75 } else { 0.6 } {
             pick_up(rng, world)
-        } else if choice < 0.87 {
+        } else if choice < 0.9 {
             push(rng, world, viewer)
         } else {
             reach(rng, world)
