@@ -1,9 +1,9 @@
 //! A small simulated tabletop with a WidowX-250-like arm, in place of the real arm: it makes
 //! Bridge-style bags to train and test world models with.
 //!
-//! An [`Episode`] is made from one seed: a table with one to four objects and up to two
-//! mats, a scripted teleoperator who pushes, grasps, lifts and places them or moves freely, and a 256 by 256 picture every 0.2 s, with the
-//! 7-d end-effector action taken then. The same seed gives the same bytes.
+//! An [`Episode`] is made from one seed: a table with one to four objects and up to two mats, a scripted
+//! teleoperator who pushes, grasps, lifts and places things or moves freely, and a 256 by 256 picture every
+//! 0.2 s, with the 7-d end-effector action taken then. The same seed and options give the same bytes.
 //!
 //! ```
 //! use wm_sim::{Episode, EpisodeOptions};
