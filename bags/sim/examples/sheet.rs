@@ -1,6 +1,6 @@
 //! Writes a contact sheet: one row an episode, its frames spread over its length.
 //!
-//! `cargo run --release -p wm_sim --example sheet -- OUT.png [FIRST_SEED [ROWS [COLUMNS [FRAMES]]]]`
+//! `cargo run --release -p wm_sim --example sheet -- OUT.png [FIRST_SEED [ROWS [COLUMNS [FRAMES [FAILURES]]]]]` (FAILURES in percent)
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -17,19 +17,21 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
     let mut number = |default: u64| arguments.next().map_or(Ok(default), |text| text.parse());
     let (first, rows, columns, frames) = (number(0)?, number(6)?, number(7)?, number(50)?);
+    let failures = number(0)? as f64 / 100.0;
     let size = wm_sim::render::IMAGE_SIZE;
     let mut sheet = RgbImage::new(size * columns as u32, size * rows as u32);
     for row in 0..rows {
         let start = Instant::now();
         let options = EpisodeOptions {
             frames: frames as usize,
-            masks: false,
+            failures,
+            ..EpisodeOptions::default()
         };
         let episode = Episode::generate(first + row, &options)?;
         let each = start.elapsed().as_secs_f64() * 1e3 / frames as f64;
         println!(
-            "seed {}: \"{}\", success {}, {each:.1} ms a frame",
-            episode.seed, episode.instruction, episode.success
+            "seed {}: \"{}\", success {}, {:?}, {each:.1} ms a frame",
+            episode.seed, episode.instruction, episode.success, episode.failure
         );
         for column in 0..columns {
             let index = column * frames / columns;

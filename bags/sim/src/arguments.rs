@@ -24,6 +24,10 @@ pub struct SimArgs {
     /// Also write masks of the gripper and the objects, on /camera/mask/compressed
     #[arg(long)]
     pub masks: bool,
+    /// Share of the episodes that fail, 0 to 1: a missed grasp, a dropped object, the wrong place, the wrong
+    /// object, or stopping halfway. If it is not 0, every episode has one task
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    pub failures: f64,
     /// Directory for the bags; created if it does not exist
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -44,6 +48,8 @@ impl SimArgs {
         let options = EpisodeOptions {
             frames: self.frames,
             masks: self.masks,
+            failures: self.failures,
+            ..EpisodeOptions::default()
         };
         let succeeded = AtomicU64::new(0);
         let bags = generate_bags(&self.out, self.episodes, self.seed, &options, |episode| {

@@ -38,7 +38,7 @@ pub struct Links {
     pub forearm_roll: Isometry3<f64>,
     /// At the wrist, after the wrist angle; x towards the fingertips.
     pub wrist: Isometry3<f64>,
-    /// Between the fingertips; x ahead of the hand, y along the opening of the fingers.
+    /// Between the fingertips; x ahead of the hand. The fingers open along z (see `gripper`).
     pub tool: Isometry3<f64>,
 }
 
@@ -53,7 +53,7 @@ pub struct ToolPose {
 }
 
 impl ToolPose {
-    /// The frame of the tool: x ahead of the hand (down at zero angles), y along the fingers' opening.
+    /// The frame of the tool: x ahead of the hand (down at zero angles), y to the robot's left, z forward.
     pub fn frame(&self) -> Isometry3<f64> {
         // Columns: the hand's x looks down, its y stays y, its z becomes the base's x.
         let down = Rotation3::from_matrix_unchecked(Matrix3::new(

@@ -171,6 +171,7 @@ mod tests {
         let options = EpisodeOptions {
             frames: 3,
             masks: true,
+            ..EpisodeOptions::default()
         };
         let episode = Episode::generate(11, &options).expect("valid options");
         let dir = scratch.path().join("episode");

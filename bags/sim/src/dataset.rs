@@ -48,6 +48,7 @@ mod tests {
         let options = EpisodeOptions {
             frames: 2,
             masks: false,
+            ..EpisodeOptions::default()
         };
         let read = |name: &str| {
             let dirs =

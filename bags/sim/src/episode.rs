@@ -2,29 +2,34 @@
 
 use image::{GrayImage, RgbImage};
 use nalgebra::Vector3;
-use rand::Rng;
 use rand::SeedableRng;
-use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::arm::{self, ToolPose};
+use crate::arm::ToolPose;
+use crate::attempt::Attempt;
 use crate::error::Error;
-use crate::object::{COLOURS, Object, Shape};
-use crate::render::{Camera, Renderer, Surroundings};
+use crate::layout;
+use crate::object::Object;
+use crate::render::Renderer;
+use crate::room;
 use crate::scene::Scene;
-use crate::teleop::Operator;
-use crate::world::{WORKSPACE_M, World};
+use crate::teleop::Failure;
+use crate::variety::Variety;
 
 /// Fewest and most frames of an episode: two make an action visible, and the upper bound is 20 minutes.
 pub const FRAMES: std::ops::RangeInclusive<usize> = 2..=6000;
 
 /// What kind of episode to make.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpisodeOptions {
     /// How many frames, at 5 Hz.
     pub frames: usize,
     /// Whether to render object and gripper masks.
     pub masks: bool,
+    /// Share of the episodes that are to fail, 0 to 1. If it is not 0, every episode has one task.
+    pub failures: f64,
+    /// How much episodes differ.
+    pub variety: Variety,
 }
 
 impl Default for EpisodeOptions {
@@ -32,6 +37,8 @@ impl Default for EpisodeOptions {
         Self {
             frames: 50,
             masks: false,
+            failures: 0.0,
+            variety: Variety::default(),
         }
     }
 }
@@ -61,8 +68,10 @@ pub struct Episode {
     pub seed: u64,
     /// The instruction in English.
     pub instruction: String,
-    /// Whether what was asked for came about.
+    /// Whether what was asked for came about, as the world was in the end.
     pub success: bool,
+    /// What was made to go wrong; the episode may succeed all the same, though rarely.
+    pub failure: Option<Failure>,
     /// The frames.
     pub frames: Vec<Frame>,
 }
@@ -71,7 +80,8 @@ impl Episode {
     /// Makes the episode of a seed: the same seed and options give the same episode.
     ///
     /// # Errors
-    /// [`Error::Frames`] if the number of frames is outside [`FRAMES`].
+    /// [`Error::Frames`] if the number of frames is outside [`FRAMES`], [`Error::Share`] if the share of
+    /// failures is outside 0 to 1.
     pub fn generate(seed: u64, options: &EpisodeOptions) -> Result<Self, Error> {
         if !FRAMES.contains(&options.frames) {
             return Err(Error::Frames {
@@ -79,154 +89,56 @@ impl Episode {
                 possible: FRAMES,
             });
         }
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let surroundings = some_surroundings(&mut rng);
-        let mut world = some_world(&mut rng);
-        let scene = Scene::new(&world);
-        let mut renderer = Renderer::new(&surroundings);
-        let viewer = Camera::beside_the_arm()
-            .viewer_axes()
-            .map(|axis| axis.cast());
-        let mut operator = Operator::new(rng, viewer, &world);
-        let mut frames = Vec::with_capacity(options.frames);
-        for index in 0..options.frames {
-            let picture = renderer.render(&scene.parts(&world), options.masks);
-            let (tool, opening) = (*world.tool(), world.opening());
-            let objects = world.objects().iter().map(Object::position).collect();
-            let command = operator.command(&world, options.frames - index);
-            let action = world.step(&command).values();
-            frames.push(Frame {
-                image: picture.rgb,
-                mask: picture.mask,
-                tool,
-                opening,
-                action,
-                objects,
+        if !(0.0..=1.0).contains(&options.failures) {
+            return Err(Error::Share {
+                share: options.failures,
             });
         }
-        let (instruction, success) = operator.conclude(&world);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let surroundings = room::surroundings(&options.variety, &mut rng);
+        let camera = room::camera(&options.variety, &mut rng);
+        let world = layout::world(&options.variety, &mut rng);
+        let scene = Scene::new(&world);
+        let attempt = Attempt::of(seed, options, &camera, world);
+        let mut renderer = Renderer::new(&surroundings, camera);
+        let frames = attempt
+            .steps
+            .iter()
+            .map(|(world, action)| {
+                let picture = renderer.render(&scene.parts(world), options.masks);
+                Frame {
+                    image: picture.rgb,
+                    mask: picture.mask,
+                    tool: *world.tool(),
+                    opening: world.opening(),
+                    action: *action,
+                    objects: world.objects().iter().map(Object::position).collect(),
+                }
+            })
+            .collect();
         Ok(Self {
             seed,
-            instruction,
-            success,
+            instruction: attempt.instruction,
+            success: attempt.success,
+            failure: attempt.failure,
             frames,
         })
     }
 }
 
-/// Plain table and floor in one of a few tints, and a light that varies a little.
-fn some_surroundings(rng: &mut ChaCha8Rng) -> Surroundings {
-    const TABLES: [[f32; 3]; 4] = [
-        [0.74, 0.66, 0.55],
-        [0.68, 0.70, 0.70],
-        [0.60, 0.66, 0.62],
-        [0.72, 0.70, 0.62],
-    ];
-    let table = TABLES[rng.random_range(0..TABLES.len())];
-    let brightness = rng.random_range(0.94..1.06);
-    Surroundings {
-        table_srgb: table.map(|v| v * brightness),
-        floor_srgb: [0.30, 0.33, 0.38].map(|v| v * brightness),
-        light: [
-            1.0,
-            rng.random_range(0.96..1.0),
-            rng.random_range(0.92..1.0),
-        ],
-        light_direction: [
-            0.12 + rng.random_range(-0.05..0.05),
-            -0.24 + rng.random_range(-0.05..0.05),
-            1.0,
-        ],
-    }
-}
-
-fn some_shape(rng: &mut ChaCha8Rng, bowl_allowed: bool) -> Shape {
-    let kind = rng.random_range(0.0..1.0);
-    if kind < 0.10 && bowl_allowed {
-        Shape::Bowl {
-            radius: rng.random_range(0.048..0.056),
-            height: rng.random_range(0.026..0.034),
-        }
-    } else if kind < 0.40 {
-        let half_x = rng.random_range(0.018..0.032);
-        let half_y = rng.random_range(0.016..0.024_f64).min(half_x);
-        Shape::Box {
-            half_x,
-            half_y,
-            height: rng.random_range(0.028..0.052),
-        }
-    } else if kind < 0.64 {
-        Shape::Cylinder {
-            radius: rng.random_range(0.018..0.027),
-            height: rng.random_range(0.035..0.062),
-        }
-    } else if kind < 0.82 {
-        Shape::Ball {
-            radius: rng.random_range(0.020..0.027),
-        }
-    } else {
-        Shape::Cone {
-            radius: rng.random_range(0.024..0.030),
-            height: rng.random_range(0.045..0.062),
-        }
-    }
-}
-
-/// Two to four objects of different colours that do not touch, and a hand over them.
-fn some_world(rng: &mut ChaCha8Rng) -> World {
-    let count = rng.random_range(2..=4);
-    let mut colours = COLOURS;
-    colours.shuffle(rng);
-    let mut objects: Vec<Object> = Vec::with_capacity(count);
-    for colour in colours.into_iter().take(count) {
-        let bowl_allowed = !objects
-            .iter()
-            .any(|object| matches!(object.shape, Shape::Bowl { .. }));
-        let shape = some_shape(rng, bowl_allowed);
-        // Four objects nearly always fit; a scene that is too full gets one fewer.
-        for _ in 0..60 {
-            let (x, y) = (rng.random_range(0.19..0.36), rng.random_range(-0.15..0.15));
-            let yaw = rng.random_range(-1.2..1.2);
-            let object = Object::standing(shape, colour, x, y, yaw);
-            let free = objects.iter().all(|other| {
-                (other.position() - object.position()).norm()
-                    > other.shape.bounding_radius() + object.shape.bounding_radius() + 0.02
-            });
-            if free {
-                objects.push(object);
-                break;
-            }
-        }
-    }
-    let [low, high] = WORKSPACE_M;
-    let tool = loop {
-        let mut position = Vector3::from_fn(|axis, _| rng.random_range(low[axis]..high[axis]));
-        // Above all objects and their neighbours.
-        position.z = position.z.max(0.075);
-        let rpy = Vector3::new(
-            rng.random_range(-0.2..0.2),
-            rng.random_range(-0.2..0.2),
-            rng.random_range(-0.9..0.9),
-        );
-        let tool = ToolPose { position, rpy };
-        if arm::inverse(&tool.frame()).is_some() {
-            break tool;
-        }
-    };
-    let opening = if rng.random_bool(0.75) { 1.0 } else { 0.0 };
-    World::new(objects, tool, opening)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::Camera;
     use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
+    use crate::variety::Span;
     use nalgebra::Point3;
 
     fn short(frames: usize) -> EpisodeOptions {
         EpisodeOptions {
             frames,
             masks: true,
+            ..EpisodeOptions::default()
         }
     }
 
@@ -262,9 +174,18 @@ mod tests {
     #[test]
     fn masks_are_where_the_gripper_and_the_objects_are() {
         let camera = Camera::beside_the_arm();
+        let options = EpisodeOptions {
+            variety: Variety {
+                camera_shift_m: Span::around_zero(0.0),
+                camera_aim_m: Span::around_zero(0.0),
+                camera_roll_rad: Span::around_zero(0.0),
+                ..Variety::default()
+            },
+            ..short(2)
+        };
         let mut checked = 0;
         for seed in 0..6 {
-            let episode = Episode::generate(seed, &short(2)).expect("valid options");
+            let episode = Episode::generate(seed, &options).expect("valid options");
             let frame = &episode.frames[0];
             let mask = frame.mask.as_ref().expect("asked for");
             assert!(
@@ -272,7 +193,7 @@ mod tests {
                 "seed {seed}"
             );
             for (index, position) in frame.objects.iter().enumerate() {
-                let middle = Point3::from(position + Vector3::z() * 0.015);
+                let middle = Point3::from(position + Vector3::z() * 0.002);
                 let [x, y] = camera.pixel(&middle).expect("in front of the camera");
                 assert!((0.0..256.0).contains(&x) && (0.0..256.0).contains(&y));
                 let value = mask.get_pixel(x as u32, y as u32).0[0];
@@ -291,5 +212,19 @@ mod tests {
             Episode::generate(0, &short(1)),
             Err(Error::Frames { frames: 1, .. })
         ));
+    }
+
+    #[test]
+    fn shares_beyond_one_are_an_error() {
+        for share in [-0.1, 1.1, f64::NAN] {
+            let options = EpisodeOptions {
+                failures: share,
+                ..EpisodeOptions::default()
+            };
+            assert!(matches!(
+                Episode::generate(0, &options),
+                Err(Error::Share { .. })
+            ));
+        }
     }
 }

@@ -12,6 +12,12 @@ pub enum Error {
         /// What can be.
         possible: std::ops::RangeInclusive<usize>,
     },
+    /// A share of failures that none can be.
+    #[error("expected a share of failures from 0 to 1, got {share}")]
+    Share {
+        /// What was requested.
+        share: f64,
+    },
     /// Seeds beyond the largest 64-bit number.
     #[error(
         "{episodes} episodes from seed {first_seed} on run past the largest seed, {}",

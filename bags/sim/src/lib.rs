@@ -1,15 +1,15 @@
 //! A small simulated tabletop with a WidowX-250-like arm, in place of the real arm: it makes
 //! Bridge-style bags to train and test world models with.
 //!
-//! An [`Episode`] is made from one seed: a table with two to four objects, a scripted teleoperator who
-//! pushes, grasps, lifts and places them or moves freely, and a 256 by 256 picture every 0.2 s, with the
-//! 7-d end-effector action taken then. The same seed gives the same bytes.
+//! An [`Episode`] is made from one seed: a table with one to four objects and up to two mats, a scripted
+//! teleoperator who pushes, grasps, lifts and places things or moves freely, and a 256 by 256 picture every
+//! 0.2 s, with the 7-d end-effector action taken then. The same seed and options give the same bytes.
 //!
 //! ```
 //! use wm_sim::{Episode, EpisodeOptions};
 //!
 //! # fn main() -> Result<(), wm_sim::Error> {
-//! let episode = Episode::generate(12, &EpisodeOptions { frames: 5, masks: true })?;
+//! let episode = Episode::generate(12, &EpisodeOptions { frames: 5, ..EpisodeOptions::default() })?;
 //! println!("{}: {:?}", episode.instruction, episode.frames[0].action);
 //! # Ok(())
 //! # }
@@ -23,20 +23,25 @@
 //!
 //! # What it is not
 //! A physics engine: contact is quasi-static (no inertia, no bouncing, objects right themselves as they
-//! drop), and joints have no limits but reach. The camera is fixed and free of noise, and surfaces are
-//! plain, so that a small model can learn them.
+//! drop), and joints have no limits but reach. The camera is free of noise and still within an episode, and
+//! episodes differ only as much as [`Variety`] says, so that a small model can learn them.
 
 mod arguments;
 pub mod arm;
+mod attempt;
 mod bag;
 mod dataset;
 mod episode;
 mod error;
 mod gripper;
+mod layout;
+mod links;
 pub mod object;
 pub mod render;
+mod room;
 mod scene;
 mod teleop;
+mod variety;
 mod world;
 
 pub use arguments::SimArgs;
@@ -48,5 +53,6 @@ pub use dataset::generate_bags;
 pub use episode::{Episode, EpisodeOptions, FRAMES, Frame};
 pub use error::Error;
 pub use scene::{FIRST_OBJECT_MASK, GRIPPER_MASK, Scene};
-pub use teleop::{LARGEST_STEP_M, LARGEST_TURN_RAD, Relation, Task};
+pub use teleop::{Failure, LARGEST_STEP_M, LARGEST_TURN_RAD, Relation, Task};
+pub use variety::{Span, Variety};
 pub use world::{EndEffectorAction, LARGEST_RPY, STEP_S, WORKSPACE_M, World};

@@ -5,6 +5,9 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 /// Thickness of a bowl's floor, metres.
 pub const BOWL_FLOOR_M: f64 = 0.006;
 
+/// Thickness of a mat, metres: below what counts as touching, so that hands and things pass over it.
+pub const MAT_HEIGHT_M: f64 = 0.002;
+
 /// A shape that stands on the table; all lengths in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
@@ -36,6 +39,11 @@ pub enum Shape {
         /// Height.
         height: f64,
     },
+    /// A thin round mat: a place to put things on, which nothing pushes or grasps.
+    Mat {
+        /// Radius.
+        radius: f64,
+    },
     /// An open bowl, wider than the fingers open.
     Bowl {
         /// Radius of the rim.
@@ -59,6 +67,7 @@ impl Shape {
             Self::Ball { .. } => "ball",
             Self::Cone { .. } => "cone",
             Self::Bowl { .. } => "bowl",
+            Self::Mat { .. } => "mat",
         }
     }
 
@@ -70,6 +79,7 @@ impl Shape {
             | Self::Cone { height, .. }
             | Self::Bowl { height, .. } => height,
             Self::Ball { radius } => 2.0 * radius,
+            Self::Mat { .. } => MAT_HEIGHT_M,
         }
     }
 
@@ -80,6 +90,7 @@ impl Shape {
             Self::Cylinder { radius, .. }
             | Self::Ball { radius }
             | Self::Cone { radius, .. }
+            | Self::Mat { radius }
             | Self::Bowl { radius, .. } => radius,
         }
     }
@@ -97,7 +108,7 @@ impl Shape {
     pub fn carries(&self) -> bool {
         matches!(
             self,
-            Self::Box { .. } | Self::Cylinder { .. } | Self::Bowl { .. }
+            Self::Box { .. } | Self::Cylinder { .. } | Self::Bowl { .. } | Self::Mat { .. }
         )
     }
 
@@ -114,7 +125,7 @@ impl Shape {
     pub fn radius_at(&self, level: f64) -> f64 {
         let share = (level / self.height()).clamp(0.0, 1.0);
         match *self {
-            Self::Box { .. } | Self::Cylinder { .. } => self.bounding_radius(),
+            Self::Box { .. } | Self::Cylinder { .. } | Self::Mat { .. } => self.bounding_radius(),
             Self::Ball { radius } => {
                 // Never thinner than this, so that fingertips near the foot still meet it.
                 let below = (level - radius).clamp(-0.8 * radius, 0.8 * radius);
@@ -173,7 +184,7 @@ pub struct Colour {
 }
 
 /// The colours that objects have. They keep clear of the colours of the two fingers.
-pub const COLOURS: [Colour; 6] = [
+pub const COLOURS: [Colour; 8] = [
     Colour {
         name: "red",
         srgb: [0.88, 0.12, 0.10],
@@ -197,6 +208,14 @@ pub const COLOURS: [Colour; 6] = [
     Colour {
         name: "orange",
         srgb: [0.97, 0.47, 0.06],
+    },
+    Colour {
+        name: "white",
+        srgb: [0.95, 0.95, 0.95],
+    },
+    Colour {
+        name: "black",
+        srgb: [0.09, 0.09, 0.10],
     },
 ];
 

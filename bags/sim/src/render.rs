@@ -1,13 +1,15 @@
 //! A software renderer: z-buffer with 2x2 supersampling, one key light with a soft shadow, soft ambient
-//! light. It knows nothing of robots: it draws [`Part`]s over a plain table.
+//! light. It knows nothing of robots: it draws [`Part`]s over a table.
 
 mod camera;
 mod mesh;
+mod pattern;
 mod raster;
 mod shading;
 
 pub use camera::{Camera, IMAGE_SIZE};
 pub use mesh::Mesh;
+pub use pattern::{Pattern, PatternKind};
 pub use shading::{Picture, Renderer, Surroundings};
 
 use nalgebra::Isometry3;

@@ -2,9 +2,12 @@
 //!
 //! The noise is part of the command, and the command is carried out, so that actions explain motion.
 
+mod failure;
+mod gesture;
 mod plan;
 mod task;
 
+pub use failure::Failure;
 pub use task::{Relation, Task};
 
 use nalgebra::Vector3;
@@ -14,6 +17,7 @@ use rand_distr::{Distribution, Normal, UnitSphere};
 use std::collections::VecDeque;
 
 use crate::world::{EndEffectorAction, LARGEST_RPY, WORKSPACE_M, World};
+use gesture::Gesture;
 use plan::{Aim, Move};
 
 /// Largest change along one axis in one action, metres: what Bridge's usual scaling (35 a metre, clipped
@@ -23,8 +27,23 @@ pub const LARGEST_STEP_M: f64 = 1.74 / 35.0;
 pub const LARGEST_TURN_RAD: f64 = 1.39 / 5.6;
 /// A sub-goal is given up after this many actions.
 const PATIENCE: usize = 14;
+/// After the last task the hand stays above this, clear of everything, metres.
+const CLEAR_M: f64 = 0.095;
+/// Nearer to a sub-goal than this the hand makes no gestures, metres.
+const GESTURE_DISTANCE_M: f64 = 0.035;
 /// Tasks end when fewer frames than this are left, and the operator only drifts.
 const LEAST_FRAMES_FOR_A_TASK: usize = 16;
+
+/// What an operator is to do in an episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Assignment {
+    /// Free motion.
+    Exploration,
+    /// One task after another.
+    Tasks,
+    /// One task, that goes wrong in the given way, if any.
+    OneTask(Option<Failure>),
+}
 
 /// One operator over one episode.
 pub struct Operator {
@@ -46,8 +65,12 @@ pub struct Operator {
     spent: usize,
     gripper: f64,
     drift: Drift,
+    gesture: Gesture,
     /// The whole episode is free motion.
     explores: bool,
+    assignment: Assignment,
+    /// The operator has stopped for good.
+    halted: bool,
     /// Free motion stays below this height, metres: low enough in many episodes to touch things.
     ceiling_m: f64,
 }
@@ -61,8 +84,13 @@ struct Drift {
 
 impl Operator {
     /// An operator who sees the table along `viewer` (unit vectors to the right and ahead).
-    pub fn new(mut rng: ChaCha8Rng, viewer: [Vector3<f64>; 2], world: &World) -> Self {
-        let explores = rng.random_bool(0.25);
+    pub fn new(
+        mut rng: ChaCha8Rng,
+        viewer: [Vector3<f64>; 2],
+        world: &World,
+        assignment: Assignment,
+    ) -> Self {
+        let explores = assignment == Assignment::Exploration;
         let ceiling_m = if rng.random_bool(0.5) {
             0.07
         } else {
@@ -88,7 +116,10 @@ impl Operator {
             spent: 0,
             gripper: if world.opening() > 0.5 { 1.0 } else { 0.0 },
             drift: Drift::default(),
+            gesture: Gesture::default(),
             explores,
+            assignment,
+            halted: false,
             ceiling_m,
         };
         if explores {
@@ -112,13 +143,27 @@ impl Operator {
                 self.gripper = to;
                 (Vector3::zeros(), Vector3::zeros())
             }
+            Some(Move::Linger { .. }) => {
+                let rpy = world.tool().rpy * 0.8;
+                let gripper = if world.held().is_some() { 0.0 } else { 1.0 };
+                let turn = self.gestured(world, rpy, gripper);
+                (Vector3::zeros(), turn)
+            }
             Some(Move::Go {
-                aim, rpy, gripper, ..
+                aim,
+                rpy,
+                gripper,
+                loose,
+                ..
             }) => {
-                self.gripper = gripper;
                 let offset = aim.point(world) - world.tool().position;
                 let speed = self.speed.min(offset.norm());
-                let turn = (rpy - world.tool().rpy).map(|v| v.clamp(-0.2, 0.2));
+                let turn = if loose && offset.norm() > GESTURE_DISTANCE_M {
+                    self.gestured(world, rpy, gripper)
+                } else {
+                    self.gripper = gripper;
+                    turn_towards(rpy, world)
+                };
                 (offset.try_normalize(1e-9).unwrap_or_default() * speed, turn)
             }
         };
@@ -136,12 +181,11 @@ impl Operator {
         self.with_tremor()
     }
 
-    /// What was asked for and whether all of it came about. A task that the episode's end cut short
-    /// counts by the state then.
+    /// What was asked for and whether all of it came about: of several tasks each as the world was when
+    /// it was finished, the last one as the world is at the end.
     pub fn conclude(mut self, world: &World) -> (String, bool) {
-        if self.outcomes.len() < self.tasks.len()
-            && let Some(task) = self.tasks.last()
-        {
+        if let Some(task) = self.tasks.last() {
+            self.outcomes.truncate(self.tasks.len() - 1);
             self.outcomes.push(task.succeeded(world));
         }
         let sentences: Vec<_> = self
@@ -165,9 +209,17 @@ impl Operator {
             self.outcomes.push(task.succeeded(world));
         }
         self.spent = 0;
-        if left < LEAST_FRAMES_FOR_A_TASK && !self.tasks.is_empty() {
+        let one_task = matches!(self.assignment, Assignment::OneTask(_));
+        if (left < LEAST_FRAMES_FOR_A_TASK || one_task)
+            && let Some(task) = self.tasks.last()
+        {
             // What is held stays held while the hand drifts, so that a lift ends as one.
-            self.moves.push_back(Move::Drift { frames: left });
+            let stays = self.halted || matches!(task, Task::Reach { .. });
+            self.moves.push_back(if stays {
+                Move::Linger { frames: left }
+            } else {
+                Move::Drift { frames: left }
+            });
             return;
         }
         if !self.tasks.is_empty()
@@ -176,9 +228,36 @@ impl Operator {
             self.moves.extend(moves);
             return;
         }
-        let (task, moves) = plan::next(&mut self.rng, world, self.viewer, self.tasks.is_empty());
+        let (task, moves) = self.plan(world);
         self.tasks.push(task);
         self.moves.extend(moves);
+    }
+
+    fn plan(&mut self, world: &World) -> (Task, Vec<Move>) {
+        let first = self.tasks.is_empty();
+        if let Assignment::OneTask(Some(failure)) = self.assignment {
+            // Not every task can fail in every way.
+            for _ in 0..30 {
+                let (task, moves) = plan::next(&mut self.rng, world, self.viewer, first);
+                if let Some(plan) = failure.spoil(&mut self.rng, world, task, moves) {
+                    self.halted = failure == Failure::Halted;
+                    return plan;
+                }
+            }
+        }
+        plan::next(&mut self.rng, world, self.viewer, first)
+    }
+
+    /// The turn towards `rpy` with what the hand does on the way besides; sets the gripper.
+    fn gestured(&mut self, world: &World, rpy: Vector3<f64>, gripper: f64) -> Vector3<f64> {
+        let free = world.held().is_none();
+        self.gesture.advance(&mut self.rng);
+        self.gripper = if free && self.gesture.gripper_turned() {
+            1.0 - gripper
+        } else {
+            gripper
+        };
+        turn_towards(rpy + self.gesture.turn(), world)
     }
 
     /// Drops the present move once it is done or has taken too long.
@@ -186,7 +265,9 @@ impl Operator {
         self.spent += 1;
         let done = match self.moves.front() {
             None => false,
-            Some(Move::Drift { frames } | Move::Grip { frames, .. }) => self.spent >= *frames,
+            Some(Move::Drift { frames } | Move::Linger { frames } | Move::Grip { frames, .. }) => {
+                self.spent >= *frames
+            }
             Some(Move::Go {
                 aim,
                 rpy,
@@ -212,14 +293,15 @@ impl Operator {
             let speed = self.rng.random_range(0.008..0.05);
             self.drift.velocity = Vector3::from(direction) * speed;
             self.drift.turning = Vector3::from_fn(|_, _| {
-                if self.rng.random_bool(0.45) {
+                if self.rng.random_bool(0.65) {
                     self.rng.random_range(-0.22..0.22)
                 } else {
                     0.0
                 }
             });
-            if self.rng.random_bool(0.3) {
-                self.gripper = if world.held().is_some() && self.rng.random_bool(0.6) {
+            if self.rng.random_bool(0.45) {
+                let keeps = world.held().is_some() && (!self.explores || self.rng.random_bool(0.6));
+                self.gripper = if keeps {
                     0.0
                 } else {
                     f64::from(u8::from(self.rng.random_bool(0.5)))
@@ -227,8 +309,13 @@ impl Operator {
             }
         }
         self.drift.frames -= 1;
-        let [low, mut high] = WORKSPACE_M;
-        high[2] = self.ceiling_m;
+        let [mut low, mut high] = WORKSPACE_M;
+        if self.explores {
+            high[2] = self.ceiling_m;
+        } else {
+            // What is done stays done.
+            low[2] = CLEAR_M;
+        }
         for axis in 0..3 {
             let next = world.tool().position[axis] + 2.0 * self.drift.velocity[axis];
             if next < low[axis] {
@@ -259,6 +346,11 @@ impl Operator {
             gripper: self.gripper,
         }
     }
+}
+
+/// The turn of one action from the hand's pose towards `rpy`, radians.
+fn turn_towards(rpy: Vector3<f64>, world: &World) -> Vector3<f64> {
+    (rpy - world.tool().rpy).map(|v| v.clamp(-LARGEST_TURN_RAD, LARGEST_TURN_RAD))
 }
 
 impl Aim {

@@ -28,7 +28,7 @@ const TOUCH_M: f64 = 0.003;
 const TABLE_GAP_M: f64 = 0.003;
 
 /// Corners of the box in which the point between the fingertips stays, metres.
-pub const WORKSPACE_M: [[f64; 3]; 2] = [[0.17, -0.16, 0.008], [0.37, 0.16, 0.18]];
+pub const WORKSPACE_M: [[f64; 3]; 2] = [[0.19, -0.11, 0.008], [0.35, 0.125, 0.145]];
 /// Largest roll, pitch and yaw, radians.
 pub const LARGEST_RPY: [f64; 3] = [0.6, 0.6, 1.3];
 
@@ -247,6 +247,7 @@ impl World {
     /// Grasps the object between the fingers once they touch it from both sides.
     fn try_grasp(&mut self) {
         let frame = self.tool.frame();
+        let hand = gripper::hand(&frame);
         let inner = self.opening * HALF_OPENING_M;
         for (index, object) in self.objects.iter().enumerate() {
             let tip = self.tool.position;
@@ -254,18 +255,21 @@ impl World {
             if level > object.shape.height() - 0.006 || level < -0.01 {
                 continue;
             }
+            if matches!(object.shape, Shape::Mat { .. }) {
+                continue;
+            }
             let middle = object.pose * nalgebra::Point3::new(0.0, 0.0, level.max(0.0));
-            let in_tool = frame.inverse() * middle;
-            let opening_axis = (frame.rotation * Vector3::y()).xy();
+            let in_hand = hand.inverse() * middle;
+            let opening_axis = (hand.rotation * Vector3::y()).xy();
             let own_axis = object.base_to_own(opening_axis.normalize());
             // Fingers touch a little above the tips.
             let half_width = object.shape.half_width(level.max(0.0) + 0.008, own_axis);
-            let across = in_tool.z.abs();
+            let across = in_hand.z.abs();
             let reaches = across < 0.6 * object.shape.contact_radius().min(0.022);
             if reaches
                 && half_width < HALF_OPENING_M
-                && in_tool.y.abs() < half_width
-                && in_tool.y.abs() + half_width < inner + 0.012
+                && in_hand.y.abs() < half_width
+                && in_hand.y.abs() + half_width < inner + 0.012
                 && half_width >= inner - 1e-9
             {
                 self.opening = (half_width / HALF_OPENING_M).min(1.0);

@@ -79,8 +79,6 @@ fn is_same(a: &Path, b: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use wm_model::Encoder as _;
-
     use super::*;
 
     #[test]

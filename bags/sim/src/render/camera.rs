@@ -16,6 +16,7 @@ pub trait Projection {
 #[derive(Clone, Debug)]
 pub struct Camera {
     eye: Vector3<f32>,
+    target: Vector3<f32>,
     right: Vector3<f32>,
     down: Vector3<f32>,
     ahead: Vector3<f32>,
@@ -24,20 +25,34 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// The camera of all episodes: beside the arm at its right, looking across and down at the
-    /// workspace, which fills most of the picture.
+    /// The usual camera: beside the arm at its right, looking across and down at the workspace, which
+    /// fills most of the picture.
     pub fn beside_the_arm() -> Self {
-        let eye = Vector3::new(0.19, -0.60, 0.52);
-        let target = Vector3::new(0.245, 0.0, 0.085);
+        let eye = Vector3::new(0.225, -0.47, 0.475);
+        let target = Vector3::new(0.262, 0.0, 0.095);
+        Self::looking(eye, target, 0.0)
+    }
+
+    /// A camera at `eye` that looks at `target` (metres), turned about its view axis by `roll` radians.
+    fn looking(eye: Vector3<f32>, target: Vector3<f32>, roll: f32) -> Self {
         let ahead = (target - eye).normalize();
-        let right = ahead.cross(&Vector3::z()).normalize();
+        let level = ahead.cross(&Vector3::z()).normalize();
+        let (sin, cos) = roll.sin_cos();
+        let right = level * cos + ahead.cross(&level) * sin;
         Self {
             eye,
+            target,
             right,
             down: ahead.cross(&right),
             ahead,
-            focal_px: 395.0,
+            focal_px: 455.0,
         }
+    }
+
+    /// The camera moved by `shift` and aimed `aim` beside its target (metres), then turned about its view
+    /// axis by `roll` radians.
+    pub fn moved(&self, shift: Vector3<f32>, aim: Vector3<f32>, roll: f32) -> Self {
+        Self::looking(self.eye + shift, self.target + aim, roll)
     }
 
     /// Where the camera is, metres.
@@ -49,7 +64,7 @@ impl Camera {
     /// instructions speak of left and right, front and behind.
     pub fn viewer_axes(&self) -> [Vector3<f32>; 2] {
         let flat = Vector3::new(self.ahead.x, self.ahead.y, 0.0).normalize();
-        [self.right, flat]
+        [Vector3::new(flat.y, -flat.x, 0.0), flat]
     }
 
     /// Direction of the ray through a point of the picture, scaled to one metre along the view axis.
@@ -150,7 +165,6 @@ mod tests {
             let [x, y] = camera
                 .pixel(&Point3::new(at(0), at(1), at(2)))
                 .expect("in front");
-            println!("{:?} -> {x} {y}", [at(0), at(1), at(2)]);
             let inside = 0.0..f32::from(256_u16);
             assert!(inside.contains(&x) && inside.contains(&y), "{x} {y}");
         }

@@ -6,7 +6,7 @@ use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 
 use super::task::{Relation, Task};
-use crate::object::{BOWL_FLOOR_M, Object, Shape};
+use crate::object::{Object, Shape};
 use crate::world::{WORKSPACE_M, World};
 
 /// A point to go to.
@@ -36,11 +36,18 @@ pub enum Move {
         gripper: f64,
         /// How near is near enough, metres.
         tolerance_m: f64,
+        /// Nothing depends on how the hand is held on the way.
+        loose: bool,
     },
     /// Work the gripper in place.
     Grip {
         /// 0 closed to 1 open.
         to: f64,
+        /// For how many actions.
+        frames: usize,
+    },
+    /// Stay about here, turning the hand.
+    Linger {
         /// For how many actions.
         frames: usize,
     },
@@ -50,6 +57,14 @@ pub enum Move {
         frames: usize,
     },
 }
+
+/// Ways to push: in words, and to the viewer's right and away from the viewer.
+pub const DIRECTIONS: [(&str, [f64; 2]); 4] = [
+    ("to the left", [-1.0, 0.0]),
+    ("to the right", [1.0, 0.0]),
+    ("forward", [0.0, -1.0]),
+    ("away", [0.0, 1.0]),
+];
 
 /// Near enough for a passing point, and for a point where contact matters, metres.
 const ROUGH_M: f64 = 0.02;
@@ -65,11 +80,12 @@ pub fn next(
     // Some scenes allow no placing or pushing in the chosen way: then it is another task.
     for _ in 0..8 {
         let choice = rng.random_range(0.0..1.0);
-        let found = if first && choice < 0.5 {
-            place(rng, world, viewer)
-        } else if choice < 0.6 {
+        let found = if first && choice < 0.55 {
+            // Few of the pairs and places suit.
+            (0..4).find_map(|_| place(rng, world, viewer))
+        } else if choice < if first { 0.75 } else { 0.6 } {
             pick_up(rng, world)
-        } else if choice < 0.87 {
+        } else if choice < 0.9 {
             push(rng, world, viewer)
         } else {
             reach(rng, world)
@@ -99,16 +115,23 @@ fn some_object(rng: &mut ChaCha8Rng, world: &World) -> Option<usize> {
     (!world.objects().is_empty()).then(|| rng.random_range(0..world.objects().len()))
 }
 
+fn some_other(rng: &mut ChaCha8Rng, world: &World, index: usize) -> Option<usize> {
+    let others = world.objects().len().checked_sub(1).filter(|n| *n > 0)?;
+    let other = rng.random_range(0..others);
+    Some(if other < index { other } else { other + 1 })
+}
+
 /// How the hand is held on the way, where nothing depends on it.
-fn loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
+pub fn loose_rpy(rng: &mut ChaCha8Rng, yaw: f64) -> Vector3<f64> {
     let tilt = |rng: &mut ChaCha8Rng| {
-        if rng.random_bool(0.5) {
-            rng.random_range(-0.4..0.4)
+        if rng.random_bool(0.8) {
+            rng.random_range(-0.5..0.5)
         } else {
             0.0
         }
     };
-    Vector3::new(tilt(rng), tilt(rng), yaw + rng.random_range(-0.4..0.4))
+    let yaw = (yaw + rng.random_range(-0.7..0.7)).clamp(-1.2, 1.2);
+    Vector3::new(tilt(rng), tilt(rng), yaw)
 }
 
 fn go(aim: Aim, rpy: Vector3<f64>, gripper: f64, tolerance_m: f64) -> Move {
@@ -117,11 +140,23 @@ fn go(aim: Aim, rpy: Vector3<f64>, gripper: f64, tolerance_m: f64) -> Move {
         rpy,
         gripper,
         tolerance_m,
+        loose: false,
     }
 }
 
-fn graspable(object: &Object) -> bool {
-    !matches!(object.shape, Shape::Bowl { .. })
+/// A way on which the hand may turn and, while it holds nothing, open and close.
+pub fn go_loosely(aim: Aim, rpy: Vector3<f64>, gripper: f64) -> Move {
+    Move::Go {
+        aim,
+        rpy,
+        gripper,
+        tolerance_m: ROUGH_M,
+        loose: true,
+    }
+}
+
+pub fn graspable(object: &Object) -> bool {
+    !matches!(object.shape, Shape::Bowl { .. } | Shape::Mat { .. })
 }
 
 /// Whether something stands on `object` or it holds something.
@@ -150,9 +185,10 @@ fn grasp_level(object: &Object) -> f64 {
 fn grasp(rng: &mut ChaCha8Rng, index: usize, object: &Object) -> (Vec<Move>, f64) {
     let yaw = match object.shape {
         Shape::Box { .. } => {
-            // Fingers on the long sides; half a turn is the same grasp.
-            let turns = (object.yaw() / std::f64::consts::PI).round();
-            (object.yaw() - turns * std::f64::consts::PI).clamp(-1.25, 1.25)
+            // Fingers on the long sides, across the box's x; half a turn is the same grasp.
+            let across = object.yaw() - std::f64::consts::FRAC_PI_2;
+            let turns = (across / std::f64::consts::PI).round();
+            (across - turns * std::f64::consts::PI).clamp(-1.25, 1.25)
         }
         _ => rng.random_range(-0.9..0.9),
     };
@@ -165,15 +201,22 @@ fn grasp(rng: &mut ChaCha8Rng, index: usize, object: &Object) -> (Vec<Move>, f64
     );
     offset.z = object.shape.height() + rng.random_range(0.03..0.06);
     let straight = Vector3::new(
-        rng.random_range(-0.08..0.08),
-        rng.random_range(-0.08..0.08),
+        rng.random_range(-0.12..0.12),
+        rng.random_range(-0.12..0.12),
         yaw,
     );
     let above = Aim::Object { index, offset };
+    let mut high = offset;
+    high.z += rng.random_range(0.02..0.05);
+    let approach = Aim::Object {
+        index,
+        offset: high,
+    };
     offset.z = grasp_level(object);
     let at = Aim::Object { index, offset };
     let moves = vec![
-        go(above, straight, 1.0, 0.012),
+        go_loosely(approach, loose_rpy(rng, yaw), 1.0),
+        go(above, straight, 1.0, 0.015),
         go(at, straight, 1.0, FINE_M),
         Move::Grip { to: 0.0, frames: 3 },
     ];
@@ -187,14 +230,14 @@ fn pick_up(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
         return None;
     }
     let (mut moves, yaw) = grasp(rng, index, object);
-    let lift = object.position() + Vector3::z() * rng.random_range(0.08..0.15);
-    moves.push(go(Aim::Point(lift), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+    let lift = object.position() + Vector3::z() * rng.random_range(0.08..0.13);
+    moves.push(go_loosely(Aim::Point(lift), loose_rpy(rng, yaw), 0.0));
     // Carry it about a little, so that held objects are seen moving in every direction.
     for _ in 0..rng.random_range(0..=3) {
         let [low, high] = WORKSPACE_M;
         let mut point = Vector3::from_fn(|axis, _| rng.random_range(low[axis]..high[axis]));
         point.z = point.z.max(0.06);
-        moves.push(go(Aim::Point(point), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+        moves.push(go_loosely(Aim::Point(point), loose_rpy(rng, yaw), 0.0));
     }
     Some((Task::PickUp { object: index }, moves))
 }
@@ -205,39 +248,35 @@ fn place(
     viewer: [Vector3<f64>; 2],
 ) -> Option<(Task, Vec<Move>)> {
     let index = some_object(rng, world)?;
-    let other_index = some_object(rng, world)?;
+    let other_index = some_other(rng, world, index)?;
     let (object, other) = (
         world.objects().get(index)?,
         world.objects().get(other_index)?,
     );
-    if index == other_index || !graspable(object) || burdened(world, index) {
+    if !graspable(object) || burdened(world, index) {
         return None;
     }
-    let relation = if matches!(other.shape, Shape::Bowl { .. }) {
-        Relation::In
-    } else {
-        *[
+    let relation = match other.shape {
+        Shape::Bowl { .. } => Relation::In,
+        Shape::Mat { .. } => Relation::OnMat,
+        _ => *[
             Relation::Left,
             Relation::Right,
             Relation::Front,
             Relation::Behind,
             Relation::On,
         ]
-        .choose(rng)?
+        .choose(rng)?,
     };
-    let [right, ahead] = viewer;
+    // Room for a finger that opens between the two.
     let apart = object.shape.bounding_radius()
         + other.shape.bounding_radius()
-        + rng.random_range(0.02..0.04);
+        + rng.random_range(0.04..0.055);
+    let [right, ahead] = relation.direction();
     let base = Vector3::new(other.position().x, other.position().y, 0.0);
-    let spot = match relation {
-        Relation::Left => base - right * apart,
-        Relation::Right => base + right * apart,
-        Relation::Front => base - ahead * apart,
-        Relation::Behind => base + ahead * apart,
-        Relation::On => base + Vector3::z() * other.shape.height(),
-        Relation::In => base + Vector3::z() * BOWL_FLOOR_M,
-    };
+    let spot = base
+        + (viewer[0] * right + viewer[1] * ahead) * apart
+        + Vector3::z() * relation.rise(other);
     let fits = match relation {
         Relation::On => {
             other.shape.carries()
@@ -252,6 +291,7 @@ fn place(
         },
         _ => world.objects().iter().enumerate().all(|(i, third)| {
             i == index
+                || i == other_index && relation == Relation::OnMat
                 || (third.position() - spot).xy().norm()
                     > object.shape.bounding_radius() + third.shape.bounding_radius() + 0.01
         }),
@@ -260,30 +300,35 @@ fn place(
         return None;
     }
     let (mut moves, yaw) = grasp(rng, index, object);
-    let level = grasp_level(object);
-    let height = rng.random_range(0.06..0.12) + spot.z;
+    // Over a bowl the fingers open above its rim: they would push it away from within.
+    let release = match relation {
+        Relation::In => (grasp_level(object) + 0.004).max(other.shape.height() + 0.006),
+        _ => grasp_level(object) + 0.004,
+    };
+    let height = rng.random_range(0.06..0.10) + spot.z;
     let placing = Vector3::new(0.0, 0.0, yaw);
     let lift = object.position() + Vector3::z() * height;
-    moves.push(go(Aim::Point(lift), loose_rpy(rng, yaw), 0.0, ROUGH_M));
+    moves.push(go_loosely(Aim::Point(lift), loose_rpy(rng, yaw), 0.0));
     moves.push(go(
         Aim::Point(spot + Vector3::z() * height),
         placing,
         0.0,
-        0.012,
+        0.015,
     ));
     moves.push(go(
-        Aim::Point(spot + Vector3::z() * (level + 0.004)),
+        Aim::Point(spot + Vector3::z() * release),
         placing,
         0.0,
         FINE_M,
     ));
     moves.push(Move::Grip { to: 1.0, frames: 2 });
     let retreat = spot + Vector3::z() * (height + 0.04);
-    moves.push(go(Aim::Point(retreat), loose_rpy(rng, yaw), 1.0, ROUGH_M));
+    moves.push(go_loosely(Aim::Point(retreat), loose_rpy(rng, yaw), 1.0));
     let task = Task::Place {
         object: index,
         other: other_index,
         relation,
+        viewer,
         spot,
     };
     Some((task, moves))
@@ -296,14 +341,8 @@ fn push(
 ) -> Option<(Task, Vec<Move>)> {
     let index = some_object(rng, world)?;
     let object = world.objects().get(index)?;
-    let [right, ahead] = viewer;
-    let (words, towards) = *[
-        ("to the left", -right),
-        ("to the right", right),
-        ("forward", -ahead),
-        ("away", ahead),
-    ]
-    .choose(rng)?;
+    let (words, [right, ahead]) = *DIRECTIONS.choose(rng)?;
+    let towards = viewer[0] * right + viewer[1] * ahead;
     // A hand pushes about where it means to.
     let (sin, cos) = rng.random_range(-0.35..0.35_f64).sin_cos();
     let direction = Vector3::new(
@@ -312,36 +351,36 @@ fn push(
         0.0,
     );
     let from = object.position();
-    let reach = object.shape.bounding_radius() + 0.03;
+    let reach = object.shape.bounding_radius() + 0.035;
     let level = Vector3::z() * rng.random_range(0.010..0.018);
     let start = from - direction * reach;
     let end = from + direction * (rng.random_range(0.04..0.12) - object.shape.bounding_radius());
-    if from.z > 0.003 || !inside(start, 0.0) || !inside(end, -0.01) {
+    if from.z > 0.003
+        || matches!(object.shape, Shape::Mat { .. })
+        || !inside(start, 0.0)
+        || !inside(end, -0.01)
+    {
         return None;
     }
     let rpy = Vector3::new(
-        rng.random_range(-0.15..0.15),
-        rng.random_range(-0.15..0.15),
+        rng.random_range(-0.25..0.25),
+        rng.random_range(-0.25..0.25),
         rng.random_range(-1.1..1.1),
     );
     // Mostly a closed hand; an open one pushes with both fingers or lets a small thing in between.
     let gripper = if rng.random_bool(0.8) { 0.0 } else { 1.0 };
     let hover = Vector3::z() * rng.random_range(0.05..0.08);
     let moves = vec![
-        go(Aim::Point(start + hover), rpy, gripper, 0.015),
+        go_loosely(Aim::Point(start + hover), rpy, gripper),
         go(Aim::Point(start + level), rpy, gripper, 0.01),
         go(Aim::Point(end + level), rpy, gripper, 0.01),
-        go(
-            Aim::Point(end + hover),
-            loose_rpy(rng, rpy.z),
-            gripper,
-            ROUGH_M,
-        ),
+        go_loosely(Aim::Point(end + hover), loose_rpy(rng, rpy.z), gripper),
     ];
     let task = Task::Push {
         object: index,
         direction_words: words,
         direction: towards,
+        viewer,
         from,
     };
     Some((task, moves))
@@ -355,17 +394,20 @@ fn reach(rng: &mut ChaCha8Rng, world: &World) -> Option<(Task, Vec<Move>)> {
     let gripper = f64::from(u8::from(rng.random_bool(0.5)));
     let rpy = loose_rpy(rng, yaw);
     let moves = vec![
-        go(Aim::Object { index, offset }, rpy, gripper, 0.015),
+        go_loosely(Aim::Object { index, offset }, rpy, gripper),
         Move::Grip {
             to: 1.0 - gripper,
             frames: rng.random_range(2..=4),
+        },
+        Move::Linger {
+            frames: rng.random_range(4..=10),
         },
     ];
     Some((Task::Reach { object: index }, moves))
 }
 
 /// Whether a spot on the table is inside the workspace by `margin` metres.
-fn inside(spot: Vector3<f64>, margin: f64) -> bool {
+pub fn inside(spot: Vector3<f64>, margin: f64) -> bool {
     let [low, high] = WORKSPACE_M;
     (0..2).all(|axis| spot[axis] > low[axis] + margin && spot[axis] < high[axis] - margin)
 }

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use crate::object::{BOWL_FLOOR_M, Object};
 use crate::world::World;
 
 /// Where to put one object with respect to another, as the camera sees it.
@@ -17,11 +18,63 @@ pub enum Relation {
     Behind,
     /// On top of it.
     On,
+    /// On it, a mat.
+    OnMat,
     /// Into it, a bowl.
     In,
 }
 
+/// Further apart than this, one thing is not beside another, metres.
+const BESIDE_M: f64 = 0.16;
+/// Largest error of a height, metres.
+const LEVEL_M: f64 = 0.012;
+
 impl Relation {
+    /// Where the first thing is from the second: to the viewer's right and away from the viewer.
+    pub fn direction(self) -> [f64; 2] {
+        match self {
+            Self::Left => [-1.0, 0.0],
+            Self::Right => [1.0, 0.0],
+            Self::Front => [0.0, -1.0],
+            Self::Behind => [0.0, 1.0],
+            Self::On | Self::OnMat | Self::In => [0.0, 0.0],
+        }
+    }
+
+    /// How far the foot of the one is over the foot of the other, metres.
+    pub fn rise(self, other: &Object) -> f64 {
+        match self {
+            Self::Left | Self::Right | Self::Front | Self::Behind => 0.0,
+            Self::On | Self::OnMat => other.shape.height(),
+            Self::In => BOWL_FLOOR_M,
+        }
+    }
+
+    /// Whether `object` stands so to `other` for a viewer who sees the table along `viewer`.
+    fn holds(self, object: &Object, other: &Object, viewer: [Vector3<f64>; 2]) -> bool {
+        let offset = object.position() - other.position();
+        let apart = offset.xy().norm();
+        let level = if matches!(self, Self::On | Self::OnMat | Self::In) {
+            offset.z - self.rise(other)
+        } else {
+            // On the table or on a mat there, whatever the other stands on.
+            object.position().z
+        };
+        if level.abs() > LEVEL_M {
+            return false;
+        }
+        match self {
+            Self::On | Self::OnMat => apart < other.shape.bounding_radius(),
+            Self::In => apart < 0.6 * other.shape.bounding_radius(),
+            Self::Left | Self::Right | Self::Front | Self::Behind => {
+                let [right, ahead] = self.direction();
+                let along = offset.dot(&(viewer[0] * right + viewer[1] * ahead));
+                // Within 45 degrees of the direction.
+                apart < BESIDE_M && along > std::f64::consts::FRAC_1_SQRT_2 * apart
+            }
+        }
+    }
+
     fn words(self) -> &'static str {
         match self {
             Self::Left => "to the left of",
@@ -29,6 +82,7 @@ impl Relation {
             Self::Front => "in front of",
             Self::Behind => "behind",
             Self::On => "on top of",
+            Self::OnMat => "on",
             Self::In => "into",
         }
     }
@@ -57,6 +111,8 @@ pub enum Task {
         other: usize,
         /// Where.
         relation: Relation,
+        /// To the viewer's right, and away from the viewer: horizontal unit vectors.
+        viewer: [Vector3<f64>; 2],
         /// The spot in the base frame that was chosen for it, metres.
         spot: Vector3<f64>,
     },
@@ -68,12 +124,25 @@ pub enum Task {
         direction_words: &'static str,
         /// Where to, a horizontal unit vector.
         direction: Vector3<f64>,
+        /// To the viewer's right, and away from the viewer: horizontal unit vectors.
+        viewer: [Vector3<f64>; 2],
         /// Where it was, metres.
         from: Vector3<f64>,
     },
 }
 
 impl Task {
+    /// The object that it is about, if there is one.
+    pub fn object(&self) -> Option<usize> {
+        match self {
+            Self::Explore => None,
+            Self::Reach { object }
+            | Self::PickUp { object }
+            | Self::Place { object, .. }
+            | Self::Push { object, .. } => Some(*object),
+        }
+    }
+
     /// The task in words.
     pub fn instruction(&self, world: &World) -> String {
         let name = |index: usize| {
@@ -122,12 +191,19 @@ impl Task {
                 world.held() == Some(*object)
                     && at(object).is_some_and(|position| position.z > 0.03)
             }
-            Self::Place { object, spot, .. } => {
+            Self::Place {
+                object,
+                other,
+                relation,
+                viewer,
+                ..
+            } => {
+                let both = world
+                    .objects()
+                    .get(*object)
+                    .zip(world.objects().get(*other));
                 world.held() != Some(*object)
-                    && at(object).is_some_and(|position| {
-                        let offset = position - spot;
-                        offset.xy().norm() < 0.04 && offset.z.abs() < 0.012
-                    })
+                    && both.is_some_and(|(object, other)| relation.holds(object, other, *viewer))
             }
             Self::Push {
                 object,
@@ -136,5 +212,51 @@ impl Task {
                 ..
             } => at(object).is_some_and(|position| (position - from).dot(direction) > 0.02),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::ToolPose;
+    use crate::object::{COLOURS, Shape};
+
+    #[test]
+    fn success_is_how_things_stand_in_the_end() {
+        let cylinder = Shape::Cylinder {
+            radius: 0.02,
+            height: 0.04,
+        };
+        let bowl = Shape::Bowl {
+            radius: 0.05,
+            height: 0.03,
+        };
+        let succeeded = |relation, offset: [f64; 3], other: Shape| {
+            let mut object =
+                Object::standing(cylinder, COLOURS[0], 0.25 + offset[0], offset[1], 0.0);
+            object.pose.translation.vector.z = offset[2];
+            let other = Object::standing(other, COLOURS[1], 0.25, 0.0, 0.0);
+            let tool = ToolPose {
+                position: Vector3::new(0.3, 0.1, 0.1),
+                rpy: Vector3::zeros(),
+            };
+            let task = Task::Place {
+                object: 0,
+                other: 1,
+                relation,
+                viewer: [Vector3::x(), Vector3::y()],
+                spot: Vector3::new(0.25, 0.0, 0.0),
+            };
+            task.succeeded(&World::new(vec![object, other], tool, 1.0))
+        };
+        assert!(succeeded(Relation::In, [0.01, 0.0, BOWL_FLOOR_M], bowl));
+        assert!(!succeeded(Relation::In, [0.07, 0.0, 0.0], bowl));
+        assert!(succeeded(Relation::Left, [-0.09, 0.02, 0.0], cylinder));
+        assert!(!succeeded(Relation::Left, [0.09, 0.0, 0.0], cylinder));
+        assert!(!succeeded(Relation::Left, [-0.09, 0.0, 0.08], cylinder));
+        assert!(succeeded(Relation::On, [0.01, 0.0, 0.04], cylinder));
+        assert!(!succeeded(Relation::On, [0.01, 0.0, 0.0], cylinder));
+        assert!(succeeded(Relation::Behind, [0.0, 0.09, 0.0], cylinder));
+        assert!(!succeeded(Relation::Front, [0.0, 0.09, 0.0], cylinder));
     }
 }

@@ -15,7 +15,7 @@ impl World {
         let spheres = gripper::contact_spheres(&self.tool.frame(), self.opening);
         let held = self.held();
         for index in 0..self.objects.len() {
-            if Some(index) == held {
+            if Some(index) == held || self.is_mat(index) {
                 continue;
             }
             for sphere in &spheres {
@@ -41,6 +41,12 @@ impl World {
                 }
             }
         }
+    }
+
+    fn is_mat(&self, index: usize) -> bool {
+        self.objects
+            .get(index)
+            .is_some_and(|object| matches!(object.shape, Shape::Mat { .. }))
     }
 
     /// Moves object `index` so that its material at `arm` (from its middle, metres) gives way by
@@ -101,7 +107,10 @@ impl World {
             let Some(other) = self.objects.get(index) else {
                 continue;
             };
-            if index == held || object.lowest() > floor_under(&object, other) - TOUCH_M {
+            if index == held
+                || self.is_mat(index)
+                || object.lowest() > floor_under(&object, other) - TOUCH_M
+            {
                 continue;
             }
             let apart = (other.position() - object.position()).xy();
@@ -124,7 +133,9 @@ impl World {
                 let (Some(a), Some(b)) = (self.objects.get(first), self.objects.get(second)) else {
                     continue;
                 };
-                if first == second || Some(first) == held || Some(second) == held {
+                let flat =
+                    matches!(a.shape, Shape::Mat { .. }) || matches!(b.shape, Shape::Mat { .. });
+                if flat || first == second || Some(first) == held || Some(second) == held {
                     continue;
                 }
                 // `a` is the higher one; one that rests on the other is no collision.

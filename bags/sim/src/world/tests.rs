@@ -90,7 +90,7 @@ fn fingers_do_not_sink_into_an_object_or_the_table() {
 
 #[test]
 fn the_applied_action_is_the_change_of_pose() {
-    let mut world = hand(0.30, 0.16, 0.20, 1.0, vec![]);
+    let mut world = hand(0.30, 0.10, 0.14, 1.0, vec![]);
     let before = *world.tool();
     let command = EndEffectorAction {
         translation: Vector3::new(0.04, 0.04, 0.04),

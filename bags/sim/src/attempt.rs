@@ -1,0 +1,124 @@
+//! What an operator does in an episode, and how it ends.
+
+use rand::seq::IndexedRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::episode::EpisodeOptions;
+use crate::render::Camera;
+use crate::teleop::{Assignment, Failure, Operator};
+use crate::world::World;
+
+/// Share of the demonstrations that are free motion.
+const EXPLORATION_SHARE: f64 = 0.2;
+/// How often an episode is tried until it ends as it should.
+const ATTEMPTS: u64 = 12;
+
+/// What an operator made of a world, before anyone takes pictures of it.
+#[derive(Default)]
+pub struct Attempt {
+    /// The world at each frame, and the action taken then.
+    pub steps: Vec<(World, [f32; 7])>,
+    pub instruction: String,
+    pub success: bool,
+    pub failure: Option<Failure>,
+}
+
+impl Attempt {
+    /// The attempt that becomes the episode of `seed`, in `world` as `camera` sees it.
+    ///
+    /// What an operator means to do does not always come about. Then there is another attempt, of which
+    /// nobody sees anything.
+    pub fn of(seed: u64, options: &EpisodeOptions, camera: &Camera, world: World) -> Self {
+        let viewer = camera.viewer_axes().map(|axis| axis.cast());
+        // Attempts have streams of their own, so that all are different.
+        let rng = |stream| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(stream);
+            rng
+        };
+        let mut chance = rng(1);
+        let fails = chance.random_bool(options.failures.clamp(0.0, 1.0));
+        let explores = chance.random_bool(EXPLORATION_SHARE);
+        let mut attempt = Self::default();
+        for number in 0..ATTEMPTS {
+            let mut rng = rng(2 + number);
+            let assignment = if fails {
+                Assignment::OneTask(Failure::ALL.choose(&mut rng).copied())
+            } else if options.failures > 0.0 {
+                Assignment::OneTask(None)
+            } else if explores {
+                Assignment::Exploration
+            } else {
+                Assignment::Tasks
+            };
+            let operator = Operator::new(rng, viewer, &world, assignment);
+            attempt = Self::make(operator, world.clone(), options.frames);
+            if let Assignment::OneTask(failure) = assignment {
+                attempt.failure = failure;
+            }
+            if attempt.success != fails {
+                break;
+            }
+        }
+        attempt
+    }
+
+    fn make(mut operator: Operator, mut world: World, frames: usize) -> Self {
+        let mut steps = Vec::with_capacity(frames);
+        for index in 0..frames {
+            let command = operator.command(&world, frames - index);
+            let before = world.clone();
+            let action = world.step(&command).values();
+            steps.push((before, action));
+        }
+        let (instruction, success) = operator.conclude(&world);
+        Self {
+            steps,
+            instruction,
+            success,
+            failure: None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layout;
+
+    fn outcome(seed: u64, options: &EpisodeOptions) -> Attempt {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let world = layout::world(&options.variety, &mut rng);
+        Attempt::of(seed, options, &Camera::beside_the_arm(), world)
+    }
+
+    #[test]
+    fn failures_have_the_share_that_was_asked_for_and_every_kind_occurs() {
+        let options = EpisodeOptions {
+            failures: 0.667,
+            ..EpisodeOptions::default()
+        };
+        let mut failed = 0;
+        let mut kinds = std::collections::BTreeSet::new();
+        for seed in 0..60 {
+            let outcome = outcome(seed, &options);
+            failed += u32::from(!outcome.success);
+            if let (false, Some(kind)) = (outcome.success, outcome.failure) {
+                kinds.insert(kind);
+            }
+            assert!(!outcome.instruction.contains(", then "));
+        }
+        assert!((32..=48).contains(&failed), "{failed} of 60");
+        assert_eq!(kinds.len(), Failure::ALL.len(), "{kinds:?}");
+    }
+
+    #[test]
+    fn without_failures_nearly_all_succeed() {
+        let options = EpisodeOptions::default();
+        let failed = (0..60)
+            .filter(|seed| !outcome(*seed, &options).success)
+            .count();
+        assert!(failed <= 1, "{failed} of 60");
+    }
+}

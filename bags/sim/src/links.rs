@@ -1,0 +1,216 @@
+//! The look of the arm and of the gripper.
+//!
+//! The gripper is made to be read in a picture of 128 pixels: fingers of different colours with light
+//! inner faces (which of them is where, and how far apart), dark tips (which end is down), and a palm
+//! that is light on one side, striped on the other and carries a fin there, so that no turn looks like
+//! another or like a shift.
+
+use std::sync::Arc;
+
+use crate::arm::{ELBOW_OFFSET_M, FOREARM_M, HAND_M, SHOULDER_HEIGHT_M, UPPER_ARM_M};
+use crate::gripper::{FINGER_LENGTH_M, FINGER_THICKNESS_M, FINGER_WIDTH_M};
+use crate::render::Mesh;
+
+/// What a part moves with.
+#[derive(Clone, Copy)]
+pub enum Link {
+    Base,
+    Waist,
+    UpperArm,
+    Forearm,
+    ForearmRoll,
+    Wrist,
+    Hand,
+    /// The finger on the side of negative (0) or positive (1) y.
+    Finger(usize),
+}
+
+/// A mesh in its link's frame, and its surface.
+pub struct LinkPart {
+    pub link: Link,
+    pub mesh: Arc<Mesh>,
+    pub srgb: [f32; 3],
+    pub gloss: f32,
+}
+
+impl LinkPart {
+    fn new(link: Link, mesh: Mesh, srgb: [f32; 3], gloss: f32) -> Self {
+        Self {
+            link,
+            mesh: Arc::new(mesh),
+            srgb,
+            gloss,
+        }
+    }
+}
+
+/// Depth of the palm, metres.
+const PALM_M: f32 = 0.024;
+
+const DARK: [f32; 3] = [0.20, 0.21, 0.24];
+const JOINT: [f32; 3] = [0.34, 0.36, 0.41];
+const LIGHT: [f32; 3] = [0.90, 0.91, 0.93];
+const BLACK: [f32; 3] = [0.07, 0.07, 0.09];
+const FIN: [f32; 3] = [0.98, 0.94, 0.25];
+/// The two fingers differ from each other and from every object, so that half a turn can be told.
+const FINGERS: [[f32; 3]; 2] = [[0.05, 0.72, 0.82], [0.94, 0.28, 0.62]];
+/// Their inner faces: brighter, so that the gap between them shows.
+const INNER: [[f32; 3]; 2] = [[0.80, 1.0, 1.0], [1.0, 0.86, 0.95]];
+
+/// Proportions of links that carry no kinematics are chosen by eye after the real arm; metres.
+pub fn arm_parts() -> Vec<LinkPart> {
+    let [upper, offset, forearm] =
+        [UPPER_ARM_M, ELBOW_OFFSET_M, FOREARM_M].map(|length| length as f32);
+    let shoulder = SHOULDER_HEIGHT_M as f32;
+    let across = |radius: f32, length: f32| {
+        Mesh::cylinder(radius, length)
+            .lying_along_y()
+            .shifted(0.0, -length / 2.0, 0.0)
+    };
+    let cuboid = Mesh::cuboid;
+    let part = LinkPart::new;
+    let mut parts = vec![
+        part(
+            Link::Base,
+            cuboid([-0.10, -0.065, 0.0], [0.075, 0.065, 0.022]),
+            DARK,
+            0.1,
+        ),
+        part(
+            Link::Base,
+            Mesh::cylinder(0.052, shoulder - 0.035),
+            DARK,
+            0.1,
+        ),
+        part(
+            Link::Waist,
+            cuboid([-0.038, -0.045, -0.035], [0.038, 0.045, 0.02]),
+            JOINT,
+            0.1,
+        ),
+        part(Link::UpperArm, across(0.034, 0.10), JOINT, 0.2),
+        part(
+            Link::UpperArm,
+            cuboid([-0.026, -0.024, 0.0], [0.024, 0.024, upper + 0.024]),
+            DARK,
+            0.15,
+        ),
+        part(
+            Link::UpperArm,
+            cuboid([0.0, -0.02, upper - 0.024], [offset, 0.02, upper + 0.024]),
+            DARK,
+            0.15,
+        ),
+        part(Link::Forearm, across(0.031, 0.07), JOINT, 0.2),
+        part(
+            Link::Forearm,
+            cuboid([0.0, -0.022, -0.022], [0.175, 0.022, 0.022]),
+            DARK,
+            0.15,
+        ),
+        part(
+            Link::ForearmRoll,
+            Mesh::cylinder(0.021, 0.07)
+                .lying_along_x()
+                .shifted(0.170 - forearm, 0.0, 0.0),
+            JOINT,
+            0.2,
+        ),
+        part(Link::ForearmRoll, across(0.024, 0.050), DARK, 0.2),
+        part(
+            Link::Wrist,
+            Mesh::cylinder(0.021, 0.045)
+                .lying_along_x()
+                .shifted(0.012, 0.0, 0.0),
+            JOINT,
+            0.2,
+        ),
+    ];
+    parts.extend(palm_parts());
+    for side in [0, 1] {
+        parts.extend(finger_parts(side));
+    }
+    parts
+}
+
+/// The palm in the hand's frame: light where y is negative; striped, with a fin, where it is positive.
+fn palm_parts() -> Vec<LinkPart> {
+    let hand = HAND_M as f32;
+    // The side of the palm that the fingers slide on, and its side towards the wrist.
+    let (near, far) = (-FINGER_LENGTH_M as f32, -FINGER_LENGTH_M as f32 - PALM_M);
+    let part = |mesh, srgb, gloss| LinkPart::new(Link::Hand, mesh, srgb, gloss);
+    let mut parts = vec![
+        part(
+            Mesh::cuboid([0.050 - hand, -0.024, -0.020], [far, 0.024, 0.020]),
+            JOINT,
+            0.2,
+        ),
+        part(
+            Mesh::cuboid([far, -0.068, -0.024], [near, 0.0, 0.024]),
+            LIGHT,
+            0.25,
+        ),
+        // Only on the viewer's side at zero yaw: front and back differ.
+        part(
+            Mesh::cuboid([far + 0.005, -0.044, 0.024], [near - 0.005, -0.020, 0.029]),
+            BLACK,
+            0.1,
+        ),
+        part(
+            Mesh::cuboid([far - 0.030, 0.052, -0.020], [far, 0.068, 0.020]),
+            FIN,
+            0.1,
+        ),
+    ];
+    const STRIPES: usize = 4;
+    for stripe in 0..STRIPES {
+        let width = 0.068 / STRIPES as f32;
+        let from = width * stripe as f32;
+        let srgb = if stripe % 2 == 0 { BLACK } else { LIGHT };
+        parts.push(part(
+            Mesh::cuboid([far, from, -0.024], [near, from + width, 0.024]),
+            srgb,
+            0.15,
+        ));
+    }
+    parts
+}
+
+/// A finger in the hand's frame at zero opening: its inner face at y = 0, its tip at x = 0.
+fn finger_parts(side: usize) -> Vec<LinkPart> {
+    let (length, thick, wide) = (
+        FINGER_LENGTH_M as f32,
+        FINGER_THICKNESS_M as f32,
+        FINGER_WIDTH_M as f32 / 2.0,
+    );
+    let inner_thick = 0.4 * thick;
+    let sign = if side == 0 { -1.0 } else { 1.0 };
+    // Between two distances from the inner face.
+    let slab = |from_x: f32, to_x: f32, from: f32, to: f32| {
+        let (low, high) = if sign < 0.0 { (-to, -from) } else { (from, to) };
+        Mesh::cuboid([from_x, low, -wide], [to_x, high, wide])
+    };
+    let pick = |colours: &[[f32; 3]; 2]| colours.get(side).copied().unwrap_or(LIGHT);
+    let part = |mesh, srgb| LinkPart::new(Link::Finger(side), mesh, srgb, 0.15);
+    // What it slides on goes around the palm, so that the opening shows from above as well.
+    let (inside, outside) = if sign < 0.0 {
+        (-thick, 0.0)
+    } else {
+        (0.0, thick)
+    };
+    let carriage = part(
+        Mesh::cuboid(
+            [-length - PALM_M - 0.008, inside, -0.031],
+            [-length + 0.002, outside, 0.031],
+        ),
+        pick(&FINGERS),
+    );
+    // The tip's dark band, longer on one finger than on the other.
+    let band = if side == 0 { 0.012 } else { 0.022 };
+    vec![
+        part(slab(-length, -band, inner_thick, thick), pick(&FINGERS)),
+        part(slab(-band, 0.0, inner_thick, thick), BLACK),
+        part(slab(-length, 0.0, 0.0, inner_thick), pick(&INNER)),
+        carriage,
+    ]
+}

@@ -1,0 +1,204 @@
+//! How a task goes wrong: a plan that works is changed the way a person would fail at it.
+//!
+//! Whether the task fails is still up to the world: what is meant to miss may hit.
+
+use nalgebra::Vector3;
+use rand::Rng;
+use rand::seq::IndexedRandom;
+use rand_chacha::ChaCha8Rng;
+
+use super::plan::{Aim, DIRECTIONS, Move, go_loosely, graspable, inside, loose_rpy};
+use super::task::Task;
+use crate::object::Shape;
+use crate::world::World;
+
+/// What goes wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Failure {
+    /// The fingers close beside the object or above it.
+    MissedGrasp,
+    /// The object falls out of the hand on the way.
+    Dropped,
+    /// It is put down, or pushed, somewhere else.
+    WrongPlace,
+    /// Another object is handled than the instruction names.
+    WrongObject,
+    /// The operator stops halfway.
+    Halted,
+}
+
+impl Failure {
+    /// All kinds.
+    pub const ALL: [Self; 5] = [
+        Self::MissedGrasp,
+        Self::Dropped,
+        Self::WrongPlace,
+        Self::WrongObject,
+        Self::Halted,
+    ];
+
+    /// Changes `task` and the moves for it so that it goes wrong; `None` where it cannot in this way.
+    pub(super) fn spoil(
+        self,
+        rng: &mut ChaCha8Rng,
+        world: &World,
+        task: Task,
+        mut moves: Vec<Move>,
+    ) -> Option<(Task, Vec<Move>)> {
+        match self {
+            Self::MissedGrasp => miss(rng, &task, &mut moves)?,
+            Self::Dropped => drop_it(rng, world, &task, &mut moves)?,
+            Self::WrongPlace => return elsewhere(rng, task, moves),
+            Self::WrongObject => return Some((other_object(rng, world, task)?, moves)),
+            Self::Halted => {
+                let end = match task {
+                    Task::PickUp { .. } => grasp_at(&task, &moves)?,
+                    Task::Place { .. } => moves
+                        .iter()
+                        .rposition(|step| matches!(step, Move::Grip { to, .. } if *to > 0.5))?,
+                    // Before the push itself.
+                    Task::Push { .. } => 2.min(moves.len()),
+                    Task::Explore | Task::Reach { .. } => return None,
+                };
+                moves.truncate(rng.random_range(1..=end.max(1)));
+            }
+        }
+        Some((task, moves))
+    }
+}
+
+/// Which move closes the fingers on the object.
+fn grasp_at(task: &Task, moves: &[Move]) -> Option<usize> {
+    matches!(task, Task::PickUp { .. } | Task::Place { .. })
+        .then(|| {
+            moves
+                .iter()
+                .position(|step| matches!(step, Move::Grip { to, .. } if *to < 0.5))
+        })
+        .flatten()
+}
+
+fn miss(rng: &mut ChaCha8Rng, task: &Task, moves: &mut [Move]) -> Option<()> {
+    let grasp = grasp_at(task, moves)?;
+    let aside = if rng.random_bool(0.35) {
+        Vector3::z() * rng.random_range(0.04..0.06)
+    } else {
+        let (sin, cos) = rng.random_range(0.0..std::f64::consts::TAU).sin_cos();
+        Vector3::new(cos, sin, 0.0) * rng.random_range(0.045..0.07)
+    };
+    for step in moves.iter_mut().take(grasp) {
+        if let Move::Go {
+            aim: Aim::Object { offset, .. },
+            ..
+        } = step
+        {
+            *offset += aside;
+        }
+    }
+    Some(())
+}
+
+fn drop_it(rng: &mut ChaCha8Rng, world: &World, task: &Task, moves: &mut Vec<Move>) -> Option<()> {
+    let grasp = grasp_at(task, moves)?;
+    let from = world.objects().get(task.object()?)?.position();
+    // On the way to the place where it should go, or after any of the moves that carry it about.
+    let (keep, over) = match task {
+        Task::Place { spot, .. } => (
+            grasp + 2,
+            from + (spot - from) * rng.random_range(0.1..0.55),
+        ),
+        _ => {
+            let carried = moves.len().checked_sub(grasp + 1).filter(|n| *n > 0)?;
+            (grasp + 1 + rng.random_range(1..=carried), from)
+        }
+    };
+    moves.truncate(keep);
+    if let Task::Place { .. } = task {
+        let at = Vector3::new(over.x, over.y, rng.random_range(0.06..0.10));
+        moves.push(go_loosely(Aim::Point(at), loose_rpy(rng, 0.0), 0.0));
+    }
+    moves.push(Move::Grip {
+        to: 1.0,
+        frames: rng.random_range(2..=4),
+    });
+    Some(())
+}
+
+fn elsewhere(
+    rng: &mut ChaCha8Rng,
+    mut task: Task,
+    mut moves: Vec<Move>,
+) -> Option<(Task, Vec<Move>)> {
+    if let Task::Push {
+        direction_words,
+        direction,
+        viewer,
+        ..
+    } = &mut task
+    {
+        let others: Vec<_> = DIRECTIONS
+            .iter()
+            .filter(|(words, _)| words != direction_words)
+            .collect();
+        let (words, [right, ahead]) = others.choose(rng)?;
+        *direction_words = words;
+        *direction = viewer[0] * *right + viewer[1] * *ahead;
+        return Some((task, moves));
+    }
+    let grasp = grasp_at(&task, &moves)?;
+    let Task::Place { spot, .. } = &task else {
+        return None;
+    };
+    let aside = (0..12).find_map(|_| {
+        let (sin, cos) = rng.random_range(0.0..std::f64::consts::TAU).sin_cos();
+        let aside = Vector3::new(cos, sin, 0.0) * rng.random_range(0.07..0.12);
+        inside(spot + aside, 0.01).then_some(aside)
+    })?;
+    // All that follows the grasp and the lift.
+    for step in moves.iter_mut().skip(grasp + 2) {
+        if let Move::Go {
+            aim: Aim::Point(point),
+            ..
+        } = step
+        {
+            *point += aside;
+        }
+    }
+    Some((task, moves))
+}
+
+/// The same task with another object in the instruction than the one that the moves handle.
+fn other_object(rng: &mut ChaCha8Rng, world: &World, mut task: Task) -> Option<Task> {
+    let present = task.object()?;
+    let place = match &task {
+        Task::Place { other, .. } => Some(*other),
+        _ => None,
+    };
+    let others: Vec<usize> = world
+        .objects()
+        .iter()
+        .enumerate()
+        .filter(|(index, object)| {
+            let suits = match task {
+                Task::Reach { .. } => true,
+                Task::Push { .. } => !matches!(object.shape, Shape::Mat { .. }),
+                _ => graspable(object),
+            };
+            suits && *index != present && Some(*index) != place
+        })
+        .map(|(index, _)| index)
+        .collect();
+    let named = *others.choose(rng)?;
+    let position = world.objects().get(named)?.position();
+    match &mut task {
+        Task::Explore => return None,
+        Task::Reach { object } | Task::PickUp { object } | Task::Place { object, .. } => {
+            *object = named;
+        }
+        Task::Push { object, from, .. } => {
+            *object = named;
+            *from = position;
+        }
+    }
+    Some(task)
+}

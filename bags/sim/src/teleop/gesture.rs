@@ -1,0 +1,53 @@
+//! What a hand does besides its task where nothing depends on it: it turns, and opens and closes.
+//!
+//! People do so to try out the gripper and to see around it; here it also makes turns and openings
+//! frequent enough to be learned.
+
+use nalgebra::Vector3;
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+
+/// Shortest and longest gesture, actions.
+const FRAMES: std::ops::RangeInclusive<usize> = 2..=5;
+/// How often a gesture turns about an axis, and how far at most, radians: roll, pitch, yaw.
+const TURN_SHARE: f64 = 0.6;
+const LARGEST_TURN_RAD: [f64; 3] = [0.5, 0.5, 0.6];
+/// How often a gesture works the gripper.
+const GRIPPER_SHARE: f64 = 0.4;
+
+/// The present gesture.
+#[derive(Default)]
+pub struct Gesture {
+    turn: Vector3<f64>,
+    gripper: bool,
+    frames: usize,
+}
+
+impl Gesture {
+    /// One action later: keeps the gesture, or takes up the next.
+    pub fn advance(&mut self, rng: &mut ChaCha8Rng) {
+        if self.frames > 0 {
+            self.frames -= 1;
+            return;
+        }
+        self.frames = rng.random_range(FRAMES);
+        self.turn = Vector3::from(LARGEST_TURN_RAD).map(|largest| {
+            if rng.random_bool(TURN_SHARE) {
+                rng.random_range(-largest..largest)
+            } else {
+                0.0
+            }
+        });
+        self.gripper = rng.random_bool(GRIPPER_SHARE);
+    }
+
+    /// Turn away from how the hand would be held, radians.
+    pub fn turn(&self) -> Vector3<f64> {
+        self.turn
+    }
+
+    /// Whether the gripper is worked against what the way asks for.
+    pub fn gripper_turned(&self) -> bool {
+        self.gripper
+    }
+}
