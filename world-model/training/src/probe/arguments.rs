@@ -71,7 +71,7 @@ pub(super) fn train_on(
     held_out: Option<&Latents>,
     stop: &Stop,
 ) -> Result<Ended> {
-    let mut task = ProbeTask::new(recipe, train, held_out, run.threads()?, &run.out)?;
+    let mut task = ProbeTask::new(recipe, train, held_out, run)?;
     let per_epoch = task.episodes.len() as f64 / recipe.batch as f64;
     let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
@@ -85,6 +85,7 @@ pub(super) fn train_on(
             "recipe": crate::recipe::identity(recipe)?,
             "latent_space": train.space().to_string(),
             "data": train.digest(),
+            "from": run.origin(),
         }),
     };
     crate::recipe::write(&run.out, task.name(), recipe)?;

@@ -328,10 +328,7 @@ pub(super) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
 mod tests {
     use rand::SeedableRng as _;
 
-    use super::super::{
-        tests::{config, encoding, moving, objective},
-        trainable,
-    };
+    use super::super::tests::{config, encoding, fresh, moving, objective};
     use super::*;
 
     /// As in the authors' release: no frame of a clip has zeros in place of its action, those to be learned neither.
@@ -342,7 +339,7 @@ mod tests {
         let encoding = encoding();
         let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
         let config = config(Parametrisation::Velocity, ActionAlignment::WithFrame);
-        let (_, model) = trainable(&config, 3).unwrap();
+        let (_, model) = fresh(&config, 3);
         let objective = objective(Forcing::Teacher);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let batch = Batch::draw(&objective, &model, &clips, &mut rng).unwrap();
