@@ -199,6 +199,9 @@ pub struct HeldOutArgs {
     /// validation are taken.
     #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
     pub data: Vec<PathBuf>,
+    /// How recordings become episodes.
+    #[command(flatten)]
+    pub options: DataOptions,
     /// Folder for decoded frames and latents; a temporary one by default.
     #[arg(long)]
     pub cache: Option<PathBuf>,
@@ -216,6 +219,6 @@ impl HeldOutArgs {
     /// # Errors
     /// Names what cannot be used.
     pub fn open(&self, size: (usize, usize)) -> Result<Dataset, DatasetError> {
-        Dataset::held_out(&self.data, size, &self.cache(), &DataOptions::default())
+        Dataset::held_out(&self.data, size, &self.cache(), &self.options)
     }
 }

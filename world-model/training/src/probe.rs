@@ -86,11 +86,12 @@ impl<'a> ProbeTask<'a> {
     ) -> Result<Self> {
         recipe.validate()?;
         let own = &recipe.model;
-        let episodes = Episodes::new(train, own.frame_skip, own.max_frames)?;
-        let held_out = held_out
-            .map(|held_out| Episodes::new(held_out, own.frame_skip, Some(episodes.max_frames())))
-            .transpose()
-            .context("the episodes for validation")?;
+        let episodes = Episodes::new(train, own.frame_skip, own.max_frames);
+        episodes.require_successes()?;
+        let most = Some(episodes.max_frames());
+        let mut held_out = held_out
+            .map(|held_out| Episodes::new(held_out, own.frame_skip, most))
+            .filter(|held_out| held_out.len() > 0);
         let mut config = recipe.config(train.space(), episodes.max_frames());
         if let Some(old) = run.old_config::<SuccessProbeConfig>(FILE, PROBE_KEY)? {
             config = SuccessProbeConfig {
@@ -100,11 +101,13 @@ impl<'a> ProbeTask<'a> {
             };
         }
         let words = WordsConfig::of(episodes.instructions(), config.text_features);
-        if let Some(held_out) = &held_out {
-            for instruction in held_out.instructions() {
-                words
-                    .encode(instruction)
-                    .context("the episodes for validation")?;
+        if let Some(held_out) = &mut held_out {
+            let unknown = held_out.leave_out(|instruction| words.encode(instruction).is_err());
+            if !unknown.is_empty() {
+                println!(
+                    "left out of the validation, since the training data lack their words: {}",
+                    unknown.join("; ")
+                );
             }
         }
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
