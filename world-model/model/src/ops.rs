@@ -34,7 +34,8 @@ pub(crate) mod vectorised;
 pub use activation::{gelu_exact, gelu_tanh, silu};
 pub use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
 pub use conv::{
-    ConvShape, Epilogue, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
+    ConvShape, Epilogue, GridSize, PackedConv, conv2d, conv2d_input_gradient,
+    conv2d_weight_gradient,
 };
 pub use dense_attention::{AttentionShape, ScoreMask, dense_attention};
 pub use element::PackedFormat;
