@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use crate::{LatentSpace, Result};
 
 /// Turns camera frames into latents. Encoders are frozen: they never change once loaded.
-pub trait Encoder: Send {
+pub trait Encoder: Send + Sync {
     /// The space of the latents that come out.
     fn space(&self) -> &LatentSpace;
 

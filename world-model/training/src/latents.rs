@@ -38,11 +38,7 @@ impl Latents {
     ///
     /// # Errors
     /// When a frame cannot be encoded, or the cache cannot be read or written.
-    pub fn open(
-        dataset: &Dataset,
-        encoder: &(dyn Encoder + Sync),
-        cache_dir: &Path,
-    ) -> Result<Self> {
+    pub fn open(dataset: &Dataset, encoder: &dyn Encoder, cache_dir: &Path) -> Result<Self> {
         let space = encoder.space().clone();
         let short = |digest: &str| digest.chars().take(16).collect::<String>();
         let name = format!("latents-{}-{}", short(dataset.digest()), short(&space.hash));
@@ -131,7 +127,7 @@ impl Latents {
     }
 }
 
-fn encode(dataset: &Dataset, encoder: &(dyn Encoder + Sync), path: &Path) -> Result<()> {
+fn encode(dataset: &Dataset, encoder: &dyn Encoder, path: &Path) -> Result<()> {
     let (height, width) = dataset.size();
     ensure!(
         encoder.input_size() == (height, width),
@@ -167,7 +163,7 @@ fn encode(dataset: &Dataset, encoder: &(dyn Encoder + Sync), path: &Path) -> Res
 /// The latents of `count` frames from `first` on, as the cache holds them.
 fn encode_batch(
     dataset: &Dataset,
-    encoder: &(dyn Encoder + Sync),
+    encoder: &dyn Encoder,
     first: usize,
     count: usize,
 ) -> Result<Vec<u8>> {
