@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use wm_sim::SimArgs;
 use wm_training::{
+    adapter::TrainAdapterArgs,
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
     idm::{EvaluateIdmArgs, TrainIdmArgs},
     run::{Ended, Stop},
@@ -45,6 +46,8 @@ enum TrainCommand {
     Autoencoder(TrainAutoencoderArgs),
     /// Train the transition model on the latents of a frozen encoder
     Transition(TrainTransitionArgs),
+    /// Train the S-VAE adapter and its pixel decoder on the features of a frozen encoder
+    Adapter(TrainAdapterArgs),
     /// Train the inverse dynamics model on the latents of a frozen encoder
     Idm(TrainIdmArgs),
 }
@@ -65,6 +68,7 @@ impl TrainCommand {
         let ended = match self {
             Self::Autoencoder(arguments) => arguments.run(&stop)?,
             Self::Transition(arguments) => arguments.run(&stop)?,
+            Self::Adapter(arguments) => arguments.run(&stop)?,
             Self::Idm(arguments) => arguments.run(&stop)?,
         };
         Ok(match ended {
