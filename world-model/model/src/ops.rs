@@ -41,7 +41,7 @@ pub use dense_attention::{AttentionShape, ScoreMask, dense_attention};
 pub use element::PackedFormat;
 pub use engine::Engine;
 pub use gated_residual::gated_residual;
-pub use group_norm::{Activation, group_norm};
+pub use group_norm::{Activation, differentiable_group_norm, group_norm};
 pub use layer_norm::layer_norm;
 pub use linear::linear;
 pub use packed_linear::PackedLinear;
