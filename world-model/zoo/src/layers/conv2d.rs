@@ -234,8 +234,8 @@ impl Conv2d {
             Weights::Packed(packed) => self.on_kernel(x, packed, None),
             Weights::Plain(weight) if self.is_trained(x, weight) => {
                 let weight = weight.permute((2, 3, 1, 0))?;
-                let y = ops::conv2d(&self.spec.shape(self.doubles), x, &weight)?;
-                Ok(y.broadcast_add(&self.bias)?)
+                let shape = self.spec.shape(self.doubles);
+                Ok(ops::conv2d(&shape, x, &weight, &self.bias)?)
             }
             Weights::Plain(weight) if self.doubles => {
                 self.on_candle(&upsample_nearest_2x(x)?, &weight.contiguous()?)
@@ -414,18 +414,16 @@ mod tests {
                 stride,
                 padding: Padding::same(3),
             };
-            let (bias, x) = (random(&[5]), random(&[2, 8, 4, 3]));
-            let (x, weight) = (
-                Var::from_tensor(&x).unwrap(),
-                Var::from_tensor(&random(&spec.weight_shape())).unwrap(),
-            );
+            let var = |shape: &[usize]| Var::from_tensor(&random(shape)).unwrap();
+            let (x, weight, bias) = (var(&[2, 8, 4, 3]), var(&spec.weight_shape()), var(&[5]));
             let build = if doubles {
                 Conv2d::doubling
             } else {
                 Conv2d::new
             };
             let format = PackedFormat::F32;
-            let conv = build(spec, &weight, bias.clone(), Engine::Candle, format).unwrap();
+            let of_layer = bias.as_tensor().clone();
+            let conv = build(spec, &weight, of_layer, Engine::Candle, format).unwrap();
             assert!(conv.is_trained(&x, &weight));
             let plain = match doubles {
                 true => conv.on_candle(&upsample_nearest_2x(&x).unwrap(), &weight),
@@ -433,7 +431,7 @@ mod tests {
             };
             let of = |y: Tensor| {
                 let store = y.sqr().unwrap().sum_all().unwrap().backward().unwrap();
-                [&x, &weight].map(|var| store.get(var).unwrap().clone())
+                [&x, &weight, &bias].map(|var| store.get(var).unwrap().clone())
             };
             let pairs = of(conv.forward(&x).unwrap())
                 .into_iter()

@@ -1,6 +1,6 @@
 //! A convolution that propagates gradients.
 
-use candle_core::{CpuStorage, CustomOp2, Error, Layout, Result, Shape, Tensor};
+use candle_core::{CpuStorage, CustomOp3, Error, Layout, Result, Shape, Tensor};
 
 use super::{
     ConvShape, Epilogue, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
@@ -8,14 +8,15 @@ use super::{
 use crate::ops::host::{host, slice};
 
 /// Convolves `x` (images, height, width, inputs) with `weight` (kernel row, kernel column, input channel, output
-/// channel), f32 on the CPU, and propagates gradients to both by the kernels of this module.
+/// channel) and `bias` (output channel), f32 on the CPU, and propagates gradients to all three by the kernels of this
+/// module.
 ///
 /// # Errors
 /// If the shapes are not those of `shape`, or a tensor is not f32 on the CPU.
-pub fn conv2d(shape: &ConvShape, x: &Tensor, weight: &Tensor) -> Result<Tensor> {
+pub fn conv2d(shape: &ConvShape, x: &Tensor, weight: &Tensor, bias: &Tensor) -> Result<Tensor> {
     let convolution = Convolution(*shape);
     x.contiguous()?
-        .apply_op2(&weight.contiguous()?, convolution)
+        .apply_op3(&weight.contiguous()?, &bias.contiguous()?, convolution)
 }
 
 struct Convolution(ConvShape);
@@ -34,7 +35,7 @@ impl Convolution {
     }
 }
 
-impl CustomOp2 for Convolution {
+impl CustomOp3 for Convolution {
     fn name(&self) -> &'static str {
         "conv2d"
     }
@@ -45,9 +46,15 @@ impl CustomOp2 for Convolution {
         x_layout: &Layout,
         weight: &CpuStorage,
         weight_layout: &Layout,
+        bias: &CpuStorage,
+        bias_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         let grid = self.grid(x_layout.shape())?;
-        let packed = PackedConv::new(&self.0, slice(weight, weight_layout)?, None);
+        let packed = PackedConv::new(
+            &self.0,
+            slice(weight, weight_layout)?,
+            Some(slice(bias, bias_layout)?),
+        );
         let packed = packed.map_err(Error::wrap)?;
         let mut y = Vec::new();
         let size = packed.run(slice(x, x_layout)?, grid, Epilogue::default(), &mut y);
@@ -60,9 +67,10 @@ impl CustomOp2 for Convolution {
         &self,
         x: &Tensor,
         weight: &Tensor,
+        bias: &Tensor,
         _: &Tensor,
         gradient: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let grid = self.grid(x.shape())?;
         let gradient = gradient.contiguous()?;
         let (hx, hw, hg) = (host(x), host(weight), host(&gradient));
@@ -77,19 +85,17 @@ impl CustomOp2 for Convolution {
             }
             false => None,
         };
-        let by_weight = match weight.track_op() {
-            true => {
-                let mut by_weight = vec![0.0; vw.len()];
-                conv2d_weight_gradient(&self.0, vx, vg, grid, &mut by_weight, None)
-                    .map_err(Error::wrap)?;
-                Some(Tensor::from_vec(
-                    by_weight,
-                    weight.shape(),
-                    weight.device(),
-                )?)
-            }
-            false => None,
-        };
-        Ok((by_x, by_weight))
+        if !weight.track_op() && !bias.track_op() {
+            return Ok((by_x, None, None));
+        }
+        let (mut by_weight, mut by_bias) = (vec![0.0; vw.len()], vec![0.0; self.0.outputs]);
+        let of_bias = Some(by_bias.as_mut_slice());
+        conv2d_weight_gradient(&self.0, vx, vg, grid, &mut by_weight, of_bias)
+            .map_err(Error::wrap)?;
+        Ok((
+            by_x,
+            Some(Tensor::from_vec(by_weight, weight.shape(), x.device())?),
+            Some(Tensor::from_vec(by_bias, bias.shape(), x.device())?),
+        ))
     }
 }
