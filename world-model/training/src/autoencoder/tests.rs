@@ -67,7 +67,8 @@ fn write_bag(dir: &Path, masks: bool) {
     writer.finish().unwrap();
 }
 
-fn dataset(scratch: &Path, masks: bool) -> Dataset {
+/// One episode of such frames.
+pub(crate) fn dataset(scratch: &Path, masks: bool) -> Dataset {
     let bags = scratch.join(format!("bags_{masks}"));
     if !bags.exists() {
         write_bag(&bags.join("episode_000000"), masks);
