@@ -1,4 +1,8 @@
-//! Training of the world model from bags: the autoencoder, then the transition model on its frozen latents.
+//! Training of a world model from bags.
+//!
+//! [`dataset`] turns recordings into episodes, [`latents`] encodes them once. A training ([`autoencoder`], [`adapter`],
+//! [`transition`], [`idm`], [`probe`]) is a [`run::Task`] with a [`recipe`]; [`run`] steps it, saves it and takes it up
+//! again. [`model`] trains all parts of a model.
 //!
 //! Not here: the models themselves and inference (`wm_model`), making data (`wm_sim`, `wm_import`).
 

@@ -27,7 +27,7 @@
 //! # }
 //! ```
 //!
-//! For inference only: nothing here trains. Not here either: sampling and planning (`wm_model`), files of other
+//! Nothing here trains, but a network whose tensors are variables ([`Loader::supplied`]) propagates gradients to them. Not here either: sampling and planning (`wm_model`), files of other
 //! formats than safetensors and torch's, and downloads (`wm model fetch`).
 
 mod error;

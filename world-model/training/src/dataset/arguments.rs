@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
-use wm_model::{Autoencoder, Encoder as _};
+use wm_zoo::ModelFolder;
 
 use super::{
     Data, DataOptions, DatasetError, Size,
@@ -43,9 +43,9 @@ enum DatasetCommand {
     Latents {
         /// The folder
         dir: PathBuf,
-        /// Weights of the encoder: a file, or a folder with `autoencoder.safetensors` or with the two published TAEF2 files
-        #[arg(long)]
-        autoencoder: PathBuf,
+        /// The model whose encoder it is: tiny, or a model's folder
+        #[arg(long, visible_alias = "autoencoder")]
+        encoder: String,
         /// Folder for the latents, and for smaller pictures if the encoder takes such [default: the prepared folder]
         #[arg(long)]
         cache: Option<PathBuf>,
@@ -70,17 +70,17 @@ impl DatasetArgs {
             (
                 Some(DatasetCommand::Latents {
                     dir,
-                    autoencoder,
+                    encoder,
                     cache,
                 }),
                 _,
             ) => {
-                let encoder = Autoencoder::open(autoencoder)?;
+                let encoder = ModelFolder::open(encoder)?.encoder()?;
                 let cache = cache.as_ref().unwrap_or(dir);
                 let options = DataOptions::default();
                 let paths = [dir.clone()];
                 let data = Data::open(&paths, encoder.input_size(), cache, &options)?;
-                let statistics = Latents::open(&data.training, &encoder, cache)?.statistics()?;
+                let statistics = Latents::open(&data.training, &*encoder, cache)?.statistics()?;
                 for (channel, (mean, std)) in
                     (statistics.mean.iter().zip(&statistics.std)).enumerate()
                 {
