@@ -2,9 +2,10 @@
 //!
 //! What is trained is a [`Task`]; the run knows neither the network nor the data. It resumes from a checkpoint that an
 //! earlier run of the same training left, saves on SIGINT and SIGTERM, skips steps whose loss is not finite, and keeps a
-//! journal (a line per step and per validation) with pictures of it. All files begin with the task's name, so that the
+//! journal (a line per step and per validation) with pictures of it, and event files for TensorBoard. All files begin with the task's name, so that the
 //! trainings of a model share its folder.
 
+mod events;
 mod journal;
 mod progress;
 mod stop;
@@ -19,6 +20,7 @@ use image::RgbImage;
 use serde_json::Value;
 
 use crate::optimiser::{AdamW, AdamWSettings, Group, OptimiserError, Parameter, Schedule, Trained};
+use events::Events;
 pub use journal::{Figure, Journal};
 use progress::Progress;
 pub use stop::Stop;
@@ -171,6 +173,7 @@ struct Run<'a> {
     settings: &'a RunSettings,
     optimiser: AdamW,
     journal: Journal,
+    events: Events,
     /// Steps in a row that were not finite.
     in_a_row: u32,
     has_written: bool,
@@ -181,6 +184,7 @@ impl<'a> Run<'a> {
         let parameters = task.parameters()?;
         let optimiser = AdamW::in_groups(parameters, task.groups(), settings.optimiser.clone());
         Ok(Self {
+            events: Events::create(&settings.out, task.name())?,
             task,
             settings,
             optimiser,
@@ -252,6 +256,7 @@ impl<'a> Run<'a> {
                 self.in_a_row = 0;
                 self.task.assign(&mut self.optimiser.weights())?;
                 self.journal.step(step, &found, norm, rate);
+                self.events.step(step, &found, norm, rate)?;
                 let loss = self.journal.recent_mean(50);
                 Ok(format!("loss {loss:.4} |g| {norm:.2}"))
             }
@@ -287,7 +292,7 @@ impl<'a> Run<'a> {
         let checkpoint = self.checkpoint();
         self.optimiser.save(&checkpoint, &self.settings.identity)?;
         self.journal.write(&self.settings.out)?;
-        Ok(())
+        self.events.flush()
     }
 
     fn write(&mut self) -> Result<()> {
@@ -306,6 +311,7 @@ impl<'a> Run<'a> {
         for Figure { name, value } in &figures {
             line += &format!(", {name} {value:.3}");
         }
+        self.events.validated(step, &figures)?;
         self.journal.validated(step, figures);
         self.journal.write(&self.settings.out)?;
         if let Some(picture) = self.task.samples()? {
@@ -318,7 +324,9 @@ impl<'a> Run<'a> {
             picture
                 .save(&path)
                 .with_context(|| path.display().to_string())?;
+            self.events.picture(step, &picture)?;
         }
+        self.events.flush()?;
         Ok(line)
     }
 }

@@ -27,8 +27,9 @@
 //! # }
 //! ```
 //!
-//! Nothing here trains, but a network whose tensors are variables ([`Loader::supplied`]) propagates gradients to them. Not here either: sampling and planning (`wm_model`), files of other
-//! formats than safetensors and torch's, and downloads (`wm model fetch`).
+//! Nothing here trains, but a network whose tensors are variables ([`Loader::supplied`]) propagates gradients to them.
+//! Not here either: sampling and planning (`wm_model`), files of other formats than safetensors and torch's, and
+//! downloads (`wm model fetch`).
 
 mod error;
 mod model_folder;
