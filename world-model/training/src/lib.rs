@@ -5,6 +5,8 @@
 pub mod arguments;
 pub mod autoencoder;
 pub mod dataset;
+#[cfg(test)]
+mod fixture;
 pub mod fresh_weights;
 pub mod idm;
 pub mod latents;

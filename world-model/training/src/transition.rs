@@ -327,4 +327,6 @@ fn table_row(ratios: &[f64]) -> String {
 }
 
 #[cfg(test)]
+mod parity;
+#[cfg(test)]
 pub(crate) mod tests;

@@ -1,4 +1,4 @@
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use candle_core::{D, DType, Device, Tensor};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -120,13 +120,29 @@ impl Objective {
         clips: &ClipSource<'_>,
         rng: &mut ChaCha8Rng,
     ) -> Result<Tensor> {
-        if self.recipe.forcing == Forcing::Diffusion {
-            return noised_at_once::loss(self, model, clips, rng);
-        }
+        let (latents, actions) = self.draw_clips(clips, rng)?;
+        let draws = self.draw(latents.dims(), rng)?;
+        self.loss_of(model, (&latents, &actions), &draws)
+    }
+
+    /// The loss of clips (B, n, h, w, C) with the actions (B, n, A) of their frames, and of these random numbers.
+    pub(super) fn loss_of(
+        &self,
+        model: &Transition,
+        (latents, actions): (&Tensor, &Tensor),
+        draws: &Draws,
+    ) -> Result<Tensor> {
         let past = self.recipe.history;
-        let batch = Batch::draw(self, model, clips, rng)?;
-        let own = rng.random_bool(self.recipe.own_history);
-        let history = if own {
+        if self.recipe.forcing == Forcing::Diffusion {
+            return noised_at_once::loss(model, (latents, actions), draws, past);
+        }
+        let batch = Batch::new(
+            model.config().action_alignment,
+            (latents, actions),
+            draws,
+            past,
+        )?;
+        let history = if draws.has_own_history {
             batch.with_predictions(model, past)?
         } else {
             batch.history.clone()
@@ -135,11 +151,7 @@ impl Objective {
     }
 
     /// Clips (B, n, h, w, C) with the actions (B, n, A) of their frames, some of which are the null action.
-    pub(super) fn draw_clips(
-        &self,
-        clips: &ClipSource<'_>,
-        rng: &mut ChaCha8Rng,
-    ) -> Result<(Tensor, Tensor)> {
+    fn draw_clips(&self, clips: &ClipSource<'_>, rng: &mut ChaCha8Rng) -> Result<(Tensor, Tensor)> {
         let (latents, actions) = clips.batch(self.micro_batch, rng)?;
         let part = self.recipe.action_dropout;
         if part > 0.0 {
@@ -148,23 +160,32 @@ impl Objective {
         Ok((latents, actions))
     }
 
-    /// Frames (B, n, h, w, C) as history: a little noise of a level of its own for each frame.
-    pub(super) fn with_history_noise(
-        &self,
-        clean: &Tensor,
-        rng: &mut ChaCha8Rng,
-    ) -> Result<Tensor> {
-        let (b, n, ..) = clean.dims5()?;
-        let levels = (0..b * n).map(|_| {
+    /// The random numbers of the loss of clips of these dimensions, (B, n, h, w, C).
+    fn draw(&self, clips: &[usize], rng: &mut ChaCha8Rng) -> Result<Draws> {
+        let &[b, n, h, w, c] = clips else {
+            bail!("clips of dimensions {clips:?}, expected (B, n, h, w, C)");
+        };
+        let past = self.recipe.history;
+        let later = n - past;
+        let is_teacher = self.recipe.forcing == Forcing::Teacher;
+        let clean = if is_teacher { n - 1 } else { past };
+        let levels = (0..b * clean).map(|_| {
             let normal: f64 = StandardNormal.sample(rng);
             (normal * self.recipe.history_noise) as f32
         });
-        let levels = Tensor::from_vec(levels.collect(), (b, n, 1, 1, 1), &Device::Cpu)?;
-        let noised = (clean + normals(clean.dims(), rng)?.broadcast_mul(&levels)?)?;
-        Ok(noised.broadcast_div(&(levels.sqr()? + 1.0)?.sqrt()?)?)
+        Ok(Draws {
+            history_levels: Tensor::from_vec(levels.collect(), (b, clean), &Device::Cpu)?,
+            history_noise: normals(&[b, clean, h, w, c], rng)?,
+            noise: normals(&[b, later, h, w, c], rng)?,
+            tau: {
+                let tau = (0..b * later).map(|_| self.draw_tau(rng));
+                Tensor::from_vec(tau.collect(), (b, later), &Device::Cpu)?
+            },
+            has_own_history: is_teacher && rng.random_bool(self.recipe.own_history),
+        })
     }
 
-    pub(super) fn draw_tau(&self, rng: &mut ChaCha8Rng) -> f32 {
+    fn draw_tau(&self, rng: &mut ChaCha8Rng) -> f32 {
         let tau = match self.recipe.tau {
             TauDistribution::Uniform => rng.random::<f64>(),
             TauDistribution::LogitNormal => {
@@ -173,6 +194,30 @@ impl Objective {
             }
         };
         shift_time(tau, self.shift).max(SMALLEST_TAU) as f32
+    }
+}
+
+/// The random numbers of a loss, for B clips of n frames, of which H are history.
+pub(super) struct Draws {
+    /// Noise level s of each clean frame: (B, n - 1) under teacher forcing, (B, H) under diffusion forcing.
+    pub(super) history_levels: Tensor,
+    /// What is added to these frames at that level.
+    pub(super) history_noise: Tensor,
+    /// (B, n - H, h, w, C), for the frames to be learned.
+    pub(super) noise: Tensor,
+    /// (B, n - H).
+    pub(super) tau: Tensor,
+    /// Whether the model's own predictions stand in for the later frames of the history.
+    pub(super) has_own_history: bool,
+}
+
+impl Draws {
+    /// Frames as history: a little noise of a level of its own for each.
+    pub(super) fn as_history(&self, clean: &Tensor) -> Result<Tensor> {
+        let (b, n) = self.history_levels.dims2()?;
+        let levels = self.history_levels.reshape((b, n, 1, 1, 1))?;
+        let noised = (clean + self.history_noise.broadcast_mul(&levels)?)?;
+        Ok(noised.broadcast_div(&(levels.sqr()? + 1.0)?.sqrt()?)?)
     }
 }
 
@@ -191,22 +236,15 @@ struct Batch {
 }
 
 impl Batch {
-    fn draw(
-        objective: &Objective,
-        model: &Transition,
-        clips: &ClipSource<'_>,
-        rng: &mut ChaCha8Rng,
+    fn new(
+        alignment: ActionAlignment,
+        (latents, actions): (&Tensor, &Tensor),
+        draws: &Draws,
+        past: usize,
     ) -> Result<Self> {
-        let (b, n, past) = (
-            objective.micro_batch,
-            clips.frames(),
-            objective.recipe.history,
-        );
-        let a = clips.action_dim();
-        let (latents, actions) = objective.draw_clips(clips, rng)?;
+        let n = latents.dim(1)?;
         let later = n - past;
-        let zero = |frames| Tensor::zeros((b, frames, a), DType::F32, &Device::Cpu);
-        let actions = match model.config().action_alignment {
+        let actions = match alignment {
             // Every frame carries its own action, those to be learned too, as in the authors' release.
             ActionAlignment::WithFrame => Tensor::cat(
                 &[
@@ -217,7 +255,7 @@ impl Batch {
             )?,
             ActionAlignment::WithResult => Tensor::cat(
                 &[
-                    zero(1)?,
+                    actions.narrow(1, 0, 1)?.zeros_like()?,
                     actions.narrow(1, 0, n - 2)?,
                     actions.narrow(1, past - 1, later)?,
                 ],
@@ -225,15 +263,11 @@ impl Batch {
             )?,
         };
         let clean = latents.narrow(1, 0, n - 1)?.contiguous()?;
-        let history = objective.with_history_noise(&clean, rng)?;
-        let target = latents.narrow(1, past, later)?.contiguous()?;
-        let noise = normals(target.dims(), rng)?;
-        let tau: Vec<f32> = (0..b * later).map(|_| objective.draw_tau(rng)).collect();
         Ok(Self {
-            history,
-            target,
-            noise,
-            tau: Tensor::from_vec(tau, (b, later), &Device::Cpu)?,
+            history: draws.as_history(&clean)?,
+            target: latents.narrow(1, past, later)?.contiguous()?,
+            noise: draws.noise.clone(),
+            tau: draws.tau.clone(),
             actions,
         })
     }
@@ -317,7 +351,7 @@ fn drop_actions(actions: &Tensor, part: f64, rng: &mut ChaCha8Rng) -> Result<Ten
     Ok(Tensor::from_vec(values, (b, n, a), &Device::Cpu)?)
 }
 
-pub(super) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
+fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
     let values: Vec<f32> = (0..dims.iter().product())
         .map(|_| StandardNormal.sample(rng))
         .collect();
@@ -328,10 +362,7 @@ pub(super) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
 mod tests {
     use rand::SeedableRng as _;
 
-    use super::super::{
-        tests::{config, encoding, moving, objective},
-        trainable,
-    };
+    use super::super::tests::{encoding, moving, objective};
     use super::*;
 
     /// As in the authors' release: no frame of a clip has zeros in place of its action, those to be learned neither.
@@ -341,11 +372,13 @@ mod tests {
         let latents = moving(dir.path(), 4, 1);
         let encoding = encoding();
         let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
-        let config = config(Parametrisation::Velocity, ActionAlignment::WithFrame);
-        let (_, model) = trainable(&config, 3).unwrap();
         let objective = objective(Forcing::Teacher);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let batch = Batch::draw(&objective, &model, &clips, &mut rng).unwrap();
+        let (latents, actions) = objective.draw_clips(&clips, &mut rng).unwrap();
+        let draws = objective.draw(latents.dims(), &mut rng).unwrap();
+        let past = objective.recipe.history;
+        let alignment = ActionAlignment::WithFrame;
+        let batch = Batch::new(alignment, (&latents, &actions), &draws, past).unwrap();
         // Frames 0 to 3 clean, then 2 to 4 to be learned.
         let actions = batch.actions.narrow(2, 0, 1).unwrap().squeeze(2).unwrap();
         for row in actions.to_vec2::<f32>().unwrap() {
