@@ -34,13 +34,14 @@ pub(crate) mod vectorised;
 pub use activation::{gelu_exact, gelu_tanh, silu};
 pub use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
 pub use conv::{
-    ConvShape, Epilogue, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
+    ConvShape, Epilogue, GridSize, PackedConv, conv2d, conv2d_input_gradient,
+    conv2d_weight_gradient,
 };
 pub use dense_attention::{AttentionShape, ScoreMask, dense_attention};
 pub use element::PackedFormat;
 pub use engine::Engine;
 pub use gated_residual::gated_residual;
-pub use group_norm::{Activation, group_norm};
+pub use group_norm::{Activation, differentiable_group_norm, group_norm};
 pub use layer_norm::layer_norm;
 pub use linear::linear;
 pub use packed_linear::PackedLinear;

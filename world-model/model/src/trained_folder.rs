@@ -87,15 +87,25 @@ impl TrainedFolder {
         }
     }
 
+    /// The weights of the transition model, with its metadata.
+    ///
+    /// # Errors
+    /// When the file is missing or corrupt.
+    pub fn transition(&self) -> Result<Weights> {
+        match self {
+            Self::Embedded => Weights::from_static("embedded transition", EMBEDDED_TRANSITION),
+            // A file may be given in place of its folder.
+            Self::Folder(path) if path.is_file() => Weights::open(path),
+            Self::Folder(folder) => Weights::open(folder.join(TRANSITION_FILE)),
+        }
+    }
+
     /// Loads the transition model, and checks that it belongs to the autoencoder beside it.
     ///
     /// # Errors
     /// As [`Self::autoencoder`]; and when the model was trained in another latent space.
     pub fn world_model(&self) -> Result<WorldModel> {
-        let weights = match self {
-            Self::Embedded => Weights::from_static("embedded transition", EMBEDDED_TRANSITION)?,
-            Self::Folder(folder) => Weights::open(folder.join(TRANSITION_FILE))?,
-        };
+        let weights = self.transition()?;
         let space = self.autoencoder()?.space().clone();
         let trained_on: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
         if trained_on.hash != space.hash {

@@ -4,12 +4,17 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use clap::Args;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
 
-use wm_model::Encoder;
+use wm_model::{Encoder, Weights};
+use wm_zoo::ModelFolder;
 
 use crate::{
     dataset::{Data, DataOptions, Dataset, DatasetError},
+    fresh_weights::FreshWeights,
     latents::Latents,
+    optimiser::Group,
     recipe::{Override, Span},
 };
 
@@ -38,6 +43,13 @@ pub struct RunArgs {
     /// Optimiser steps, instead of the recipe's length.
     #[arg(long)]
     pub steps: Option<u64>,
+    /// Fine-tune this model (tiny, or a model's folder) instead of beginning anew: sizes and conventions are then its, not
+    /// the recipe's. What does not fit the new data, as the embedding of other actions, begins anew.
+    #[arg(long, value_name = "MODEL")]
+    pub from: Option<String>,
+    /// Learning rate of what is taken from that model, as a fraction of the recipe's.
+    #[arg(long, default_value_t = 0.3, value_name = "FRACTION")]
+    pub old_rate: f64,
     /// Train for this fraction of the recipe's length.
     #[arg(long, default_value_t = 1.0, value_name = "FRACTION")]
     pub share: f64,
@@ -81,6 +93,57 @@ impl RunArgs {
                 .transpose()?,
             data,
         })
+    }
+
+    /// The groups of the optimiser: what begins anew, and what was taken from another model.
+    #[must_use]
+    pub fn groups(&self) -> Vec<Group> {
+        vec![
+            Group::default(),
+            Group {
+                rate: self.old_rate,
+            },
+        ]
+    }
+
+    /// What the training of a network begins from, whose weights are `file` in a model's folder.
+    ///
+    /// # Errors
+    /// If the model to fine-tune has no such file, or it cannot be read.
+    pub fn fresh_weights(&self, file: &str, seed: u64) -> Result<FreshWeights> {
+        Ok(match self.old(file)? {
+            None => FreshWeights::new(seed),
+            Some(old) => FreshWeights::tuning_weights(seed, &old)?,
+        })
+    }
+
+    /// The configuration of the network to fine-tune, under `key` of its metadata; `None` without one.
+    ///
+    /// # Errors
+    /// If the model to fine-tune has no such file, or it cannot be read.
+    pub fn old_config<C: DeserializeOwned>(&self, file: &str, key: &str) -> Result<Option<C>> {
+        Ok(match self.old(file)? {
+            None => None,
+            Some(old) => Some(old.json(key)?),
+        })
+    }
+
+    fn old(&self, file: &str) -> Result<Option<Weights>> {
+        let Some(from) = &self.from else {
+            return Ok(None);
+        };
+        let old = ModelFolder::open(from)?.weights(file)?;
+        old.map(Some)
+            .with_context(|| format!("--from {from}: it has no {file}"))
+    }
+
+    /// What of these arguments decides the result, for the identity of a run.
+    #[must_use]
+    pub fn origin(&self) -> Value {
+        match &self.from {
+            None => Value::Null,
+            Some(from) => json!({"from": from, "old_rate": self.old_rate}),
+        }
     }
 
     /// The settings that are overridden, in the order in which they apply.
@@ -136,6 +199,9 @@ pub struct HeldOutArgs {
     /// validation are taken.
     #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
     pub data: Vec<PathBuf>,
+    /// How recordings become episodes.
+    #[command(flatten)]
+    pub options: DataOptions,
     /// Folder for decoded frames and latents; a temporary one by default.
     #[arg(long)]
     pub cache: Option<PathBuf>,
@@ -153,6 +219,6 @@ impl HeldOutArgs {
     /// # Errors
     /// Names what cannot be used.
     pub fn open(&self, size: (usize, usize)) -> Result<Dataset, DatasetError> {
-        Dataset::held_out(&self.data, size, &self.cache(), &DataOptions::default())
+        Dataset::held_out(&self.data, size, &self.cache(), &self.options)
     }
 }

@@ -54,4 +54,4 @@ pub struct AutoencoderRecipe {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

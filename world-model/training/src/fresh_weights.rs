@@ -1,9 +1,15 @@
 //! The weights that the training of a network starts from.
 
-use std::cell::RefCell;
+use std::{
+    cell::RefCell,
+    collections::{BTreeMap, BTreeSet},
+};
 
-use candle_core::Tensor;
-use wm_model::transition::{Initialisation, Parameter};
+use candle_core::{DType, Device, Tensor};
+use wm_model::{
+    Weights,
+    transition::{Initialisation, Parameter},
+};
 use wm_zoo::{Engine, Loader, Supply};
 
 use crate::optimiser::Variables;
@@ -11,10 +17,14 @@ use crate::optimiser::Variables;
 /// The weights of a network at the start of its training, as variables.
 ///
 /// Matrices and kernels are Xavier-uniform, embeddings and queries normal with standard deviation 0.02, scales of norms
-/// one, everything else zero; each from a generator of its own, so that it depends on the seed and the name alone.
+/// one, everything else zero; each from a generator of its own, so that it depends on the seed and the name alone. In
+/// fine-tuning, tensors of the same name and shape are taken from another model.
 #[derive(Debug)]
 pub struct FreshWeights {
     seed: u64,
+    old: BTreeMap<String, Tensor>,
+    /// Names that were taken from `old`.
+    taken: RefCell<BTreeSet<String>>,
     variables: RefCell<Variables>,
 }
 
@@ -22,10 +32,58 @@ impl FreshWeights {
     /// Of this seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
+        Self::tuning(seed, BTreeMap::new())
+    }
+
+    /// The same, but for what another model has.
+    #[must_use]
+    pub fn tuning(seed: u64, old: BTreeMap<String, Tensor>) -> Self {
         Self {
             seed,
+            old,
+            taken: RefCell::default(),
             variables: RefCell::default(),
         }
+    }
+
+    /// The same, but for what `weights` hold.
+    ///
+    /// # Errors
+    /// If they cannot be read.
+    pub fn tuning_weights(seed: u64, weights: &Weights) -> wm_model::Result<Self> {
+        let tensors = weights.names().into_iter().map(|name| {
+            let shape = weights.shape(&name).unwrap_or_default().to_vec();
+            let tensor = weights.tensor(&name, &shape)?;
+            Ok((name, tensor))
+        });
+        Ok(Self::tuning(
+            seed,
+            tensors.collect::<wm_model::Result<_>>()?,
+        ))
+    }
+
+    /// The old tensor for a parameter, if there is one of its shape.
+    pub fn take(&self, name: &str, shape: &[usize]) -> Option<&Tensor> {
+        let old = self.old.get(name).filter(|old| old.dims() == shape)?;
+        self.taken.borrow_mut().insert(name.to_owned());
+        Some(old)
+    }
+
+    /// A variable that begins at the old tensor, or at `initial`.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    pub fn variable(
+        &self,
+        name: &str,
+        shape: &[usize],
+        initial: impl FnOnce() -> candle_core::Result<Tensor>,
+    ) -> candle_core::Result<Tensor> {
+        let initial = match self.take(name, shape) {
+            Some(old) => old.clone(),
+            None => initial()?,
+        };
+        self.variables.borrow_mut().add(name, &initial)
     }
 
     /// Gives the weights to a network, by operations that propagate gradients.
@@ -33,10 +91,26 @@ impl FreshWeights {
         Loader::supplied(self, Engine::Candle)
     }
 
-    /// All that was given.
+    /// All that was given, and which of it was taken from another model.
     #[must_use]
-    pub fn into_variables(self) -> Variables {
-        self.variables.into_inner()
+    pub fn into_variables(self) -> (Variables, BTreeSet<String>) {
+        let taken = self.taken.into_inner();
+        let all = self.variables.into_inner();
+        if !self.old.is_empty() {
+            let anew = all.names().filter(|name| !taken.contains(*name));
+            let anew: Vec<&str> = anew.collect();
+            println!(
+                "takes {} of {} tensors from the other model{}",
+                taken.len(),
+                taken.len() + anew.len(),
+                if anew.is_empty() {
+                    String::new()
+                } else {
+                    format!("; anew: {}", anew.join(", "))
+                }
+            );
+        }
+        (all, taken)
     }
 }
 
@@ -45,17 +119,20 @@ impl Supply for FreshWeights {
         if let Some(tensor) = self.variables.borrow().get(name) {
             return Ok(tensor);
         }
-        let initialisation = initialisation(name, shape);
-        let parameter = Parameter {
-            name: name.to_owned(),
-            shape: shape.to_vec(),
-            initialisation,
+        let initial = || -> candle_core::Result<Tensor> {
+            if is_scale(name, shape) {
+                return Tensor::ones(shape, DType::F32, &Device::Cpu);
+            }
+            let parameter = Parameter {
+                name: name.to_owned(),
+                shape: shape.to_vec(),
+                initialisation: initialisation(name, shape),
+            };
+            parameter
+                .initial(self.seed)
+                .map_err(candle_core::Error::wrap)
         };
-        let initial = match is_scale(name, shape) {
-            true => Tensor::ones(shape, candle_core::DType::F32, &candle_core::Device::Cpu)?,
-            false => parameter.initial(self.seed)?,
-        };
-        Ok(self.variables.borrow_mut().add(name, &initial)?)
+        Ok(self.variable(name, shape, initial)?)
     }
 }
 

@@ -5,7 +5,7 @@ mod arguments;
 mod correlation;
 mod recipe;
 
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 use anyhow::{Context as _, Result, ensure};
 use candle_core::{DType, Device, Tensor};
@@ -24,9 +24,9 @@ use wm_zoo::{
 };
 
 use crate::{
-    fresh_weights::FreshWeights,
+    arguments::RunArgs,
     latents::Latents,
-    optimiser::{Parameter, Trained, Variables},
+    optimiser::{Group, Parameter, Trained, Variables},
     run::{Figure, StepLoss, Task},
     transition::ClipSource,
     workers::{BatchLoss, Batches, Workers},
@@ -48,6 +48,9 @@ struct IdmTask<'a> {
     clips: ClipSource<'a>,
     held_out: Option<&'a Latents>,
     variables: Variables,
+    /// Names of what was taken from another model.
+    old: BTreeSet<String>,
+    groups: Vec<Group>,
     model: Idm,
     workers: Workers,
     /// The model that was written last.
@@ -60,7 +63,7 @@ impl<'a> IdmTask<'a> {
         encoding: &'a ActionEncoding,
         train: &'a Latents,
         held_out: Option<&'a Latents>,
-        threads: usize,
+        run: &RunArgs,
     ) -> Result<Self> {
         ensure!(
             recipe.micro_batch > 0 && recipe.batch.is_multiple_of(recipe.micro_batch),
@@ -73,9 +76,14 @@ impl<'a> IdmTask<'a> {
             "dropout is {}, expected 0 up to 1",
             recipe.dropout
         );
-        let config = recipe.config(train.space(), encoding)?;
-        let fresh = FreshWeights::new(recipe.seed);
+        let mut config = recipe.config(train.space(), encoding)?;
+        if let Some(old) = run.old_config::<IdmConfig>(FILE, IDM_KEY)? {
+            (config.hidden, config.depth, config.heads) = (old.hidden, old.depth, old.heads);
+            (config.mlp, config.horizon) = (old.mlp, old.horizon);
+        }
+        let fresh = run.fresh_weights(FILE, recipe.seed)?;
         let model = Idm::load(&config, &fresh.loader())?;
+        let (variables, old) = fresh.into_variables();
         let frames = config.horizon + 1;
         if let Some(held_out) = held_out {
             ClipSource::new(held_out, encoding, frames).context("the held-out bags")?;
@@ -87,9 +95,11 @@ impl<'a> IdmTask<'a> {
             encoding,
             train,
             held_out,
-            variables: fresh.into_variables(),
+            variables,
+            old,
+            groups: run.groups(),
             model,
-            workers: Workers::new(threads)?,
+            workers: Workers::new(run.threads()?)?,
             written: None,
         })
     }
@@ -139,7 +149,12 @@ impl Task for IdmTask<'_> {
     }
 
     fn parameters(&self) -> Result<Vec<Parameter>> {
-        Ok(self.variables.parameters(|_| 0)?)
+        let is_old = |name: &str| usize::from(self.old.contains(name));
+        Ok(self.variables.parameters(is_old)?)
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        self.groups.clone()
     }
 
     fn step(&mut self, step: u64) -> Result<StepLoss> {

@@ -2,6 +2,7 @@
 //!
 //! Not here: the models themselves and inference (`wm_model`), making data (`wm_sim`, `wm_import`).
 
+pub mod adapter;
 pub mod arguments;
 pub mod autoencoder;
 pub mod dataset;

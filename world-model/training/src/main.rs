@@ -8,6 +8,7 @@ use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_sim::SimArgs;
 use wm_training::{
+    adapter::TrainAdapterArgs,
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
     dataset::DatasetArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
@@ -53,6 +54,8 @@ enum TrainCommand {
     Autoencoder(TrainAutoencoderArgs),
     /// Train the transition model on the latents of a frozen encoder
     Transition(TrainTransitionArgs),
+    /// Train the S-VAE adapter and its pixel decoder on the features of a frozen encoder
+    Adapter(TrainAdapterArgs),
     /// Train the inverse dynamics model on the latents of a frozen encoder
     Idm(TrainIdmArgs),
     /// Train the success probe on the latents of a frozen encoder
@@ -78,6 +81,7 @@ impl TrainCommand {
             Self::Model(arguments) => arguments.run(&stop)?,
             Self::Autoencoder(arguments) => arguments.run(&stop)?,
             Self::Transition(arguments) => arguments.run(&stop)?,
+            Self::Adapter(arguments) => arguments.run(&stop)?,
             Self::Idm(arguments) => arguments.run(&stop)?,
             Self::Probe(arguments) => arguments.run(&stop)?,
         };

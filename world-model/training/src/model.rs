@@ -33,6 +33,12 @@ pub struct TrainModelArgs {
     /// Use this model's frozen encoder and decoder instead of training an autoencoder: tiny, or a model's folder.
     #[arg(long)]
     pub encoder: Option<String>,
+    /// Fine-tune the transition model of this one (tiny, or a model's folder) instead of beginning anew.
+    #[arg(long, value_name = "MODEL")]
+    pub from: Option<String>,
+    /// Learning rate of what is taken from that model, as a fraction of the recipe's.
+    #[arg(long, default_value_t = 0.3, value_name = "FRACTION")]
+    pub old_rate: f64,
     /// Train each part for this fraction of its recipe's length: 0.05 for a first look.
     #[arg(long, default_value_t = 1.0, value_name = "FRACTION")]
     pub share: f64,
@@ -108,6 +114,8 @@ impl TrainModelArgs {
             set: own.map(Override::of_part).collect(),
             steps: None,
             share: self.share,
+            from: self.from.clone().filter(|_| part == "transition"),
+            old_rate: self.old_rate,
             threads: self.threads,
         }
     }

@@ -9,7 +9,10 @@ mod arguments;
 mod episodes;
 mod recipe;
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
@@ -31,9 +34,9 @@ use wm_zoo::{
 };
 
 use crate::{
-    fresh_weights::FreshWeights,
+    arguments::RunArgs,
     latents::Latents,
-    optimiser::{Parameter, Trained, Variables},
+    optimiser::{Group, Parameter, Trained, Variables},
     run::{Figure, StepLoss, Task},
     workers::{BatchLoss, Batches, Workers},
 };
@@ -62,6 +65,9 @@ struct ProbeTask<'a> {
     words: WordEmbedding,
     model: SuccessProbe,
     variables: Variables,
+    /// Names of what was taken from another model.
+    old: BTreeSet<String>,
+    groups: Vec<Group>,
     workers: Workers,
     /// The weights that were averaged last, and where they would go.
     candidate: Option<(WeightsBuilder, PathBuf)>,
@@ -76,41 +82,55 @@ impl<'a> ProbeTask<'a> {
         recipe: &'a ProbeRecipe,
         train: &'a Latents,
         held_out: Option<&'a Latents>,
-        threads: usize,
-        out: &'a Path,
+        run: &'a RunArgs,
     ) -> Result<Self> {
         recipe.validate()?;
         let own = &recipe.model;
-        let episodes = Episodes::new(train, own.frame_skip, own.max_frames)?;
-        let held_out = held_out
-            .map(|held_out| Episodes::new(held_out, own.frame_skip, Some(episodes.max_frames())))
-            .transpose()
-            .context("the episodes for validation")?;
-        let config = recipe.config(train.space(), episodes.max_frames());
-        let words = WordsConfig::of(episodes.instructions(), own.text_features);
-        if let Some(held_out) = &held_out {
-            for instruction in held_out.instructions() {
-                words
-                    .encode(instruction)
-                    .context("the episodes for validation")?;
+        let episodes = Episodes::new(train, own.frame_skip, own.max_frames);
+        episodes.require_successes()?;
+        let most = Some(episodes.max_frames());
+        let mut held_out = held_out
+            .map(|held_out| Episodes::new(held_out, own.frame_skip, most))
+            .filter(|held_out| held_out.len() > 0);
+        let mut config = recipe.config(train.space(), episodes.max_frames());
+        if let Some(old) = run.old_config::<SuccessProbeConfig>(FILE, PROBE_KEY)? {
+            config = SuccessProbeConfig {
+                features: config.features,
+                max_frames: config.max_frames,
+                ..old
+            };
+        }
+        let words = WordsConfig::of(episodes.instructions(), config.text_features);
+        if let Some(held_out) = &mut held_out {
+            let unknown = held_out.leave_out(|instruction| words.encode(instruction).is_err());
+            if !unknown.is_empty() {
+                println!(
+                    "left out of the validation, since the training data lack their words: {}",
+                    unknown.join("; ")
+                );
             }
         }
-        let fresh = FreshWeights::new(recipe.seed);
+        let fresh = run.fresh_weights(FILE, recipe.seed)?;
         let loader = fresh.loader();
+        let model = SuccessProbe::load(&config, &loader)?;
+        let words = WordEmbedding::load(&words, &loader)?;
+        let (variables, old) = fresh.into_variables();
         Ok(Self {
-            model: SuccessProbe::load(&config, &loader)?,
-            words: WordEmbedding::load(&words, &loader)?,
+            model,
+            words,
             recipe,
             train,
             episodes,
             held_out,
             config,
-            variables: fresh.into_variables(),
-            workers: Workers::new(threads)?,
+            variables,
+            old,
+            groups: run.groups(),
+            workers: Workers::new(run.threads()?)?,
             candidate: None,
             best: None,
             has_stepped: false,
-            out,
+            out: &run.out,
             earlier: None,
         })
     }
@@ -208,7 +228,12 @@ impl Task for ProbeTask<'_> {
     }
 
     fn parameters(&self) -> Result<Vec<Parameter>> {
-        Ok(self.variables.parameters(|_| 0)?)
+        let is_old = |name: &str| usize::from(self.old.contains(name));
+        Ok(self.variables.parameters(is_old)?)
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        self.groups.clone()
     }
 
     fn step(&mut self, step: u64) -> Result<StepLoss> {

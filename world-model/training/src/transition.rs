@@ -14,7 +14,7 @@ mod pictures;
 mod recipe;
 mod strip;
 
-use std::{path::Path, time::Duration};
+use std::{collections::BTreeSet, path::Path, time::Duration};
 
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
@@ -26,14 +26,15 @@ use wm_model::{
     weights::{Precision, WeightsBuilder},
 };
 use wm_motion::actions::ActionEncoding;
-use wm_zoo::ModelFolder;
+use wm_zoo::{ModelFolder, TransitionTensors};
 
 use crate::{
     arguments::RunArgs,
     dataset::Dataset,
+    fresh_weights::FreshWeights,
     latents::Latents,
     model_folder::carry_encoder,
-    optimiser::{Parameter, Trained, Variables},
+    optimiser::{Group, Parameter, Trained, Variables},
     run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
     workers::{BatchLoss, Batches, Workers},
 };
@@ -68,7 +69,10 @@ impl TrainTransitionArgs {
         let pictures = decoder.as_deref().zip(on.data.validation.as_ref());
         carry_encoder(&self.encoder, &self.run.out)?;
         let held_out = on.held_out.as_ref().map(|latents| (latents, pictures));
-        train_on(&self.run, &recipe, &on.train, held_out, stop)
+        let from = self.run.from.as_deref();
+        let from = from.map(|from| ModelFolder::open(from)?.transition_tensors());
+        let from = from.transpose()?;
+        train_on(&self.run, &recipe, from, &on.train, held_out, stop)
     }
 }
 
@@ -78,12 +82,22 @@ type Pictures<'a> = (&'a dyn Decoder, &'a Dataset);
 fn train_on(
     run: &RunArgs,
     recipe: &TransitionRecipe,
+    from: Option<TransitionTensors>,
     train: &Latents,
     held_out: Option<(&Latents, Option<Pictures<'_>>)>,
     stop: &Stop,
 ) -> Result<Ended> {
-    let encoding = recipe.encoding(train.action_space())?;
-    let mut task = TransitionTask::new(recipe, &encoding, train, held_out, run.threads()?)?;
+    let (encoding, config) = match &from {
+        None => {
+            let encoding = recipe.encoding(train.action_space())?;
+            let config = recipe.config(train.space(), &encoding)?;
+            (encoding, config)
+        }
+        Some(from) => tuned(from, train)?,
+    };
+    let old = from.map(|from| from.tensors).unwrap_or_default();
+    let fresh = FreshWeights::tuning(recipe.seed, old);
+    let mut task = TransitionTask::new(recipe, (&encoding, config), fresh, train, held_out, run)?;
     let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
     let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
@@ -98,6 +112,7 @@ fn train_on(
             "latent_space": train.space().to_string(),
             "data": train.digest(),
             "actions": task.encoding,
+            "from": run.origin(),
         }),
     };
     crate::recipe::write(&run.out, task.name(), recipe)?;
@@ -129,6 +144,9 @@ struct TransitionTask<'a> {
     clips: ClipSource<'a>,
     held_out: Option<HeldOut<'a>>,
     variables: Variables,
+    /// Names of what was taken from another model.
+    old: BTreeSet<String>,
+    groups: Vec<Group>,
     model: Transition,
     workers: Workers,
     /// The model that was written last.
@@ -138,13 +156,14 @@ struct TransitionTask<'a> {
 impl<'a> TransitionTask<'a> {
     fn new(
         recipe: &TransitionRecipe,
-        encoding: &'a ActionEncoding,
+        (encoding, config): (&'a ActionEncoding, TransitionConfig),
+        fresh: FreshWeights,
         train: &'a Latents,
         held_out: Option<(&'a Latents, Option<Pictures<'a>>)>,
-        threads: usize,
+        run: &RunArgs,
     ) -> Result<Self> {
-        let config = recipe.config(train.space(), encoding)?;
-        let (variables, model) = trainable(&config, recipe.seed)?;
+        let model = trainable(&config, &fresh, recipe.seed)?;
+        let (variables, old) = fresh.into_variables();
         Ok(Self {
             objective: recipe.objective(&config)?,
             clips: ClipSource::new(train, encoding, config.max_frames)?,
@@ -161,8 +180,10 @@ impl<'a> TransitionTask<'a> {
                 None => None,
             },
             variables,
+            old,
+            groups: run.groups(),
             model,
-            workers: Workers::new(threads)?,
+            workers: Workers::new(run.threads()?)?,
             written: None,
         })
     }
@@ -174,7 +195,12 @@ impl Task for TransitionTask<'_> {
     }
 
     fn parameters(&self) -> Result<Vec<Parameter>> {
-        Ok(self.variables.parameters(|_| 0)?)
+        let is_old = |name: &str| usize::from(self.old.contains(name));
+        Ok(self.variables.parameters(is_old)?)
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        self.groups.clone()
     }
 
     fn step(&mut self, step: u64) -> Result<StepLoss> {
@@ -313,20 +339,39 @@ impl EvaluateTransitionArgs {
     }
 }
 
+/// What a model becomes that goes on with the latents and actions of `train`: its sizes and conventions stay.
+fn tuned(from: &TransitionTensors, train: &Latents) -> Result<(ActionEncoding, TransitionConfig)> {
+    let (old, actions, space) = (&from.encoding, train.action_space(), train.space());
+    let null = old.action_dim() - old.space().len();
+    let encoding = ActionEncoding::new(
+        actions.clone(),
+        actions.len() + null,
+        old.frame_skip(),
+        old.accumulation(),
+    )?;
+    let config = TransitionConfig {
+        latent_height: space.height,
+        latent_width: space.width,
+        channels: space.channels,
+        action_dim: encoding.action_dim(),
+        ..from.config.clone()
+    };
+    config.validate()?;
+    Ok((encoding, config))
+}
+
 /// A model whose tensors are variables.
-fn trainable(config: &TransitionConfig, seed: u64) -> Result<(Variables, Transition)> {
-    let mut variables = Variables::default();
-    let model = Transition::build(config.clone(), &mut |parameter| {
-        Ok(variables.add(&parameter.name, &parameter.initial(seed)?)?)
-    })?;
-    Ok((variables, model))
+fn trainable(config: &TransitionConfig, fresh: &FreshWeights, seed: u64) -> Result<Transition> {
+    Ok(Transition::build(config.clone(), &mut |parameter| {
+        let (name, shape) = (&parameter.name, &parameter.shape);
+        let initial = || parameter.initial(seed).map_err(candle_core::Error::wrap);
+        Ok(fresh.variable(name, shape, initial)?)
+    })?)
 }
 
 fn table_row(ratios: &[f64]) -> String {
     ratios.iter().map(|ratio| format!("{ratio:<7.3}")).collect()
 }
 
-#[cfg(test)]
-mod parity;
 #[cfg(test)]
 pub(crate) mod tests;

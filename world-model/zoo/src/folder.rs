@@ -42,6 +42,7 @@ mod source;
 mod summary;
 mod views;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -49,7 +50,7 @@ use sha2::{Digest as _, Sha256};
 use wm_model::WorldModel;
 use wm_model::autoencoder::{MEAN, Normalisation, STD};
 use wm_model::trained_folder::TRANSITION_FILE;
-use wm_model::transition::{PackedTransition, TransitionConfig};
+use wm_model::transition::{PackedTransition, Transition, TransitionConfig};
 use wm_model::{Decoder, Encoder, LatentSpace};
 use wm_motion::actions::ActionEncoding;
 
@@ -65,7 +66,7 @@ use crate::layers::packed_format;
 use crate::loader::Requested;
 use crate::success_probe::SuccessClassifier;
 use crate::svae::{Svae, SvaeConfig};
-use crate::{Checkpoint, Error, Result};
+use crate::{Checkpoint, Error, Result, TransitionTensors};
 use decoder::{DecoderConfig, FolderDecoder};
 use encoder::{EncoderConfig, FolderEncoder, canonical};
 use fit::{check_decoder, check_transition, latent};
@@ -299,19 +300,46 @@ impl DescribedFolder {
         self.transition.is_some()
     }
 
+    fn described_transition(&self) -> Result<&Opened<Dynamics>> {
+        self.transition.as_ref().ok_or_else(|| Error::ConfigFile {
+            file: Path::new(&self.name).join(FILE).display().to_string(),
+            reason: format!(
+                "it names no transition, and there is no {TRANSITION_FILE} beside it; `wm train transition` makes one"
+            ),
+        })
+    }
+
+    /// The tensors of the transition model, as f32.
+    ///
+    /// # Errors
+    /// If there is none, or a value is not finite.
+    pub fn transition_tensors(&self) -> Result<TransitionTensors> {
+        let transition = self.described_transition()?;
+        let Dynamics {
+            config, encoding, ..
+        } = &transition.config;
+        let mut tensors = BTreeMap::new();
+        transition.source.load(candle_core::DType::F32, |loader| {
+            Transition::build(config.clone(), &mut |parameter| {
+                let tensor = loader.tensor(&parameter.name, &parameter.shape)?;
+                tensors.insert(parameter.name.clone(), tensor.clone());
+                Ok(tensor)
+            })?;
+            Ok(())
+        })?;
+        Ok(TransitionTensors {
+            config: config.clone(),
+            encoding: encoding.clone(),
+            tensors,
+        })
+    }
+
     /// Loads the transition model.
     ///
     /// # Errors
     /// If there is none, a value is not finite, or it was trained on latents of another space.
     pub fn world_model(&self) -> Result<WorldModel> {
-        let Some(transition) = &self.transition else {
-            return Err(Error::ConfigFile {
-                file: Path::new(&self.name).join(FILE).display().to_string(),
-                reason: format!(
-                    "it names no transition, and there is no {TRANSITION_FILE} beside it; `wm train transition` makes one"
-                ),
-            });
-        };
+        let transition = self.described_transition()?;
         let Dynamics {
             config, encoding, ..
         } = &transition.config;

@@ -56,5 +56,5 @@ pub use compute::Compute;
 pub use device::DeviceName;
 pub use error::{Error, Misshapen, Result};
 pub use loader::{Loader, Supply};
-pub use model_folder::{IDM_FILE, ModelFolder, PROBE_FILE};
+pub use model_folder::{IDM_FILE, ModelFolder, PROBE_FILE, TransitionTensors};
 pub use wm_model::ops::Engine;

@@ -1,9 +1,13 @@
 //! A world model on disk, by its name.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
+use candle_core::Tensor;
 use wm_model::trained_folder::{EMBEDDED, TrainedFolder};
+use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, Transition, TransitionConfig};
 use wm_model::{Decoder, Encoder, LatentSpace, Weights, WorldModel};
+use wm_motion::actions::ActionEncoding;
 
 use crate::Result;
 use crate::folder::DescribedFolder;
@@ -14,6 +18,17 @@ use crate::success_probe::SuccessClassifier;
 pub const PROBE_FILE: &str = "probe.safetensors";
 /// The file of the inverse dynamics model in a folder.
 pub const IDM_FILE: &str = "idm.safetensors";
+
+/// The tensors of a transition model, and what it is.
+#[derive(Clone, Debug)]
+pub struct TransitionTensors {
+    /// Sizes and conventions.
+    pub config: TransitionConfig,
+    /// What its actions are.
+    pub encoding: ActionEncoding,
+    /// All parameters by name.
+    pub tensors: BTreeMap<String, Tensor>,
+}
 
 /// What a node's parameter `model` names: the files of a world model, checked as far as names and shapes go. Its parts are
 /// loaded when they are asked for; [`ModelFolder::world_model`] gives the [`WorldModel`].
@@ -97,6 +112,33 @@ impl ModelFolder {
         }
     }
 
+    /// The tensors of the transition model, by their published names: what a training begins from.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in the weights.
+    pub fn transition_tensors(&self) -> Result<TransitionTensors> {
+        match self {
+            Self::Trained(folder) => {
+                let weights = folder.transition()?;
+                let config: TransitionConfig = weights.json(CONFIG_KEY)?;
+                let mut tensors = BTreeMap::new();
+                Transition::build(config.clone(), &mut |parameter| {
+                    let tensor = weights.tensor(&parameter.name, &parameter.shape)?;
+                    tensors.insert(parameter.name.clone(), tensor.clone());
+                    Ok(tensor)
+                })?;
+                let encoding = weights.json(ACTIONS_KEY)?;
+                weights.finish()?;
+                Ok(TransitionTensors {
+                    config,
+                    encoding,
+                    tensors,
+                })
+            }
+            Self::Described(folder) => folder.transition_tensors(),
+        }
+    }
+
     /// Loads the success probe and what reads instructions for it; `None` where the model has none.
     ///
     /// # Errors
@@ -107,7 +149,7 @@ impl ModelFolder {
         {
             return Ok(Some(probe));
         }
-        match self.trained(PROBE_FILE)? {
+        match self.weights(PROBE_FILE)? {
             Some(weights) => SuccessClassifier::of_trained(weights, &self.space()?).map(Some),
             None => Ok(None),
         }
@@ -118,7 +160,7 @@ impl ModelFolder {
     /// # Errors
     /// Names what is missing or wrong in its file, or the space that it was trained on.
     pub fn idm(&self) -> Result<Option<TrainedIdm>> {
-        let Some(weights) = self.trained(IDM_FILE)? else {
+        let Some(weights) = self.weights(IDM_FILE)? else {
             return Ok(None);
         };
         let idm = TrainedIdm::from_weights(weights)?;
@@ -126,8 +168,11 @@ impl ModelFolder {
         Ok(Some(idm))
     }
 
-    /// A file of the training's in it.
-    fn trained(&self, file: &str) -> Result<Option<Weights>> {
+    /// A file of the training's in it, as [`IDM_FILE`]; `None` where there is none.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn weights(&self, file: &str) -> Result<Option<Weights>> {
         Ok(match self {
             Self::Trained(folder) => folder.weights(file)?,
             Self::Described(folder) => TrainedFolder::Folder(folder.name().into()).weights(file)?,

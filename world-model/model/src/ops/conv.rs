@@ -6,10 +6,12 @@
 //! gradient of the weights sums outer products in a fixed order.
 
 mod band;
+mod differentiable;
 mod gradient;
 mod packed;
 mod sweep;
 
+pub use differentiable::conv2d;
 pub use gradient::{conv2d_input_gradient, conv2d_weight_gradient};
 pub use packed::PackedConv;
 

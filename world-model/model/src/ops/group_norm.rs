@@ -1,6 +1,10 @@
 //! Group normalisation.
 
+mod differentiable;
+
 use rayon::prelude::*;
+
+pub use differentiable::differentiable_group_norm;
 
 use super::exponential::sigmoid;
 use super::vectorised::vectorised;

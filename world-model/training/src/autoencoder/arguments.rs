@@ -3,7 +3,8 @@ use std::{path::PathBuf, time::Duration};
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use wm_model::{Autoencoder, Encoder as _};
+use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _};
+use wm_zoo::ModelFolder;
 
 use super::{
     AutoencoderRecipe, RECIPES, evaluate, picture,
@@ -67,10 +68,28 @@ pub(super) fn train_on(
         optimiser: recipe.optimisation.adamw(),
         checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
         validate_every: recipe.validate_every,
-        identity: json!({"recipe": crate::recipe::identity(recipe)?, "data": train.digest()}),
+        identity: json!({"recipe": crate::recipe::identity(recipe)?, "data": train.digest(), "from": run.origin()}),
     };
+    let mut recipe = recipe.clone();
+    let mut old = None;
+    if let Some(from) = &run.from {
+        let ModelFolder::Trained(folder) = ModelFolder::open(from)? else {
+            anyhow::bail!("--from {from}: expected an autoencoder that was trained here");
+        };
+        let model = folder.autoencoder()?;
+        recipe.model = AutoencoderConfig {
+            name: recipe.model.name,
+            height: recipe.model.height,
+            width: recipe.model.width,
+            ..model.config().clone()
+        };
+        old = Some(model);
+    }
     let mut task = AutoencoderTask::new(recipe.clone(), steps, train, held_out)?;
-    crate::recipe::write(&run.out, task.name(), recipe)?;
+    if let Some(old) = &old {
+        task.begin_with(old, run.groups());
+    }
+    crate::recipe::write(&run.out, task.name(), &recipe)?;
     let (height, width) = train.size();
     println!(
         "{} episodes, {} frames of {height}x{width}",

@@ -67,7 +67,8 @@ fn write_bag(dir: &Path, masks: bool) {
     writer.finish().unwrap();
 }
 
-fn dataset(scratch: &Path, masks: bool) -> Dataset {
+/// One episode of such frames.
+pub(crate) fn dataset(scratch: &Path, masks: bool) -> Dataset {
     let bags = scratch.join(format!("bags_{masks}"));
     if !bags.exists() {
         write_bag(&bags.join("episode_000000"), masks);
@@ -119,6 +120,8 @@ fn run_in(out: &Path) -> RunArgs {
         set: Vec::new(),
         steps: None,
         share: 1.0,
+        from: None,
+        old_rate: 0.3,
         threads: None,
     }
 }

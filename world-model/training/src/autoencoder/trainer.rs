@@ -25,7 +25,7 @@ use super::{
 };
 use crate::{
     dataset::{Dataset, DatasetError},
-    optimiser::{OptimiserError, Parameter, Trained, step_rng},
+    optimiser::{Group, OptimiserError, Parameter, Trained, step_rng},
     run::{Figure, StepLoss, Task},
 };
 
@@ -85,6 +85,8 @@ pub(super) struct AutoencoderTask<'a> {
     model: Autoencoder,
     encoder: Half,
     decoder: Half,
+    /// All parameters belong to the last one.
+    groups: Vec<Group>,
     /// The model that was written last.
     written: Option<Autoencoder>,
 }
@@ -133,6 +135,7 @@ impl<'a> AutoencoderTask<'a> {
             salience: Salience::new(train),
             encoder: Half::default(),
             decoder: Half::default(),
+            groups: vec![Group::default()],
             written: None,
         })
     }
@@ -223,6 +226,26 @@ impl<'a> AutoencoderTask<'a> {
         Ok((length, (losses[0] - losses[1]) / (2.0 * step)))
     }
 
+    /// Begins with the weights of another model of the same shape, all of which belong to the second of these groups.
+    pub(super) fn begin_with(&mut self, old: &Autoencoder, groups: Vec<Group>) {
+        let named = halves(old).into_iter().flat_map(|(half, network)| {
+            network.convs().iter().flat_map(move |conv| {
+                let bias = conv.bias.as_deref().map(|bias| ("bias", bias));
+                let parts = [Some(("weight", &*conv.weight)), bias];
+                let parts = parts.into_iter().flatten();
+                parts.map(move |(part, values)| (format!("{half}.{}.{part}", conv.name), values))
+            })
+        });
+        let named: Vec<(String, &[f32])> = named.collect();
+        let mut weights = named.iter().map(|(name, values)| Trained {
+            name,
+            shape: &[],
+            values,
+        });
+        assign(&mut self.model, &mut weights);
+        self.groups = groups;
+    }
+
     fn crops(&self, step: u64, rng: &mut impl Rng) -> Crops {
         let whole = step + self.recipe.whole_picture_steps >= self.steps;
         crops::draw(self.train, &self.salience, &self.recipe, whole, rng)
@@ -279,9 +302,13 @@ impl Task for AutoencoderTask<'_> {
                 name,
                 shape,
                 values,
-                group: 0,
+                group: self.groups.len().saturating_sub(1),
             })
             .collect())
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        self.groups.clone()
     }
 
     fn step(&mut self, step: u64) -> Result<StepLoss> {

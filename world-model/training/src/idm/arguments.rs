@@ -56,7 +56,7 @@ pub(super) fn train_on(
     stop: &Stop,
 ) -> Result<Ended> {
     let encoding = recipe.encoding(train.action_space())?;
-    let mut task = IdmTask::new(recipe, &encoding, train, held_out, run.threads()?)?;
+    let mut task = IdmTask::new(recipe, &encoding, train, held_out, run)?;
     let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
     let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
@@ -71,6 +71,7 @@ pub(super) fn train_on(
             "latent_space": train.space().to_string(),
             "data": train.digest(),
             "actions": encoding,
+            "from": run.origin(),
         }),
     };
     crate::recipe::write(&run.out, task.name(), recipe)?;

@@ -1,7 +1,10 @@
 //! A training step of the inverse dynamics model against PyTorch.
 
 use super::*;
-use crate::fixture::{Fixture, fill, tensor};
+use crate::{
+    fixture::{Fixture, fill, tensor},
+    fresh_weights::FreshWeights,
+};
 
 #[test]
 fn a_step_is_pytorchs() {
@@ -10,7 +13,7 @@ fn a_step_is_pytorchs() {
         let config: IdmConfig = fixture.of("config");
         let fresh = FreshWeights::new(1);
         let model = Idm::load(&config, &fresh.loader()).unwrap();
-        let variables = fresh.into_variables();
+        let variables = fresh.into_variables().0;
         fill(&variables);
         let (b, frames, [rows, columns]) = (2, config.horizon + 1, config.grid);
         let side = config.patch;

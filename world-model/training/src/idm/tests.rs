@@ -40,6 +40,8 @@ fn run_in(out: &Path) -> RunArgs {
         set: Vec::new(),
         steps: None,
         share: 1.0,
+        from: None,
+        old_rate: 0.3,
         threads: Some(2),
     }
 }

@@ -1,12 +1,12 @@
 use std::{path::PathBuf, time::Duration};
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use clap::Args;
 use serde_json::json;
 use wm_model::{LatentSpace, Weights, transition::LATENT_SPACE_KEY};
 use wm_zoo::{
     ModelFolder,
-    success_probe::{PROBE_KEY, SuccessProbeConfig},
+    success_probe::{PROBE_KEY, SuccessProbeConfig, WORDS_KEY, WordsConfig},
 };
 
 use super::{FILE, FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, episodes::Episodes};
@@ -71,7 +71,7 @@ pub(super) fn train_on(
     held_out: Option<&Latents>,
     stop: &Stop,
 ) -> Result<Ended> {
-    let mut task = ProbeTask::new(recipe, train, held_out, run.threads()?, &run.out)?;
+    let mut task = ProbeTask::new(recipe, train, held_out, run)?;
     let per_epoch = task.episodes.len() as f64 / recipe.batch as f64;
     let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
@@ -85,6 +85,7 @@ pub(super) fn train_on(
             "recipe": crate::recipe::identity(recipe)?,
             "latent_space": train.space().to_string(),
             "data": train.digest(),
+            "from": run.origin(),
         }),
     };
     crate::recipe::write(&run.out, task.name(), recipe)?;
@@ -133,7 +134,19 @@ impl EvaluateProbeArgs {
             .require(latents.space())?;
         let config: SuccessProbeConfig = weights.json(PROBE_KEY)?;
         let frame_skip = weights.json(FRAME_SKIP_KEY)?;
-        let episodes = Episodes::new(&latents, frame_skip, Some(config.max_frames))?;
+        let words: WordsConfig = weights.json(WORDS_KEY)?;
+        let mut episodes = Episodes::new(&latents, frame_skip, Some(config.max_frames));
+        let unknown = episodes.leave_out(|instruction| words.encode(instruction).is_err());
+        if !unknown.is_empty() {
+            println!(
+                "left out, since the probe does not know their words: {}",
+                unknown.join("; ")
+            );
+        }
+        ensure!(
+            episodes.len() > 0,
+            "no episode has an instruction of known words and an outcome"
+        );
         println!("{}", accuracy(&weights, &episodes, usize::MAX)?);
         Ok(())
     }

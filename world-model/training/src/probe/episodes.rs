@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use anyhow::{Result, ensure};
 use candle_core::{Device, Tensor};
 use rand::{Rng, seq::IndexedRandom as _};
@@ -37,42 +39,48 @@ pub(super) struct Episodes<'a> {
 
 impl<'a> Episodes<'a> {
     /// Of `latents`, of whose frames every `frame_skip`th is read, the newest `max_frames` at most; all without it.
-    ///
-    /// # Errors
-    /// If no episode has both, or none succeeds.
-    pub(super) fn new(
-        latents: &'a Latents,
-        frame_skip: usize,
-        max_frames: Option<usize>,
-    ) -> Result<Self> {
+    pub(super) fn new(latents: &'a Latents, frame_skip: usize, max_frames: Option<usize>) -> Self {
         let episodes = latents.episodes();
         let labelled: Vec<Labelled> = episodes.iter().filter_map(labelled).collect();
-        ensure!(
-            !labelled.is_empty(),
-            "none of the {} episodes has both an instruction (/task/instruction) and an outcome (/task/success)",
-            episodes.len()
-        );
-        let places = |success| {
-            let all = labelled.iter().enumerate();
-            let chosen = all.filter(|(_, episode)| episode.success == success);
-            chosen.map(|(place, _)| place).collect::<Vec<_>>()
-        };
-        let (successes, failures) = (places(true), places(false));
-        ensure!(
-            !successes.is_empty(),
-            "none of the {} episodes with an outcome is a success",
-            labelled.len()
-        );
+        let (successes, failures) = by_outcome(&labelled);
         let longest = labelled.iter().map(|episode| episode.frame_count);
         let longest = longest.max().unwrap_or(1).div_ceil(frame_skip);
-        Ok(Self {
+        Self {
             latents,
             frame_skip,
             max_frames: max_frames.unwrap_or(longest),
             labelled,
             successes,
             failures,
-        })
+        }
+    }
+
+    /// Refuses data that a probe cannot be trained on.
+    ///
+    /// # Errors
+    /// If no episode has both, or none succeeds.
+    pub(super) fn require_successes(&self) -> Result<()> {
+        ensure!(
+            !self.labelled.is_empty(),
+            "none of the {} episodes has both an instruction (/task/instruction) and an outcome (/task/success)",
+            self.latents.episodes().len()
+        );
+        ensure!(
+            !self.successes.is_empty(),
+            "none of the {} episodes with an outcome is a success",
+            self.labelled.len()
+        );
+        Ok(())
+    }
+
+    /// Leaves out the episodes whose instruction is to be; gives these instructions.
+    pub(super) fn leave_out(&mut self, is_out: impl Fn(&str) -> bool) -> Vec<String> {
+        let out = self
+            .labelled
+            .extract_if(.., |episode| is_out(&episode.instruction));
+        let out: BTreeSet<String> = out.map(|episode| episode.instruction).collect();
+        (self.successes, self.failures) = by_outcome(&self.labelled);
+        out.into_iter().collect()
     }
 
     pub(super) fn len(&self) -> usize {
@@ -160,6 +168,11 @@ impl<'a> Episodes<'a> {
             is_mismatch,
         })
     }
+}
+
+/// The places of successes and of failures.
+fn by_outcome(labelled: &[Labelled]) -> (Vec<usize>, Vec<usize>) {
+    (0..labelled.len()).partition(|place| labelled.get(*place).is_some_and(|own| own.success))
 }
 
 fn labelled(episode: &Episode) -> Option<Labelled> {

@@ -3,7 +3,10 @@
 use serde::Deserialize;
 
 use super::*;
-use crate::fixture::{Fixture, fill, tensor};
+use crate::{
+    fixture::{Fixture, fill, tensor},
+    fresh_weights::FreshWeights,
+};
 
 #[derive(Deserialize)]
 struct Asked {
@@ -19,7 +22,7 @@ fn a_step_is_pytorchs() {
     let loader = fresh.loader();
     let model = SuccessProbe::load(&fixture.of("config"), &loader).unwrap();
     let words = WordEmbedding::load(&fixture.of("words"), &loader).unwrap();
-    let variables = fresh.into_variables();
+    let variables = fresh.into_variables().0;
     fill(&variables);
     let asked: Vec<Asked> = fixture.of("questions");
     let losses = asked.into_iter().enumerate().map(|(number, asked)| {

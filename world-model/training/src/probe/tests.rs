@@ -44,6 +44,8 @@ fn run_in(out: &Path) -> RunArgs {
         set: Vec::new(),
         steps: None,
         share: 1.0,
+        from: None,
+        old_rate: 0.3,
         threads: Some(2),
     }
 }
@@ -57,7 +59,7 @@ fn it_learns_what_an_instruction_asks_for() {
     let stop = Stop::default();
     train_on(&run_in(dir.path()), &recipe, &train, Some(&held_out), &stop).unwrap();
     let weights = Weights::open(dir.path().join(FILE)).unwrap();
-    let episodes = Episodes::new(&held_out, 1, None).unwrap();
+    let episodes = Episodes::new(&held_out, 1, None);
     let found = accuracy(&weights, &episodes, usize::MAX).unwrap();
     println!("{found}");
     assert!(found.balanced > 0.8, "{found}");

@@ -120,38 +120,22 @@ impl Objective {
         clips: &ClipSource<'_>,
         rng: &mut ChaCha8Rng,
     ) -> Result<Tensor> {
-        let (latents, actions) = self.draw_clips(clips, rng)?;
-        let draws = self.draw(latents.dims(), rng)?;
-        self.loss_of(model, (&latents, &actions), &draws)
-    }
-
-    /// The loss of clips (B, n, h, w, C) with the actions (B, n, A) of their frames, and of these random numbers.
-    pub(super) fn loss_of(
-        &self,
-        model: &Transition,
-        (latents, actions): (&Tensor, &Tensor),
-        draws: &Draws,
-    ) -> Result<Tensor> {
-        let past = self.recipe.history;
         if self.recipe.forcing == Forcing::Diffusion {
-            return noised_at_once::loss(model, (latents, actions), draws, past);
+            let (latents, actions) = self.draw_clips(clips, rng)?;
+            let draws = self.draw(latents.dims(), rng)?;
+            return noised_at_once::loss(model, (&latents, &actions), &draws, self.recipe.history);
         }
-        let batch = Batch::new(
-            model.config().action_alignment,
-            (latents, actions),
-            draws,
-            past,
-        )?;
-        let history = if draws.has_own_history {
-            batch.with_predictions(model, past)?
-        } else {
-            batch.history.clone()
-        };
-        batch.loss(model, &history, past)
+        let batch = Batch::draw(self, model, clips, rng)?;
+        let own = rng.random_bool(self.recipe.own_history);
+        batch.loss_after(model, own, self.recipe.history)
     }
 
     /// Clips (B, n, h, w, C) with the actions (B, n, A) of their frames, some of which are the null action.
-    fn draw_clips(&self, clips: &ClipSource<'_>, rng: &mut ChaCha8Rng) -> Result<(Tensor, Tensor)> {
+    pub(super) fn draw_clips(
+        &self,
+        clips: &ClipSource<'_>,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<(Tensor, Tensor)> {
         let (latents, actions) = clips.batch(self.micro_batch, rng)?;
         let part = self.recipe.action_dropout;
         if part > 0.0 {
@@ -167,8 +151,10 @@ impl Objective {
         };
         let past = self.recipe.history;
         let later = n - past;
-        let is_teacher = self.recipe.forcing == Forcing::Teacher;
-        let clean = if is_teacher { n - 1 } else { past };
+        let clean = match self.recipe.forcing {
+            Forcing::Teacher => n - 1,
+            Forcing::Diffusion => past,
+        };
         let levels = (0..b * clean).map(|_| {
             let normal: f64 = StandardNormal.sample(rng);
             (normal * self.recipe.history_noise) as f32
@@ -181,7 +167,6 @@ impl Objective {
                 let tau = (0..b * later).map(|_| self.draw_tau(rng));
                 Tensor::from_vec(tau.collect(), (b, later), &Device::Cpu)?
             },
-            has_own_history: is_teacher && rng.random_bool(self.recipe.own_history),
         })
     }
 
@@ -207,8 +192,6 @@ pub(super) struct Draws {
     pub(super) noise: Tensor,
     /// (B, n - H).
     pub(super) tau: Tensor,
-    /// Whether the model's own predictions stand in for the later frames of the history.
-    pub(super) has_own_history: bool,
 }
 
 impl Draws {
@@ -236,6 +219,20 @@ struct Batch {
 }
 
 impl Batch {
+    fn draw(
+        objective: &Objective,
+        model: &Transition,
+        clips: &ClipSource<'_>,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Self> {
+        let (latents, actions) = objective.draw_clips(clips, rng)?;
+        let draws = objective.draw(latents.dims(), rng)?;
+        let alignment = model.config().action_alignment;
+        let past = objective.recipe.history;
+        Self::new(alignment, (&latents, &actions), &draws, past)
+    }
+
+    /// Of clips (B, n, h, w, C) with the actions (B, n, A) of their frames.
     fn new(
         alignment: ActionAlignment,
         (latents, actions): (&Tensor, &Tensor),
@@ -270,6 +267,16 @@ impl Batch {
             tau: draws.tau.clone(),
             actions,
         })
+    }
+
+    /// The loss after the clips' own history, or after what the model itself makes of it.
+    fn loss_after(&self, model: &Transition, own: bool, past: usize) -> Result<Tensor> {
+        let history = if own {
+            self.with_predictions(model, past)?
+        } else {
+            self.history.clone()
+        };
+        self.loss(model, &history, past)
     }
 
     fn loss(&self, model: &Transition, history: &Tensor, past: usize) -> Result<Tensor> {
@@ -351,7 +358,7 @@ fn drop_actions(actions: &Tensor, part: f64, rng: &mut ChaCha8Rng) -> Result<Ten
     Ok(Tensor::from_vec(values, (b, n, a), &Device::Cpu)?)
 }
 
-fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
+pub(super) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
     let values: Vec<f32> = (0..dims.iter().product())
         .map(|_| StandardNormal.sample(rng))
         .collect();
@@ -359,10 +366,12 @@ fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
 }
 
 #[cfg(test)]
+mod parity;
+#[cfg(test)]
 mod tests {
     use rand::SeedableRng as _;
 
-    use super::super::tests::{encoding, moving, objective};
+    use super::super::tests::{config, encoding, fresh, moving, objective};
     use super::*;
 
     /// As in the authors' release: no frame of a clip has zeros in place of its action, those to be learned neither.
@@ -372,13 +381,11 @@ mod tests {
         let latents = moving(dir.path(), 4, 1);
         let encoding = encoding();
         let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
+        let config = config(Parametrisation::Velocity, ActionAlignment::WithFrame);
+        let (_, model) = fresh(&config, 3);
         let objective = objective(Forcing::Teacher);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let (latents, actions) = objective.draw_clips(&clips, &mut rng).unwrap();
-        let draws = objective.draw(latents.dims(), &mut rng).unwrap();
-        let past = objective.recipe.history;
-        let alignment = ActionAlignment::WithFrame;
-        let batch = Batch::new(alignment, (&latents, &actions), &draws, past).unwrap();
+        let batch = Batch::draw(&objective, &model, &clips, &mut rng).unwrap();
         // Frames 0 to 3 clean, then 2 to 4 to be learned.
         let actions = batch.actions.narrow(2, 0, 1).unwrap().squeeze(2).unwrap();
         for row in actions.to_vec2::<f32>().unwrap() {

@@ -33,6 +33,17 @@ pub(crate) fn of_space(dir: &Path, episodes: usize, seed: u64, name: &str) -> La
     latents(dir, episodes, seed, name, false)
 }
 
+/// The same of another robot, whose actions have one value.
+fn with_actions(dir: &Path, episodes: usize, space: ActionSpace) -> Latents {
+    let whole = moving(dir, episodes, 1);
+    let mut list = whole.episodes().to_vec();
+    for action in list.iter_mut().flat_map(|episode| &mut episode.actions) {
+        action.truncate(1);
+    }
+    let file = dir.join("latents 1");
+    Latents::map(&file, whole.space().clone(), list, "other".into(), space).unwrap()
+}
+
 fn latents(dir: &Path, episodes: usize, seed: u64, name: &str, is_labelled: bool) -> Latents {
     let mut bytes = Vec::new();
     let mut list = Vec::new();
@@ -120,6 +131,12 @@ pub(super) fn objective(forcing: Forcing) -> Objective {
     }
 }
 
+pub(super) fn fresh(config: &TransitionConfig, seed: u64) -> (Variables, Transition) {
+    let weights = FreshWeights::new(seed);
+    let model = trainable(config, &weights, seed).unwrap();
+    (weights.into_variables().0, model)
+}
+
 fn step(
     workers: &Workers,
     (variables, model): &(Variables, Transition),
@@ -143,7 +160,7 @@ fn a_step_does_not_depend_on_the_number_of_threads() {
     let encoding = encoding();
     let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
     let config = config(Parametrisation::Residual, ActionAlignment::WithResult);
-    let trained = trainable(&config, 3).unwrap();
+    let trained = fresh(&config, 3);
     let run = |threads: usize| {
         let workers = Workers::new(threads).unwrap();
         step(&workers, &trained, &clips, &objective(Forcing::Teacher), 7)
@@ -165,7 +182,7 @@ fn it_learns_what_actions_do() {
         (Velocity, WithFrame, Diffusion, 400),
     ] {
         let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
-        let trained = trainable(&config(predicts, alignment), 3).unwrap();
+        let trained = fresh(&config(predicts, alignment), 3);
         let workers = Workers::new(2).unwrap();
         let parameters = trained.0.parameters(|_| 0).unwrap();
         let mut optimiser = AdamW::new(parameters, AdamWSettings::default());
@@ -214,6 +231,8 @@ fn run_in(out: &Path) -> RunArgs {
         set: Vec::new(),
         steps: None,
         share: 1.0,
+        from: None,
+        old_rate: 0.3,
         threads: Some(2),
     }
 }
@@ -256,7 +275,15 @@ fn a_model_is_trained_at_the_shift_that_its_weights_are_sampled_with() {
         let config = recipe.config(latents.space(), &encoding).unwrap();
         assert_eq!(recipe.objective(&config).unwrap().shift, expected, "{name}");
         let out = dir.path().join(format!("{name} {expected}"));
-        train_on(&run_in(&out), &recipe, &latents, None, &Stop::default()).unwrap();
+        train_on(
+            &run_in(&out),
+            &recipe,
+            None,
+            &latents,
+            None,
+            &Stop::default(),
+        )
+        .unwrap();
         let written = Weights::open(out.join(FILE)).unwrap();
         let written: TransitionConfig = written.json(CONFIG_KEY).unwrap();
         assert_eq!(written.sampler.shift, expected, "{name}");
@@ -277,7 +304,15 @@ fn a_paused_training_gives_the_same_bytes() {
         );
         let mut train = |out: &Path, steps| {
             recipe.length = Span::Steps(steps);
-            train_on(&run_in(out), &recipe, &latents, None, &Stop::default()).unwrap();
+            train_on(
+                &run_in(out),
+                &recipe,
+                None,
+                &latents,
+                None,
+                &Stop::default(),
+            )
+            .unwrap();
         };
         train(&whole, 4);
         train(&parts, 2);
@@ -297,7 +332,14 @@ fn settings_that_do_not_go_together_are_refused_by_name() {
         let mut recipe = small("tiny", None);
         change(&mut recipe);
         let out = dir.path().join("refused");
-        let error = train_on(&run_in(&out), &recipe, &latents, None, &Stop::default());
+        let error = train_on(
+            &run_in(&out),
+            &recipe,
+            None,
+            &latents,
+            None,
+            &Stop::default(),
+        );
         format!("{:#}", error.unwrap_err())
     };
     let error = refused(&|recipe| recipe.objective.forcing = Forcing::Diffusion);
@@ -306,4 +348,56 @@ fn settings_that_do_not_go_together_are_refused_by_name() {
     assert!(error.contains("model.null_action"), "{error}");
     let error = refused(&|recipe| recipe.micro_batch = 3);
     assert!(error.contains("micro_batch 3"), "{error}");
+}
+
+/// A model goes on with other actions: what does not depend on them is taken, and learns more slowly.
+#[test]
+fn a_model_is_tuned_to_other_actions() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 4, 1);
+    let (first, second) = (dir.path().join("first"), dir.path().join("second"));
+    let recipe = small("tiny", None);
+    train_on(
+        &run_in(&first),
+        &recipe,
+        None,
+        &latents,
+        None,
+        &Stop::default(),
+    )
+    .unwrap();
+    let from = ModelFolder::open(first.to_str().unwrap()).unwrap();
+    let from = from.transition_tensors().unwrap();
+    let joint = r#"{"name": "elbow", "unit": "rad", "kind": "joint_delta"}"#;
+    let space = format!(r#"{{"name": "one_joint", "rate": 5.0, "dimensions": [{joint}]}}"#);
+    let other = with_actions(dir.path(), 4, serde_json::from_str(&space).unwrap());
+    let mut recipe = small("tiny", None);
+    recipe.optimisation.learning_rate = 0.0;
+    let run = RunArgs {
+        from: Some(first.display().to_string()),
+        ..run_in(&second)
+    };
+    train_on(&run, &recipe, Some(from), &other, None, &Stop::default()).unwrap();
+    let tuned = ModelFolder::open(second.to_str().unwrap()).unwrap();
+    let tuned = tuned.transition_tensors().unwrap();
+    assert_eq!((tuned.config.action_dim, tuned.config.hidden), (1, 32));
+    // Without a learning rate, what was taken is what it was.
+    let old = Weights::open(first.join(FILE)).unwrap();
+    for (name, tensor) in &tuned.tensors {
+        let values = tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        let same = old
+            .values(name, tensor.dims())
+            .is_ok_and(|old| old == values);
+        assert_eq!(same, name != "action_embedder.weight", "{name}");
+    }
+    let error = train_on(
+        &run_in(&second),
+        &recipe,
+        None,
+        &other,
+        None,
+        &Stop::default(),
+    );
+    let error = format!("{:#}", error.unwrap_err());
+    assert!(error.contains("from"), "{error}");
 }

@@ -1,7 +1,7 @@
 //! Two-dimensional convolution.
 
-use candle_core::Tensor;
-use wm_model::ops::{ConvShape, Epilogue, GridSize, PackedConv, PackedFormat};
+use candle_core::{DType, Tensor};
+use wm_model::ops::{self, ConvShape, Epilogue, GridSize, PackedConv, PackedFormat};
 
 use super::{Linear, host, takes_kernels, upsample_nearest_2x};
 use crate::{Engine, Result};
@@ -78,6 +78,17 @@ impl ConvSpec {
     /// Shape of its weight in checkpoints: (outputs, inputs, kernel, kernel).
     pub fn weight_shape(&self) -> [usize; 4] {
         [self.outputs, self.inputs, self.kernel, self.kernel]
+    }
+
+    /// For the kernels.
+    fn shape(&self, upsample: bool) -> ConvShape {
+        ConvShape {
+            inputs: self.inputs,
+            outputs: self.outputs,
+            kernel: self.kernel,
+            stride: self.stride,
+            upsample,
+        }
     }
 
     /// How the kernel of [`wm_model::ops`] computes it, if it can.
@@ -191,13 +202,7 @@ impl Conv2d {
                 Weights::Pointwise(Linear::new(weight, Some(bias.clone()), engine, format)?)
             }
             Some(plan) if on_kernels => {
-                let shape = ConvShape {
-                    inputs: spec.inputs,
-                    outputs: spec.outputs,
-                    kernel: spec.kernel,
-                    stride: spec.stride,
-                    upsample: doubles,
-                };
+                let shape = spec.shape(doubles);
                 let bias: Vec<f32> = bias.to_vec1()?;
                 let pack = match plan {
                     Plan::Direct => PackedConv::new,
@@ -227,6 +232,11 @@ impl Conv2d {
         match &self.weights {
             Weights::Pointwise(linear) => linear.forward(x),
             Weights::Packed(packed) => self.on_kernel(x, packed, None),
+            Weights::Plain(weight) if self.is_trained(x, weight) => {
+                let weight = weight.permute((2, 3, 1, 0))?;
+                let shape = self.spec.shape(self.doubles);
+                Ok(ops::conv2d(&shape, x, &weight, &self.bias)?)
+            }
             Weights::Plain(weight) if self.doubles => {
                 self.on_candle(&upsample_nearest_2x(x)?, &weight.contiguous()?)
             }
@@ -270,6 +280,13 @@ impl Conv2d {
             .into());
         }
         Ok(())
+    }
+
+    /// Whether gradients are to be propagated on the CPU: candle's take many times as long as our kernels'.
+    fn is_trained(&self, x: &Tensor, weight: &Tensor) -> bool {
+        let is_tracked = x.track_op() || weight.track_op();
+        let fits = x.device().is_cpu() && x.dtype() == DType::F32 && weight.dtype() == DType::F32;
+        is_tracked && fits && self.spec.plan() == Some(Plan::Direct)
     }
 
     fn on_kernel(
@@ -322,7 +339,7 @@ impl Conv2d {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::{DType, Device};
+    use candle_core::{Device, Var};
 
     fn random(shape: &[usize]) -> Tensor {
         Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap()
@@ -385,6 +402,47 @@ mod tests {
         assert_eq!(a.dims(), [2, 10, 8, 5]);
         let difference = (a - b).unwrap().abs().unwrap().max_all().unwrap();
         assert!(difference.to_scalar::<f32>().unwrap() < 1e-4);
+    }
+
+    #[test]
+    fn gradients_are_candles() {
+        for (doubles, stride) in [(false, 1), (true, 1), (false, 2)] {
+            let spec = ConvSpec {
+                inputs: 3,
+                outputs: 5,
+                kernel: 3,
+                stride,
+                padding: Padding::same(3),
+            };
+            let var = |shape: &[usize]| Var::from_tensor(&random(shape)).unwrap();
+            let (x, weight, bias) = (var(&[2, 8, 4, 3]), var(&spec.weight_shape()), var(&[5]));
+            let build = if doubles {
+                Conv2d::doubling
+            } else {
+                Conv2d::new
+            };
+            let format = PackedFormat::F32;
+            let of_layer = bias.as_tensor().clone();
+            let conv = build(spec, &weight, of_layer, Engine::Candle, format).unwrap();
+            assert!(conv.is_trained(&x, &weight));
+            let plain = match doubles {
+                true => conv.on_candle(&upsample_nearest_2x(&x).unwrap(), &weight),
+                false => conv.on_candle(&x, &weight),
+            };
+            let of = |y: Tensor| {
+                let store = y.sqr().unwrap().sum_all().unwrap().backward().unwrap();
+                [&x, &weight, &bias].map(|var| store.get(var).unwrap().clone())
+            };
+            let pairs = of(conv.forward(&x).unwrap())
+                .into_iter()
+                .zip(of(plain.unwrap()));
+            for (found, expected) in pairs {
+                let difference = (&found - &expected).unwrap().abs().unwrap();
+                let scalar = |x: Tensor| x.max_all().unwrap().to_scalar::<f32>().unwrap();
+                let largest = scalar(expected.abs().unwrap());
+                assert!(scalar(difference) < 1e-5 * largest, "{spec:?}");
+            }
+        }
     }
 
     #[test]

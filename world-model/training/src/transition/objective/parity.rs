@@ -1,14 +1,11 @@
 //! Training steps of the transition model against PyTorch.
 
-use super::{
-    objective::{Draws, Objective},
-    trainable,
-};
+use super::*;
 use crate::{
     fixture::{Fixture, fill, tensor},
     optimiser::{AdamW, Trained},
+    transition::tests::fresh,
 };
-use wm_model::transition::{Transition, TransitionConfig};
 
 /// Seed of weights that are replaced at once.
 const ANY: u64 = 1;
@@ -20,8 +17,8 @@ fn draws(objective: &Objective, config: &TransitionConfig) -> Draws {
         objective.recipe.history,
     );
     let clean = match objective.recipe.forcing {
-        super::Forcing::Teacher => n - 1,
-        super::Forcing::Diffusion => past,
+        Forcing::Teacher => n - 1,
+        Forcing::Diffusion => past,
     };
     let frames = |count| {
         [
@@ -37,7 +34,6 @@ fn draws(objective: &Objective, config: &TransitionConfig) -> Draws {
         history_noise: tensor("history noise", &frames(clean), 1.5),
         noise: tensor("noise", &frames(n - past), 1.5),
         tau: (tensor("tau", &[b, n - past], 0.5) + 0.5).unwrap(),
-        has_own_history: objective.recipe.own_history == 1.0,
     }
 }
 
@@ -64,12 +60,18 @@ fn a_step_is_pytorchs() {
         let (h, w, c) = (config.latent_height, config.latent_width, config.channels);
         let latents = tensor("latents", &[2, config.max_frames, h, w, c], 1.5);
         let actions = tensor("actions", &[2, config.max_frames, config.action_dim], 1.5);
-        let draws = draws(&objective, &config);
+        let (clips, draws) = ((&latents, &actions), draws(&objective, &config));
+        let (alignment, past) = (config.action_alignment, objective.recipe.history);
+        let own = objective.recipe.own_history == 1.0;
         for engine in [|model: Transition| model, Transition::plain] {
-            let (variables, model) = trainable(&config, ANY).unwrap();
+            let (variables, model) = fresh(&config, ANY);
             fill(&variables);
             let model = engine(model);
-            let loss = objective.loss_of(&model, (&latents, &actions), &draws);
+            let loss = match objective.recipe.forcing {
+                Forcing::Diffusion => noised_at_once::loss(&model, clips, &draws, past),
+                Forcing::Teacher => Batch::new(alignment, clips, &draws, past)
+                    .and_then(|batch| batch.loss_after(&model, own, past)),
+            };
             let gradients = fixture.check(&loss.unwrap(), &variables);
             if fixture.names("norm").is_empty() {
                 continue;

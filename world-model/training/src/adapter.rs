@@ -1,0 +1,216 @@
+//! Training of the S-VAE adapter and its pixel decoder (the paper, appendix B.3 and B.4) on the features of a frozen
+//! encoder.
+//!
+//! The adapter minimises the error of the features that come back from a sample of its latent, and the divergence of
+//! the latent from a unit Gaussian. The pixel decoder minimises the error of pictures decoded from the detached latent,
+//! so that no pixel reaches the adapter. It sees the mean of the latent: the paper leaves open whether the mean or a
+//! sample, and the mean is what the world model predicts and decodes. Both step at once, each as a group of its own.
+
+mod arguments;
+mod evaluation;
+mod feature_loss;
+mod files;
+mod frames;
+mod lpips;
+mod ms_ssim;
+mod objective;
+mod pixel_loss;
+mod recipe;
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result, ensure};
+use candle_core::{Device, Tensor};
+use image::RgbImage;
+use rand::Rng as _;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+use wm_zoo::Checkpoint;
+
+use crate::{
+    arguments::RunArgs,
+    optimiser::{Group, Parameter, Trained, Variables},
+    run::{Figure, StepLoss, Task},
+    workers::{BatchLoss, Batches, Workers},
+};
+use evaluation::Written;
+use files::{Output, PIXEL_DECODER};
+use objective::{Losses, Objective};
+
+pub use arguments::TrainAdapterArgs;
+pub use evaluation::Reconstruction;
+pub use files::{FILE, STATISTICS};
+pub use frames::Frames;
+pub use lpips::Lpips;
+pub use ms_ssim::MsSsim;
+pub use recipe::{AdapterModelRecipe, AdapterRecipe, LossRecipe, RECIPES};
+
+/// Frames of a validation during the training, and of the last one.
+const VALIDATION_FRAMES: [usize; 2] = [64, 1000];
+/// Rows of the samples.
+const SAMPLES: usize = 6;
+
+/// What an adapter is trained on.
+struct Data<'a> {
+    /// The frames.
+    train: Frames<'a>,
+    /// Those of the validation.
+    held_out: Option<Frames<'a>>,
+    /// The perceptual distance, where its networks are given.
+    lpips: Option<Lpips>,
+    /// Weights to start from.
+    start: Option<Checkpoint>,
+    /// The description of the encoder's folder, if it has one.
+    description: Option<serde_json::Value>,
+}
+
+/// An adapter in training.
+struct AdapterTask<'a> {
+    recipe: &'a AdapterRecipe,
+    data: &'a Data<'a>,
+    variables: Variables,
+    objective: Objective<'a>,
+    /// Factor on all learning rates.
+    rate: f64,
+    workers: Workers,
+    /// The networks that were written last.
+    written: Option<Written>,
+}
+
+impl<'a> AdapterTask<'a> {
+    fn new(
+        recipe: &'a AdapterRecipe,
+        steps: u64,
+        data: &'a Data<'a>,
+        run: &RunArgs,
+    ) -> Result<Self> {
+        if let Some(held_out) = &data.held_out {
+            ensure!(
+                held_out.space() == data.train.space(),
+                "the held-out frames are in the latent space {}, the others in {}",
+                held_out.space(),
+                data.train.space()
+            );
+        }
+        let view = data.train.view(recipe.views)?;
+        let (objective, variables) = Objective::new(recipe, view, steps, data.lpips.as_ref())?;
+        if let Some(start) = &data.start {
+            files::start_from(start, &variables)?;
+        }
+        Ok(Self {
+            recipe,
+            data,
+            variables,
+            objective,
+            // All of a model that is fine-tuned is old.
+            rate: if data.start.is_some() {
+                run.old_rate
+            } else {
+                1.0
+            },
+            workers: Workers::new(run.threads()?)?,
+            written: None,
+        })
+    }
+
+    /// Of frames that `rng` draws.
+    fn drawn(&self, rng: &mut ChaCha8Rng, step: u64) -> Result<Losses> {
+        let train = &self.data.train;
+        let frames: Vec<usize> = (0..self.recipe.micro_batch)
+            .map(|_| rng.random_range(0..train.count()))
+            .collect();
+        let (features, pictures) = train.of(&frames, self.recipe.views)?;
+        let (n, h, w, _) = features.dims4()?;
+        let channels = self.objective.svae().latent;
+        let normal = (0..n * h * w * channels).map(|_| StandardNormal.sample(rng));
+        let normal: Vec<f32> = normal.collect();
+        let noise = Tensor::from_vec(normal, (n, h, w, channels), &Device::Cpu)?;
+        self.objective.losses(&features, &pictures, &noise, step)
+    }
+}
+
+impl Task for AdapterTask<'_> {
+    fn name(&self) -> &'static str {
+        "adapter"
+    }
+
+    fn parameters(&self) -> Result<Vec<Parameter>> {
+        let is_pixels = |name: &str| name.starts_with(PIXEL_DECODER);
+        Ok(self
+            .variables
+            .parameters(|name| usize::from(is_pixels(name)))?)
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        let pixels = self.recipe.pixel_decoder_rate;
+        [1.0, pixels]
+            .map(|rate| Group {
+                rate: rate * self.rate,
+            })
+            .into()
+    }
+
+    fn step(&mut self, step: u64) -> Result<StepLoss> {
+        let batches = Batches {
+            count: self.recipe.batch / self.recipe.micro_batch,
+            seed: self.recipe.seed,
+            step,
+        };
+        self.workers.step(&self.variables, batches, &|rng| {
+            let losses = self.drawn(rng, step)?;
+            Ok(BatchLoss {
+                loss: (losses.adapter + losses.pixel)?,
+                parts: losses.parts,
+            })
+        })
+    }
+
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        Ok(self.variables.assign(weights)?)
+    }
+
+    fn write(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        folder: &Path,
+    ) -> Result<()> {
+        let output = Output {
+            folder,
+            svae: self.objective.svae(),
+            pixel: &self.objective.decoder_config,
+            space: self.data.train.space(),
+        };
+        output.write_weights(averaged)?;
+        // Of exactly what was written.
+        let written = Written::open(&output, self.recipe.views)?;
+        let statistics = written
+            .statistics(&self.data.train)
+            .context("the statistics of the latents")?;
+        output.write_statistics(&statistics)?;
+        if let Some(description) = &self.data.description {
+            output.write_description(description, self.recipe.views)?;
+        }
+        self.written = Some(written);
+        Ok(())
+    }
+
+    fn validate(&mut self, thorough: bool) -> Result<Vec<Figure>> {
+        let (Some(held_out), Some(written)) = (&self.data.held_out, &self.written) else {
+            return Ok(Vec::new());
+        };
+        let [quick, all] = VALIDATION_FRAMES;
+        let most = if thorough { all } else { quick };
+        Ok(written.reconstruct(held_out, most)?.figures())
+    }
+
+    fn samples(&mut self) -> Result<Option<RgbImage>> {
+        let frames = self.data.held_out.as_ref().unwrap_or(&self.data.train);
+        let written = self.written.as_ref();
+        written
+            .map(|written| written.picture(frames, SAMPLES))
+            .transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,148 @@
+//! What a training of an adapter leaves in its folder.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, ensure};
+use candle_core::DType;
+use serde_json::{Value, json};
+use wm_model::{
+    LatentSpace,
+    autoencoder::{MEAN, Normalisation, STD},
+    transition::LATENT_SPACE_KEY,
+    weights::{Precision, WeightsBuilder},
+};
+use wm_zoo::{
+    Checkpoint, checkpoint::Average, folder, kinds::Kind, svae::SvaeConfig, vae::PixelDecoderConfig,
+};
+
+use crate::optimiser::{Trained, Variables};
+
+/// The weights' file in a model's folder.
+pub const FILE: &str = "adapter.safetensors";
+/// The file of mean and standard deviation of the latents.
+pub const STATISTICS: &str = "stats.safetensors";
+/// What names of the adapter's tensors begin with, as in the published checkpoints.
+pub(super) const ADAPTER: &str = "adapter";
+/// What names of the pixel decoder's tensors begin with.
+pub(super) const PIXEL_DECODER: &str = "pixel_decoder";
+/// Weights are saved as half floats.
+const PRECISION: Precision = Precision::F16;
+
+/// The files of a training, and what they are about.
+pub(super) struct Output<'a> {
+    pub folder: &'a Path,
+    pub svae: &'a SvaeConfig,
+    pub pixel: &'a PixelDecoderConfig,
+    /// Of the features.
+    pub space: &'a LatentSpace,
+}
+
+impl Output<'_> {
+    pub(super) fn weights(&self) -> PathBuf {
+        self.folder.join(FILE)
+    }
+
+    /// Both networks, and their configurations as metadata.
+    pub(super) fn write_weights(
+        &self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+    ) -> Result<()> {
+        let mut weights = WeightsBuilder::new();
+        for Trained {
+            name,
+            shape,
+            values,
+        } in averaged
+        {
+            weights.values(name, shape, values, PRECISION);
+        }
+        weights.metadata("adapter_config", serde_json::to_string(self.svae)?);
+        weights.metadata("pixel_decoder_config", serde_json::to_string(self.pixel)?);
+        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(self.space)?);
+        Ok(weights.write(self.weights())?)
+    }
+
+    pub(super) fn write_statistics(&self, statistics: &Normalisation) -> Result<()> {
+        let mut file = WeightsBuilder::new();
+        for (name, values) in [(MEAN, &statistics.mean), (STD, &statistics.std)] {
+            file.values(name, &[values.len()], values, Precision::F32);
+        }
+        Ok(file.write(self.folder.join(STATISTICS))?)
+    }
+
+    /// The description of a model: that of the encoder, with what this training has made.
+    pub(super) fn write_description(&self, of_encoder: &Value, views: usize) -> Result<()> {
+        let mut description = of_encoder.clone();
+        let mut set = |key: &str, value: Value| {
+            if let Some(fields) = description.as_object_mut() {
+                fields.insert(key.to_owned(), value);
+            }
+        };
+        set(
+            "adapter",
+            json!({"kind": Kind::Svae.name(), "weights": FILE, "config": self.svae}),
+        );
+        set("normalisation", json!(STATISTICS));
+        set(
+            "decoder",
+            json!({"kind": Kind::Pixel.name(), "weights": FILE, "config": self.pixel}),
+        );
+        if views > 1 {
+            set("views", json!(views));
+        }
+        let path = self.folder.join(folder::FILE);
+        std::fs::write(&path, format!("{description:#}\n"))
+            .with_context(|| path.display().to_string())
+    }
+}
+
+/// What of the description in `folder` is about its encoder, under the name `name` and with absolute paths.
+pub(super) fn encoder_of(folder: &Path, name: &str) -> Result<Value> {
+    let path = folder.join(folder::FILE);
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    let whole: Value = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    let folder = std::path::absolute(folder).with_context(|| folder.display().to_string())?;
+    let mut description = json!({"name": name});
+    for key in ["image", "dtype", "encoder"] {
+        let (Some(value), Some(fields)) = (whole.get(key), description.as_object_mut()) else {
+            continue;
+        };
+        fields.insert(key.to_owned(), value.clone());
+    }
+    for key in ["config", "weights"] {
+        if let Some(file) = description.pointer_mut(&format!("/encoder/{key}"))
+            && let Some(name) = file.as_str()
+        {
+            *file = json!(folder.join(name));
+        }
+    }
+    Ok(description)
+}
+
+/// Has a training start from the weights of another one.
+pub(super) fn start_from(checkpoint: &Checkpoint, variables: &Variables) -> Result<()> {
+    let parts = [(ADAPTER, Kind::Svae), (PIXEL_DECODER, Kind::Pixel)]
+        .map(|(part, kind)| (part, kind.weights(checkpoint, Average::Ema)));
+    for parameter in variables.parameters(|_| 0)? {
+        let name = &parameter.name;
+        let found = parts.iter().find_map(|(part, weights)| {
+            let rest = name.strip_prefix(part)?.strip_prefix('.')?;
+            Some((weights, rest))
+        });
+        let (weights, rest) = found.with_context(|| format!("`{name}` is of no network"))?;
+        let shape = weights.shape(rest);
+        ensure!(
+            shape == Some(&parameter.shape),
+            "{}: `{name}` is {shape:?}, expected {:?}",
+            checkpoint.file(),
+            parameter.shape
+        );
+        let values = weights.tensor(rest, DType::F32)?.flatten_all()?.to_vec1()?;
+        variables.assign(std::iter::once(Trained {
+            name,
+            shape: &parameter.shape,
+            values: &values,
+        }))?;
+    }
+    Ok(())
+}

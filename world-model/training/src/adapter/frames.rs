@@ -1,0 +1,112 @@
+use anyhow::{Context as _, Result, ensure};
+use candle_core::{Device, Tensor};
+use wm_model::LatentSpace;
+
+use crate::{dataset::Dataset, latents::Latents};
+
+/// Frames of bags with the features that a frozen encoder has of them.
+#[derive(Clone, Copy, Debug)]
+pub struct Frames<'a> {
+    pictures: &'a Dataset,
+    features: &'a Latents,
+}
+
+/// The size of one view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct View {
+    /// Of the features.
+    pub rows: usize,
+    pub columns: usize,
+    pub channels: usize,
+    /// Of the picture.
+    pub height: usize,
+    pub width: usize,
+}
+
+impl<'a> Frames<'a> {
+    /// `features` are those of `pictures`.
+    ///
+    /// # Errors
+    /// If they are of other frames, or there are none.
+    pub fn new(pictures: &'a Dataset, features: &'a Latents) -> Result<Self> {
+        ensure!(
+            pictures.digest() == features.digest(),
+            "the features are of other frames than the pictures"
+        );
+        ensure!(pictures.frame_count() > 0, "no frames");
+        Ok(Self { pictures, features })
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.pictures.frame_count()
+    }
+
+    /// Number of episodes.
+    #[must_use]
+    pub fn episodes(&self) -> usize {
+        self.pictures.episodes().len()
+    }
+
+    /// What they were made from.
+    #[must_use]
+    pub fn digest(&self) -> &str {
+        self.pictures.digest()
+    }
+
+    /// The space of the features.
+    #[must_use]
+    pub fn space(&self) -> &LatentSpace {
+        self.features.space()
+    }
+
+    /// At most `most` frames, spread over all.
+    pub(super) fn spread(&self, most: usize) -> Vec<usize> {
+        let stride = self.count().div_ceil(most.max(1)).max(1);
+        (0..self.count()).step_by(stride).collect()
+    }
+
+    /// The size of one of `views` side by side.
+    pub(super) fn view(&self, views: usize) -> Result<View> {
+        let (rows, columns, channels) = self.space().shape();
+        let (height, width) = self.pictures.size();
+        ensure!(
+            views > 0 && columns.is_multiple_of(views) && width.is_multiple_of(views),
+            "views is {views}, which does not divide features and frames that are {columns} and {width} wide"
+        );
+        let (columns, width) = (columns / views, width / views);
+        Ok(View {
+            rows,
+            columns,
+            channels,
+            height,
+            width,
+        })
+    }
+
+    /// Features (V N, h, w, D) and pictures (V N, H, W, 3) in 0..1 of these frames: the first view of all, the second of
+    /// all, and so on.
+    pub(super) fn of(&self, frames: &[usize], views: usize) -> Result<(Tensor, Tensor)> {
+        let (mut features, mut pictures) = (Vec::new(), Vec::new());
+        for frame in frames {
+            self.features.read(*frame, &mut features)?;
+            let picture = self.pictures.frame(*frame);
+            let picture = picture.with_context(|| format!("no frame {frame}"))?;
+            pictures.extend(picture.iter().map(|value| f32::from(*value) / 255.0));
+        }
+        let (rows, columns, channels) = self.space().shape();
+        let (height, width) = self.pictures.size();
+        let features = Tensor::from_vec(features, ((), rows, columns, channels), &Device::Cpu)?;
+        let pictures = Tensor::from_vec(pictures, ((), height, width, 3), &Device::Cpu)?;
+        Ok((apart(&features, views)?, apart(&pictures, views)?))
+    }
+}
+
+/// (N, h, V w, C) to (V N, h, w, C).
+fn apart(x: &Tensor, views: usize) -> Result<Tensor> {
+    Ok(match views {
+        1 => x.clone(),
+        _ => Tensor::cat(&x.chunk(views, 2)?, 0)?,
+    })
+}

@@ -1,0 +1,178 @@
+//! The program itself: a whole model from simulated bags, interrupted and taken up again.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
+use std::{
+    io::{BufRead as _, BufReader},
+    path::Path,
+    process::{Command, Output, Stdio},
+};
+
+fn wm_training() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_wm-training"))
+}
+
+fn done(command: &mut Command) -> String {
+    let Output {
+        status,
+        stdout,
+        stderr,
+    } = command.output().unwrap();
+    let (stdout, stderr) = (
+        String::from_utf8_lossy(&stdout).into_owned(),
+        String::from_utf8_lossy(&stderr).into_owned(),
+    );
+    assert!(
+        status.success(),
+        "{command:?}: {status}\n{stdout}\n{stderr}"
+    );
+    stdout
+}
+
+/// `wm train model` of every part with small networks and few steps.
+fn train_model(data: &Path, cache: &Path, out: &Path) -> Command {
+    let mut command = wm_training();
+    command.args(["train", "model", "--threads", "2"]);
+    for (flag, path) in [("--data", data), ("--cache", cache), ("--out", out)] {
+        command.arg(flag).arg(path);
+    }
+    for setting in [
+        "autoencoder.length=6 steps",
+        "autoencoder.batch=2",
+        "autoencoder.whole_picture_steps=2",
+        "autoencoder.model.name=small",
+        "autoencoder.model.widths=[8, 8, 16, 16]",
+        "autoencoder.model.encoder_blocks=[0, 0, 0, 1]",
+        "autoencoder.model.decoder_blocks=[0, 0, 0, 1]",
+        "transition.length=4 steps",
+        "transition.batch=2",
+        "transition.model.hidden=32",
+        "transition.model.depth=1",
+        "transition.model.heads=2",
+        "idm.length=4 steps",
+        "idm.batch=2",
+        "idm.micro_batch=1",
+        "idm.model.hidden=32",
+        "idm.model.depth=1",
+        "probe.length=4 steps",
+        "probe.batch=2",
+        "probe.micro_batch=1",
+        "probe.model.hidden=32",
+        "probe.model.depth=1",
+    ] {
+        command.args(["--set", setting]);
+    }
+    command
+}
+
+#[test]
+fn a_model_is_trained_by_one_command_and_an_interrupted_one_gives_the_same_bytes() {
+    let scratch = tempfile::tempdir().unwrap();
+    let at = |name: &str| scratch.path().join(name);
+    let (bags, data, cache) = (at("bags"), at("data"), at("cache"));
+    // Long enough for a window of the transition's validation, and with failures for the probe.
+    let sim = [
+        "sim",
+        "--episodes",
+        "6",
+        "--frames",
+        "24",
+        "--failures",
+        "0.5",
+        "--out",
+    ];
+    done(wm_training().args(sim).arg(&bags));
+    done(
+        wm_training()
+            .arg("dataset")
+            .arg(&bags)
+            .arg("--out")
+            .arg(&data),
+    );
+    let summary = done(wm_training().args(["dataset", "info"]).arg(&data));
+    assert!(summary.contains("6 bags"), "{summary}");
+
+    let whole = at("whole");
+    let told = done(&mut train_model(&data, &cache, &whole));
+    assert!(told.contains("model:="), "{told}");
+
+    // Stopped by a signal when it has begun to step, and started again until it is through.
+    let parts = at("parts");
+    let mut first = train_model(&data, &cache, &parts)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let lines = BufReader::new(first.stdout.take().unwrap()).lines();
+    let mut has_asked = false;
+    let mut told = String::new();
+    for line in lines {
+        let line = line.unwrap();
+        if !has_asked && line.starts_with("transition:") {
+            let pid = first.id().to_string();
+            let asked = Command::new("kill").args(["-TERM", &pid]).status();
+            assert!(asked.unwrap().success());
+            has_asked = true;
+        }
+        told += &line;
+        told.push('\n');
+    }
+    let status = first.wait().unwrap();
+    assert_eq!(status.code(), Some(130), "{told}");
+    assert!(told.contains("the same command resumes"), "{told}");
+    let told = done(&mut train_model(&data, &cache, &parts));
+    assert!(told.contains("resumes after step"), "{told}");
+    for file in [
+        "autoencoder.safetensors",
+        "transition.safetensors",
+        "idm.safetensors",
+        "probe.safetensors",
+        "transition.checkpoint.safetensors",
+    ] {
+        let read = |folder: &Path| std::fs::read(folder.join(file)).unwrap();
+        assert!(read(&whole) == read(&parts), "{file}");
+    }
+
+    // What was trained is measured by its own commands.
+    let model = whole.to_str().unwrap();
+    let weights = |name: &str| whole.join(name).to_str().unwrap().to_owned();
+    for (part, file) in [
+        ("transition", "transition.safetensors"),
+        ("idm", "idm.safetensors"),
+        ("probe", "probe.safetensors"),
+    ] {
+        let mut eval = wm_training();
+        eval.args([
+            "eval",
+            part,
+            "--encoder",
+            model,
+            "--weights",
+            &weights(file),
+        ]);
+        if part == "transition" {
+            eval.args(["--plans", "1"]);
+        }
+        let told = done(eval.arg("--cache").arg(&cache).arg("--data").arg(&bags));
+        assert!(!told.is_empty(), "{part}");
+    }
+}
+
+#[test]
+fn a_wrong_setting_is_named_before_anything_is_read() {
+    let mut train = wm_training();
+    train.args([
+        "train",
+        "model",
+        "--data",
+        "/no/such/bags",
+        "--out",
+        "/no/such/out",
+    ]);
+    let output = train.args(["--set", "decoder.batch=1"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        told.contains("decoder.batch=1") && told.contains("autoencoder, transition"),
+        "{told}"
+    );
+}
