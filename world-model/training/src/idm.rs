@@ -117,12 +117,20 @@ impl<'a> IdmTask<'a> {
                 (latents + noise)?
             }
         };
-        // The last frame's own action leads out of the window.
-        let truth = actions.narrow(1, 0, self.config.horizon)?;
         let mut dropout = Dropout::new(self.recipe.dropout, rng);
-        let found = self.model.forward_dropping(&latents, &mut dropout)?;
-        smooth_l1(&found, &truth)
+        loss(&self.model, (&latents, &actions), &mut dropout)
     }
+}
+
+/// The loss of windows of latents (B, k + 1, h, w, C) with the actions (B, k + 1, A) of their frames.
+fn loss(
+    model: &Idm,
+    (latents, actions): (&Tensor, &Tensor),
+    dropout: &mut Dropout<'_>,
+) -> Result<Tensor> {
+    // The last frame's own action leads out of the window.
+    let truth = actions.narrow(1, 0, model.config().horizon)?;
+    smooth_l1(&model.forward_dropping(latents, dropout)?, &truth)
 }
 
 /// The mean of d^2 / 2 where |d| is below 1, and of |d| - 1/2 elsewhere: `torch.nn.SmoothL1Loss()`.
@@ -197,5 +205,7 @@ impl Task for IdmTask<'_> {
     }
 }
 
+#[cfg(test)]
+mod parity;
 #[cfg(test)]
 mod tests;

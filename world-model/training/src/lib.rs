@@ -10,6 +10,8 @@ pub mod adapter;
 pub mod arguments;
 pub mod autoencoder;
 pub mod dataset;
+#[cfg(test)]
+mod fixture;
 pub mod fresh_weights;
 pub mod idm;
 pub mod latents;

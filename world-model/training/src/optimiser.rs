@@ -319,6 +319,8 @@ pub fn step_rng(seed: u64, step: u64) -> ChaCha8Rng {
 }
 
 #[cfg(test)]
+mod parity;
+#[cfg(test)]
 mod tests {
     use super::*;
 

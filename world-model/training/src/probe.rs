@@ -142,24 +142,18 @@ impl<'a> ProbeTask<'a> {
             let question = self
                 .episodes
                 .draw(recipe.successes, recipe.mismatches, rng)?;
-            let Question {
-                latents,
-                instruction,
-                answer,
-                ..
-            } = question;
+            let latents = &question.latents;
             let noise = (0..latents.elem_count()).map(|_| {
                 let normal: f64 = StandardNormal.sample(rng);
                 (normal * recipe.latent_noise) as f32
             });
             let noise = Tensor::from_vec(noise.collect(), latents.shape(), &Device::Cpu)?;
-            let text = self.words.read(&instruction)?;
+            let question = Question {
+                latents: (latents + noise)?,
+                ..question
+            };
             let mut dropout = Dropout::new(recipe.dropout, rng);
-            let latents = (latents + noise)?;
-            let logit = self
-                .model
-                .forward_dropping(&latents, &text, None, &mut dropout)?;
-            losses.push(cross_entropy(&logit, answer)?);
+            losses.push(loss(&self.model, &self.words, &question, &mut dropout)?);
         }
         Ok(Tensor::cat(&losses, 0)?.mean_all()?)
     }
@@ -207,6 +201,18 @@ fn accuracy(weights: &Weights, episodes: &Episodes<'_>, most: usize) -> Result<A
         }
     }
     Ok(Accuracy::of(&own, &mismatched))
+}
+
+/// The loss of one question, (1).
+fn loss(
+    model: &SuccessProbe,
+    words: &WordEmbedding,
+    question: &Question,
+    dropout: &mut Dropout<'_>,
+) -> Result<Tensor> {
+    let text = words.read(&question.instruction)?;
+    let logit = model.forward_dropping(&question.latents, &text, None, dropout)?;
+    cross_entropy(&logit, question.answer)
 }
 
 /// max(x, 0) - x y + log(1 + exp(-|x|)): binary cross-entropy of logits (B), as PyTorch's `BCEWithLogitsLoss`.
@@ -297,5 +303,7 @@ impl Task for ProbeTask<'_> {
     }
 }
 
+#[cfg(test)]
+mod parity;
 #[cfg(test)]
 mod tests;

@@ -52,7 +52,7 @@ impl FromStr for Engine {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use candle_core::{Device, Result};
+    use candle_core::{Device, Result, Var};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
@@ -78,6 +78,60 @@ pub(super) mod tests {
         let difference = (kernel - plain).unwrap().abs().unwrap();
         let most: f32 = difference.max_all().unwrap().to_scalar().unwrap();
         assert!(most < 1e-5, "{what}: the engines differ by {most}");
+    }
+
+    /// Step of the differences: small enough for what is left of fourth order, large enough for what is lost to rounding.
+    const STEP: f32 = 1.0 / 32.0;
+
+    /// Checks on both engines the gradient by every value of every input, against differences of fourth order of the sum
+    /// of all results, each times a factor of its own; to 1e-4 of each input's gradient.
+    pub(in crate::ops) fn check_gradients(
+        what: &str,
+        inputs: &[Tensor],
+        compute: impl Fn(Engine, &[Tensor]) -> Result<Tensor>,
+    ) {
+        for engine in [Engine::Cpu, Engine::Candle] {
+            let variables: Vec<Var> = inputs
+                .iter()
+                .map(|x| Var::from_tensor(x).unwrap())
+                .collect();
+            let given: Vec<Tensor> = variables.iter().map(|x| x.as_tensor().clone()).collect();
+            let out = compute(engine, &given).unwrap();
+            let factors = random(out.dims(), 99);
+            let loss = (out * &factors).unwrap().sum_all().unwrap();
+            let gradients = loss.backward().unwrap();
+            let factors = flat(&factors);
+            for (place, variable) in variables.iter().enumerate() {
+                let at = |index: usize, offset: f32| {
+                    let mut values = flat(&inputs[place]);
+                    values[index] += offset;
+                    let mut moved = inputs.to_vec();
+                    moved[place] =
+                        Tensor::from_vec(values, inputs[place].shape(), &Device::Cpu).unwrap();
+                    let out = flat(&compute(engine, &moved).unwrap());
+                    let products = out.iter().zip(&factors);
+                    products
+                        .map(|(x, factor)| f64::from(*x) * f64::from(*factor))
+                        .sum::<f64>()
+                };
+                let found = flat(gradients.get(variable).unwrap());
+                let (mut squares, mut errors) = (0.0, 0.0);
+                for (index, found) in found.iter().enumerate() {
+                    let near = at(index, STEP) - at(index, -STEP);
+                    let far = at(index, 2.0 * STEP) - at(index, -2.0 * STEP);
+                    let slope = (8.0 * near - far) / (12.0 * f64::from(STEP));
+                    squares += slope * slope;
+                    errors += (f64::from(*found) - slope).powi(2);
+                }
+                let error = (errors / squares).sqrt();
+                println!("{what}, {engine}, by input {place}: {error:.1e}");
+                assert!(error < 1e-4, "{what}, {engine}, by input {place}: {error}");
+            }
+        }
+    }
+
+    fn flat(x: &Tensor) -> Vec<f32> {
+        x.flatten_all().unwrap().to_vec1().unwrap()
     }
 
     /// Checks that both engines refuse, and why.

@@ -160,7 +160,7 @@ vectorised! {
 
 #[cfg(test)]
 mod tests {
-    use super::super::engine::tests::{check_refused, check_same, random};
+    use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -174,6 +174,15 @@ mod tests {
         }
         check_refused("with a modulation of [6, 36]", |engine| {
             gated_residual(engine, &x, &branch, &modulation, 3)
+        });
+    }
+
+    #[test]
+    fn gradients_are_those_of_finite_differences() {
+        let x = |seed| random(&[2, 2, 3, 5], seed);
+        let inputs = [x(1), x(2), random(&[4, 15], 3)];
+        check_gradients("gated_residual", &inputs, |engine, inputs| {
+            gated_residual(engine, &inputs[0], &inputs[1], &inputs[2], 1)
         });
     }
 }

@@ -282,7 +282,7 @@ fn multiply(
 
 #[cfg(test)]
 mod tests {
-    use super::super::engine::tests::{check_refused, check_same, random};
+    use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -297,6 +297,17 @@ mod tests {
         let x = random(&[3, 15], 4);
         check_refused("[3, 15] for a weight of shape [9, 16]", |engine| {
             linear(engine, &x, &weight, None)
+        });
+    }
+
+    #[test]
+    fn gradients_are_those_of_finite_differences() {
+        let inputs = [random(&[2, 3, 5], 1), random(&[4, 5], 2), random(&[4], 3)];
+        check_gradients("linear with bias", &inputs, |engine, inputs| {
+            linear(engine, &inputs[0], &inputs[1], Some(&inputs[2]))
+        });
+        check_gradients("linear", &inputs[..2], |engine, inputs| {
+            linear(engine, &inputs[0], &inputs[1], None)
         });
     }
 }

@@ -190,7 +190,7 @@ fn backward_row(
 
 #[cfg(test)]
 mod tests {
-    use super::super::engine::tests::{check_refused, check_same, random};
+    use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -204,6 +204,16 @@ mod tests {
             }
             check_refused("with a modulation of", |engine| {
                 rms_norm_modulate(engine, &x, &modulation, 0, 3)
+            });
+        }
+    }
+
+    #[test]
+    fn gradients_are_those_of_finite_differences() {
+        for d in [8, 20] {
+            let inputs = [random(&[2, 2, 3, d], 1), random(&[4, 3 * d], 2)];
+            check_gradients("rms_norm_modulate", &inputs, |engine, inputs| {
+                rms_norm_modulate(engine, &inputs[0], &inputs[1], 2, 0)
             });
         }
     }

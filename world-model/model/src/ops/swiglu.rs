@@ -98,7 +98,7 @@ vectorised! {
 
 #[cfg(test)]
 mod tests {
-    use super::super::engine::tests::{check_refused, check_same, random};
+    use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
     use super::*;
 
     #[test]
@@ -109,5 +109,12 @@ mod tests {
         }
         let odd = random(&[2, 7], 2);
         check_refused("cannot halve [2, 7]", |engine| swiglu(engine, &odd));
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_finite_differences() {
+        check_gradients("swiglu", &[random(&[2, 3, 10], 1)], |engine, inputs| {
+            swiglu(engine, &inputs[0])
+        });
     }
 }

@@ -3,41 +3,34 @@
 
 use anyhow::Result;
 use candle_core::{D, DType, Device, Tensor};
-use rand_chacha::ChaCha8Rng;
 use wm_model::transition::{ActionAlignment, TemporalPattern, Transition};
 
-use super::{
-    ClipSource,
-    objective::{Objective, normals},
-};
+use super::objective::Draws;
 
-/// Mean squared error of the velocity noise - z over the frames after the history.
+/// Mean squared error of the velocity noise - z over the frames after the `past` first of clips (B, n, h, w, C) with the
+/// actions (B, n, A) of their frames.
 pub(super) fn loss(
-    objective: &Objective,
     model: &Transition,
-    clips: &ClipSource<'_>,
-    rng: &mut ChaCha8Rng,
+    (latents, actions): (&Tensor, &Tensor),
+    draws: &Draws,
+    past: usize,
 ) -> Result<Tensor> {
-    let (latents, actions) = objective.draw_clips(clips, rng)?;
     let (b, n, ..) = latents.dims5()?;
-    let past = objective.recipe.history;
     let later = n - past;
     let history = latents.narrow(1, 0, past)?.contiguous()?;
-    let history = objective.with_history_noise(&history, rng)?;
+    let history = draws.as_history(&history)?;
     let target = latents.narrow(1, past, later)?;
-    let noise = normals(target.dims(), rng)?;
-    let tau: Vec<f32> = (0..b * later).map(|_| objective.draw_tau(rng)).collect();
-    let tau = Tensor::from_vec(tau, (b, later), &Device::Cpu)?;
+    let (noise, tau) = (&draws.noise, &draws.tau);
     let wide = tau.reshape((b, later, 1, 1, 1))?;
     let noisy = (target.broadcast_mul(&(1.0 - &wide)?)? + noise.broadcast_mul(&wide)?)?;
 
     let frames = Tensor::cat(&[&history, &noisy], 1)?;
     let levels = Tensor::cat(
-        &[Tensor::zeros((b, past), DType::F32, &Device::Cpu)?, tau],
+        &[&Tensor::zeros((b, past), DType::F32, &Device::Cpu)?, tau],
         D::Minus1,
     )?;
     let actions = match model.config().action_alignment {
-        ActionAlignment::WithFrame => actions,
+        ActionAlignment::WithFrame => actions.clone(),
         ActionAlignment::WithResult => {
             let first = actions.narrow(1, 0, 1)?.zeros_like()?;
             Tensor::cat(&[first, actions.narrow(1, 0, n - 1)?], 1)?

@@ -1,4 +1,4 @@
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use candle_core::{D, DType, Device, Tensor};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -121,17 +121,13 @@ impl Objective {
         rng: &mut ChaCha8Rng,
     ) -> Result<Tensor> {
         if self.recipe.forcing == Forcing::Diffusion {
-            return noised_at_once::loss(self, model, clips, rng);
+            let (latents, actions) = self.draw_clips(clips, rng)?;
+            let draws = self.draw(latents.dims(), rng)?;
+            return noised_at_once::loss(model, (&latents, &actions), &draws, self.recipe.history);
         }
-        let past = self.recipe.history;
         let batch = Batch::draw(self, model, clips, rng)?;
         let own = rng.random_bool(self.recipe.own_history);
-        let history = if own {
-            batch.with_predictions(model, past)?
-        } else {
-            batch.history.clone()
-        };
-        batch.loss(model, &history, past)
+        batch.loss_after(model, own, self.recipe.history)
     }
 
     /// Clips (B, n, h, w, C) with the actions (B, n, A) of their frames, some of which are the null action.
@@ -148,23 +144,33 @@ impl Objective {
         Ok((latents, actions))
     }
 
-    /// Frames (B, n, h, w, C) as history: a little noise of a level of its own for each frame.
-    pub(super) fn with_history_noise(
-        &self,
-        clean: &Tensor,
-        rng: &mut ChaCha8Rng,
-    ) -> Result<Tensor> {
-        let (b, n, ..) = clean.dims5()?;
-        let levels = (0..b * n).map(|_| {
+    /// The random numbers of the loss of clips of these dimensions, (B, n, h, w, C).
+    fn draw(&self, clips: &[usize], rng: &mut ChaCha8Rng) -> Result<Draws> {
+        let &[b, n, h, w, c] = clips else {
+            bail!("clips of dimensions {clips:?}, expected (B, n, h, w, C)");
+        };
+        let past = self.recipe.history;
+        let later = n - past;
+        let clean = match self.recipe.forcing {
+            Forcing::Teacher => n - 1,
+            Forcing::Diffusion => past,
+        };
+        let levels = (0..b * clean).map(|_| {
             let normal: f64 = StandardNormal.sample(rng);
             (normal * self.recipe.history_noise) as f32
         });
-        let levels = Tensor::from_vec(levels.collect(), (b, n, 1, 1, 1), &Device::Cpu)?;
-        let noised = (clean + normals(clean.dims(), rng)?.broadcast_mul(&levels)?)?;
-        Ok(noised.broadcast_div(&(levels.sqr()? + 1.0)?.sqrt()?)?)
+        Ok(Draws {
+            history_levels: Tensor::from_vec(levels.collect(), (b, clean), &Device::Cpu)?,
+            history_noise: normals(&[b, clean, h, w, c], rng)?,
+            noise: normals(&[b, later, h, w, c], rng)?,
+            tau: {
+                let tau = (0..b * later).map(|_| self.draw_tau(rng));
+                Tensor::from_vec(tau.collect(), (b, later), &Device::Cpu)?
+            },
+        })
     }
 
-    pub(super) fn draw_tau(&self, rng: &mut ChaCha8Rng) -> f32 {
+    fn draw_tau(&self, rng: &mut ChaCha8Rng) -> f32 {
         let tau = match self.recipe.tau {
             TauDistribution::Uniform => rng.random::<f64>(),
             TauDistribution::LogitNormal => {
@@ -173,6 +179,28 @@ impl Objective {
             }
         };
         shift_time(tau, self.shift).max(SMALLEST_TAU) as f32
+    }
+}
+
+/// The random numbers of a loss, for B clips of n frames, of which H are history.
+pub(super) struct Draws {
+    /// Noise level s of each clean frame: (B, n - 1) under teacher forcing, (B, H) under diffusion forcing.
+    pub(super) history_levels: Tensor,
+    /// What is added to these frames at that level.
+    pub(super) history_noise: Tensor,
+    /// (B, n - H, h, w, C), for the frames to be learned.
+    pub(super) noise: Tensor,
+    /// (B, n - H).
+    pub(super) tau: Tensor,
+}
+
+impl Draws {
+    /// Frames as history: a little noise of a level of its own for each.
+    pub(super) fn as_history(&self, clean: &Tensor) -> Result<Tensor> {
+        let (b, n) = self.history_levels.dims2()?;
+        let levels = self.history_levels.reshape((b, n, 1, 1, 1))?;
+        let noised = (clean + self.history_noise.broadcast_mul(&levels)?)?;
+        Ok(noised.broadcast_div(&(levels.sqr()? + 1.0)?.sqrt()?)?)
     }
 }
 
@@ -197,16 +225,23 @@ impl Batch {
         clips: &ClipSource<'_>,
         rng: &mut ChaCha8Rng,
     ) -> Result<Self> {
-        let (b, n, past) = (
-            objective.micro_batch,
-            clips.frames(),
-            objective.recipe.history,
-        );
-        let a = clips.action_dim();
         let (latents, actions) = objective.draw_clips(clips, rng)?;
+        let draws = objective.draw(latents.dims(), rng)?;
+        let alignment = model.config().action_alignment;
+        let past = objective.recipe.history;
+        Self::new(alignment, (&latents, &actions), &draws, past)
+    }
+
+    /// Of clips (B, n, h, w, C) with the actions (B, n, A) of their frames.
+    fn new(
+        alignment: ActionAlignment,
+        (latents, actions): (&Tensor, &Tensor),
+        draws: &Draws,
+        past: usize,
+    ) -> Result<Self> {
+        let n = latents.dim(1)?;
         let later = n - past;
-        let zero = |frames| Tensor::zeros((b, frames, a), DType::F32, &Device::Cpu);
-        let actions = match model.config().action_alignment {
+        let actions = match alignment {
             // Every frame carries its own action, those to be learned too, as in the authors' release.
             ActionAlignment::WithFrame => Tensor::cat(
                 &[
@@ -217,7 +252,7 @@ impl Batch {
             )?,
             ActionAlignment::WithResult => Tensor::cat(
                 &[
-                    zero(1)?,
+                    actions.narrow(1, 0, 1)?.zeros_like()?,
                     actions.narrow(1, 0, n - 2)?,
                     actions.narrow(1, past - 1, later)?,
                 ],
@@ -225,17 +260,23 @@ impl Batch {
             )?,
         };
         let clean = latents.narrow(1, 0, n - 1)?.contiguous()?;
-        let history = objective.with_history_noise(&clean, rng)?;
-        let target = latents.narrow(1, past, later)?.contiguous()?;
-        let noise = normals(target.dims(), rng)?;
-        let tau: Vec<f32> = (0..b * later).map(|_| objective.draw_tau(rng)).collect();
         Ok(Self {
-            history,
-            target,
-            noise,
-            tau: Tensor::from_vec(tau, (b, later), &Device::Cpu)?,
+            history: draws.as_history(&clean)?,
+            target: latents.narrow(1, past, later)?.contiguous()?,
+            noise: draws.noise.clone(),
+            tau: draws.tau.clone(),
             actions,
         })
+    }
+
+    /// The loss after the clips' own history, or after what the model itself makes of it.
+    fn loss_after(&self, model: &Transition, own: bool, past: usize) -> Result<Tensor> {
+        let history = if own {
+            self.with_predictions(model, past)?
+        } else {
+            self.history.clone()
+        };
+        self.loss(model, &history, past)
     }
 
     fn loss(&self, model: &Transition, history: &Tensor, past: usize) -> Result<Tensor> {
@@ -324,6 +365,8 @@ pub(super) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
     Ok(Tensor::from_vec(values, dims, &Device::Cpu)?)
 }
 
+#[cfg(test)]
+mod parity;
 #[cfg(test)]
 mod tests {
     use rand::SeedableRng as _;

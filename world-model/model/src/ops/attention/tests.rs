@@ -1,6 +1,6 @@
 use candle_core::Device;
 
-use super::super::engine::tests::{check_refused, check_same, random};
+use super::super::engine::tests::{check_gradients, check_refused, check_same, random};
 use super::*;
 use crate::ops::{RopeLayout, RotaryTable};
 
@@ -114,6 +114,37 @@ fn the_kernel_is_the_plain_form() {
             });
             let wrong = random(&[2, t + 1, n + 1, 3 * heads * dim], 2);
             check_refused("attention: ", |engine| attention(engine, &wrong, &pattern));
+        }
+    }
+}
+
+#[test]
+fn the_gradient_is_that_of_finite_differences() {
+    let heads = 2;
+    // Clean frames 0 and 1, then 1 and 2 once more: each sees itself and the clean ones before it.
+    let forcing = |query: usize, key: usize| key == query || key < [1, 2, 1, 2][query];
+    for dim in [8, 12] {
+        let grid = RotaryTable::grid(2, 3, dim);
+        let time = RotaryTable::sequence(&[0, 1, 1, 2], dim);
+        for (what, pattern, t, n) in [
+            (
+                "attention within a frame",
+                AttentionPattern::new(Axis::Space, heads, grid, |_, _| true),
+                2,
+                6,
+            ),
+            (
+                "attention over time",
+                AttentionPattern::new(Axis::Time, heads, time, forcing),
+                4,
+                2,
+            ),
+        ] {
+            let pattern = Arc::new(pattern.unwrap());
+            let qkv = random(&[2, t, n, 3 * heads * dim], 1);
+            check_gradients(what, &[qkv], |engine, inputs| {
+                attention(engine, &inputs[0], &pattern)
+            });
         }
     }
 }
