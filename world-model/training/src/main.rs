@@ -43,7 +43,7 @@ enum Command {
     Train(Box<TrainCommand>),
     /// Evaluate models on held-out bags
     #[command(subcommand)]
-    Eval(EvalCommand),
+    Eval(Box<EvalCommand>),
 }
 
 #[derive(Debug, Subcommand)]
@@ -98,10 +98,12 @@ impl Command {
             Self::Sim(arguments) => arguments.run()?,
             Self::Dataset(arguments) => arguments.run()?,
             Self::Train(command) => return command.run(),
-            Self::Eval(EvalCommand::Autoencoder(arguments)) => arguments.run()?,
-            Self::Eval(EvalCommand::Transition(arguments)) => arguments.run()?,
-            Self::Eval(EvalCommand::Idm(arguments)) => arguments.run()?,
-            Self::Eval(EvalCommand::Probe(arguments)) => arguments.run()?,
+            Self::Eval(command) => match *command {
+                EvalCommand::Autoencoder(arguments) => arguments.run()?,
+                EvalCommand::Transition(arguments) => arguments.run()?,
+                EvalCommand::Idm(arguments) => arguments.run()?,
+                EvalCommand::Probe(arguments) => arguments.run()?,
+            },
         }
         Ok(ExitCode::SUCCESS)
     }
