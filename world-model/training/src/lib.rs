@@ -5,6 +5,7 @@
 pub mod arguments;
 pub mod autoencoder;
 pub mod dataset;
+pub mod distill;
 pub mod fresh_weights;
 pub mod idm;
 pub mod latents;

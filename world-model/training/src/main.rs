@@ -10,6 +10,7 @@ use wm_sim::SimArgs;
 use wm_training::{
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
     dataset::DatasetArgs,
+    distill::TrainDistillArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
     model::TrainModelArgs,
     probe::{EvaluateProbeArgs, TrainProbeArgs},
@@ -53,6 +54,8 @@ enum TrainCommand {
     Autoencoder(TrainAutoencoderArgs),
     /// Train the transition model on the latents of a frozen encoder
     Transition(TrainTransitionArgs),
+    /// Train a student that samples in one or two steps what a transition model, its teacher, samples in ten
+    Distill(TrainDistillArgs),
     /// Train the inverse dynamics model on the latents of a frozen encoder
     Idm(TrainIdmArgs),
     /// Train the success probe on the latents of a frozen encoder
@@ -78,6 +81,7 @@ impl TrainCommand {
             Self::Model(arguments) => arguments.run(&stop)?,
             Self::Autoencoder(arguments) => arguments.run(&stop)?,
             Self::Transition(arguments) => arguments.run(&stop)?,
+            Self::Distill(arguments) => arguments.run(&stop)?,
             Self::Idm(arguments) => arguments.run(&stop)?,
             Self::Probe(arguments) => arguments.run(&stop)?,
         };
