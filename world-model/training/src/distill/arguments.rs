@@ -49,13 +49,17 @@ impl TrainDistillArgs {
         let written = run.out.join(FILE).canonicalize();
         if written.is_ok_and(|written| file.canonicalize().is_ok_and(|file| file == written)) {
             bail!(
-                "--out {}: the student would be written over its teacher; use another folder",
+                "--out {}: the student would be written over its teacher; use another folder, or move the teacher",
                 run.out.display()
             );
         }
         let encoder = match &self.encoder {
             Some(encoder) => encoder.clone(),
             None => {
+                // Of a bare file name the folder is empty.
+                let file = file
+                    .canonicalize()
+                    .with_context(|| file.display().to_string())?;
                 let folder = file.parent().context("the teacher has no folder")?;
                 folder.display().to_string()
             }
