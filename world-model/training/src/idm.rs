@@ -183,4 +183,4 @@ impl Task for IdmTask<'_> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -178,9 +178,26 @@ fn the_gate_refuses_a_student_that_does_not_move() {
     let kind = (Parametrisation::Residual, ActionAlignment::WithResult);
     let file = taught(dir.path(), &train, kind, 400);
     let teacher = Teacher::open(&file, STEPS).unwrap();
-    let recipe = short(2, &["self_forcing.real=1", "gate.plans=2", "gate.cem=10"]);
+    let recipe = short(
+        2,
+        &[
+            "self_forcing.real=1",
+            "gate.plans=2",
+            "gate.cem=10",
+            "gate.idm=-10",
+        ],
+    );
     let out = dir.path().join("student");
-    let distil = |accept| distil(&out, &recipe, &teacher, &train, Some(&held_out), accept);
+    let idm = crate::idm::tests::trained(&dir.path().join("idm"), &train);
+    let distil = |accept| {
+        let gated = Gated {
+            held_out: Some(&held_out),
+            idm: Some(&idm),
+            accept,
+        };
+        let run = run_in(&out);
+        train_on(&run, &recipe, &teacher, &train, &gated, &Stop::default())
+    };
     let error = distil(false).unwrap_err().to_string();
     assert!(
         error.contains("motion is") && !error.contains("ratio"),
@@ -188,7 +205,7 @@ fn the_gate_refuses_a_student_that_does_not_move() {
     );
     assert!(out.join(REJECTED).is_file() && !out.join(FILE).exists());
     let told = std::fs::read_to_string(out.join("distill.gate.json")).unwrap();
-    for figure in ["ratio_k1", "ratio_k8", "motion", "cem"] {
+    for figure in ["ratio_k1", "ratio_k8", "motion", "cem", "idm_r"] {
         assert!(told.contains(figure), "{told}");
     }
     // It is not trained again.
