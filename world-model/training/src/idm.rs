@@ -208,4 +208,4 @@ impl Task for IdmTask<'_> {
 #[cfg(test)]
 mod parity;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -10,6 +10,7 @@ pub mod adapter;
 pub mod arguments;
 pub mod autoencoder;
 pub mod dataset;
+pub mod distill;
 #[cfg(test)]
 mod fixture;
 pub mod fresh_weights;

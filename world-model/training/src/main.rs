@@ -11,6 +11,7 @@ use wm_training::{
     adapter::TrainAdapterArgs,
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
     dataset::DatasetArgs,
+    distill::TrainDistillArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
     model::TrainModelArgs,
     probe::{EvaluateProbeArgs, TrainProbeArgs},
@@ -56,6 +57,8 @@ enum TrainCommand {
     Transition(TrainTransitionArgs),
     /// Train the S-VAE adapter and its pixel decoder on the features of a frozen encoder
     Adapter(TrainAdapterArgs),
+    /// Train a student that samples in one or two steps what a transition model, its teacher, samples in ten
+    Distill(TrainDistillArgs),
     /// Train the inverse dynamics model on the latents of a frozen encoder
     Idm(TrainIdmArgs),
     /// Train the success probe on the latents of a frozen encoder
@@ -82,6 +85,7 @@ impl TrainCommand {
             Self::Autoencoder(arguments) => arguments.run(&stop)?,
             Self::Transition(arguments) => arguments.run(&stop)?,
             Self::Adapter(arguments) => arguments.run(&stop)?,
+            Self::Distill(arguments) => arguments.run(&stop)?,
             Self::Idm(arguments) => arguments.run(&stop)?,
             Self::Probe(arguments) => arguments.run(&stop)?,
         };

@@ -67,6 +67,15 @@ pub trait Task {
     /// If they do not fit.
     fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()>;
 
+    /// Takes over the averaged parameters after a step, for a training whose targets they make.
+    ///
+    /// # Errors
+    /// If they do not fit.
+    fn assign_averaged(&mut self, averaged: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        let _ = averaged;
+        Ok(())
+    }
+
     /// Writes the files of the model with the averaged parameters into `folder`.
     ///
     /// # Errors
@@ -214,7 +223,7 @@ impl<'a> Run<'a> {
                     self.settings.steps
                 );
             }
-            self.task.assign(&mut self.optimiser.weights())?;
+            self.assign()?;
             println!("resumes after step {done} from {}", checkpoint.display());
         }
         self.journal = Journal::resume(
@@ -223,6 +232,11 @@ impl<'a> Run<'a> {
             self.optimiser.steps_taken(),
         )?;
         Ok(())
+    }
+
+    fn assign(&mut self) -> Result<()> {
+        self.task.assign(&mut self.optimiser.weights())?;
+        self.task.assign_averaged(&mut self.optimiser.averaged())
     }
 
     fn announce(&self) {
@@ -254,7 +268,7 @@ impl<'a> Run<'a> {
         match taken {
             Ok(norm) => {
                 self.in_a_row = 0;
-                self.task.assign(&mut self.optimiser.weights())?;
+                self.assign()?;
                 self.journal.step(step, &found, norm, rate);
                 self.events.step(step, &found, norm, rate)?;
                 let loss = self.journal.recent_mean(50);

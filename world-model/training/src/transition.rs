@@ -40,20 +40,22 @@ use crate::{
 };
 pub use arguments::{EvaluateTransitionArgs, TrainTransitionArgs};
 pub use clips::ClipSource;
+pub(crate) use evaluation::squared;
 pub use evaluation::{ActionChange, Evaluation, recover_actions};
+pub(crate) use objective::{Batch, normals};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
 pub use pictures::{PictureErrors, StepErrors};
 pub use recipe::{ModelRecipe, RECIPES, SamplerRecipe, TransitionRecipe};
 pub use strip::strip;
 
 /// Model steps that are predicted in an evaluation.
-const HORIZON: usize = 8;
+pub(crate) const HORIZON: usize = 8;
 /// Windows of the evaluations during the training.
-const QUICK_WINDOWS: usize = 32;
+pub(crate) const QUICK_WINDOWS: usize = 32;
 /// Weights are saved as half floats.
-const PRECISION: Precision = Precision::F16;
+pub(crate) const PRECISION: Precision = Precision::F16;
 /// The weights' file in a model's folder.
-const FILE: &str = "transition.safetensors";
+pub(crate) const FILE: &str = "transition.safetensors";
 
 impl TrainTransitionArgs {
     /// Trains until the last step, or until `stop` asks for the end.
@@ -77,9 +79,9 @@ impl TrainTransitionArgs {
 }
 
 /// What decodes latents, and the frames that they are of.
-type Pictures<'a> = (&'a dyn Decoder, &'a Dataset);
+pub(crate) type Pictures<'a> = (&'a dyn Decoder, &'a Dataset);
 
-fn train_on(
+pub(crate) fn train_on(
     run: &RunArgs,
     recipe: &TransitionRecipe,
     from: Option<TransitionTensors>,
@@ -369,7 +371,7 @@ fn trainable(config: &TransitionConfig, fresh: &FreshWeights, seed: u64) -> Resu
     })?)
 }
 
-fn table_row(ratios: &[f64]) -> String {
+pub(crate) fn table_row(ratios: &[f64]) -> String {
     ratios.iter().map(|ratio| format!("{ratio:<7.3}")).collect()
 }
 

@@ -30,6 +30,14 @@ fn small(name: &str) -> IdmRecipe {
     recipe::load(RECIPES, name, &settings).unwrap()
 }
 
+/// A model that was trained on these latents, though not for long.
+pub(crate) fn trained(out: &Path, latents: &Latents) -> TrainedIdm {
+    let mut recipe = small("tiny");
+    recipe.length = recipe::Span::Steps(30);
+    train_on(&run_in(out), &recipe, latents, None, &Stop::default()).unwrap();
+    TrainedIdm::open(out.join(FILE)).unwrap()
+}
+
 fn run_in(out: &Path) -> RunArgs {
     RunArgs {
         data: Vec::new(),

@@ -198,6 +198,11 @@ impl Evaluation {
         Ok(self.case(index)?.frames.narrow(0, CONTEXT - 1, 1)?)
     }
 
+    /// What came in a window, (K, h, w, C).
+    pub(crate) fn coming(&self, index: usize) -> Result<Tensor> {
+        Ok(self.case(index)?.frames.narrow(0, CONTEXT, self.horizon)?)
+    }
+
     /// The true actions (K + 1, A) of a window, from the last observed frame on.
     pub(crate) fn actions(&self, index: usize) -> Result<Tensor> {
         let actions = &self.case(index)?.actions;
@@ -227,7 +232,7 @@ impl Evaluation {
     }
 }
 
-fn squared(a: &Tensor, b: &Tensor) -> Result<f64> {
+pub(crate) fn squared(a: &Tensor, b: &Tensor) -> Result<f64> {
     let error = (a - b)?.sqr()?.sum_all()?.to_scalar::<f32>()?;
     Ok(f64::from(error))
 }

@@ -1,5 +1,5 @@
 use anyhow::{Result, bail, ensure};
-use candle_core::{D, DType, Device, Tensor};
+use candle_core::{D, Device, Tensor};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -71,7 +71,7 @@ pub struct Objective {
 }
 
 impl Objective {
-    pub(super) fn validate(&self, config: &TransitionConfig) -> Result<()> {
+    pub(crate) fn validate(&self, config: &TransitionConfig) -> Result<()> {
         let recipe = &self.recipe;
         ensure!(
             self.micro_batch > 0 && self.clips > 0 && self.clips.is_multiple_of(self.micro_batch),
@@ -131,7 +131,7 @@ impl Objective {
     }
 
     /// Clips (B, n, h, w, C) with the actions (B, n, A) of their frames, some of which are the null action.
-    pub(super) fn draw_clips(
+    pub(crate) fn draw_clips(
         &self,
         clips: &ClipSource<'_>,
         rng: &mut ChaCha8Rng,
@@ -206,12 +206,12 @@ impl Draws {
 
 /// Clips laid out as the model is used: all frames but the last are clean history, each seen by the later ones; the
 /// frames to be learned come once more, noisy, each seeing the clean ones before it and itself.
-struct Batch {
+pub(crate) struct Batch {
     /// (B, n - 1, h, w, C): frames 0..n - 1, slightly noised.
-    history: Tensor,
+    pub(crate) history: Tensor,
     /// (B, n - H, h, w, C): frames H..n.
-    target: Tensor,
-    noise: Tensor,
+    pub(crate) target: Tensor,
+    pub(crate) noise: Tensor,
     /// (B, n - H).
     tau: Tensor,
     /// (B, n - 1 + n - H, A): what is fed with each frame.
@@ -219,7 +219,7 @@ struct Batch {
 }
 
 impl Batch {
-    fn draw(
+    pub(crate) fn draw(
         objective: &Objective,
         model: &Transition,
         clips: &ClipSource<'_>,
@@ -306,21 +306,41 @@ impl Batch {
         past: usize,
     ) -> Result<(Tensor, Tensor, Tensor)> {
         let (b, later) = tau.dims2()?;
+        let x = self.noised(tau)?;
+        let output = self.output_at(model, history, (&x, tau), 0.0, past)?;
+        Ok((output, x, tau.reshape((b, later, 1, 1, 1))?))
+    }
+
+    /// The frames to be learned at noise levels `tau` (B, n - H).
+    pub(crate) fn noised(&self, tau: &Tensor) -> Result<Tensor> {
+        let (b, later) = tau.dims2()?;
+        let tau = tau.reshape((b, later, 1, 1, 1))?;
+        let clean = self.target.broadcast_mul(&(1.0 - &tau)?)?;
+        Ok((clean + self.noise.broadcast_mul(&tau)?)?)
+    }
+
+    /// The network's output at noisy frames (B, n - H, h, w, C) of the levels (B, n - H), after a history that is said to
+    /// have the level `context_tau`.
+    pub(crate) fn output_at(
+        &self,
+        model: &Transition,
+        history: &Tensor,
+        (x, tau): (&Tensor, &Tensor),
+        context_tau: f64,
+        past: usize,
+    ) -> Result<Tensor> {
+        let (b, later) = tau.dims2()?;
         let clean = history.dim(1)?;
-        let wide = tau.reshape((b, later, 1, 1, 1))?;
-        let x = (self.target.broadcast_mul(&(1.0 - &wide)?)? + self.noise.broadcast_mul(&wide)?)?;
-        let frames = Tensor::cat(&[history, &x], 1)?;
-        let levels = Tensor::cat(
-            &[&Tensor::zeros((b, clean), DType::F32, &Device::Cpu)?, tau],
-            D::Minus1,
-        )?;
+        let frames = Tensor::cat(&[history, x], 1)?;
+        let context = Tensor::full(context_tau as f32, (b, clean), &Device::Cpu)?;
+        let levels = Tensor::cat(&[&context, tau], D::Minus1)?;
         let pattern = TemporalPattern::teacher_forcing(clean + 1, past);
         let output = model.output(&frames, &levels, &self.actions, &pattern)?;
-        Ok((output.narrow(1, clean, later)?, x, wide))
+        Ok(output.narrow(1, clean, later)?)
     }
 
     /// The frame before each noisy one.
-    fn previous(&self, history: &Tensor, past: usize) -> Result<Tensor> {
+    pub(crate) fn previous(&self, history: &Tensor, past: usize) -> Result<Tensor> {
         Ok(history.narrow(1, past - 1, self.target.dim(1)?)?)
     }
 
@@ -358,7 +378,7 @@ fn drop_actions(actions: &Tensor, part: f64, rng: &mut ChaCha8Rng) -> Result<Ten
     Ok(Tensor::from_vec(values, (b, n, a), &Device::Cpu)?)
 }
 
-pub(super) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
+pub(crate) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
     let values: Vec<f32> = (0..dims.iter().product())
         .map(|_| StandardNormal.sample(rng))
         .collect();

@@ -23,14 +23,19 @@ pub(crate) fn moving(dir: &Path, episodes: usize, seed: u64) -> Latents {
     of_space(dir, episodes, seed, "moving")
 }
 
+/// The same, but that the second channel as a whole is -1 or 1 in each frame, and nothing tells which.
+pub(crate) fn flickering(dir: &Path, episodes: usize, seed: u64) -> Latents {
+    latents(dir, episodes, seed, "flickering", (false, true))
+}
+
 /// The same with an instruction and an outcome: whether the level ended on the side that the instruction names.
 pub(crate) fn labelled(dir: &Path, episodes: usize, seed: u64) -> Latents {
-    latents(dir, episodes, seed, "moving", true)
+    latents(dir, episodes, seed, "moving", (true, false))
 }
 
 /// The same in a latent space of this name.
 pub(crate) fn of_space(dir: &Path, episodes: usize, seed: u64, name: &str) -> Latents {
-    latents(dir, episodes, seed, name, false)
+    latents(dir, episodes, seed, name, (false, false))
 }
 
 /// The same of another robot, whose actions have one value.
@@ -44,7 +49,13 @@ fn with_actions(dir: &Path, episodes: usize, space: ActionSpace) -> Latents {
     Latents::map(&file, whole.space().clone(), list, "other".into(), space).unwrap()
 }
 
-fn latents(dir: &Path, episodes: usize, seed: u64, name: &str, is_labelled: bool) -> Latents {
+fn latents(
+    dir: &Path,
+    episodes: usize,
+    seed: u64,
+    name: &str,
+    (is_labelled, flickers): (bool, bool),
+) -> Latents {
     let mut bytes = Vec::new();
     let mut list = Vec::new();
     let mut state = seed;
@@ -53,8 +64,11 @@ fn latents(dir: &Path, episodes: usize, seed: u64, name: &str, is_labelled: bool
         let mut actions = Vec::new();
         for _ in 0..FRAMES {
             for place in 0..SIDE * SIDE {
-                let fixed = (place + index) as f32 * 0.1;
-                for value in [level, fixed] {
+                let second = match flickers {
+                    true => ((state >> 33) % 2) as f32 * 2.0 - 1.0,
+                    false => (place + index) as f32 * 0.1,
+                };
+                for value in [level, second] {
                     bytes.extend(f16::from_f32(value).to_le_bytes());
                 }
             }
@@ -89,11 +103,11 @@ fn latents(dir: &Path, episodes: usize, seed: u64, name: &str, is_labelled: bool
     Latents::map(&path, space, list, "digest".into(), ActionSpace::bridge()).unwrap()
 }
 
-pub(super) fn encoding() -> ActionEncoding {
+pub(crate) fn encoding() -> ActionEncoding {
     ActionEncoding::new(ActionSpace::bridge(), 7, 1, Accumulation::Mean).unwrap()
 }
 
-pub(super) fn config(
+pub(crate) fn config(
     parametrisation: Parametrisation,
     action_alignment: ActionAlignment,
 ) -> TransitionConfig {
@@ -221,7 +235,7 @@ fn episodes_shorter_than_a_clip_are_refused_by_length() {
     );
 }
 
-fn run_in(out: &Path) -> RunArgs {
+pub(crate) fn run_in(out: &Path) -> RunArgs {
     RunArgs {
         data: Vec::new(),
         options: DataOptions::default(),
@@ -238,7 +252,7 @@ fn run_in(out: &Path) -> RunArgs {
 }
 
 /// The recipe `name` for a model that is trained in no time.
-fn small(name: &str, shift: Option<f64>) -> TransitionRecipe {
+pub(crate) fn small(name: &str, shift: Option<f64>) -> TransitionRecipe {
     let recipe: TransitionRecipe = recipe::load(RECIPES, name, &[]).unwrap();
     TransitionRecipe {
         length: Span::Steps(3),

@@ -1,0 +1,377 @@
+//! Distillation of a transition model that is sampled with ten Euler steps into one that takes one or two.
+//!
+//! Notation: a frame z, noise eps, x_t = (1 - t) z + t eps at noise level t; v(x, t | h) the velocity that a model gives
+//! after the history h, and M(x, t, s | h) = x - (t - s) v(x, t | h) where its straight line leads at a lower level s. The
+//! sampler's step is x_s = M(x_t, t, s | h). phi is the teacher, theta the student, theta' the average of its weights;
+//! 1 = l_0 > l_1 > ... > l_S = 0 are the levels of the student's sampler, and s(t) is the highest of them below t.
+//!
+//! **Causal consistency distillation**, frame by frame (Causal Forcing++, arXiv 2605.15141; consistency distillation of
+//! Song et al., arXiv 2303.01469, in segments as the multistep consistency models of Heek et al., arXiv 2403.06807). For
+//! neighbouring levels t > u of the teacher's sampler, a frame z of a clip and the real frames h before it:
+//!
+//! ```text
+//! x_u  = M_phi(x_t, t, u | h)                                      one step of the teacher, no gradient
+//! goal = M_theta'(x_u, u, s(t) | h)   for u > 0, which is x_u for u = s(t);    z   for u = 0
+//! loss = H(M_theta(x_t, t, s(t) | h) - goal),    H(e) = sqrt(mean e^2 + c^2) - c
+//! ```
+//!
+//! With one step s(t) is always 0, and M(x, t, 0) is the model's clean frame. All frames of a clip are learned at once,
+//! each at a level of its own, and each sees clean frames before it, as the sampler has them.
+//!
+//! **Self-forcing** (Huang et al., arXiv 2506.08009) against drift, for a share of the clips of a second stage: the
+//! student predicts a few frames h', each from the ones before, then one more, G_theta(eps | h'), with its own sampler:
+//!
+//! ```text
+//! loss = r mean |G_theta(eps | h') - z|^2 + (1 - r) H(G_theta(eps | h') - G_phi(eps | h'))
+//! ```
+//!
+//! with the teacher's sampler G_phi from the same noise and history. Only the last prediction has a gradient. The first
+//! part draws predictions towards the mean of what may come, which lowers their error but takes motion from what cannot
+//! be known: hence a small r, and motion among the figures of the gate. The second part leads from each noise to one
+//! frame and does not do so; squared instead of H it would, where the student cannot follow the teacher exactly.
+//!
+//! Without the teacher's step (x_u from the real frame and the same noise, as in consistency training or a mean flow to
+//! fixed ends) few-step students of a toy drift far more; with the whole of the teacher's path in place of one step they
+//! are no better over a rollout, at several times the cost. Shortcut models (arXiv 2410.12557) and mean flows
+//! (arXiv 2505.13447) for any number of steps take the step's length as a further input, which the network does not have.
+
+mod arguments;
+mod consistency;
+mod gate;
+mod levels;
+mod recipe;
+mod self_forcing;
+mod teacher;
+
+use std::{collections::HashMap, path::Path, time::Duration};
+
+use anyhow::{Context as _, Result, ensure};
+use candle_core::{Device, Tensor};
+use rand::Rng as _;
+use rand_chacha::ChaCha8Rng;
+use serde_json::json;
+use wm_model::{
+    Weights,
+    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
+    weights::WeightsBuilder,
+};
+use wm_zoo::idm::TrainedIdm;
+
+use crate::{
+    arguments::RunArgs,
+    latents::Latents,
+    optimiser::{Parameter, Trained, Variables},
+    run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
+    transition::{
+        ActionChange, Batch, ClipSource, Evaluation, FILE, HORIZON, Objective, PRECISION,
+        QUICK_WINDOWS, table_row,
+    },
+    workers::{BatchLoss, Batches, Workers},
+};
+pub use arguments::TrainDistillArgs;
+use consistency::Steps;
+use gate::{Measurement, Verdict};
+use levels::Levels;
+pub use recipe::{ConsistencyRecipe, DistillRecipe, GateRecipe, RECIPES, SelfForcingRecipe};
+use self_forcing::OwnHistory;
+use teacher::{Teacher, built};
+
+/// The student's file until it has passed the gate.
+const CANDIDATE: &str = "transition.candidate.safetensors";
+/// The file of a student that has not passed it.
+const REJECTED: &str = "transition.rejected.safetensors";
+/// Metadata entry of a student: what it was distilled from, as JSON.
+const DISTILLED_KEY: &str = "distilled";
+
+/// What a student is measured on.
+struct Gated<'a> {
+    held_out: Option<&'a Latents>,
+    idm: Option<&'a TrainedIdm>,
+    /// Whether to keep it in any case.
+    accept: bool,
+}
+
+fn train_on(
+    run: &RunArgs,
+    recipe: &DistillRecipe,
+    teacher: &Teacher,
+    train: &Latents,
+    gated: &Gated<'_>,
+    stop: &Stop,
+) -> Result<Ended> {
+    ensure!(
+        gated.held_out.is_some() || gated.accept,
+        "no episodes for validation: there is nothing to measure the student on, and only --accept would keep it"
+    );
+    if let (Some(idm), Some(held_out)) = (gated.idm, gated.held_out) {
+        let context = "the inverse dynamics model's latents are not the data's";
+        idm.space().require(held_out.space()).context(context)?;
+    }
+    let mut task = DistillTask::new(recipe, teacher, train, gated.held_out, run.threads()?)?;
+    let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
+    task.self_forcing_after = run.length(recipe.self_forcing.after, per_epoch);
+    let steps = run.length(recipe.length, per_epoch);
+    let mut identity = crate::recipe::identity(recipe)?;
+    if let Some(settings) = identity.as_object_mut() {
+        settings.remove("gate");
+    }
+    let settings = RunSettings {
+        out: run.out.clone(),
+        steps,
+        schedule: recipe.optimisation.schedule(steps, per_epoch),
+        optimiser: recipe.optimisation.adamw(),
+        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
+        validate_every: recipe.validate_every,
+        identity: json!({
+            "recipe": identity,
+            "self_forcing_after": task.self_forcing_after,
+            "teacher": teacher.sha256(),
+            "latent_space": train.space().to_string(),
+            "data": train.digest(),
+            "actions": teacher.encoding,
+        }),
+    };
+    crate::recipe::write(&run.out, task.name(), recipe)?;
+    println!(
+        "{} episodes, {} threads",
+        task.clips.len(),
+        task.workers.threads()
+    );
+    if let Some(held_out) = &task.held_out {
+        let row = table_row(&held_out.teacher);
+        println!("squared latent error / persistence of the teacher, k = 1 to {HORIZON}: {row}");
+    }
+    let ended = crate::run::train(&mut task, &settings, stop)?;
+    if ended == Ended::Finished {
+        judge(&run.out, recipe, teacher, gated)?;
+    }
+    Ok(ended)
+}
+
+/// Measures the student in `out` beside its teacher, and gives its file the name that it deserves.
+fn judge(out: &Path, recipe: &DistillRecipe, teacher: &Teacher, gated: &Gated<'_>) -> Result<()> {
+    let candidate = out.join(CANDIDATE);
+    let named = |name: &str| {
+        let path = out.join(name);
+        std::fs::rename(&candidate, &path).with_context(|| path.display().to_string())?;
+        println!("wrote {}", path.display());
+        anyhow::Ok(())
+    };
+    let Some(held_out) = gated.held_out else {
+        return named(FILE);
+    };
+    let student = Transition::from_weights(Weights::open(&candidate)?)?;
+    let evaluation = Evaluation::new(held_out, &teacher.encoding, HORIZON, usize::MAX)?;
+    let measurement = Measurement {
+        evaluation: &evaluation,
+        encoding: &teacher.encoding,
+        idm: gated.idm,
+        plans: recipe.gate.plans,
+    };
+    let figures = [
+        measurement.of(&student.pack()?)?,
+        measurement.of(&teacher.model.pack()?)?,
+        measurement.of(&teacher.hurried(recipe.steps)?)?,
+    ];
+    let verdict = Verdict::new(evaluation.len(), &figures, &recipe.gate);
+    println!("{verdict}");
+    let path = out.join("distill.gate.json");
+    std::fs::write(&path, serde_json::to_vec_pretty(&verdict)?)
+        .with_context(|| path.display().to_string())?;
+    if verdict.passes() || gated.accept {
+        return named(FILE);
+    }
+    named(REJECTED)?;
+    verdict.require()
+}
+
+/// The networks of a distillation. The first has gradients.
+struct Networks<'a> {
+    student: &'a Transition,
+    /// The student with its averaged weights.
+    target: &'a Transition,
+    teacher: &'a Transition,
+}
+
+/// Held-out windows, and the teacher's figures on them.
+struct HeldOut {
+    evaluation: Evaluation,
+    teacher: Vec<f64>,
+}
+
+/// A student in training.
+struct DistillTask<'a> {
+    recipe: &'a DistillRecipe,
+    teacher: &'a Teacher,
+    objective: Objective,
+    levels: Levels,
+    /// Step at which self-forcing begins.
+    self_forcing_after: u64,
+    clips: ClipSource<'a>,
+    held_out: Option<HeldOut>,
+    variables: Variables,
+    student: Transition,
+    target: Transition,
+    workers: Workers,
+    /// The student that was written last.
+    written: Option<Transition>,
+}
+
+impl<'a> DistillTask<'a> {
+    fn new(
+        recipe: &'a DistillRecipe,
+        teacher: &'a Teacher,
+        train: &'a Latents,
+        held_out: Option<&Latents>,
+        threads: usize,
+    ) -> Result<Self> {
+        let (variables, student) = teacher.student(recipe.steps)?;
+        let config = student.config();
+        let levels = Levels::new(teacher.sampler(), &config.sampler)?;
+        let held_out = held_out.map(|latents| {
+            let evaluation = Evaluation::new(latents, &teacher.encoding, HORIZON, QUICK_WINDOWS)
+                .context("the episodes for validation")?;
+            let packed = teacher.model.pack()?;
+            anyhow::Ok(HeldOut {
+                teacher: evaluation.ratios(&packed, ActionChange::None)?,
+                evaluation,
+            })
+        });
+        Ok(Self {
+            objective: recipe.objective(config)?,
+            levels,
+            self_forcing_after: 0,
+            clips: ClipSource::new(train, &teacher.encoding, config.max_frames)?,
+            held_out: held_out.transpose()?,
+            target: averaged(
+                config,
+                &mut variables.parameters(|_| 0)?.iter().map(as_trained),
+            )?,
+            recipe,
+            teacher,
+            variables,
+            student,
+            workers: Workers::new(threads)?,
+            written: None,
+        })
+    }
+
+    fn networks(&self) -> Networks<'_> {
+        Networks {
+            student: &self.student,
+            target: &self.target,
+            teacher: &self.teacher.model,
+        }
+    }
+
+    /// The loss of one small batch of random clips.
+    fn loss(&self, step: u64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
+        let (own, networks) = (&self.recipe.self_forcing, self.networks());
+        let (objective, clips) = (&self.objective, &self.clips);
+        let huber = self.recipe.huber;
+        if step >= self.self_forcing_after && rng.random_bool(own.share) {
+            let sampler = self.teacher.sampler();
+            let history = OwnHistory::draw(&networks, sampler, objective, own, clips, rng)?;
+            return history.loss(&self.student, own.real, huber);
+        }
+        let own = &self.recipe.consistency;
+        let batch = Batch::draw(objective, &self.student, clips, rng)?;
+        let steps = Steps::draw(&networks, batch, own.history, &self.levels, rng)?;
+        steps.loss(&self.student, huber)
+    }
+}
+
+fn as_trained(parameter: &Parameter) -> Trained<'_> {
+    Trained {
+        name: &parameter.name,
+        shape: &parameter.shape,
+        values: &parameter.values,
+    }
+}
+
+/// A model of these weights, without gradients.
+fn averaged(
+    config: &TransitionConfig,
+    weights: &mut dyn Iterator<Item = Trained<'_>>,
+) -> Result<Transition> {
+    let mut tensors = HashMap::new();
+    for weight in weights {
+        let tensor = Tensor::from_slice(weight.values, weight.shape, &Device::Cpu)?;
+        tensors.insert(weight.name.to_owned(), tensor);
+    }
+    Ok(built(config.clone(), &tensors)?)
+}
+
+impl Task for DistillTask<'_> {
+    fn name(&self) -> &'static str {
+        "distill"
+    }
+
+    fn parameters(&self) -> Result<Vec<Parameter>> {
+        Ok(self.variables.parameters(|_| 0)?)
+    }
+
+    fn step(&mut self, step: u64) -> Result<StepLoss> {
+        let batches = Batches {
+            count: self.objective.clips / self.objective.micro_batch,
+            seed: self.objective.seed,
+            step,
+        };
+        self.workers.step(&self.variables, batches, &|rng| {
+            Ok(BatchLoss::from(self.loss(step, rng)?))
+        })
+    }
+
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        Ok(self.variables.assign(weights)?)
+    }
+
+    fn assign_averaged(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        self.target = averaged(self.student.config(), weights)?;
+        Ok(())
+    }
+
+    fn write(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        folder: &Path,
+    ) -> Result<()> {
+        let mut weights = WeightsBuilder::new();
+        for Trained {
+            name,
+            shape,
+            values,
+        } in averaged
+        {
+            weights.values(name, shape, values, PRECISION);
+        }
+        let teacher = self.teacher;
+        let distilled = json!({"teacher": teacher.sha256(), "steps": teacher.sampler().steps});
+        weights.metadata(CONFIG_KEY, serde_json::to_string(self.student.config())?);
+        weights.metadata(ACTIONS_KEY, serde_json::to_string(&teacher.encoding)?);
+        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(&teacher.space)?);
+        weights.metadata(DISTILLED_KEY, distilled.to_string());
+        let path = folder.join(CANDIDATE);
+        weights.write(&path)?;
+        // Of exactly what was written.
+        self.written = Some(Transition::from_weights(Weights::open(&path)?)?);
+        Ok(())
+    }
+
+    fn validate(&mut self, _: bool) -> Result<Vec<Figure>> {
+        let (Some(held_out), Some(student)) = (&self.held_out, &self.written) else {
+            return Ok(Vec::new());
+        };
+        let student = student.pack()?;
+        let ratios = held_out.evaluation.ratios(&student, ActionChange::None)?;
+        let named = |name: &'static str, ratios: Vec<f64>| {
+            let figures = (1..).zip(ratios);
+            figures.map(move |(k, ratio)| Figure::new(format!("{name}_k{k}"), ratio))
+        };
+        let teacher = named("teacher", held_out.teacher.clone());
+        Ok(named("ratio", ratios).chain(teacher).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests;

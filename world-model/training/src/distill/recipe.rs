@@ -1,0 +1,119 @@
+use anyhow::{Result, ensure};
+use serde::{Deserialize, Serialize};
+use wm_model::transition::TransitionConfig;
+
+use crate::{
+    recipe::{Bundled, Optimisation, Span},
+    transition::{Forcing, Objective, ObjectiveRecipe, TauDistribution},
+};
+
+/// The recipes that are part of the program.
+pub const RECIPES: Bundled = &[
+    ("tiny", include_str!("../../recipes/tiny/distill.yaml")),
+    ("paper", include_str!("../../recipes/paper/distill.yaml")),
+];
+
+/// Every number of a distillation; `recipes/*/distill.yaml` says what each is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the recipes say what each is")]
+pub struct DistillRecipe {
+    pub seed: u64,
+    pub length: Span,
+    pub validate_every: u64,
+    pub checkpoint_seconds: u64,
+    pub batch: usize,
+    pub micro_batch: usize,
+    pub steps: usize,
+    pub teacher_steps: usize,
+    pub huber: f64,
+    pub consistency: ConsistencyRecipe,
+    pub self_forcing: SelfForcingRecipe,
+    pub gate: GateRecipe,
+    pub optimisation: Optimisation,
+}
+
+/// The consistency distillation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the recipes say what each is")]
+pub struct ConsistencyRecipe {
+    pub history: usize,
+    pub history_noise: f64,
+}
+
+/// The stage against drift.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the recipes say what each is")]
+pub struct SelfForcingRecipe {
+    pub after: Span,
+    pub share: f64,
+    pub frames: usize,
+    pub real: f64,
+}
+
+/// How far the student may fall behind its teacher.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the recipes say what each is")]
+pub struct GateRecipe {
+    pub plans: usize,
+    pub ratio: f64,
+    pub cem: f64,
+    pub idm: f64,
+    pub motion: f64,
+}
+
+impl DistillRecipe {
+    /// The clips that a model of `config` learns from.
+    ///
+    /// # Errors
+    /// Names the setting that makes no sense.
+    pub(super) fn objective(&self, config: &TransitionConfig) -> Result<Objective> {
+        let own = &self.consistency;
+        ensure!(
+            (1..config.max_frames).contains(&own.history),
+            "consistency.history is {}, expected 1 to {}: the teacher sees {} frames",
+            own.history,
+            config.max_frames - 1,
+            config.max_frames
+        );
+        // At 0 the loss has no gradient where there is no error.
+        ensure!(
+            self.huber.is_finite() && self.huber > 0.0,
+            "huber is {}, expected a positive number",
+            self.huber
+        );
+        let longest = config.max_frames - own.history;
+        let drift = &self.self_forcing;
+        ensure!(
+            drift.share == 0.0 || (2..=longest).contains(&drift.frames),
+            "self_forcing.frames is {}, expected 2 to {longest}: the rest of a clip after consistency.history",
+            drift.frames
+        );
+        for (name, part) in [("share", drift.share), ("real", drift.real)] {
+            ensure!(
+                (0.0..=1.0).contains(&part),
+                "self_forcing.{name} is {part}, expected 0 to 1"
+            );
+        }
+        let objective = Objective {
+            clips: self.batch,
+            micro_batch: self.micro_batch,
+            shift: config.sampler.shift,
+            seed: self.seed,
+            recipe: ObjectiveRecipe {
+                forcing: Forcing::Teacher,
+                history: own.history,
+                tau: TauDistribution::Uniform,
+                history_noise: own.history_noise,
+                own_history: 0.0,
+                // The sampler has no use for what the model does without an action.
+                action_dropout: 0.0,
+            },
+        };
+        objective.validate(config)?;
+        Ok(objective)
+    }
+}

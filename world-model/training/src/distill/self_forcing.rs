@@ -1,0 +1,110 @@
+//! Self-forcing: the student goes on from its own predictions, and learns where that should have led; see [`super`].
+
+use anyhow::Result;
+use candle_core::{D, DType, Device, Tensor};
+use rand::Rng as _;
+use rand_chacha::ChaCha8Rng;
+use wm_model::{
+    sampler::Sampler,
+    transition::{ActionAlignment, TemporalPattern, Transition},
+};
+
+use super::{Networks, consistency::pseudo_huber, recipe::SelfForcingRecipe};
+use crate::transition::{ClipSource, Objective, normals};
+
+/// A frame to be predicted from a history whose later frames the student made itself.
+pub(super) struct OwnHistory {
+    /// (B, t, h, w, C).
+    frames: Tensor,
+    /// (B, n, A): those of the clip's frames.
+    actions: Tensor,
+    /// The noise that the prediction starts from, what really came, and what the teacher predicts: (B, 1, h, w, C).
+    noise: Tensor,
+    truth: Tensor,
+    taught: Tensor,
+}
+
+impl OwnHistory {
+    /// Rolls the student out over clips that are drawn, up to the last frame but one.
+    pub(super) fn draw(
+        networks: &Networks<'_>,
+        teacher: &Sampler,
+        objective: &Objective,
+        recipe: &SelfForcingRecipe,
+        clips: &ClipSource<'_>,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Self> {
+        let (latents, actions) = objective.draw_clips(clips, rng)?;
+        let past = objective.recipe.history;
+        let last = past + rng.random_range(2..=recipe.frames) - 1;
+        let mut frames = latents.narrow(1, 0, past)?.contiguous()?;
+        let truth = latents.narrow(1, last, 1)?.contiguous()?;
+        let student = networks.student;
+        for _ in past..last {
+            let noise = normals(truth.dims(), rng)?;
+            let next = predict(
+                student,
+                &student.config().sampler,
+                &frames,
+                &actions,
+                &noise,
+            )?;
+            frames = Tensor::cat(&[&frames, &next.detach()], 1)?;
+        }
+        let noise = normals(truth.dims(), rng)?;
+        let taught = predict(networks.teacher, teacher, &frames, &actions, &noise)?;
+        Ok(Self {
+            frames,
+            actions,
+            noise,
+            truth,
+            taught,
+        })
+    }
+
+    /// Distance of the student's prediction from what really came, squared, and from the teacher's prediction: `real` is
+    /// the weight of the former, the rest that of the latter.
+    pub(super) fn loss(&self, student: &Transition, real: f64, huber: f64) -> Result<Tensor> {
+        let sampler = &student.config().sampler;
+        let predicted = predict(student, sampler, &self.frames, &self.actions, &self.noise)?;
+        let from_truth = (&predicted - &self.truth)?.sqr()?.mean_all()?;
+        let from_taught = pseudo_huber(&(predicted - &self.taught)?, huber)?;
+        Ok(((from_truth * real)? + (from_taught * (1.0 - real))?)?)
+    }
+}
+
+/// The frame (B, 1, h, w, C) after `frames` (B, t, h, w, C), integrated from `noise` as the sampler does; `actions`
+/// (B, >= t + 1, A) are those of the frames.
+pub(super) fn predict(
+    model: &Transition,
+    sampler: &Sampler,
+    frames: &Tensor,
+    actions: &Tensor,
+    noise: &Tensor,
+) -> Result<Tensor> {
+    let config = model.config();
+    let (b, t) = (frames.dim(0)?, frames.dim(1)?);
+    let actions = match config.action_alignment {
+        ActionAlignment::WithFrame => actions.narrow(1, 0, t + 1)?.contiguous()?,
+        ActionAlignment::WithResult => {
+            let first = Tensor::zeros((b, 1, actions.dim(D::Minus1)?), DType::F32, &Device::Cpu)?;
+            Tensor::cat(&[&first, &actions.narrow(1, 0, t)?], 1)?
+        }
+    };
+    let previous = frames.narrow(1, t - 1, 1)?;
+    let context = Tensor::full(sampler.context_tau as f32, (b, t), &Device::Cpu)?;
+    let pattern = TemporalPattern::causal(t + 1);
+    let levels = sampler.levels();
+    let mut x = noise.clone();
+    for (from, to) in levels.iter().zip(levels.iter().skip(1)) {
+        let tau = Tensor::full(*from as f32, (b, 1), &Device::Cpu)?;
+        let all = Tensor::cat(&[&context, &tau], D::Minus1)?;
+        let output = model.output(&Tensor::cat(&[frames, &x], 1)?, &all, &actions, &pattern)?;
+        let output = output.narrow(1, t, 1)?;
+        let velocity = config
+            .parametrisation
+            .velocity(&output, &x, &tau, &previous)?;
+        x = (x - (velocity * (from - to))?)?;
+    }
+    Ok(x)
+}
