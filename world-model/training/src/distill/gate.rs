@@ -114,6 +114,29 @@ pub(super) enum Bound {
     AtMost(f64),
     /// This multiple of it at least.
     AtLeast(f64),
+    /// Lower by this at most: for a correlation, which may be near 0 or below.
+    LowerBy(f64),
+}
+
+impl Bound {
+    /// A figure that is not a number is on no side.
+    fn holds(self, student: f64, teacher: f64) -> bool {
+        match self {
+            Self::AtMost(factor) => student <= factor * teacher,
+            Self::AtLeast(factor) => student >= factor * teacher,
+            Self::LowerBy(difference) => student >= teacher - difference,
+        }
+    }
+}
+
+impl fmt::Display for Bound {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::AtMost(factor) => write!(f, "at most {factor:.2} times the teacher's"),
+            Self::AtLeast(factor) => write!(f, "at least {factor:.2} times the teacher's"),
+            Self::LowerBy(difference) => write!(f, "at most {difference:.2} below the teacher's"),
+        }
+    }
 }
 
 /// A figure of three models.
@@ -134,14 +157,6 @@ pub(super) struct Row {
 impl Row {
     fn new(figure: impl Into<String>, of: [f64; 3], bound: Option<Bound>) -> Self {
         let [student, teacher, hurried_teacher] = of;
-        // The bound is a distance from the teacher's figure, since a correlation may be negative.
-        let slack = |factor: f64| (factor - 1.0) * teacher.abs();
-        let passes = match bound {
-            // A figure that is not a number is on no side.
-            Some(Bound::AtMost(factor)) => student <= teacher + slack(factor),
-            Some(Bound::AtLeast(factor)) => student >= teacher + slack(factor),
-            None => true,
-        };
         Self {
             figure: figure.into(),
             student,
@@ -149,7 +164,7 @@ impl Row {
             ratio: student / teacher,
             hurried_teacher,
             bound,
-            passes,
+            passes: bound.is_none_or(|bound| bound.holds(student, teacher)),
         }
     }
 }
@@ -185,7 +200,7 @@ impl Verdict {
             rows.push(Row::new("cem", [a, b, c], Some(Bound::AtMost(gate.cem))));
         }
         if let (Some(a), Some(b), Some(c)) = (student.idm, teacher.idm, hurried.idm) {
-            rows.push(Row::new("idm_r", [a, b, c], Some(Bound::AtLeast(gate.idm))));
+            rows.push(Row::new("idm_r", [a, b, c], Some(Bound::LowerBy(gate.idm))));
         }
         Self {
             windows,
@@ -203,16 +218,12 @@ impl Verdict {
     /// The error that names the figures at fault.
     pub(super) fn require(&self) -> Result<()> {
         let failed = self.rows.iter().filter(|row| !row.passes);
-        let named = failed.map(|row| {
-            let (side, factor) = match row.bound {
-                Some(Bound::AtMost(factor)) => ("at most", factor),
-                Some(Bound::AtLeast(factor)) => ("at least", factor),
-                None => return row.figure.clone(),
-            };
-            format!(
-                "{} is {:.3}, expected {side} {factor} times the teacher's {:.3}",
-                row.figure, row.student, row.teacher
-            )
+        let named = failed.filter_map(|row| {
+            let (figure, bound) = (&row.figure, row.bound?);
+            let (student, teacher) = (row.student, row.teacher);
+            Some(format!(
+                "{figure} is {student:.3}, expected {bound} {teacher:.3}"
+            ))
         });
         let named: Vec<String> = named.collect();
         if !named.is_empty() {
@@ -241,10 +252,8 @@ impl fmt::Display for Verdict {
                 "\n{:<10} {:>15.3} {:>15.3} {:>7.3} {:>15.3}",
                 row.figure, row.student, row.teacher, row.ratio, row.hurried_teacher
             )?;
-            match row.bound {
-                Some(Bound::AtMost(factor)) => write!(f, "  at most {factor:.2}")?,
-                Some(Bound::AtLeast(factor)) => write!(f, "  at least {factor:.2}")?,
-                None => {}
+            if let Some(bound) = row.bound {
+                write!(f, "  {bound}")?;
             }
             if !row.passes {
                 write!(f, ": fails")?;
@@ -274,7 +283,7 @@ mod tests {
             plans: 1,
             ratio: 1.1,
             cem: 1.1,
-            idm: 0.95,
+            idm: 0.05,
             motion: 0.8,
         };
         let teacher = figures(10, 0.5, 0.4, 0.9, 1.0);
@@ -286,7 +295,7 @@ mod tests {
         for (student, name) in [
             (figures(2, 0.56, 0.4, 0.9, 1.0), "ratio_k2 is 0.560"),
             (figures(2, 0.5, 0.45, 0.9, 1.0), "cem is 0.450"),
-            (figures(2, 0.5, 0.4, 0.8, 1.0), "idm_r is 0.800"),
+            (figures(2, 0.5, 0.4, 0.84, 1.0), "idm_r is 0.840"),
             (figures(2, 0.5, 0.4, 0.9, 0.7), "motion is 0.700"),
             (figures(2, f64::NAN, 0.4, 0.9, 1.0), "ratio_k2 is NaN"),
         ] {

@@ -184,7 +184,7 @@ fn the_gate_refuses_a_student_that_does_not_move() {
             "self_forcing.real=1",
             "gate.plans=2",
             "gate.cem=10",
-            "gate.idm=-10",
+            "gate.idm=2",
         ],
     );
     let out = dir.path().join("student");
