@@ -213,7 +213,9 @@ fn a_policy_takes_the_candidate_that_is_predicted_to_end_nearest_to_the_goal() {
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
     let steps = format!("max_steps:={}", CHOICES + 1);
     let _encoder = Process::start(wm(domain, &["encoder"]));
-    let _evaluator = Process::start(wm(domain, &["evaluator"]));
+    // The env waits for the policy, which on a busy machine asks later than the evaluator's two seconds.
+    let patient = ["evaluator", "--ros-args", "-p", "max_age:=60.0"];
+    let _evaluator = Process::start(wm(domain, &patient));
     let env = Process::start(wm(
         domain,
         &[
