@@ -222,3 +222,27 @@ impl HeldOutArgs {
         Dataset::held_out(&self.data, size, &self.cache(), &self.options)
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// A run of two threads in `out`, whose data the test gives.
+    pub(crate) fn run_in(out: &Path) -> RunArgs {
+        RunArgs {
+            data: Vec::new(),
+            options: DataOptions::default(),
+            out: out.into(),
+            cache: None,
+            recipe: "tiny".into(),
+            set: Vec::new(),
+            steps: None,
+            share: 1.0,
+            from: None,
+            old_rate: 0.3,
+            threads: Some(2),
+        }
+    }
+}

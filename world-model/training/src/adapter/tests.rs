@@ -12,9 +12,9 @@ use wm_zoo::{
 
 use super::{arguments::train_on, frames::View, *};
 use crate::{
-    arguments::RunArgs,
+    arguments::tests::run_in,
     autoencoder::tests::dataset,
-    dataset::{DataOptions, Dataset},
+    dataset::Dataset,
     latents::Latents,
     recipe::{self, Override, Span},
     run::Stop,
@@ -105,22 +105,6 @@ fn small(name: &str, others: &[&str]) -> AdapterRecipe {
         .map(|setting| setting.parse().unwrap())
         .collect();
     recipe::load(RECIPES, name, &settings).unwrap()
-}
-
-fn run_in(out: &Path) -> RunArgs {
-    RunArgs {
-        data: Vec::new(),
-        options: DataOptions::default(),
-        out: out.into(),
-        cache: None,
-        recipe: "tiny".into(),
-        set: Vec::new(),
-        steps: None,
-        share: 1.0,
-        from: None,
-        old_rate: 0.3,
-        threads: Some(2),
-    }
 }
 
 fn trained(recipe: &AdapterRecipe, data: &Data<'_>, out: &Path) {

@@ -12,8 +12,7 @@ use super::{
     trainer::AutoencoderTask,
 };
 use crate::{
-    arguments::RunArgs,
-    dataset::DataOptions,
+    arguments::tests::run_in,
     dataset::Dataset,
     recipe::{self, Override, Span},
     run::{Ended, Stop},
@@ -107,22 +106,6 @@ fn recipe() -> AutoencoderRecipe {
             ..tiny.optimisation
         },
         ..tiny
-    }
-}
-
-fn run_in(out: &Path) -> RunArgs {
-    RunArgs {
-        data: Vec::new(),
-        options: DataOptions::default(),
-        out: out.into(),
-        cache: None,
-        recipe: "tiny".into(),
-        set: Vec::new(),
-        steps: None,
-        share: 1.0,
-        from: None,
-        old_rate: 0.3,
-        threads: None,
     }
 }
 

@@ -8,10 +8,11 @@ use wm_model::{
 
 use super::{self_forcing::predict, *};
 use crate::{
+    arguments::tests::run_in,
     recipe::{self, Override, Span},
     transition::{
         self, normals,
-        tests::{flickering, moving, of_space, run_in},
+        tests::{flickering, moving, of_space},
     },
 };
 

@@ -1,7 +1,6 @@
 use super::{arguments::train_on, *};
 use crate::{
-    arguments::RunArgs,
-    dataset::DataOptions,
+    arguments::tests::run_in,
     recipe::{self, Override},
     run::Stop,
     transition::tests::{moving, of_space},
@@ -36,22 +35,6 @@ pub(crate) fn trained(out: &Path, latents: &Latents) -> TrainedIdm {
     recipe.length = recipe::Span::Steps(30);
     train_on(&run_in(out), &recipe, latents, None, &Stop::default()).unwrap();
     TrainedIdm::open(out.join(FILE)).unwrap()
-}
-
-fn run_in(out: &Path) -> RunArgs {
-    RunArgs {
-        data: Vec::new(),
-        options: DataOptions::default(),
-        out: out.into(),
-        cache: None,
-        recipe: "tiny".into(),
-        set: Vec::new(),
-        steps: None,
-        share: 1.0,
-        from: None,
-        old_rate: 0.3,
-        threads: Some(2),
-    }
 }
 
 #[test]

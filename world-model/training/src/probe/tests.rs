@@ -1,7 +1,6 @@
 use super::{arguments::train_on, *};
 use crate::{
-    arguments::RunArgs,
-    dataset::DataOptions,
+    arguments::tests::run_in,
     recipe::{self, Override, Span},
     run::Stop,
     transition::tests::{labelled, moving},
@@ -31,22 +30,6 @@ fn small(name: &str, steps: u64) -> ProbeRecipe {
     ProbeRecipe {
         length: Span::Steps(steps),
         ..recipe::load(RECIPES, name, &settings).unwrap()
-    }
-}
-
-fn run_in(out: &Path) -> RunArgs {
-    RunArgs {
-        data: Vec::new(),
-        options: DataOptions::default(),
-        out: out.into(),
-        cache: None,
-        recipe: "tiny".into(),
-        set: Vec::new(),
-        steps: None,
-        share: 1.0,
-        from: None,
-        old_rate: 0.3,
-        threads: Some(2),
     }
 }
 

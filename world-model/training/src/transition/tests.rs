@@ -9,7 +9,8 @@ use wm_motion::actions::{Accumulation, ActionSpace};
 
 use super::*;
 use crate::{
-    dataset::{DataOptions, Episode},
+    arguments::tests::run_in,
+    dataset::Episode,
     optimiser::{AdamW, AdamWSettings, Schedule},
     recipe::{self, Span},
 };
@@ -233,22 +234,6 @@ fn episodes_shorter_than_a_clip_are_refused_by_length() {
         ClipSource::new(&latents, &encoding, 6).unwrap().all().len(),
         2
     );
-}
-
-pub(crate) fn run_in(out: &Path) -> RunArgs {
-    RunArgs {
-        data: Vec::new(),
-        options: DataOptions::default(),
-        out: out.into(),
-        cache: None,
-        recipe: "tiny".into(),
-        set: Vec::new(),
-        steps: None,
-        share: 1.0,
-        from: None,
-        old_rate: 0.3,
-        threads: Some(2),
-    }
 }
 
 /// The recipe `name` for a model that is trained in no time.
