@@ -134,6 +134,10 @@ impl Task for AdapterTask<'_> {
         "adapter"
     }
 
+    fn files(&self) -> &'static [&'static str] {
+        &[FILE, STATISTICS, wm_zoo::folder::FILE]
+    }
+
     fn parameters(&self) -> Result<Vec<Parameter>> {
         let is_pixels = |name: &str| name.starts_with(PIXEL_DECODER);
         Ok(self

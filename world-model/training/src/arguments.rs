@@ -48,10 +48,10 @@ pub struct RunArgs {
     #[arg(long, value_name = "MODEL")]
     pub from: Option<String>,
     /// Learning rate of what is taken from that model, as a fraction of the recipe's.
-    #[arg(long, default_value_t = 0.3, value_name = "FRACTION")]
+    #[arg(long, default_value_t = 0.3, value_name = "FRACTION", value_parser = fraction)]
     pub old_rate: f64,
     /// Train for this fraction of the recipe's length.
-    #[arg(long, default_value_t = 1.0, value_name = "FRACTION")]
+    #[arg(long, default_value_t = 1.0, value_name = "FRACTION", value_parser = fraction)]
     pub share: f64,
     /// Number of threads; all of the machine by default.
     #[arg(long)]
@@ -189,6 +189,14 @@ impl RunArgs {
         let name = std::path::absolute(&self.out).ok();
         let name = name.as_deref().and_then(|path| path.file_name());
         name.map_or("model".into(), |name| name.to_string_lossy().into_owned())
+    }
+}
+
+/// A positive number.
+pub(crate) fn fraction(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
+        _ => Err("expected a positive number".to_owned()),
     }
 }
 

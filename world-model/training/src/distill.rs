@@ -307,6 +307,10 @@ impl Task for DistillTask<'_> {
         "distill"
     }
 
+    fn files(&self) -> &'static [&'static str] {
+        &[FILE, REJECTED]
+    }
+
     fn parameters(&self) -> Result<Vec<Parameter>> {
         Ok(self.variables.parameters(|_| 0)?)
     }

@@ -148,6 +148,10 @@ impl Task for IdmTask<'_> {
         "idm"
     }
 
+    fn files(&self) -> &'static [&'static str] {
+        &[FILE]
+    }
+
     fn parameters(&self) -> Result<Vec<Parameter>> {
         let is_old = |name: &str| usize::from(self.old.contains(name));
         Ok(self.variables.parameters(is_old)?)

@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::Args;
 
 use crate::{
-    arguments::RunArgs,
+    arguments::{RunArgs, fraction},
     autoencoder::TrainAutoencoderArgs,
     dataset::DataOptions,
     idm::TrainIdmArgs,
@@ -37,10 +37,10 @@ pub struct TrainModelArgs {
     #[arg(long, value_name = "MODEL")]
     pub from: Option<String>,
     /// Learning rate of what is taken from that model, as a fraction of the recipe's.
-    #[arg(long, default_value_t = 0.3, value_name = "FRACTION")]
+    #[arg(long, default_value_t = 0.3, value_name = "FRACTION", value_parser = fraction)]
     pub old_rate: f64,
     /// Train each part for this fraction of its recipe's length: 0.05 for a first look.
-    #[arg(long, default_value_t = 1.0, value_name = "FRACTION")]
+    #[arg(long, default_value_t = 1.0, value_name = "FRACTION", value_parser = fraction)]
     pub share: f64,
     /// Recipe of all parts: tiny or paper (the autoencoder's is always tiny).
     #[arg(long, default_value = "tiny")]

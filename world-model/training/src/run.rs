@@ -44,6 +44,9 @@ pub trait Task {
     /// What is trained, in a word; its files begin with it.
     fn name(&self) -> &'static str;
 
+    /// The files that [`Self::write`] writes into its folder.
+    fn files(&self) -> &'static [&'static str];
+
     /// The parameters at step 0.
     ///
     /// # Errors
@@ -149,10 +152,14 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
     let mut saved = Instant::now();
     while run.optimiser.steps_taken() < settings.steps {
         if stop.is_asked() {
-            run.save()?;
+            let is_saved = run.save()?;
             progress.end();
             let (done, all) = (run.optimiser.steps_taken(), settings.steps);
-            println!("stopped and saved after step {done} of {all}; the same command resumes");
+            let saved = match is_saved {
+                true => "and saved",
+                false => "among steps that are not finite, with the checkpoint from before them,",
+            };
+            println!("stopped {saved} after step {done} of {all}; the same command resumes");
             return Ok(Ended::Stopped);
         }
         let line = run.step()?;
@@ -225,6 +232,8 @@ impl<'a> Run<'a> {
             }
             self.assign()?;
             println!("resumes after step {done} from {}", checkpoint.display());
+        } else {
+            self.expect_nothing_to_overwrite()?;
         }
         self.journal = Journal::resume(
             &self.settings.out,
@@ -237,6 +246,22 @@ impl<'a> Run<'a> {
     fn assign(&mut self) -> Result<()> {
         self.task.assign(&mut self.optimiser.weights())?;
         self.task.assign_averaged(&mut self.optimiser.averaged())
+    }
+
+    /// A training that begins must not replace files that are not its own, as the model that it begins from.
+    fn expect_nothing_to_overwrite(&self) -> Result<()> {
+        let mut paths = self
+            .task
+            .files()
+            .iter()
+            .map(|file| self.settings.out.join(file));
+        if let Some(path) = paths.find(|path| path.exists()) {
+            bail!(
+                "{} is there, but no checkpoint of a training that made it; use another --out, or move it",
+                path.display()
+            );
+        }
+        Ok(())
     }
 
     fn announce(&self) {
@@ -298,15 +323,16 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Writes checkpoint and journal. Not while steps are skipped: what is kept is then from before.
-    fn save(&mut self) -> Result<()> {
+    /// Writes checkpoint and journal; whether it did. Not while steps are skipped: what is kept is then from before.
+    fn save(&mut self) -> Result<bool> {
         if self.in_a_row > 0 {
-            return Ok(());
+            return Ok(false);
         }
         let checkpoint = self.checkpoint();
         self.optimiser.save(&checkpoint, &self.settings.identity)?;
         self.journal.write(&self.settings.out)?;
-        self.events.flush()
+        self.events.flush()?;
+        Ok(true)
     }
 
     fn write(&mut self) -> Result<()> {

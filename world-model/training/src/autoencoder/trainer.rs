@@ -283,6 +283,10 @@ impl Task for AutoencoderTask<'_> {
         "autoencoder"
     }
 
+    fn files(&self) -> &'static [&'static str] {
+        &[FILE]
+    }
+
     fn parameters(&self) -> Result<Vec<Parameter>> {
         let mut parameters = BTreeMap::new();
         for (half, network) in halves(&self.model) {

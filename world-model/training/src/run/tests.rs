@@ -26,6 +26,10 @@ impl Task for Descent {
         "descent"
     }
 
+    fn files(&self) -> &'static [&'static str] {
+        &["weights"]
+    }
+
     fn parameters(&self) -> Result<Vec<Parameter>> {
         Ok(vec![Parameter {
             name: "at".into(),
@@ -162,4 +166,15 @@ fn a_checkpoint_of_other_settings_is_refused_by_what_differs() {
         error.contains("seed: 1 in the checkpoint, 2 now"),
         "{error}"
     );
+}
+
+/// A model that is fine-tuned into its own folder, or a mistyped folder, loses nothing.
+#[test]
+fn files_of_no_training_of_ours_are_not_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let theirs = dir.path().join("weights");
+    std::fs::write(&theirs, "theirs").unwrap();
+    let error = train(&mut descent(), &settings(dir.path(), 10), &Stop::default()).unwrap_err();
+    assert!(error.to_string().contains("use another --out"), "{error}");
+    assert_eq!(std::fs::read_to_string(&theirs).unwrap(), "theirs");
 }
