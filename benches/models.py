@@ -16,7 +16,6 @@ their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of
 """
 
 import argparse
-import contextlib
 import copy
 import datetime
 import json
@@ -38,6 +37,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "world-model/zoo/fixtures"))
 
 import generate  # noqa: E402
+from machine import processor  # noqa: E402
 from reference import dit, pixel_decoder, vjepa  # noqa: E402
 
 FORMATS = {"f32": torch.float32, "bf16": torch.bfloat16}
@@ -394,14 +394,6 @@ def load(folder, rounds):
         (ms, peak), (their_ms, their_peak) = ([statistics.median(column) for column in zip(*runs)] for runs in (a, b))
         cells = [number_format, f"{ms:.0f}", f"{their_ms:.0f}", f"{ms / their_ms:.2f}", f"{peak:.0f}", f"{their_peak:.0f}"]
         print("| " + " | ".join(cells) + " |", flush=True)
-
-
-def processor():
-    with contextlib.suppress(OSError):
-        for line in pathlib.Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return "unknown processor"
 
 
 def main():

@@ -13,24 +13,18 @@ import datetime
 import json
 import os
 import pathlib
-import platform
 import signal
 import subprocess
 import tempfile
 import time
+
+from machine import processor
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 NODES = ["encoder", "predictor", "decoder", "planner"]
 # The subcommand that runs them in one process.
 TOGETHER = "run"
 TICKS = os.sysconf("SC_CLK_TCK")
-
-
-def processor():
-    for line in pathlib.Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return line.split(":", 1)[1].strip()
-    return platform.processor()
 
 
 def cpu_seconds(pid):
