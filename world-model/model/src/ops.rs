@@ -9,6 +9,7 @@
 pub(crate) mod activation;
 mod attention;
 pub(crate) mod block_attention;
+pub(crate) mod buffer;
 mod conv;
 mod dense_attention;
 mod element;
@@ -19,7 +20,7 @@ mod group_norm;
 pub(crate) mod host;
 mod kernel;
 mod layer_norm;
-mod linear;
+pub(crate) mod linear;
 mod packed_linear;
 mod panels;
 mod reduction;

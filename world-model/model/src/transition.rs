@@ -34,6 +34,7 @@ mod packed;
 mod parameters;
 mod parametrisation;
 mod pattern;
+mod trunk;
 
 use std::sync::Arc;
 
@@ -45,6 +46,7 @@ pub use packed::{FrameContext, NewFrame, PackedTransition, PassOutput};
 pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
+pub use trunk::WeightGradients;
 
 use crate::ops::{AttentionPattern, Axis, Engine, PackedFormat};
 use crate::{Error, Result, Weights};
@@ -68,6 +70,8 @@ pub struct Transition {
     head: Head,
     spatial: Arc<AttentionPattern>,
     engine: Engine,
+    /// Where the gradients by the blocks' weights go, if not to candle.
+    gradients: Option<WeightGradients>,
 }
 
 impl Transition {
@@ -97,7 +101,19 @@ impl Transition {
             head,
             spatial: Arc::new(spatial),
             engine: Engine::default(),
+            gradients: None,
         })
+    }
+
+    /// The same model for a training step on the CPU, where it is faster: gradients by the weights of its blocks go to
+    /// `gradients` and not to candle's [`GradStore`](candle_core::backprop::GradStore), where
+    /// [`WeightGradients::move_into`] brings them. On other devices, and [`Self::plain`], nothing changes.
+    #[must_use]
+    pub fn collecting(&self, gradients: &WeightGradients) -> Self {
+        Self {
+            gradients: Some(gradients.clone()),
+            ..self.clone()
+        }
     }
 
     /// The same model on stock operations instead of kernels, as it is on every device but the CPU anyway.
@@ -184,8 +200,17 @@ impl Transition {
         let condition =
             self.embedding
                 .condition(engine, &tau.flatten_all()?, &action.flatten_to(1)?)?;
-        for block in &self.blocks {
-            tokens = block.forward(engine, &tokens, &condition, &self.spatial, &temporal)?;
+        match &self.gradients {
+            Some(gradients) if engine.takes_kernel(&tokens) => {
+                let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
+                tokens = trunk::trunk(&self.blocks, patterns, gradients, &tokens, activated)?;
+            }
+            _ => {
+                for block in &self.blocks {
+                    tokens =
+                        block.forward(engine, &tokens, &condition, &self.spatial, &temporal)?;
+                }
+            }
         }
         let out = self.head.forward(engine, &tokens, &condition)?;
         Patches::into_grid(&out, (b, t), &self.config)

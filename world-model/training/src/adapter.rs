@@ -163,8 +163,8 @@ impl Task for AdapterTask<'_> {
         self.workers.step(&self.variables, batches, &|rng| {
             let losses = self.drawn(rng, step)?;
             Ok(BatchLoss {
-                loss: (losses.adapter + losses.pixel)?,
                 parts: losses.parts,
+                ..BatchLoss::from((losses.adapter + losses.pixel)?)
             })
         })
     }

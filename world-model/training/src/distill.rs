@@ -52,8 +52,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 use wm_model::{
     Weights,
-    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
-    weights::WeightsBuilder,
+    transition::{CONFIG_KEY, Transition, TransitionConfig, WeightGradients},
 };
 use wm_zoo::idm::TrainedIdm;
 
@@ -62,9 +61,10 @@ use crate::{
     latents::Latents,
     optimiser::{Parameter, Trained, Variables},
     run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
+    trained_weights::trained_weights_of_actions,
     transition::{
-        ActionChange, Batch, ClipSource, Evaluation, FILE, HORIZON, Objective, PRECISION,
-        QUICK_WINDOWS, table_row,
+        ActionChange, Batch, ClipSource, Evaluation, FILE, HORIZON, Objective, QUICK_WINDOWS,
+        table_row,
     },
     workers::{BatchLoss, Batches, Workers},
 };
@@ -265,19 +265,19 @@ impl<'a> DistillTask<'a> {
     }
 
     /// The loss of one small batch of random clips.
-    fn loss(&self, step: u64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
+    fn loss(&self, student: &Transition, step: u64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
         let (own, networks) = (&self.recipe.self_forcing, self.networks());
         let (objective, clips) = (&self.objective, &self.clips);
         let huber = self.recipe.huber;
         if step >= self.self_forcing_after && rng.random_bool(own.share) {
             let sampler = self.teacher.sampler();
             let history = OwnHistory::draw(&networks, sampler, objective, own, clips, rng)?;
-            return history.loss(&self.student, own.real, huber);
+            return history.loss(student, own.real, huber);
         }
         let own = &self.recipe.consistency;
         let batch = Batch::draw(objective, &self.student, clips, rng)?;
         let steps = Steps::draw(&networks, batch, own.history, &self.levels, rng)?;
-        steps.loss(&self.student, huber)
+        steps.loss(student, huber)
     }
 }
 
@@ -322,7 +322,12 @@ impl Task for DistillTask<'_> {
             step,
         };
         self.workers.step(&self.variables, batches, &|rng| {
-            Ok(BatchLoss::from(self.loss(step, rng)?))
+            let gradients = WeightGradients::default();
+            let student = self.student.collecting(&gradients);
+            Ok(BatchLoss {
+                gradients,
+                ..BatchLoss::from(self.loss(&student, step, rng)?)
+            })
         })
     }
 
@@ -340,20 +345,11 @@ impl Task for DistillTask<'_> {
         averaged: &mut dyn Iterator<Item = Trained<'_>>,
         folder: &Path,
     ) -> Result<()> {
-        let mut weights = WeightsBuilder::new();
-        for Trained {
-            name,
-            shape,
-            values,
-        } in averaged
-        {
-            weights.values(name, shape, values, PRECISION);
-        }
         let teacher = self.teacher;
+        let config = (CONFIG_KEY, self.student.config());
+        let mut weights =
+            trained_weights_of_actions(averaged, config, &teacher.space, &teacher.encoding)?;
         let distilled = json!({"teacher": teacher.sha256(), "steps": teacher.sampler().steps});
-        weights.metadata(CONFIG_KEY, serde_json::to_string(self.student.config())?);
-        weights.metadata(ACTIONS_KEY, serde_json::to_string(&teacher.encoding)?);
-        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(&teacher.space)?);
         weights.metadata(DISTILLED_KEY, distilled.to_string());
         let path = folder.join(CANDIDATE);
         weights.write(&path)?;

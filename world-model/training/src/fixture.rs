@@ -6,7 +6,10 @@ use candle_core::{Device, Tensor};
 use serde::de::DeserializeOwned;
 use wm_model::Weights;
 
-use crate::optimiser::{Trained, Variables};
+use crate::{
+    optimiser::{Trained, Variables},
+    workers::BatchLoss,
+};
 
 /// Largest relative error of losses, gradients and weights: norm of the difference over norm.
 pub(crate) const TOLERANCE: f64 = 1e-4;
@@ -49,8 +52,16 @@ impl Fixture {
 
     /// Checks the loss, and its gradient by every one of `variables`, by itself and by all of them together; gives the
     /// gradient.
-    pub(crate) fn check(&self, loss: &Tensor, variables: &Variables) -> Vec<Vec<f32>> {
-        let store = loss.backward().unwrap();
+    pub(crate) fn check(
+        &self,
+        found: impl Into<BatchLoss>,
+        variables: &Variables,
+    ) -> Vec<Vec<f32>> {
+        let BatchLoss {
+            loss, gradients, ..
+        } = found.into();
+        let mut store = loss.backward().unwrap();
+        gradients.move_into(&mut store).unwrap();
         let gradients = variables.gradients(&store).unwrap();
         let parameters = variables.parameters(|_| 0).unwrap();
         let names: Vec<String> = parameters.into_iter().map(|p| p.name).collect();

@@ -11,11 +11,7 @@ use anyhow::{Context as _, Result, ensure};
 use candle_core::{DType, Device, Tensor};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use wm_model::{
-    Weights,
-    transition::{ACTIONS_KEY, LATENT_SPACE_KEY},
-    weights::{Precision, WeightsBuilder},
-};
+use wm_model::Weights;
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
     IDM_FILE as FILE,
@@ -28,6 +24,7 @@ use crate::{
     latents::Latents,
     optimiser::{Group, Parameter, Trained, Variables},
     run::{Figure, StepLoss, Task},
+    trained_weights::trained_weights_of_actions,
     transition::ClipSource,
     workers::{BatchLoss, Batches, Workers},
 };
@@ -37,8 +34,7 @@ pub use recipe::{IdmModelRecipe, IdmRecipe, RECIPES};
 
 /// Windows of the evaluations during the training.
 const QUICK_WINDOWS: usize = 256;
-/// Weights are saved as half floats.
-const PRECISION: Precision = Precision::F16;
+
 /// An inverse dynamics model in training.
 struct IdmTask<'a> {
     recipe: &'a IdmRecipe,
@@ -181,20 +177,9 @@ impl Task for IdmTask<'_> {
         averaged: &mut dyn Iterator<Item = Trained<'_>>,
         folder: &Path,
     ) -> Result<()> {
-        let mut weights = WeightsBuilder::new();
-        for Trained {
-            name,
-            shape,
-            values,
-        } in averaged
-        {
-            weights.values(name, shape, values, PRECISION);
-        }
-        weights.metadata(IDM_KEY, serde_json::to_string(&self.config)?);
-        weights.metadata(ACTIONS_KEY, serde_json::to_string(self.encoding)?);
-        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(self.train.space())?);
+        let (config, space) = ((IDM_KEY, &self.config), self.train.space());
         let path = folder.join(FILE);
-        weights.write(&path)?;
+        trained_weights_of_actions(averaged, config, space, self.encoding)?.write(&path)?;
         // Of exactly what was written.
         self.written = Some(TrainedIdm::from_weights(Weights::open(&path)?)?);
         Ok(())

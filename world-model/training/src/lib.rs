@@ -23,5 +23,6 @@ pub mod probe;
 pub mod recipe;
 pub mod run;
 pub mod squared_error;
+mod trained_weights;
 pub mod transition;
 pub mod workers;

@@ -19,11 +19,7 @@ use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use rayon::prelude::*;
-use wm_model::{
-    Weights,
-    transition::LATENT_SPACE_KEY,
-    weights::{Precision, WeightsBuilder},
-};
+use wm_model::{Weights, weights::WeightsBuilder};
 use wm_zoo::{
     Engine, Loader, PROBE_FILE as FILE,
     layers::Dropout,
@@ -38,6 +34,7 @@ use crate::{
     latents::Latents,
     optimiser::{Group, Parameter, Trained, Variables},
     run::{Figure, StepLoss, Task},
+    trained_weights::trained_weights,
     workers::{BatchLoss, Batches, Workers},
 };
 pub use accuracy::Accuracy;
@@ -47,8 +44,6 @@ pub use recipe::{ProbeModelRecipe, ProbeRecipe, RECIPES};
 
 /// Questions of a validation at most: the same ones each time, since they decide which weights are kept.
 const QUESTIONS: usize = 1000;
-/// Weights are saved as half floats.
-const PRECISION: Precision = Precision::F16;
 /// Metadata key of the figures that the weights were chosen by.
 const VALIDATION_KEY: &str = "validation";
 /// Metadata key of the camera frames between two frames that the probe reads.
@@ -265,18 +260,9 @@ impl Task for ProbeTask<'_> {
         averaged: &mut dyn Iterator<Item = Trained<'_>>,
         folder: &Path,
     ) -> Result<()> {
-        let mut weights = WeightsBuilder::new();
-        for Trained {
-            name,
-            shape,
-            values,
-        } in averaged
-        {
-            weights.values(name, shape, values, PRECISION);
-        }
-        weights.metadata(PROBE_KEY, serde_json::to_string(&self.config)?);
+        let config = (PROBE_KEY, &self.config);
+        let mut weights = trained_weights(averaged, config, self.train.space())?;
         weights.metadata(WORDS_KEY, serde_json::to_string(self.words.config())?);
-        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(self.train.space())?);
         weights.metadata(FRAME_SKIP_KEY, self.recipe.model.frame_skip.to_string());
         let path = folder.join(FILE);
         let is_there = path.is_file();

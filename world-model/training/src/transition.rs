@@ -17,13 +17,13 @@ mod strip;
 use std::{collections::BTreeSet, path::Path, time::Duration};
 
 use anyhow::{Context as _, Result};
-use candle_core::{Device, Tensor};
 use image::RgbImage;
 use serde_json::json;
 use wm_model::{
     Decoder, Weights,
-    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
-    weights::{Precision, WeightsBuilder},
+    transition::{
+        ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig, WeightGradients,
+    },
 };
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{ModelFolder, TransitionTensors};
@@ -36,6 +36,7 @@ use crate::{
     model_folder::carry_encoder,
     optimiser::{Group, Parameter, Trained, Variables},
     run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
+    trained_weights::trained_weights_of_actions,
     workers::{BatchLoss, Batches, Workers},
 };
 pub use arguments::{EvaluateTransitionArgs, TrainTransitionArgs};
@@ -52,8 +53,6 @@ pub use strip::strip;
 pub(crate) const HORIZON: usize = 8;
 /// Windows of the evaluations during the training.
 pub(crate) const QUICK_WINDOWS: usize = 32;
-/// Weights are saved as half floats.
-pub(crate) const PRECISION: Precision = Precision::F16;
 /// The weights' file in a model's folder.
 pub(crate) const FILE: &str = "transition.safetensors";
 
@@ -217,11 +216,13 @@ impl Task for TransitionTask<'_> {
             step,
         };
         self.workers.step(&self.variables, batches, &|rng| {
-            Ok(BatchLoss::from(objective.loss(
-                &self.model,
-                &self.clips,
-                rng,
-            )?))
+            let gradients = WeightGradients::default();
+            let model = self.model.collecting(&gradients);
+            let loss = objective.loss(&model, &self.clips, rng)?;
+            Ok(BatchLoss {
+                gradients,
+                ..BatchLoss::from(loss)
+            })
         })
     }
 
@@ -234,21 +235,9 @@ impl Task for TransitionTask<'_> {
         averaged: &mut dyn Iterator<Item = Trained<'_>>,
         folder: &Path,
     ) -> Result<()> {
-        let mut weights = WeightsBuilder::new();
-        for Trained {
-            name,
-            shape,
-            values,
-        } in averaged
-        {
-            let tensor = Tensor::from_slice(values, shape, &Device::Cpu)?;
-            weights.tensor(name, &tensor, PRECISION)?;
-        }
-        weights.metadata(CONFIG_KEY, serde_json::to_string(&self.config)?);
-        weights.metadata(ACTIONS_KEY, serde_json::to_string(self.encoding)?);
-        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(self.train.space())?);
+        let (config, space) = ((CONFIG_KEY, &self.config), self.train.space());
         let path = folder.join(FILE);
-        weights.write(&path)?;
+        trained_weights_of_actions(averaged, config, space, self.encoding)?.write(&path)?;
         // Of exactly what was written.
         self.written = Some(Transition::from_weights(Weights::open(&path)?)?);
         Ok(())

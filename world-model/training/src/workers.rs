@@ -6,6 +6,7 @@ use anyhow::{Context as _, Result, anyhow, ensure};
 use candle_core::{Tensor, backprop::GradStore};
 use rand_chacha::ChaCha8Rng;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use wm_model::transition::WeightGradients;
 
 use crate::{
     optimiser::{Variables, step_rng},
@@ -18,6 +19,8 @@ pub struct BatchLoss {
     pub loss: Tensor,
     /// Parts of it worth following, by name, in the same order for every batch.
     pub parts: Vec<(&'static str, f64)>,
+    /// Gradients that do not come with the loss's own.
+    pub gradients: WeightGradients,
 }
 
 impl From<Tensor> for BatchLoss {
@@ -25,6 +28,7 @@ impl From<Tensor> for BatchLoss {
         Self {
             loss,
             parts: Vec::new(),
+            gradients: WeightGradients::default(),
         }
     }
 }
@@ -83,10 +87,11 @@ impl Workers {
         let batch = |index: usize| -> Result<(BatchLoss, GradStore)> {
             // A stream of its own for each batch, whichever worker takes it.
             let mut rng = step_rng(seed, step * count as u64 + index as u64);
-            let BatchLoss { loss, parts } = loss(&mut rng)?;
-            let loss = (loss / count as f64)?;
-            let gradients = loss.backward()?;
-            Ok((BatchLoss { loss, parts }, gradients))
+            let mut found = loss(&mut rng)?;
+            found.loss = (found.loss / count as f64)?;
+            let mut gradients = found.loss.backward()?;
+            found.gradients.move_into(&mut gradients)?;
+            Ok((found, gradients))
         };
         let work = || {
             let mut done = Vec::new();

@@ -113,6 +113,72 @@ impl AttentionPattern {
     }
 }
 
+impl AttentionPattern {
+    /// Writes the result of `qkv` of shape (B, T, N, 3 d), as [`attention`], to all of `out`.
+    ///
+    /// # Errors
+    /// If the shape does not fit the pattern.
+    pub(crate) fn forward(&self, shape: &Shape, qkv: &[f32], out: &mut [f32]) -> Result<()> {
+        let group = self.group(shape)?;
+        out.par_chunks_mut(group.rows * group.d)
+            .zip(qkv.par_chunks(group.rows * 3 * group.d))
+            .for_each_init(
+                || HeadKernel::new(&self.rotary, &self.bias),
+                |kernel, (out, qkv)| forward_group(kernel, out, qkv, group, self.heads),
+            );
+        Ok(())
+    }
+
+    /// Writes the gradient by `qkv`, of the gradient `grad` (B, T, N, d) by the result, to all of `out`.
+    ///
+    /// # Errors
+    /// If the shape does not fit the pattern.
+    pub(crate) fn backward(
+        &self,
+        shape: &Shape,
+        qkv: &[f32],
+        grad: &[f32],
+        out: &mut [f32],
+    ) -> Result<()> {
+        let group = self.group(shape)?;
+        out.par_chunks_mut(group.rows * 3 * group.d)
+            .zip(qkv.par_chunks(group.rows * 3 * group.d))
+            .zip(grad.par_chunks(group.rows * group.d))
+            .for_each_init(
+                || HeadKernel::new(&self.rotary, &self.bias),
+                |kernel, ((out, qkv), grad)| {
+                    backward_group(kernel, out, qkv, grad, group, self.heads);
+                },
+            );
+        Ok(())
+    }
+
+    fn group(&self, qkv: &Shape) -> Result<Group> {
+        let (_, t, n, width) = qkv.dims4()?;
+        let d = self.heads * self.rotary.head_dim();
+        let (length, group) = match self.axis {
+            Axis::Space => (n, (1, 1, n)),
+            Axis::Time => (t, (n, n, t * n)),
+        };
+        if width != 3 * d || length != self.rotary.len() || t * n == 0 {
+            candle_core::bail!(
+                "attention: {qkv:?} for {} heads of {} channels over {:?} of length {}",
+                self.heads,
+                self.rotary.head_dim(),
+                self.axis,
+                self.rotary.len()
+            );
+        }
+        let (sequences, stride, rows) = group;
+        Ok(Group {
+            sequences,
+            stride,
+            rows,
+            d,
+        })
+    }
+}
+
 /// Width of the bias's rows: the length rounded up to whole lanes.
 fn padded(length: usize) -> usize {
     length.next_multiple_of(product::LANES).max(product::LANES)
@@ -143,33 +209,8 @@ struct Group {
 }
 
 impl Attention {
-    fn group(&self, qkv: &Shape) -> Result<Group> {
-        let (_, t, n, width) = qkv.dims4()?;
-        let d = self.0.heads * self.0.rotary.head_dim();
-        let (length, group) = match self.0.axis {
-            Axis::Space => (n, (1, 1, n)),
-            Axis::Time => (t, (n, n, t * n)),
-        };
-        if width != 3 * d || length != self.0.rotary.len() || t * n == 0 {
-            candle_core::bail!(
-                "attention: {qkv:?} for {} heads of {} channels over {:?} of length {}",
-                self.0.heads,
-                self.0.rotary.head_dim(),
-                self.0.axis,
-                self.0.rotary.len()
-            );
-        }
-        let (sequences, stride, rows) = group;
-        Ok(Group {
-            sequences,
-            stride,
-            rows,
-            d,
-        })
-    }
-
     fn plain(&self, qkv: &Tensor) -> Result<Tensor> {
-        let Group { d, .. } = self.group(qkv.shape())?;
+        let Group { d, .. } = self.0.group(qkv.shape())?;
         let (b, t, n, _) = qkv.dims4()?;
         let (heads, dim) = (self.0.heads, self.0.rotary.head_dim());
         let tables = self.0.tables(qkv.device())?;
@@ -203,10 +244,6 @@ impl Attention {
         };
         out.reshape((b, t, n, d))
     }
-
-    fn kernel(&self) -> HeadKernel<'_> {
-        HeadKernel::new(&self.0.rotary, &self.0.bias)
-    }
 }
 
 impl CustomOp1 for Attention {
@@ -215,36 +252,19 @@ impl CustomOp1 for Attention {
     }
 
     fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let group = self.group(layout.shape())?;
+        let (b, t, n, width) = layout.shape().dims4()?;
         let qkv = slice(storage, layout)?;
-        let (b, t, n, _) = layout.shape().dims4()?;
-        let d = group.d;
-        let mut out = vec![0.0; b * t * n * d];
-        out.par_chunks_mut(group.rows * d)
-            .zip(qkv.par_chunks(group.rows * 3 * d))
-            .for_each_init(
-                || self.kernel(),
-                |kernel, (out, qkv)| forward_group(kernel, out, qkv, group, self.0.heads),
-            );
-        Ok((CpuStorage::F32(out), (b, t, n, d).into()))
+        let mut out = vec![0.0; qkv.len() / 3];
+        self.0.forward(layout.shape(), qkv, &mut out)?;
+        Ok((CpuStorage::F32(out), (b, t, n, width / 3).into()))
     }
 
     fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        let group = self.group(qkv.shape())?;
-        let d = group.d;
         let grad = grad.contiguous()?;
-        let (hq, hg) = (host(qkv), host(&grad));
-        let (vq, vg) = (hq.values()?, hg.values()?);
-        let mut out = vec![0.0; vq.len()];
-        out.par_chunks_mut(group.rows * 3 * d)
-            .zip(vq.par_chunks(group.rows * 3 * d))
-            .zip(vg.par_chunks(group.rows * d))
-            .for_each_init(
-                || self.kernel(),
-                |kernel, ((out, qkv), grad)| {
-                    backward_group(kernel, out, qkv, grad, group, self.0.heads);
-                },
-            );
+        let (values, grad) = (host(qkv), host(&grad));
+        let mut out = vec![0.0; qkv.elem_count()];
+        self.0
+            .backward(qkv.shape(), values.values()?, grad.values()?, &mut out)?;
         Ok(Some(Tensor::from_vec(out, qkv.shape(), qkv.device())?))
     }
 }

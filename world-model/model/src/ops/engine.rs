@@ -28,7 +28,7 @@ impl Engine {
     }
 
     /// Whether the kernel is to compute `x`, and can.
-    pub(super) fn takes_kernel(self, x: &Tensor) -> bool {
+    pub(crate) fn takes_kernel(self, x: &Tensor) -> bool {
         self == Self::Cpu && x.device().is_cpu()
     }
 }

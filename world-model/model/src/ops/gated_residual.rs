@@ -138,7 +138,8 @@ vectorised! {
 }
 
 vectorised! {
-    fn backward_frame(
+    /// Of the gradient `g` by the result: writes `grad_branch` (rows, d), adds to `grad_gate` (d).
+    pub(crate) fn backward_frame(
         grad_branch: &mut [f32],
         grad_gate: &mut [f32],
         branch: &[f32],

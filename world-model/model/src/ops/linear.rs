@@ -69,20 +69,8 @@ impl Linear {
         let (n, k) = weight.1.shape().dims2()?;
         let shape = Self::shape(x.1.shape(), weight.1.shape())?;
         let (x, weight) = (slice(x.0, x.1)?, slice(weight.0, weight.1)?);
-        let m = x.len() / k.max(1);
-        let mut y = Vec::with_capacity(m * n);
-        match bias {
-            Some(bias) if bias.len() == n => (0..m).for_each(|_| y.extend_from_slice(bias)),
-            Some(bias) => candle_core::bail!("linear: bias of {} values, {n} needed", bias.len()),
-            None => y.resize(m * n, 0.0),
-        }
-        multiply(
-            (m, k, n),
-            Matrix::rows(x, k),
-            Matrix::columns(weight, k),
-            &mut y,
-            bias.is_some(),
-        )?;
+        let mut y = vec![0.0; x.len() / k.max(1) * n];
+        forward(x, (n, k), weight, bias, &mut y)?;
         Ok((CpuStorage::F32(y), shape))
     }
 
@@ -96,17 +84,10 @@ impl Linear {
         let grad = grad.contiguous()?;
         let g = host(&grad);
         let g = g.values()?;
-        let m = g.len() / n.max(1);
         let grad_x = if x.track_op() {
             let weight = host(weight);
-            let mut out = vec![0.0; m * k];
-            multiply(
-                (m, n, k),
-                Matrix::rows(g, n),
-                Matrix::rows(weight.values()?, k),
-                &mut out,
-                false,
-            )?;
+            let mut out = vec![0.0; x.elem_count()];
+            input_gradient(g, (n, k), weight.values()?, &mut out)?;
             Some(Tensor::from_vec(out, x.shape(), x.device())?)
         } else {
             None
@@ -114,13 +95,7 @@ impl Linear {
         let grad_weight = if weight.track_op() {
             let input = host(x);
             let mut out = vec![0.0; n * k];
-            multiply(
-                (n, m, k),
-                Matrix::columns(g, n),
-                Matrix::rows(input.values()?, k),
-                &mut out,
-                false,
-            )?;
+            weight_gradient(g, (n, k), input.values()?, &mut out)?;
             Some(Tensor::from_vec(out, (n, k), x.device())?)
         } else {
             None
@@ -134,6 +109,63 @@ impl Linear {
         };
         Ok((grad_x, grad_weight, grad_bias))
     }
+}
+
+/// `y` (m, n) of `x` (m, k), for a weight (n, k) and a bias (n).
+///
+/// # Errors
+/// If a slice has another length.
+pub(crate) fn forward(
+    x: &[f32],
+    (n, k): (usize, usize),
+    weight: &[f32],
+    bias: Option<&[f32]>,
+    y: &mut [f32],
+) -> Result<()> {
+    match bias {
+        Some(bias) if bias.len() == n => y
+            .chunks_exact_mut(n.max(1))
+            .for_each(|row| row.copy_from_slice(bias)),
+        Some(bias) => candle_core::bail!("linear: bias of {} values, {n} needed", bias.len()),
+        None => {}
+    }
+    let sizes = (x.len() / k.max(1), k, n);
+    let (x, weight) = (Matrix::rows(x, k), Matrix::columns(weight, k));
+    multiply(sizes, x, weight, y, bias.is_some())
+}
+
+/// The gradient `out` (m, k) by x, of the gradient `g` (m, n) by y.
+///
+/// # Errors
+/// If a slice has another length.
+pub(crate) fn input_gradient(
+    g: &[f32],
+    (n, k): (usize, usize),
+    weight: &[f32],
+    out: &mut [f32],
+) -> Result<()> {
+    let sizes = (g.len() / n.max(1), n, k);
+    multiply(
+        sizes,
+        Matrix::rows(g, n),
+        Matrix::rows(weight, k),
+        out,
+        false,
+    )
+}
+
+/// The gradient `out` (n, k) by the weight, of the gradient `g` (m, n) by y for inputs `x` (m, k).
+///
+/// # Errors
+/// If a slice has another length.
+pub(crate) fn weight_gradient(
+    g: &[f32],
+    (n, k): (usize, usize),
+    x: &[f32],
+    out: &mut [f32],
+) -> Result<()> {
+    let sizes = (n, g.len() / n.max(1), k);
+    multiply(sizes, Matrix::columns(g, n), Matrix::rows(x, k), out, false)
 }
 
 impl CustomOp2 for Linear {
@@ -194,7 +226,7 @@ impl CustomOp3 for Linear {
 
 vectorised! {
     /// Adds every row of `values` to `sums`.
-    fn sum_rows(values: &[f32], sums: &mut [f32]) {
+    pub(crate) fn sum_rows(values: &[f32], sums: &mut [f32]) {
         for row in values.chunks_exact(sums.len()) {
             for (sum, value) in sums.iter_mut().zip(row) {
                 *sum += value;
@@ -245,7 +277,7 @@ fn multiply(
     out: &mut [f32],
     accumulate: bool,
 ) -> Result<()> {
-    if !a.holds(m, k) || !b.holds(k, n) || out.len() < m * n {
+    if !a.holds(m, k) || !b.holds(k, n) || out.len() != m * n {
         candle_core::bail!("linear: operands too small for a product of {m} x {k} x {n}");
     }
     let parallelism = match rayon::current_num_threads() {

@@ -146,7 +146,8 @@ vectorised! {
 }
 
 vectorised! {
-    fn backward_frame(
+    /// Of the gradient `g` by the result: writes `grad_x` (rows, d), adds to `grad_shift` and `grad_scale` (d).
+    pub(crate) fn backward_frame(
         grad_x: &mut [f32],
         x: &[f32],
         g: &[f32],

@@ -80,7 +80,8 @@ vectorised! {
 }
 
 vectorised! {
-    fn backward_rows(out: &mut [f32], x: &[f32], g: &[f32], h: usize) {
+    /// Of the gradient `g` (rows, h) by the result to that by `x`, `out` (rows, 2 h).
+    pub(crate) fn backward_rows(out: &mut [f32], x: &[f32], g: &[f32], h: usize) {
         let rows = out.chunks_exact_mut(2 * h).zip(x.chunks_exact(2 * h));
         for ((out, x), g) in rows.zip(g.chunks_exact(h)) {
             let (a, b) = x.split_at(h);

@@ -1,4 +1,4 @@
-use candle_core::DType;
+use candle_core::{DType, Var};
 
 use super::*;
 
@@ -27,6 +27,11 @@ fn random(name: &str, shape: &[usize]) -> Tensor {
     parameter.initial(2).unwrap()
 }
 
+fn norm(x: &Tensor) -> f32 {
+    let sum = x.sqr().unwrap().sum_all().unwrap();
+    sum.to_scalar::<f32>().unwrap().sqrt()
+}
+
 #[test]
 fn parameters_of_sixteen_bits_take_and_give_f32() {
     let x = random("x", &[2, 3, 4, 4, 4]);
@@ -35,10 +40,6 @@ fn parameters_of_sixteen_bits_take_and_give_f32() {
     let velocity = |model: Transition| model.forward(&x, &tau, &action).unwrap();
     let exact = velocity(model("none").unwrap());
     let rounded = velocity(model("").unwrap().plain());
-    let norm = |x: &Tensor| {
-        let sum = x.sqr().unwrap().sum_all().unwrap();
-        sum.to_scalar::<f32>().unwrap().sqrt()
-    };
     let difference = norm(&(&rounded - &exact).unwrap()) / norm(&exact);
     // Weights, inputs and outputs of every product have eight bits, 0.2 % each, and ten layers follow each other.
     assert!((1e-3..5e-2).contains(&difference), "{difference}");
@@ -49,4 +50,39 @@ fn parameters_of_several_formats_are_refused() {
     let message = model("action_embedder.bias").unwrap_err().to_string();
     let expected = "`action_embedder.bias` is BF16 on Cpu, expected F32 on Cpu";
     assert!(message.contains(expected), "{message}");
+}
+
+/// Of a loss that runs the model twice, so that gradients by the same weight add up.
+#[test]
+fn collected_gradients_are_those_of_candle() {
+    let config = TransitionConfig {
+        depth: 2,
+        ..TransitionConfig::preset("tiny", (4, 4, 3), 2, 7).unwrap()
+    };
+    let mut variables = Vec::new();
+    let model = Transition::build(config, &mut |parameter| {
+        let variable = Var::from_tensor(&parameter.sample(1)?)?;
+        let tensor = variable.as_tensor().clone();
+        variables.push((parameter.name.clone(), variable));
+        Ok(tensor)
+    })
+    .unwrap();
+    let x = random("x", &[2, 3, 4, 4, 3]);
+    let (tau, action) = (random("tau", &[2, 3]), random("action", &[2, 3, 7]));
+    let pattern = TemporalPattern::causal(3);
+    let loss = |model: &Transition| {
+        let once = model.output(&x, &tau, &action, &pattern).unwrap();
+        let twice = model.output(&once, &tau, &action, &pattern).unwrap();
+        (once.sqr().unwrap() + twice).unwrap().sum_all().unwrap()
+    };
+    let expected = loss(&model).backward().unwrap();
+    let gradients = WeightGradients::default();
+    let mut found = loss(&model.collecting(&gradients)).backward().unwrap();
+    gradients.move_into(&mut found).unwrap();
+    for (name, variable) in &variables {
+        let expected = expected.get(variable).unwrap();
+        let error = (expected - found.get(variable).unwrap()).unwrap();
+        let relative = norm(&error) / norm(expected);
+        assert!(relative < 1e-5, "{name}: {relative:.1e}");
+    }
 }

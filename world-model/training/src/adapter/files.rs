@@ -8,14 +8,16 @@ use serde_json::{Value, json};
 use wm_model::{
     LatentSpace,
     autoencoder::{MEAN, Normalisation, STD},
-    transition::LATENT_SPACE_KEY,
     weights::{Precision, WeightsBuilder},
 };
 use wm_zoo::{
     Checkpoint, checkpoint::Average, folder, kinds::Kind, svae::SvaeConfig, vae::PixelDecoderConfig,
 };
 
-use crate::optimiser::{Trained, Variables};
+use crate::{
+    optimiser::{Trained, Variables},
+    trained_weights::trained_weights,
+};
 
 /// The weights' file in a model's folder.
 pub const FILE: &str = "adapter.safetensors";
@@ -25,8 +27,6 @@ pub const STATISTICS: &str = "stats.safetensors";
 pub(super) const ADAPTER: &str = "adapter";
 /// What names of the pixel decoder's tensors begin with.
 pub(super) const PIXEL_DECODER: &str = "pixel_decoder";
-/// Weights are saved as half floats.
-const PRECISION: Precision = Precision::F16;
 
 /// The files of a training, and what they are about.
 pub(super) struct Output<'a> {
@@ -47,18 +47,9 @@ impl Output<'_> {
         &self,
         averaged: &mut dyn Iterator<Item = Trained<'_>>,
     ) -> Result<()> {
-        let mut weights = WeightsBuilder::new();
-        for Trained {
-            name,
-            shape,
-            values,
-        } in averaged
-        {
-            weights.values(name, shape, values, PRECISION);
-        }
-        weights.metadata("adapter_config", serde_json::to_string(self.svae)?);
+        let config = ("adapter_config", self.svae);
+        let mut weights = trained_weights(averaged, config, self.space)?;
         weights.metadata("pixel_decoder_config", serde_json::to_string(self.pixel)?);
-        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(self.space)?);
         Ok(weights.write(self.weights())?)
     }
 

@@ -14,7 +14,6 @@ use wm_model::{
     Autoencoder, Encoder as _,
     autoencoder::{Network, NetworkGradient, Normalisation, Tape, clamp, clamp_slope},
     ops::GridSize,
-    weights::Precision,
 };
 
 use super::{
@@ -27,6 +26,7 @@ use crate::{
     dataset::{Dataset, DatasetError},
     optimiser::{Group, OptimiserError, Parameter, Trained, step_rng},
     run::{Figure, StepLoss, Task},
+    trained_weights::PRECISION,
 };
 
 /// Frames that the normalisation of the latents is taken over, at most.
@@ -35,8 +35,6 @@ const NORMALISATION_FRAMES: usize = 2000;
 const VALIDATION_FRAMES: [usize; 2] = [1000, 200];
 /// Rows of the samples.
 const SAMPLES: usize = 6;
-/// Weights are saved as half floats.
-const PRECISION: Precision = Precision::F16;
 /// The weights' file in a model's folder.
 pub(super) const FILE: &str = "autoencoder.safetensors";
 

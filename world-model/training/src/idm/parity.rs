@@ -21,6 +21,6 @@ fn a_step_is_pytorchs() {
         let latents = tensor("latents", &shape, 1.5);
         let actions = tensor("actions", &[b, frames, config.actions], 2.0);
         let loss = loss(&model, (&latents, &actions), &mut Dropout::none()).unwrap();
-        fixture.check(&loss, &variables);
+        fixture.check(loss, &variables);
     }
 }

@@ -36,5 +36,5 @@ fn a_step_is_pytorchs() {
     });
     let losses: Vec<Tensor> = losses.collect();
     let loss = Tensor::cat(&losses, 0).unwrap().mean_all().unwrap();
-    fixture.check(&loss, &variables);
+    fixture.check(loss, &variables);
 }

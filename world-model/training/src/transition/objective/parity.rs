@@ -5,7 +5,9 @@ use crate::{
     fixture::{Fixture, fill, tensor},
     optimiser::{AdamW, Trained},
     transition::tests::fresh,
+    workers::BatchLoss,
 };
+use wm_model::transition::WeightGradients;
 
 /// Seed of weights that are replaced at once.
 const ANY: u64 = 1;
@@ -37,7 +39,7 @@ fn draws(objective: &Objective, config: &TransitionConfig) -> Draws {
     }
 }
 
-/// One step's loss and gradients, on both engines; and the step itself where the fixture has it.
+/// One step's loss and gradients, as in training, by candle alone, and on its operations; and the step itself where the fixture has it.
 #[test]
 fn a_step_is_pytorchs() {
     for name in [
@@ -63,16 +65,26 @@ fn a_step_is_pytorchs() {
         let (clips, draws) = ((&latents, &actions), draws(&objective, &config));
         let (alignment, past) = (config.action_alignment, objective.recipe.history);
         let own = objective.recipe.own_history == 1.0;
-        for engine in [|model: Transition| model, Transition::plain] {
+        let gradients = WeightGradients::default();
+        let ways: [&dyn Fn(Transition) -> Transition; 3] = [
+            &|model| model.collecting(&gradients),
+            &|model| model,
+            &Transition::plain,
+        ];
+        for way in ways {
             let (variables, model) = fresh(&config, ANY);
             fill(&variables);
-            let model = engine(model);
+            let model = way(model);
             let loss = match objective.recipe.forcing {
                 Forcing::Diffusion => noised_at_once::loss(&model, clips, &draws, past),
                 Forcing::Teacher => Batch::new(alignment, clips, &draws, past)
                     .and_then(|batch| batch.loss_after(&model, own, past)),
             };
-            let gradients = fixture.check(&loss.unwrap(), &variables);
+            let loss = BatchLoss {
+                gradients: gradients.clone(),
+                ..BatchLoss::from(loss.unwrap())
+            };
+            let gradients = fixture.check(loss, &variables);
             if fixture.names("norm").is_empty() {
                 continue;
             }
