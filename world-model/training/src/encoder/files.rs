@@ -1,0 +1,47 @@
+//! What a training of an encoder leaves in its folder.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use serde_json::json;
+use wm_model::weights::{Precision, WeightsBuilder};
+use wm_zoo::{folder, kinds::Kind, vit::WebDinoConfig};
+
+use crate::optimiser::Trained;
+
+/// The weights' file in a model's folder.
+pub const FILE: &str = "encoder.safetensors";
+/// Metadata key of the [`WebDinoConfig`] (JSON), for a fine-tuning.
+pub(super) const CONFIG_KEY: &str = "encoder_config";
+/// Weights are saved as half floats.
+const PRECISION: Precision = Precision::F16;
+
+/// The encoder's weights under the names of the kind `web-dino`.
+pub(super) fn write_weights(
+    folder: &Path,
+    config: &WebDinoConfig,
+    weights_of: Vec<Trained<'_>>,
+) -> Result<()> {
+    let mut weights = WeightsBuilder::new();
+    for Trained {
+        name,
+        shape,
+        values,
+    } in weights_of
+    {
+        weights.values(name, shape, values, PRECISION);
+    }
+    weights.metadata(CONFIG_KEY, serde_json::to_string(config)?);
+    Ok(weights.write(folder.join(FILE))?)
+}
+
+/// The description of a model that is this encoder alone; `name` is that of its latent space.
+pub(super) fn write_description(folder: &Path, config: &WebDinoConfig, name: &str) -> Result<()> {
+    let description = json!({
+        "name": name,
+        "image": [config.image_size, config.image_size],
+        "encoder": {"kind": Kind::WebDino.name(), "weights": FILE, "config": config},
+    });
+    let path = folder.join(folder::FILE);
+    std::fs::write(&path, format!("{description:#}\n")).with_context(|| path.display().to_string())
+}
