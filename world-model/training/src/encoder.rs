@@ -10,6 +10,7 @@
 mod arguments;
 mod files;
 mod network;
+mod positions;
 mod recipe;
 
 use std::{collections::BTreeSet, path::Path};
@@ -77,6 +78,7 @@ impl<'a> EncoderTask<'a> {
         let features = (encoder.grid(), encoder.grid(), encoder.hidden_size);
         let head = recipe.head.config(features, encoding).context("head")?;
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
+        positions::begin_as_waves(&fresh, &encoder, &head)?;
         let network = Network::load(&encoder, &head, &fresh.loader())?;
         let (variables, old) = fresh.into_variables();
         let frames = head.horizon + 1;

@@ -52,7 +52,6 @@ fn small(others: &[&str]) -> EncoderRecipe {
     let settings = [
         "batch=8",
         "micro_batch=4",
-        "dropout=0.05",
         "model.name=bars",
         "model.image=16",
         "model.patch=4",
@@ -61,7 +60,7 @@ fn small(others: &[&str]) -> EncoderRecipe {
         "model.heads=2",
         "head.patch=2",
         "head.hidden=32",
-        "head.depth=1",
+        "head.depth=2",
         "head.heads=2",
         "head.mlp=64",
         "head.frame_skip=1",
@@ -91,9 +90,9 @@ fn its_features_tell_actions_of_episodes_that_it_has_not_seen() {
     let held_out = moving_bar(dir.path(), "held_out", 8, 2);
     let out = dir.path().join("run");
     let recipe = small(&[
-        "length=600 steps",
-        "validate_every=600",
-        "optimisation.learning_rate=3e-3",
+        "length=1000 steps",
+        "validate_every=1000",
+        "optimisation.learning_rate=2e-3",
     ]);
     trained(&run_in(&out), &recipe, (&train, Some(&held_out)));
     let journal = std::fs::read_to_string(out.join("encoder.journal.jsonl")).unwrap();
