@@ -17,7 +17,7 @@ use crate::optimiser::Variables;
 /// The weights of a network at the start of its training, as variables.
 ///
 /// Matrices and kernels are Xavier-uniform, embeddings and queries normal with standard deviation 0.02, scales of norms
-/// one, everything else zero; each from a generator of its own, so that it depends on the seed and the name alone. In
+/// and of whole blocks (LayerScale) one, everything else zero; each from a generator of its own, so that it depends on the seed and the name alone. In
 /// fine-tuning, tensors of the same name and shape are taken from another model.
 #[derive(Debug)]
 pub struct FreshWeights {
@@ -137,7 +137,7 @@ impl Supply for FreshWeights {
 }
 
 fn is_scale(name: &str, shape: &[usize]) -> bool {
-    shape.len() == 1 && name.ends_with("weight")
+    shape.len() == 1 && (name.ends_with("weight") || name.ends_with("lambda1"))
 }
 
 fn initialisation(name: &str, shape: &[usize]) -> Initialisation {

@@ -29,11 +29,12 @@ use crate::{
     workers::{BatchLoss, Batches, Workers},
 };
 pub use arguments::{EvaluateIdmArgs, TrainIdmArgs};
+pub(crate) use correlation::on_clips;
 pub use correlation::{Correlation, on_predicted, on_real};
 pub use recipe::{IdmModelRecipe, IdmRecipe, RECIPES};
 
 /// Windows of the evaluations during the training.
-const QUICK_WINDOWS: usize = 256;
+pub(crate) const QUICK_WINDOWS: usize = 256;
 
 /// An inverse dynamics model in training.
 struct IdmTask<'a> {
@@ -72,7 +73,7 @@ impl<'a> IdmTask<'a> {
             "dropout is {}, expected 0 up to 1",
             recipe.dropout
         );
-        let mut config = recipe.config(train.space(), encoding)?;
+        let mut config = recipe.model.config(train.space().shape(), encoding)?;
         if let Some(old) = run.old_config::<IdmConfig>(FILE, IDM_KEY)? {
             (config.hidden, config.depth, config.heads) = (old.hidden, old.depth, old.heads);
             (config.mlp, config.horizon) = (old.mlp, old.horizon);
@@ -119,7 +120,7 @@ impl<'a> IdmTask<'a> {
 }
 
 /// The loss of windows of latents (B, k + 1, h, w, C) with the actions (B, k + 1, A) of their frames.
-fn loss(
+pub(crate) fn loss(
     model: &Idm,
     (latents, actions): (&Tensor, &Tensor),
     dropout: &mut Dropout<'_>,

@@ -1,8 +1,8 @@
 //! Training of a world model from bags.
 //!
-//! [`dataset`] turns recordings into episodes, [`latents`] encodes them once. A training ([`autoencoder`], [`adapter`],
-//! [`transition`], [`idm`], [`probe`]) is a [`run::Task`] with a [`recipe`]; [`run`] steps it, saves it and takes it up
-//! again. [`model`] trains all parts of a model.
+//! [`dataset`] turns recordings into episodes, [`latents`] encodes them once. A training ([`autoencoder`], [`encoder`],
+//! [`adapter`], [`transition`], [`idm`], [`probe`]) is a [`run::Task`] with a [`recipe`]; [`run`] steps it, saves it and
+//! takes it up again. [`model`] trains all parts of a model.
 //!
 //! Not here: the models themselves and inference (`wm_model`), making data (`wm_sim`, `wm_import`).
 
@@ -11,6 +11,7 @@ pub mod arguments;
 pub mod autoencoder;
 pub mod dataset;
 pub mod distill;
+pub mod encoder;
 #[cfg(test)]
 mod fixture;
 pub mod fresh_weights;

@@ -12,6 +12,7 @@ use wm_training::{
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
     dataset::DatasetArgs,
     distill::TrainDistillArgs,
+    encoder::TrainEncoderArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
     model::TrainModelArgs,
     probe::{EvaluateProbeArgs, TrainProbeArgs},
@@ -53,6 +54,8 @@ enum TrainCommand {
     Model(TrainModelArgs),
     /// Train the autoencoder: frames to latents and back
     Autoencoder(TrainAutoencoderArgs),
+    /// Train a small semantic encoder: features that tell the action
+    Encoder(TrainEncoderArgs),
     /// Train the transition model on the latents of a frozen encoder
     Transition(TrainTransitionArgs),
     /// Train the S-VAE adapter and its pixel decoder on the features of a frozen encoder
@@ -83,6 +86,7 @@ impl TrainCommand {
         let ended = match self {
             Self::Model(arguments) => arguments.run(&stop)?,
             Self::Autoencoder(arguments) => arguments.run(&stop)?,
+            Self::Encoder(arguments) => arguments.run(&stop)?,
             Self::Transition(arguments) => arguments.run(&stop)?,
             Self::Adapter(arguments) => arguments.run(&stop)?,
             Self::Distill(arguments) => arguments.run(&stop)?,

@@ -261,7 +261,7 @@ impl Task for ProbeTask<'_> {
         folder: &Path,
     ) -> Result<()> {
         let config = (PROBE_KEY, &self.config);
-        let mut weights = trained_weights(averaged, config, self.train.space())?;
+        let mut weights = trained_weights(averaged, config, Some(self.train.space()))?;
         weights.metadata(WORDS_KEY, serde_json::to_string(self.words.config())?);
         weights.metadata(FRAME_SKIP_KEY, self.recipe.model.frame_skip.to_string());
         let path = folder.join(FILE);

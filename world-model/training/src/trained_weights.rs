@@ -14,11 +14,12 @@ use crate::optimiser::Trained;
 /// Weights are saved as half floats.
 pub(crate) const PRECISION: Precision = Precision::F16;
 
-/// A file with these tensors, of a network whose configuration belongs under `key`, for latents of `space`.
+/// A file with these tensors, of a network whose configuration belongs under `key`; of one that reads latents, with their
+/// `space`.
 pub(crate) fn trained_weights(
     tensors: &mut dyn Iterator<Item = Trained<'_>>,
     (key, config): (&str, &impl Serialize),
-    space: &LatentSpace,
+    space: Option<&LatentSpace>,
 ) -> Result<WeightsBuilder> {
     let mut weights = WeightsBuilder::new();
     for Trained {
@@ -30,7 +31,9 @@ pub(crate) fn trained_weights(
         weights.values(name, shape, values, PRECISION);
     }
     weights.metadata(key, serde_json::to_string(config)?);
-    weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(space)?);
+    if let Some(space) = space {
+        weights.metadata(LATENT_SPACE_KEY, serde_json::to_string(space)?);
+    }
     Ok(weights)
 }
 
@@ -41,7 +44,7 @@ pub(crate) fn trained_weights_of_actions(
     space: &LatentSpace,
     actions: &ActionEncoding,
 ) -> Result<WeightsBuilder> {
-    let mut weights = trained_weights(tensors, config, space)?;
+    let mut weights = trained_weights(tensors, config, Some(space))?;
     weights.metadata(ACTIONS_KEY, serde_json::to_string(actions)?);
     Ok(weights)
 }

@@ -8,6 +8,7 @@
 mod arguments;
 mod clips;
 mod evaluation;
+mod frame_values;
 mod noised_at_once;
 mod objective;
 mod pictures;
@@ -43,6 +44,7 @@ pub use arguments::{EvaluateTransitionArgs, TrainTransitionArgs};
 pub use clips::ClipSource;
 pub(crate) use evaluation::squared;
 pub use evaluation::{ActionChange, Evaluation, recover_actions};
+pub use frame_values::FrameValues;
 pub(crate) use objective::{Batch, normals};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
 pub use pictures::{PictureErrors, StepErrors};

@@ -48,7 +48,7 @@ impl Output<'_> {
         averaged: &mut dyn Iterator<Item = Trained<'_>>,
     ) -> Result<()> {
         let config = ("adapter_config", self.svae);
-        let mut weights = trained_weights(averaged, config, self.space)?;
+        let mut weights = trained_weights(averaged, config, Some(self.space))?;
         weights.metadata("pixel_decoder_config", serde_json::to_string(self.pixel)?);
         Ok(weights.write(self.weights())?)
     }

@@ -24,6 +24,16 @@ pub(crate) fn write_reds(bag: &Path, reds: &[u8]) {
     recorder.finish();
 }
 
+/// A bag of pictures at 5 Hz, and how far the robot moves along x from each to the next.
+pub(crate) fn write_moves(bag: &Path, frames: impl IntoIterator<Item = (RgbImage, f32)>) {
+    let mut recorder = recorder::Recorder::new(bag);
+    for (ms, (picture, dx)) in (0..).step_by(200).zip(frames) {
+        recorder.picture(recorder::CAMERA, ms, png(picture.into()));
+        recorder.action(ms, dx);
+    }
+    recorder.finish();
+}
+
 const PERIOD_NS: i64 = 200_000_000;
 
 fn png(picture: DynamicImage) -> Vec<u8> {

@@ -55,7 +55,7 @@ pub(super) fn train_on(
     held_out: Option<&Latents>,
     stop: &Stop,
 ) -> Result<Ended> {
-    let encoding = recipe.encoding(train.action_space())?;
+    let encoding = recipe.model.encoding(train.action_space())?;
     let mut task = IdmTask::new(recipe, &encoding, train, held_out, run)?;
     let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
     let steps = run.length(recipe.length, per_epoch);

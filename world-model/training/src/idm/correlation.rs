@@ -111,14 +111,28 @@ pub fn on_real(model: &TrainedIdm, latents: &Latents, most: usize) -> Result<Cor
     let encoding = model.encoding();
     let horizon = model.idm().config().horizon;
     let clips = ClipSource::new(latents, encoding, horizon + 1)?;
+    on_clips(&clips, most, |latents| Ok(model.actions(latents)?))
+}
+
+/// On clips of k + 1 frames, at most `most`, spread over all that do not overlap. `tell` gives the k actions
+/// (B, k, A) between the frames (B, k + 1, h, w, C) of each.
+///
+/// # Errors
+/// If a clip cannot be read, or `tell` fails.
+pub(crate) fn on_clips(
+    clips: &ClipSource<'_>,
+    most: usize,
+    tell: impl Fn(&Tensor) -> Result<Tensor> + Sync,
+) -> Result<Correlation> {
+    let horizon = clips.frames() - 1;
     let all = clips.all();
     let stride = all.len().div_ceil(most.max(1)).max(1);
     let chosen: Vec<_> = all.into_iter().step_by(stride).collect();
     let batches = chosen
         .par_chunks(BATCH)
         .map(|batch| {
-            let (latents, truth) = clips.tensors(batch)?;
-            let told = model.actions(&latents)?;
+            let (frames, truth) = clips.tensors(batch)?;
+            let told = tell(&frames)?;
             let truth = truth.narrow(1, 0, horizon)?;
             Ok((
                 told.flatten_all()?.to_vec1::<f32>()?,
@@ -127,7 +141,7 @@ pub fn on_real(model: &TrainedIdm, latents: &Latents, most: usize) -> Result<Cor
         })
         .collect::<Result<Vec<_>>>()?;
     let (told, truth): (Vec<_>, Vec<_>) = batches.into_iter().unzip();
-    Correlation::of(encoding.space(), told.concat(), truth.concat())
+    Correlation::of(clips.encoding().space(), told.concat(), truth.concat())
 }
 
 /// On latents that `transition` predicts from the true actions: the last observed frame and those after it, of every

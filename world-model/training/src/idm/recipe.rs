@@ -1,6 +1,5 @@
 use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
-use wm_model::LatentSpace;
 use wm_motion::actions::{Accumulation, ActionEncoding, ActionSpace};
 use wm_zoo::idm::IdmConfig;
 
@@ -44,14 +43,13 @@ pub struct IdmModelRecipe {
     pub accumulation: Accumulation,
 }
 
-impl IdmRecipe {
+impl IdmModelRecipe {
     /// What the actions of `space` become for the model.
     ///
     /// # Errors
     /// If they cannot be encoded.
     pub fn encoding(&self, space: &ActionSpace) -> Result<ActionEncoding> {
-        let own = &self.model;
-        let (skip, accumulation) = (own.frame_skip, own.accumulation);
+        let (skip, accumulation) = (self.frame_skip, self.accumulation);
         Ok(ActionEncoding::new(
             space.clone(),
             space.len(),
@@ -60,30 +58,31 @@ impl IdmRecipe {
         )?)
     }
 
-    /// The model for latents of `space` and actions of `encoding`.
+    /// The model for latents of this shape (rows, columns, channels) and actions of `encoding`.
     ///
     /// # Errors
     /// If the patches do not fit the latents; loading tells of other sizes.
-    pub fn config(&self, space: &LatentSpace, encoding: &ActionEncoding) -> Result<IdmConfig> {
-        let own = &self.model;
+    pub fn config(
+        &self,
+        (rows, columns, channels): (usize, usize, usize),
+        encoding: &ActionEncoding,
+    ) -> Result<IdmConfig> {
         // As published: 256 tokens a frame.
-        let published = if space.height > 16 { 2 } else { 1 };
-        let patch = own.patch.unwrap_or(published);
+        let published = if rows > 16 { 2 } else { 1 };
+        let patch = self.patch.unwrap_or(published);
         ensure!(
-            patch > 0 && space.height.is_multiple_of(patch) && space.width.is_multiple_of(patch),
-            "model.patch is {patch}, which does not divide latents of {}x{}",
-            space.height,
-            space.width
+            patch > 0 && rows.is_multiple_of(patch) && columns.is_multiple_of(patch),
+            "patch is {patch}, which does not divide latents of {rows}x{columns}"
         );
         Ok(IdmConfig {
-            features: space.channels,
-            horizon: own.horizon,
+            features: channels,
+            horizon: self.horizon,
             patch,
-            grid: [space.height / patch, space.width / patch],
-            hidden: own.hidden,
-            depth: own.depth,
-            heads: own.heads,
-            mlp: own.mlp,
+            grid: [rows / patch, columns / patch],
+            hidden: self.hidden,
+            depth: self.depth,
+            heads: self.heads,
+            mlp: self.mlp,
             actions: encoding.action_dim(),
         })
     }

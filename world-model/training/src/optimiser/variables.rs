@@ -1,6 +1,7 @@
 use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Result, Tensor, Var, backprop::GradStore};
+use wm_zoo::Supply;
 
 use super::{OptimiserError, Parameter, Trained};
 
@@ -78,6 +79,19 @@ impl Variables {
             Ok(values(gradient)?)
         });
         gradients.collect()
+    }
+}
+
+/// To load networks from variables that are already there.
+impl Supply for Variables {
+    fn supply(&self, name: &str, shape: &[usize]) -> wm_zoo::Result<Tensor> {
+        let tensor = self.get(name).filter(|tensor| tensor.dims() == shape);
+        let missing = || wm_model::Error::MissingTensor {
+            file: "the training's variables".to_owned(),
+            name: name.to_owned(),
+            expected: shape.to_vec(),
+        };
+        Ok(tensor.ok_or_else(missing)?)
     }
 }
 

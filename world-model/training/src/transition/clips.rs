@@ -3,11 +3,11 @@ use candle_core::{Device, Tensor};
 use rand::Rng;
 use wm_motion::actions::ActionEncoding;
 
-use crate::latents::Latents;
+use super::FrameValues;
 
 /// Clips of model steps out of episodes: random ones to train on, or given ones.
 pub struct ClipSource<'a> {
-    latents: &'a Latents,
+    values: &'a dyn FrameValues,
     encoding: &'a ActionEncoding,
     /// Frames of a clip.
     frames: usize,
@@ -27,15 +27,19 @@ impl<'a> ClipSource<'a> {
     ///
     /// # Errors
     /// When no episode is long enough.
-    pub fn new(latents: &'a Latents, encoding: &'a ActionEncoding, frames: usize) -> Result<Self> {
+    pub fn new(
+        values: &'a dyn FrameValues,
+        encoding: &'a ActionEncoding,
+        frames: usize,
+    ) -> Result<Self> {
         let mut source = Self {
-            latents,
+            values,
             encoding,
             frames,
             episodes: Vec::new(),
         };
         let span = source.span();
-        let episodes = latents.episodes().iter().enumerate();
+        let episodes = values.episodes().iter().enumerate();
         source.episodes = episodes
             .filter(|(_, episode)| episode.frame_count >= span)
             .map(|(index, _)| index)
@@ -65,13 +69,19 @@ impl<'a> ClipSource<'a> {
         self.frames
     }
 
+    /// What the actions of its clips are.
+    #[must_use]
+    pub fn encoding(&self) -> &ActionEncoding {
+        self.encoding
+    }
+
     /// Index of a clip's first frame in the dataset.
     pub(super) fn first_frame(&self, clip: Clip) -> usize {
-        self.latents.episodes()[clip.episode].first_frame + clip.start
+        self.values.episodes()[clip.episode].first_frame + clip.start
     }
 
     pub(super) fn shape(&self) -> (usize, usize, usize) {
-        self.latents.space().shape()
+        self.values.shape()
     }
 
     pub(super) fn action_dim(&self) -> usize {
@@ -86,7 +96,7 @@ impl<'a> ClipSource<'a> {
     /// A clip anywhere in any episode.
     pub(super) fn draw(&self, rng: &mut impl Rng) -> Clip {
         let episode = self.episodes[rng.random_range(0..self.episodes.len())];
-        let last = self.latents.episodes()[episode].frame_count - self.span();
+        let last = self.values.episodes()[episode].frame_count - self.span();
         Clip {
             episode,
             start: rng.random_range(0..=last),
@@ -97,7 +107,7 @@ impl<'a> ClipSource<'a> {
     #[must_use]
     pub fn all(&self) -> Vec<Clip> {
         let clips = self.episodes.iter().flat_map(|episode| {
-            let starts = 0..=self.latents.episodes()[*episode].frame_count - self.span();
+            let starts = 0..=self.values.episodes()[*episode].frame_count - self.span();
             let episode = *episode;
             starts
                 .step_by(self.span())
@@ -115,36 +125,36 @@ impl<'a> ClipSource<'a> {
         self.tensors(&clips)
     }
 
-    /// Latents (B, frames, h, w, C) and the action of each frame (B, frames, A).
+    /// Values (B, frames, h, w, C) and the action of each frame (B, frames, A).
     ///
     /// # Errors
     /// If they cannot be read.
     pub fn tensors(&self, clips: &[Clip]) -> Result<(Tensor, Tensor)> {
-        let (mut latents, mut actions) = (Vec::new(), Vec::new());
+        let (mut values, mut actions) = (Vec::new(), Vec::new());
         for clip in clips {
-            self.load(*clip, &mut latents, &mut actions)?;
+            self.load(*clip, &mut values, &mut actions)?;
         }
         let (b, n, (h, w, c)) = (clips.len(), self.frames, self.shape());
         Ok((
-            Tensor::from_vec(latents, (b, n, h, w, c), &Device::Cpu)?,
+            Tensor::from_vec(values, (b, n, h, w, c), &Device::Cpu)?,
             Tensor::from_vec(actions, (b, n, self.action_dim()), &Device::Cpu)?,
         ))
     }
 
-    /// Appends a clip's latents (frames, h, w, C) and the model action of each frame (frames, A): what leads from it to
+    /// Appends a clip's values (frames, h, w, C) and the model action of each frame (frames, A): what leads from it to
     /// the next one. That of the last frame is in the episode too, but for an episode's end, where the action before is
     /// held.
     pub(super) fn load(
         &self,
         clip: Clip,
-        latents: &mut Vec<f32>,
+        values: &mut Vec<f32>,
         actions: &mut Vec<f32>,
     ) -> Result<()> {
-        let episode = &self.latents.episodes()[clip.episode];
+        let episode = &self.values.episodes()[clip.episode];
         let skip = self.encoding.frame_skip();
         for i in 0..self.frames {
-            self.latents
-                .read(episode.first_frame + clip.start + i * skip, latents)?;
+            self.values
+                .read(episode.first_frame + clip.start + i * skip, values)?;
         }
         for i in 0..self.frames {
             let first = clip.start + i * skip;

@@ -32,9 +32,9 @@ pub fn attention(
         Some(mask) => scores.broadcast_add(&mask.to_dtype(DType::F32)?)?,
         None => scores,
     };
-    // The largest score is subtracted so that no exponential overflows.
+    // The largest score is subtracted so that no exponential overflows. It cancels, and so do its gradients.
     let powers = scores
-        .broadcast_sub(&scores.max_keepdim(D::Minus1)?)?
+        .broadcast_sub(&scores.max_keepdim(D::Minus1)?.detach())?
         .exp()?;
     let weights = powers.broadcast_div(&powers.sum_keepdim(D::Minus1)?)?;
     Ok(weights.to_dtype(v.dtype())?.matmul(&v.contiguous()?)?)

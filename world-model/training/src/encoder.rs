@@ -1,0 +1,211 @@
+//! Training of a small semantic encoder: a vision transformer whose features tell the actions between frames.
+//!
+//! The paper compares semantic encoders (DINO, SigLIP, V-JEPA), which are not made to give pictures back, with encoders
+//! that are. This one stands for the former where the published ones are too large: nothing pulls it towards the
+//! pixels. It is trained together with an inverse dynamics model (the paper, appendix B.6) that reads its features and is
+//! thrown away in the end. The last LayerNorm of the encoder keeps its features from shrinking to nothing.
+//!
+//! What comes of it is a folder with a `model.json`, as those of published encoders: `wm train adapter` takes it next.
+
+mod arguments;
+mod files;
+mod network;
+mod positions;
+mod recipe;
+
+use std::{collections::BTreeSet, path::Path};
+
+use anyhow::{Context as _, Result};
+use candle_core::{Device, Tensor};
+use rand::Rng as _;
+use rand_chacha::ChaCha8Rng;
+use wm_model::Encoder;
+use wm_motion::actions::ActionEncoding;
+use wm_zoo::{
+    Engine, Loader,
+    folder::{self, DescribedFolder},
+    idm::{Idm, IdmConfig},
+    layers::Dropout,
+    vit::WebDinoConfig,
+};
+
+use crate::{
+    arguments::RunArgs,
+    dataset::Dataset,
+    idm::{self, QUICK_WINDOWS, on_clips},
+    optimiser::{Group, Parameter, Trained, Variables},
+    run::{Figure, StepLoss, Task},
+    transition::ClipSource,
+    workers::{BatchLoss, Batches, Workers},
+};
+use network::{HEAD, Network, each_frame};
+
+pub use arguments::TrainEncoderArgs;
+pub use files::FILE;
+pub use recipe::{EncoderModelRecipe, EncoderRecipe, RECIPES};
+
+/// An encoder in training.
+struct EncoderTask<'a> {
+    recipe: &'a EncoderRecipe,
+    encoder: WebDinoConfig,
+    head: IdmConfig,
+    clips: ClipSource<'a>,
+    held_out: Option<ClipSource<'a>>,
+    variables: Variables,
+    /// Names of what was taken from another model.
+    old: BTreeSet<String>,
+    groups: Vec<Group>,
+    network: Network,
+    workers: Workers,
+    /// What was written last.
+    written: Option<Written>,
+}
+
+/// The encoder as it was written, with the head that was trained with it.
+struct Written {
+    encoder: Box<dyn Encoder>,
+    head: Idm,
+}
+
+impl<'a> EncoderTask<'a> {
+    fn new(
+        recipe: &'a EncoderRecipe,
+        encoder: WebDinoConfig,
+        encoding: &'a ActionEncoding,
+        (train, held_out): (&'a Dataset, Option<&'a Dataset>),
+        run: &RunArgs,
+    ) -> Result<Self> {
+        let features = (encoder.grid(), encoder.grid(), encoder.hidden_size);
+        let head = recipe.head.config(features, encoding).context("head")?;
+        let fresh = run.fresh_weights(FILE, recipe.seed)?;
+        positions::begin_as_waves(&fresh, &encoder, &head)?;
+        let network = Network::load(&encoder, &head, &fresh.loader())?;
+        let (variables, old) = fresh.into_variables();
+        let frames = head.horizon + 1;
+        let clips = |dataset: &'a Dataset| ClipSource::new(dataset, encoding, frames);
+        Ok(Self {
+            clips: clips(train)?,
+            held_out: held_out
+                .map(clips)
+                .transpose()
+                .context("the held-out bags")?,
+            recipe,
+            encoder,
+            head,
+            variables,
+            old,
+            groups: run.groups(),
+            network,
+            workers: Workers::new(run.threads()?)?,
+            written: None,
+        })
+    }
+
+    fn loss(&self, rng: &mut ChaCha8Rng) -> Result<Tensor> {
+        let (pictures, actions) = self.clips.batch(self.recipe.micro_batch, rng)?;
+        let pictures = relit(&pictures, self.recipe.light, rng)?;
+        let features = self.network.features(&pictures)?;
+        let mut dropout = Dropout::new(self.recipe.dropout, rng);
+        idm::loss(&self.network.head, (&features, &actions), &mut dropout)
+    }
+}
+
+/// Pictures (B, n, H, W, 3) in 0..1 under another light, the same for all of a clip, so that what changes between its
+/// frames is still only what the robot did. Brightness and contrast change by `most` at most.
+fn relit(pictures: &Tensor, most: f64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
+    let clips = pictures.dim(0)?;
+    let mut around = |middle: f64| {
+        let values = (0..clips).map(|_| (middle + rng.random_range(-most..=most)) as f32);
+        Tensor::from_vec(
+            values.collect::<Vec<_>>(),
+            (clips, 1, 1, 1, 1),
+            &Device::Cpu,
+        )
+    };
+    let (contrast, grey) = (around(1.0)?, around(0.5)?);
+    let lit = (pictures - 0.5)?
+        .broadcast_mul(&contrast)?
+        .broadcast_add(&grey)?;
+    Ok(lit.clamp(0.0, 1.0)?)
+}
+
+impl Task for EncoderTask<'_> {
+    fn name(&self) -> &'static str {
+        "encoder"
+    }
+
+    fn files(&self) -> &'static [&'static str] {
+        &[FILE, folder::FILE]
+    }
+
+    fn parameters(&self) -> Result<Vec<Parameter>> {
+        let is_old = |name: &str| usize::from(self.old.contains(name));
+        Ok(self.variables.parameters(is_old)?)
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        self.groups.clone()
+    }
+
+    fn step(&mut self, step: u64) -> Result<StepLoss> {
+        let batches = Batches {
+            count: self.recipe.batch / self.recipe.micro_batch,
+            seed: self.recipe.seed,
+            step,
+        };
+        self.workers.step(&self.variables, batches, &|rng| {
+            Ok(BatchLoss::from(self.loss(rng)?))
+        })
+    }
+
+    fn assign(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
+        self.variables.assign(weights)?;
+        // Loaded again, since the patch embedding holds its filters in another order than the variable.
+        let loader = Loader::supplied(&self.variables, Engine::Candle);
+        self.network = Network::load(&self.encoder, &self.head, &loader)?;
+        Ok(())
+    }
+
+    fn write(
+        &mut self,
+        averaged: &mut dyn Iterator<Item = Trained<'_>>,
+        folder: &Path,
+    ) -> Result<()> {
+        let (head, encoder): (Vec<_>, Vec<_>) =
+            averaged.partition(|trained| trained.name.starts_with(HEAD));
+        files::write_weights(folder, &self.encoder, encoder)?;
+        files::write_description(folder, &self.encoder, self.recipe.name()?)?;
+        let mut variables = Variables::default();
+        for Trained {
+            name,
+            shape,
+            values,
+        } in head
+        {
+            variables.add(name, &Tensor::from_slice(values, shape, &Device::Cpu)?)?;
+        }
+        let loader = Loader::supplied(&variables, Engine::Cpu);
+        self.written = Some(Written {
+            // Of exactly what was written.
+            encoder: DescribedFolder::open(folder)?.encoder()?,
+            head: network::load_head(&self.head, &loader)?,
+        });
+        Ok(())
+    }
+
+    fn validate(&mut self, thorough: bool) -> Result<Vec<Figure>> {
+        let (Some(held_out), Some(Written { encoder, head })) = (&self.held_out, &self.written)
+        else {
+            return Ok(Vec::new());
+        };
+        let most = if thorough { usize::MAX } else { QUICK_WINDOWS };
+        let found = on_clips(held_out, most, |pictures| {
+            let features = each_frame(pictures, |pictures| Ok(encoder.encode(pictures)?))?;
+            Ok(head.forward(&features)?)
+        })?;
+        Ok(found.figures())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,80 @@
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::json;
+use wm_zoo::vit::WebDinoConfig;
+
+use super::{EncoderRecipe, EncoderTask, FILE, RECIPES, files::CONFIG_KEY};
+use crate::{
+    arguments::RunArgs,
+    dataset::Dataset,
+    recipe::Override,
+    run::{Ended, RunSettings, Stop, Task as _},
+};
+
+/// Trains a small semantic encoder, whose features tell the actions between frames.
+#[derive(Clone, Debug, Args)]
+pub struct TrainEncoderArgs {
+    /// What every training has.
+    #[command(flatten)]
+    pub run: RunArgs,
+}
+
+impl TrainEncoderArgs {
+    /// Trains until the last step, or until `stop` asks for the end.
+    ///
+    /// # Errors
+    /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
+    pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        let run = &self.run;
+        let mut overrides = run.overrides();
+        overrides.push(Override::if_open("model.name", run.model_name()));
+        let recipe: EncoderRecipe = crate::recipe::load(RECIPES, &run.recipe, &overrides)?;
+        let side = config(run, &recipe)?.image_size;
+        let data = run.data((side, side))?;
+        let data = (&data.training, data.validation.as_ref());
+        train_on(run, &recipe, data, stop)
+    }
+}
+
+/// The encoder of the recipe, or that which is fine-tuned.
+fn config(run: &RunArgs, recipe: &EncoderRecipe) -> Result<WebDinoConfig> {
+    recipe.check()?;
+    let old = run.old_config(FILE, CONFIG_KEY)?;
+    Ok(old.unwrap_or_else(|| recipe.config()))
+}
+
+pub(super) fn train_on(
+    run: &RunArgs,
+    recipe: &EncoderRecipe,
+    (train, held_out): (&Dataset, Option<&Dataset>),
+    stop: &Stop,
+) -> Result<Ended> {
+    let encoding = recipe.head.encoding(train.action_space())?;
+    let config = config(run, recipe)?;
+    let mut task = EncoderTask::new(recipe, config, &encoding, (train, held_out), run)?;
+    let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
+    let steps = run.length(recipe.length, per_epoch);
+    let settings = RunSettings {
+        out: run.out.clone(),
+        steps,
+        schedule: recipe.optimisation.schedule(steps, per_epoch),
+        optimiser: recipe.optimisation.adamw(),
+        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
+        validate_every: recipe.validate_every,
+        identity: json!({
+            "recipe": crate::recipe::identity(recipe)?,
+            "data": train.digest(),
+            "actions": encoding,
+            "from": run.origin(),
+        }),
+    };
+    crate::recipe::write(&run.out, task.name(), recipe)?;
+    println!("{} episodes, {} threads", task.clips.len(), run.threads()?);
+    let ended = crate::run::train(&mut task, &settings, stop)?;
+    if ended == Ended::Finished {
+        println!("wrote {}", run.out.join(FILE).display());
+    }
+    Ok(ended)
+}
