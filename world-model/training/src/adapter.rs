@@ -20,17 +20,17 @@ mod recipe;
 use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
-use candle_core::{Device, Tensor};
+use candle_core::Device;
 use image::RgbImage;
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 use wm_zoo::Checkpoint;
 
 use crate::{
     arguments::RunArgs,
     optimiser::{Group, Parameter, Trained, Variables},
     run::{Figure, StepLoss, Task},
+    transition::normals,
     workers::{BatchLoss, Batches, Workers},
 };
 use evaluation::Written;
@@ -72,6 +72,7 @@ struct AdapterTask<'a> {
     objective: Objective<'a>,
     /// Factor on all learning rates.
     rate: f64,
+    device: Device,
     workers: Workers,
     /// The networks that were written last.
     written: Option<Written>,
@@ -93,7 +94,9 @@ impl<'a> AdapterTask<'a> {
             );
         }
         let view = data.train.view(recipe.views)?;
-        let (objective, variables) = Objective::new(recipe, view, steps, data.lpips.as_ref())?;
+        let compute = run.compute_f32()?;
+        let lpips = data.lpips.as_ref();
+        let (objective, variables) = Objective::new(recipe, view, steps, lpips, &compute)?;
         if let Some(start) = &data.start {
             files::start_from(start, &variables)?;
         }
@@ -108,6 +111,7 @@ impl<'a> AdapterTask<'a> {
             } else {
                 1.0
             },
+            device: compute.device().clone(),
             workers: Workers::new(run.threads()?)?,
             written: None,
         })
@@ -122,9 +126,9 @@ impl<'a> AdapterTask<'a> {
         let (features, pictures) = train.of(&frames, self.recipe.views)?;
         let (n, h, w, _) = features.dims4()?;
         let channels = self.objective.svae().latent;
-        let normal = (0..n * h * w * channels).map(|_| StandardNormal.sample(rng));
-        let normal: Vec<f32> = normal.collect();
-        let noise = Tensor::from_vec(normal, (n, h, w, channels), &Device::Cpu)?;
+        let noise = normals(&[n, h, w, channels], &self.device, rng)?;
+        let [features, pictures] = [features, pictures].map(|x| x.to_device(&self.device));
+        let (features, pictures) = (features?, pictures?);
         self.objective.losses(&features, &pictures, &noise, step)
     }
 }

@@ -2,13 +2,14 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
+use candle_core::{DType, Device};
 use wm_model::{Encoder, Weights};
-use wm_zoo::ModelFolder;
+use wm_zoo::{Compute, DeviceName, Engine, ModelFolder};
 
 use crate::{
     dataset::{Data, DataOptions, Dataset, DatasetError},
@@ -53,9 +54,17 @@ pub struct RunArgs {
     /// Train for this fraction of the recipe's length.
     #[arg(long, default_value_t = 1.0, value_name = "FRACTION", value_parser = fraction)]
     pub share: f64,
-    /// Number of threads; all of the machine by default.
+    /// Number of threads; all of the machine by default. On a GPU, the parts of a batch that are computed side by side: 1
+    /// by default.
     #[arg(long)]
     pub threads: Option<usize>,
+    /// Where to compute: cpu, cuda or cuda:N. A GPU needs the cargo feature `cuda`.
+    #[arg(long, default_value_t)]
+    pub device: DeviceName,
+    /// Number format of the weights while they are multiplied: f32 or bf16, for the transition model and its distillation
+    /// on a GPU. The optimiser keeps them in f32.
+    #[arg(long, default_value = "f32", value_parser = dtype)]
+    pub dtype: DType,
 }
 
 /// Data with their latents.
@@ -111,10 +120,40 @@ impl RunArgs {
     /// # Errors
     /// If the model to fine-tune has no such file, or it cannot be read.
     pub fn fresh_weights(&self, file: &str, seed: u64) -> Result<FreshWeights> {
-        Ok(match self.old(file)? {
+        let fresh = match self.old(file)? {
             None => FreshWeights::new(seed),
             Some(old) => FreshWeights::tuning_weights(seed, &old)?,
-        })
+        };
+        Ok(fresh.on(&self.compute_f32()?))
+    }
+
+    /// Where and in which number format to compute.
+    ///
+    /// # Errors
+    /// If there is no such device.
+    pub fn compute(&self) -> Result<Compute> {
+        let device = self.device.open()?;
+        Ok(Compute::new(Engine::Candle, device, self.dtype)?)
+    }
+
+    /// The same, for a training that knows f32 only.
+    ///
+    /// # Errors
+    /// If there is no such device, or another number format is asked for.
+    pub fn compute_f32(&self) -> Result<Compute> {
+        ensure!(
+            self.dtype == DType::F32,
+            "--dtype bf16 is for the transition model and its distillation; this training takes f32"
+        );
+        self.compute()
+    }
+
+    /// Where to compute.
+    ///
+    /// # Errors
+    /// If there is no such device.
+    pub fn device(&self) -> Result<Device> {
+        Ok(self.device.open()?)
     }
 
     /// The configuration of the network to fine-tune, under `key` of its metadata; `None` without one.
@@ -140,9 +179,17 @@ impl RunArgs {
     /// What of these arguments decides the result, for the identity of a run.
     #[must_use]
     pub fn origin(&self) -> Value {
-        match &self.from {
-            None => Value::Null,
-            Some(from) => json!({"from": from, "old_rate": self.old_rate}),
+        let mut origin = serde_json::Map::new();
+        if let Some(from) = &self.from {
+            origin.insert("from".into(), json!(from));
+            origin.insert("old_rate".into(), json!(self.old_rate));
+        }
+        if self.dtype != DType::F32 {
+            origin.insert("dtype".into(), json!(self.dtype.as_str()));
+        }
+        match origin.is_empty() {
+            true => Value::Null,
+            false => Value::Object(origin),
         }
     }
 
@@ -175,9 +222,10 @@ impl RunArgs {
     /// # Errors
     /// If the system does not tell how many there are.
     pub fn threads(&self) -> Result<usize> {
-        match self.threads {
-            Some(threads) => Ok(threads),
-            None => Ok(std::thread::available_parallelism()
+        match (self.threads, self.device) {
+            (Some(threads), _) => Ok(threads),
+            (None, DeviceName::Cuda(_)) => Ok(1),
+            (None, DeviceName::Cpu) => Ok(std::thread::available_parallelism()
                 .context("how many threads there are")?
                 .get()),
         }
@@ -189,6 +237,14 @@ impl RunArgs {
         let name = std::path::absolute(&self.out).ok();
         let name = name.as_deref().and_then(|path| path.file_name());
         name.map_or("model".into(), |name| name.to_string_lossy().into_owned())
+    }
+}
+
+fn dtype(name: &str) -> Result<DType, String> {
+    match name {
+        "f32" => Ok(DType::F32),
+        "bf16" => Ok(DType::BF16),
+        _ => Err("expected f32 or bf16".to_owned()),
     }
 }
 
@@ -251,6 +307,12 @@ pub(crate) mod tests {
             from: None,
             old_rate: 0.3,
             threads: Some(2),
+            device: DeviceName::Cpu,
+            dtype: DType::F32,
         }
+    }
+
+    pub(crate) fn on_cpu() -> Compute {
+        Compute::on_cpu(Engine::Candle, DType::F32)
     }
 }

@@ -43,16 +43,16 @@ mod recipe;
 mod self_forcing;
 mod teacher;
 
-use std::{collections::HashMap, path::Path, time::Duration};
+use std::{path::Path, time::Duration};
 
 use anyhow::{Context as _, Result, ensure};
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 use wm_model::{
     Weights,
-    transition::{CONFIG_KEY, Transition, TransitionConfig, WeightGradients},
+    transition::{CONFIG_KEY, Transition, WeightGradients},
 };
 use wm_zoo::idm::TrainedIdm;
 
@@ -74,7 +74,7 @@ use gate::{Measurement, Verdict};
 use levels::Levels;
 pub use recipe::{ConsistencyRecipe, DistillRecipe, GateRecipe, RECIPES, SelfForcingRecipe};
 use self_forcing::OwnHistory;
-use teacher::{Teacher, built};
+use teacher::Teacher;
 
 /// The student's file until it has passed the gate.
 const CANDIDATE: &str = "transition.candidate.safetensors";
@@ -107,7 +107,7 @@ fn train_on(
         let context = "the inverse dynamics model's latents are not the data's";
         idm.space().require(held_out.space()).context(context)?;
     }
-    let mut task = DistillTask::new(recipe, teacher, train, gated.held_out, run.threads()?)?;
+    let mut task = DistillTask::new(recipe, teacher, train, gated.held_out, run)?;
     let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
     task.self_forcing_after = run.length(recipe.self_forcing.after, per_epoch);
     let steps = run.length(recipe.length, per_epoch);
@@ -129,6 +129,7 @@ fn train_on(
             "latent_space": train.space().to_string(),
             "data": train.digest(),
             "actions": teacher.encoding,
+            "from": run.origin(),
         }),
     };
     crate::recipe::write(&run.out, task.name(), recipe)?;
@@ -170,7 +171,7 @@ fn judge(out: &Path, recipe: &DistillRecipe, teacher: &Teacher, gated: &Gated<'_
     };
     let figures = [
         measurement.of(&student.pack()?)?,
-        measurement.of(&teacher.model.pack()?)?,
+        measurement.of(&teacher.pack()?)?,
         measurement.of(&teacher.hurried(recipe.steps)?)?,
     ];
     let verdict = Verdict::new(evaluation.len(), &figures, &recipe.gate);
@@ -223,7 +224,7 @@ impl<'a> DistillTask<'a> {
         teacher: &'a Teacher,
         train: &'a Latents,
         held_out: Option<&Latents>,
-        threads: usize,
+        run: &RunArgs,
     ) -> Result<Self> {
         let (variables, student) = teacher.student(recipe.steps)?;
         let config = student.config();
@@ -231,7 +232,7 @@ impl<'a> DistillTask<'a> {
         let held_out = held_out.map(|latents| {
             let evaluation = Evaluation::new(latents, &teacher.encoding, HORIZON, QUICK_WINDOWS)
                 .context("the episodes for validation")?;
-            let packed = teacher.model.pack()?;
+            let packed = teacher.pack()?;
             anyhow::Ok(HeldOut {
                 teacher: evaluation.ratios(&packed, ActionChange::None)?,
                 evaluation,
@@ -241,9 +242,9 @@ impl<'a> DistillTask<'a> {
             objective: recipe.objective(config)?,
             levels,
             self_forcing_after: 0,
-            clips: ClipSource::new(train, &teacher.encoding, config.max_frames)?,
+            clips: ClipSource::new(train, &teacher.encoding, config.max_frames)?.on(&run.device()?),
             held_out: held_out.transpose()?,
-            target: averaged(
+            target: teacher.target(
                 config,
                 &mut variables.parameters(|_| 0)?.iter().map(as_trained),
             )?,
@@ -251,7 +252,7 @@ impl<'a> DistillTask<'a> {
             teacher,
             variables,
             student,
-            workers: Workers::new(threads)?,
+            workers: Workers::new(run.threads()?)?,
             written: None,
         })
     }
@@ -289,19 +290,6 @@ fn as_trained(parameter: &Parameter) -> Trained<'_> {
     }
 }
 
-/// A model of these weights, without gradients.
-fn averaged(
-    config: &TransitionConfig,
-    weights: &mut dyn Iterator<Item = Trained<'_>>,
-) -> Result<Transition> {
-    let mut tensors = HashMap::new();
-    for weight in weights {
-        let tensor = Tensor::from_slice(weight.values, weight.shape, &Device::Cpu)?;
-        tensors.insert(weight.name.to_owned(), tensor);
-    }
-    Ok(built(config.clone(), &tensors)?)
-}
-
 impl Task for DistillTask<'_> {
     fn name(&self) -> &'static str {
         "distill"
@@ -336,7 +324,7 @@ impl Task for DistillTask<'_> {
     }
 
     fn assign_averaged(&mut self, weights: &mut dyn Iterator<Item = Trained<'_>>) -> Result<()> {
-        self.target = averaged(self.student.config(), weights)?;
+        self.target = self.teacher.target(self.student.config(), weights)?;
         Ok(())
     }
 

@@ -84,7 +84,7 @@ impl<'a> EncoderTask<'a> {
         let frames = head.horizon + 1;
         let clips = |dataset: &'a Dataset| ClipSource::new(dataset, encoding, frames);
         Ok(Self {
-            clips: clips(train)?,
+            clips: clips(train)?.on(&run.device()?),
             held_out: held_out
                 .map(clips)
                 .transpose()
@@ -119,7 +119,7 @@ fn relit(pictures: &Tensor, most: f64, rng: &mut ChaCha8Rng) -> Result<Tensor> {
         Tensor::from_vec(
             values.collect::<Vec<_>>(),
             (clips, 1, 1, 1, 1),
-            &Device::Cpu,
+            pictures.device(),
         )
     };
     let (contrast, grey) = (around(1.0)?, around(0.5)?);

@@ -10,7 +10,7 @@ use wm_model::{
     Weights,
     transition::{Initialisation, Parameter},
 };
-use wm_zoo::{Engine, Loader, Supply};
+use wm_zoo::{Compute, Engine, Loader, Supply};
 
 use crate::optimiser::Variables;
 
@@ -22,6 +22,8 @@ use crate::optimiser::Variables;
 #[derive(Debug)]
 pub struct FreshWeights {
     seed: u64,
+    device: Device,
+    dtype: DType,
     old: BTreeMap<String, Tensor>,
     /// Names that were taken from `old`.
     taken: RefCell<BTreeSet<String>>,
@@ -40,6 +42,8 @@ impl FreshWeights {
     pub fn tuning(seed: u64, old: BTreeMap<String, Tensor>) -> Self {
         Self {
             seed,
+            device: Device::Cpu,
+            dtype: DType::F32,
             old,
             taken: RefCell::default(),
             variables: RefCell::default(),
@@ -60,6 +64,22 @@ impl FreshWeights {
             seed,
             tensors.collect::<wm_model::Result<_>>()?,
         ))
+    }
+
+    /// The same, where `compute` computes, and in its number format.
+    #[must_use]
+    pub fn on(self, compute: &Compute) -> Self {
+        Self {
+            device: compute.device().clone(),
+            dtype: compute.precision(),
+            ..self
+        }
+    }
+
+    /// The number format of the variables.
+    #[must_use]
+    pub fn dtype(&self) -> DType {
+        self.dtype
     }
 
     /// The old tensor for a parameter, if there is one of its shape.
@@ -83,6 +103,7 @@ impl FreshWeights {
             Some(old) => old.clone(),
             None => initial()?,
         };
+        let initial = initial.to_device(&self.device)?.to_dtype(self.dtype)?;
         self.variables.borrow_mut().add(name, &initial)
     }
 

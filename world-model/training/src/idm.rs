@@ -8,9 +8,8 @@ mod recipe;
 use std::{collections::BTreeSet, path::Path};
 
 use anyhow::{Context as _, Result, ensure};
-use candle_core::{DType, Device, Tensor};
+use candle_core::{DType, Tensor};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 use wm_model::Weights;
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
@@ -25,7 +24,7 @@ use crate::{
     optimiser::{Group, Parameter, Trained, Variables},
     run::{Figure, StepLoss, Task},
     trained_weights::trained_weights_of_actions,
-    transition::ClipSource,
+    transition::{ClipSource, normals},
     workers::{BatchLoss, Batches, Workers},
 };
 pub use arguments::{EvaluateIdmArgs, TrainIdmArgs};
@@ -86,7 +85,7 @@ impl<'a> IdmTask<'a> {
             ClipSource::new(held_out, encoding, frames).context("the held-out bags")?;
         }
         Ok(Self {
-            clips: ClipSource::new(train, encoding, frames)?,
+            clips: ClipSource::new(train, encoding, frames)?.on(&run.device()?),
             recipe,
             config,
             encoding,
@@ -106,12 +105,8 @@ impl<'a> IdmTask<'a> {
         let latents = match self.recipe.latent_noise {
             0.0 => latents,
             deviation => {
-                let noise = (0..latents.elem_count()).map(|_| {
-                    let normal: f64 = StandardNormal.sample(rng);
-                    (normal * deviation) as f32
-                });
-                let noise = Tensor::from_vec(noise.collect(), latents.shape(), &Device::Cpu)?;
-                (latents + noise)?
+                let noise = normals(latents.dims(), latents.device(), rng)?;
+                (latents + (noise * deviation)?)?
             }
         };
         let mut dropout = Dropout::new(self.recipe.dropout, rng);

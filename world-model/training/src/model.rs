@@ -4,7 +4,9 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
+use candle_core::DType;
 use clap::Args;
+use wm_zoo::DeviceName;
 
 use crate::{
     arguments::{RunArgs, fraction},
@@ -54,6 +56,9 @@ pub struct TrainModelArgs {
     /// Number of threads; all of the machine by default.
     #[arg(long)]
     pub threads: Option<usize>,
+    /// Where to compute: cpu, cuda or cuda:N. The autoencoder trains on the CPU in any case.
+    #[arg(long, default_value_t)]
+    pub device: DeviceName,
 }
 
 /// The parts, in the order in which they are trained.
@@ -117,6 +122,11 @@ impl TrainModelArgs {
             from: self.from.clone().filter(|_| part == "transition"),
             old_rate: self.old_rate,
             threads: self.threads,
+            device: match part {
+                "autoencoder" => DeviceName::Cpu,
+                _ => self.device,
+            },
+            dtype: DType::F32,
         }
     }
 }

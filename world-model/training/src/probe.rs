@@ -17,7 +17,6 @@ use std::{
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 use rayon::prelude::*;
 use wm_model::{Weights, weights::WeightsBuilder};
 use wm_zoo::{
@@ -35,6 +34,7 @@ use crate::{
     optimiser::{Group, Parameter, Trained, Variables},
     run::{Figure, StepLoss, Task},
     trained_weights::trained_weights,
+    transition::normals,
     workers::{BatchLoss, Batches, Workers},
 };
 pub use accuracy::Accuracy;
@@ -63,6 +63,7 @@ struct ProbeTask<'a> {
     /// Names of what was taken from another model.
     old: BTreeSet<String>,
     groups: Vec<Group>,
+    device: Device,
     workers: Workers,
     /// The weights that were averaged last, and where they would go.
     candidate: Option<(WeightsBuilder, PathBuf)>,
@@ -121,6 +122,7 @@ impl<'a> ProbeTask<'a> {
             variables,
             old,
             groups: run.groups(),
+            device: run.device()?,
             workers: Workers::new(run.threads()?)?,
             candidate: None,
             best: None,
@@ -138,13 +140,10 @@ impl<'a> ProbeTask<'a> {
                 .episodes
                 .draw(recipe.successes, recipe.mismatches, rng)?;
             let latents = &question.latents;
-            let noise = (0..latents.elem_count()).map(|_| {
-                let normal: f64 = StandardNormal.sample(rng);
-                (normal * recipe.latent_noise) as f32
-            });
-            let noise = Tensor::from_vec(noise.collect(), latents.shape(), &Device::Cpu)?;
+            let noise = normals(latents.dims(), &Device::Cpu, rng)?;
+            let latents = (latents + (noise * recipe.latent_noise)?)?;
             let question = Question {
-                latents: (latents + noise)?,
+                latents: latents.to_device(&self.device)?,
                 ..question
             };
             let mut dropout = Dropout::new(recipe.dropout, rng);

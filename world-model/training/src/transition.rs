@@ -18,6 +18,7 @@ mod strip;
 use std::{collections::BTreeSet, path::Path, time::Duration};
 
 use anyhow::{Context as _, Result};
+use candle_core::DType;
 use image::RgbImage;
 use serde_json::json;
 use wm_model::{
@@ -99,7 +100,7 @@ pub(crate) fn train_on(
         Some(from) => tuned(from, train)?,
     };
     let old = from.map(|from| from.tensors).unwrap_or_default();
-    let fresh = FreshWeights::tuning(recipe.seed, old);
+    let fresh = FreshWeights::tuning(recipe.seed, old).on(&run.compute()?);
     let mut task = TransitionTask::new(recipe, (&encoding, config), fresh, train, held_out, run)?;
     let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
     let steps = run.length(recipe.length, per_epoch);
@@ -169,7 +170,7 @@ impl<'a> TransitionTask<'a> {
         let (variables, old) = fresh.into_variables();
         Ok(Self {
             objective: recipe.objective(&config)?,
-            clips: ClipSource::new(train, encoding, config.max_frames)?,
+            clips: ClipSource::new(train, encoding, config.max_frames)?.on(&run.device()?),
             config,
             encoding,
             train,
@@ -359,11 +360,20 @@ fn tuned(from: &TransitionTensors, train: &Latents) -> Result<(ActionEncoding, T
 
 /// A model whose tensors are variables.
 fn trainable(config: &TransitionConfig, fresh: &FreshWeights, seed: u64) -> Result<Transition> {
-    Ok(Transition::build(config.clone(), &mut |parameter| {
+    let model = Transition::build(config.clone(), &mut |parameter| {
         let (name, shape) = (&parameter.name, &parameter.shape);
         let initial = || parameter.initial(seed).map_err(candle_core::Error::wrap);
         Ok(fresh.variable(name, shape, initial)?)
-    })?)
+    })?;
+    Ok(in_its_format(model, fresh.dtype()))
+}
+
+/// The model on what computes with parameters of `dtype`: kernels take f32.
+pub(crate) fn in_its_format(model: Transition, dtype: DType) -> Transition {
+    match dtype {
+        DType::F32 => model,
+        _ => model.plain(),
+    }
 }
 
 pub(crate) fn table_row(ratios: &[f64]) -> String {

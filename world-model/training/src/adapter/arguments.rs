@@ -53,7 +53,7 @@ impl TrainAdapterArgs {
                 .transpose()
                 .context("the episodes for validation")?,
             lpips: match (&self.lpips_trunk, &self.lpips_heads) {
-                (Some(trunk), Some(heads)) => Some(Lpips::open(trunk, heads)?),
+                (Some(trunk), Some(heads)) => Some(Lpips::open(trunk, heads)?.on(&run.device()?)?),
                 _ => None,
             },
             start: self.start().map(Checkpoint::open).transpose()?,

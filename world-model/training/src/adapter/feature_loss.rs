@@ -1,7 +1,7 @@
 //! What the adapter minimises: the error of features that come back from a latent, and the latent's divergence from a
 //! unit Gaussian.
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use candle_core::{D, Device, Tensor};
 
 use super::LossRecipe;
@@ -19,11 +19,11 @@ pub(super) struct FeatureLoss {
 
 impl FeatureLoss {
     /// For features of this many tokens.
-    pub(super) fn new(recipe: &LossRecipe, tokens: usize) -> Result<Self> {
+    pub(super) fn new(recipe: &LossRecipe, tokens: usize, device: &Device) -> Result<Self> {
         Ok(Self {
             cosine: recipe.cosine,
             spectrum: recipe.spectrum,
-            waves: waves(tokens)?,
+            waves: waves(tokens)?.to_device(device)?,
         })
     }
 
@@ -68,13 +68,17 @@ impl FeatureLoss {
 pub(super) fn weighted(
     parts: &[(&'static str, f64, Tensor)],
 ) -> Result<(Tensor, Vec<(&'static str, f64)>)> {
-    let mut total = Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?;
+    let mut total: Option<Tensor> = None;
     let mut values = Vec::with_capacity(parts.len());
     for (name, weight, part) in parts {
-        total = (total + (part * *weight)?)?;
+        let part_of_total = (part * *weight)?;
+        total = Some(match total {
+            None => part_of_total,
+            Some(total) => (total + part_of_total)?,
+        });
         values.push((*name, f64::from(part.to_scalar::<f32>()?)));
     }
-    Ok((total, values))
+    Ok((total.context("a loss without parts")?, values))
 }
 
 /// The cosine between the vectors along the last dimension.

@@ -73,13 +73,26 @@ impl Lpips {
         Ok(Self { layers })
     }
 
+    /// The same, for pictures on `device`.
+    ///
+    /// # Errors
+    /// If the networks do not fit there.
+    pub fn on(mut self, device: &Device) -> Result<Self> {
+        for layer in &mut self.layers {
+            for tensor in [&mut layer.weight, &mut layer.bias, &mut layer.head] {
+                *tensor = tensor.to_device(device)?;
+            }
+        }
+        Ok(self)
+    }
+
     /// The mean distance of the pictures `a` and `b` (N, H, W, 3) in 0..1: a scalar. Gradients reach both.
     ///
     /// # Errors
     /// If they have another shape, or are too small for the network.
     pub fn distance(&self, a: &Tensor, b: &Tensor) -> Result<Tensor> {
         let (mut a, mut b) = (scaled(a)?, scaled(b)?);
-        let mut total = Tensor::zeros((), DType::F32, &Device::Cpu)?;
+        let mut total = Tensor::zeros((), DType::F32, a.device())?;
         for layer in &self.layers {
             (a, b) = (layer.forward(&a)?, layer.forward(&b)?);
             let difference = (unit(&a)? - unit(&b)?)?.sqr()?;
@@ -99,8 +112,9 @@ impl Layer {
         let x = x.pad_with_zeros(1, self.border, self.border)?;
         let x = x.pad_with_zeros(2, self.border, self.border)?;
         let (n, height, width, channels) = x.dims4()?;
-        let (rows, h) = taps(height, self.kernel, self.stride)?;
-        let (columns, w) = taps(width, self.kernel, self.stride)?;
+        let on = x.device();
+        let (rows, h) = taps(height, self.kernel, self.stride, on)?;
+        let (columns, w) = taps(width, self.kernel, self.stride, on)?;
         let k = self.kernel;
         // Every place with what the kernel sees there.
         let patches = x
@@ -117,7 +131,7 @@ impl Layer {
 }
 
 /// For every position of a window along a side, the places that it covers; and how many positions there are.
-fn taps(side: usize, window: usize, stride: usize) -> Result<(Tensor, usize)> {
+fn taps(side: usize, window: usize, stride: usize, device: &Device) -> Result<(Tensor, usize)> {
     ensure!(
         side >= window,
         "pictures are too small for LPIPS: {side} places for a window of {window}"
@@ -128,7 +142,7 @@ fn taps(side: usize, window: usize, stride: usize) -> Result<(Tensor, usize)> {
         first..first + window
     });
     let places: Vec<u32> = places.map(|place| place as u32).collect();
-    Ok((Tensor::new(places, &Device::Cpu)?, positions))
+    Ok((Tensor::new(places, device)?, positions))
 }
 
 /// The largest of 3x3 places, two apart. (candle's own has no gradient where windows overlap.)
@@ -143,7 +157,7 @@ fn pooled(x: &Tensor) -> Result<Tensor> {
         let positions = (side - 3) / 2 + 1;
         let part = |tap: usize| -> Result<Tensor> {
             let places: Vec<u32> = (0..positions).map(|at| (2 * at + tap) as u32).collect();
-            Ok(x.index_select(&Tensor::new(places, &Device::Cpu)?, axis)?)
+            Ok(x.index_select(&Tensor::new(places, x.device())?, axis)?)
         };
         x = part(0)?.maximum(&part(1)?)?.maximum(&part(2)?)?;
     }

@@ -66,6 +66,19 @@ impl MsSsim {
         Ok(Self { scales })
     }
 
+    /// The same, for pictures on `device`.
+    ///
+    /// # Errors
+    /// If its tables do not fit there.
+    pub fn on(mut self, device: &Device) -> Result<Self> {
+        for scale in &mut self.scales {
+            for table in scale.window.iter_mut().chain(&mut scale.halving) {
+                *table = table.to_device(device)?;
+            }
+        }
+        Ok(self)
+    }
+
     /// Number of scales.
     #[must_use]
     pub fn scales(&self) -> usize {

@@ -1,6 +1,7 @@
 use anyhow::{Result, ensure};
 use candle_core::Tensor;
 use wm_zoo::{
+    Compute,
     svae::{Svae, SvaeConfig},
     vae::{PixelDecoder, PixelDecoderConfig},
 };
@@ -41,6 +42,7 @@ impl<'a> Objective<'a> {
         view: View,
         steps: u64,
         lpips: Option<&'a Lpips>,
+        compute: &Compute,
     ) -> Result<(Self, Variables)> {
         recipe.check()?;
         let svae = recipe.svae(view.channels);
@@ -57,15 +59,16 @@ impl<'a> Objective<'a> {
             view.height,
             view.width
         );
-        let fresh = FreshWeights::new(recipe.seed);
+        let fresh = FreshWeights::new(recipe.seed).on(compute);
+        let device = compute.device();
         let objective = Self {
             recipe,
             steps,
             adapter: Svae::load(&svae, &fresh.loader().at(ADAPTER))?,
             decoder: PixelDecoder::load(&decoder_config, &fresh.loader().at(PIXEL_DECODER))?,
             decoder_config,
-            feature_loss: FeatureLoss::new(&recipe.loss, view.rows * view.columns)?,
-            pixel_loss: PixelLoss::new(&recipe.loss, (height, width), lpips)?,
+            feature_loss: FeatureLoss::new(&recipe.loss, view.rows * view.columns, device)?,
+            pixel_loss: PixelLoss::new(&recipe.loss, (height, width), lpips, device)?,
         };
         Ok((objective, fresh.into_variables().0))
     }

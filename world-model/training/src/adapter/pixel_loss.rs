@@ -1,7 +1,7 @@
 //! What the pixel decoder minimises.
 
 use anyhow::Result;
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 
 use super::{LossRecipe, Lpips, MsSsim, feature_loss::weighted};
 
@@ -18,10 +18,11 @@ impl<'a> PixelLoss<'a> {
         recipe: &LossRecipe,
         size: (usize, usize),
         lpips: Option<&'a Lpips>,
+        device: &Device,
     ) -> Result<Self> {
         let lpips = lpips.filter(|_| recipe.lpips > 0.0);
         let ms_ssim = match recipe.ms_ssim > 0.0 {
-            true => Some((recipe.ms_ssim, MsSsim::new(size)?)),
+            true => Some((recipe.ms_ssim, MsSsim::new(size)?.on(device)?)),
             false => None,
         };
         Ok(Self {

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use candle_core::DType;
+use candle_core::{DType, Tensor};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use wm_model::{Encoder, LatentSpace};
@@ -12,6 +12,7 @@ use wm_zoo::{
 
 use super::{arguments::train_on, frames::View, *};
 use crate::{
+    arguments::tests::on_cpu,
     arguments::tests::run_in,
     autoencoder::tests::dataset,
     dataset::Dataset,
@@ -319,7 +320,7 @@ fn objective(recipe: &AdapterRecipe) -> (Objective<'_>, Variables, [Tensor; 3]) 
         height: SIDE,
         width: SIDE,
     };
-    let (objective, variables) = Objective::new(recipe, view, 10, None).unwrap();
+    let (objective, variables) = Objective::new(recipe, view, 10, None, &on_cpu()).unwrap();
     let values = |shape: &[usize], scale: f32, shift: f32| {
         let count = shape.iter().product::<usize>();
         let values = (0..count).map(|i| shift + scale * (i as f32 * 78.233).sin());
@@ -444,7 +445,7 @@ fn a_step_is_pytorchs() {
         height,
         width,
     };
-    let (objective, variables) = Objective::new(&recipe, view, 1, Some(&lpips)).unwrap();
+    let (objective, variables) = Objective::new(&recipe, view, 1, Some(&lpips), &on_cpu()).unwrap();
     files::start_from(&open("weights"), &variables).unwrap();
     let losses = objective
         .losses(&features, &pictures, &input("noise"), 1)

@@ -1,10 +1,11 @@
 use std::{path::PathBuf, time::Duration};
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
+use candle_core::DType;
 use clap::Args;
 use serde_json::json;
 use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _};
-use wm_zoo::ModelFolder;
+use wm_zoo::{DeviceName, ModelFolder};
 
 use super::{
     AutoencoderRecipe, RECIPES, evaluate, picture,
@@ -41,6 +42,10 @@ impl TrainAutoencoderArgs {
     /// # Errors
     /// When the data, the recipe or a file cannot be used.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        ensure!(
+            self.run.device == DeviceName::Cpu && self.run.dtype == DType::F32,
+            "the autoencoder trains on the CPU, in f32: leave --device and --dtype out"
+        );
         let recipe = self.recipe()?;
         let data = self.run.data((recipe.model.height, recipe.model.width))?;
         let held_out = data.validation.as_ref();

@@ -45,7 +45,7 @@ impl TrainDistillArgs {
         let run = &self.run;
         let recipe: DistillRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
         let file = Teacher::file(&self.teacher);
-        let teacher = Teacher::open(&file, recipe.teacher_steps)?;
+        let teacher = Teacher::open(&file, recipe.teacher_steps, &run.compute()?)?;
         let written = run.out.join(FILE).canonicalize();
         if written.is_ok_and(|written| file.canonicalize().is_ok_and(|file| file == written)) {
             bail!(

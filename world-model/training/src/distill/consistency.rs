@@ -1,7 +1,7 @@
 //! Causal consistency distillation, all frames of a clip at once; see the equations in [`super`].
 
 use anyhow::Result;
-use candle_core::{D, Device, Tensor};
+use candle_core::{D, Tensor};
 use rand_chacha::ChaCha8Rng;
 use wm_model::transition::Transition;
 
@@ -34,7 +34,7 @@ impl Steps {
         let (b, later) = (batch.target.dim(0)?, batch.target.dim(1)?);
         let rungs = (0..b * later).map(|_| levels.draw(rng));
         let rungs = rungs.collect::<Result<Vec<_>>>()?;
-        let tensor = |values: Vec<f32>| Tensor::from_vec(values, (b, later), &Device::Cpu);
+        let tensor = |values: Vec<f32>| Tensor::from_vec(values, (b, later), batch.target.device());
         let from = tensor(rungs.iter().map(|rung| rung.from as f32).collect())?;
         let to = tensor(rungs.iter().map(|rung| rung.to as f32).collect())?;
         let end = tensor(rungs.iter().map(|rung| rung.end as f32).collect())?;

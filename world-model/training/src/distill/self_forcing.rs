@@ -1,7 +1,7 @@
 //! Self-forcing: the student goes on from its own predictions, and learns where that should have led; see [`super`].
 
 use anyhow::Result;
-use candle_core::{D, DType, Device, Tensor};
+use candle_core::{D, DType, Tensor};
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use wm_model::{
@@ -41,7 +41,7 @@ impl OwnHistory {
         let truth = latents.narrow(1, last, 1)?.contiguous()?;
         let student = networks.student;
         for _ in past..last {
-            let noise = normals(truth.dims(), rng)?;
+            let noise = normals(truth.dims(), truth.device(), rng)?;
             let next = predict(
                 student,
                 &student.config().sampler,
@@ -51,7 +51,7 @@ impl OwnHistory {
             )?;
             frames = Tensor::cat(&[&frames, &next.detach()], 1)?;
         }
-        let noise = normals(truth.dims(), rng)?;
+        let noise = normals(truth.dims(), truth.device(), rng)?;
         let taught = predict(networks.teacher, teacher, &frames, &actions, &noise)?;
         Ok(Self {
             frames,
@@ -84,20 +84,21 @@ pub(super) fn predict(
 ) -> Result<Tensor> {
     let config = model.config();
     let (b, t) = (frames.dim(0)?, frames.dim(1)?);
+    let device = frames.device();
     let actions = match config.action_alignment {
         ActionAlignment::WithFrame => actions.narrow(1, 0, t + 1)?.contiguous()?,
         ActionAlignment::WithResult => {
-            let first = Tensor::zeros((b, 1, actions.dim(D::Minus1)?), DType::F32, &Device::Cpu)?;
+            let first = Tensor::zeros((b, 1, actions.dim(D::Minus1)?), DType::F32, device)?;
             Tensor::cat(&[&first, &actions.narrow(1, 0, t)?], 1)?
         }
     };
     let previous = frames.narrow(1, t - 1, 1)?;
-    let context = Tensor::full(sampler.context_tau as f32, (b, t), &Device::Cpu)?;
+    let context = Tensor::full(sampler.context_tau as f32, (b, t), device)?;
     let pattern = TemporalPattern::causal(t + 1);
     let levels = sampler.levels();
     let mut x = noise.clone();
     for (from, to) in levels.iter().zip(levels.iter().skip(1)) {
-        let tau = Tensor::full(*from as f32, (b, 1), &Device::Cpu)?;
+        let tau = Tensor::full(*from as f32, (b, 1), device)?;
         let all = Tensor::cat(&[&context, &tau], D::Minus1)?;
         let output = model.output(&Tensor::cat(&[frames, &x], 1)?, &all, &actions, &pattern)?;
         let output = output.narrow(1, t, 1)?;

@@ -4,7 +4,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 use wm_model::{
     Error, LatentSpace, Weights,
     sampler::Sampler,
@@ -13,8 +13,13 @@ use wm_model::{
     },
 };
 use wm_motion::actions::ActionEncoding;
+use wm_zoo::Compute;
 
-use crate::{latents::Latents, optimiser::Variables, transition::FILE};
+use crate::{
+    latents::Latents,
+    optimiser::{Trained, Variables},
+    transition::{FILE, in_its_format},
+};
 
 /// A trained transition model, and what it says of itself.
 pub(super) struct Teacher {
@@ -22,6 +27,7 @@ pub(super) struct Teacher {
     sha256: String,
     pub(super) encoding: ActionEncoding,
     pub(super) space: LatentSpace,
+    compute: Compute,
     /// Sampled with as many steps as the recipe asks for.
     pub(super) model: Transition,
 }
@@ -36,8 +42,8 @@ impl Teacher {
         }
     }
 
-    /// Reads the weights, to be sampled with `steps` steps.
-    pub(super) fn open(file: &Path, steps: usize) -> Result<Self> {
+    /// Reads the weights, to be sampled with `steps` steps, where `compute` computes.
+    pub(super) fn open(file: &Path, steps: usize, compute: &Compute) -> Result<Self> {
         let read = || -> Result<Self> {
             let weights = Weights::open(file)?;
             let config: TransitionConfig = weights.json(CONFIG_KEY)?;
@@ -45,13 +51,15 @@ impl Teacher {
             let model = Transition::build(with_steps(config, steps), &mut |parameter| {
                 let tensor = weights.tensor(&parameter.name, &parameter.shape)?;
                 tensors.insert(parameter.name.clone(), tensor.clone());
-                Ok(tensor)
+                Ok(placed(&tensor, compute)?)
             })?;
+            let model = in_its_format(model, compute.precision());
             Ok(Self {
                 encoding: weights.json(ACTIONS_KEY)?,
                 space: weights.json(LATENT_SPACE_KEY)?,
                 sha256: weights.sha256(),
                 tensors,
+                compute: compute.clone(),
                 model,
             })
         };
@@ -80,25 +88,48 @@ impl Teacher {
         let config = with_steps(self.model.config().clone(), steps);
         let mut variables = Variables::default();
         let model = Transition::build(config, &mut |parameter| {
-            let initial = named(&self.tensors, &parameter.name)?;
+            let initial = placed(&named(&self.tensors, &parameter.name)?, &self.compute)?;
             Ok(variables.add(&parameter.name, &initial)?)
         })?;
-        Ok((variables, model))
+        Ok((variables, in_its_format(model, self.compute.precision())))
     }
 
-    /// Itself, sampled with `steps` steps.
+    /// The student of these weights, without gradients.
+    pub(super) fn target(
+        &self,
+        config: &TransitionConfig,
+        weights: &mut dyn Iterator<Item = Trained<'_>>,
+    ) -> Result<Transition> {
+        let mut tensors = HashMap::new();
+        for weight in weights {
+            let tensor = Tensor::from_slice(weight.values, weight.shape, &Device::Cpu)?;
+            tensors.insert(weight.name.to_owned(), placed(&tensor, &self.compute)?);
+        }
+        let model = Transition::build(config.clone(), &mut |parameter| {
+            named(&tensors, &parameter.name)
+        })?;
+        Ok(in_its_format(model, self.compute.precision()))
+    }
+
+    /// Itself for inference.
+    pub(super) fn pack(&self) -> Result<PackedTransition> {
+        self.hurried(self.sampler().steps)
+    }
+
+    /// The same, sampled with `steps` steps.
     pub(super) fn hurried(&self, steps: usize) -> Result<PackedTransition> {
         let config = with_steps(self.model.config().clone(), steps);
-        Ok(built(config, &self.tensors)?.pack()?)
+        let model = Transition::build(config, &mut |parameter| {
+            named(&self.tensors, &parameter.name)
+        })?;
+        Ok(model.pack()?)
     }
 }
 
-/// A model of these tensors, without gradients.
-pub(super) fn built(
-    config: TransitionConfig,
-    tensors: &HashMap<String, Tensor>,
-) -> wm_model::Result<Transition> {
-    Transition::build(config, &mut |parameter| named(tensors, &parameter.name))
+fn placed(tensor: &Tensor, compute: &Compute) -> candle_core::Result<Tensor> {
+    tensor
+        .to_device(compute.device())?
+        .to_dtype(compute.precision())
 }
 
 fn named(tensors: &HashMap<String, Tensor>, name: &str) -> wm_model::Result<Tensor> {

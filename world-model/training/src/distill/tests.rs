@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use candle_core::Device;
 use rand::SeedableRng as _;
 use wm_model::{
     sampler::{Given, Rollout},
@@ -8,6 +9,7 @@ use wm_model::{
 
 use super::{self_forcing::predict, *};
 use crate::{
+    arguments::tests::on_cpu,
     arguments::tests::run_in,
     recipe::{self, Override, Span},
     transition::{
@@ -127,7 +129,7 @@ fn a_student_does_in_few_steps_what_its_teacher_does_in_ten() {
     let (train, held_out) = (flickering(dir.path(), 60, 1), flickering(dir.path(), 20, 2));
     let kind = (Parametrisation::Velocity, ActionAlignment::WithFrame);
     let file = taught(dir.path(), &train, kind, 800);
-    let teacher = Teacher::open(&file, STEPS).unwrap();
+    let teacher = Teacher::open(&file, STEPS, &on_cpu()).unwrap();
     let evaluation = Evaluation::new(&held_out, &teacher.encoding, HORIZON, usize::MAX).unwrap();
     let measure = |name: &str, model: &Transition| {
         let (ratios, motion, distance) = measured(model, &teacher, &evaluation);
@@ -137,7 +139,7 @@ fn a_student_does_in_few_steps_what_its_teacher_does_in_ten() {
     };
     let (ratio, motion, _) = measure("teacher 10", &teacher.model);
     for steps in [1, 2] {
-        let hurried = Teacher::open(&file, steps).unwrap().model;
+        let hurried = Teacher::open(&file, steps, &on_cpu()).unwrap().model;
         let hurried = measure(&format!("teacher {steps}"), &hurried);
         let student = |name: &str, settings: &[&str]| {
             let name = format!("{name} {steps}");
@@ -178,7 +180,7 @@ fn the_gate_refuses_a_student_that_does_not_move() {
     let (train, held_out) = (flickering(dir.path(), 60, 1), flickering(dir.path(), 20, 2));
     let kind = (Parametrisation::Residual, ActionAlignment::WithResult);
     let file = taught(dir.path(), &train, kind, 400);
-    let teacher = Teacher::open(&file, STEPS).unwrap();
+    let teacher = Teacher::open(&file, STEPS, &on_cpu()).unwrap();
     let recipe = short(
         2,
         &[
@@ -221,7 +223,7 @@ fn a_broken_student_is_refused_by_its_error() {
     let (train, held_out) = (moving(dir.path(), 20, 1), moving(dir.path(), 4, 2));
     let kind = (Parametrisation::Residual, ActionAlignment::WithResult);
     let file = taught(dir.path(), &train, kind, 200);
-    let teacher = Teacher::open(&file, STEPS).unwrap();
+    let teacher = Teacher::open(&file, STEPS, &on_cpu()).unwrap();
     let broken = [
         "length=5 steps",
         "optimisation.learning_rate=1",
@@ -241,7 +243,7 @@ fn a_paused_training_gives_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let latents = flickering(dir.path(), 2, 1);
     let kind = (Parametrisation::Velocity, ActionAlignment::WithFrame);
-    let teacher = Teacher::open(&taught(dir.path(), &latents, kind, 3), STEPS).unwrap();
+    let teacher = Teacher::open(&taught(dir.path(), &latents, kind, 3), STEPS, &on_cpu()).unwrap();
     // Pauses within either stage. The learning rate does not depend on the length, so that it makes no difference where.
     for pause in [2, 4] {
         let train = |out: &Path, steps: u64| {
@@ -267,7 +269,7 @@ fn what_does_not_fit_the_teacher_is_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     let kind = (Parametrisation::Velocity, ActionAlignment::WithFrame);
-    let teacher = Teacher::open(&taught(dir.path(), &latents, kind, 1), STEPS).unwrap();
+    let teacher = Teacher::open(&taught(dir.path(), &latents, kind, 1), STEPS, &on_cpu()).unwrap();
     teacher.require(&latents).unwrap();
     let other = of_space(dir.path(), 2, 3, "another");
     let error = format!("{:#}", teacher.require(&other).unwrap_err());
@@ -303,11 +305,11 @@ fn a_prediction_in_training_is_the_samplers() {
     use {ActionAlignment::*, Parametrisation::*};
     for kind in [(Velocity, WithFrame), (Residual, WithResult)] {
         let file = taught(dir.path(), &latents, kind, 3);
-        let teacher = Teacher::open(&file, 4).unwrap();
+        let teacher = Teacher::open(&file, 4, &on_cpu()).unwrap();
         let clips = ClipSource::new(&latents, &teacher.encoding, 5).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let (frames, actions) = clips.batch(1, &mut rng).unwrap();
-        let noise = normals(&[1, 1, 4, 4, 2], &mut rng).unwrap();
+        let noise = normals(&[1, 1, 4, 4, 2], &Device::Cpu, &mut rng).unwrap();
         let history = frames.narrow(1, 0, 3).unwrap();
         let own = predict(
             &teacher.model,
@@ -375,9 +377,10 @@ fn the_gradients_of_both_stages_are_their_losses() {
     use {ActionAlignment::*, Parametrisation::*};
     for kind in [(Velocity, WithFrame), (Residual, WithResult)] {
         let file = taught(dir.path(), &latents, kind, 30);
-        let teacher = Teacher::open(&file, STEPS).unwrap();
+        let teacher = Teacher::open(&file, STEPS, &on_cpu()).unwrap();
         let recipe = short(2, &[]);
-        let task = DistillTask::new(&recipe, &teacher, &latents, None, 1).unwrap();
+        let task =
+            DistillTask::new(&recipe, &teacher, &latents, None, &run_in(dir.path())).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let (networks, objective, clips) = (task.networks(), &task.objective, &task.clips);
         let batch = Batch::draw(objective, &task.student, clips, &mut rng).unwrap();

@@ -1,3 +1,5 @@
+use candle_core::Device;
+
 use super::{arguments::train_on, *};
 use crate::{
     arguments::tests::run_in,

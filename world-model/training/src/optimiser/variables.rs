@@ -61,7 +61,7 @@ impl Variables {
         {
             if let Some(var) = self.0.get(name) {
                 let tensor = Tensor::from_slice(values, shape, &Device::Cpu)?;
-                var.set(&tensor.to_device(var.device())?)?;
+                var.set(&tensor.to_device(var.device())?.to_dtype(var.dtype())?)?;
             }
         }
         Ok(())

@@ -13,6 +13,7 @@ pub struct ClipSource<'a> {
     frames: usize,
     /// Episodes that are long enough.
     episodes: Vec<usize>,
+    device: Device,
 }
 
 /// A clip: which episode, and its first camera frame there.
@@ -37,6 +38,7 @@ impl<'a> ClipSource<'a> {
             encoding,
             frames,
             episodes: Vec::new(),
+            device: Device::Cpu,
         };
         let span = source.span();
         let episodes = values.episodes().iter().enumerate();
@@ -49,6 +51,13 @@ impl<'a> ClipSource<'a> {
             "no episode is long enough: a clip of {frames} steps needs {span} frames"
         );
         Ok(source)
+    }
+
+    /// The same, whose tensors are on `device`.
+    #[must_use]
+    pub fn on(self, device: &Device) -> Self {
+        let device = device.clone();
+        Self { device, ..self }
     }
 
     /// Number of episodes that clips come from.
@@ -136,8 +145,8 @@ impl<'a> ClipSource<'a> {
         }
         let (b, n, (h, w, c)) = (clips.len(), self.frames, self.shape());
         Ok((
-            Tensor::from_vec(values, (b, n, h, w, c), &Device::Cpu)?,
-            Tensor::from_vec(actions, (b, n, self.action_dim()), &Device::Cpu)?,
+            Tensor::from_vec(values, (b, n, h, w, c), &self.device)?,
+            Tensor::from_vec(actions, (b, n, self.action_dim()), &self.device)?,
         ))
     }
 

@@ -2,7 +2,7 @@
 //! frames after the history are noised all at once, each at a level of its own, and see each other so.
 
 use anyhow::Result;
-use candle_core::{D, DType, Device, Tensor};
+use candle_core::{D, DType, Tensor};
 use wm_model::transition::{ActionAlignment, TemporalPattern, Transition};
 
 use super::objective::Draws;
@@ -26,7 +26,7 @@ pub(super) fn loss(
 
     let frames = Tensor::cat(&[&history, &noisy], 1)?;
     let levels = Tensor::cat(
-        &[&Tensor::zeros((b, past), DType::F32, &Device::Cpu)?, tau],
+        &[&Tensor::zeros((b, past), DType::F32, tau.device())?, tau],
         D::Minus1,
     )?;
     let actions = match model.config().action_alignment {

@@ -122,7 +122,7 @@ impl Objective {
     ) -> Result<Tensor> {
         if self.recipe.forcing == Forcing::Diffusion {
             let (latents, actions) = self.draw_clips(clips, rng)?;
-            let draws = self.draw(latents.dims(), rng)?;
+            let draws = self.draw(latents.dims(), latents.device(), rng)?;
             return noised_at_once::loss(model, (&latents, &actions), &draws, self.recipe.history);
         }
         let batch = Batch::draw(self, model, clips, rng)?;
@@ -145,7 +145,7 @@ impl Objective {
     }
 
     /// The random numbers of the loss of clips of these dimensions, (B, n, h, w, C).
-    fn draw(&self, clips: &[usize], rng: &mut ChaCha8Rng) -> Result<Draws> {
+    fn draw(&self, clips: &[usize], device: &Device, rng: &mut ChaCha8Rng) -> Result<Draws> {
         let &[b, n, h, w, c] = clips else {
             bail!("clips of dimensions {clips:?}, expected (B, n, h, w, C)");
         };
@@ -160,12 +160,12 @@ impl Objective {
             (normal * self.recipe.history_noise) as f32
         });
         Ok(Draws {
-            history_levels: Tensor::from_vec(levels.collect(), (b, clean), &Device::Cpu)?,
-            history_noise: normals(&[b, clean, h, w, c], rng)?,
-            noise: normals(&[b, later, h, w, c], rng)?,
+            history_levels: Tensor::from_vec(levels.collect(), (b, clean), device)?,
+            history_noise: normals(&[b, clean, h, w, c], device, rng)?,
+            noise: normals(&[b, later, h, w, c], device, rng)?,
             tau: {
                 let tau = (0..b * later).map(|_| self.draw_tau(rng));
-                Tensor::from_vec(tau.collect(), (b, later), &Device::Cpu)?
+                Tensor::from_vec(tau.collect(), (b, later), device)?
             },
         })
     }
@@ -226,7 +226,7 @@ impl Batch {
         rng: &mut ChaCha8Rng,
     ) -> Result<Self> {
         let (latents, actions) = objective.draw_clips(clips, rng)?;
-        let draws = objective.draw(latents.dims(), rng)?;
+        let draws = objective.draw(latents.dims(), latents.device(), rng)?;
         let alignment = model.config().action_alignment;
         let past = objective.recipe.history;
         Self::new(alignment, (&latents, &actions), &draws, past)
@@ -332,7 +332,7 @@ impl Batch {
         let (b, later) = tau.dims2()?;
         let clean = history.dim(1)?;
         let frames = Tensor::cat(&[history, x], 1)?;
-        let context = Tensor::full(context_tau as f32, (b, clean), &Device::Cpu)?;
+        let context = Tensor::full(context_tau as f32, (b, clean), tau.device())?;
         let levels = Tensor::cat(&[&context, tau], D::Minus1)?;
         let pattern = TemporalPattern::teacher_forcing(clean + 1, past);
         let output = model.output(&frames, &levels, &self.actions, &pattern)?;
@@ -375,14 +375,15 @@ fn drop_actions(actions: &Tensor, part: f64, rng: &mut ChaCha8Rng) -> Result<Ten
             }
         }
     }
-    Ok(Tensor::from_vec(values, (b, n, a), &Device::Cpu)?)
+    Ok(Tensor::from_vec(values, (b, n, a), actions.device())?)
 }
 
-pub(crate) fn normals(dims: &[usize], rng: &mut ChaCha8Rng) -> Result<Tensor> {
+/// Standard normal values; they are drawn on the CPU, so that they do not depend on the device.
+pub(crate) fn normals(dims: &[usize], device: &Device, rng: &mut ChaCha8Rng) -> Result<Tensor> {
     let values: Vec<f32> = (0..dims.iter().product())
         .map(|_| StandardNormal.sample(rng))
         .collect();
-    Ok(Tensor::from_vec(values, dims, &Device::Cpu)?)
+    Ok(Tensor::from_vec(values, dims, device)?)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use wm_model::{
     transition::{ActionAlignment, Parametrisation},
 };
 use wm_motion::actions::{Accumulation, ActionSpace};
+use wm_zoo::{Compute, Engine};
 
 use super::*;
 use crate::{
@@ -164,7 +165,14 @@ fn step(
         seed: objective.seed,
         step,
     };
-    let loss = |rng: &mut _| Ok(BatchLoss::from(objective.loss(model, clips, rng)?));
+    let loss = |rng: &mut _| {
+        let gradients = WeightGradients::default();
+        let loss = objective.loss(&model.collecting(&gradients), clips, rng)?;
+        Ok(BatchLoss {
+            gradients,
+            ..BatchLoss::from(loss)
+        })
+    };
     workers.step(variables, batches, &loss).unwrap()
 }
 
@@ -219,6 +227,48 @@ fn it_learns_what_actions_do() {
             "{predicts:?} {alignment:?} {forcing:?}: {negated}"
         );
     }
+}
+
+/// Weights are rounded for products only: the optimiser's keep what is too small for eight bits.
+#[test]
+fn in_sixteen_bits_it_learns_as_in_f32() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = moving(dir.path(), 12, 1);
+    let encoding = encoding();
+    let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
+    let config = config(Parametrisation::Residual, ActionAlignment::WithResult);
+    let workers = Workers::new(2).unwrap();
+    let [exact, rounded] = [DType::F32, DType::BF16].map(|dtype| {
+        let fresh = FreshWeights::new(3).on(&Compute::on_cpu(Engine::Candle, dtype));
+        let model = trainable(&config, &fresh, 3).unwrap();
+        let trained = (fresh.into_variables().0, model);
+        let parameters = trained.0.parameters(|_| 0).unwrap();
+        let mut optimiser = AdamW::new(parameters, AdamWSettings::default());
+        let losses: Vec<f32> = (0..60)
+            .map(|index| {
+                let found = step(
+                    &workers,
+                    &trained,
+                    &clips,
+                    &objective(Forcing::Teacher),
+                    index,
+                );
+                optimiser.step(&found.gradient, 4e-3).unwrap();
+                trained.0.assign(optimiser.weights()).unwrap();
+                found.loss
+            })
+            .collect();
+        let is_fine = |value: &f32| half::bf16::from_f32(*value).to_f32() != *value;
+        assert!(optimiser.weights().any(|w| w.values.iter().any(is_fine)));
+        let last = &losses[50..];
+        (losses[0], last.iter().sum::<f32>() / last.len() as f32)
+    });
+    println!("f32: {exact:?}, bf16: {rounded:?}");
+    assert!(exact.1 < 0.7 * exact.0, "{exact:?}");
+    assert!(
+        (rounded.1 / exact.1 - 1.0).abs() < 0.1,
+        "{exact:?} {rounded:?}"
+    );
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Instructions of a closed vocabulary, for a success probe that needs no text tower.
 
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 
 use crate::loader::Loader;
@@ -115,7 +115,7 @@ impl WordEmbedding {
     pub fn read(&self, instruction: &str) -> Result<Tensor> {
         let ids = self.config.encode(instruction)?;
         let count = ids.len();
-        let ids = Tensor::from_vec(ids, count, &Device::Cpu)?;
+        let ids = Tensor::from_vec(ids, count, self.words.device())?;
         let features = self.words.contiguous()?.index_select(&ids, 0)?;
         Ok((features + self.places.narrow(0, 0, count)?)?.unsqueeze(0)?)
     }
