@@ -91,7 +91,12 @@ impl TrainModelArgs {
                 "autoencoder" => TrainAutoencoderArgs { run }.run(stop)?,
                 "transition" => TrainTransitionArgs { run, encoder }.run(stop)?,
                 "idm" => TrainIdmArgs { run, encoder }.run(stop)?,
-                _ => TrainProbeArgs { run, encoder }.run_if_labelled(stop)?,
+                _ => TrainProbeArgs {
+                    run,
+                    encoder,
+                    text_tower: None,
+                }
+                .run_if_labelled(stop)?,
             };
             if ended == Ended::Stopped {
                 return Ok(ended);

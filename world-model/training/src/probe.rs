@@ -8,9 +8,10 @@ mod accuracy;
 mod arguments;
 mod episodes;
 mod recipe;
+mod text;
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet, btree_map::Entry},
     path::{Path, PathBuf},
 };
 
@@ -23,9 +24,7 @@ use wm_zoo::{
     Engine, Loader, PROBE_FILE as FILE,
     layers::Dropout,
     loader::OfWeights,
-    success_probe::{
-        PROBE_KEY, SuccessProbe, SuccessProbeConfig, WORDS_KEY, WordEmbedding, WordsConfig,
-    },
+    success_probe::{PROBE_KEY, Reader, Reading, SuccessProbe, SuccessProbeConfig, WordsConfig},
 };
 
 use crate::{
@@ -40,6 +39,8 @@ use crate::{
 pub use accuracy::Accuracy;
 pub use arguments::{EvaluateProbeArgs, TrainProbeArgs};
 use episodes::{Episodes, Question};
+use text::{Text, Tower};
+
 pub use recipe::{ProbeModelRecipe, ProbeRecipe, RECIPES};
 
 /// Questions of a validation at most: the same ones each time, since they decide which weights are kept.
@@ -57,7 +58,7 @@ struct ProbeTask<'a> {
     episodes: Episodes<'a>,
     held_out: Option<Episodes<'a>>,
     config: SuccessProbeConfig,
-    words: WordEmbedding,
+    text: Text,
     model: SuccessProbe,
     variables: Variables,
     /// Names of what was taken from another model.
@@ -78,6 +79,7 @@ impl<'a> ProbeTask<'a> {
         recipe: &'a ProbeRecipe,
         train: &'a Latents,
         held_out: Option<&'a Latents>,
+        text_tower: Option<&Path>,
         run: &'a RunArgs,
     ) -> Result<Self> {
         recipe.validate()?;
@@ -96,24 +98,28 @@ impl<'a> ProbeTask<'a> {
                 ..old
             };
         }
-        let words = WordsConfig::of(episodes.instructions(), config.text_features);
-        if let Some(held_out) = &mut held_out {
-            let unknown = held_out.leave_out(|instruction| words.encode(instruction).is_err());
-            if !unknown.is_empty() {
-                println!(
-                    "left out of the validation, since the training data lack their words: {}",
-                    unknown.join("; ")
-                );
-            }
-        }
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
         let loader = fresh.loader();
+        let text = match text_tower {
+            Some(folder) => {
+                let held_out = held_out.iter().flat_map(Episodes::instructions);
+                let tower = Tower::read(folder, episodes.instructions().chain(held_out))?;
+                config.text_features = tower.features();
+                Text::Tower(tower)
+            }
+            None => {
+                let words = WordsConfig::of(episodes.instructions(), config.text_features);
+                if let Some(held_out) = &mut held_out {
+                    leave_out_unknown(held_out, &words);
+                }
+                Text::words(&words, &loader)?
+            }
+        };
         let model = SuccessProbe::load(&config, &loader)?;
-        let words = WordEmbedding::load(&words, &loader)?;
         let (variables, old) = fresh.into_variables();
         Ok(Self {
             model,
-            words,
+            text,
             recipe,
             train,
             episodes,
@@ -147,7 +153,8 @@ impl<'a> ProbeTask<'a> {
                 ..question
             };
             let mut dropout = Dropout::new(recipe.dropout, rng);
-            losses.push(loss(&self.model, &self.words, &question, &mut dropout)?);
+            let reading = self.text.read(&question.instruction)?;
+            losses.push(loss(&self.model, &reading, &question, &mut dropout)?);
         }
         Ok(Tensor::cat(&losses, 0)?.mean_all()?)
     }
@@ -156,7 +163,15 @@ impl<'a> ProbeTask<'a> {
     fn measure(&self, held_out: &Episodes<'_>) -> Result<Accuracy> {
         let (weights, _) = self.candidate.as_ref().context("nothing was written yet")?;
         let weights = Weights::from_bytes(FILE, weights.to_bytes())?;
-        accuracy(&weights, held_out, QUESTIONS)
+        match &self.text {
+            Text::Words(_) => {
+                let reader = Reader::of_trained(&weights)?;
+                accuracy(&weights, held_out, QUESTIONS, |text| Ok(reader.read(text)?))
+            }
+            tower @ Text::Tower(_) => {
+                accuracy(&weights, held_out, QUESTIONS, |text| tower.read(text))
+            }
+        }
     }
 
     /// Writes the candidate with the figures that it was chosen by.
@@ -171,18 +186,41 @@ impl<'a> ProbeTask<'a> {
     }
 }
 
-/// What the weights of a probe answer.
-fn accuracy(weights: &Weights, episodes: &Episodes<'_>, most: usize) -> Result<Accuracy> {
+/// Leaves the episodes out whose instruction has other words, and says so.
+fn leave_out_unknown(episodes: &mut Episodes<'_>, words: &WordsConfig) {
+    let unknown = episodes.leave_out(|instruction| words.encode(instruction).is_err());
+    if !unknown.is_empty() {
+        let unknown = unknown.join("; ");
+        println!(
+            "left out of the measurement, since the probe does not know their words: {unknown}"
+        );
+    }
+}
+
+/// What the weights of a probe answer, by way of `read` for instructions.
+fn accuracy(
+    weights: &Weights,
+    episodes: &Episodes<'_>,
+    most: usize,
+    read: impl Fn(&str) -> Result<Reading>,
+) -> Result<Accuracy> {
     let supply = OfWeights(weights);
     let loader = Loader::supplied(&supply, Engine::Cpu);
     let probe = SuccessProbe::load(&weights.json(PROBE_KEY)?, &loader)?;
-    let words = WordEmbedding::load(&weights.json(WORDS_KEY)?, &loader)?;
     let questions: Vec<Question> = episodes.all(most).collect::<Result<_>>()?;
+    // Each is read once: a text tower takes a second.
+    let mut readings = BTreeMap::new();
+    for Question { instruction, .. } in &questions {
+        if let Entry::Vacant(entry) = readings.entry(&**instruction) {
+            entry.insert(read(instruction)?);
+        }
+    }
     let answers = questions
         .par_iter()
         .map(|question| {
-            let text = words.read(&question.instruction)?;
-            let logit = probe.forward(&question.latents, &text, None)?;
+            let reading = readings.get(&*question.instruction);
+            let Reading { features, mask } = reading.context("an instruction was not read")?;
+            let logit = probe.forward(&question.latents, features, mask.as_ref())?;
             Ok((logit.squeeze(0)?.to_scalar::<f32>()?, question))
         })
         .collect::<Result<Vec<_>>>()?;
@@ -200,12 +238,18 @@ fn accuracy(weights: &Weights, episodes: &Episodes<'_>, most: usize) -> Result<A
 /// The loss of one question, (1).
 fn loss(
     model: &SuccessProbe,
-    words: &WordEmbedding,
+    Reading { features, mask }: &Reading,
     question: &Question,
     dropout: &mut Dropout<'_>,
 ) -> Result<Tensor> {
-    let text = words.read(&question.instruction)?;
-    let logit = model.forward_dropping(&question.latents, &text, None, dropout)?;
+    let device = question.latents.device();
+    let features = features.to_device(device)?;
+    let mask = mask
+        .as_ref()
+        .map(|mask| mask.to_device(device))
+        .transpose()?;
+    let latents = &question.latents;
+    let logit = model.forward_dropping(latents, &features, mask.as_ref(), dropout)?;
     cross_entropy(&logit, question.answer)
 }
 
@@ -261,7 +305,7 @@ impl Task for ProbeTask<'_> {
     ) -> Result<()> {
         let config = (PROBE_KEY, &self.config);
         let mut weights = trained_weights(averaged, config, Some(self.train.space()))?;
-        weights.metadata(WORDS_KEY, serde_json::to_string(self.words.config())?);
+        self.text.describe(&mut weights)?;
         weights.metadata(FRAME_SKIP_KEY, self.recipe.model.frame_skip.to_string());
         let path = folder.join(FILE);
         let is_there = path.is_file();

@@ -39,11 +39,11 @@ mod words;
 
 use candle_core::{DType, Tensor};
 
-pub(crate) use classifier::{Instructed, Judge, Reader};
-pub use classifier::{Instruction, SuccessClassifier};
+pub(crate) use classifier::{Instructed, Judge};
+pub use classifier::{Instruction, Reader, Reading, SuccessClassifier};
 pub use config::SuccessProbeConfig;
 pub use tokenizer::InstructionTokenizer;
-pub use trained::{PROBE_KEY, WORDS_KEY};
+pub use trained::{PROBE_KEY, TEXT_TOWER_KEY, WORDS_KEY};
 pub use words::{WordEmbedding, WordsConfig};
 
 use crate::Result;

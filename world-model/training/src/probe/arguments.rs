@@ -1,4 +1,7 @@
-use std::{path::PathBuf, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use anyhow::{Result, ensure};
 use clap::Args;
@@ -6,10 +9,13 @@ use serde_json::json;
 use wm_model::{LatentSpace, Weights, transition::LATENT_SPACE_KEY};
 use wm_zoo::{
     ModelFolder,
-    success_probe::{PROBE_KEY, SuccessProbeConfig, WORDS_KEY, WordsConfig},
+    success_probe::{PROBE_KEY, Reader, SuccessProbeConfig},
 };
 
-use super::{FILE, FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, episodes::Episodes};
+use super::{
+    FILE, FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, episodes::Episodes,
+    leave_out_unknown,
+};
 use crate::{
     arguments::{HeldOutArgs, RunArgs},
     latents::Latents,
@@ -27,6 +33,10 @@ pub struct TrainProbeArgs {
     /// The model whose frozen encoder makes the latents: tiny, or a model's folder.
     #[arg(long, visible_alias = "autoencoder")]
     pub encoder: String,
+    /// Folder of the text tower that reads instructions: SigLIP 2 as Hugging Face publishes it (config.json,
+    /// model.safetensors, tokenizer.json). The weights name the folder. Without it the probe learns the data's words.
+    #[arg(long, value_name = "DIR")]
+    pub text_tower: Option<PathBuf>,
 }
 
 impl TrainProbeArgs {
@@ -40,7 +50,14 @@ impl TrainProbeArgs {
         let recipe: ProbeRecipe =
             crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
         carry_encoder(&self.encoder, &self.run.out)?;
-        train_on(&self.run, &recipe, &on.train, on.held_out.as_ref(), stop)
+        let latents = (&on.train, on.held_out.as_ref());
+        train_on(
+            &self.run,
+            &recipe,
+            latents,
+            self.text_tower.as_deref(),
+            stop,
+        )
     }
 }
 
@@ -67,11 +84,11 @@ impl TrainProbeArgs {
 pub(super) fn train_on(
     run: &RunArgs,
     recipe: &ProbeRecipe,
-    train: &Latents,
-    held_out: Option<&Latents>,
+    (train, held_out): (&Latents, Option<&Latents>),
+    text_tower: Option<&Path>,
     stop: &Stop,
 ) -> Result<Ended> {
-    let mut task = ProbeTask::new(recipe, train, held_out, run)?;
+    let mut task = ProbeTask::new(recipe, train, held_out, text_tower, run)?;
     let per_epoch = task.episodes.len() as f64 / recipe.batch as f64;
     let steps = run.length(recipe.length, per_epoch);
     let settings = RunSettings {
@@ -85,14 +102,15 @@ pub(super) fn train_on(
             "recipe": crate::recipe::identity(recipe)?,
             "latent_space": train.space().to_string(),
             "data": train.digest(),
+            "text_tower": text_tower,
             "from": run.origin(),
         }),
     };
     crate::recipe::write(&run.out, task.name(), recipe)?;
     let [successes, failures] = task.episodes.counts();
     println!(
-        "{successes} successes, {failures} failures, {} words, {} threads",
-        task.words.config().vocabulary.len(),
+        "{successes} successes, {failures} failures, {}, {} threads",
+        task.text.summary(),
         run.threads()?
     );
     let ended = crate::run::train(&mut task, &settings, stop)?;
@@ -134,20 +152,17 @@ impl EvaluateProbeArgs {
             .require(latents.space())?;
         let config: SuccessProbeConfig = weights.json(PROBE_KEY)?;
         let frame_skip = weights.json(FRAME_SKIP_KEY)?;
-        let words: WordsConfig = weights.json(WORDS_KEY)?;
+        let reader = Reader::of_trained(&weights)?;
         let mut episodes = Episodes::new(&latents, frame_skip, Some(config.max_frames));
-        let unknown = episodes.leave_out(|instruction| words.encode(instruction).is_err());
-        if !unknown.is_empty() {
-            println!(
-                "left out, since the probe does not know their words: {}",
-                unknown.join("; ")
-            );
+        if let Reader::Words(words) = &reader {
+            leave_out_unknown(&mut episodes, words.config());
         }
         ensure!(
             episodes.len() > 0,
             "no episode has an instruction of known words and an outcome"
         );
-        println!("{}", accuracy(&weights, &episodes, usize::MAX)?);
+        let read = |text: &str| Ok(reader.read(text)?);
+        println!("{}", accuracy(&weights, &episodes, usize::MAX, read)?);
         Ok(())
     }
 }

@@ -21,7 +21,7 @@ fn a_step_is_pytorchs() {
     let fresh = FreshWeights::new(1);
     let loader = fresh.loader();
     let model = SuccessProbe::load(&fixture.of("config"), &loader).unwrap();
-    let words = WordEmbedding::load(&fixture.of("words"), &loader).unwrap();
+    let words = Text::words(&fixture.of("words"), &loader).unwrap();
     let variables = fresh.into_variables().0;
     fill(&variables);
     let asked: Vec<Asked> = fixture.of("questions");
@@ -32,7 +32,8 @@ fn a_step_is_pytorchs() {
             answer: asked.answer,
             is_mismatch: false,
         };
-        loss(&model, &words, &question, &mut Dropout::none()).unwrap()
+        let reading = words.read(&question.instruction).unwrap();
+        loss(&model, &reading, &question, &mut Dropout::none()).unwrap()
     });
     let losses: Vec<Tensor> = losses.collect();
     let loss = Tensor::cat(&losses, 0).unwrap().mean_all().unwrap();

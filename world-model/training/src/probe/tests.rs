@@ -1,3 +1,6 @@
+use serde_json::json;
+use wm_zoo::{folder::write_random_weights, success_probe::SuccessClassifier};
+
 use super::{arguments::train_on, *};
 use crate::{
     arguments::tests::run_in,
@@ -40,10 +43,13 @@ fn it_learns_what_an_instruction_asks_for() {
     let (train, held_out) = (labelled(dir.path(), 200, 1), labelled(dir.path(), 40, 2));
     let recipe = small("tiny", 400);
     let stop = Stop::default();
-    train_on(&run_in(dir.path()), &recipe, &train, Some(&held_out), &stop).unwrap();
+    let latents = (&train, Some(&held_out));
+    train_on(&run_in(dir.path()), &recipe, latents, None, &stop).unwrap();
     let weights = Weights::open(dir.path().join(FILE)).unwrap();
     let episodes = Episodes::new(&held_out, 1, None);
-    let found = accuracy(&weights, &episodes, usize::MAX).unwrap();
+    let reader = Reader::of_trained(&weights).unwrap();
+    let read = |text: &str| Ok(reader.read(text)?);
+    let found = accuracy(&weights, &episodes, usize::MAX, read).unwrap();
     println!("{found}");
     assert!(found.balanced > 0.8, "{found}");
     assert!(found.mismatches.unwrap() > 0.8, "{found}");
@@ -66,7 +72,8 @@ fn a_paused_training_gives_the_same_bytes() {
             recipe.optimisation.final_rate = 1.0;
             recipe.validate_every = 2;
             let run = run_in(out);
-            train_on(&run, &recipe, &train, Some(&held_out), &Stop::default()).unwrap();
+            let latents = (&train, Some(&held_out));
+            train_on(&run, &recipe, latents, None, &Stop::default()).unwrap();
         };
         let (whole, parts) = (
             dir.path().join(name),
@@ -87,7 +94,8 @@ fn data_without_outcomes_are_refused_by_what_they_lack() {
     let dir = tempfile::tempdir().unwrap();
     let latents = moving(dir.path(), 2, 1);
     let run = run_in(dir.path());
-    let error = train_on(&run, &small("tiny", 1), &latents, None, &Stop::default()).unwrap_err();
+    let (recipe, stop) = (small("tiny", 1), Stop::default());
+    let error = train_on(&run, &recipe, (&latents, None), None, &stop).unwrap_err();
     assert!(error.to_string().contains("/task/success"), "{error}");
 }
 
@@ -105,4 +113,66 @@ fn cross_entropy_is_that_of_the_probability() {
             assert!((f64::from(found) - expected).abs() < 1e-5 * expected.max(1.0));
         }
     }
+}
+
+/// A folder with a text tower of random weights, which still tells words apart.
+fn text_tower(dir: &Path) -> PathBuf {
+    let config = json!({"vocab_size": 8, "hidden_size": 16, "intermediate_size": 24, "num_hidden_layers": 1,
+        "num_attention_heads": 2, "max_position_embeddings": 8});
+    let description = json!({
+        "name": "probed",
+        "image": [32, 32],
+        "encoder": {"kind": "web-dino", "weights": "encoder.safetensors", "config": {
+            "hidden_size": 8, "num_hidden_layers": 1, "num_attention_heads": 2, "image_size": 28, "patch_size": 7}},
+        "probe": {"weights": "probe.safetensors",
+            "config": {"features": 8, "max_frames": 8, "text_features": 16, "pool": 2, "hidden": 16, "depth": 1,
+                       "heads": 2, "ffn": 20},
+            "text": {"weights": "model.safetensors", "tokenizer": "tokenizer.json", "config": "config.json"}}
+    });
+    let tokenizer = json!({
+        "version": "1.0", "truncation": null, "padding": null, "added_tokens": [], "normalizer": null,
+        "pre_tokenizer": {"type": "Whitespace"}, "post_processor": null, "decoder": null,
+        "model": {"type": "WordLevel", "unk_token": "?",
+                  "vocab": {"<pad>": 0, "?": 1, "go": 2, "up": 3, "down": 4, "to": 5, "left": 6, "right": 7}}
+    });
+    let folder = dir.join("siglip2");
+    std::fs::create_dir(&folder).unwrap();
+    for (name, content) in [
+        ("config.json", config),
+        ("model.json", description),
+        ("tokenizer.json", tokenizer),
+    ] {
+        std::fs::write(folder.join(name), content.to_string()).unwrap();
+    }
+    write_random_weights(&folder, 5).unwrap();
+    folder
+}
+
+#[test]
+fn a_text_tower_reads_instructions() {
+    let dir = tempfile::tempdir().unwrap();
+    let (train, held_out) = (labelled(dir.path(), 200, 1), labelled(dir.path(), 40, 2));
+    let tower = text_tower(dir.path());
+    let (recipe, stop) = (small("tiny", 400), Stop::default());
+    let (run, latents) = (run_in(dir.path()), (&train, Some(&held_out)));
+    train_on(&run, &recipe, latents, Some(&tower), &stop).unwrap();
+    let weights = Weights::open(dir.path().join(FILE)).unwrap();
+    let kept: Accuracy = weights.json(VALIDATION_KEY).unwrap();
+    println!("{kept}");
+    assert!(kept.balanced > 0.8, "{kept}");
+
+    // As the nodes read it: the tower is found where the weights say it is.
+    let classifier = SuccessClassifier::of_trained(weights, held_out.space()).unwrap();
+    let question = Episodes::new(&held_out, 1, None)
+        .all(1)
+        .next()
+        .unwrap()
+        .unwrap();
+    let instruction = classifier.instruction(&question.instruction).unwrap();
+    let episode = question.latents.squeeze(0).unwrap();
+    assert!(classifier.probability(&episode, &instruction).unwrap() > 0.0);
+    std::fs::rename(&tower, dir.path().join("elsewhere")).unwrap();
+    let weights = Weights::open(dir.path().join(FILE)).unwrap();
+    let error = SuccessClassifier::of_trained(weights, held_out.space()).unwrap_err();
+    assert!(error.to_string().contains("siglip2"), "{error}");
 }

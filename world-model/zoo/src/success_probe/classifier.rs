@@ -38,10 +38,12 @@ pub(crate) struct Instructed {
 
 /// What reads instructions.
 #[derive(Clone, Debug)]
-pub(crate) enum Reader {
+pub enum Reader {
     /// The paper's: SigLIP 2's text tower with its tokenizer.
     Siglip {
+        /// Words to tokens.
         tokenizer: Box<InstructionTokenizer>,
+        /// Tokens to features.
         text: Box<SiglipText>,
     },
     /// Words of a closed vocabulary.
@@ -52,16 +54,16 @@ pub(crate) enum Reader {
 #[derive(Clone, Debug)]
 pub struct Instruction {
     text: String,
-    tokens: Option<Tokens>,
+    reading: Option<Reading>,
 }
 
 /// What a reader makes of an instruction.
 #[derive(Clone, Debug)]
-struct Tokens {
+pub struct Reading {
     /// (1, L, text features).
-    features: Tensor,
+    pub features: Tensor,
     /// (1, L), 0 for padding; `None` where there is no padding.
-    mask: Option<Tensor>,
+    pub mask: Option<Tensor>,
 }
 
 impl Instruction {
@@ -88,12 +90,12 @@ impl SuccessClassifier {
     /// # Errors
     /// As [`InstructionTokenizer::encode`].
     pub fn instruction(&self, text: &str) -> Result<Instruction> {
-        let tokens = match &self.judge {
-            Judge::Instructed(judge) => Some(judge.read(text)?),
+        let reading = match &self.judge {
+            Judge::Instructed(judge) => Some(judge.reader.read(text)?),
             Judge::Pooled(_) => None,
         };
         let text = text.to_owned();
-        Ok(Instruction { text, tokens })
+        Ok(Instruction { text, reading })
     }
 
     /// The probability that `episode` shows what the instruction asks for: normalised latents (T, h, w, C), one model
@@ -112,9 +114,9 @@ impl SuccessClassifier {
             .to_vec1::<f32>()?;
         self.normalisation.undo(&mut values);
         let latents = Tensor::from_vec(values, episode.dims(), &Device::Cpu)?.unsqueeze(0)?;
-        match (&self.judge, &instruction.tokens) {
+        match (&self.judge, &instruction.reading) {
             (Judge::Pooled(probe), _) => probe.probability(&latents),
-            (Judge::Instructed(judge), Some(tokens)) => judge.probability(&latents, tokens),
+            (Judge::Instructed(judge), Some(reading)) => judge.probability(&latents, reading),
             (Judge::Instructed(_), None) => {
                 let reason = "read by another classifier, which takes none";
                 Err(wm_model::Error::config("instruction", reason.to_owned()).into())
@@ -123,10 +125,14 @@ impl SuccessClassifier {
     }
 }
 
-impl Instructed {
-    fn read(&self, text: &str) -> Result<Tokens> {
-        match &self.reader {
-            Reader::Siglip {
+impl Reader {
+    /// Reads an instruction.
+    ///
+    /// # Errors
+    /// As [`InstructionTokenizer::encode`] and [`WordEmbedding::read`].
+    pub fn read(&self, text: &str) -> Result<Reading> {
+        match self {
+            Self::Siglip {
                 tokenizer,
                 text: tower,
             } => {
@@ -134,19 +140,22 @@ impl Instructed {
                 let ids = Tensor::from_vec(ids, (1, mask.len()), &Device::Cpu)?;
                 let mask = Tensor::from_vec(mask, ids.dims(), &Device::Cpu)?;
                 let features = tower.forward(&ids, None)?;
-                Ok(Tokens {
+                Ok(Reading {
                     features,
                     mask: Some(mask),
                 })
             }
-            Reader::Words(words) => Ok(Tokens {
+            Self::Words(words) => Ok(Reading {
                 features: words.read(text)?,
                 mask: None,
             }),
         }
     }
+}
 
-    fn probability(&self, latents: &Tensor, Tokens { features, mask }: &Tokens) -> Result<f32> {
+impl Instructed {
+    fn probability(&self, latents: &Tensor, reading: &Reading) -> Result<f32> {
+        let Reading { features, mask } = reading;
         let logit = self.probe.forward(latents, features, mask.as_ref())?;
         let logit = logit.squeeze(0)?.to_scalar::<f32>()?;
         if !logit.is_finite() {

@@ -1,43 +1,80 @@
+use std::path::{Path, PathBuf};
+
+use candle_core::DType;
 use wm_model::{LatentSpace, Weights, autoencoder::Normalisation, transition::LATENT_SPACE_KEY};
 
 use super::{
-    Instructed, Judge, Reader, SuccessClassifier, SuccessProbe, SuccessProbeConfig, WordEmbedding,
-    WordsConfig,
+    Instructed, InstructionTokenizer, Judge, Reader, SuccessClassifier, SuccessProbe,
+    SuccessProbeConfig, WordEmbedding, WordsConfig,
 };
-use crate::{Engine, Loader, Result, loader::OfWeights};
+use crate::kinds::Kind;
+use crate::vit::{SiglipText, SiglipTextConfig};
+use crate::{Checkpoint, Engine, Error, Loader, Result, checkpoint::Average, loader::OfWeights};
 
 /// Metadata key of the [`SuccessProbeConfig`] (JSON).
 pub const PROBE_KEY: &str = "success_probe";
-/// Metadata key of the [`WordsConfig`] (JSON).
+/// Metadata key of the [`WordsConfig`] (JSON), for a probe that reads words.
 pub const WORDS_KEY: &str = "words";
+/// Metadata key of the folder of a text tower (a JSON string), for a probe that reads its features.
+pub const TEXT_TOWER_KEY: &str = "text_tower";
 
 impl SuccessClassifier {
     /// The probe of a file that `wm train probe` wrote, for latents of `space`. It reads them normalised, as they are
     /// published.
     ///
     /// # Errors
-    /// If it was trained on another space, or a tensor or an entry of the metadata is missing, misshapen or unexpected.
+    /// If it was trained on another space, a tensor or an entry of the metadata is missing, misshapen or unexpected, or its
+    /// text tower cannot be opened.
     pub fn of_trained(weights: Weights, space: &LatentSpace) -> Result<Self> {
         let trained_on: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
         trained_on.require(space)?;
         let config: SuccessProbeConfig = weights.json(PROBE_KEY)?;
-        let words: WordsConfig = weights.json(WORDS_KEY)?;
         let supply = OfWeights(&weights);
-        let loader = Loader::supplied(&supply, Engine::Cpu);
-        let probe = SuccessProbe::load(&config, &loader)?;
-        let words = WordEmbedding::load(&words, &loader)?;
+        let probe = SuccessProbe::load(&config, &Loader::supplied(&supply, Engine::Cpu))?;
+        let reader = Reader::of_trained(&weights)?;
         weights.finish()?;
-        Ok(Self::of_words(words, probe, space.channels))
+        Ok(Self {
+            judge: Judge::Instructed(Box::new(Instructed { reader, probe })),
+            normalisation: Normalisation::identity(space.channels),
+        })
+    }
+}
+
+impl Reader {
+    /// What reads instructions for the probe of a file that `wm train probe` wrote.
+    ///
+    /// # Errors
+    /// If its words are missing or misshapen, or its text tower cannot be opened.
+    pub fn of_trained(weights: &Weights) -> Result<Self> {
+        if weights.metadata(TEXT_TOWER_KEY).is_some() {
+            let folder: PathBuf = weights.json(TEXT_TOWER_KEY)?;
+            return Self::siglip(&folder);
+        }
+        let words: WordsConfig = weights.json(WORDS_KEY)?;
+        let supply = OfWeights(weights);
+        let loader = Loader::supplied(&supply, Engine::Cpu);
+        Ok(Self::Words(WordEmbedding::load(&words, &loader)?))
     }
 
-    /// A probe of normalised latents, with the words that it knows.
-    pub fn of_words(words: WordEmbedding, probe: SuccessProbe, channels: usize) -> Self {
-        Self {
-            judge: Judge::Instructed(Box::new(Instructed {
-                reader: Reader::Words(words),
-                probe,
-            })),
-            normalisation: Normalisation::identity(channels),
-        }
+    /// SigLIP 2's text tower in a folder as Hugging Face publishes it: `config.json`, `model.safetensors` and
+    /// `tokenizer.json`.
+    ///
+    /// # Errors
+    /// If a file cannot be read or is not of a text tower.
+    pub fn siglip(folder: &Path) -> Result<Self> {
+        let path = folder.join("config.json");
+        let config = std::fs::read_to_string(&path).map_err(|error| Error::io(&path, error))?;
+        let config: SiglipTextConfig = crate::kinds::parse(&config)?;
+        // First what is cheap: it may be wrong.
+        let tokenizer = InstructionTokenizer::open(&folder.join("tokenizer.json"), &config)?;
+        let checkpoint = Checkpoint::open(folder.join("model.safetensors"))?;
+        let checkpoint = Kind::Siglip2Text.weights(&checkpoint, Average::Ema);
+        let loader = Loader::new(&checkpoint, Engine::Cpu, DType::F32);
+        let text = SiglipText::load(&config, &loader)?;
+        loader.finish()?;
+        Ok(Self::Siglip {
+            tokenizer: Box::new(tokenizer),
+            text: Box::new(text),
+        })
     }
 }

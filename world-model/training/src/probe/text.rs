@@ -1,0 +1,98 @@
+//! What reads instructions for a probe in training.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context as _, Result};
+use wm_model::weights::WeightsBuilder;
+use wm_zoo::{
+    Loader,
+    success_probe::{Reader, Reading, TEXT_TOWER_KEY, WORDS_KEY, WordEmbedding, WordsConfig},
+};
+
+/// What reads instructions.
+pub(super) enum Text {
+    /// A vocabulary whose features are learned with the probe.
+    Words(WordEmbedding),
+    /// A frozen text tower, which has read each instruction once.
+    Tower(Tower),
+}
+
+/// Instructions as a frozen text tower reads them.
+pub(super) struct Tower {
+    folder: PathBuf,
+    readings: BTreeMap<String, Reading>,
+    /// Channels of a token's feature.
+    features: usize,
+}
+
+impl Tower {
+    /// Has the text tower of `folder` read all of these.
+    pub(super) fn read<'a>(
+        folder: &Path,
+        instructions: impl Iterator<Item = &'a str>,
+    ) -> Result<Self> {
+        let folder = std::path::absolute(folder).with_context(|| folder.display().to_string())?;
+        let context = || format!("the text tower {}", folder.display());
+        let reader = Reader::siglip(&folder).with_context(context)?;
+        let mut readings = BTreeMap::new();
+        let mut features = 0;
+        for instruction in instructions {
+            if readings.contains_key(instruction) {
+                continue;
+            }
+            let reading = reader.read(instruction).with_context(context)?;
+            features = reading.features.dim(2)?;
+            readings.insert(instruction.to_owned(), reading);
+        }
+        Ok(Self {
+            folder,
+            readings,
+            features,
+        })
+    }
+
+    /// Channels of a token's feature.
+    pub(super) fn features(&self) -> usize {
+        self.features
+    }
+}
+
+impl Text {
+    pub(super) fn words(config: &WordsConfig, loader: &Loader<'_>) -> Result<Self> {
+        Ok(Self::Words(WordEmbedding::load(config, loader)?))
+    }
+
+    pub(super) fn read(&self, instruction: &str) -> Result<Reading> {
+        match self {
+            Self::Words(words) => Ok(Reading {
+                features: words.read(instruction)?,
+                mask: None,
+            }),
+            Self::Tower(tower) => {
+                let reading = tower.readings.get(instruction).cloned();
+                reading.with_context(|| format!("`{instruction}` was not read"))
+            }
+        }
+    }
+
+    /// Tells a file of weights what reads for the probe.
+    pub(super) fn describe(&self, weights: &mut WeightsBuilder) -> Result<()> {
+        let (key, value) = match self {
+            Self::Words(words) => (WORDS_KEY, serde_json::to_string(words.config())?),
+            Self::Tower(tower) => (TEXT_TOWER_KEY, serde_json::to_string(&tower.folder)?),
+        };
+        weights.metadata(key, value);
+        Ok(())
+    }
+
+    /// How it is told of.
+    pub(super) fn summary(&self) -> String {
+        match self {
+            Self::Words(words) => format!("{} words", words.config().vocabulary.len()),
+            Self::Tower(tower) => format!("{} instructions", tower.readings.len()),
+        }
+    }
+}
