@@ -29,6 +29,7 @@ pub struct Latents {
     layout: Layout,
     digest: String,
     actions: ActionSpace,
+    views: usize,
     files: Vec<Mmap>,
 }
 
@@ -66,6 +67,7 @@ impl Latents {
             layout: dataset.layout().clone(),
             digest: dataset.digest().to_owned(),
             actions: dataset.action_space().clone(),
+            views: dataset.views(),
             files,
         })
     }
@@ -89,6 +91,7 @@ impl Latents {
             layout,
             digest,
             actions,
+            views: 1,
         })
     }
 
@@ -108,6 +111,18 @@ impl Latents {
     #[must_use]
     pub fn action_space(&self) -> &ActionSpace {
         &self.actions
+    }
+
+    /// Number of cameras, whose pictures lie side by side in a frame.
+    #[must_use]
+    pub fn views(&self) -> usize {
+        self.views
+    }
+
+    /// The same, said to be of so many cameras.
+    #[cfg(test)]
+    pub(crate) fn of_views(self, views: usize) -> Self {
+        Self { views, ..self }
     }
 
     /// Digest of the frames that the latents are of.

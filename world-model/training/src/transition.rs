@@ -91,6 +91,7 @@ pub(crate) fn train_on(
     held_out: Option<(&Latents, Option<Pictures<'_>>)>,
     stop: &Stop,
 ) -> Result<Ended> {
+    let recipe = &recipe.of_views(train.views())?;
     let (encoding, config) = match &from {
         None => {
             let encoding = recipe.encoding(train.action_space())?;
@@ -352,6 +353,8 @@ fn tuned(from: &TransitionTensors, train: &Latents) -> Result<(ActionEncoding, T
         latent_width: space.width,
         channels: space.channels,
         action_dim: encoding.action_dim(),
+        // Positions have no weights: those of further views are there at once.
+        views: train.views(),
         ..from.config.clone()
     };
     config.validate()?;

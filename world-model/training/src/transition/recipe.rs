@@ -57,7 +57,7 @@ pub struct ModelRecipe {
     pub frames: usize,
     pub patch: Option<usize>,
     pub wide_head: Option<usize>,
-    pub views: usize,
+    pub views: Option<usize>,
     pub predicts: Parametrisation,
     pub action_alignment: ActionAlignment,
     pub frame_skip: usize,
@@ -76,6 +76,21 @@ pub struct SamplerRecipe {
 }
 
 impl TransitionRecipe {
+    /// The recipe for data of `views` cameras.
+    ///
+    /// # Errors
+    /// If it is for another number of them.
+    pub fn of_views(&self, views: usize) -> Result<Self> {
+        let own = self.model.views.unwrap_or(views);
+        ensure!(
+            own == views,
+            "model.views is {own}, but the data have {views} cameras side by side"
+        );
+        let mut recipe = self.clone();
+        recipe.model.views = Some(views);
+        Ok(recipe)
+    }
+
     /// What the actions of `space` become for the model.
     ///
     /// # Errors
@@ -114,7 +129,7 @@ impl TransitionRecipe {
             depth: own.depth.unwrap_or(preset.depth),
             heads: own.heads.unwrap_or(preset.heads),
             max_frames: own.frames,
-            views: own.views,
+            views: own.views.unwrap_or(1),
             wide_head: own.wide_head,
             frame_skip: own.frame_skip,
             parametrisation: own.predicts,

@@ -58,6 +58,17 @@ fn latents(
     name: &str,
     (is_labelled, flickers): (bool, bool),
 ) -> Latents {
+    latents_of_width(dir, episodes, seed, name, (is_labelled, flickers), SIDE)
+}
+
+fn latents_of_width(
+    dir: &Path,
+    episodes: usize,
+    seed: u64,
+    name: &str,
+    (is_labelled, flickers): (bool, bool),
+    width: usize,
+) -> Latents {
     let mut bytes = Vec::new();
     let mut list = Vec::new();
     let mut state = seed;
@@ -65,7 +76,7 @@ fn latents(
         let (mut level, mut last) = (0.0_f32, 0.0);
         let mut actions = Vec::new();
         for _ in 0..FRAMES {
-            for place in 0..SIDE * SIDE {
+            for place in 0..SIDE * width {
                 let second = match flickers {
                     true => ((state >> 33) % 2) as f32 * 2.0 - 1.0,
                     false => (place + index) as f32 * 0.1,
@@ -99,7 +110,7 @@ fn latents(
         name: name.into(),
         hash: name.into(),
         height: SIDE,
-        width: SIDE,
+        width,
         channels: CHANNELS,
     };
     Latents::map(&path, space, list, "digest".into(), ActionSpace::bridge()).unwrap()
@@ -449,4 +460,39 @@ fn a_model_is_tuned_to_other_actions() {
     );
     let error = format!("{:#}", error.unwrap_err());
     assert!(error.contains("from"), "{error}");
+}
+
+#[test]
+fn a_model_of_one_view_is_tuned_to_two() {
+    let dir = tempfile::tempdir().unwrap();
+    let (one, two) = (dir.path().join("one"), dir.path().join("two"));
+    let stop = Stop::default();
+    let recipe = small("tiny", None);
+    let latents = moving(dir.path(), 4, 1);
+    train_on(&run_in(&one), &recipe, None, &latents, None, &stop).unwrap();
+
+    let wide = latents_of_width(dir.path(), 4, 2, "two", (false, false), 2 * SIDE).of_views(2);
+    let from = ModelFolder::open(one.to_str().unwrap()).unwrap();
+    let from = from.transition_tensors().unwrap();
+    let mut recipe = small("tiny", None);
+    recipe.optimisation.learning_rate = 0.0;
+    let run = RunArgs {
+        from: Some(one.display().to_string()),
+        ..run_in(&two)
+    };
+    train_on(&run, &recipe, Some(from), &wide, None, &stop).unwrap();
+    let tuned = Weights::open(two.join(FILE)).unwrap();
+    let config: TransitionConfig = tuned.json(CONFIG_KEY).unwrap();
+    assert_eq!((config.views, config.latent_width), (2, 2 * SIDE));
+    let old = Weights::open(one.join(FILE)).unwrap();
+    for name in old.names() {
+        let shape = old.shape(&name).unwrap();
+        assert_eq!(
+            old.values(&name, shape).unwrap(),
+            tuned.values(&name, shape).unwrap()
+        );
+    }
+    recipe.model.views = Some(3);
+    let error = train_on(&run, &recipe, None, &wide, None, &stop).unwrap_err();
+    assert!(error.to_string().contains("model.views is 3"), "{error}");
 }
