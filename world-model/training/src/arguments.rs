@@ -1,6 +1,6 @@
 //! The command-line arguments that every training has.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
@@ -16,7 +16,8 @@ use crate::{
     fresh_weights::FreshWeights,
     latents::Latents,
     optimiser::Group,
-    recipe::{Override, Span},
+    recipe::{Override, Recipe, Span},
+    run::RunSettings,
 };
 
 /// Data, folder and recipe of a training.
@@ -209,6 +210,35 @@ impl RunArgs {
     pub fn length(&self, length: Span, per_epoch: f64) -> u64 {
         let steps = length.steps(per_epoch) as f64 * self.share;
         (steps.ceil() as u64).max(1)
+    }
+
+    /// How to run a training by `recipe`, of which an epoch has `samples`. `data` is what decides the result besides the
+    /// recipe and the model to begin from.
+    ///
+    /// # Errors
+    /// If the recipe cannot be told in JSON.
+    pub fn settings(
+        &self,
+        recipe: &impl Recipe,
+        samples: usize,
+        data: impl IntoIterator<Item = (&'static str, Value)>,
+    ) -> Result<RunSettings> {
+        let course = recipe.course();
+        let per_epoch = course.per_epoch(samples);
+        let steps = self.length(course.length, per_epoch);
+        let recipe = ("recipe", crate::recipe::identity(recipe)?);
+        let identity = data.into_iter().chain([recipe, ("from", self.origin())]);
+        Ok(RunSettings {
+            out: self.out.clone(),
+            steps,
+            schedule: course.optimisation.schedule(steps, per_epoch),
+            optimiser: course.optimisation.adamw(),
+            checkpoint_every: Duration::from_secs(course.checkpoint_seconds),
+            validate_every: course.validate_every,
+            identity: identity
+                .map(|(key, value)| (key.to_owned(), value))
+                .collect(),
+        })
     }
 
     /// Where decoded frames and latents are kept.

@@ -14,7 +14,7 @@ pub use trainer::TrainingError;
 use serde::{Deserialize, Serialize};
 use wm_model::AutoencoderConfig;
 
-use crate::recipe::{Bundled, Optimisation, Span};
+use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
 /// The recipes that are part of the program. The paper trains no autoencoder.
 pub const RECIPES: Bundled = &[("tiny", include_str!("../recipes/tiny/autoencoder.yaml"))];
@@ -52,6 +52,8 @@ pub struct AutoencoderRecipe {
     /// The optimiser.
     pub optimisation: Optimisation,
 }
+
+is_recipe!(AutoencoderRecipe);
 
 #[cfg(test)]
 pub(crate) mod tests;

@@ -43,13 +43,13 @@ mod recipe;
 mod self_forcing;
 mod teacher;
 
-use std::{path::Path, time::Duration};
+use std::path::Path;
 
 use anyhow::{Context as _, Result, ensure};
 use candle_core::Tensor;
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
-use serde_json::json;
+use serde_json::{Value, json};
 use wm_model::{
     Weights,
     transition::{CONFIG_KEY, Transition, WeightGradients},
@@ -60,7 +60,8 @@ use crate::{
     arguments::RunArgs,
     latents::Latents,
     optimiser::{Parameter, Trained, Variables},
-    run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
+    recipe::Recipe as _,
+    run::{Ended, Figure, StepLoss, Stop, Task},
     trained_weights::trained_weights_of_actions,
     transition::{
         ActionChange, Batch, ClipSource, Evaluation, FILE, HORIZON, Objective, QUICK_WINDOWS,
@@ -108,30 +109,21 @@ fn train_on(
         idm.space().require(held_out.space()).context(context)?;
     }
     let mut task = DistillTask::new(recipe, teacher, train, gated.held_out, run)?;
-    let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
+    let samples = task.clips.len();
+    let per_epoch = recipe.course().per_epoch(samples);
     task.self_forcing_after = run.length(recipe.self_forcing.after, per_epoch);
-    let steps = run.length(recipe.length, per_epoch);
-    let mut identity = crate::recipe::identity(recipe)?;
-    if let Some(settings) = identity.as_object_mut() {
-        settings.remove("gate");
+    let data = [
+        ("self_forcing_after", json!(task.self_forcing_after)),
+        ("teacher", json!(teacher.sha256())),
+        ("latent_space", json!(train.space().to_string())),
+        ("data", json!(train.digest())),
+        ("actions", json!(teacher.encoding)),
+    ];
+    let mut settings = run.settings(recipe, samples, data)?;
+    // It decides whether the student is kept, not what it becomes.
+    if let Some(Value::Object(recipe)) = settings.identity.get_mut("recipe") {
+        recipe.remove("gate");
     }
-    let settings = RunSettings {
-        out: run.out.clone(),
-        steps,
-        schedule: recipe.optimisation.schedule(steps, per_epoch),
-        optimiser: recipe.optimisation.adamw(),
-        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
-        validate_every: recipe.validate_every,
-        identity: json!({
-            "recipe": identity,
-            "self_forcing_after": task.self_forcing_after,
-            "teacher": teacher.sha256(),
-            "latent_space": train.space().to_string(),
-            "data": train.digest(),
-            "actions": teacher.encoding,
-            "from": run.origin(),
-        }),
-    };
     crate::recipe::write(&run.out, task.name(), recipe)?;
     println!(
         "{} episodes, {} threads",

@@ -212,7 +212,55 @@ pub fn identity(recipe: &impl Serialize) -> Result<serde_json::Value, serde_json
     Ok(identity)
 }
 
-/// How a training steps: what every recipe has.
+/// A recipe of a training.
+pub trait Recipe: Serialize {
+    /// What every recipe has.
+    fn course(&self) -> Course<'_>;
+}
+
+/// What every recipe has.
+#[derive(Clone, Copy, Debug)]
+pub struct Course<'a> {
+    /// How long to train.
+    pub length: Span,
+    /// Samples a step.
+    pub batch: usize,
+    /// Steps between validations.
+    pub validate_every: u64,
+    /// Wall-clock time between checkpoints \[s\].
+    pub checkpoint_seconds: u64,
+    /// How to step.
+    pub optimisation: &'a Optimisation,
+}
+
+impl Course<'_> {
+    /// Steps of an epoch of `samples`.
+    #[must_use]
+    pub fn per_epoch(&self, samples: usize) -> f64 {
+        samples as f64 / self.batch.max(1) as f64
+    }
+}
+
+/// Makes a struct with the fields of a [`Course`] a [`Recipe`].
+macro_rules! is_recipe {
+    ($recipe:ty) => {
+        impl $crate::recipe::Recipe for $recipe {
+            fn course(&self) -> $crate::recipe::Course<'_> {
+                $crate::recipe::Course {
+                    length: self.length,
+                    batch: self.batch,
+                    validate_every: self.validate_every,
+                    checkpoint_seconds: self.checkpoint_seconds,
+                    optimisation: &self.optimisation,
+                }
+            }
+        }
+    };
+}
+
+pub(crate) use is_recipe;
+
+/// How a training steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Optimisation {

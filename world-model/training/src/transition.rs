@@ -15,7 +15,7 @@ mod pictures;
 mod recipe;
 mod strip;
 
-use std::{collections::BTreeSet, path::Path, time::Duration};
+use std::{collections::BTreeSet, path::Path};
 
 use anyhow::{Context as _, Result};
 use candle_core::DType;
@@ -37,7 +37,7 @@ use crate::{
     latents::Latents,
     model_folder::carry_encoder,
     optimiser::{Group, Parameter, Trained, Variables},
-    run::{Ended, Figure, RunSettings, StepLoss, Stop, Task},
+    run::{Ended, Figure, StepLoss, Stop, Task},
     trained_weights::trained_weights_of_actions,
     workers::{BatchLoss, Batches, Workers},
 };
@@ -103,23 +103,13 @@ pub(crate) fn train_on(
     let old = from.map(|from| from.tensors).unwrap_or_default();
     let fresh = FreshWeights::tuning(recipe.seed, old).on(&run.compute()?);
     let mut task = TransitionTask::new(recipe, (&encoding, config), fresh, train, held_out, run)?;
-    let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
-    let steps = run.length(recipe.length, per_epoch);
-    let settings = RunSettings {
-        out: run.out.clone(),
-        steps,
-        schedule: recipe.optimisation.schedule(steps, per_epoch),
-        optimiser: recipe.optimisation.adamw(),
-        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
-        validate_every: recipe.validate_every,
-        identity: json!({
-            "recipe": crate::recipe::identity(recipe)?,
-            "latent_space": train.space().to_string(),
-            "data": train.digest(),
-            "actions": task.encoding,
-            "from": run.origin(),
-        }),
-    };
+    let samples = task.clips.len();
+    let data = [
+        ("latent_space", json!(train.space().to_string())),
+        ("data", json!(train.digest())),
+        ("actions", json!(task.encoding)),
+    ];
+    let settings = run.settings(recipe, samples, data)?;
     crate::recipe::write(&run.out, task.name(), recipe)?;
     println!(
         "{} episodes, {} threads",

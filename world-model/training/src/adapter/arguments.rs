@@ -1,7 +1,4 @@
-use std::{
-    path::{Path, PathBuf},
-    time::Duration,
-};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
@@ -12,7 +9,7 @@ use wm_zoo::{Checkpoint, ModelFolder};
 use super::{AdapterRecipe, AdapterTask, Data, FILE, Frames, Lpips, RECIPES, files};
 use crate::{
     arguments::RunArgs,
-    run::{Ended, RunSettings, Stop, Task as _},
+    run::{Ended, Stop, Task as _},
 };
 
 /// Trains the S-VAE adapter, which compresses the features of a frozen encoder, and its pixel decoder.
@@ -135,24 +132,14 @@ pub(super) fn train_on(
     files: Value,
     stop: &Stop,
 ) -> Result<Ended> {
-    let per_epoch = data.train.episodes() as f64 / recipe.batch.max(1) as f64;
-    let steps = run.length(recipe.length, per_epoch);
-    let mut task = AdapterTask::new(recipe, steps, data, run)?;
-    let settings = RunSettings {
-        out: run.out.clone(),
-        steps,
-        schedule: recipe.optimisation.schedule(steps, per_epoch),
-        optimiser: recipe.optimisation.adamw(),
-        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
-        validate_every: recipe.validate_every,
-        identity: json!({
-            "recipe": crate::recipe::identity(recipe)?,
-            "latent_space": data.train.space().to_string(),
-            "data": data.train.digest(),
-            "files": files,
-            "from": run.origin(),
-        }),
-    };
+    let samples = data.train.episodes();
+    let identity = [
+        ("latent_space", json!(data.train.space().to_string())),
+        ("data", json!(data.train.digest())),
+        ("files", json!(files)),
+    ];
+    let settings = run.settings(recipe, samples, identity)?;
+    let mut task = AdapterTask::new(recipe, settings.steps, data, run)?;
     crate::recipe::write(&run.out, task.name(), recipe)?;
     println!(
         "{} episodes, {} frames, {} threads",

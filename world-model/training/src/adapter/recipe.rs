@@ -2,7 +2,7 @@ use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use wm_zoo::{svae::SvaeConfig, vae::PixelDecoderConfig};
 
-use crate::recipe::{Bundled, Optimisation, Span};
+use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
 /// The recipes that are part of the program.
 pub const RECIPES: Bundled = &[
@@ -27,6 +27,8 @@ pub struct AdapterRecipe {
     pub loss: LossRecipe,
     pub optimisation: Optimisation,
 }
+
+is_recipe!(AdapterRecipe);
 
 /// Shape of both networks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,4 +1,4 @@
-use std::{path::PathBuf, time::Duration};
+use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use candle_core::DType;
@@ -15,7 +15,7 @@ use crate::{
     arguments::{HeldOutArgs, RunArgs},
     dataset::Dataset,
     recipe::Override,
-    run::{Ended, RunSettings, Stop, Task as _},
+    run::{Ended, Stop, Task as _},
 };
 
 /// Trains the autoencoder on bags of episodes. If the bags have masks, pixels inside the masks get more weight.
@@ -64,17 +64,9 @@ pub(super) fn train_on(
     held_out: Option<&Dataset>,
     stop: &Stop,
 ) -> Result<Ended> {
-    let per_epoch = train.episodes().len() as f64 / recipe.batch as f64;
-    let steps = run.length(recipe.length, per_epoch);
-    let settings = RunSettings {
-        out: run.out.clone(),
-        steps,
-        schedule: recipe.optimisation.schedule(steps, per_epoch),
-        optimiser: recipe.optimisation.adamw(),
-        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
-        validate_every: recipe.validate_every,
-        identity: json!({"recipe": crate::recipe::identity(recipe)?, "data": train.digest(), "from": run.origin()}),
-    };
+    let samples = train.episodes().len();
+    let data = [("data", json!(train.digest()))];
+    let settings = run.settings(recipe, samples, data)?;
     let mut recipe = recipe.clone();
     let mut old = None;
     if let Some(from) = &run.from {
@@ -90,7 +82,7 @@ pub(super) fn train_on(
         };
         old = Some(model);
     }
-    let mut task = AutoencoderTask::new(recipe.clone(), steps, train, held_out)?;
+    let mut task = AutoencoderTask::new(recipe.clone(), settings.steps, train, held_out)?;
     if let Some(old) = &old {
         task.begin_with(old, run.groups());
     }

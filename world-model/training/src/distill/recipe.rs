@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 use wm_model::transition::TransitionConfig;
 
 use crate::{
-    recipe::{Bundled, Optimisation, Span},
+    recipe::{Bundled, Optimisation, Span, is_recipe},
     transition::{Forcing, Objective, ObjectiveRecipe, TauDistribution},
 };
 
@@ -32,6 +32,8 @@ pub struct DistillRecipe {
     pub gate: GateRecipe,
     pub optimisation: Optimisation,
 }
+
+is_recipe!(DistillRecipe);
 
 /// The consistency distillation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

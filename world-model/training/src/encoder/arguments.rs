@@ -1,5 +1,3 @@
-use std::time::Duration;
-
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
@@ -10,7 +8,7 @@ use crate::{
     arguments::RunArgs,
     dataset::Dataset,
     recipe::Override,
-    run::{Ended, RunSettings, Stop, Task as _},
+    run::{Ended, Stop, Task as _},
 };
 
 /// Trains a small semantic encoder, whose features tell the actions between frames.
@@ -54,22 +52,12 @@ pub(super) fn train_on(
     let encoding = recipe.head.encoding(train.action_space())?;
     let config = config(run, recipe)?;
     let mut task = EncoderTask::new(recipe, config, &encoding, (train, held_out), run)?;
-    let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
-    let steps = run.length(recipe.length, per_epoch);
-    let settings = RunSettings {
-        out: run.out.clone(),
-        steps,
-        schedule: recipe.optimisation.schedule(steps, per_epoch),
-        optimiser: recipe.optimisation.adamw(),
-        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
-        validate_every: recipe.validate_every,
-        identity: json!({
-            "recipe": crate::recipe::identity(recipe)?,
-            "data": train.digest(),
-            "actions": encoding,
-            "from": run.origin(),
-        }),
-    };
+    let samples = task.clips.len();
+    let data = [
+        ("data", json!(train.digest())),
+        ("actions", json!(encoding)),
+    ];
+    let settings = run.settings(recipe, samples, data)?;
     crate::recipe::write(&run.out, task.name(), recipe)?;
     println!("{} episodes, {} threads", task.clips.len(), run.threads()?);
     let ended = crate::run::train(&mut task, &settings, stop)?;

@@ -4,7 +4,7 @@ use wm_zoo::vit::WebDinoConfig;
 
 use crate::{
     idm::IdmModelRecipe,
-    recipe::{Bundled, Optimisation, Span},
+    recipe::{Bundled, Optimisation, Span, is_recipe},
 };
 
 /// The recipes that are part of the program. The paper trains no encoder.
@@ -27,6 +27,8 @@ pub struct EncoderRecipe {
     pub head: IdmModelRecipe,
     pub optimisation: Optimisation,
 }
+
+is_recipe!(EncoderRecipe);
 
 /// Shape of the encoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,4 +1,4 @@
-use std::{path::PathBuf, time::Duration};
+use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use clap::Args;
@@ -15,7 +15,7 @@ use crate::{
     arguments::{HeldOutArgs, RunArgs},
     latents::Latents,
     model_folder::carry_encoder,
-    run::{Ended, RunSettings, Stop, Task as _},
+    run::{Ended, Stop, Task as _},
     transition::Evaluation,
 };
 
@@ -57,23 +57,13 @@ pub(super) fn train_on(
 ) -> Result<Ended> {
     let encoding = recipe.model.encoding(train.action_space())?;
     let mut task = IdmTask::new(recipe, &encoding, train, held_out, run)?;
-    let per_epoch = task.clips.len() as f64 / recipe.batch as f64;
-    let steps = run.length(recipe.length, per_epoch);
-    let settings = RunSettings {
-        out: run.out.clone(),
-        steps,
-        schedule: recipe.optimisation.schedule(steps, per_epoch),
-        optimiser: recipe.optimisation.adamw(),
-        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
-        validate_every: recipe.validate_every,
-        identity: json!({
-            "recipe": crate::recipe::identity(recipe)?,
-            "latent_space": train.space().to_string(),
-            "data": train.digest(),
-            "actions": encoding,
-            "from": run.origin(),
-        }),
-    };
+    let samples = task.clips.len();
+    let data = [
+        ("latent_space", json!(train.space().to_string())),
+        ("data", json!(train.digest())),
+        ("actions", json!(encoding)),
+    ];
+    let settings = run.settings(recipe, samples, data)?;
     crate::recipe::write(&run.out, task.name(), recipe)?;
     println!("{} episodes, {} threads", task.clips.len(), run.threads()?);
     let ended = crate::run::train(&mut task, &settings, stop)?;

@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 use wm_motion::actions::{Accumulation, ActionEncoding, ActionSpace};
 use wm_zoo::idm::IdmConfig;
 
-use crate::recipe::{Bundled, Optimisation, Span};
+use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
 /// The recipes that are part of the program.
 pub const RECIPES: Bundled = &[
@@ -27,6 +27,8 @@ pub struct IdmRecipe {
     pub model: IdmModelRecipe,
     pub optimisation: Optimisation,
 }
+
+is_recipe!(IdmRecipe);
 
 /// Shape and conventions of the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,7 +1,4 @@
-use std::{
-    path::{Path, PathBuf},
-    time::Duration,
-};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
 use clap::Args;
@@ -20,7 +17,7 @@ use crate::{
     arguments::{HeldOutArgs, RunArgs},
     latents::Latents,
     model_folder::carry_encoder,
-    run::{Ended, RunSettings, Stop, Task as _},
+    run::{Ended, Stop, Task as _},
 };
 
 /// Trains the success probe: whether an episode's latents show what its instruction asks for. It takes the episodes that
@@ -89,23 +86,13 @@ pub(super) fn train_on(
     stop: &Stop,
 ) -> Result<Ended> {
     let mut task = ProbeTask::new(recipe, train, held_out, text_tower, run)?;
-    let per_epoch = task.episodes.len() as f64 / recipe.batch as f64;
-    let steps = run.length(recipe.length, per_epoch);
-    let settings = RunSettings {
-        out: run.out.clone(),
-        steps,
-        schedule: recipe.optimisation.schedule(steps, per_epoch),
-        optimiser: recipe.optimisation.adamw(),
-        checkpoint_every: Duration::from_secs(recipe.checkpoint_seconds),
-        validate_every: recipe.validate_every,
-        identity: json!({
-            "recipe": crate::recipe::identity(recipe)?,
-            "latent_space": train.space().to_string(),
-            "data": train.digest(),
-            "text_tower": text_tower,
-            "from": run.origin(),
-        }),
-    };
+    let samples = task.episodes.len();
+    let data = [
+        ("latent_space", json!(train.space().to_string())),
+        ("data", json!(train.digest())),
+        ("text_tower", json!(text_tower)),
+    ];
+    let settings = run.settings(recipe, samples, data)?;
     crate::recipe::write(&run.out, task.name(), recipe)?;
     let [successes, failures] = task.episodes.counts();
     println!(

@@ -3,7 +3,7 @@ use serde::{Deserialize, Serialize};
 use wm_model::LatentSpace;
 use wm_zoo::success_probe::SuccessProbeConfig;
 
-use crate::recipe::{Bundled, Optimisation, Span};
+use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
 /// The recipes that are part of the program.
 pub const RECIPES: Bundled = &[
@@ -29,6 +29,8 @@ pub struct ProbeRecipe {
     pub model: ProbeModelRecipe,
     pub optimisation: Optimisation,
 }
+
+is_recipe!(ProbeRecipe);
 
 /// Shape of the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

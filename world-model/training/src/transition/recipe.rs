@@ -8,7 +8,7 @@ use wm_model::{
 use wm_motion::actions::{Accumulation, ActionEncoding, ActionSpace};
 
 use super::objective::{Objective, ObjectiveRecipe};
-use crate::recipe::{Bundled, Optimisation, Span};
+use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
 /// The recipes that are part of the program.
 pub const RECIPES: Bundled = &[
@@ -44,6 +44,8 @@ pub struct TransitionRecipe {
     /// The optimiser.
     pub optimisation: Optimisation,
 }
+
+is_recipe!(TransitionRecipe);
 
 /// Shape and conventions of the model; `None` stands for the preset's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
