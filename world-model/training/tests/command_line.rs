@@ -157,6 +157,115 @@ fn a_model_is_trained_by_one_command_and_an_interrupted_one_gives_the_same_bytes
     }
 }
 
+/// A training of a model on a semantic encoder: its name, where the model that it builds on is, and its settings.
+type Stage = (
+    &'static str,
+    &'static [&'static str],
+    &'static [&'static str],
+);
+
+const STAGES: [Stage; 4] = [
+    (
+        "encoder",
+        &[],
+        &[
+            "batch=2",
+            "micro_batch=1",
+            "model.patch=16",
+            "model.hidden=16",
+            "model.depth=1",
+            "head.hidden=16",
+            "head.depth=1",
+        ],
+    ),
+    (
+        "adapter",
+        &["--encoder", "encoder"],
+        &[
+            "batch=2",
+            "micro_batch=1",
+            "model.latent=4",
+            "model.layers=1",
+            "model.ffn=16",
+            "model.base=8",
+            "model.multipliers=[1, 1, 1, 1, 1]",
+            "loss.kl_warm_up=0.0",
+        ],
+    ),
+    (
+        "transition",
+        &["--encoder", "adapter"],
+        &[
+            "batch=2",
+            "model.hidden=32",
+            "model.depth=1",
+            "model.heads=2",
+            "model.frames=5",
+        ],
+    ),
+    (
+        "distill",
+        &["--teacher", "adapter", "--accept"],
+        &[
+            "batch=2",
+            "self_forcing.after=3 steps",
+            "self_forcing.frames=3",
+        ],
+    ),
+];
+
+/// Each with a few steps, in one go and in two: the encoder, the adapter that compresses its features, the transition model
+/// of what it gives, which belongs into the adapter's folder, and a student of that.
+#[test]
+fn every_training_of_a_semantic_model_is_taken_up_again_to_the_same_bytes() {
+    let scratch = tempfile::tempdir().unwrap();
+    let at = |name: &str| scratch.path().join(name);
+    let (bags, cache) = (at("bags"), at("cache"));
+    let sim = ["sim", "--episodes", "2", "--frames", "24", "--out"];
+    done(wm_training().args(sim).arg(&bags));
+    for (name, on, settings) in STAGES {
+        let train = |way: &str, steps: u64| {
+            let folder = |of: &str| scratch.path().join(way).join(of);
+            let mut command = wm_training();
+            command.args(["train", name, "--threads", "2", "--validation", "0"]);
+            command.args(["--steps", &steps.to_string()]);
+            // With a learning rate that does not depend on the length, it makes no difference where a run paused.
+            command.args(["--set", "optimisation.final_rate=1.0"]);
+            command.args(["--set", "optimisation.warm_up=0 steps"]);
+            for setting in settings {
+                command.args(["--set", setting]);
+            }
+            for word in on {
+                match word.strip_prefix("--") {
+                    Some(_) => command.arg(word),
+                    None => command.arg(folder(word)),
+                };
+            }
+            let out = match name {
+                "transition" => "adapter",
+                other => other,
+            };
+            command.arg("--data").arg(&bags).arg("--cache").arg(&cache);
+            done(command.arg("--out").arg(folder(out)));
+            folder(out)
+        };
+        let whole = train("whole", 4);
+        train("parts", 2);
+        let parts = train("parts", 4);
+        let file = match name {
+            "distill" => "transition",
+            other => other,
+        };
+        for file in [
+            format!("{file}.safetensors"),
+            format!("{name}.checkpoint.safetensors"),
+        ] {
+            let read = |folder: &Path| std::fs::read(folder.join(&file)).unwrap();
+            assert!(read(&whole) == read(&parts), "{name}: {file}");
+        }
+    }
+}
+
 #[test]
 fn a_wrong_setting_is_named_before_anything_is_read() {
     let mut train = wm_training();

@@ -11,10 +11,11 @@ use wm_model::{
     weights::{Precision, WeightsBuilder},
 };
 use wm_zoo::{
-    Checkpoint, checkpoint::Average, folder, kinds::Kind, svae::SvaeConfig, vae::PixelDecoderConfig,
+    Checkpoint, checkpoint::Average, kinds::Kind, svae::SvaeConfig, vae::PixelDecoderConfig,
 };
 
 use crate::{
+    model_folder::{description_of, write_description},
     optimiser::{Trained, Variables},
     trained_weights::trained_weights,
 };
@@ -81,31 +82,16 @@ impl Output<'_> {
         if views > 1 {
             set("views", json!(views));
         }
-        let path = self.folder.join(folder::FILE);
-        std::fs::write(&path, format!("{description:#}\n"))
-            .with_context(|| path.display().to_string())
+        write_description(self.folder, &description)
     }
 }
 
 /// What of the description in `folder` is about its encoder, under the name `name` and with absolute paths.
 pub(super) fn encoder_of(folder: &Path, name: &str) -> Result<Value> {
-    let path = folder.join(folder::FILE);
-    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-    let whole: Value = serde_json::from_str(&text).with_context(|| path.display().to_string())?;
-    let folder = std::path::absolute(folder).with_context(|| folder.display().to_string())?;
-    let mut description = json!({"name": name});
-    for key in ["image", "dtype", "encoder"] {
-        let (Some(value), Some(fields)) = (whole.get(key), description.as_object_mut()) else {
-            continue;
-        };
-        fields.insert(key.to_owned(), value.clone());
-    }
-    for key in ["config", "weights"] {
-        if let Some(file) = description.pointer_mut(&format!("/encoder/{key}"))
-            && let Some(name) = file.as_str()
-        {
-            *file = json!(folder.join(name));
-        }
+    let mut description = description_of(folder)?;
+    if let Some(parts) = description.as_object_mut() {
+        parts.retain(|part, _| ["image", "dtype", "encoder"].contains(&part.as_str()));
+        parts.insert("name".into(), json!(name));
     }
     Ok(description)
 }

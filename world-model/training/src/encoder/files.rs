@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use serde_json::json;
-use wm_zoo::{folder, kinds::Kind, vit::WebDinoConfig};
+use wm_zoo::{kinds::Kind, vit::WebDinoConfig};
 
 use crate::{optimiser::Trained, trained_weights::trained_weights};
 
@@ -31,6 +31,5 @@ pub(super) fn write_description(folder: &Path, config: &WebDinoConfig, name: &st
         "image": [config.image_size, config.image_size],
         "encoder": {"kind": Kind::WebDino.name(), "weights": FILE, "config": config},
     });
-    let path = folder.join(folder::FILE);
-    std::fs::write(&path, format!("{description:#}\n")).with_context(|| path.display().to_string())
+    crate::model_folder::write_description(folder, &description)
 }
