@@ -18,9 +18,12 @@ use crate::ops::{AttentionPattern, gated_residual, linear, rms_norm_modulate, sw
 /// Chunks of a frame's modulation: shift, scale and gate of the attention, then of the feed-forward network.
 const CHUNKS: usize = 6;
 
+/// A weight and the gradient by it.
+type Gradient = (Tensor, Vec<f32>);
+
 /// Gradients by weights that are no operands of candle's operations; see [`super::Transition::collecting`].
 #[derive(Clone, Debug, Default)]
-pub struct WeightGradients(Arc<Mutex<Vec<(Tensor, Vec<f32>)>>>);
+pub struct WeightGradients(Arc<Mutex<Vec<Gradient>>>);
 
 impl WeightGradients {
     /// Adds them to those of candle's own backward pass, and forgets them.
@@ -39,7 +42,7 @@ impl WeightGradients {
         Ok(())
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<(Tensor, Vec<f32>)>> {
+    fn lock(&self) -> MutexGuard<'_, Vec<Gradient>> {
         // A list of whole entries is consistent whoever panicked.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
