@@ -70,8 +70,8 @@ impl TrainModelArgs {
     /// # Errors
     /// When a part cannot be trained.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
-        let known = |setting: &&Override| !PARTS.contains(&setting.part());
-        if let Some(setting) = self.set.iter().find(known) {
+        let is_unknown = |setting: &&Override| !PARTS.contains(&setting.part());
+        if let Some(setting) = self.set.iter().find(is_unknown) {
             anyhow::bail!(
                 "--set {setting}: expected it to begin with one of {}",
                 PARTS.join(", ")
