@@ -10,8 +10,8 @@ of ours is the time between two entries of the training's TensorBoard file, so i
 drawing clips and noise, loss, gradient, clipping, AdamW, the moving average. PyTorch's draws its noise, but gets one
 batch of latents or pictures again and again.
 
-PyTorch's networks take the weights of the bundled model by name, all of them; the transition's loss is also compared
-with that of world-model/training/fixtures/steps.py, which the Rust side is tested against. Needs cargo, a C++ compiler,
+PyTorch's networks, but for DiT-S, take the weights of the bundled model by name, all of them; the losses of the transition
+models are also compared with that of world-model/training/fixtures/steps.py, which the Rust side is tested against. Needs cargo, a C++ compiler,
 and what world-model/zoo/fixtures/requirements.txt names.
 
 Cases: transition, autoencoder, autoencoder-whole (its last steps, on whole pictures): the bundled default's recipes.
@@ -262,10 +262,6 @@ def bundled(name):
     return load_file(BUNDLED / f"{name}.safetensors")
 
 
-def load_bundled_transition(module):
-    module.load_state_dict({name: value.float() for name, value in bundled("transition").items()})
-
-
 class Case:
     """A training: arguments of `wm train`, and the same in PyTorch."""
 
@@ -290,7 +286,7 @@ class TransitionCase(Case):
         return module.float()
 
     def load(self, module):
-        load_bundled_transition(module.net)
+        module.net.load_state_dict({name: value.float() for name, value in bundled("transition").items()})
 
     def batch(self):
         frames = self.config["max_frames"]

@@ -33,10 +33,23 @@ impl DeviceName {
     }
 }
 
+/// Opens each GPU once: candle takes what is opened twice for two devices, and refuses operations between them.
 #[cfg(feature = "cuda")]
 fn cuda(number: usize) -> Result<Device, String> {
-    Device::new_cuda(number)
-        .map_err(|error| format!("no NVIDIA GPU of this number can be used: {error}"))
+    use std::{
+        collections::BTreeMap,
+        sync::{Mutex, PoisonError},
+    };
+
+    static OPEN: Mutex<BTreeMap<usize, Device>> = Mutex::new(BTreeMap::new());
+    let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(device) = open.get(&number) {
+        return Ok(device.clone());
+    }
+    let device = Device::new_cuda(number)
+        .map_err(|error| format!("no NVIDIA GPU of this number can be used: {error}"))?;
+    open.insert(number, device.clone());
+    Ok(device)
 }
 
 #[cfg(not(feature = "cuda"))]
