@@ -38,7 +38,7 @@ pub struct Loader<'a> {
 
 /// What gives tensors that are in no checkpoint, as the variables of a training.
 pub trait Supply {
-    /// Tensor `name` of `shape`: on the CPU, f32.
+    /// Tensor `name` of `shape`: f32, where the model is to compute.
     ///
     /// # Errors
     /// Whatever keeps it from that.
