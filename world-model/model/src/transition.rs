@@ -106,8 +106,8 @@ impl Transition {
     }
 
     /// The same model for a training step on the CPU, where it is faster: gradients by the weights of its blocks go to
-    /// `gradients` and not to candle's [`GradStore`](candle_core::backprop::GradStore), where
-    /// [`WeightGradients::move_into`] brings them. On other devices, and [`Self::plain`], nothing changes.
+    /// `gradients` and not to candle's [`GradStore`](candle_core::backprop::GradStore); [`WeightGradients::take`] gives the
+    /// sum of both. On other devices, and [`Self::plain`], nothing changes.
     #[must_use]
     pub fn collecting(&self, gradients: &WeightGradients) -> Self {
         Self {
@@ -168,21 +168,22 @@ impl Transition {
     /// If the shapes do not fit the configuration, or an input is on another device.
     pub fn forward(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<Tensor> {
         let (_, frames) = tau.dims2()?;
-        let output = self.output(x, tau, action, &TemporalPattern::causal(frames))?;
+        let output = self.output(x, tau, action, &TemporalPattern::causal(frames), frames)?;
         self.config.parametrisation.velocities(&output, x, tau)
     }
 
-    /// What the network itself gives at every frame, before the parametrisation is applied:
-    /// (B, T, H, W, C). Shapes as in [`Transition::forward`].
+    /// What the network itself gives at the `last` frames, before the parametrisation is applied:
+    /// (B, last, H, W, C). Shapes as in [`Transition::forward`].
     ///
     /// # Errors
-    /// If the shapes do not fit the configuration or the pattern, or an input is on another device.
+    /// If the shapes do not fit the configuration or the pattern, there are fewer frames, or an input is on another device.
     pub fn output(
         &self,
         x: &Tensor,
         tau: &Tensor,
         action: &Tensor,
         pattern: &TemporalPattern,
+        last: usize,
     ) -> Result<Tensor> {
         let (b, t) = self.config.check_input(x, tau, action)?;
         self.check_device(x, tau, action)?;
@@ -192,6 +193,10 @@ impl Transition {
                 expected: format!("(B, {}, H, W, C) for this pattern", pattern.len()),
                 found: x.dims().to_vec(),
             });
+        }
+        if !(1..=t).contains(&last) {
+            let reason = format!("{last}, expected 1 to {t}");
+            return Err(Error::config("number of last frames", reason));
         }
         let engine = self.engine;
         let temporal = Arc::new(pattern.attention(self.config.heads, self.config.head_dim())?);
@@ -203,17 +208,26 @@ impl Transition {
         match &self.gradients {
             Some(gradients) if engine.takes_kernel(&tokens) => {
                 let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
-                tokens = trunk::trunk(&self.blocks, patterns, gradients, &tokens, activated)?;
+                let tokens_and_last = (&tokens, last);
+                tokens = trunk::trunk(
+                    &self.blocks,
+                    patterns,
+                    gradients,
+                    tokens_and_last,
+                    activated,
+                )?;
             }
             _ => {
                 for block in &self.blocks {
                     tokens =
                         block.forward(engine, &tokens, &condition, &self.spatial, &temporal)?;
                 }
+                tokens = tokens.narrow(1, t - last, last)?;
             }
         }
+        let condition = condition.of_last(last, (b, t))?;
         let out = self.head.forward(engine, &tokens, &condition)?;
-        Patches::into_grid(&out, (b, t), &self.config)
+        Patches::into_grid(&out, (b, last), &self.config)
     }
 
     fn check_device(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<()> {

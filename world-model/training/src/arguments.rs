@@ -17,7 +17,7 @@ use crate::{
     latents::Latents,
     optimiser::Group,
     recipe::{Override, Recipe, Span},
-    run::RunSettings,
+    run::{Ended, RunSettings, Stop, Task},
 };
 
 /// Data, folder and recipe of a training.
@@ -239,6 +239,30 @@ impl RunArgs {
                 .map(|(key, value)| (key.to_owned(), value))
                 .collect(),
         })
+    }
+
+    /// Trains `task`: writes the resolved recipe beside the weights, says what it trains on, and in the end what it wrote.
+    ///
+    /// # Errors
+    /// As [`crate::run::train`].
+    pub fn train(
+        &self,
+        task: &mut dyn Task,
+        recipe: &impl Recipe,
+        settings: &RunSettings,
+        (about, stop): (&str, &Stop),
+    ) -> Result<Ended> {
+        crate::recipe::write(&self.out, task.name(), recipe)?;
+        println!("{about}, {} threads", self.threads()?);
+        let ended = crate::run::train(task, settings, stop)?;
+        if ended == Ended::Finished {
+            // What a student is called is decided after its training.
+            let files = task.files().iter().map(|file| self.out.join(file));
+            for path in files.filter(|path| path.exists()) {
+                println!("wrote {}", path.display());
+            }
+        }
+        Ok(ended)
     }
 
     /// Where decoded frames and latents are kept.

@@ -124,17 +124,12 @@ fn train_on(
     if let Some(Value::Object(recipe)) = settings.identity.get_mut("recipe") {
         recipe.remove("gate");
     }
-    crate::recipe::write(&run.out, task.name(), recipe)?;
-    println!(
-        "{} episodes, {} threads",
-        task.clips.len(),
-        task.workers.threads()
-    );
     if let Some(held_out) = &task.held_out {
         let row = table_row(&held_out.teacher);
         println!("squared latent error / persistence of the teacher, k = 1 to {HORIZON}: {row}");
     }
-    let ended = crate::run::train(&mut task, &settings, stop)?;
+    let about = format!("{} episodes", task.clips.len());
+    let ended = run.train(&mut task, recipe, &settings, (&about, stop))?;
     if ended == Ended::Finished {
         judge(&run.out, recipe, teacher, gated)?;
     }

@@ -60,9 +60,8 @@ impl Fixture {
         let BatchLoss {
             loss, gradients, ..
         } = found.into();
-        let mut store = loss.backward().unwrap();
-        gradients.move_into(&mut store).unwrap();
-        let gradients = variables.gradients(&store).unwrap();
+        let store = loss.backward().unwrap();
+        let gradients = variables.gradients(&store, &gradients).unwrap();
         let parameters = variables.parameters(|_| 0).unwrap();
         let names: Vec<String> = parameters.into_iter().map(|p| p.name).collect();
         assert_eq!(names, self.names("gradient/"), "{}", self.name);

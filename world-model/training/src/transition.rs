@@ -110,17 +110,8 @@ pub(crate) fn train_on(
         ("actions", json!(task.encoding)),
     ];
     let settings = run.settings(recipe, samples, data)?;
-    crate::recipe::write(&run.out, task.name(), recipe)?;
-    println!(
-        "{} episodes, {} threads",
-        task.clips.len(),
-        task.workers.threads()
-    );
-    let ended = crate::run::train(&mut task, &settings, stop)?;
-    if ended == Ended::Finished {
-        println!("wrote {}", run.out.join(FILE).display());
-    }
-    Ok(ended)
+    let about = format!("{} episodes", task.clips.len());
+    run.train(&mut task, recipe, &settings, (&about, stop))
 }
 
 /// Held-out latents, and some windows of them.

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::{Context as _, Result, anyhow, ensure};
 use candle_core::{Tensor, backprop::GradStore};
 use rand_chacha::ChaCha8Rng;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::{ThreadPool, ThreadPoolBuilder, prelude::*};
 use wm_model::transition::WeightGradients;
 
 use crate::{
@@ -89,8 +89,7 @@ impl Workers {
             let mut rng = step_rng(seed, step * count as u64 + index as u64);
             let mut found = loss(&mut rng)?;
             found.loss = (found.loss / count as f64)?;
-            let mut gradients = found.loss.backward()?;
-            found.gradients.move_into(&mut gradients)?;
+            let gradients = found.loss.backward()?;
             Ok((found, gradients))
         };
         let work = || {
@@ -104,9 +103,9 @@ impl Workers {
                     index,
                     batch(index).and_then(|(loss, gradients)| {
                         Ok(StepLoss {
+                            gradient: variables.gradients(&gradients, &loss.gradients)?,
                             loss: loss.loss.to_scalar()?,
                             parts: loss.parts,
-                            gradient: variables.gradients(&gradients)?,
                         })
                     }),
                 ));
@@ -130,20 +129,27 @@ impl Workers {
         })?;
         // In this order, sums do not depend on which worker was faster.
         results.sort_by_key(|(index, _)| *index);
-        let mut results = results.into_iter().map(|(_, result)| result);
-        let mut total = results.next().context("a step without batches")??;
-        for result in results {
-            let batch = result?;
+        let results = results.into_iter().map(|(_, result)| result);
+        let mut results = results.collect::<Result<Vec<StepLoss>>>()?.into_iter();
+        let mut total = results.next().context("a step without batches")?;
+        let rest: Vec<StepLoss> = results.collect();
+        for batch in &rest {
             total.loss += batch.loss;
-            for ((_, sum), (_, part)) in total.parts.iter_mut().zip(batch.parts) {
+            for ((_, sum), (_, part)) in total.parts.iter_mut().zip(&batch.parts) {
                 *sum += part;
             }
-            for (sum, part) in total.gradient.iter_mut().zip(batch.gradient) {
-                for (sum, part) in sum.iter_mut().zip(part) {
+        }
+        let sums = total.gradient.par_iter_mut().enumerate();
+        sums.for_each(|(parameter, sums)| {
+            let parts = rest
+                .iter()
+                .filter_map(|batch| batch.gradient.get(parameter));
+            for part in parts {
+                for (sum, part) in sums.iter_mut().zip(part) {
                     *sum += part;
                 }
             }
-        }
+        });
         for (_, part) in &mut total.parts {
             *part /= count as f64;
         }

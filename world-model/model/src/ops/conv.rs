@@ -9,6 +9,7 @@ mod band;
 mod differentiable;
 mod gradient;
 mod packed;
+mod phase;
 mod sweep;
 
 pub use differentiable::conv2d;

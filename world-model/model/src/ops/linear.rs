@@ -225,6 +225,17 @@ impl CustomOp3 for Linear {
 }
 
 vectorised! {
+    /// Adds `bias` to every row of `values`.
+    pub(crate) fn add_to_rows(values: &mut [f32], bias: &[f32]) {
+        for row in values.chunks_exact_mut(bias.len()) {
+            for (value, bias) in row.iter_mut().zip(bias) {
+                *value += bias;
+            }
+        }
+    }
+}
+
+vectorised! {
     /// Adds every row of `values` to `sums`.
     pub(crate) fn sum_rows(values: &[f32], sums: &mut [f32]) {
         for row in values.chunks_exact(sums.len()) {

@@ -53,11 +53,11 @@ impl PackedLinear {
         }
         Ok(Self(match format {
             PackedFormat::F32 => {
-                let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
+                let panels = Panels::pack_transposed(inputs, outputs, bias, &[weight]);
                 Format::F32(Arc::new(panels))
             }
             PackedFormat::Bf16 => {
-                let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
+                let panels = Panels::pack_transposed(inputs, outputs, bias, &[weight]);
                 Format::Bf16(Arc::new(panels))
             }
         }))

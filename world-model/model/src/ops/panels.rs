@@ -9,6 +9,9 @@ use crate::ops::simd::{InstructionSet, LANES};
 /// and writes stay in a first-level cache.
 const BLOCK: usize = 16;
 
+/// Rows of a panel that one task fills.
+const ROWS: usize = 64;
+
 /// A matrix (inputs x outputs), cut into panels of a few vectors of outputs, each panel contiguous.
 #[derive(Clone, Debug)]
 pub(crate) struct Panels<T = f32> {
@@ -55,24 +58,27 @@ impl<T: Element> Panels<T> {
         panels
     }
 
-    /// Packs the transpose of `matrix` (outputs x depth), with `bias` (or zeros), on all threads of the pool.
+    /// Packs the transposes of `matrices` (each outputs x depth) one below the other, with `bias` (or zeros), on all
+    /// threads of the pool.
     pub(crate) fn pack_transposed(
         depth: usize,
         outputs: usize,
         bias: Option<&[f32]>,
-        matrix: &[f32],
+        matrices: &[&[f32]],
     ) -> Self {
-        let mut panels = Self::with_bias(depth, outputs, bias);
+        let mut panels = Self::with_bias(depth * matrices.len(), outputs, bias);
         let places: Vec<(usize, usize, usize)> = panels.iter().collect();
         let mut rest = panels.values.as_mut_slice();
-        let mut parts = Vec::with_capacity(places.len());
+        let mut parts = Vec::with_capacity(places.len() * matrices.len());
         for (vectors, _, first) in places {
             let width = vectors * LANES;
-            let (panel, after) = rest.split_at_mut(depth * width);
-            rest = after;
             let end = outputs.min(first + width);
-            let rows = matrix.get(first * depth..end * depth).unwrap_or_default();
-            parts.push((width, panel, rows));
+            for matrix in matrices {
+                let (panel, after) = rest.split_at_mut(depth * width);
+                rest = after;
+                let rows = matrix.get(first * depth..end * depth).unwrap_or_default();
+                parts.push((width, panel, rows));
+            }
         }
         parts
             .into_par_iter()
@@ -141,6 +147,32 @@ impl<T: Element> Panels<T> {
     }
 }
 
+impl Panels<f32> {
+    /// Packs the matrix to whose row `k`, from output `first` on, `add(k, first, row)` adds its values to zeros, with `bias`
+    /// (or zeros), on all threads of the pool.
+    pub(crate) fn pack_rows(
+        depth: usize,
+        outputs: usize,
+        bias: Option<&[f32]>,
+        add: impl Fn(usize, usize, &mut [f32]) + Sync,
+    ) -> Self {
+        let mut panels = Self::with_bias(depth, outputs, bias);
+        let places: Vec<(usize, usize, usize)> = panels.iter().collect();
+        for (vectors, start, first) in places {
+            let width = vectors * LANES;
+            let count = width.min(outputs - first);
+            let panel = panels.values.get_mut(start..start + depth * width);
+            let blocks = panel.unwrap_or_default().par_chunks_mut(ROWS * width);
+            blocks.enumerate().for_each(|(block, rows)| {
+                for (k, row) in (block * ROWS..).zip(rows.chunks_exact_mut(width)) {
+                    add(k, first, row.get_mut(..count).unwrap_or_default());
+                }
+            });
+        }
+        panels
+    }
+}
+
 /// Writes the transpose of `rows` (at most `width`, of `depth` values each) to `panel` (depth x width).
 fn transpose<T: Element>(depth: usize, width: usize, panel: &mut [T], rows: &[f32]) {
     for (block, panel) in panel.chunks_mut(BLOCK * width).enumerate() {
@@ -164,9 +196,18 @@ mod tests {
             let bias: Vec<f32> = (0..outputs).map(|i| -(i as f32)).collect();
             let value = |k: usize, n: usize| matrix[n * depth + k];
             let expected = Panels::<f32>::pack(depth, outputs, Some(&bias), value);
-            let packed = Panels::<f32>::pack_transposed(depth, outputs, Some(&bias), &matrix);
+            let packed = Panels::<f32>::pack_transposed(depth, outputs, Some(&bias), &[&matrix]);
             assert_eq!(packed.values, expected.values, "{depth} x {outputs}");
             assert_eq!(packed.bias, expected.bias);
+            let packed = Panels::pack_rows(depth, outputs, Some(&bias), |k, first, row| {
+                for (n, v) in (first..).zip(row) {
+                    *v += value(k, n);
+                }
+            });
+            assert_eq!(
+                packed.values, expected.values,
+                "rows of {depth} x {outputs}"
+            );
         }
     }
 }

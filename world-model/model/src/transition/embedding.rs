@@ -22,6 +22,23 @@ pub(super) struct Condition {
     pub(super) activated: Tensor,
 }
 
+impl Condition {
+    /// That of the `last` frames of `b` clips of `t` frames.
+    pub(super) fn of_last(&self, last: usize, (b, t): (usize, usize)) -> Result<Self> {
+        if last == t {
+            return Ok(self.clone());
+        }
+        let narrow = |rows: &Tensor| -> Result<Tensor> {
+            let frames = rows.reshape((b, t, ()))?.narrow(1, t - last, last)?;
+            Ok(frames.flatten_to(1)?)
+        };
+        Ok(Self {
+            time: narrow(&self.time)?,
+            activated: narrow(&self.activated)?,
+        })
+    }
+}
+
 /// Patch embedding, time embedding and action embedding.
 #[derive(Clone, Debug)]
 pub(super) struct Embedding {

@@ -1,4 +1,4 @@
-use candle_core::{DType, Var};
+use candle_core::{DType, Device, Var};
 
 use super::*;
 
@@ -70,19 +70,49 @@ fn collected_gradients_are_those_of_candle() {
     let x = random("x", &[2, 3, 4, 4, 3]);
     let (tau, action) = (random("tau", &[2, 3]), random("action", &[2, 3, 7]));
     let pattern = TemporalPattern::causal(3);
-    let loss = |model: &Transition| {
-        let once = model.output(&x, &tau, &action, &pattern).unwrap();
-        let twice = model.output(&once, &tau, &action, &pattern).unwrap();
-        (once.sqr().unwrap() + twice).unwrap().sum_all().unwrap()
-    };
-    let expected = loss(&model).backward().unwrap();
-    let gradients = WeightGradients::default();
-    let mut found = loss(&model.collecting(&gradients)).backward().unwrap();
-    gradients.move_into(&mut found).unwrap();
-    for (name, variable) in &variables {
-        let expected = expected.get(variable).unwrap();
-        let error = (expected - found.get(variable).unwrap()).unwrap();
-        let relative = norm(&error) / norm(expected);
-        assert!(relative < 1e-5, "{name}: {relative:.1e}");
+    for last in 1..=3 {
+        let loss = |model: &Transition| {
+            let once = model.output(&x, &tau, &action, &pattern, 3).unwrap();
+            let twice = model.output(&once, &tau, &action, &pattern, last).unwrap();
+            let (once, twice) = (once.sqr().unwrap(), twice.sqr().unwrap());
+            (once.sum_all().unwrap() + twice.sum_all().unwrap()).unwrap()
+        };
+        let expected = loss(&model).backward().unwrap();
+        let gradients = WeightGradients::default();
+        let store = loss(&model.collecting(&gradients)).backward().unwrap();
+        for (name, variable) in &variables {
+            let expected = expected.get(variable).unwrap();
+            let found = gradients.take(variable, &store).unwrap().unwrap();
+            let found = Tensor::from_vec(found, variable.shape(), &Device::Cpu).unwrap();
+            let error = (expected - found).unwrap();
+            let relative = norm(&error) / norm(expected);
+            assert!(relative < 1e-5, "{name}, last {last}: {relative:.1e}");
+        }
+    }
+}
+
+#[test]
+fn the_last_frames_are_those_of_all() {
+    let config = TransitionConfig::preset("tiny", (4, 4, 3), 2, 7).unwrap();
+    let model = Transition::random(config, 3).unwrap();
+    let x = random("x", &[2, 3, 4, 4, 3]);
+    let (tau, action) = (random("tau", &[2, 3]), random("action", &[2, 3, 7]));
+    let pattern = TemporalPattern::causal(3);
+    let output = |model: &Transition, last| model.output(&x, &tau, &action, &pattern, last);
+    let all = output(&model, 3).unwrap();
+    let collecting = model.collecting(&WeightGradients::default());
+    for last in 1..=3 {
+        let expected = all.narrow(1, 3 - last, last).unwrap();
+        for model in [&model, &collecting] {
+            let error = (output(model, last).unwrap() - &expected).unwrap();
+            assert!(norm(&error) / norm(&expected) < 1e-6, "last {last}");
+        }
+    }
+    for last in [0, 4] {
+        let error = output(&model, last).unwrap_err().to_string();
+        assert!(
+            error.contains(&format!("{last}, expected 1 to 3")),
+            "{error}"
+        );
     }
 }

@@ -5,9 +5,14 @@
 //! keeps what its backward pass needs in buffers that are used again, and adds in place. An operation of candle's has three
 //! operands at most, so that gradients by weights go another way: [`WeightGradients`].
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::{
+    collections::{HashMap, hash_map::Entry},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
 
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor, backprop::GradStore};
+use candle_core::{
+    CpuStorage, CustomOp2, DType, Layout, Result, Shape, Tensor, TensorId, backprop::GradStore,
+};
 
 use super::block::{Block, SubBlock};
 use super::parameters::Linear;
@@ -18,37 +23,50 @@ use crate::ops::{AttentionPattern, gated_residual, linear, rms_norm_modulate, sw
 /// Chunks of a frame's modulation: shift, scale and gate of the attention, then of the feed-forward network.
 const CHUNKS: usize = 6;
 
-/// A weight and the gradient by it.
-type Gradient = (Tensor, Vec<f32>);
-
 /// Gradients by weights that are no operands of candle's operations; see [`super::Transition::collecting`].
 #[derive(Clone, Debug, Default)]
-pub struct WeightGradients(Arc<Mutex<Vec<Gradient>>>);
+pub struct WeightGradients(Arc<Mutex<HashMap<TensorId, Vec<f32>>>>);
 
 impl WeightGradients {
-    /// Adds them to those of candle's own backward pass, and forgets them.
+    /// The gradient by `weight`, with what candle's own backward pass left in `store`; `None` where neither has one. It is
+    /// forgotten here.
     ///
     /// # Errors
-    /// If a gradient that `store` has already is of another shape.
-    pub fn move_into(&self, store: &mut GradStore) -> Result<()> {
-        for (weight, values) in self.lock().drain(..) {
-            let gradient = Tensor::from_vec(values, weight.shape(), weight.device())?;
-            let gradient = match store.get(&weight) {
-                Some(other) => (other + gradient)?,
-                None => gradient,
-            };
-            store.insert(&weight, gradient);
-        }
-        Ok(())
+    /// If that of `store` cannot be read.
+    pub fn take(&self, weight: &Tensor, store: &GradStore) -> Result<Option<Vec<f32>>> {
+        let collected = self.lock().remove(&weight.id());
+        let Some(own) = store.get(weight) else {
+            return Ok(collected);
+        };
+        let mut sum = own.flatten_all()?.to_dtype(DType::F32)?.to_vec1()?;
+        add(&mut sum, &collected.unwrap_or_default());
+        Ok(Some(sum))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<Gradient>> {
-        // A list of whole entries is consistent whoever panicked.
+    /// Adds one of them.
+    fn add(&self, weight: &Tensor, gradient: Vec<f32>) {
+        match self.lock().entry(weight.id()) {
+            Entry::Vacant(entry) => {
+                entry.insert(gradient);
+            }
+            Entry::Occupied(mut sum) => add(sum.get_mut(), &gradient),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<TensorId, Vec<f32>>> {
+        // Whole entries are consistent whoever panicked.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// `tokens` (B, T, N, d) after all `blocks`, for frames whose modulations start from `activated` (B T, d).
+fn add(sum: &mut [f32], values: &[f32]) {
+    for (sum, value) in sum.iter_mut().zip(values) {
+        *sum += value;
+    }
+}
+
+/// The tokens of the `last` frames of `tokens` (B, T, N, d) after all `blocks`, for frames whose modulations start from
+/// `activated` (B T, d): (B, last, N, d).
 ///
 /// # Errors
 /// If the shapes do not fit.
@@ -56,7 +74,7 @@ pub(super) fn trunk(
     blocks: &[Block],
     patterns: [&Arc<AttentionPattern>; 2],
     gradients: &WeightGradients,
-    tokens: &Tensor,
+    (tokens, last): (&Tensor, usize),
     activated: &Tensor,
 ) -> Result<Tensor> {
     let [spatial, temporal] = patterns.map(Arc::clone);
@@ -68,6 +86,7 @@ pub(super) fn trunk(
     });
     let op = Trunk {
         parts: parts.collect(),
+        last,
         saved: Mutex::default(),
         gradients: gradients.clone(),
     };
@@ -76,6 +95,8 @@ pub(super) fn trunk(
 
 struct Trunk {
     parts: Vec<(SubBlock, Arc<AttentionPattern>)>,
+    /// Frames of each clip that are asked for. Behind the last attention, the others are of no use.
+    last: usize,
     /// Of the forward pass, one for each part.
     saved: Mutex<Vec<Saved>>,
     gradients: WeightGradients,
@@ -125,6 +146,20 @@ impl Sizes {
         self.b * self.t * self.n
     }
 
+    /// Those of the last `t` frames of each clip.
+    fn last(self, t: usize) -> Self {
+        Self { t, ..self }
+    }
+
+    /// Values of a frame's tokens, and of its modulation.
+    fn frame(self) -> usize {
+        self.n * self.d
+    }
+
+    fn modulation(self) -> usize {
+        CHUNKS * self.d
+    }
+
     fn qkv(self) -> Shape {
         (self.b, self.t, self.n, 3 * self.d).into()
     }
@@ -149,12 +184,26 @@ impl Linear {
 
     /// Of rows `x`.
     fn apply(&self, x: &[f32]) -> Result<Buffer> {
-        let (outputs, inputs) = self.sizes()?;
-        let (weight, bias) = (host(&self.weight), self.bias.as_ref().map(host));
-        let bias = bias.as_ref().map(|bias| bias.values()).transpose()?;
-        let mut y = Buffer::of(x.len() / inputs * outputs);
-        linear::forward(x, (outputs, inputs), weight.values()?, bias, &mut y)?;
+        let mut y = self.product(x)?;
+        linear::add_to_rows(&mut y, &self.bias()?);
         Ok(y)
+    }
+
+    /// The same without the bias.
+    fn product(&self, x: &[f32]) -> Result<Buffer> {
+        let (outputs, inputs) = self.sizes()?;
+        let weight = host(&self.weight);
+        let mut y = Buffer::of(x.len() / inputs * outputs);
+        linear::forward(x, (outputs, inputs), weight.values()?, None, &mut y)?;
+        Ok(y)
+    }
+
+    /// Zeros where it has none.
+    fn bias(&self) -> Result<Buffer> {
+        Ok(match &self.bias {
+            Some(bias) => Buffer::copy_of(host(bias).values()?),
+            None => Buffer::zeros(self.sizes()?.0),
+        })
     }
 
     /// The gradient by rows `x`, of the gradient `g` by the result; those by the weights go to `gradients`.
@@ -165,89 +214,137 @@ impl Linear {
         linear::input_gradient(g, (outputs, inputs), weight.values()?, &mut grad_x)?;
         let mut grad_weight = vec![0.0; outputs * inputs];
         linear::weight_gradient(g, (outputs, inputs), x, &mut grad_weight)?;
-        let mut gradients = gradients.lock();
-        gradients.push((self.weight.clone(), grad_weight));
+        gradients.add(&self.weight, grad_weight);
         if let Some(bias) = &self.bias {
             let mut sums = vec![0.0; outputs];
             linear::sum_rows(g, &mut sums);
-            gradients.push((bias.clone(), sums));
+            gradients.add(bias, sums);
         }
         Ok(grad_x)
     }
 }
 
+/// Frames of `width` values, the last of each clip: those of which there are more in `values`.
+fn last_of<'a>(
+    values: &'a [f32],
+    width: usize,
+    (all, kept): (Sizes, Sizes),
+) -> impl Iterator<Item = &'a [f32]> {
+    let clips = values.chunks_exact(all.t * width);
+    clips.flat_map(move |clip| clip[(all.t - kept.t) * width..].chunks_exact(width))
+}
+
+fn last_of_mut<'a>(
+    values: &'a mut [f32],
+    width: usize,
+    (all, kept): (Sizes, Sizes),
+) -> impl Iterator<Item = &'a mut [f32]> {
+    let clips = values.chunks_exact_mut(all.t * width);
+    clips.flat_map(move |clip| clip[(all.t - kept.t) * width..].chunks_exact_mut(width))
+}
+
+/// The rows of the last frames of each clip alone.
+fn without_others(values: Buffer, (all, kept): (Sizes, Sizes)) -> Buffer {
+    if all.t == kept.t {
+        return values;
+    }
+    let width = values.len() / (all.b * all.t);
+    let mut out = Buffer::of(kept.b * kept.t * width);
+    let frames = last_of(&values, width, (all, kept));
+    for (out, frame) in out.chunks_exact_mut(width).zip(frames) {
+        out.copy_from_slice(frame);
+    }
+    out
+}
+
+/// The rows of all frames, of those of the last ones; the others are zeros.
+fn with_others(values: Buffer, (all, kept): (Sizes, Sizes)) -> Buffer {
+    if all.t == kept.t {
+        return values;
+    }
+    let width = values.len() / (kept.b * kept.t);
+    let mut out = Buffer::zeros(all.b * all.t * width);
+    let frames = values.chunks_exact(width);
+    for (out, frame) in last_of_mut(&mut out, width, (all, kept)).zip(frames) {
+        out.copy_from_slice(frame);
+    }
+    out
+}
+
 /// The normalised and modulated input of branch `branch`.
-fn normed(input: &[f32], modulation: &[f32], branch: usize, sizes: Sizes) -> Buffer {
-    let Sizes { n, d, .. } = sizes;
+fn normed<'a>(
+    input: &[f32],
+    modulations: impl Iterator<Item = &'a [f32]>,
+    branch: usize,
+    sizes: Sizes,
+) -> Buffer {
     let mut out = Buffer::of(input.len());
-    let frames = out.chunks_exact_mut(n * d).zip(input.chunks_exact(n * d));
-    for ((out, x), modulation) in frames.zip(modulation.chunks_exact(CHUNKS * d)) {
-        let [shift, scale, _] = chunks(modulation, branch, d);
+    let frames = out.chunks_exact_mut(sizes.frame());
+    let frames = frames.zip(input.chunks_exact(sizes.frame()));
+    for ((out, x), modulation) in frames.zip(modulations) {
+        let [shift, scale, _] = chunks(modulation, branch, sizes.d);
         rms_norm_modulate::forward_frame(out, x, shift, scale);
     }
     out
 }
 
-/// `input` plus what branch `branch` adds.
-fn residual(
-    input: &[f32],
-    output: &[f32],
-    modulation: &[f32],
+/// `inputs` plus what branch `branch` adds: `output`, which gets its `bias` here, while it is in cache.
+fn residual<'a, 'b>(
+    inputs: impl Iterator<Item = &'a [f32]>,
+    (output, bias): (&mut [f32], &[f32]),
+    modulations: impl Iterator<Item = &'b [f32]>,
     branch: usize,
     sizes: Sizes,
 ) -> Buffer {
-    let Sizes { n, d, .. } = sizes;
-    let mut out = Buffer::copy_of(input);
-    let frames = out.chunks_exact_mut(n * d).zip(output.chunks_exact(n * d));
-    for ((out, branch_output), modulation) in frames.zip(modulation.chunks_exact(CHUNKS * d)) {
-        let [.., gate] = chunks(modulation, branch, d);
-        gated_residual::forward_frame(out, branch_output, gate);
+    let mut out = Buffer::of(output.len());
+    let frames = out.chunks_exact_mut(sizes.frame()).zip(inputs);
+    let frames = frames.zip(output.chunks_exact_mut(sizes.frame()));
+    for (((out, input), output), modulation) in frames.zip(modulations) {
+        let [.., gate] = chunks(modulation, branch, sizes.d);
+        linear::add_to_rows(output, bias);
+        out.copy_from_slice(input);
+        gated_residual::forward_frame(out, output, gate);
     }
     out
 }
 
 impl SavedBranch {
     /// The gradient by what the branch adds, of the gradient `g` by the sum.
-    fn gate_back(
+    fn gate_back<'a, 'b>(
         &self,
         g: &[f32],
-        (modulation, grad_modulation): (&[f32], &mut [f32]),
+        modulations: impl Iterator<Item = (&'a [f32], &'b mut [f32])>,
         branch: usize,
         sizes: Sizes,
     ) -> Buffer {
-        let Sizes { n, d, .. } = sizes;
         let mut out = Buffer::of(g.len());
-        let frames = out.chunks_exact_mut(n * d).zip(g.chunks_exact(n * d));
-        let frames = frames.zip(self.output.chunks_exact(n * d));
-        let modulations = modulation.chunks_exact(CHUNKS * d);
-        let modulations = modulations.zip(grad_modulation.chunks_exact_mut(CHUNKS * d));
+        let frames = out.chunks_exact_mut(sizes.frame());
+        let frames = frames.zip(g.chunks_exact(sizes.frame()));
+        let frames = frames.zip(self.output.chunks_exact(sizes.frame()));
         for (((out, g), output), (modulation, grad_modulation)) in frames.zip(modulations) {
-            let [.., gate] = chunks(modulation, branch, d);
-            let [.., grad_gate] = chunks_mut(grad_modulation, branch, d);
+            let [.., gate] = chunks(modulation, branch, sizes.d);
+            let [.., grad_gate] = chunks_mut(grad_modulation, branch, sizes.d);
             gated_residual::backward_frame(out, grad_gate, output, g, gate);
         }
         out
     }
 
     /// Adds to `g` the gradient by the input, of the gradient `grad_normed` by the normalised one.
-    fn norm_back(
+    fn norm_back<'a, 'b>(
         &self,
         g: &mut [f32],
         grad_normed: &[f32],
-        (modulation, grad_modulation): (&[f32], &mut [f32]),
+        modulations: impl Iterator<Item = (&'a [f32], &'b mut [f32])>,
         branch: usize,
         sizes: Sizes,
     ) {
-        let Sizes { n, d, .. } = sizes;
-        let mut by_input = Buffer::of(n * d);
-        let frames = g.chunks_exact_mut(n * d);
-        let frames = frames.zip(grad_normed.chunks_exact(n * d));
-        let frames = frames.zip(self.input.chunks_exact(n * d));
-        let modulations = modulation.chunks_exact(CHUNKS * d);
-        let modulations = modulations.zip(grad_modulation.chunks_exact_mut(CHUNKS * d));
+        let mut by_input = Buffer::of(sizes.frame());
+        let frames = g.chunks_exact_mut(sizes.frame());
+        let frames = frames.zip(grad_normed.chunks_exact(sizes.frame()));
+        let frames = frames.zip(self.input.chunks_exact(sizes.frame()));
         for (((g, grad_normed), input), (modulation, grad_modulation)) in frames.zip(modulations) {
-            let [_, scale, _] = chunks(modulation, branch, d);
-            let [grad_shift, grad_scale, _] = chunks_mut(grad_modulation, branch, d);
+            let [_, scale, _] = chunks(modulation, branch, sizes.d);
+            let [grad_shift, grad_scale, _] = chunks_mut(grad_modulation, branch, sizes.d);
             rms_norm_modulate::backward_frame(
                 &mut by_input,
                 input,
@@ -257,9 +354,7 @@ impl SavedBranch {
                 grad_scale,
             );
             // The frame's gradient is still in cache.
-            for (g, by_input) in g.iter_mut().zip(&*by_input) {
-                *g += by_input;
-            }
+            add(g, &by_input);
         }
     }
 }
@@ -269,21 +364,30 @@ const ATTENTION: usize = 0;
 const FEED_FORWARD: usize = 1;
 
 impl SubBlock {
-    /// The tokens after it, and what to keep.
+    /// The tokens of the last frames (`kept`) after it, and what to keep.
     fn run(
         &self,
         pattern: &AttentionPattern,
         input: Buffer,
         activated: &[f32],
-        sizes: Sizes,
+        (all, kept): (Sizes, Sizes),
     ) -> Result<(Buffer, Saved)> {
         let modulation = self.modulation.apply(activated)?;
-        let normed_input = normed(&input, &modulation, ATTENTION, sizes);
-        let qkv = self.qkv.apply(&normed_input)?;
-        let mut inner = Buffer::of(sizes.rows() * sizes.d);
-        pattern.forward(&sizes.qkv(), &qkv, &mut inner)?;
-        let output = self.out.apply(&inner)?;
-        let middle = residual(&input, &output, &modulation, ATTENTION, sizes);
+        let of_all = modulation.chunks_exact(all.modulation());
+        let normed_input = normed(&input, of_all, ATTENTION, all);
+        let qkv = self.qkv.product(&normed_input)?;
+        let mut inner = Buffer::of(all.rows() * all.d);
+        pattern.forward(&all.qkv(), &qkv, &mut inner)?;
+        let inner = without_others(inner, (all, kept));
+        let of_kept = || last_of(&modulation, all.modulation(), (all, kept));
+        let mut output = self.out.product(&inner)?;
+        let middle = residual(
+            last_of(&input, all.frame(), (all, kept)),
+            (&mut output, &self.out.bias()?),
+            of_kept(),
+            ATTENTION,
+            kept,
+        );
         let attention = SavedBranch {
             input,
             normed: normed_input,
@@ -291,13 +395,24 @@ impl SubBlock {
             output,
         };
 
-        let normed_middle = normed(&middle, &modulation, FEED_FORWARD, sizes);
-        let up = self.up.apply(&normed_middle)?;
+        let normed_middle = normed(&middle, of_kept(), FEED_FORWARD, kept);
+        let mut up = self.up.product(&normed_middle)?;
         let (_, hidden) = self.down.sizes()?;
-        let mut inner = Buffer::of(sizes.rows() * hidden);
-        swiglu::forward_rows(&mut inner, &up, hidden);
-        let output = self.down.apply(&inner)?;
-        let tokens = residual(&middle, &output, &modulation, FEED_FORWARD, sizes);
+        let mut inner = Buffer::of(kept.rows() * hidden);
+        let bias = self.up.bias()?;
+        let frames = inner.chunks_exact_mut(kept.n * hidden);
+        for (inner, up) in frames.zip(up.chunks_exact_mut(kept.n * 2 * hidden)) {
+            linear::add_to_rows(up, &bias);
+            swiglu::forward_rows(inner, up, hidden);
+        }
+        let mut output = self.down.product(&inner)?;
+        let tokens = residual(
+            middle.chunks_exact(kept.frame()),
+            (&mut output, &self.down.bias()?),
+            of_kept(),
+            FEED_FORWARD,
+            kept,
+        );
         let feed_forward = SavedBranch {
             input: middle,
             normed: normed_middle,
@@ -314,45 +429,65 @@ impl SubBlock {
         Ok((tokens, saved))
     }
 
-    /// Turns `g`, the gradient by the tokens after it, into that by the tokens before; gives that by `activated`.
+    /// Of the gradient `g` by the tokens after it: that by the tokens before, and that by `activated`.
     fn back(
         &self,
         pattern: &AttentionPattern,
         saved: &Saved,
-        g: &mut [f32],
+        mut g: Buffer,
         activated: &[f32],
-        sizes: Sizes,
+        (all, kept): (Sizes, Sizes),
         gradients: &WeightGradients,
-    ) -> Result<Buffer> {
+    ) -> Result<(Buffer, Buffer)> {
         let modulation = &*saved.modulation;
         let mut grad_modulation = Buffer::zeros(modulation.len());
+        let width = all.modulation();
 
         let branch = &saved.feed_forward;
-        let by = (modulation, &mut *grad_modulation);
-        let by_output = branch.gate_back(g, by, FEED_FORWARD, sizes);
+        let by = last_of_mut(&mut grad_modulation, width, (all, kept));
+        let by = last_of(modulation, width, (all, kept)).zip(by);
+        let by_output = branch.gate_back(&g, by, FEED_FORWARD, kept);
         let by_inner = self.down.back(&branch.inner, &by_output, gradients)?;
         let (_, hidden) = self.down.sizes()?;
         let mut by_up = Buffer::of(saved.up.len());
         swiglu::backward_rows(&mut by_up, &saved.up, &by_inner, hidden);
         let by_normed = self.up.back(&branch.normed, &by_up, gradients)?;
-        let by = (modulation, &mut *grad_modulation);
-        branch.norm_back(g, &by_normed, by, FEED_FORWARD, sizes);
+        let by = last_of_mut(&mut grad_modulation, width, (all, kept));
+        let by = last_of(modulation, width, (all, kept)).zip(by);
+        branch.norm_back(&mut g, &by_normed, by, FEED_FORWARD, kept);
 
         let branch = &saved.attention;
-        let by = (modulation, &mut *grad_modulation);
-        let by_output = branch.gate_back(g, by, ATTENTION, sizes);
+        let by = last_of_mut(&mut grad_modulation, width, (all, kept));
+        let by = last_of(modulation, width, (all, kept)).zip(by);
+        let by_output = branch.gate_back(&g, by, ATTENTION, kept);
         let by_inner = self.out.back(&branch.inner, &by_output, gradients)?;
+        let by_inner = with_others(by_inner, (all, kept));
         let mut by_qkv = Buffer::of(saved.qkv.len());
-        pattern.backward(&sizes.qkv(), &saved.qkv, &by_inner, &mut by_qkv)?;
+        pattern.backward(&all.qkv(), &saved.qkv, &by_inner, &mut by_qkv)?;
         let by_normed = self.qkv.back(&branch.normed, &by_qkv, gradients)?;
-        let by = (modulation, &mut *grad_modulation);
-        branch.norm_back(g, &by_normed, by, ATTENTION, sizes);
+        let mut g = with_others(g, (all, kept));
+        let by = modulation.chunks_exact(width);
+        let by = by.zip(grad_modulation.chunks_exact_mut(width));
+        branch.norm_back(&mut g, &by_normed, by, ATTENTION, all);
 
-        self.modulation.back(activated, &grad_modulation, gradients)
+        let by_activated = self
+            .modulation
+            .back(activated, &grad_modulation, gradients)?;
+        Ok((g, by_activated))
     }
 }
 
 impl Trunk {
+    /// Sizes of what goes into each part, and of what comes out.
+    fn sizes(&self, all: Sizes) -> impl DoubleEndedIterator<Item = (Sizes, Sizes)> {
+        let count = self.parts.len();
+        let last = self.last;
+        (1..=count).map(move |part| match part == count {
+            true => (all, all.last(last)),
+            false => (all, all),
+        })
+    }
+
     fn saved(&self) -> MutexGuard<'_, Vec<Saved>> {
         self.saved.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -371,16 +506,20 @@ impl CustomOp2 for Trunk {
         l2: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
         let sizes = Sizes::new(l1.shape(), l2.shape())?;
+        if !(1..=sizes.t).contains(&self.last) {
+            candle_core::bail!("blocks: the last {} of {} frames", self.last, sizes.t);
+        }
         let (tokens, activated) = (slice(s1, l1)?, slice(s2, l2)?);
         let mut kept = self.saved();
         kept.clear();
         let mut tokens = Buffer::copy_of(tokens);
-        for (part, pattern) in &self.parts {
+        for ((part, pattern), sizes) in self.parts.iter().zip(self.sizes(sizes)) {
             let (after, saved) = part.run(pattern, tokens, activated, sizes)?;
             tokens = after;
             kept.push(saved);
         }
-        Ok((CpuStorage::F32(tokens.to_vec()), l1.shape().clone()))
+        let shape = (sizes.b, self.last, sizes.n, sizes.d);
+        Ok((CpuStorage::F32(tokens.to_vec()), shape.into()))
     }
 
     fn bwd(
@@ -396,12 +535,15 @@ impl CustomOp2 for Trunk {
         let values = host(activated);
         let values = values.values()?;
         let mut by_activated = vec![0.0; values.len()];
-        for ((part, pattern), saved) in self.parts.iter().zip(&*self.saved()).rev() {
+        let saved = self.saved();
+        let parts = self.parts.iter().zip(&*saved);
+        // Not by `rev` of a zip, whose lengths it must know.
+        let parts: Vec<_> = parts.zip(self.sizes(sizes)).collect();
+        for (((part, pattern), saved), sizes) in parts.into_iter().rev() {
             let gradients = &self.gradients;
-            let by_part = part.back(pattern, saved, &mut g, values, sizes, gradients)?;
-            for (sum, by_part) in by_activated.iter_mut().zip(&*by_part) {
-                *sum += by_part;
-            }
+            let by_part;
+            (g, by_part) = part.back(pattern, saved, g, values, sizes, gradients)?;
+            add(&mut by_activated, &by_part);
         }
         let by_tokens = Tensor::from_slice(&g, tokens.shape(), tokens.device())?;
         let by_activated = Tensor::from_vec(by_activated, activated.shape(), activated.device())?;

@@ -9,7 +9,7 @@ use wm_zoo::{Checkpoint, ModelFolder};
 use super::{AdapterRecipe, AdapterTask, Data, FILE, Frames, Lpips, RECIPES, files};
 use crate::{
     arguments::RunArgs,
-    run::{Ended, Stop, Task as _},
+    run::{Ended, Stop},
 };
 
 /// Trains the S-VAE adapter, which compresses the features of a frozen encoder, and its pixel decoder.
@@ -140,16 +140,6 @@ pub(super) fn train_on(
     ];
     let settings = run.settings(recipe, samples, identity)?;
     let mut task = AdapterTask::new(recipe, settings.steps, data, run)?;
-    crate::recipe::write(&run.out, task.name(), recipe)?;
-    println!(
-        "{} episodes, {} frames, {} threads",
-        data.train.episodes(),
-        data.train.count(),
-        run.threads()?
-    );
-    let ended = crate::run::train(&mut task, &settings, stop)?;
-    if ended == Ended::Finished {
-        println!("wrote {}", run.out.join(FILE).display());
-    }
-    Ok(ended)
+    let about = format!("{samples} episodes, {} frames", data.train.count());
+    run.train(&mut task, recipe, &settings, (&about, stop))
 }

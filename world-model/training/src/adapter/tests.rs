@@ -3,7 +3,7 @@ use std::path::Path;
 use candle_core::{DType, Tensor};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use wm_model::{Encoder, LatentSpace};
+use wm_model::{Encoder, LatentSpace, transition::WeightGradients};
 use wm_zoo::{
     folder::{DescribedFolder, write_random_weights},
     svae::SvaeConfig,
@@ -464,7 +464,9 @@ fn a_step_is_pytorchs() {
     close("pixel", scalar(&losses.pixel), fixture.pixel_loss);
 
     let store = (losses.adapter + losses.pixel).unwrap().backward().unwrap();
-    let found = variables.gradients(&store).unwrap();
+    let found = variables
+        .gradients(&store, &WeightGradients::default())
+        .unwrap();
     let expected = open("gradient");
     let names = variables.parameters(|_| 0).unwrap();
     assert_eq!(names.len(), expected.names().count());

@@ -9,13 +9,13 @@ use wm_zoo::{DeviceName, ModelFolder};
 
 use super::{
     AutoencoderRecipe, RECIPES, evaluate, picture,
-    trainer::{AutoencoderTask, FILE, TrainingError},
+    trainer::{AutoencoderTask, TrainingError},
 };
 use crate::{
     arguments::{HeldOutArgs, RunArgs},
     dataset::Dataset,
     recipe::Override,
-    run::{Ended, Stop, Task as _},
+    run::{Ended, Stop},
 };
 
 /// Trains the autoencoder on bags of episodes. If the bags have masks, pixels inside the masks get more weight.
@@ -49,11 +49,7 @@ impl TrainAutoencoderArgs {
         let recipe = self.recipe()?;
         let data = self.run.data((recipe.model.height, recipe.model.width))?;
         let held_out = data.validation.as_ref();
-        let ended = train_on(&self.run, &recipe, &data.training, held_out, stop)?;
-        if ended == Ended::Finished {
-            println!("wrote {}", self.run.out.join(FILE).display());
-        }
-        Ok(ended)
+        train_on(&self.run, &recipe, &data.training, held_out, stop)
     }
 }
 
@@ -86,14 +82,9 @@ pub(super) fn train_on(
     if let Some(old) = &old {
         task.begin_with(old, run.groups());
     }
-    crate::recipe::write(&run.out, task.name(), &recipe)?;
-    let (height, width) = train.size();
-    println!(
-        "{} episodes, {} frames of {height}x{width}",
-        train.episodes().len(),
-        train.frame_count()
-    );
-    crate::run::train(&mut task, &settings, stop)
+    let ((height, width), frames) = (train.size(), train.frame_count());
+    let about = format!("{samples} episodes, {frames} frames of {height}x{width}");
+    run.train(&mut task, &recipe, &settings, (&about, stop))
 }
 
 /// Measures how well an autoencoder reconstructs the frames of held-out bags.

@@ -7,7 +7,7 @@ use super::{
     Data, DataOptions, DatasetError, Size,
     data::name_left_out,
     preparation::Preparation,
-    search::{Found, find},
+    search::{find, find_others},
     store::{add_latent_statistics, is_prepared, read_manifest},
 };
 use crate::latents::Latents;
@@ -105,13 +105,9 @@ impl DatasetArgs {
                 what: "expected bags, found a data set that is prepared already".to_owned(),
             });
         }
-        let held_out = match options.held_out.as_slice() {
-            [] => Found::default(),
-            paths => find(paths)?,
-        };
         let preparation = Preparation::new(
-            find(&self.bags)?,
-            held_out,
+            find_others(&self.bags, &options.held_out)?,
+            find(&options.held_out)?,
             options.settings()?,
             self.size.or(options.size).unwrap_or_default(),
             options.split_rule()?,

@@ -8,7 +8,7 @@ use super::{
     DataOptions, Dataset, DatasetError, Manifest, Size, SplitRule,
     manifest::Split,
     preparation::{Preparation, identity},
-    search::{Found, find},
+    search::{Found, find_others},
     split::split,
     store::{Folder, cache_name, if_another_was_first, is_prepared},
 };
@@ -47,9 +47,9 @@ impl Data {
         expect_effect(paths, options)?;
         let options = options.with_config()?;
         let rule = options.split_rule()?;
-        let folders = open_all(paths, size, cache, &options)?;
+        let folders = open_all((paths, &options.held_out), size, cache, &options)?;
         if !options.held_out.is_empty() {
-            let held_out = open_all(&options.held_out, size, cache, &options)?;
+            let held_out = open_all((&options.held_out, &[]), size, cache, &options)?;
             expect_apart(&folders, &held_out)?;
             let training = Dataset::of_folders(folders, &options, |_, _| true)?;
             let validation = Dataset::of_folders(held_out, &options, |_, _| true)?;
@@ -95,7 +95,7 @@ impl Dataset {
     ) -> Result<Self, DatasetError> {
         expect_effect(paths, options)?;
         let options = options.with_config()?;
-        let folders = open_all(paths, size, cache, &options)?;
+        let folders = open_all((paths, &[]), size, cache, &options)?;
         let splits = splits(&folders, &options, options.split_rule()?);
         let is_split = |(opened, splits): (&Opened, &Vec<Split>)| {
             (is_chosen(&options) || opened.is_given) && splits.contains(&Split::Validation)
@@ -118,7 +118,7 @@ impl Dataset {
         size: (usize, usize),
     ) -> Result<Self, DatasetError> {
         let options = DataOptions::default();
-        let folders = open_all(&[bags_root.to_owned()], size, cache_dir, &options)?;
+        let folders = open_all((&[bags_root.to_owned()], &[]), size, cache_dir, &options)?;
         Self::of_folders(folders, &options, |_, _| true)
     }
 }
@@ -182,8 +182,9 @@ fn expect_effect(paths: &[PathBuf], options: &DataOptions) -> Result<(), Dataset
     }
 }
 
+/// Opens data sets and bags, but for the bags that are `others`.
 fn open_all(
-    paths: &[PathBuf],
+    (paths, others): (&[PathBuf], &[PathBuf]),
     size: (usize, usize),
     cache: &Path,
     options: &DataOptions,
@@ -202,7 +203,8 @@ fn open_all(
     if !bags.is_empty() {
         let settings = options.settings()?;
         let view = view(size, settings.cameras.len().max(1))?;
-        let found = find(&bags)?;
+        let others: Vec<_> = others.iter().filter(|p| !is_prepared(p)).cloned().collect();
+        let found = find_others(&bags, &others)?;
         let none = Found::default();
         let rule = options.split_rule()?;
         let preparation = Preparation::new(found, none, settings, view, rule)?;

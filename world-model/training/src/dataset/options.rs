@@ -63,7 +63,8 @@ pub struct DataOptions {
     /// Leave out episodes of fewer seconds [default: 0]
     #[arg(long, value_name = "SECONDS")]
     pub min_seconds: Option<f64>,
-    /// Bags or prepared folders whose episodes are for validation (repeatable); all others are then for training
+    /// Bags or prepared folders whose episodes are for validation (repeatable); all others are then for training. Bags in
+    /// the folders to train on may be named here
     #[arg(long, value_name = "PATH")]
     #[serde(deserialize_with = "one_or_more")]
     pub held_out: Vec<PathBuf>,

@@ -37,8 +37,7 @@ pub(super) fn find(paths: &[PathBuf]) -> Result<Found, DatasetError> {
     let mut seen = BTreeSet::new();
     let mut twice = Vec::new();
     found.bags.retain(|bag| {
-        let whole = bag.canonicalize().unwrap_or_else(|_| bag.clone());
-        let is_new = seen.insert(whole);
+        let is_new = seen.insert(whole(bag));
         if !is_new {
             twice.push(LeftOut::path(bag, "given twice"));
         }
@@ -46,6 +45,19 @@ pub(super) fn find(paths: &[PathBuf]) -> Result<Found, DatasetError> {
     });
     found.left_out.extend(twice);
     Ok(found)
+}
+
+/// The bags under `paths` that are not among those under `held_out`.
+pub(super) fn find_others(paths: &[PathBuf], held_out: &[PathBuf]) -> Result<Found, DatasetError> {
+    let mut found = find(paths)?;
+    let held: BTreeSet<PathBuf> = find(held_out)?.bags.iter().map(|bag| whole(bag)).collect();
+    found.bags.retain(|bag| !held.contains(&whole(bag)));
+    Ok(found)
+}
+
+/// A path that is the same however the bag was found.
+fn whole(bag: &Path) -> PathBuf {
+    bag.canonicalize().unwrap_or_else(|_| bag.to_owned())
 }
 
 fn is_bag(path: &Path) -> bool {

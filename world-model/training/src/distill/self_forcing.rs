@@ -100,8 +100,8 @@ pub(super) fn predict(
     for (from, to) in levels.iter().zip(levels.iter().skip(1)) {
         let tau = Tensor::full(*from as f32, (b, 1), device)?;
         let all = Tensor::cat(&[&context, &tau], D::Minus1)?;
-        let output = model.output(&Tensor::cat(&[frames, &x], 1)?, &all, &actions, &pattern)?;
-        let output = output.narrow(1, t, 1)?;
+        let frames = Tensor::cat(&[frames, &x], 1)?;
+        let output = model.output(&frames, &all, &actions, &pattern, 1)?;
         let velocity = config
             .parametrisation
             .velocity(&output, &x, &tau, &previous)?;

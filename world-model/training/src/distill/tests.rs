@@ -340,7 +340,9 @@ fn a_prediction_in_training_is_the_samplers() {
 /// How steep a loss is along its gradient, by finite differences, and what that should be: the gradient's square.
 fn differences(variables: &Variables, loss: &dyn Fn() -> Tensor) -> (f64, f64) {
     let value = || f64::from(loss().to_scalar::<f32>().unwrap());
-    let gradient = variables.gradients(&loss().backward().unwrap()).unwrap();
+    let gradient = variables
+        .gradients(&loss().backward().unwrap(), &WeightGradients::default())
+        .unwrap();
     let square: f64 = gradient
         .iter()
         .flatten()

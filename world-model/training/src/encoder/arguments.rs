@@ -8,7 +8,7 @@ use crate::{
     arguments::RunArgs,
     dataset::Dataset,
     recipe::Override,
-    run::{Ended, Stop, Task as _},
+    run::{Ended, Stop},
 };
 
 /// Trains a small semantic encoder, whose features tell the actions between frames.
@@ -58,11 +58,6 @@ pub(super) fn train_on(
         ("actions", json!(encoding)),
     ];
     let settings = run.settings(recipe, samples, data)?;
-    crate::recipe::write(&run.out, task.name(), recipe)?;
-    println!("{} episodes, {} threads", task.clips.len(), run.threads()?);
-    let ended = crate::run::train(&mut task, &settings, stop)?;
-    if ended == Ended::Finished {
-        println!("wrote {}", run.out.join(FILE).display());
-    }
-    Ok(ended)
+    let about = format!("{} episodes", task.clips.len());
+    run.train(&mut task, recipe, &settings, (&about, stop))
 }

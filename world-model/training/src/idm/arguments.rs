@@ -10,12 +10,12 @@ use wm_model::{
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{ModelFolder, idm::TrainedIdm};
 
-use super::{FILE, IdmRecipe, IdmTask, RECIPES, on_predicted, on_real};
+use super::{IdmRecipe, IdmTask, RECIPES, on_predicted, on_real};
 use crate::{
     arguments::{HeldOutArgs, RunArgs},
     latents::Latents,
     model_folder::carry_encoder,
-    run::{Ended, Stop, Task as _},
+    run::{Ended, Stop},
     transition::Evaluation,
 };
 
@@ -64,13 +64,8 @@ pub(super) fn train_on(
         ("actions", json!(encoding)),
     ];
     let settings = run.settings(recipe, samples, data)?;
-    crate::recipe::write(&run.out, task.name(), recipe)?;
-    println!("{} episodes, {} threads", task.clips.len(), run.threads()?);
-    let ended = crate::run::train(&mut task, &settings, stop)?;
-    if ended == Ended::Finished {
-        println!("wrote {}", run.out.join(FILE).display());
-    }
-    Ok(ended)
+    let about = format!("{} episodes", task.clips.len());
+    run.train(&mut task, recipe, &settings, (&about, stop))
 }
 
 /// Measures how well an inverse dynamics model tells actions, from real and from predicted latents.

@@ -1,6 +1,8 @@
 use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Result, Tensor, Var, backprop::GradStore};
+use rayon::prelude::*;
+use wm_model::transition::WeightGradients;
 use wm_zoo::Supply;
 
 use super::{OptimiserError, Parameter, Trained};
@@ -53,30 +55,27 @@ impl Variables {
     /// # Errors
     /// If a shape differs.
     pub fn assign<'a>(&self, weights: impl Iterator<Item = Trained<'a>>) -> Result<()> {
-        for Trained {
-            name,
-            shape,
-            values,
-        } in weights
-        {
-            if let Some(var) = self.0.get(name) {
-                let tensor = Tensor::from_slice(values, shape, &Device::Cpu)?;
-                var.set(&tensor.to_device(var.device())?.to_dtype(var.dtype())?)?;
-            }
-        }
-        Ok(())
+        let weights: Vec<_> = weights
+            .filter_map(|trained| Some((self.0.get(trained.name)?, trained)))
+            .collect();
+        weights.into_par_iter().try_for_each(|(var, trained)| {
+            let tensor = Tensor::from_slice(trained.values, trained.shape, &Device::Cpu)?;
+            var.set(&tensor.to_device(var.device())?.to_dtype(var.dtype())?)
+        })
     }
 
-    /// The gradient of every variable, in the order of the names.
+    /// The gradient of every variable, in the order of the names: the sum of what is in `store` and in `collected`.
     ///
     /// # Errors
     /// When a variable has no gradient: an operation between it and the loss does not propagate one.
-    pub fn gradients(&self, store: &GradStore) -> anyhow::Result<Vec<Vec<f32>>> {
+    pub fn gradients(
+        &self,
+        store: &GradStore,
+        collected: &WeightGradients,
+    ) -> anyhow::Result<Vec<Vec<f32>>> {
         let gradients = self.0.iter().map(|(name, var)| {
-            let gradient = store
-                .get(var)
-                .ok_or_else(|| OptimiserError::NoGradient(name.clone()))?;
-            Ok(values(gradient)?)
+            let gradient = collected.take(var, store)?;
+            Ok(gradient.ok_or_else(|| OptimiserError::NoGradient(name.clone()))?)
         });
         gradients.collect()
     }
@@ -111,12 +110,13 @@ mod tests {
         let b = variables.add("b", &two).unwrap();
         let loss = (w.sqr().unwrap() + b).unwrap().sum_all().unwrap();
         let store = loss.backward().unwrap();
+        let none = WeightGradients::default();
         assert_eq!(
-            variables.gradients(&store).unwrap(),
+            variables.gradients(&store, &none).unwrap(),
             [vec![1., 1.], vec![4., 6.]]
         );
         variables.add("idle", &two).unwrap();
-        let error = variables.gradients(&store).unwrap_err().to_string();
+        let error = variables.gradients(&store, &none).unwrap_err().to_string();
         assert!(error.contains("`idle`"), "{error}");
     }
 

@@ -10,14 +10,14 @@ use wm_zoo::{
 };
 
 use super::{
-    FILE, FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, episodes::Episodes,
+    FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, episodes::Episodes,
     leave_out_unknown,
 };
 use crate::{
     arguments::{HeldOutArgs, RunArgs},
     latents::Latents,
     model_folder::carry_encoder,
-    run::{Ended, Stop, Task as _},
+    run::{Ended, Stop},
 };
 
 /// Trains the success probe: whether an episode's latents show what its instruction asks for. It takes the episodes that
@@ -93,19 +93,12 @@ pub(super) fn train_on(
         ("text_tower", json!(text_tower)),
     ];
     let settings = run.settings(recipe, samples, data)?;
-    crate::recipe::write(&run.out, task.name(), recipe)?;
     let [successes, failures] = task.episodes.counts();
-    println!(
-        "{successes} successes, {failures} failures, {}, {} threads",
-        task.text.summary(),
-        run.threads()?
-    );
-    let ended = crate::run::train(&mut task, &settings, stop)?;
-    if ended == Ended::Finished {
-        println!("wrote {}", run.out.join(FILE).display());
-        if let Some(best) = &task.best {
-            println!("kept the best weights: {best}");
-        }
+    let words = task.text.summary();
+    let about = format!("{successes} successes, {failures} failures, {words}");
+    let ended = run.train(&mut task, recipe, &settings, (&about, stop))?;
+    if let (Ended::Finished, Some(best)) = (ended, &task.best) {
+        println!("kept the best weights: {best}");
     }
     Ok(ended)
 }

@@ -36,9 +36,8 @@ pub(super) fn loss(
             Tensor::cat(&[first, actions.narrow(1, 0, n - 1)?], 1)?
         }
     };
-    let output = model.output(&frames, &levels, &actions, &TemporalPattern::causal(n))?;
+    let pattern = TemporalPattern::causal(n);
+    let output = model.output(&frames, &levels, &actions, &pattern, later)?;
     let velocity = (noise - target)?;
-    Ok((output.narrow(1, past, later)? - velocity)?
-        .sqr()?
-        .mean_all()?)
+    Ok((output - velocity)?.sqr()?.mean_all()?)
 }

@@ -335,8 +335,7 @@ impl Batch {
         let context = Tensor::full(context_tau as f32, (b, clean), tau.device())?;
         let levels = Tensor::cat(&[&context, tau], D::Minus1)?;
         let pattern = TemporalPattern::teacher_forcing(clean + 1, past);
-        let output = model.output(&frames, &levels, &self.actions, &pattern)?;
-        Ok(output.narrow(1, clean, later)?)
+        Ok(model.output(&frames, &levels, &self.actions, &pattern, later)?)
     }
 
     /// The frame before each noisy one.

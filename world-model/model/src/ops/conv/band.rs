@@ -5,8 +5,6 @@
 pub(super) struct Band {
     /// Size of the image (rows, columns, channels) in memory.
     pub image: (usize, usize, usize),
-    /// Whether the image is read as if every pixel were doubled in both directions.
-    pub upsample: bool,
     /// First row and column; negative ones are border.
     pub origin: (isize, isize),
     /// Rows and columns of the band.
@@ -22,7 +20,6 @@ impl Band {
         buffer.resize(rows * pitch, 0.0);
         for (r, target) in buffer.chunks_exact_mut(pitch).enumerate() {
             let y = self.origin.0 + r as isize;
-            let y = if self.upsample { y.div_euclid(2) } else { y };
             let source = usize::try_from(y)
                 .ok()
                 .filter(|y| *y < height)
@@ -37,20 +34,6 @@ impl Band {
     fn copy_row(&self, source: &[f32], target: &mut [f32]) {
         let (_, width, channels) = self.image;
         let left = self.origin.1;
-        if self.upsample {
-            for (c, pixel) in target.chunks_exact_mut(channels).enumerate() {
-                let x = (left + c as isize).div_euclid(2);
-                let from = usize::try_from(x)
-                    .ok()
-                    .filter(|x| *x < width)
-                    .and_then(|x| source.get(x * channels..(x + 1) * channels));
-                match from {
-                    None => pixel.fill(0.0),
-                    Some(from) => pixel.copy_from_slice(from),
-                }
-            }
-            return;
-        }
         let columns = self.size.1;
         let border = left.min(0).unsigned_abs().min(columns);
         let skip = left.max(0).unsigned_abs().min(width);

@@ -5,6 +5,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::band::Band;
+use super::phase::Phase;
 use super::sweep::{Output, Sweep};
 use super::{ConvShape, GridSize, check_length};
 use crate::Result;
@@ -15,6 +16,9 @@ use crate::ops::simd::LANES;
 /// Parts into which the sum over images is split. It is fixed, and the parts are added in order,
 /// so that the sum does not depend on the number of threads.
 const PARTS: usize = 8;
+
+/// Values of the weight gradient that one task adds up.
+const BLOCK: usize = 16 * 1024;
 
 /// Pixels that a tile of the weight gradient sums over before it goes back to memory.
 const PIXELS_A_PASS: usize = 64;
@@ -50,17 +54,83 @@ pub fn conv2d_input_gradient(
     }
     output.resize(length, 0.0);
     if shape.upsample {
-        let mut doubled = vec![0.0; target.pixels() * shape.inputs];
-        let plain = ConvShape {
-            upsample: false,
-            ..*shape
-        };
-        sweep_back(&plain, weight, gradient, target, None, None, &mut doubled);
-        pool(&doubled, target, shape.inputs, residual, mask, output);
+        sweep_back_doubled(shape, weight, gradient, grid, residual, mask, output);
     } else {
         sweep_back(shape, weight, gradient, grid, residual, mask, output);
     }
     Ok(())
+}
+
+/// Writes the input gradient of a convolution of a doubled input: a convolution with stride 2, whose taps are sums of the
+/// kernel's.
+fn sweep_back_doubled(
+    shape: &ConvShape,
+    weight: &[f32],
+    gradient: &[f32],
+    grid: GridSize,
+    residual: Option<&[f32]>,
+    mask: Option<&[f32]>,
+    output: &mut [f32],
+) {
+    let ConvShape {
+        inputs,
+        outputs,
+        kernel,
+        ..
+    } = *shape;
+    // Two rows of the doubled input are one of the input; a row of outputs sees each through a tap, if it has one there.
+    let merged = |row: usize| {
+        let last = kernel.saturating_sub(row).min(kernel.saturating_sub(1));
+        let first = kernel.saturating_sub(row + 1);
+        first..=last
+    };
+    let sides = kernel + 1;
+    let sums: Vec<Vec<f32>> = (0..sides * sides)
+        .map(|at| {
+            let mut sum = vec![0.0; inputs * outputs];
+            for row in merged(at / sides) {
+                for column in merged(at % sides) {
+                    for (sum, w) in sum.iter_mut().zip(tap(shape, weight, row, column)) {
+                        *sum += w;
+                    }
+                }
+            }
+            sum
+        })
+        .collect();
+    let taps: Vec<&[f32]> = sums.iter().map(Vec::as_slice).collect();
+    let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
+    let pad = (kernel / 2) as isize;
+    Sweep {
+        input: gradient,
+        grid: shape.output(grid),
+        channels: outputs,
+        taps: (sides, sides),
+        stride: 2,
+        pad: (pad, pad),
+        panels: &panels,
+        residual,
+        mask,
+        relu: false,
+    }
+    .run(
+        Output {
+            height: grid.height,
+            width: grid.width,
+            start: 0,
+            pixel_step: inputs,
+            row_step: grid.width * inputs,
+            image_step: grid.height * grid.width * inputs,
+        },
+        output,
+    );
+}
+
+/// The weights of a tap, (inputs x outputs).
+fn tap<'a>(shape: &ConvShape, weight: &'a [f32], row: usize, column: usize) -> &'a [f32] {
+    let size = shape.inputs * shape.outputs;
+    let at = (row * shape.kernel + column) * size;
+    weight.get(at..at + size).unwrap_or_default()
 }
 
 /// Writes the input gradient of a convolution without upsampling.
@@ -85,17 +155,14 @@ fn sweep_back(
             // Input rows of this parity get a share from the taps of one parity only.
             let (rows, row_pad) = taps(kernel, stride, row);
             let (columns, column_pad) = taps(kernel, stride, column);
-            let depth = rows.len() * columns.len() * outputs;
-            let panels = Panels::pack(depth, inputs, None, |k, channel| {
-                let (tap, from) = (k / outputs, k % outputs);
-                let tap_row = rows.get(tap / columns.len()).copied().unwrap_or_default();
-                let tap_column = columns
-                    .get(tap % columns.len())
-                    .copied()
-                    .unwrap_or_default();
-                let at = ((tap_row * kernel + tap_column) * inputs + channel) * outputs + from;
-                weight.get(at).copied().unwrap_or_default()
+            let taps = rows.iter().flat_map(|row| {
+                let of_row = columns
+                    .iter()
+                    .map(|column| tap(shape, weight, *row, *column));
+                of_row.collect::<Vec<_>>()
             });
+            let taps: Vec<&[f32]> = taps.collect();
+            let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
             Sweep {
                 input: gradient,
                 grid: shape.output(grid),
@@ -136,49 +203,6 @@ fn taps(kernel: usize, stride: usize, phase: usize) -> (Vec<usize>, isize) {
     (taps, pad)
 }
 
-/// Sums each 2x2 square of `doubled` (the backward of nearest-neighbour doubling).
-fn pool(
-    doubled: &[f32],
-    grid: GridSize,
-    channels: usize,
-    residual: Option<&[f32]>,
-    mask: Option<&[f32]>,
-    output: &mut [f32],
-) {
-    let pitch = grid.width * channels;
-    let row = pitch / 2;
-    output
-        .par_chunks_exact_mut(row)
-        .zip(doubled.par_chunks_exact(2 * pitch))
-        .enumerate()
-        .for_each(|(y, (target, source))| {
-            let (upper, lower) = source.split_at(pitch);
-            let squares = upper
-                .chunks_exact(2 * channels)
-                .zip(lower.chunks_exact(2 * channels));
-            for (pixel, (upper, lower)) in target.chunks_exact_mut(channels).zip(squares) {
-                let (a, b) = upper.split_at(channels);
-                let (c, d) = lower.split_at(channels);
-                for ((((v, a), b), c), d) in pixel.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-                    *v = (a + b) + (c + d);
-                }
-            }
-            let same = |slice: Option<&'_ [f32]>| -> Option<Vec<f32>> {
-                slice?.get(y * row..(y + 1) * row).map(<[f32]>::to_vec)
-            };
-            if let Some(residual) = same(residual) {
-                for (v, r) in target.iter_mut().zip(residual) {
-                    *v += r;
-                }
-            }
-            if let Some(mask) = same(mask) {
-                for (v, m) in target.iter_mut().zip(mask) {
-                    *v = if m > 0.0 { *v } else { 0.0 };
-                }
-            }
-        });
-}
-
 /// Gradients by the weights and the bias of [`super::PackedConv::run`], given the `gradient` by its output
 /// (after the ReLU, if there was one); both are overwritten.
 ///
@@ -202,10 +226,24 @@ pub fn conv2d_weight_gradient(
     )?;
     check_length("weight gradient", weight_gradient, shape.weights())?;
 
-    let rows = (PIXELS_A_PASS / target.width.max(1)).clamp(1, target.height.max(1));
-    let passes = target.height.div_ceil(rows);
+    let phases = Phase::all(shape);
+    let scale = Phase::scale(shape);
+    let depths = phases.iter().map(|phase| {
+        let (rows, columns) = phase.taps();
+        rows * columns * shape.inputs
+    });
+    let depth = depths.sum();
+    let (height, width) = (target.height / scale, target.width / scale);
+    let rows = (PIXELS_A_PASS / width.max(1)).clamp(1, height.max(1));
+    let passes = height.div_ceil(rows);
     let tasks = grid.images * passes;
-    let depth = shape.kernel * shape.kernel * shape.inputs;
+    let outer = Outers {
+        shape,
+        phases: &phases,
+        input,
+        gradient,
+        grid,
+    };
     let mut parts: Vec<Panels> = (0..PARTS)
         .into_par_iter()
         .map(|part| {
@@ -213,16 +251,8 @@ pub fn conv2d_weight_gradient(
             BUFFERS.with_borrow_mut(|buffers| {
                 for task in tasks * part / PARTS..tasks * (part + 1) / PARTS {
                     let (image, first) = (task / passes, task % passes * rows);
-                    let count = rows.min(target.height - first);
-                    add_outer(
-                        shape,
-                        input,
-                        gradient,
-                        grid,
-                        (image, first, count),
-                        buffers,
-                        &mut sums,
-                    );
+                    let count = rows.min(height - first);
+                    outer.add((image, first, count), buffers, &mut sums);
                 }
             });
             sums
@@ -231,15 +261,27 @@ pub fn conv2d_weight_gradient(
     let Some((total, rest)) = parts.split_first_mut() else {
         return Ok(());
     };
-    for part in rest {
-        for (sum, v) in total.values.iter_mut().zip(&part.values) {
-            *sum += v;
+    let blocks = total.values.par_chunks_mut(BLOCK).enumerate();
+    blocks.for_each(|(block, sums)| {
+        for part in rest.iter() {
+            let values = part.values.get(block * BLOCK..).unwrap_or_default();
+            for (sum, v) in sums.iter_mut().zip(values) {
+                *sum += v;
+            }
         }
+    });
+    for part in rest {
         for (sum, v) in total.bias.iter_mut().zip(&part.bias) {
             *sum += v;
         }
     }
-    total.unpack(weight_gradient);
+    if shape.upsample {
+        let mut merged = vec![0.0; depth * shape.outputs];
+        total.unpack(&mut merged);
+        spread(shape, &phases, &merged, weight_gradient);
+    } else {
+        total.unpack(weight_gradient);
+    }
     if let Some(bias_gradient) = bias_gradient {
         check_length("bias gradient", bias_gradient, shape.outputs)?;
         for (target, v) in bias_gradient.iter_mut().zip(&total.bias) {
@@ -259,84 +301,137 @@ thread_local! {
     static BUFFERS: RefCell<Buffers> = RefCell::default();
 }
 
-/// Adds the share of some output rows of an image to `sums`.
-fn add_outer(
-    shape: &ConvShape,
-    input: &[f32],
-    gradient: &[f32],
-    grid: GridSize,
-    (image, first, count): (usize, usize, usize),
-    buffers: &mut Buffers,
-    sums: &mut Panels,
-) {
-    let target = shape.output(grid);
-    let pad = (shape.kernel / 2) as isize;
-    let size = grid.height * grid.width * shape.inputs;
-    let row = target.width * shape.outputs;
-    let start = (image * target.height + first) * row;
-    let (Some(source), Some(gradient)) = (
-        input.get(image * size..(image + 1) * size),
-        gradient.get(start..start + count * row),
-    ) else {
-        return;
-    };
-    let columns = (target.width - 1) * shape.stride + shape.kernel;
-    Band {
-        image: (grid.height, grid.width, shape.inputs),
-        upsample: shape.upsample,
-        origin: ((first * shape.stride) as isize - pad, -pad),
-        size: ((count - 1) * shape.stride + shape.kernel, columns),
+/// Pixels of whole vectors, which the kernel reads, and the length of one: `pixels` as they are, or padded in `buffer`.
+fn whole_vectors<'a>(
+    pixels: &'a [f32],
+    channels: usize,
+    buffer: &'a mut Vec<f32>,
+) -> (&'a [f32], usize) {
+    let width = channels.next_multiple_of(LANES);
+    if width == channels {
+        return (pixels, width);
     }
-    .copy(source, &mut buffers.band);
-
-    for pixel in gradient.chunks_exact(shape.outputs) {
-        for (sum, v) in sums.bias.iter_mut().zip(pixel) {
-            *sum += v;
+    buffer.clear();
+    buffer.resize(pixels.len() / channels * width, 0.0);
+    let padded = buffer.chunks_exact_mut(width);
+    for (to, from) in padded.zip(pixels.chunks_exact(channels)) {
+        for (to, from) in to.iter_mut().zip(from) {
+            *to = *from;
         }
     }
-    // The kernel reads whole vectors.
-    let width = shape.outputs.next_multiple_of(LANES);
-    let gradient = if width == shape.outputs {
-        gradient
-    } else {
-        buffers.gradient.clear();
-        buffers.gradient.resize(count * target.width * width, 0.0);
-        for (to, from) in buffers
-            .gradient
-            .chunks_exact_mut(width)
-            .zip(gradient.chunks_exact(shape.outputs))
-        {
-            for (to, from) in to.iter_mut().zip(from) {
-                *to = *from;
+    (buffer, width)
+}
+
+/// Gives each of the kernel's taps the gradients of all merged taps that it is part of.
+fn spread(shape: &ConvShape, phases: &[Phase], merged: &[f32], weight_gradient: &mut [f32]) {
+    weight_gradient.fill(0.0);
+    let size = (shape.inputs * shape.outputs).max(1);
+    let mut merged = merged.chunks_exact(size);
+    for phase in phases {
+        let (rows, columns) = phase.taps();
+        for (number, by_merged) in (0..rows * columns).zip(&mut merged) {
+            for tap in phase.merged(number) {
+                let by_tap = weight_gradient.get_mut(tap * size..(tap + 1) * size);
+                for (sum, v) in by_tap.unwrap_or_default().iter_mut().zip(by_merged) {
+                    *sum += v;
+                }
             }
         }
-        buffers.gradient.as_slice()
-    };
-    let pitch = columns * shape.inputs;
-    let run = shape.kernel * shape.inputs;
-    let panels: Vec<_> = sums.iter().collect();
-    for (vectors, panel, channel) in panels {
-        for tap_row in 0..shape.kernel {
-            let kernel = Outer {
-                input: buffers.band.as_ptr().wrapping_add(tap_row * pitch),
-                input_step: shape.stride * shape.inputs,
-                input_pitch: shape.stride * pitch,
-                run,
-                gradient: gradient.as_ptr().wrapping_add(channel),
-                gradient_step: width,
-                gradient_pitch: target.width * width,
-                vectors,
-                pixels: target.width,
-                rows: count,
-                sums: sums
-                    .values
-                    .as_mut_ptr()
-                    .wrapping_add(panel + tap_row * run * vectors * LANES),
-            };
-            // SAFETY: the band has `kernel` rows of taps for each output row and `columns` pixels
-            // in each row; `gradient` has `count` rows of whole vectors; the panel has
-            // `kernel * run` rows; the panels were cut for an instruction set that was detected.
-            unsafe { kernel.run(sums.set) };
+    }
+}
+
+/// Products of inputs and output gradients, to be summed over pixels.
+struct Outers<'a> {
+    shape: &'a ConvShape,
+    phases: &'a [Phase],
+    input: &'a [f32],
+    gradient: &'a [f32],
+    grid: GridSize,
+}
+
+impl Outers<'_> {
+    /// Adds the share of `count` rows of an image from row `first` on, where rows are those of a phase, to `sums`.
+    fn add(
+        &self,
+        (image, first, count): (usize, usize, usize),
+        buffers: &mut Buffers,
+        sums: &mut Panels,
+    ) {
+        let Self { shape, grid, .. } = *self;
+        let target = shape.output(grid);
+        let scale = Phase::scale(shape);
+        let size = grid.height * grid.width * shape.inputs;
+        let row = target.width * shape.outputs;
+        let start = (image * target.height + first * scale) * row;
+        let (Some(source), Some(gradient)) = (
+            self.input.get(image * size..(image + 1) * size),
+            self.gradient.get(start..start + count * scale * row),
+        ) else {
+            return;
+        };
+        // Wide enough for all phases.
+        let most = |of: fn(&Phase) -> isize| self.phases.iter().map(of).max().unwrap_or_default();
+        let pad = (most(|phase| phase.pad.0), most(|phase| phase.pad.1));
+        let reach = (
+            most(|phase| phase.rows.len() as isize - phase.pad.0),
+            most(|phase| phase.columns.len() as isize - phase.pad.1),
+        );
+        let side = |pixels: usize, pad: isize, reach: isize| {
+            (pixels.saturating_sub(1) * shape.stride).saturating_add_signed(pad + reach)
+        };
+        let width = target.width / scale;
+        let columns = side(width, pad.1, reach.1);
+        Band {
+            image: (grid.height, grid.width, shape.inputs),
+            origin: ((first * shape.stride) as isize - pad.0, -pad.1),
+            size: (side(count, pad.0, reach.0), columns),
+        }
+        .copy(source, &mut buffers.band);
+
+        for pixel in gradient.chunks_exact(shape.outputs) {
+            for (sum, v) in sums.bias.iter_mut().zip(pixel) {
+                *sum += v;
+            }
+        }
+        let (gradient, step) = whole_vectors(gradient, shape.outputs, &mut buffers.gradient);
+        let pitch = columns * shape.inputs;
+        let panels: Vec<_> = sums.iter().collect();
+        for (vectors, panel, channel) in panels {
+            let mut depth = 0;
+            for phase in self.phases {
+                let (tap_rows, tap_columns) = phase.taps();
+                let run = tap_columns * shape.inputs;
+                let before = (
+                    (pad.0 - phase.pad.0).unsigned_abs(),
+                    (pad.1 - phase.pad.1).unsigned_abs(),
+                );
+                let from = (phase.origin.0 * target.width + phase.origin.1) * step + channel;
+                for tap_row in 0..tap_rows {
+                    let at = (before.0 + tap_row) * pitch + before.1 * shape.inputs;
+                    let kernel = Outer {
+                        input: buffers.band.as_ptr().wrapping_add(at),
+                        input_step: shape.stride * shape.inputs,
+                        input_pitch: shape.stride * pitch,
+                        run,
+                        gradient: gradient.as_ptr().wrapping_add(from),
+                        gradient_step: scale * step,
+                        gradient_pitch: scale * target.width * step,
+                        vectors,
+                        pixels: width,
+                        rows: count,
+                        sums: sums
+                            .values
+                            .as_mut_ptr()
+                            .wrapping_add(panel + depth * vectors * LANES),
+                    };
+                    // SAFETY: the band reaches from the first tap of the first pixel to the last tap of the last one,
+                    // for every phase; `gradient` has `count` rows of whole vectors for each phase; the panel has as
+                    // many rows as all phases have taps and inputs; the panels were cut for an instruction set that
+                    // was detected.
+                    unsafe { kernel.run(sums.set) };
+                    depth += run;
+                }
+            }
         }
     }
 }

@@ -1,5 +1,6 @@
 //! A convolution whose weights are in the order of the kernel: packed once, run often.
 
+use super::phase::Phase;
 use super::sweep::{Output, Sweep};
 use super::{ConvShape, Epilogue, GridSize, check_length};
 use crate::ops::panels::Panels;
@@ -18,20 +19,11 @@ pub struct PackedConv {
 #[derive(Clone, Debug)]
 struct Part {
     panels: Panels<f32>,
-    /// Rows and columns of taps.
-    taps: (usize, usize),
-    /// How far the first tap lies before the output's own place.
-    pad: (isize, isize),
-    /// Row and column of the first output.
-    origin: (usize, usize),
+    phase: Phase,
 }
 
 impl PackedConv {
     /// Packs `weight` (kernel row, kernel column, inputs, outputs) and `bias` (outputs).
-    ///
-    /// Where the input is doubled first, outputs of one parity of row and column see each input
-    /// through several taps: their sum is one tap, so that four convolutions with a quarter of the
-    /// outputs each do less than half the work of one over the doubled input.
     ///
     /// # Errors
     /// If the shape is invalid or a slice has the wrong length for it.
@@ -42,37 +34,23 @@ impl PackedConv {
             check_length("convolution bias", bias, shape.outputs)?;
         }
         let ConvShape {
-            inputs,
-            outputs,
-            kernel,
-            upsample,
-            ..
+            inputs, outputs, ..
         } = *shape;
-        let scale = if upsample { 2 } else { 1 };
-        let mut parts = Vec::with_capacity(scale * scale);
-        for row in 0..scale {
-            for column in 0..scale {
-                let (rows, row_pad) = merged_taps(kernel, scale, row);
-                let (columns, column_pad) = merged_taps(kernel, scale, column);
-                let depth = rows.len() * columns.len() * inputs;
-                let panels = Panels::pack(depth, outputs, bias, |k, n| {
-                    let (tap, input) = (k / inputs, k % inputs);
-                    let rows = rows.get(tap / columns.len()).into_iter().flatten();
-                    rows.flat_map(|row| {
-                        let columns = columns.get(tap % columns.len()).into_iter().flatten();
-                        columns.map(move |column| row * kernel + column)
-                    })
-                    .filter_map(|tap| weight.get((tap * inputs + input) * outputs + n))
-                    .sum()
+        let parts = Phase::all(shape).into_iter().map(|phase| {
+            let (rows, columns) = phase.taps();
+            let panels =
+                Panels::pack_rows(rows * columns * inputs, outputs, bias, |k, first, row| {
+                    for tap in phase.merged(k / inputs) {
+                        let at = (tap * inputs + k % inputs) * outputs + first;
+                        let weights = weight.get(at..at + row.len()).unwrap_or_default();
+                        for (sum, w) in row.iter_mut().zip(weights) {
+                            *sum += w;
+                        }
+                    }
                 });
-                parts.push(Part {
-                    panels,
-                    taps: (rows.len(), columns.len()),
-                    pad: (row_pad, column_pad),
-                    origin: (row, column),
-                });
-            }
-        }
+            Part { panels, phase }
+        });
+        let parts = parts.collect();
         Ok(Self {
             shape: *shape,
             parts,
@@ -96,7 +74,7 @@ impl PackedConv {
         }
         let mut packed = Self::new(shape, weight, bias)?;
         for part in &mut packed.parts {
-            part.pad = (0, 0);
+            part.phase.pad = (0, 0);
         }
         packed.borders_lower_right = true;
         Ok(packed)
@@ -134,17 +112,17 @@ impl PackedConv {
             check_length("convolution residual", residual, length)?;
         }
         output.resize(length, 0.0);
-        let scale = if shape.upsample { 2 } else { 1 };
+        let scale = Phase::scale(shape);
         let pitch = target.width * shape.outputs;
         for part in &self.parts {
-            let (row, column) = part.origin;
+            let (row, column) = part.phase.origin;
             Sweep {
                 input,
                 grid,
                 channels: shape.inputs,
-                taps: part.taps,
+                taps: part.phase.taps(),
                 stride: shape.stride,
-                pad: part.pad,
+                pad: part.phase.pad,
                 panels: &part.panels,
                 residual: epilogue.residual,
                 mask: None,
@@ -163,33 +141,5 @@ impl PackedConv {
             );
         }
         Ok(target)
-    }
-}
-
-/// For the outputs `first`, `first` + `scale`, ..: which of the kernel's taps fall on each input,
-/// and how many of these inputs lie before the output's own.
-fn merged_taps(kernel: usize, scale: usize, first: usize) -> (Vec<Vec<usize>>, isize) {
-    let before = (kernel / 2) as isize;
-    let input = |tap: usize| (first as isize + tap as isize - before).div_euclid(scale as isize);
-    let mut taps: Vec<Vec<usize>> = Vec::new();
-    for tap in 0..kernel {
-        match taps.last_mut() {
-            Some(merged) if tap > 0 && input(tap) == input(tap - 1) => merged.push(tap),
-            _ => taps.push(vec![tap]),
-        }
-    }
-    (taps, -input(0))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn doubling_merges_taps() {
-        assert_eq!(merged_taps(3, 1, 0), (vec![vec![0], vec![1], vec![2]], 1));
-        assert_eq!(merged_taps(3, 2, 0), (vec![vec![0], vec![1, 2]], 1));
-        assert_eq!(merged_taps(3, 2, 1), (vec![vec![0, 1], vec![2]], 0));
-        assert_eq!(merged_taps(1, 2, 1), (vec![vec![0]], 0));
     }
 }

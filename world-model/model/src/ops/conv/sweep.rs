@@ -131,7 +131,6 @@ impl Sweep<'_> {
         };
         let band = Band {
             image: (self.grid.height, self.grid.width, self.channels),
-            upsample: false,
             origin: ((first * self.stride) as isize - self.pad.0, -self.pad.1),
             size: (((count - 1) * self.stride + tap_rows).max(1), columns),
         };

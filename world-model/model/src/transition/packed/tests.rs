@@ -24,7 +24,7 @@ fn difference(config: TransitionConfig, batch: usize, cut: &[usize]) -> f32 {
     let tau = Tensor::rand(0f32, 1.0, (batch, t), &Device::Cpu).unwrap();
     let action = random((batch, t, c.action_dim));
     let whole = model
-        .output(&x, &tau, &action, &TemporalPattern::causal(t))
+        .output(&x, &tau, &action, &TemporalPattern::causal(t), t)
         .unwrap();
     let frame = |tensor: &Tensor, i: usize| values(&tensor.narrow(1, i, 1).unwrap());
     let mut contexts: Vec<FrameContext> = Vec::new();

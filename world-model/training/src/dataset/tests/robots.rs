@@ -293,9 +293,22 @@ fn held_out_bags_are_for_validation_and_may_not_be_trained_on() {
     let data = open("held_out").unwrap();
     assert_eq!(data.training.frame_count(), 9);
     assert_eq!(data.validation.unwrap().frame_count(), 6);
-    let error = open("bags/b").unwrap_err().to_string();
+    let data = open("bags/b").unwrap();
+    assert_eq!(data.training.frame_count(), 4, "a alone");
+    assert_eq!(data.validation.unwrap().frame_count(), 5);
+    std::fs::rename(dir.path().join("held_out/c"), dir.path().join("c")).unwrap();
+    std::fs::create_dir(dir.path().join("held_out/b")).unwrap();
+    for entry in std::fs::read_dir(dir.path().join("bags/b")).unwrap() {
+        let path = entry.unwrap().path();
+        let copy = dir
+            .path()
+            .join("held_out/b")
+            .join(path.file_name().unwrap());
+        std::fs::copy(&path, copy).unwrap();
+    }
+    let error = open("held_out").unwrap_err().to_string();
     assert!(
-        error.contains("bags/b: b is held out, but also trained on"),
+        error.contains("held_out/b: b is held out, but also trained on"),
         "{error}"
     );
     let all = Dataset::held_out(&paths, (16, 16), &cache, &DataOptions::default()).unwrap();
