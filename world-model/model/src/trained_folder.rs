@@ -17,9 +17,14 @@ pub const EMBEDDED: &str = "tiny";
 
 /// The file of the transition model in a folder.
 pub const TRANSITION_FILE: &str = "transition.safetensors";
+/// The file of the inverse dynamics model in a folder.
+pub const IDM_FILE: &str = "idm.safetensors";
+/// The file of the success probe in a folder.
+pub const PROBE_FILE: &str = "probe.safetensors";
 
 static EMBEDDED_AUTOENCODER: &[u8] = include_bytes!("../weights/tiny/autoencoder.safetensors");
 static EMBEDDED_TRANSITION: &[u8] = include_bytes!("../weights/tiny/transition.safetensors");
+static EMBEDDED_IDM: &[u8] = include_bytes!("../weights/tiny/idm.safetensors");
 
 /// Where the training's weights are.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -73,12 +78,15 @@ impl TrainedFolder {
         }
     }
 
-    /// Another file that the training wrote, as `probe.safetensors`; `None` where there is none.
+    /// Another file that the training wrote, as [`IDM_FILE`]; `None` where there is none.
     ///
     /// # Errors
     /// When it cannot be read.
     pub fn weights(&self, file: &str) -> Result<Option<Weights>> {
         match self {
+            Self::Embedded if file == IDM_FILE => {
+                Weights::from_static("embedded inverse dynamics model", EMBEDDED_IDM).map(Some)
+            }
             Self::Embedded => Ok(None),
             Self::Folder(folder) => match folder.join(file) {
                 path if path.is_file() => Weights::open(path).map(Some),
@@ -173,7 +181,14 @@ mod tests {
             (space.height, space.width, space.channels)
         );
         assert_eq!(config.action_dim, model.encoding.action_dim());
-        assert!(EMBEDDED_AUTOENCODER.len() + EMBEDDED_TRANSITION.len() <= 12_000_000);
+        let sizes = [
+            EMBEDDED_AUTOENCODER,
+            EMBEDDED_TRANSITION,
+            EMBEDDED_IDM,
+        ]
+        .map(<[u8]>::len);
+        assert!(sizes.iter().sum::<usize>() <= 12_000_000, "{sizes:?}");
+        assert!(EMBEDDED_IDM.len() <= 2_000_000);
     }
 
     #[test]

@@ -24,7 +24,7 @@ use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
     Engine, Loader,
     folder::{self, DescribedFolder},
-    idm::{Idm, IdmConfig},
+    idm::{IdmNetwork, IdmNetworkConfig},
     layers::Dropout,
     vit::WebDinoConfig,
 };
@@ -48,7 +48,7 @@ pub use recipe::{EncoderModelRecipe, EncoderRecipe, RECIPES};
 struct EncoderTask<'a> {
     recipe: &'a EncoderRecipe,
     encoder: WebDinoConfig,
-    head: IdmConfig,
+    head: IdmNetworkConfig,
     clips: ClipSource<'a>,
     held_out: Option<ClipSource<'a>>,
     variables: Variables,
@@ -64,7 +64,7 @@ struct EncoderTask<'a> {
 /// The encoder as it was written, with the head that was trained with it.
 struct Written {
     encoder: Box<dyn Encoder>,
-    head: Idm,
+    head: IdmNetwork,
 }
 
 impl<'a> EncoderTask<'a> {
@@ -81,7 +81,7 @@ impl<'a> EncoderTask<'a> {
         positions::begin_as_waves(&fresh, &encoder, &head)?;
         let network = Network::load(&encoder, &head, &fresh.loader())?;
         let (variables, old) = fresh.into_variables();
-        let frames = head.horizon + 1;
+        let frames = head.horizon() + 1;
         let clips = |dataset: &'a Dataset| ClipSource::new(dataset, encoding, frames);
         Ok(Self {
             clips: clips(train)?.on(&run.device()?),

@@ -14,7 +14,7 @@ use wm_model::Weights;
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
     IDM_FILE as FILE,
-    idm::{IDM_KEY, Idm, IdmConfig, TrainedIdm},
+    idm::{IDM_KEY, IdmNetwork, IdmNetworkConfig, TrainedIdm},
     layers::Dropout,
 };
 
@@ -30,7 +30,7 @@ use crate::{
 pub use arguments::{EvaluateIdmArgs, TrainIdmArgs};
 pub(crate) use correlation::on_clips;
 pub use correlation::{Correlation, on_predicted, on_real};
-pub use recipe::{IdmModelRecipe, IdmRecipe, RECIPES};
+pub use recipe::{IdmKind, IdmModelRecipe, IdmRecipe, RECIPES};
 
 /// Windows of the evaluations during the training.
 pub(crate) const QUICK_WINDOWS: usize = 256;
@@ -38,7 +38,7 @@ pub(crate) const QUICK_WINDOWS: usize = 256;
 /// An inverse dynamics model in training.
 struct IdmTask<'a> {
     recipe: &'a IdmRecipe,
-    config: IdmConfig,
+    config: IdmNetworkConfig,
     encoding: &'a ActionEncoding,
     train: &'a Latents,
     clips: ClipSource<'a>,
@@ -47,7 +47,7 @@ struct IdmTask<'a> {
     /// Names of what was taken from another model.
     old: BTreeSet<String>,
     groups: Vec<Group>,
-    model: Idm,
+    model: IdmNetwork,
     workers: Workers,
     /// The model that was written last.
     written: Option<TrainedIdm>,
@@ -72,15 +72,15 @@ impl<'a> IdmTask<'a> {
             "dropout is {}, expected 0 up to 1",
             recipe.dropout
         );
-        let mut config = recipe.model.config(train.space().shape(), encoding)?;
-        if let Some(old) = run.old_config::<IdmConfig>(FILE, IDM_KEY)? {
-            (config.hidden, config.depth, config.heads) = (old.hidden, old.depth, old.heads);
-            (config.mlp, config.horizon) = (old.mlp, old.horizon);
-        }
+        let sizes = match run.old_config::<IdmNetworkConfig>(FILE, IDM_KEY)? {
+            Some(old) => recipe.model.sized_as(&old),
+            None => recipe.model.clone(),
+        };
+        let config = sizes.config(train.space().shape(), encoding)?;
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
-        let model = Idm::load(&config, &fresh.loader())?;
+        let model = IdmNetwork::load(&config, &fresh.loader())?;
         let (variables, old) = fresh.into_variables();
-        let frames = config.horizon + 1;
+        let frames = config.horizon() + 1;
         if let Some(held_out) = held_out {
             ClipSource::new(held_out, encoding, frames).context("the held-out bags")?;
         }
@@ -116,12 +116,12 @@ impl<'a> IdmTask<'a> {
 
 /// The loss of windows of latents (B, k + 1, h, w, C) with the actions (B, k + 1, A) of their frames.
 pub(crate) fn loss(
-    model: &Idm,
+    model: &IdmNetwork,
     (latents, actions): (&Tensor, &Tensor),
     dropout: &mut Dropout<'_>,
 ) -> Result<Tensor> {
     // The last frame's own action leads out of the window.
-    let truth = actions.narrow(1, 0, model.config().horizon)?;
+    let truth = actions.narrow(1, 0, model.horizon())?;
     smooth_l1(&model.forward_dropping(latents, dropout)?, &truth)
 }
 

@@ -13,6 +13,7 @@ mod noised_at_once;
 mod objective;
 mod pictures;
 mod recipe;
+mod recovery;
 mod strip;
 
 use std::{collections::BTreeSet, path::Path};
@@ -44,12 +45,13 @@ use crate::{
 pub use arguments::{EvaluateTransitionArgs, TrainTransitionArgs};
 pub use clips::ClipSource;
 pub(crate) use evaluation::squared;
-pub use evaluation::{ActionChange, Evaluation, recover_actions};
+pub use evaluation::{ActionChange, Evaluation};
 pub use frame_values::FrameValues;
 pub(crate) use objective::{Batch, normals};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
 pub use pictures::{PictureErrors, StepErrors};
 pub use recipe::{ModelRecipe, RECIPES, SamplerRecipe, TransitionRecipe};
+pub use recovery::recover_actions;
 pub use strip::strip;
 
 /// Model steps that are predicted in an evaluation.

@@ -53,7 +53,7 @@ fn train_model(data: &Path, cache: &Path, out: &Path) -> Command {
         "idm.batch=2",
         "idm.micro_batch=1",
         "idm.model.hidden=32",
-        "idm.model.depth=1",
+        "idm.model.width=8",
         "probe.length=4 steps",
         "probe.batch=2",
         "probe.micro_batch=1",
@@ -175,7 +175,7 @@ const STAGES: [Stage; 4] = [
             "model.hidden=16",
             "model.depth=1",
             "head.hidden=16",
-            "head.depth=1",
+            "head.width=8",
         ],
     ),
     (

@@ -17,7 +17,9 @@
 //! Configuration (JSON; all but the first two have defaults): `{"features": 1024, "horizon": 1,
 //! "patch": 1, "grid": [16, 16], "hidden": 512, "depth": 6, "heads": 8, "mlp": 2048, "actions": 7}`.
 
+mod convolutional;
 mod names;
+mod network;
 mod trained;
 
 use candle_core::{D, DType, Tensor};
@@ -28,7 +30,9 @@ use crate::layers::{Dropout, LayerNorm, Linear, rms_norm};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 use crate::vit::{Activation, Block};
+pub use convolutional::{ConvolutionalIdm, ConvolutionalIdmConfig};
 use names::Names;
+pub use network::{IdmNetwork, IdmNetworkConfig};
 pub use trained::{IDM_KEY, TrainedIdm};
 
 /// Epsilon of the input's RMSNorm, that of the transition model's.

@@ -57,5 +57,6 @@ pub use compute::Compute;
 pub use device::DeviceName;
 pub use error::{Error, Misshapen, Result};
 pub use loader::{Loader, Supply};
-pub use model_folder::{IDM_FILE, ModelFolder, PROBE_FILE, TransitionTensors};
+pub use model_folder::{ModelFolder, TransitionTensors};
 pub use wm_model::ops::Engine;
+pub use wm_model::trained_folder::{IDM_FILE, PROBE_FILE};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::Tensor;
-use wm_model::trained_folder::{EMBEDDED, TrainedFolder};
+use wm_model::trained_folder::{EMBEDDED, IDM_FILE, PROBE_FILE, TrainedFolder};
 use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, Transition, TransitionConfig};
 use wm_model::{Decoder, Encoder, LatentSpace, Weights, WorldModel};
 use wm_motion::actions::ActionEncoding;
@@ -13,11 +13,6 @@ use crate::Result;
 use crate::folder::DescribedFolder;
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
-
-/// The file of the success probe in a folder.
-pub const PROBE_FILE: &str = "probe.safetensors";
-/// The file of the inverse dynamics model in a folder.
-pub const IDM_FILE: &str = "idm.safetensors";
 
 /// The tensors of a transition model, and what it is.
 #[derive(Clone, Debug)]

@@ -224,21 +224,21 @@ impl Linear {
     }
 }
 
-/// Frames of `width` values, the last of each clip: those of which there are more in `values`.
-fn last_of<'a>(
-    values: &'a [f32],
+/// Frames of `width` values: of the clips in `values`, which hold `all`, those that are `kept`.
+fn last_of(
+    values: &[f32],
     width: usize,
     (all, kept): (Sizes, Sizes),
-) -> impl Iterator<Item = &'a [f32]> {
+) -> impl Iterator<Item = &[f32]> {
     let clips = values.chunks_exact(all.t * width);
     clips.flat_map(move |clip| clip[(all.t - kept.t) * width..].chunks_exact(width))
 }
 
-fn last_of_mut<'a>(
-    values: &'a mut [f32],
+fn last_of_mut(
+    values: &mut [f32],
     width: usize,
     (all, kept): (Sizes, Sizes),
-) -> impl Iterator<Item = &'a mut [f32]> {
+) -> impl Iterator<Item = &mut [f32]> {
     let clips = values.chunks_exact_mut(all.t * width);
     clips.flat_map(move |clip| clip[(all.t - kept.t) * width..].chunks_exact_mut(width))
 }

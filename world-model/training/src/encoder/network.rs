@@ -2,7 +2,7 @@ use anyhow::Result;
 use candle_core::Tensor;
 use wm_zoo::{
     Loader,
-    idm::{Idm, IdmConfig},
+    idm::{IdmNetwork, IdmNetworkConfig},
     vit::{WebDino, WebDinoConfig},
 };
 
@@ -12,13 +12,13 @@ pub(super) const HEAD: &str = "idm.";
 /// The encoder, and the inverse dynamics model that is trained on its features.
 pub(super) struct Network {
     encoder: WebDino,
-    pub(super) head: Idm,
+    pub(super) head: IdmNetwork,
 }
 
 impl Network {
     pub(super) fn load(
         encoder: &WebDinoConfig,
-        head: &IdmConfig,
+        head: &IdmNetworkConfig,
         loader: &Loader<'_>,
     ) -> Result<Self> {
         Ok(Self {
@@ -33,8 +33,11 @@ impl Network {
     }
 }
 
-pub(super) fn load_head(head: &IdmConfig, loader: &Loader<'_>) -> Result<Idm> {
-    Ok(Idm::load(head, &loader.at(HEAD.trim_end_matches('.')))?)
+pub(super) fn load_head(head: &IdmNetworkConfig, loader: &Loader<'_>) -> Result<IdmNetwork> {
+    Ok(IdmNetwork::load(
+        head,
+        &loader.at(HEAD.trim_end_matches('.')),
+    )?)
 }
 
 /// What `encode` makes of pictures (N, H, W, 3), for clips (B, n, H, W, 3) of them: (B, n, h, w, C).

@@ -1,5 +1,5 @@
 use candle_core::{Device, Tensor};
-use wm_zoo::{idm::IdmConfig, vit::WebDinoConfig};
+use wm_zoo::{idm::IdmNetworkConfig, vit::WebDinoConfig};
 
 use super::network::HEAD;
 use crate::fresh_weights::FreshWeights;
@@ -13,32 +13,26 @@ const WAVELENGTHS: f64 = 100.0;
 pub(super) fn begin_as_waves(
     fresh: &FreshWeights,
     encoder: &WebDinoConfig,
-    head: &IdmConfig,
+    head: &IdmNetworkConfig,
 ) -> candle_core::Result<()> {
     let (width, grid) = (encoder.hidden_size, [encoder.grid(); 2]);
     let places = [vec![0.0; width], waves(grid, width)].concat();
-    let [rows, columns] = head.grid;
-    let frames = head.horizon + 1;
-    for (name, shape, values) in [
-        (
-            "dinov2.embeddings.position_embeddings".to_owned(),
-            // The first is that of the CLS token, which has no place.
-            vec![1, places.len() / width, width],
-            places,
-        ),
-        (
-            format!("{HEAD}spatial_pos_emb"),
-            vec![rows * columns, head.hidden],
-            waves(head.grid, head.hidden),
-        ),
-        (
-            format!("{HEAD}temporal_pos_emb"),
-            vec![frames, head.hidden],
-            waves([1, frames], head.hidden),
-        ),
+    // The first place is that of the CLS token, which has none.
+    let shape = [1, places.len() / width, width];
+    let name = "dinov2.embeddings.position_embeddings";
+    fresh.variable(name, &shape, || {
+        Tensor::from_vec(places, &shape, &Device::Cpu)
+    })?;
+    let IdmNetworkConfig::Transformer(head) = head else {
+        return Ok(());
+    };
+    let ([rows, columns], frames, width) = (head.grid, head.horizon + 1, head.hidden);
+    for (name, count, values) in [
+        ("spatial_pos_emb", rows * columns, waves(head.grid, width)),
+        ("temporal_pos_emb", frames, waves([1, frames], width)),
     ] {
-        let initial = || Tensor::from_vec(values, shape.as_slice(), &Device::Cpu);
-        fresh.variable(&name, &shape, initial)?;
+        let initial = || Tensor::from_vec(values, (count, width), &Device::Cpu);
+        fresh.variable(&format!("{HEAD}{name}"), &[count, width], initial)?;
     }
     Ok(())
 }

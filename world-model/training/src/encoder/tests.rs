@@ -60,6 +60,7 @@ fn small(others: &[&str]) -> EncoderRecipe {
         "model.heads=2",
         "head.patch=2",
         "head.hidden=32",
+        "head.width=8",
         "head.depth=2",
         "head.heads=2",
         "head.mlp=64",
@@ -204,7 +205,7 @@ fn settings_that_do_not_fit_are_refused_by_name() {
         ("head.horizon=12", "13 frames"),
         ("model.name=null", "model.name"),
     ] {
-        let recipe = small(&[setting, "length=1 steps"]);
+        let recipe = small(&[setting, "length=1 steps", "head.kind=transformer"]);
         let run = run_in(&dir.path().join(setting));
         let error = train_on(&run, &recipe, (&data, None), &Stop::default()).unwrap_err();
         let message = format!("{error:#}");

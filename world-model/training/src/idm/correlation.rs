@@ -109,7 +109,7 @@ impl fmt::Display for Correlation {
 pub fn on_real(model: &TrainedIdm, latents: &Latents, most: usize) -> Result<Correlation> {
     model.space().require(latents.space())?;
     let encoding = model.encoding();
-    let horizon = model.idm().config().horizon;
+    let horizon = model.idm().horizon();
     let clips = ClipSource::new(latents, encoding, horizon + 1)?;
     on_clips(&clips, most, |latents| Ok(model.actions(latents)?))
 }
@@ -160,7 +160,7 @@ pub fn on_predicted(
         own == others,
         "the inverse dynamics model steps over {own} frames, the transition model over {others}"
     );
-    let (horizon, width) = (model.idm().config().horizon, encoding.action_dim());
+    let (horizon, width) = (model.idm().horizon(), encoding.action_dim());
     let windows = (0..evaluation.len())
         .into_par_iter()
         .map(|window| {

@@ -8,18 +8,21 @@ use crate::{
 
 #[test]
 fn a_step_is_pytorchs() {
-    for name in ["idm", "idm--patched"] {
+    for name in ["idm", "idm--patched", "idm--convolutional"] {
         let fixture = Fixture::open(name);
-        let config: IdmConfig = fixture.of("config");
+        let config: IdmNetworkConfig = fixture.of("config");
         let fresh = FreshWeights::new(1);
-        let model = Idm::load(&config, &fresh.loader()).unwrap();
+        let model = IdmNetwork::load(&config, &fresh.loader()).unwrap();
         let variables = fresh.into_variables().0;
         fill(&variables);
-        let (b, frames, [rows, columns]) = (2, config.horizon + 1, config.grid);
-        let side = config.patch;
-        let shape = [b, frames, rows * side, columns * side, config.features];
+        let (grid, side, features, actions) = match &config {
+            IdmNetworkConfig::Transformer(c) => (c.grid, c.patch, c.features, c.actions),
+            IdmNetworkConfig::Convolutional(c) => (c.grid, 1, c.features, c.actions),
+        };
+        let (b, frames, [rows, columns]) = (2, config.horizon() + 1, grid);
+        let shape = [b, frames, rows * side, columns * side, features];
         let latents = tensor("latents", &shape, 1.5);
-        let actions = tensor("actions", &[b, frames, config.actions], 2.0);
+        let actions = tensor("actions", &[b, frames, actions], 2.0);
         let loss = loss(&model, (&latents, &actions), &mut Dropout::none()).unwrap();
         fixture.check(loss, &variables);
     }

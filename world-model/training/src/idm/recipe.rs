@@ -1,7 +1,7 @@
 use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use wm_motion::actions::{Accumulation, ActionEncoding, ActionSpace};
-use wm_zoo::idm::IdmConfig;
+use wm_zoo::idm::{ConvolutionalIdmConfig, IdmConfig, IdmNetworkConfig};
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
@@ -30,14 +30,26 @@ pub struct IdmRecipe {
 
 is_recipe!(IdmRecipe);
 
+/// The network of an inverse dynamics model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum IdmKind {
+    /// The paper's.
+    Transformer,
+    /// The small one.
+    Convolutional,
+}
+
 /// Shape and conventions of the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[expect(missing_docs, reason = "the recipes say what each is")]
 pub struct IdmModelRecipe {
+    pub kind: IdmKind,
     pub horizon: usize,
-    pub patch: Option<usize>,
     pub hidden: usize,
+    pub width: usize,
+    pub patch: Option<usize>,
     pub depth: usize,
     pub heads: usize,
     pub mlp: Option<usize>,
@@ -60,6 +72,31 @@ impl IdmModelRecipe {
         )?)
     }
 
+    /// The same with kind and sizes of another model.
+    #[must_use]
+    pub fn sized_as(&self, other: &IdmNetworkConfig) -> Self {
+        let own = self.clone();
+        match other {
+            IdmNetworkConfig::Transformer(other) => Self {
+                kind: IdmKind::Transformer,
+                horizon: other.horizon,
+                hidden: other.hidden,
+                patch: Some(other.patch),
+                depth: other.depth,
+                heads: other.heads,
+                mlp: other.mlp,
+                ..own
+            },
+            IdmNetworkConfig::Convolutional(other) => Self {
+                kind: IdmKind::Convolutional,
+                horizon: other.horizon,
+                hidden: other.hidden,
+                width: other.width,
+                ..own
+            },
+        }
+    }
+
     /// The model for latents of this shape (rows, columns, channels) and actions of `encoding`.
     ///
     /// # Errors
@@ -68,7 +105,17 @@ impl IdmModelRecipe {
         &self,
         (rows, columns, channels): (usize, usize, usize),
         encoding: &ActionEncoding,
-    ) -> Result<IdmConfig> {
+    ) -> Result<IdmNetworkConfig> {
+        if self.kind == IdmKind::Convolutional {
+            return Ok(IdmNetworkConfig::Convolutional(ConvolutionalIdmConfig {
+                features: channels,
+                horizon: self.horizon,
+                grid: [rows, columns],
+                width: self.width,
+                hidden: self.hidden,
+                actions: encoding.action_dim(),
+            }));
+        }
         // As published: 256 tokens a frame.
         let published = if rows > 16 { 2 } else { 1 };
         let patch = self.patch.unwrap_or(published);
@@ -76,7 +123,7 @@ impl IdmModelRecipe {
             patch > 0 && rows.is_multiple_of(patch) && columns.is_multiple_of(patch),
             "patch is {patch}, which does not divide latents of {rows}x{columns}"
         );
-        Ok(IdmConfig {
+        Ok(IdmNetworkConfig::Transformer(IdmConfig {
             features: channels,
             horizon: self.horizon,
             patch,
@@ -86,6 +133,6 @@ impl IdmModelRecipe {
             heads: self.heads,
             mlp: self.mlp,
             actions: encoding.action_dim(),
-        })
+        }))
     }
 }

@@ -15,6 +15,7 @@ fn small(name: &str) -> IdmRecipe {
         "micro_batch=4",
         "model.patch=2",
         "model.hidden=32",
+        "model.width=8",
         "model.depth=1",
     ];
     let others = [
@@ -43,24 +44,26 @@ pub(crate) fn trained(out: &Path, latents: &Latents) -> TrainedIdm {
 fn it_learns_to_tell_actions_that_latents_show() {
     let dir = tempfile::tempdir().unwrap();
     let (train, held_out) = (moving(dir.path(), 200, 1), moving(dir.path(), 30, 2));
-    let recipe = IdmRecipe {
-        length: recipe::Span::Steps(1000),
-        ..small("tiny")
-    };
-    let stop = Stop::default();
-    train_on(&run_in(dir.path()), &recipe, &train, Some(&held_out), &stop).unwrap();
-    let model = TrainedIdm::open(dir.path().join(FILE)).unwrap();
-    let found = on_real(&model, &held_out, usize::MAX).unwrap();
-    println!("{found}");
-    // The other dimensions never vary.
-    assert_eq!(found.continuous.len(), 1, "{found}");
-    let (name, kind, r) = found.continuous.first().unwrap();
-    assert_eq!(
-        (name.as_str(), *kind),
-        ("dx", wm_motion::actions::Kind::TranslationDelta)
-    );
-    assert!(*r > 0.8, "{found}");
-    assert_eq!(found.gripper, Some(1.0));
+    for (kind, steps) in [(IdmKind::Convolutional, 300), (IdmKind::Transformer, 1000)] {
+        let mut recipe = small("tiny");
+        recipe.length = recipe::Span::Steps(steps);
+        recipe.model.kind = kind;
+        let out = dir.path().join(format!("{kind:?}"));
+        let stop = Stop::default();
+        train_on(&run_in(&out), &recipe, &train, Some(&held_out), &stop).unwrap();
+        let model = TrainedIdm::open(out.join(FILE)).unwrap();
+        let found = on_real(&model, &held_out, usize::MAX).unwrap();
+        println!("{kind:?}: {found}");
+        // The other dimensions never vary.
+        assert_eq!(found.continuous.len(), 1, "{found}");
+        let (name, kind, r) = found.continuous.first().unwrap();
+        assert_eq!(
+            (name.as_str(), *kind),
+            ("dx", wm_motion::actions::Kind::TranslationDelta)
+        );
+        assert!(*r > 0.8, "{found}");
+        assert_eq!(found.gripper, Some(1.0));
+    }
 }
 
 #[test]

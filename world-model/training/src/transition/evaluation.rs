@@ -2,11 +2,8 @@ use std::fmt;
 
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use wm_model::{
-    planner::{Cem, CemSettings, Returned, Target, TransitionDynamics},
     sampler::{Given, Rollout, Sampler},
     transition::PackedTransition,
 };
@@ -18,7 +15,7 @@ use crate::latents::Latents;
 /// Observed frames that a prediction starts from.
 pub(super) const CONTEXT: usize = 2;
 /// Seed of the noise of all evaluated predictions.
-const SEED: u64 = 0;
+pub(super) const SEED: u64 = 0;
 
 /// The actions that the predictions get in place of the true ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,19 +42,19 @@ impl fmt::Display for ActionChange {
 }
 
 /// One window: observed frames and those to be predicted.
-struct Case {
+pub(super) struct Case {
     /// Index of the first frame in the dataset.
-    first_frame: usize,
+    pub(super) first_frame: usize,
     /// (CONTEXT + K, h, w, C).
-    frames: Tensor,
-    /// (CONTEXT + K - 1, A).
-    actions: Tensor,
+    pub(super) frames: Tensor,
+    /// (CONTEXT + K, A): those of the frames; the last one leads out of the window.
+    pub(super) actions: Tensor,
 }
 
 /// Windows of episodes on which predictions are compared with what came, and with persistence: that nothing changes
 /// from the last observed frame on.
 pub struct Evaluation {
-    cases: Vec<Case>,
+    pub(super) cases: Vec<Case>,
     horizon: usize,
     /// Camera frames a model step.
     frame_skip: usize,
@@ -235,112 +232,4 @@ impl Evaluation {
 pub(crate) fn squared(a: &Tensor, b: &Tensor) -> Result<f64> {
     let error = (a - b)?.sqr()?.sum_all()?.to_scalar::<f32>()?;
     Ok(f64::from(error))
-}
-
-/// How well one-step plans that start from zero recover the true action, in model units.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Recovery {
-    /// Plans made.
-    pub plans: usize,
-    /// Mean distance over the three translations: of the plan, of no motion, of a random guess within the bounds.
-    pub translation: [f64; 3],
-    /// The same over the three rotations.
-    pub rotation: [f64; 3],
-    /// Part of the plans whose gripper has the true sign; half of the random guesses have.
-    pub gripper: f64,
-}
-
-impl fmt::Display for Recovery {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            f,
-            "{} one-step plans from zero, distance to the true action:",
-            self.plans
-        )?;
-        for (name, [plan, zero, random]) in [("xyz", self.translation), ("rotation", self.rotation)]
-        {
-            writeln!(
-                f,
-                "  {name:<9} plan {plan:.3}, no motion {zero:.3}, random {random:.3}: {:.3} of random",
-                plan / random
-            )?;
-        }
-        write!(
-            f,
-            "  gripper of the right sign in {:.0} %",
-            100.0 * self.gripper
-        )
-    }
-}
-
-/// Plans one step towards the next observed latent from each of `plans` windows.
-///
-/// # Errors
-/// When the model does not fit the latents.
-pub fn recover_actions(
-    model: &PackedTransition,
-    encoding: &ActionEncoding,
-    evaluation: &Evaluation,
-    plans: usize,
-) -> Result<Recovery> {
-    let bounds = encoding.bounds();
-    let settings = CemSettings {
-        population: 96,
-        iterations: 5,
-        elites: 12,
-        batch: 96,
-        initial_std: 0.3,
-        returned: Returned::FinalMean,
-        ..CemSettings::default()
-    };
-    let cem = Cem::new(settings, &bounds)?;
-    let stride = (evaluation.len() / plans.max(1)).max(1);
-    let cases: Vec<&Case> = evaluation
-        .cases
-        .iter()
-        .step_by(stride)
-        .take(plans)
-        .collect();
-    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
-    let mut recovery = Recovery {
-        plans: cases.len(),
-        translation: [0.0; 3],
-        rotation: [0.0; 3],
-        gripper: 0.0,
-    };
-    let count = cases.len().max(1) as f64;
-    for case in cases {
-        let context = case.frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
-        let past = case.actions.narrow(0, 0, CONTEXT - 1)?;
-        let sampler = &model.config().sampler;
-        let mut dynamics = TransitionDynamics::new(model, sampler, &context, Some(&past), SEED)?;
-        let target = Target::EachStep(case.frames.narrow(0, CONTEXT, 1)?);
-        let plan = cem.plan(&mut dynamics, &target, None, SEED, &mut || false)?;
-        let planned = plan
-            .actions
-            .into_iter()
-            .next()
-            .context("a plan without actions")?;
-        let truth = case.actions.get(CONTEXT - 1)?.to_vec1::<f32>()?;
-        let random: Vec<f32> = bounds
-            .iter()
-            .map(|(low, high)| rng.random_range(*low..=*high))
-            .collect();
-        let zero = vec![0.0; truth.len()];
-        for (i, guess) in [&planned, &zero, &random].into_iter().enumerate() {
-            recovery.translation[i] += distance(guess, &truth, 0..3) / count;
-            recovery.rotation[i] += distance(guess, &truth, 3..6) / count;
-        }
-        let signs = planned.get(6).zip(truth.get(6));
-        if signs.is_some_and(|(planned, truth)| (*planned > 0.0) == (*truth > 0.0)) {
-            recovery.gripper += 1.0 / count;
-        }
-    }
-    Ok(recovery)
-}
-
-fn distance(a: &[f32], b: &[f32], part: std::ops::Range<usize>) -> f64 {
-    let pairs = a.iter().zip(b).skip(part.start).take(part.len());
-    let squares: f64 = pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum();
-    squares.sqrt()
 }

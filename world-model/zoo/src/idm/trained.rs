@@ -7,16 +7,16 @@ use wm_model::{
 };
 use wm_motion::actions::ActionEncoding;
 
-use super::{Idm, IdmConfig};
+use super::{IdmNetwork, IdmNetworkConfig};
 use crate::{Engine, Loader, Result, loader::OfWeights};
 
-/// Metadata key of the [`IdmConfig`] (JSON).
+/// Metadata key of the [`IdmNetworkConfig`] (JSON).
 pub const IDM_KEY: &str = "idm";
 
 /// An inverse dynamics model that the training wrote, with what its inputs and outputs are.
 #[derive(Clone, Debug)]
 pub struct TrainedIdm {
-    idm: Idm,
+    idm: IdmNetwork,
     space: LatentSpace,
     encoding: ActionEncoding,
 }
@@ -35,8 +35,8 @@ impl TrainedIdm {
     /// # Errors
     /// If a tensor or an entry of the metadata is missing, misshapen or unexpected.
     pub fn from_weights(weights: Weights) -> Result<Self> {
-        let config: IdmConfig = weights.json(IDM_KEY)?;
-        let idm = Idm::load(
+        let config: IdmNetworkConfig = weights.json(IDM_KEY)?;
+        let idm = IdmNetwork::load(
             &config,
             &Loader::supplied(&OfWeights(&weights), Engine::Cpu),
         )?;
@@ -50,7 +50,7 @@ impl TrainedIdm {
     }
 
     /// The network.
-    pub fn idm(&self) -> &Idm {
+    pub fn idm(&self) -> &IdmNetwork {
         &self.idm
     }
 

@@ -145,9 +145,12 @@ fn a_prepared_folder_is_what_the_bags_are() {
 fn held_out_bags_are_the_validation_of_a_prepared_folder() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 5);
-    let held_out = dir.path().join("held_out");
-    fs::create_dir(&held_out).unwrap();
-    fs::rename(bags.join("episode_3"), held_out.join("episode_3")).unwrap();
+    let copy = dir.path().join("copy");
+    fs::create_dir(&copy).unwrap();
+    for file in fs::read_dir(bags.join("episode_1")).unwrap() {
+        let file = file.unwrap();
+        fs::copy(file.path(), copy.join(file.file_name())).unwrap();
+    }
     let out = dir.path().join("data");
     let prepare = |held_out: &Path| {
         wm_dataset(&[
@@ -158,9 +161,10 @@ fn held_out_bags_are_the_validation_of_a_prepared_folder() {
             out.to_str().unwrap(),
         ])
     };
-    let error = prepare(&bags.join("episode_1")).unwrap_err().to_string();
-    assert!(error.contains("episode_1: held out, but"), "{error}");
-    prepare(&held_out).unwrap();
+    let error = prepare(&copy).unwrap_err().to_string();
+    assert!(error.contains("copy: held out, but"), "{error}");
+    // Among those to train on, it is taken out of them.
+    prepare(&bags.join("episode_3")).unwrap();
     let manifest = read_manifest(&out).unwrap();
     let validation = manifest
         .episodes

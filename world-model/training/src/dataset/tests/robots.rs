@@ -308,7 +308,7 @@ fn held_out_bags_are_for_validation_and_may_not_be_trained_on() {
     }
     let error = open("held_out").unwrap_err().to_string();
     assert!(
-        error.contains("held_out/b: b is held out, but also trained on"),
+        error.contains("b: b is held out, but also trained on"),
         "{error}"
     );
     let all = Dataset::held_out(&paths, (16, 16), &cache, &DataOptions::default()).unwrap();
