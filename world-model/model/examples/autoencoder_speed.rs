@@ -34,7 +34,7 @@ fn convolution(name: &str, shape: ConvShape, size: usize) -> Result<()> {
     let gradient = vec![0.5; shape.output(grid).pixels() * shape.outputs];
     let weight = vec![0.1; shape.weights()];
     let mut by_weight = weight.clone();
-    let (mut output, mut by_input) = (Vec::new(), Vec::new());
+    let (mut output, mut by_input) = (Vec::new(), vec![0.0; input.len()]);
     let epilogue = Epilogue {
         residual: None,
         relu: true,

@@ -181,12 +181,7 @@ mod tests {
             (space.height, space.width, space.channels)
         );
         assert_eq!(config.action_dim, model.encoding.action_dim());
-        let sizes = [
-            EMBEDDED_AUTOENCODER,
-            EMBEDDED_TRANSITION,
-            EMBEDDED_IDM,
-        ]
-        .map(<[u8]>::len);
+        let sizes = [EMBEDDED_AUTOENCODER, EMBEDDED_TRANSITION, EMBEDDED_IDM].map(<[u8]>::len);
         assert!(sizes.iter().sum::<usize>() <= 12_000_000, "{sizes:?}");
         assert!(EMBEDDED_IDM.len() <= 2_000_000);
     }

@@ -75,10 +75,10 @@ impl Tape {
         let convs = network.convs();
         gradients.convs.resize_with(convs.len(), Default::default);
         let [current, next, skip] = &mut self.buffers;
-        current.clear();
-        current.extend_from_slice(gradient);
+        front(current, gradient.len()).copy_from_slice(gradient);
         if convs.last().is_some_and(|conv| conv.relu) {
             let output = self.outputs.last().map_or(&[][..], Vec::as_slice);
+            let current = front(current, gradient.len());
             for (g, y) in current.iter_mut().zip(output) {
                 if *y <= 0.0 {
                     *g = 0.0;
@@ -88,10 +88,15 @@ impl Tape {
         let wants_input = by_input.is_some();
         let steps = convs.iter().zip(&mut gradients.convs).zip(&self.grids);
         for (i, ((conv, (by_weight, by_bias)), &grid)) in steps.enumerate().rev() {
-            if closes_block(network, i) {
-                skip.clear();
-                skip.extend_from_slice(current);
-            }
+            let length = conv.shape.output(grid).pixels() * conv.shape.outputs;
+            let gradient = if closes_block(network, i) {
+                // Kept until the block's input gets it too.
+                std::mem::swap(current, skip);
+                skip.get(..length)
+            } else {
+                current.get(..length)
+            };
+            let gradient = gradient.unwrap_or_default();
             let before = i.checked_sub(1);
             let input = match before {
                 None => &self.input,
@@ -100,29 +105,43 @@ impl Tape {
             by_weight.resize(conv.weight.len(), 0.0);
             by_bias.resize(conv.bias.as_ref().map_or(0, Vec::len), 0.0);
             let bias = conv.bias.is_some().then_some(by_bias.as_mut_slice());
-            conv2d_weight_gradient(&conv.shape, input, current, grid, by_weight, bias)?;
+            conv2d_weight_gradient(&conv.shape, input, gradient, grid, by_weight, bias)?;
             if before.is_none() && !wants_input {
                 break;
             }
             let relu_before = before
                 .and_then(|i| convs.get(i))
                 .is_some_and(|conv| conv.relu);
+            let length = grid.pixels() * conv.shape.inputs;
+            let residual = match conv.opens_block {
+                true => skip.get(..length),
+                false => None,
+            };
             conv2d_input_gradient(
                 &conv.shape,
                 &conv.weight,
-                current,
+                gradient,
                 grid,
-                conv.opens_block.then_some(skip.as_slice()),
+                residual,
                 relu_before.then_some(input.as_slice()),
-                next,
+                front(next, length),
             )?;
             std::mem::swap(current, next);
         }
         if let Some(by_input) = by_input {
-            std::mem::swap(by_input, current);
+            by_input.clear();
+            by_input.extend_from_slice(front(current, self.input.len()));
         }
         Ok(())
     }
+}
+
+/// The first `length` values of a buffer that never gets shorter: what is added to it is filled with zeros first.
+fn front(buffer: &mut Vec<f32>, length: usize) -> &mut [f32] {
+    if buffer.len() < length {
+        buffer.resize(length, 0.0);
+    }
+    buffer.get_mut(..length).unwrap_or_default()
 }
 
 /// Whether convolution `i` is the last of a block.

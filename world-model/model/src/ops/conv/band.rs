@@ -12,13 +12,16 @@ pub(super) struct Band {
 }
 
 impl Band {
-    /// Copies the band out of `image` into `buffer`, zeros outside of the image.
+    /// Copies the band out of `image` into the front of `buffer`, zeros outside of the image. The buffer never gets shorter:
+    /// what is added is filled with zeros first, which costs as much as the copy.
     pub(super) fn copy(&self, image: &[f32], buffer: &mut Vec<f32>) {
         let (height, width, channels) = self.image;
         let (rows, columns) = self.size;
         let pitch = columns * channels;
-        buffer.resize(rows * pitch, 0.0);
-        for (r, target) in buffer.chunks_exact_mut(pitch).enumerate() {
+        if buffer.len() < rows * pitch {
+            buffer.resize(rows * pitch, 0.0);
+        }
+        for (r, target) in buffer.chunks_exact_mut(pitch).take(rows).enumerate() {
             let y = self.origin.0 + r as isize;
             let source = usize::try_from(y)
                 .ok()

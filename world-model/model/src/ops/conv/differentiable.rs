@@ -78,7 +78,7 @@ impl CustomOp3 for Convolution {
         // What nobody asks for is not computed: pictures and frozen weights have no gradient.
         let by_x = match x.track_op() {
             true => {
-                let mut by_x = Vec::new();
+                let mut by_x = vec![0.0; vx.len()];
                 conv2d_input_gradient(&self.0, vw, vg, grid, None, None, &mut by_x)
                     .map_err(Error::wrap)?;
                 Some(Tensor::from_vec(by_x, x.shape(), x.device())?)

@@ -27,7 +27,7 @@ const PIXELS_A_PASS: usize = 64;
 ///
 /// `grid` is the size of the convolution's input. `residual` (of the input's shape) is added, and
 /// where `mask` (the same shape) is not positive the result becomes zero: with the convolution's
-/// input as mask that is the gradient through the ReLU that made the input.
+/// input as mask that is the gradient through the ReLU that made the input. All of `output` is written.
 ///
 /// # Errors
 /// If the shape is invalid or a slice has the wrong length for it.
@@ -38,11 +38,12 @@ pub fn conv2d_input_gradient(
     grid: GridSize,
     residual: Option<&[f32]>,
     mask: Option<&[f32]>,
-    output: &mut Vec<f32>,
+    output: &mut [f32],
 ) -> Result<()> {
     shape.check()?;
     let target = shape.output(grid);
     let length = grid.pixels() * shape.inputs;
+    check_length("convolution input gradient", output, length)?;
     check_length("convolution weights", weight, shape.weights())?;
     check_length(
         "convolution output gradient",
@@ -52,7 +53,6 @@ pub fn conv2d_input_gradient(
     for slice in [residual, mask].into_iter().flatten() {
         check_length("convolution residual or mask", slice, length)?;
     }
-    output.resize(length, 0.0);
     if shape.upsample {
         sweep_back_doubled(shape, weight, gradient, grid, residual, mask, output);
     } else {

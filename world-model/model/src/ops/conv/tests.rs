@@ -207,7 +207,7 @@ fn gradients_equal_finite_differences() {
     for case in Case::all() {
         let output = case.forward(&case.input, &case.weight, &case.bias);
         let gradient = random(output.len(), 5);
-        let mut by_input = Vec::new();
+        let mut by_input = vec![9.0; case.input.len()];
         conv2d_input_gradient(
             &case.shape,
             &case.weight,
@@ -260,7 +260,7 @@ fn input_gradient_adds_the_residual_and_then_masks() {
         let gradient = random(target.pixels() * case.shape.outputs, 6);
         let residual = random(case.input.len(), 7);
         let run = |residual, mask| {
-            let mut output = Vec::new();
+            let mut output = vec![9.0; case.input.len()];
             conv2d_input_gradient(
                 &case.shape,
                 &case.weight,
