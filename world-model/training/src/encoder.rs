@@ -2,7 +2,7 @@
 //!
 //! The paper compares semantic encoders (DINO, SigLIP, V-JEPA), which are not made to give pictures back, with encoders
 //! that are. This one stands for the former where the published ones are too large: nothing pulls it towards the
-//! pixels. It is trained together with an inverse dynamics model (the paper, appendix B.6) that reads its features and is
+//! pixels. It is trained together with an inverse dynamics model that reads its features and is
 //! thrown away in the end. The last LayerNorm of the encoder keeps its features from shrinking to nothing.
 //!
 //! What comes of it is a folder with a `model.json`, as those of published encoders: `wm train adapter` takes it next.

@@ -1,5 +1,5 @@
 //! Training of the inverse dynamics model: which actions lie between consecutive latents (the paper, appendix B.6), by
-//! Smooth-L1 on the latents of a frozen encoder.
+//! Smooth-L1 on the latents of a frozen encoder. The network is the paper's transformer, or a small convolutional one.
 
 mod arguments;
 mod correlation;

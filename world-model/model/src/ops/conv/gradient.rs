@@ -53,140 +53,157 @@ pub fn conv2d_input_gradient(
     for slice in [residual, mask].into_iter().flatten() {
         check_length("convolution residual or mask", slice, length)?;
     }
-    if shape.upsample {
-        sweep_back_doubled(shape, weight, gradient, grid, residual, mask, output);
-    } else {
-        sweep_back(shape, weight, gradient, grid, residual, mask, output);
+    let back = Back {
+        shape,
+        weight,
+        gradient,
+        grid,
+        residual,
+        mask,
+    };
+    match shape.upsample {
+        true => back.sweep_doubled(output),
+        false => back.sweep(output),
     }
     Ok(())
 }
 
-/// Writes the input gradient of a convolution of a doubled input: a convolution with stride 2, whose taps are sums of the
-/// kernel's.
-fn sweep_back_doubled(
-    shape: &ConvShape,
-    weight: &[f32],
-    gradient: &[f32],
+/// What [`conv2d_input_gradient`] is given, checked.
+struct Back<'a> {
+    shape: &'a ConvShape,
+    weight: &'a [f32],
+    gradient: &'a [f32],
     grid: GridSize,
-    residual: Option<&[f32]>,
-    mask: Option<&[f32]>,
-    output: &mut [f32],
-) {
-    let ConvShape {
-        inputs,
-        outputs,
-        kernel,
-        ..
-    } = *shape;
-    // Two rows of the doubled input are one of the input; a row of outputs sees each through a tap, if it has one there.
-    let merged = |row: usize| {
-        let last = kernel.saturating_sub(row).min(kernel.saturating_sub(1));
-        let first = kernel.saturating_sub(row + 1);
-        first..=last
-    };
-    let sides = kernel + 1;
-    let sums: Vec<Vec<f32>> = (0..sides * sides)
-        .map(|at| {
-            let mut sum = vec![0.0; inputs * outputs];
-            for row in merged(at / sides) {
-                for column in merged(at % sides) {
-                    for (sum, w) in sum.iter_mut().zip(tap(shape, weight, row, column)) {
-                        *sum += w;
+    residual: Option<&'a [f32]>,
+    mask: Option<&'a [f32]>,
+}
+
+impl Back<'_> {
+    /// Writes the input gradient of a convolution without upsampling.
+    fn sweep(&self, output: &mut [f32]) {
+        let Self {
+            shape,
+            gradient,
+            grid,
+            residual,
+            mask,
+            ..
+        } = *self;
+        let ConvShape {
+            inputs,
+            outputs,
+            kernel,
+            stride,
+            ..
+        } = *shape;
+        for row in 0..stride.min(grid.height) {
+            for column in 0..stride.min(grid.width) {
+                // Input rows of this parity get a share from the taps of one parity only.
+                let (rows, row_pad) = taps(kernel, stride, row);
+                let (columns, column_pad) = taps(kernel, stride, column);
+                let taps = rows.iter().flat_map(|row| {
+                    let of_row = columns.iter().map(|column| self.tap(*row, *column));
+                    of_row.collect::<Vec<_>>()
+                });
+                let taps: Vec<&[f32]> = taps.collect();
+                let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
+                Sweep {
+                    input: gradient,
+                    grid: shape.output(grid),
+                    channels: outputs,
+                    taps: (rows.len(), columns.len()),
+                    stride: 1,
+                    pad: (row_pad, column_pad),
+                    panels: &panels,
+                    residual,
+                    mask,
+                    relu: false,
+                }
+                .run(
+                    Output {
+                        height: (grid.height - row).div_ceil(stride),
+                        width: (grid.width - column).div_ceil(stride),
+                        start: (row * grid.width + column) * inputs,
+                        pixel_step: stride * inputs,
+                        row_step: stride * grid.width * inputs,
+                        image_step: grid.height * grid.width * inputs,
+                    },
+                    output,
+                );
+            }
+        }
+    }
+
+    /// Writes the input gradient of a convolution of a doubled input: a convolution with stride 2, whose taps are sums of the
+    /// kernel's.
+    fn sweep_doubled(&self, output: &mut [f32]) {
+        let Self {
+            shape,
+            gradient,
+            grid,
+            residual,
+            mask,
+            ..
+        } = *self;
+        let ConvShape {
+            inputs,
+            outputs,
+            kernel,
+            ..
+        } = *shape;
+        // Two rows of the doubled input are one of the input; a row of outputs sees each through a tap, if it has one there.
+        let merged = |row: usize| {
+            let last = kernel.saturating_sub(row).min(kernel.saturating_sub(1));
+            let first = kernel.saturating_sub(row + 1);
+            first..=last
+        };
+        let sides = kernel + 1;
+        let sums: Vec<Vec<f32>> = (0..sides * sides)
+            .map(|at| {
+                let mut sum = vec![0.0; inputs * outputs];
+                for row in merged(at / sides) {
+                    for column in merged(at % sides) {
+                        for (sum, w) in sum.iter_mut().zip(self.tap(row, column)) {
+                            *sum += w;
+                        }
                     }
                 }
-            }
-            sum
-        })
-        .collect();
-    let taps: Vec<&[f32]> = sums.iter().map(Vec::as_slice).collect();
-    let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
-    let pad = (kernel / 2) as isize;
-    Sweep {
-        input: gradient,
-        grid: shape.output(grid),
-        channels: outputs,
-        taps: (sides, sides),
-        stride: 2,
-        pad: (pad, pad),
-        panels: &panels,
-        residual,
-        mask,
-        relu: false,
-    }
-    .run(
-        Output {
-            height: grid.height,
-            width: grid.width,
-            start: 0,
-            pixel_step: inputs,
-            row_step: grid.width * inputs,
-            image_step: grid.height * grid.width * inputs,
-        },
-        output,
-    );
-}
-
-/// The weights of a tap, (inputs x outputs).
-fn tap<'a>(shape: &ConvShape, weight: &'a [f32], row: usize, column: usize) -> &'a [f32] {
-    let size = shape.inputs * shape.outputs;
-    let at = (row * shape.kernel + column) * size;
-    weight.get(at..at + size).unwrap_or_default()
-}
-
-/// Writes the input gradient of a convolution without upsampling.
-fn sweep_back(
-    shape: &ConvShape,
-    weight: &[f32],
-    gradient: &[f32],
-    grid: GridSize,
-    residual: Option<&[f32]>,
-    mask: Option<&[f32]>,
-    output: &mut [f32],
-) {
-    let ConvShape {
-        inputs,
-        outputs,
-        kernel,
-        stride,
-        ..
-    } = *shape;
-    for row in 0..stride.min(grid.height) {
-        for column in 0..stride.min(grid.width) {
-            // Input rows of this parity get a share from the taps of one parity only.
-            let (rows, row_pad) = taps(kernel, stride, row);
-            let (columns, column_pad) = taps(kernel, stride, column);
-            let taps = rows.iter().flat_map(|row| {
-                let of_row = columns
-                    .iter()
-                    .map(|column| tap(shape, weight, *row, *column));
-                of_row.collect::<Vec<_>>()
-            });
-            let taps: Vec<&[f32]> = taps.collect();
-            let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
-            Sweep {
-                input: gradient,
-                grid: shape.output(grid),
-                channels: outputs,
-                taps: (rows.len(), columns.len()),
-                stride: 1,
-                pad: (row_pad, column_pad),
-                panels: &panels,
-                residual,
-                mask,
-                relu: false,
-            }
-            .run(
-                Output {
-                    height: (grid.height - row).div_ceil(stride),
-                    width: (grid.width - column).div_ceil(stride),
-                    start: (row * grid.width + column) * inputs,
-                    pixel_step: stride * inputs,
-                    row_step: stride * grid.width * inputs,
-                    image_step: grid.height * grid.width * inputs,
-                },
-                output,
-            );
+                sum
+            })
+            .collect();
+        let taps: Vec<&[f32]> = sums.iter().map(Vec::as_slice).collect();
+        let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
+        let pad = (kernel / 2) as isize;
+        Sweep {
+            input: gradient,
+            grid: shape.output(grid),
+            channels: outputs,
+            taps: (sides, sides),
+            stride: 2,
+            pad: (pad, pad),
+            panels: &panels,
+            residual,
+            mask,
+            relu: false,
         }
+        .run(
+            Output {
+                height: grid.height,
+                width: grid.width,
+                start: 0,
+                pixel_step: inputs,
+                row_step: grid.width * inputs,
+                image_step: grid.height * grid.width * inputs,
+            },
+            output,
+        );
+    }
+
+    /// The weights of a tap, (inputs x outputs).
+    fn tap(&self, row: usize, column: usize) -> &[f32] {
+        let size = self.shape.inputs * self.shape.outputs;
+        let at = (row * self.shape.kernel + column) * size;
+        self.weight.get(at..at + size).unwrap_or_default()
     }
 }
 
