@@ -208,12 +208,11 @@ impl Transition {
         match &self.gradients {
             Some(gradients) if engine.takes_kernel(&tokens) => {
                 let (patterns, activated) = ([&self.spatial, &temporal], &condition.activated);
-                let tokens_and_last = (&tokens, last);
                 tokens = trunk::trunk(
                     &self.blocks,
                     patterns,
                     gradients,
-                    tokens_and_last,
+                    (&tokens, last),
                     activated,
                 )?;
             }

@@ -253,7 +253,7 @@ impl RunArgs {
         (about, stop): (&str, &Stop),
     ) -> Result<Ended> {
         crate::recipe::write(&self.out, task.name(), recipe)?;
-        println!("{about}, {} threads", self.threads()?);
+        println!("{about}");
         let ended = crate::run::train(task, settings, stop)?;
         if ended == Ended::Finished {
             // What a student is called is decided after its training.

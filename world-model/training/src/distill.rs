@@ -128,7 +128,7 @@ fn train_on(
         let row = table_row(&held_out.teacher);
         println!("squared latent error / persistence of the teacher, k = 1 to {HORIZON}: {row}");
     }
-    let about = format!("{} episodes", task.clips.len());
+    let about = format!("{} episodes, {} threads", task.clips.len(), run.threads()?);
     let ended = run.train(&mut task, recipe, &settings, (&about, stop))?;
     if ended == Ended::Finished {
         judge(&run.out, recipe, teacher, gated)?;

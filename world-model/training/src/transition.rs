@@ -112,7 +112,7 @@ pub(crate) fn train_on(
         ("actions", json!(task.encoding)),
     ];
     let settings = run.settings(recipe, samples, data)?;
-    let about = format!("{} episodes", task.clips.len());
+    let about = format!("{} episodes, {} threads", task.clips.len(), run.threads()?);
     run.train(&mut task, recipe, &settings, (&about, stop))
 }
 

@@ -73,6 +73,14 @@ impl Tape {
         by_input: Option<&mut Vec<f32>>,
     ) -> Result<()> {
         let convs = network.convs();
+        let expected = self.outputs.last().map_or(0, Vec::len);
+        if gradient.len() != expected {
+            return Err(Error::Shape {
+                what: "the gradient by the output",
+                expected: format!("[{expected}]"),
+                found: vec![gradient.len()],
+            });
+        }
         gradients.convs.resize_with(convs.len(), Default::default);
         let [current, next, skip] = &mut self.buffers;
         front(current, gradient.len()).copy_from_slice(gradient);

@@ -203,6 +203,10 @@ fn the_tape_gives_the_output_and_the_gradients_of_finite_differences() {
         let mut by_input = Vec::new();
         tape.backward(&network, &output, &mut gradients, Some(&mut by_input))
             .unwrap();
+        // Not completed by what is left in the buffers from before.
+        let short = &output[1..];
+        let error = tape.backward(&network, short, &mut gradients, None);
+        assert!(error.unwrap_err().to_string().contains("gradient"));
 
         // Where a ReLU has its kink within the step, the two one-sided differences differ and the
         // gradient is one of them, or lies between.

@@ -2,8 +2,8 @@
 //!
 //! Direct convolution: a band of input rows is copied with its zero border into a buffer that stays
 //! in the cache, and a register-tiled kernel runs over it. The gradient of the input is again such
-//! a convolution (of a stride-2 one, four of them, one for each parity of row and column); the
-//! gradient of the weights sums outer products in a fixed order.
+//! a convolution (of a stride-2 one, four of them, one for each parity of row and column; behind a
+//! doubling, one with stride 2); the gradient of the weights sums outer products in a fixed order.
 
 mod band;
 mod differentiable;

@@ -140,6 +140,10 @@ pub(super) fn train_on(
     ];
     let settings = run.settings(recipe, samples, identity)?;
     let mut task = AdapterTask::new(recipe, settings.steps, data, run)?;
-    let about = format!("{samples} episodes, {} frames", data.train.count());
+    let about = format!(
+        "{samples} episodes, {} frames, {} threads",
+        data.train.count(),
+        run.threads()?
+    );
     run.train(&mut task, recipe, &settings, (&about, stop))
 }

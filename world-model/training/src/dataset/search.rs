@@ -52,6 +52,11 @@ pub(super) fn find_others(paths: &[PathBuf], held_out: &[PathBuf]) -> Result<Fou
     let mut found = find(paths)?;
     let held: BTreeSet<PathBuf> = find(held_out)?.bags.iter().map(|bag| whole(bag)).collect();
     found.bags.retain(|bag| !held.contains(&whole(bag)));
+    if found.bags.is_empty() {
+        return Err(DatasetError::Nothing(
+            "    every bag is held out".to_owned(),
+        ));
+    }
     Ok(found)
 }
 

@@ -64,7 +64,7 @@ pub(super) fn train_on(
         ("actions", json!(encoding)),
     ];
     let settings = run.settings(recipe, samples, data)?;
-    let about = format!("{} episodes", task.clips.len());
+    let about = format!("{} episodes, {} threads", task.clips.len(), run.threads()?);
     run.train(&mut task, recipe, &settings, (&about, stop))
 }
 

@@ -95,7 +95,8 @@ pub(super) fn train_on(
     let settings = run.settings(recipe, samples, data)?;
     let [successes, failures] = task.episodes.counts();
     let words = task.text.summary();
-    let about = format!("{successes} successes, {failures} failures, {words}");
+    let threads = run.threads()?;
+    let about = format!("{successes} successes, {failures} failures, {words}, {threads} threads");
     let ended = run.train(&mut task, recipe, &settings, (&about, stop))?;
     if let (Ended::Finished, Some(best)) = (ended, &task.best) {
         println!("kept the best weights: {best}");

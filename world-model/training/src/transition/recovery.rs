@@ -22,12 +22,13 @@ pub struct Recovery {
     pub translation: [f64; 3],
     /// The same over the three rotations.
     pub rotation: [f64; 3],
-    /// Part of the plans whose gripper has the true sign; half of the random guesses have. NaN without a gripper.
-    pub gripper: f64,
+    /// Part of the plans whose gripper has the true sign; half of the random guesses have; `None` without a
+    /// gripper.
+    pub gripper: Option<f64>,
     /// Further plans, of steps at which the gripper is told to move.
     pub moves: usize,
-    /// The same part of these plans.
-    pub gripper_of_moves: f64,
+    /// The same part of these plans; `None` without any.
+    pub gripper_of_moves: Option<f64>,
 }
 
 impl fmt::Display for Recovery {
@@ -45,13 +46,19 @@ impl fmt::Display for Recovery {
                 plan / random
             )?;
         }
-        write!(
-            f,
-            "  gripper of the right sign in {:.0} %; in {:.0} % of {} steps at which it is told to move",
-            100.0 * self.gripper,
-            100.0 * self.gripper_of_moves,
-            self.moves
-        )
+        let Some(gripper) = self.gripper else {
+            return write!(f, "  no gripper");
+        };
+        write!(f, "  gripper of the right sign in {:.0} %", 100.0 * gripper)?;
+        match self.gripper_of_moves {
+            Some(part) => write!(
+                f,
+                "; in {:.0} % of {} steps at which it is told to move",
+                100.0 * part,
+                self.moves
+            ),
+            None => write!(f, "; it is never told to move"),
+        }
     }
 }
 
@@ -163,9 +170,9 @@ fn is_right(planned: &[f32], truth: &[f32]) -> Option<bool> {
     Some((*planned > 0.0) == (*truth > 0.0))
 }
 
-fn part(right: &[bool]) -> f64 {
+fn part(right: &[bool]) -> Option<f64> {
     let count = right.iter().filter(|right| **right).count();
-    count as f64 / right.len() as f64
+    (!right.is_empty()).then(|| count as f64 / right.len() as f64)
 }
 
 fn distance(a: &[f32], b: &[f32], part: std::ops::Range<usize>) -> f64 {

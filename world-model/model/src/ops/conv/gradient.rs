@@ -81,21 +81,14 @@ struct Back<'a> {
 impl Back<'_> {
     /// Writes the input gradient of a convolution without upsampling.
     fn sweep(&self, output: &mut [f32]) {
-        let Self {
-            shape,
-            gradient,
-            grid,
-            residual,
-            mask,
-            ..
-        } = *self;
+        let grid = self.grid;
         let ConvShape {
             inputs,
             outputs,
             kernel,
             stride,
             ..
-        } = *shape;
+        } = *self.shape;
         for row in 0..stride.min(grid.height) {
             for column in 0..stride.min(grid.width) {
                 // Input rows of this parity get a share from the taps of one parity only.
@@ -107,29 +100,19 @@ impl Back<'_> {
                 });
                 let taps: Vec<&[f32]> = taps.collect();
                 let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
-                Sweep {
-                    input: gradient,
-                    grid: shape.output(grid),
-                    channels: outputs,
-                    taps: (rows.len(), columns.len()),
-                    stride: 1,
-                    pad: (row_pad, column_pad),
-                    panels: &panels,
-                    residual,
-                    mask,
-                    relu: false,
-                }
-                .run(
-                    Output {
-                        height: (grid.height - row).div_ceil(stride),
-                        width: (grid.width - column).div_ceil(stride),
-                        start: (row * grid.width + column) * inputs,
-                        pixel_step: stride * inputs,
-                        row_step: stride * grid.width * inputs,
-                        image_step: grid.height * grid.width * inputs,
-                    },
-                    output,
-                );
+                let taps = (rows.len(), columns.len());
+                self.over_gradient(&panels, taps, 1, (row_pad, column_pad))
+                    .run(
+                        Output {
+                            height: (grid.height - row).div_ceil(stride),
+                            width: (grid.width - column).div_ceil(stride),
+                            start: (row * grid.width + column) * inputs,
+                            pixel_step: stride * inputs,
+                            row_step: stride * grid.width * inputs,
+                            image_step: grid.height * grid.width * inputs,
+                        },
+                        output,
+                    );
             }
         }
     }
@@ -137,20 +120,13 @@ impl Back<'_> {
     /// Writes the input gradient of a convolution of a doubled input: a convolution with stride 2, whose taps are sums of the
     /// kernel's.
     fn sweep_doubled(&self, output: &mut [f32]) {
-        let Self {
-            shape,
-            gradient,
-            grid,
-            residual,
-            mask,
-            ..
-        } = *self;
+        let grid = self.grid;
         let ConvShape {
             inputs,
             outputs,
             kernel,
             ..
-        } = *shape;
+        } = *self.shape;
         // Two rows of the doubled input are one of the input; a row of outputs sees each through a tap, if it has one there.
         let merged = |row: usize| {
             let last = kernel.saturating_sub(row).min(kernel.saturating_sub(1));
@@ -174,29 +150,40 @@ impl Back<'_> {
         let taps: Vec<&[f32]> = sums.iter().map(Vec::as_slice).collect();
         let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
         let pad = (kernel / 2) as isize;
+        self.over_gradient(&panels, (sides, sides), 2, (pad, pad))
+            .run(
+                Output {
+                    height: grid.height,
+                    width: grid.width,
+                    start: 0,
+                    pixel_step: inputs,
+                    row_step: grid.width * inputs,
+                    image_step: grid.height * grid.width * inputs,
+                },
+                output,
+            );
+    }
+
+    /// A convolution of the gradient, whose outputs are the input's gradient.
+    fn over_gradient<'s>(
+        &'s self,
+        panels: &'s Panels,
+        taps: (usize, usize),
+        stride: usize,
+        pad: (isize, isize),
+    ) -> Sweep<'s> {
         Sweep {
-            input: gradient,
-            grid: shape.output(grid),
-            channels: outputs,
-            taps: (sides, sides),
-            stride: 2,
-            pad: (pad, pad),
-            panels: &panels,
-            residual,
-            mask,
+            input: self.gradient,
+            grid: self.shape.output(self.grid),
+            channels: self.shape.outputs,
+            taps,
+            stride,
+            pad,
+            panels,
+            residual: self.residual,
+            mask: self.mask,
             relu: false,
         }
-        .run(
-            Output {
-                height: grid.height,
-                width: grid.width,
-                start: 0,
-                pixel_step: inputs,
-                row_step: grid.width * inputs,
-                image_step: grid.height * grid.width * inputs,
-            },
-            output,
-        );
     }
 
     /// The weights of a tap, (inputs x outputs).

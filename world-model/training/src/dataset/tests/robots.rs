@@ -293,6 +293,8 @@ fn held_out_bags_are_for_validation_and_may_not_be_trained_on() {
     let data = open("held_out").unwrap();
     assert_eq!(data.training.frame_count(), 9);
     assert_eq!(data.validation.unwrap().frame_count(), 6);
+    let error = open("bags").unwrap_err().to_string();
+    assert!(error.contains("every bag is held out"), "{error}");
     let data = open("bags/b").unwrap();
     assert_eq!(data.training.frame_count(), 4, "a alone");
     assert_eq!(data.validation.unwrap().frame_count(), 5);
