@@ -70,4 +70,5 @@ pub mod rosgraph_msgs;
 pub mod sensor_msgs;
 pub(crate) mod service_msgs;
 pub mod std_msgs;
+pub mod vision_msgs;
 pub mod wm_msgs;

@@ -21,7 +21,8 @@ pub struct SimArgs {
     /// Frames per episode, at 5 Hz
     #[arg(long, default_value_t = 50)]
     pub frames: usize,
-    /// Also write masks of the gripper and the objects, on /camera/mask/compressed
+    /// Also write masks of the gripper and the objects, on /camera/mask/compressed, with the objects' names on
+    /// /camera/mask/label_info
     #[arg(long)]
     pub masks: bool,
     /// Share of the episodes that fail, 0 to 1: a missed grasp, a dropped object, the wrong place, the wrong

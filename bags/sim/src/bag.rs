@@ -11,17 +11,21 @@ use wm_msgs::builtin_interfaces::Time;
 use wm_msgs::geometry_msgs::{Point, Pose, PoseStamped, Quaternion};
 use wm_msgs::sensor_msgs::CompressedImage;
 use wm_msgs::std_msgs::{Bool, Float32, Header, String as Text};
+use wm_msgs::vision_msgs::{LabelInfo, VisionClass};
 use wm_msgs::wm_msgs::Action;
 
 use crate::arm::ToolPose;
 use crate::episode::{Episode, Frame};
 use crate::error::Error;
 use crate::render::IMAGE_SIZE;
+use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
 
 /// The camera's pictures (sensor_msgs/CompressedImage, JPEG).
 pub const CAMERA_TOPIC: &str = "/camera/image_raw/compressed";
 /// The masks, on request (sensor_msgs/CompressedImage, PNG of one channel).
 pub const MASK_TOPIC: &str = "/camera/mask/compressed";
+/// What the masks' values mean: objects by the names that instructions use (vision_msgs/LabelInfo, latched).
+pub const LABELS_TOPIC: &str = "/camera/mask/label_info";
 /// The action taken at each frame (wm_msgs/Action).
 pub const ACTION_TOPIC: &str = "/wm/action";
 /// The tool's pose (geometry_msgs/PoseStamped).
@@ -57,6 +61,8 @@ pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
     bag.add_topic::<Bool>(SUCCESS_TOPIC, QosProfile::latched())?;
     if episode.frames.iter().any(|frame| frame.mask.is_some()) {
         bag.add_topic::<CompressedImage>(MASK_TOPIC, QosProfile::reliable())?;
+        bag.add_topic::<LabelInfo>(LABELS_TOPIC, QosProfile::latched())?;
+        bag.write(LABELS_TOPIC, &labels(&episode.objects), START_NS)?;
     }
     let instruction = Text {
         data: episode.instruction.clone(),
@@ -76,6 +82,26 @@ pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
         stamp_ns,
     )?;
     Ok(bag.finish()?)
+}
+
+fn labels(objects: &[String]) -> LabelInfo {
+    let gripper = (GRIPPER_MASK, "gripper".to_owned());
+    let objects = (FIRST_OBJECT_MASK..).zip(objects.iter().cloned());
+    let classes = std::iter::once(gripper).chain(objects);
+    LabelInfo {
+        header: Header {
+            stamp: Time::from_nanos(START_NS as i64),
+            frame_id: CAMERA_FRAME.to_owned(),
+        },
+        class_map: classes
+            .map(|(value, class_name)| VisionClass {
+                class_id: value.into(),
+                class_name,
+            })
+            .collect(),
+        // The simulator knows.
+        threshold: 1.0,
+    }
 }
 
 fn write_frame(bag: &mut BagWriter, frame: &Frame, stamp_ns: u64) -> Result<(), Error> {
@@ -181,7 +207,7 @@ mod tests {
         assert_eq!(reader.end_ns(), START_NS + 2 * FRAME_PERIOD_NS);
         let mut actions = Vec::new();
         let mut pictures = 0;
-        let mut masks = 0;
+        let (mut masks, mut labelled) = (0, false);
         for message in reader.messages() {
             let message = message.expect("readable");
             match &*message.topic {
@@ -216,10 +242,25 @@ mod tests {
                     assert_eq!(Some(&decoded), episode.frames[masks].mask.as_ref());
                     masks += 1;
                 }
+                LABELS_TOPIC => {
+                    let labels = message.decode::<LabelInfo>().expect("labels").class_map;
+                    let names = labels.iter().map(|class| class.class_name.clone());
+                    let names: Vec<String> = names.collect();
+                    assert_eq!(names.first().map(String::as_str), Some("gripper"));
+                    assert_eq!(names.get(1..), Some(&*episode.objects));
+                    assert!(
+                        labels
+                            .iter()
+                            .map(|class| class.class_id)
+                            .eq(1..=names.len() as u16)
+                    );
+                    labelled = true;
+                }
                 _ => {}
             }
         }
         assert_eq!((actions.len(), pictures, masks), (3, 3, 3));
+        assert!(labelled);
         for (action, frame) in actions.iter().zip(&episode.frames) {
             assert_eq!(action.values, frame.action);
         }

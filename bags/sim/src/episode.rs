@@ -72,6 +72,8 @@ pub struct Episode {
     pub success: bool,
     /// What was made to go wrong; the episode may succeed all the same, though rarely.
     pub failure: Option<Failure>,
+    /// The objects by the names that instructions use, in the order of their mask values.
+    pub objects: Vec<String>,
     /// The frames.
     pub frames: Vec<Frame>,
 }
@@ -99,6 +101,7 @@ impl Episode {
         let camera = room::camera(&options.variety, &mut rng);
         let world = layout::world(&options.variety, &mut rng);
         let scene = Scene::new(&world);
+        let objects = world.objects().iter().map(Object::name).collect();
         let attempt = Attempt::of(seed, options, &camera, world);
         let mut renderer = Renderer::new(&surroundings, camera);
         let frames = attempt
@@ -121,6 +124,7 @@ impl Episode {
             instruction: attempt.instruction,
             success: attempt.success,
             failure: attempt.failure,
+            objects,
             frames,
         })
     }

@@ -46,8 +46,8 @@ mod world;
 
 pub use arguments::SimArgs;
 pub use bag::{
-    ACTION_TOPIC, CAMERA_TOPIC, FRAME_PERIOD_NS, GRIPPER_TOPIC, INSTRUCTION_TOPIC, MASK_TOPIC,
-    POSE_TOPIC, START_NS, SUCCESS_TOPIC, write_bag,
+    ACTION_TOPIC, CAMERA_TOPIC, FRAME_PERIOD_NS, GRIPPER_TOPIC, INSTRUCTION_TOPIC, LABELS_TOPIC,
+    MASK_TOPIC, POSE_TOPIC, START_NS, SUCCESS_TOPIC, write_bag,
 };
 pub use dataset::generate_bags;
 pub use episode::{Episode, EpisodeOptions, FRAMES, Frame};

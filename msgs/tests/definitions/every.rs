@@ -8,6 +8,7 @@ macro_rules! every_message {
             std_msgs::Float32 sensor_msgs::Image sensor_msgs::CompressedImage sensor_msgs::JointState
             geometry_msgs::Point geometry_msgs::Quaternion geometry_msgs::Pose geometry_msgs::PoseStamped diagnostic_msgs::KeyValue
             diagnostic_msgs::DiagnosticStatus diagnostic_msgs::DiagnosticArray rosgraph_msgs::Clock
+            vision_msgs::VisionClass vision_msgs::LabelInfo
             lifecycle_msgs::State lifecycle_msgs::Transition lifecycle_msgs::TransitionDescription
             lifecycle_msgs::TransitionEvent wm_msgs::LatentSpace wm_msgs::Latent wm_msgs::Action wm_msgs::ActionChunk
             wm_msgs::Prediction wm_msgs::PredictionError wm_msgs::Plan wm_msgs::Timing wm_msgs::ActionCandidates

@@ -28,7 +28,7 @@ mod split;
 mod statistics;
 mod store;
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
@@ -61,6 +61,8 @@ pub struct Episode {
     pub instruction: Option<String>,
     /// Whether the robot did it (`/task/success`), where that is known.
     pub success: Option<bool>,
+    /// What the values of its masks mean (`/camera/mask/label_info`), where that is known.
+    pub labels: BTreeMap<u8, String>,
 }
 
 /// Decoded episodes; see the module's documentation.

@@ -7,8 +7,10 @@
 mod accuracy;
 mod arguments;
 mod episodes;
+mod loss;
 mod recipe;
 mod text;
+mod things;
 
 use std::{
     collections::{BTreeMap, BTreeSet, btree_map::Entry},
@@ -24,7 +26,7 @@ use wm_zoo::{
     Engine, Loader, PROBE_FILE as FILE,
     layers::Dropout,
     loader::OfWeights,
-    success_probe::{PROBE_KEY, Reader, Reading, SuccessProbe, SuccessProbeConfig, WordsConfig},
+    success_probe::{PROBE_KEY, ProbeNetwork, ProbeNetworkConfig, Reader, Reading, WordsConfig},
 };
 
 use crate::{
@@ -38,13 +40,15 @@ use crate::{
 };
 pub use accuracy::Accuracy;
 pub use arguments::{EvaluateProbeArgs, TrainProbeArgs};
-use episodes::{Episodes, Question};
+use episodes::{Episodes, Sample, Shares};
+use loss::loss;
 use text::{Text, Tower};
+use things::Things;
 
-pub use recipe::{ProbeModelRecipe, ProbeRecipe, RECIPES};
+pub use recipe::{ProbeKind, ProbeModelRecipe, ProbeRecipe, RECIPES};
 
-/// Questions of a validation at most: the same ones each time, since they decide which weights are kept.
-const QUESTIONS: usize = 1000;
+/// Episodes of a validation at most: the same ones each time, since they decide which weights are kept.
+const EPISODES: usize = 700;
 /// Metadata key of the figures that the weights were chosen by.
 const VALIDATION_KEY: &str = "validation";
 /// Metadata key of the camera frames between two frames that the probe reads.
@@ -57,9 +61,11 @@ struct ProbeTask<'a> {
     train: &'a Latents,
     episodes: Episodes<'a>,
     held_out: Option<Episodes<'a>>,
-    config: SuccessProbeConfig,
+    /// Where things are, for a probe that looks for them.
+    things: Option<Things<'a>>,
+    config: ProbeNetworkConfig,
     text: Text,
-    model: SuccessProbe,
+    model: ProbeNetwork,
     variables: Variables,
     /// Names of what was taken from another model.
     old: BTreeSet<String>,
@@ -77,8 +83,8 @@ struct ProbeTask<'a> {
 impl<'a> ProbeTask<'a> {
     fn new(
         recipe: &'a ProbeRecipe,
-        train: &'a Latents,
-        held_out: Option<&'a Latents>,
+        (train, held_out): (&'a Latents, Option<&'a Latents>),
+        things: Option<Things<'a>>,
         text_tower: Option<&Path>,
         run: &'a RunArgs,
     ) -> Result<Self> {
@@ -91,12 +97,8 @@ impl<'a> ProbeTask<'a> {
             .map(|held_out| Episodes::new(held_out, own.frame_skip, most))
             .filter(|held_out| held_out.len() > 0);
         let mut config = recipe.config(train.space(), episodes.max_frames());
-        if let Some(old) = run.old_config::<SuccessProbeConfig>(FILE, PROBE_KEY)? {
-            config = SuccessProbeConfig {
-                features: config.features,
-                max_frames: config.max_frames,
-                ..old
-            };
+        if let Some(old) = run.old_config::<ProbeNetworkConfig>(FILE, PROBE_KEY)? {
+            config = recipe::resized(old, &config);
         }
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
         let loader = fresh.loader();
@@ -104,18 +106,18 @@ impl<'a> ProbeTask<'a> {
             Some(folder) => {
                 let held_out = held_out.iter().flat_map(Episodes::instructions);
                 let tower = Tower::read(folder, episodes.instructions().chain(held_out))?;
-                config.text_features = tower.features();
+                *config.text_features_mut() = tower.features();
                 Text::Tower(tower)
             }
             None => {
-                let words = WordsConfig::of(episodes.instructions(), config.text_features);
+                let words = WordsConfig::of(episodes.instructions(), *config.text_features_mut());
                 if let Some(held_out) = &mut held_out {
                     leave_out_unknown(held_out, &words);
                 }
                 Text::words(&words, &loader)?
             }
         };
-        let model = SuccessProbe::load(&config, &loader)?;
+        let model = ProbeNetwork::load(&config, &loader)?;
         let (variables, old) = fresh.into_variables();
         Ok(Self {
             model,
@@ -124,6 +126,7 @@ impl<'a> ProbeTask<'a> {
             train,
             episodes,
             held_out,
+            things: things.filter(|_| matches!(config, ProbeNetworkConfig::Grounded(_))),
             config,
             variables,
             old,
@@ -140,23 +143,36 @@ impl<'a> ProbeTask<'a> {
 
     fn loss(&self, rng: &mut ChaCha8Rng) -> Result<Tensor> {
         let recipe = self.recipe;
+        let shares = Shares {
+            successes: recipe.successes,
+            mismatches: recipe.mismatches,
+            others: recipe.others,
+        };
+        let things = self.things.as_ref().filter(|_| recipe.pointing > 0.0);
+        let pointing = things.map(|things| (things, recipe.pointing));
         let mut losses = Vec::with_capacity(recipe.micro_batch);
         for _ in 0..recipe.micro_batch {
-            let question = self
-                .episodes
-                .draw(recipe.successes, recipe.mismatches, rng)?;
-            let latents = &question.latents;
+            let sample = self.episodes.draw(shares, rng)?;
+            let latents = &sample.latents;
             let noise = normals(latents.dims(), &Device::Cpu, rng)?;
             let latents = (latents + (noise * recipe.latent_noise)?)?;
-            let question = Question {
+            let sample = Sample {
                 latents: latents.to_device(&self.device)?,
-                ..question
+                ..sample
             };
+            let questions = sample.questions.iter();
+            let readings = questions.map(|question| self.text.read(&question.instruction));
+            let readings = readings.collect::<Result<Vec<_>>>()?;
             let mut dropout = Dropout::new(recipe.dropout, rng);
-            let reading = self.text.read(&question.instruction)?;
-            losses.push(loss(&self.model, &reading, &question, &mut dropout)?);
+            losses.push(loss(
+                &self.model,
+                &sample,
+                &readings,
+                pointing,
+                &mut dropout,
+            )?);
         }
-        Ok(Tensor::cat(&losses, 0)?.mean_all()?)
+        Ok(Tensor::stack(&losses, 0)?.mean_all()?)
     }
 
     /// How well the weights that were averaged last do.
@@ -166,10 +182,10 @@ impl<'a> ProbeTask<'a> {
         match &self.text {
             Text::Words(_) => {
                 let reader = Reader::of_trained(&weights)?;
-                accuracy(&weights, held_out, QUESTIONS, |text| Ok(reader.read(text)?))
+                accuracy(&weights, held_out, EPISODES, |text| Ok(reader.read(text)?))
             }
             tower @ Text::Tower(_) => {
-                accuracy(&weights, held_out, QUESTIONS, |text| tower.read(text))
+                accuracy(&weights, held_out, EPISODES, |text| tower.read(text))
             }
         }
     }
@@ -206,26 +222,28 @@ fn accuracy(
 ) -> Result<Accuracy> {
     let supply = OfWeights(weights);
     let loader = Loader::supplied(&supply, Engine::Cpu);
-    let probe = SuccessProbe::load(&weights.json(PROBE_KEY)?, &loader)?;
-    let questions: Vec<Question> = episodes.all(most).collect::<Result<_>>()?;
+    let probe = ProbeNetwork::load(&weights.json(PROBE_KEY)?, &loader)?;
+    let samples: Vec<Sample> = episodes.all(most).collect::<Result<_>>()?;
     // Each is read once: a text tower takes a second.
     let mut readings = BTreeMap::new();
-    for Question { instruction, .. } in &questions {
-        if let Entry::Vacant(entry) = readings.entry(&**instruction) {
-            entry.insert(read(instruction)?);
+    for question in samples.iter().flat_map(|sample| &sample.questions) {
+        if let Entry::Vacant(entry) = readings.entry(&*question.instruction) {
+            entry.insert(read(&question.instruction)?);
         }
     }
-    let answers = questions
-        .par_iter()
-        .map(|question| {
+    let answer = |sample: &Sample| {
+        let questions = sample.questions.iter();
+        let answers = questions.map(|question| {
             let reading = readings.get(&*question.instruction);
-            let Reading { features, mask } = reading.context("an instruction was not read")?;
-            let logit = probe.forward(&question.latents, features, mask.as_ref())?;
-            Ok((logit.squeeze(0)?.to_scalar::<f32>()?, question))
-        })
-        .collect::<Result<Vec<_>>>()?;
+            let reading = reading.context("an instruction was not read")?;
+            let logit = probe.forward(&sample.latents, reading)?;
+            Ok((logit.squeeze(0)?.to_scalar::<f32>()?, question.clone()))
+        });
+        answers.collect::<Result<Vec<_>>>()
+    };
+    let answers = samples.par_iter().map(answer).collect::<Result<Vec<_>>>()?;
     let (mut own, mut mismatched) = (Vec::new(), Vec::new());
-    for (logit, question) in answers {
+    for (logit, question) in answers.into_iter().flatten() {
         if question.is_mismatch {
             mismatched.push(logit);
         } else {
@@ -233,31 +251,6 @@ fn accuracy(
         }
     }
     Ok(Accuracy::of(&own, &mismatched))
-}
-
-/// The loss of one question, (1).
-fn loss(
-    model: &SuccessProbe,
-    Reading { features, mask }: &Reading,
-    question: &Question,
-    dropout: &mut Dropout<'_>,
-) -> Result<Tensor> {
-    let device = question.latents.device();
-    let features = features.to_device(device)?;
-    let mask = mask
-        .as_ref()
-        .map(|mask| mask.to_device(device))
-        .transpose()?;
-    let latents = &question.latents;
-    let logit = model.forward_dropping(latents, &features, mask.as_ref(), dropout)?;
-    cross_entropy(&logit, question.answer)
-}
-
-/// max(x, 0) - x y + log(1 + exp(-|x|)): binary cross-entropy of logits (B), as PyTorch's `BCEWithLogitsLoss`.
-fn cross_entropy(logit: &Tensor, answer: bool) -> Result<Tensor> {
-    let softened = (logit.abs()?.neg()?.exp()? + 1.0)?.log()?;
-    let truth = (logit * if answer { 1.0 } else { 0.0 })?;
-    Ok(((logit.relu()? - truth)? + softened)?)
 }
 
 impl Task for ProbeTask<'_> {

@@ -31,7 +31,9 @@
 mod block;
 mod classifier;
 mod config;
+mod grounded;
 mod names;
+mod network;
 mod norm;
 mod tokenizer;
 mod trained;
@@ -42,9 +44,11 @@ use candle_core::{DType, Tensor};
 pub(crate) use classifier::{Instructed, Judge};
 pub use classifier::{Instruction, Reader, Reading, SuccessClassifier};
 pub use config::SuccessProbeConfig;
+pub use grounded::{Answers, Asked, GroundedProbe, GroundedProbeConfig, Seen};
+pub use network::{ProbeNetwork, ProbeNetworkConfig};
 pub use tokenizer::InstructionTokenizer;
 pub use trained::{PROBE_KEY, TEXT_TOWER_KEY, WORDS_KEY};
-pub use words::{WordEmbedding, WordsConfig};
+pub use words::{WordEmbedding, WordsConfig, words};
 
 use crate::Result;
 use crate::layers::{Dropout, Linear};

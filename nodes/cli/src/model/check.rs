@@ -16,6 +16,9 @@ use wm_zoo::ModelFolder;
 use wm_zoo::folder::Summary;
 use wm_zoo::success_probe::SuccessClassifier;
 
+/// An instruction to try a success probe with that reads any text.
+const TASK: &str = "put the cup on the plate";
+
 /// Loads a world model as the nodes do, runs it once, and says what it is.
 #[derive(Args, Debug)]
 pub struct CheckCommand {
@@ -151,7 +154,12 @@ fn run_once(parts: &Parts) -> Result<String> {
         Some(probe) => {
             let started = Instant::now();
             let instruction = probe
-                .instruction("put the cup on the plate")
+                .instruction(
+                    probe
+                        .vocabulary()
+                        .and_then(|words| words.first())
+                        .map_or(TASK, String::as_str),
+                )
                 .context("reading an instruction")?;
             let reading = milliseconds(started);
             let episode = Tensor::cat(&[&latent, &next], 0)?;

@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use wm_motion::{actions::ActionSpace, motion::Pace};
 
 use super::{
@@ -19,6 +21,8 @@ pub(super) struct Draft {
     pub actions: Vec<Vec<f32>>,
     pub instruction: Option<String>,
     pub success: Option<bool>,
+    /// What the masks' values mean.
+    pub labels: BTreeMap<u8, String>,
 }
 
 impl Draft {
@@ -254,7 +258,12 @@ impl Cutter<'_> {
         let mut draft = Draft {
             stamps: vec![Vec::with_capacity(run.len()); stream_count],
             logged_ns: (u64::MAX, 0),
-            instruction: self.instruction(first.place, last.place),
+            instruction: at(&self.recording.instructions, first.place, last.place)
+                .filter(|text| !text.is_empty())
+                .cloned(),
+            labels: at(&self.recording.labels, first.place, last.place)
+                .cloned()
+                .unwrap_or_default(),
             success: self.success(first.place, next, is_only),
             ..Draft::default()
         };
@@ -269,18 +278,6 @@ impl Cutter<'_> {
         self.drafts.push(draft);
     }
 
-    /// The instruction at the first frame, or the first one that came while the episode lasted.
-    fn instruction(&self, first: usize, last: usize) -> Option<String> {
-        let instructions = &self.recording.instructions;
-        let before = instructions.iter().rfind(|(place, _)| *place <= first);
-        let later = || {
-            let mut later = instructions.iter();
-            later.find(|(place, _)| *place <= last + 1)
-        };
-        let (_, text) = before.or_else(later)?;
-        (!text.is_empty()).then(|| text.clone())
-    }
-
     /// What came last from the first frame to the next episode; of the only episode whatever came last.
     fn success(&self, first: usize, next: Option<usize>, is_only: bool) -> Option<bool> {
         let is_of_it =
@@ -289,6 +286,13 @@ impl Cutter<'_> {
         let last = successes.rfind(|(place, _)| is_of_it(place));
         last.map(|(_, success)| *success)
     }
+}
+
+/// What held at the first frame, or what came first while the episode lasted.
+fn at<T>(said: &[(usize, T)], first: usize, last: usize) -> Option<&T> {
+    let before = said.iter().rfind(|(place, _)| *place <= first);
+    let later = || said.iter().find(|(place, _)| *place <= last + 1);
+    before.or_else(later).map(|(_, said)| said)
 }
 
 /// The median: a jittery pair of frames says nothing of the rate.

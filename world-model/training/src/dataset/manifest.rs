@@ -1,4 +1,5 @@
 use std::{
+    collections::BTreeMap,
     fmt,
     path::{Path, PathBuf},
 };
@@ -81,6 +82,9 @@ pub struct ManifestEpisode {
     pub instruction: Option<String>,
     /// Whether the robot did it.
     pub success: Option<bool>,
+    /// What the values of its masks mean.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub labels: BTreeMap<u8, String>,
 }
 
 /// Something that is in no episode.

@@ -158,6 +158,7 @@ impl Preparation {
                     split: Split::Validation,
                     instruction: draft.instruction.clone(),
                     success: draft.success,
+                    labels: draft.labels.clone(),
                 });
             }
         }

@@ -1,4 +1,4 @@
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use wm_bag::{BagError, BagMessage, BagReader};
 use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
@@ -6,6 +6,7 @@ use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     Message as _,
     std_msgs::{Bool, String as Text},
+    vision_msgs::LabelInfo,
 };
 
 use super::{
@@ -17,6 +18,7 @@ use super::{
 
 const INSTRUCTION: &str = "/task/instruction";
 const SUCCESS: &str = "/task/success";
+const LABELS: &str = "/camera/mask/label_info";
 
 /// The pictures of a topic, of which only the times are kept.
 #[derive(Debug)]
@@ -46,6 +48,8 @@ pub(super) struct Recording {
     pub action_topic: String,
     pub instructions: Vec<(usize, String)>,
     pub successes: Vec<(usize, bool)>,
+    /// What the masks' values mean.
+    pub labels: Vec<(usize, BTreeMap<u8, String>)>,
     /// Where a message of a `--cut-topic` came.
     pub cuts: Vec<usize>,
     /// Whether the bag has one of these topics.
@@ -101,6 +105,7 @@ impl Recording {
             action_topic: action_topic.to_owned(),
             instructions: Vec::new(),
             successes: Vec::new(),
+            labels: Vec::new(),
             cuts: Vec::new(),
             has_cut_topic: settings.cut_topics.iter().any(|name| has_messages(name)),
             complaints: Vec::new(),
@@ -110,6 +115,7 @@ impl Recording {
         let wanted = recording.streams.iter().map(|s| s.topic.as_str());
         let wanted = wanted.chain(settings.cut_topics.iter().map(String::as_str));
         let wanted = wanted.chain([action_topic, INSTRUCTION, SUCCESS]);
+        let wanted = wanted.chain(has_masks.then_some(LABELS));
         let messages = reader.messages().only_topics(wanted);
         for message in messages {
             let read = message
@@ -165,6 +171,14 @@ impl Recording {
         if topic == SUCCESS && *message.type_name == Bool::ros_name() {
             let success: Bool = message.decode().map_err(lacks)?;
             self.successes.push((place, success.data));
+        }
+        if topic == LABELS && *message.type_name == LabelInfo::ros_name() {
+            let labels: LabelInfo = message.decode().map_err(lacks)?;
+            let classes = labels.class_map.into_iter();
+            // A mask has a byte a pixel.
+            let classes = classes
+                .filter_map(|class| Some((class.class_id.try_into().ok()?, class.class_name)));
+            self.labels.push((place, classes.collect()));
         }
         if let Some(stream) = self.streams.iter_mut().find(|s| s.topic == topic) {
             let frame = CameraFrame::of_bag(message).map_err(lacks)?;

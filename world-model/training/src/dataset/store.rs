@@ -84,6 +84,7 @@ impl Folder {
                 actions: actions.by_ref().take(listed.frames).collect(),
                 instruction: listed.instruction.clone(),
                 success: listed.success,
+                labels: listed.labels.clone(),
             };
             first_frame += listed.frames;
             episode

@@ -9,7 +9,11 @@ use std::{io::Cursor, path::Path};
 use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
 use wm_bag::{BagWriter, WriterOptions};
 use wm_msgs::{
-    builtin_interfaces::Time, sensor_msgs::CompressedImage, std_msgs::Header, wm_msgs::Action,
+    builtin_interfaces::Time,
+    sensor_msgs::CompressedImage,
+    std_msgs::Header,
+    vision_msgs::{LabelInfo, VisionClass},
+    wm_msgs::Action,
 };
 
 use super::*;
@@ -49,6 +53,11 @@ fn header(index: i64) -> Header {
     }
 }
 
+/// A bag of frames with a mask each, whose pixels all have the frame's number, and what the values mean.
+pub(crate) fn write_masked(bag: &Path, frames: i64) {
+    write_bag(bag, frames, &WHOLE);
+}
+
 struct Contents {
     camera: bool,
     actions: bool,
@@ -57,6 +66,25 @@ struct Contents {
 
 fn write_bag(dir: &Path, frames: i64, contents: &Contents) {
     let mut writer = BagWriter::create(dir, WriterOptions::default()).unwrap();
+    if contents.masks {
+        let classes = [
+            (1, "gripper"),
+            (2, "red ball"),
+            (3, "blue box"),
+            (256, "too many"),
+        ];
+        let labels = LabelInfo {
+            header: header(0),
+            class_map: classes
+                .map(|(class_id, name)| VisionClass {
+                    class_id,
+                    class_name: name.into(),
+                })
+                .into(),
+            threshold: 1.0,
+        };
+        writer.write("/camera/mask/label_info", &labels, 0).unwrap();
+    }
     for index in 0..frames {
         let at = (index * PERIOD_NS) as u64;
         let picture = |picture| CompressedImage {
@@ -112,6 +140,9 @@ fn frames_masks_and_actions_keep_their_order_and_come_from_the_cache_again() {
         assert_eq!(firsts, [0., 0.125, 0.25, 0.25]);
         assert_eq!(dataset.frame(5).unwrap()[..3], [20, 20, 30]);
         assert_eq!(dataset.mask(6).unwrap(), [3; 256]);
+        let labels = second.labels.iter().map(|(value, name)| (*value, &**name));
+        let labels: Vec<(u8, &str)> = labels.collect();
+        assert_eq!(labels, [(1, "gripper"), (2, "red ball"), (3, "blue box")]);
         assert!(dataset.frame(7).is_none());
     }
     assert_eq!(caches(), 1, "the second was served from the cache");

@@ -6,12 +6,12 @@ use serde_json::json;
 use wm_model::{LatentSpace, Weights, transition::LATENT_SPACE_KEY};
 use wm_zoo::{
     ModelFolder,
-    success_probe::{PROBE_KEY, Reader, SuccessProbeConfig},
+    success_probe::{PROBE_KEY, ProbeNetworkConfig, Reader},
 };
 
 use super::{
     FRAME_SKIP_KEY, ProbeRecipe, ProbeTask, RECIPES, accuracy, episodes::Episodes,
-    leave_out_unknown,
+    leave_out_unknown, things::Things,
 };
 use crate::{
     arguments::{HeldOutArgs, RunArgs},
@@ -48,13 +48,9 @@ impl TrainProbeArgs {
             crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
         carry_encoder(&self.encoder, &self.run.out)?;
         let latents = (&on.train, on.held_out.as_ref());
-        train_on(
-            &self.run,
-            &recipe,
-            latents,
-            self.text_tower.as_deref(),
-            stop,
-        )
+        let things = Things::of(&on.data.training);
+        let tower = self.text_tower.as_deref();
+        train_on(&self.run, &recipe, latents, (things, tower), stop)
     }
 }
 
@@ -82,10 +78,10 @@ pub(super) fn train_on(
     run: &RunArgs,
     recipe: &ProbeRecipe,
     (train, held_out): (&Latents, Option<&Latents>),
-    text_tower: Option<&Path>,
+    (things, text_tower): (Option<Things<'_>>, Option<&Path>),
     stop: &Stop,
 ) -> Result<Ended> {
-    let mut task = ProbeTask::new(recipe, train, held_out, text_tower, run)?;
+    let mut task = ProbeTask::new(recipe, (train, held_out), things, text_tower, run)?;
     let samples = task.episodes.len();
     let data = [
         ("latent_space", json!(train.space().to_string())),
@@ -96,7 +92,12 @@ pub(super) fn train_on(
     let [successes, failures] = task.episodes.counts();
     let words = task.text.summary();
     let threads = run.threads()?;
-    let about = format!("{successes} successes, {failures} failures, {words}, {threads} threads");
+    let things = match &task.things {
+        Some(things) => format!("{} things that masks show, ", things.count()),
+        None => String::new(),
+    };
+    let about =
+        format!("{successes} successes, {failures} failures, {words}, {things}{threads} threads");
     let ended = run.train(&mut task, recipe, &settings, (&about, stop))?;
     if let (Ended::Finished, Some(best)) = (ended, &task.best) {
         println!("kept the best weights: {best}");
@@ -131,10 +132,10 @@ impl EvaluateProbeArgs {
         weights
             .json::<LatentSpace>(LATENT_SPACE_KEY)?
             .require(latents.space())?;
-        let config: SuccessProbeConfig = weights.json(PROBE_KEY)?;
+        let config: ProbeNetworkConfig = weights.json(PROBE_KEY)?;
         let frame_skip = weights.json(FRAME_SKIP_KEY)?;
         let reader = Reader::of_trained(&weights)?;
-        let mut episodes = Episodes::new(&latents, frame_skip, Some(config.max_frames));
+        let mut episodes = Episodes::new(&latents, frame_skip, Some(config.max_frames()));
         if let Reader::Words(words) = &reader {
             leave_out_unknown(&mut episodes, words.config());
         }

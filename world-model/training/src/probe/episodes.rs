@@ -9,21 +9,50 @@ use crate::{dataset::Episode, latents::Latents};
 /// An episode that shows whether its instruction was carried out.
 #[derive(Clone, Debug)]
 struct Labelled {
+    /// Its number among all episodes.
+    number: usize,
     first_frame: usize,
     frame_count: usize,
     instruction: String,
     success: bool,
 }
 
+/// An episode, and what a probe is asked about it.
+#[derive(Clone, Debug)]
+pub(super) struct Sample {
+    /// (1, frames, h, w, C).
+    pub(super) latents: Tensor,
+    /// The episode's number among all of the data.
+    pub(super) episode: usize,
+    /// The number of the first frame in the data.
+    pub(super) first_frame: usize,
+    /// How many are read.
+    pub(super) frames: usize,
+    /// How far apart.
+    pub(super) frame_skip: usize,
+    pub(super) questions: Vec<Question>,
+}
+
 /// What a probe is asked, and the answer.
 #[derive(Clone, Debug)]
 pub(super) struct Question {
-    /// (1, T, h, w, C).
-    pub(super) latents: Tensor,
     pub(super) instruction: String,
     pub(super) answer: bool,
     /// Whether the instruction is another episode's.
     pub(super) is_mismatch: bool,
+    /// How much it counts among the questions about the episode, which are one together.
+    pub(super) weight: f64,
+}
+
+/// How often what is asked.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shares {
+    /// Of all questions, those about a success under its own instruction.
+    pub(super) successes: f64,
+    /// Of the others, those about a success under another episode's instruction.
+    pub(super) mismatches: f64,
+    /// How many other instructions a success is asked under.
+    pub(super) others: usize,
 }
 
 /// The episodes with an instruction and an outcome.
@@ -41,7 +70,8 @@ impl<'a> Episodes<'a> {
     /// Of `latents`, of whose frames every `frame_skip`th is read, the newest `max_frames` at most; all without it.
     pub(super) fn new(latents: &'a Latents, frame_skip: usize, max_frames: Option<usize>) -> Self {
         let episodes = latents.episodes();
-        let labelled: Vec<Labelled> = episodes.iter().filter_map(labelled).collect();
+        let numbered = episodes.iter().enumerate();
+        let labelled: Vec<Labelled> = numbered.filter_map(labelled).collect();
         let (successes, failures) = by_outcome(&labelled);
         let longest = labelled.iter().map(|episode| episode.frame_count);
         let longest = longest.max().unwrap_or(1).div_ceil(frame_skip);
@@ -100,54 +130,62 @@ impl<'a> Episodes<'a> {
         self.labelled.iter().map(|episode| &*episode.instruction)
     }
 
-    /// A random question: a success in a share `successes` of the cases; of the others a share `mismatches` is a
-    /// success under another episode's instruction, and the rest are failures.
-    pub(super) fn draw(
-        &self,
-        successes: f64,
-        mismatches: f64,
-        rng: &mut impl Rng,
-    ) -> Result<Question> {
-        let is_success = rng.random_bool(successes);
-        let is_mismatch = rng.random_bool(mismatches) || self.failures.is_empty();
-        let from = if is_success || is_mismatch {
+    /// A random episode. A success is asked under its own instruction and under those of other episodes, a failure under
+    /// its own; by the weights of the questions, all have their shares on average.
+    pub(super) fn draw(&self, shares: Shares, rng: &mut impl Rng) -> Result<Sample> {
+        let mismatches = if self.failures.is_empty() {
+            1.0
+        } else {
+            shares.mismatches
+        };
+        let of_successes = shares.successes + (1.0 - shares.successes) * mismatches;
+        let is_success = rng.random_bool(of_successes.clamp(0.0, 1.0));
+        let from = if is_success {
             &self.successes
         } else {
             &self.failures
         };
         let episode = from.choose(rng).and_then(|place| self.labelled.get(*place));
-        let other = (!is_success && is_mismatch).then(|| self.labelled.choose(rng));
-        let offset = rng.random_range(0..self.frame_skip);
         let Some(episode) = episode else {
             anyhow::bail!("no episode to choose from");
         };
-        self.question(episode, other.flatten(), offset)
+        let offset = rng.random_range(0..self.frame_skip);
+        let own = if is_success && shares.others > 0 {
+            shares.successes / of_successes
+        } else {
+            1.0
+        };
+        let mut questions = vec![question(episode, episode, own)];
+        if is_success {
+            let weight = (1.0 - own) / shares.others as f64;
+            let others = (0..shares.others).filter_map(|_| self.labelled.choose(rng));
+            questions.extend(others.map(|other| question(episode, other, weight)));
+        }
+        self.sample(episode, questions, offset)
     }
 
-    /// What is asked for a validation: every episode under its own instruction, and every success under that of the
-    /// next episode with another one. At most `most`, spread over all.
-    pub(super) fn all(&self, most: usize) -> impl Iterator<Item = Result<Question>> {
-        let own = self.labelled.iter().map(|episode| (episode, None));
-        let successes = self.successes.iter();
-        let mismatched = successes.filter_map(|place| {
-            let episode = self.labelled.get(*place)?;
-            let after = self.labelled.iter().cycle().skip(*place + 1);
+    /// What is asked for a validation: every episode under its own instruction, and every success also under that of the
+    /// next episode with another one. At most `most` episodes, spread over all.
+    pub(super) fn all(&self, most: usize) -> impl Iterator<Item = Result<Sample>> {
+        let stride = self.labelled.len().div_ceil(most.max(1)).max(1);
+        let asked = self.labelled.iter().enumerate().step_by(stride);
+        asked.map(|(place, episode)| {
+            let after = self.labelled.iter().cycle().skip(place + 1);
             let mut after = after.take(self.labelled.len());
-            let other = after.find(|other| other.instruction != episode.instruction)?;
-            Some((episode, Some(other)))
-        });
-        let count = self.labelled.len() + self.successes.len();
-        let stride = count.div_ceil(most.max(1)).max(1);
-        let asked = own.chain(mismatched).step_by(stride);
-        asked.map(|(episode, other)| self.question(episode, other, 0))
+            let other = after.find(|other| other.instruction != episode.instruction);
+            let other = other.filter(|_| episode.success);
+            let questions = std::iter::once(episode).chain(other);
+            let questions = questions.map(|of| question(episode, of, 1.0)).collect();
+            self.sample(episode, questions, 0)
+        })
     }
 
-    fn question(
+    fn sample(
         &self,
         episode: &Labelled,
-        other: Option<&Labelled>,
+        questions: Vec<Question>,
         offset: usize,
-    ) -> Result<Question> {
+    ) -> Result<Sample> {
         let frames = (offset..episode.frame_count).step_by(self.frame_skip);
         let frames: Vec<usize> = frames.collect();
         let newest = frames.len().saturating_sub(self.max_frames);
@@ -158,15 +196,26 @@ impl<'a> Episodes<'a> {
                 .read(episode.first_frame + frame, &mut values)?;
         }
         let (h, w, c) = self.latents.space().shape();
-        let of = other.unwrap_or(episode);
-        // Drawn by chance, another episode may have the same instruction.
-        let is_mismatch = of.instruction != episode.instruction;
-        Ok(Question {
+        Ok(Sample {
             latents: Tensor::from_vec(values, (1, frames.len(), h, w, c), &Device::Cpu)?,
-            instruction: of.instruction.clone(),
-            answer: episode.success && !is_mismatch,
-            is_mismatch,
+            episode: episode.number,
+            first_frame: episode.first_frame + frames.first().copied().unwrap_or(offset),
+            frames: frames.len(),
+            frame_skip: self.frame_skip,
+            questions,
         })
+    }
+}
+
+/// Whether `episode` shows what `of` was told.
+fn question(episode: &Labelled, of: &Labelled, weight: f64) -> Question {
+    // Drawn by chance, another episode may have the same instruction.
+    let is_mismatch = of.instruction != episode.instruction;
+    Question {
+        instruction: of.instruction.clone(),
+        answer: episode.success && !is_mismatch,
+        is_mismatch,
+        weight,
     }
 }
 
@@ -175,8 +224,9 @@ fn by_outcome(labelled: &[Labelled]) -> (Vec<usize>, Vec<usize>) {
     (0..labelled.len()).partition(|place| labelled.get(*place).is_some_and(|own| own.success))
 }
 
-fn labelled(episode: &Episode) -> Option<Labelled> {
+fn labelled((number, episode): (usize, &Episode)) -> Option<Labelled> {
     Some(Labelled {
+        number,
         first_frame: episode.first_frame,
         frame_count: episode.frame_count,
         instruction: episode.instruction.clone()?,

@@ -1,7 +1,7 @@
 use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use wm_model::LatentSpace;
-use wm_zoo::success_probe::SuccessProbeConfig;
+use wm_zoo::success_probe::{GroundedProbeConfig, ProbeNetworkConfig, SuccessProbeConfig};
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
@@ -24,6 +24,8 @@ pub struct ProbeRecipe {
     pub micro_batch: usize,
     pub successes: f64,
     pub mismatches: f64,
+    pub others: usize,
+    pub pointing: f64,
     pub dropout: f64,
     pub latent_noise: f64,
     pub model: ProbeModelRecipe,
@@ -32,14 +34,32 @@ pub struct ProbeRecipe {
 
 is_recipe!(ProbeRecipe);
 
+/// The network of a success probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ProbeKind {
+    /// The paper's.
+    Transformer,
+    /// The small one, which looks for what an instruction names.
+    Grounded,
+}
+
 /// Shape of the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[expect(missing_docs, reason = "the recipes say what each is")]
 pub struct ProbeModelRecipe {
+    pub kind: ProbeKind,
     pub text_features: usize,
-    pub pool: usize,
     pub hidden: usize,
+    pub frames: usize,
+    pub width: usize,
+    pub channels: usize,
+    pub queries: usize,
+    pub text_width: usize,
+    pub text_depth: usize,
+    pub text_heads: usize,
+    pub pool: usize,
     pub depth: usize,
     pub heads: usize,
     pub ffn: usize,
@@ -65,6 +85,16 @@ impl ProbeRecipe {
             );
         }
         ensure!(
+            self.others > 0 || self.mismatches == 0.0,
+            "others is 0, but a share of {} is to be under other instructions",
+            self.mismatches
+        );
+        ensure!(
+            self.pointing.is_finite() && self.pointing >= 0.0,
+            "pointing is {}, expected 0 or more",
+            self.pointing
+        );
+        ensure!(
             (0.0..1.0).contains(&self.dropout),
             "dropout is {}, expected 0 up to 1",
             self.dropout
@@ -77,18 +107,54 @@ impl ProbeRecipe {
     }
 
     /// The probe for latents of `space`, and episodes of up to `frames` frames.
-    pub(super) fn config(&self, space: &LatentSpace, frames: usize) -> SuccessProbeConfig {
+    pub(super) fn config(&self, space: &LatentSpace, frames: usize) -> ProbeNetworkConfig {
         let own = &self.model;
-        SuccessProbeConfig {
-            features: space.channels,
-            max_frames: own.max_frames.unwrap_or(frames),
-            text_features: own.text_features,
-            pool: own.pool,
-            hidden: own.hidden,
-            depth: own.depth,
-            heads: own.heads,
-            ffn: own.ffn,
-            affine_norms: false,
+        let (rows, columns, features) = space.shape();
+        let max_frames = own.max_frames.unwrap_or(frames);
+        match own.kind {
+            ProbeKind::Transformer => ProbeNetworkConfig::Transformer(SuccessProbeConfig {
+                features,
+                max_frames,
+                text_features: own.text_features,
+                pool: own.pool,
+                hidden: own.hidden,
+                depth: own.depth,
+                heads: own.heads,
+                ffn: own.ffn,
+                affine_norms: false,
+            }),
+            ProbeKind::Grounded => ProbeNetworkConfig::Grounded(GroundedProbeConfig {
+                features,
+                grid: [rows, columns],
+                max_frames,
+                text_features: own.text_features,
+                frames: own.frames,
+                width: own.width,
+                channels: own.channels,
+                queries: own.queries,
+                text_width: own.text_width,
+                text_depth: own.text_depth,
+                text_heads: own.text_heads,
+                hidden: own.hidden,
+            }),
         }
+    }
+}
+
+/// The kind and the sizes of `old`, for the latents and episodes of `new`.
+pub(super) fn resized(old: ProbeNetworkConfig, new: &ProbeNetworkConfig) -> ProbeNetworkConfig {
+    use ProbeNetworkConfig::{Grounded, Transformer};
+    let (features, max_frames) = (new.features(), new.max_frames());
+    match old {
+        Transformer(old) => Transformer(SuccessProbeConfig {
+            features,
+            max_frames,
+            ..old
+        }),
+        Grounded(old) => Grounded(GroundedProbeConfig {
+            features,
+            max_frames,
+            ..old
+        }),
     }
 }

@@ -1,7 +1,8 @@
+use rand::SeedableRng as _;
 use serde_json::json;
 use wm_zoo::{folder::write_random_weights, success_probe::SuccessClassifier};
 
-use super::{arguments::train_on, *};
+use super::{arguments::train_on, episodes::Question, loss::cross_entropy, *};
 use crate::{
     arguments::tests::run_in,
     recipe::{self, Override, Span},
@@ -16,6 +17,11 @@ fn small(name: &str, steps: u64) -> ProbeRecipe {
         "model.pool=2",
         "model.hidden=32",
         "model.depth=1",
+        "model.width=8",
+        "model.channels=8",
+        "model.text_width=16",
+        "model.frames=4",
+        "others=2",
     ];
     let others = [
         "model.heads=2",
@@ -44,7 +50,7 @@ fn it_learns_what_an_instruction_asks_for() {
     let recipe = small("tiny", 400);
     let stop = Stop::default();
     let latents = (&train, Some(&held_out));
-    train_on(&run_in(dir.path()), &recipe, latents, None, &stop).unwrap();
+    train_on(&run_in(dir.path()), &recipe, latents, (None, None), &stop).unwrap();
     let weights = Weights::open(dir.path().join(FILE)).unwrap();
     let episodes = Episodes::new(&held_out, 1, None);
     let reader = Reader::of_trained(&weights).unwrap();
@@ -73,7 +79,7 @@ fn a_paused_training_gives_the_same_bytes() {
             recipe.validate_every = 2;
             let run = run_in(out);
             let latents = (&train, Some(&held_out));
-            train_on(&run, &recipe, latents, None, &Stop::default()).unwrap();
+            train_on(&run, &recipe, latents, (None, None), &Stop::default()).unwrap();
         };
         let (whole, parts) = (
             dir.path().join(name),
@@ -95,22 +101,60 @@ fn data_without_outcomes_are_refused_by_what_they_lack() {
     let latents = moving(dir.path(), 2, 1);
     let run = run_in(dir.path());
     let (recipe, stop) = (small("tiny", 1), Stop::default());
-    let error = train_on(&run, &recipe, (&latents, None), None, &stop).unwrap_err();
+    let error = train_on(&run, &recipe, (&latents, None), (None, None), &stop).unwrap_err();
     assert!(error.to_string().contains("/task/success"), "{error}");
 }
 
 #[test]
 fn cross_entropy_is_that_of_the_probability() {
-    let logit = Tensor::new(&[-2.0f32, 0.5, 90.0], &Device::Cpu).unwrap();
+    let logits = [-2.0f32, 0.5, 90.0];
     for answer in [true, false] {
-        let found = cross_entropy(&logit, answer)
-            .unwrap()
-            .to_vec1::<f32>()
-            .unwrap();
-        for (logit, found) in [-2.0f64, 0.5, 90.0].into_iter().zip(found) {
-            let signed = if answer { logit } else { -logit };
-            let expected = (1.0 + (-signed).exp()).ln();
-            assert!((f64::from(found) - expected).abs() < 1e-5 * expected.max(1.0));
+        let questions = [1.0, 0.5, 0.25].map(|weight| Question {
+            instruction: String::new(),
+            answer,
+            is_mismatch: false,
+            weight,
+        });
+        let found = cross_entropy(&Tensor::new(&logits, &Device::Cpu).unwrap(), &questions);
+        let found = f64::from(found.unwrap().to_scalar::<f32>().unwrap());
+        let losses = logits.iter().zip(&questions).map(|(logit, question)| {
+            let signed = f64::from(if answer { *logit } else { -*logit });
+            question.weight * (1.0 + (-signed).exp()).ln()
+        });
+        let expected: f64 = losses.sum();
+        assert!((found - expected).abs() < 1e-5 * expected.max(1.0));
+    }
+}
+
+#[test]
+fn questions_have_their_shares() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = labelled(dir.path(), 60, 1);
+    let episodes = Episodes::new(&data, 1, None);
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    for others in [1, 5] {
+        let shares = Shares {
+            successes: 0.4,
+            mismatches: 0.5,
+            others,
+        };
+        let (mut found, count) = ([0.0; 3], 3000);
+        for _ in 0..count {
+            let sample = episodes.draw(shares, &mut rng).unwrap();
+            let sum: f64 = sample.questions.iter().map(|asked| asked.weight).sum();
+            assert!((sum - 1.0).abs() < 1e-9, "{sum}");
+            // The instructions of the data are few, so that another episode often has the same.
+            for (number, asked) in sample.questions.iter().enumerate() {
+                let kind = match (number, asked.answer) {
+                    (0, true) => 0,
+                    (0, false) => 1,
+                    _ => 2,
+                };
+                found[kind] += asked.weight / f64::from(count);
+            }
+        }
+        for (found, expected) in found.into_iter().zip([0.4, 0.3, 0.3]) {
+            assert!((found - expected).abs() < 0.03, "{found} {expected}");
         }
     }
 }
@@ -155,7 +199,7 @@ fn a_text_tower_reads_instructions() {
     let tower = text_tower(dir.path());
     let (recipe, stop) = (small("tiny", 400), Stop::default());
     let (run, latents) = (run_in(dir.path()), (&train, Some(&held_out)));
-    train_on(&run, &recipe, latents, Some(&tower), &stop).unwrap();
+    train_on(&run, &recipe, latents, (None, Some(&tower)), &stop).unwrap();
     let weights = Weights::open(dir.path().join(FILE)).unwrap();
     let kept: Accuracy = weights.json(VALIDATION_KEY).unwrap();
     println!("{kept}");
@@ -163,13 +207,15 @@ fn a_text_tower_reads_instructions() {
 
     // As the nodes read it: the tower is found where the weights say it is.
     let classifier = SuccessClassifier::of_trained(weights, held_out.space()).unwrap();
-    let question = Episodes::new(&held_out, 1, None)
+    let sample = Episodes::new(&held_out, 1, None)
         .all(1)
         .next()
         .unwrap()
         .unwrap();
-    let instruction = classifier.instruction(&question.instruction).unwrap();
-    let episode = question.latents.squeeze(0).unwrap();
+    let instruction = classifier
+        .instruction(&sample.questions[0].instruction)
+        .unwrap();
+    let episode = sample.latents.squeeze(0).unwrap();
     assert!(classifier.probability(&episode, &instruction).unwrap() > 0.0);
     std::fs::rename(&tower, dir.path().join("elsewhere")).unwrap();
     let weights = Weights::open(dir.path().join(FILE)).unwrap();

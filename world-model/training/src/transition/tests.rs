@@ -102,6 +102,7 @@ fn latents_of_width(
             instruction: is_labelled
                 .then(|| format!("go {}", if index % 2 == 0 { "up" } else { "down" })),
             success: is_labelled.then_some((last > 0.0) == (index % 2 == 0)),
+            ..Episode::default()
         });
     }
     let path = dir.join(format!("latents {seed}"));

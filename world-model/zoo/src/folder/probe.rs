@@ -11,7 +11,7 @@ use super::{Description, Opened, ProbePart, TextPart};
 use crate::kinds::{Kind, parse};
 use crate::pooled_probe::PooledProbeConfig;
 use crate::success_probe::{
-    Instructed, InstructionTokenizer, Judge, Reader, SuccessClassifier, SuccessProbe,
+    Instructed, InstructionTokenizer, Judge, ProbeNetwork, Reader, SuccessClassifier, SuccessProbe,
     SuccessProbeConfig,
 };
 use crate::vit::{SiglipText, SiglipTextConfig};
@@ -153,9 +153,11 @@ impl Probe {
                         tokenizer: Box::new(tokenizer),
                         text: Box::new(text),
                     },
-                    probe: probe
-                        .source
-                        .load(dtype, |loader| SuccessProbe::load(&probe.config, loader))?,
+                    probe: ProbeNetwork::Transformer(Box::new(
+                        probe
+                            .source
+                            .load(dtype, |loader| SuccessProbe::load(&probe.config, loader))?,
+                    )),
                 }))
             }
         };

@@ -3,7 +3,7 @@
 use candle_core::{DType, Device, Tensor};
 use wm_model::autoencoder::Normalisation;
 
-use super::{InstructionTokenizer, SuccessProbe, WordEmbedding};
+use super::{InstructionTokenizer, ProbeNetwork, WordEmbedding};
 use crate::Result;
 use crate::pooled_probe::PooledProbe;
 use crate::vit::SiglipText;
@@ -29,11 +29,11 @@ pub(crate) enum Judge {
     Pooled(PooledProbe),
 }
 
-/// The paper's probe, and what reads the instruction for it.
+/// A probe, and what reads the instruction for it.
 #[derive(Clone, Debug)]
 pub(crate) struct Instructed {
     pub(crate) reader: Reader,
-    pub(crate) probe: SuccessProbe,
+    pub(crate) probe: ProbeNetwork,
 }
 
 /// What reads instructions.
@@ -77,8 +77,19 @@ impl SuccessClassifier {
     /// Longest episode that is read.
     pub fn max_frames(&self) -> usize {
         match &self.judge {
-            Judge::Instructed(judge) => judge.probe.config().max_frames,
+            Judge::Instructed(judge) => judge.probe.max_frames(),
             Judge::Pooled(probe) => probe.max_frames(),
+        }
+    }
+
+    /// The words that it knows, of which there is at least one; `None` where it reads any text.
+    pub fn vocabulary(&self) -> Option<&[String]> {
+        match &self.judge {
+            Judge::Instructed(judge) => match &judge.reader {
+                Reader::Words(words) => Some(&words.config().vocabulary),
+                Reader::Siglip { .. } => None,
+            },
+            Judge::Pooled(_) => None,
         }
     }
 
@@ -155,8 +166,7 @@ impl Reader {
 
 impl Instructed {
     fn probability(&self, latents: &Tensor, reading: &Reading) -> Result<f32> {
-        let Reading { features, mask } = reading;
-        let logit = self.probe.forward(latents, features, mask.as_ref())?;
+        let logit = self.probe.forward(latents, reading)?;
         let logit = logit.squeeze(0)?.to_scalar::<f32>()?;
         if !logit.is_finite() {
             let what = "the success probe's logit";

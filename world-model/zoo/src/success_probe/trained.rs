@@ -4,14 +4,14 @@ use candle_core::DType;
 use wm_model::{LatentSpace, Weights, autoencoder::Normalisation, transition::LATENT_SPACE_KEY};
 
 use super::{
-    Instructed, InstructionTokenizer, Judge, Reader, SuccessClassifier, SuccessProbe,
-    SuccessProbeConfig, WordEmbedding, WordsConfig,
+    Instructed, InstructionTokenizer, Judge, ProbeNetwork, ProbeNetworkConfig, Reader,
+    SuccessClassifier, WordEmbedding, WordsConfig,
 };
 use crate::kinds::Kind;
 use crate::vit::{SiglipText, SiglipTextConfig};
 use crate::{Checkpoint, Engine, Error, Loader, Result, checkpoint::Average, loader::OfWeights};
 
-/// Metadata key of the [`SuccessProbeConfig`] (JSON).
+/// Metadata key of the [`ProbeNetworkConfig`] (JSON).
 pub const PROBE_KEY: &str = "success_probe";
 /// Metadata key of the [`WordsConfig`] (JSON), for a probe that reads words.
 pub const WORDS_KEY: &str = "words";
@@ -28,9 +28,9 @@ impl SuccessClassifier {
     pub fn of_trained(weights: Weights, space: &LatentSpace) -> Result<Self> {
         let trained_on: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
         trained_on.require(space)?;
-        let config: SuccessProbeConfig = weights.json(PROBE_KEY)?;
+        let config: ProbeNetworkConfig = weights.json(PROBE_KEY)?;
         let supply = OfWeights(&weights);
-        let probe = SuccessProbe::load(&config, &Loader::supplied(&supply, Engine::Cpu))?;
+        let probe = ProbeNetwork::load(&config, &Loader::supplied(&supply, Engine::Cpu))?;
         let reader = Reader::of_trained(&weights)?;
         weights.finish()?;
         Ok(Self {

@@ -64,7 +64,9 @@ impl WordsConfig {
     }
 }
 
-fn words(instruction: &str) -> Vec<String> {
+/// The words of an instruction, in lower case and without punctuation.
+#[must_use]
+pub fn words(instruction: &str) -> Vec<String> {
     let words = instruction.split(|c: char| !c.is_alphanumeric());
     let words = words.filter(|word| !word.is_empty());
     words.map(str::to_lowercase).collect()

@@ -372,7 +372,7 @@ prop_compose! {
     ) -> ManifestEpisode {
         let split = if is_training { Split::Training } else { Split::Validation };
         ManifestEpisode {
-            name, source, begin_ns, end_ns: begin_ns, frames, split, instruction, success,
+            name, source, begin_ns, end_ns: begin_ns, frames, split, instruction, success, labels: std::collections::BTreeMap::new(),
         }
     }
 }

@@ -6,7 +6,7 @@ use super::super::tests::{adapted, folder};
 use super::super::{DescribedFolder, FILE};
 use super::*;
 use crate::ModelFolder;
-use crate::success_probe::tests::TOKENIZER;
+use crate::success_probe::{Reading, tests::TOKENIZER};
 
 /// The model of the other tests, latents of 4x4x6, with a probe.
 fn probed() -> Value {
@@ -97,8 +97,11 @@ fn the_probe_reads_no_padding_and_no_normalisation() {
         panic!("another reader");
     };
     let words = text.forward(&ids, None).unwrap();
-    let words = words.narrow(1, 0, 4).unwrap();
-    let logit = judge.probe.forward(&latents, &words, None).unwrap();
+    let words = Reading {
+        features: words.narrow(1, 0, 4).unwrap(),
+        mask: None,
+    };
+    let logit = judge.probe.forward(&latents, &words).unwrap();
     let logit = logit.to_vec1::<f32>().unwrap()[0];
     let expected = 1.0 / (1.0 + (-logit).exp());
     assert!((found - expected).abs() < 1e-6, "{found} {expected}");

@@ -1,0 +1,187 @@
+use std::collections::{BTreeMap, BTreeSet};
+
+use wm_zoo::success_probe::{GroundedProbeConfig, words};
+
+use super::episodes::Sample;
+use crate::dataset::{Dataset, Episode};
+
+/// The words of a thing's name.
+type Name = Vec<String>;
+
+/// Where the things are that instructions name, from the masks of the data and what their values mean.
+pub(super) struct Things<'a> {
+    dataset: &'a Dataset,
+    /// All that are named in any episode.
+    names: BTreeSet<Name>,
+}
+
+/// Where a query is to point in a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Target {
+    /// Of those that are looked at.
+    pub frame: usize,
+    /// The query's number: the thing's place among those that the instruction names.
+    pub query: usize,
+    /// The place on the grid of the latents, row by row.
+    pub place: usize,
+}
+
+impl<'a> Things<'a> {
+    /// `None` where no bag says what its masks' values mean.
+    pub(super) fn of(dataset: &'a Dataset) -> Option<Self> {
+        let labels = dataset.episodes().iter().flat_map(|e| e.labels.values());
+        let names: BTreeSet<Name> = labels.map(|name| words(name)).collect();
+        (!names.is_empty()).then_some(Self { dataset, names })
+    }
+
+    /// How many different things are named.
+    pub(super) fn count(&self) -> usize {
+        self.names.len()
+    }
+
+    /// Where the queries of a probe are to point in an episode under an instruction. What an instruction names but
+    /// nothing shows has no target.
+    pub(super) fn targets(
+        &self,
+        sample: &Sample,
+        instruction: &str,
+        config: &GroundedProbeConfig,
+    ) -> Vec<Target> {
+        let Some(episode) = self.dataset.episodes().get(sample.episode) else {
+            return Vec::new();
+        };
+        let values = values(episode);
+        let mentioned = self.mentioned(instruction);
+        let mentioned = mentioned.iter().take(config.queries).enumerate();
+        let mentioned: Vec<(usize, u8)> = mentioned
+            .filter_map(|(query, name)| Some((query, *values.get(*name)?)))
+            .collect();
+        let mut targets = Vec::new();
+        for (frame, index) in config.looked_at(sample.frames).into_iter().enumerate() {
+            let mask = self
+                .dataset
+                .mask(sample.first_frame + index * sample.frame_skip);
+            for (query, value) in &mentioned {
+                let place =
+                    mask.and_then(|mask| place(mask, self.dataset.size(), *value, config.grid));
+                targets.extend(place.map(|place| Target {
+                    frame,
+                    query: *query,
+                    place,
+                }));
+            }
+        }
+        targets
+    }
+
+    /// The things that an instruction names, in its order.
+    fn mentioned(&self, instruction: &str) -> Vec<&Name> {
+        let words = words(instruction);
+        let mut found = Vec::new();
+        let mut rest = words.as_slice();
+        while let Some((_, tail)) = rest.split_first() {
+            let here = self.names.iter().filter(|name| rest.starts_with(name));
+            let longest = here
+                .max_by_key(|name| name.len())
+                .filter(|name| !name.is_empty());
+            rest = longest
+                .and_then(|name| rest.get(name.len()..))
+                .unwrap_or(tail);
+            found.extend(longest);
+        }
+        found
+    }
+}
+
+/// The value of each thing in the masks of an episode.
+fn values(episode: &Episode) -> BTreeMap<Name, u8> {
+    let labels = episode.labels.iter();
+    labels.map(|(value, name)| (words(name), *value)).collect()
+}
+
+/// The place on a grid in which the middle of the pixels with a value lies; `None` where there are none.
+fn place(
+    mask: &[u8],
+    (height, width): (usize, usize),
+    value: u8,
+    [rows, columns]: [usize; 2],
+) -> Option<usize> {
+    let (mut count, mut down, mut right) = (0, 0, 0);
+    for (y, row) in mask.chunks_exact(width).enumerate() {
+        for x in row
+            .iter()
+            .enumerate()
+            .filter(|(_, pixel)| **pixel == value)
+            .map(|(x, _)| x)
+        {
+            count += 1;
+            down += y;
+            right += x;
+        }
+    }
+    let place =
+        |sum: usize, cells: usize, side: usize| Some(sum.checked_div(count)? * cells / side);
+    Some(place(down, rows, height)? * columns + place(right, columns, width)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{DType, Device, Tensor};
+
+    use super::*;
+    use crate::dataset::tests::write_masked;
+
+    #[test]
+    fn queries_point_at_what_the_instruction_names_in_its_order() {
+        let dir = tempfile::tempdir().unwrap();
+        let bags = dir.path().join("bags");
+        write_masked(&bags.join("episode_000000"), 5);
+        let dataset = Dataset::open(&bags, &dir.path().join("cache"), (16, 16)).unwrap();
+        let things = Things::of(&dataset).unwrap();
+        assert_eq!(things.count(), 3);
+        let config = GroundedProbeConfig {
+            features: 1,
+            grid: [4, 4],
+            max_frames: 5,
+            text_features: 1,
+            frames: 5,
+            width: 1,
+            channels: 1,
+            queries: 2,
+            text_width: 1,
+            text_depth: 1,
+            text_heads: 1,
+            hidden: 1,
+        };
+        let sample = Sample {
+            latents: Tensor::zeros((1, 5, 4, 4, 1), DType::F32, &Device::Cpu).unwrap(),
+            episode: 0,
+            first_frame: 0,
+            frames: 5,
+            frame_skip: 1,
+            questions: Vec::new(),
+        };
+        // The middle of a mask of one value, and the number of the frame is the value.
+        let pointing = |frame, query| Target {
+            frame,
+            query,
+            place: 5,
+        };
+        let targets = |instruction: &str| things.targets(&sample, instruction, &config);
+        let found = targets("Put the blue box, then the red ball down.");
+        assert_eq!(found, [pointing(2, 1), pointing(3, 0)]);
+        // The third thing has no query, and nothing is known of the green cup.
+        let found = targets("the gripper puts the red ball on the blue box in the green cup");
+        assert_eq!(found, [pointing(1, 0), pointing(2, 1)]);
+    }
+
+    #[test]
+    fn the_middle_of_the_pixels_decides() {
+        let mut mask = vec![0; 8 * 12];
+        for (y, x) in [(4, 8), (4, 9), (5, 8), (5, 9)] {
+            mask[y * 12 + x] = 3;
+        }
+        assert_eq!(place(&mask, (8, 12), 3, [4, 6]), Some(2 * 6 + 4));
+        assert_eq!(place(&mask, (8, 12), 2, [4, 6]), None);
+    }
+}
