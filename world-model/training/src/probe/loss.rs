@@ -74,8 +74,8 @@ fn of_grounded(
     }
 }
 
-/// The mean over all targets of -log of the share of attention (frames, questions, queries, places) that a query gives to
-/// its target; `None` where there are no targets.
+/// The mean over all targets, by their shares, of -log of the part of the attention (frames, questions, queries, places)
+/// that a query gives to its target; `None` where there are no targets.
 pub(super) fn pointing_loss(
     attention: &Tensor,
     targets: &[(usize, Target)],
@@ -93,7 +93,13 @@ pub(super) fn pointing_loss(
     let place = Tensor::from_iter(place, device)?.unsqueeze(1)?;
     let rows = attention.reshape(((), places))?.index_select(&rows, 0)?;
     let right = rows.gather(&place, 1)?.squeeze(1)?;
-    Ok(Some((rows.log_sum_exp(D::Minus1)? - right)?.mean_all()?))
+    let sum: f64 = targets.iter().map(|(_, target)| target.share).sum();
+    let shares = targets
+        .iter()
+        .map(|(_, target)| (target.share / sum) as f32);
+    let shares = Tensor::from_iter(shares, device)?;
+    let losses = (rows.log_sum_exp(D::Minus1)? - right)?;
+    Ok(Some((losses * shares)?.sum_all()?))
 }
 
 /// The sum over questions of weight times max(x, 0) - x y + log(1 + exp(-|x|)): binary cross-entropy of logits, as

@@ -84,17 +84,20 @@ fn a_step_of_the_grounded_one_is_pytorchs() {
     });
     let read: Vec<_> = read.collect();
     let answers = model.answer(&seen, &read, &mut Dropout::none()).unwrap();
-    let targets: Vec<[usize; 4]> = fixture.of("targets");
-    let targets = targets.into_iter().map(|[question, frame, query, place]| {
-        (
-            question,
-            Target {
-                frame,
-                query,
-                place,
-            },
-        )
-    });
+    let targets: Vec<(usize, usize, usize, usize, f64)> = fixture.of("targets");
+    let targets = targets
+        .into_iter()
+        .map(|(question, frame, query, place, share)| {
+            (
+                question,
+                Target {
+                    frame,
+                    query,
+                    place,
+                    share,
+                },
+            )
+        });
     let targets: Vec<(usize, Target)> = targets.collect();
     let pointing = pointing_loss(&answers.attention, &targets)
         .unwrap()

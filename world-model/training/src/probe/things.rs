@@ -15,15 +15,17 @@ pub(super) struct Things<'a> {
     names: BTreeSet<Name>,
 }
 
-/// Where a query is to point in a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Where a query is to point in a frame: a thing lies between up to four places.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Target {
     /// Of those that are looked at.
     pub frame: usize,
     /// The query's number: the thing's place among those that the instruction names.
     pub query: usize,
-    /// The place on the grid of the latents, row by row.
+    /// A place on the grid of the latents, row by row.
     pub place: usize,
+    /// The share of the attention that it is to have, more than 0.
+    pub share: f64,
 }
 
 impl<'a> Things<'a> {
@@ -62,12 +64,13 @@ impl<'a> Things<'a> {
                 .dataset
                 .mask(sample.first_frame + index * sample.frame_skip);
             for (query, value) in &mentioned {
-                let place =
-                    mask.and_then(|mask| place(mask, self.dataset.size(), *value, config.grid));
-                targets.extend(place.map(|place| Target {
+                let middle = mask.and_then(|mask| middle(mask, self.dataset.size(), *value));
+                let places = middle.into_iter().flat_map(|at| around(at, config.grid));
+                targets.extend(places.map(|(place, share)| Target {
                     frame,
                     query: *query,
                     place,
+                    share,
                 }));
             }
         }
@@ -99,29 +102,34 @@ fn values(episode: &Episode) -> BTreeMap<Name, u8> {
     labels.map(|(value, name)| (words(name), *value)).collect()
 }
 
-/// The place on a grid in which the middle of the pixels with a value lies; `None` where there are none.
-fn place(
-    mask: &[u8],
-    (height, width): (usize, usize),
-    value: u8,
-    [rows, columns]: [usize; 2],
-) -> Option<usize> {
+/// The middle of the pixels with a value, from 0 at the upper and left border to 1 at the others; `None` where there are
+/// none.
+fn middle(mask: &[u8], (height, width): (usize, usize), value: u8) -> Option<[f64; 2]> {
     let (mut count, mut down, mut right) = (0, 0, 0);
     for (y, row) in mask.chunks_exact(width).enumerate() {
-        for x in row
-            .iter()
-            .enumerate()
-            .filter(|(_, pixel)| **pixel == value)
-            .map(|(x, _)| x)
-        {
+        for (x, _) in row.iter().enumerate().filter(|(_, pixel)| **pixel == value) {
             count += 1;
             down += y;
             right += x;
         }
     }
-    let place =
-        |sum: usize, cells: usize, side: usize| Some(sum.checked_div(count)? * cells / side);
-    Some(place(down, rows, height)? * columns + place(right, columns, width)?)
+    let mean = |sum: usize, side: usize| (sum as f64 / f64::from(count) + 0.5) / side as f64;
+    (count > 0).then(|| [mean(down, height), mean(right, width)])
+}
+
+/// The places of a grid around a point, with shares by which their mean is the point: those of bilinear interpolation.
+fn around([down, right]: [f64; 2], [rows, columns]: [usize; 2]) -> Vec<(usize, f64)> {
+    let between = |at: f64, count: usize| {
+        let last = count.saturating_sub(1);
+        let at = (at * count as f64 - 0.5).clamp(0.0, last as f64);
+        let (first, part) = (at.floor() as usize, at.fract());
+        [(first, 1.0 - part), ((first + 1).min(last), part)]
+    };
+    let places = between(down, rows).into_iter().flat_map(|(row, of_row)| {
+        let of_columns = between(right, columns);
+        of_columns.map(|(column, of_column)| (row * columns + column, of_row * of_column))
+    });
+    places.filter(|(_, share)| *share > 0.0).collect()
 }
 
 #[cfg(test)]
@@ -161,27 +169,37 @@ mod tests {
             frame_skip: 1,
             questions: Vec::new(),
         };
-        // The middle of a mask of one value, and the number of the frame is the value.
-        let pointing = |frame, query| Target {
-            frame,
-            query,
-            place: 5,
+        // The middle of a mask of one value lies between four places, and the number of the frame is the value.
+        let targets = |instruction: &str| {
+            let targets = things.targets(&sample, instruction, &config);
+            for four in targets.chunks(4) {
+                let places: Vec<usize> = four.iter().map(|target| target.place).collect();
+                assert_eq!(places, [5, 6, 9, 10]);
+                assert!(four.iter().all(|target| (target.share - 0.25).abs() < 1e-9));
+            }
+            let first = targets.iter().step_by(4);
+            let first = first.map(|target| (target.frame, target.query));
+            first.collect::<Vec<_>>()
         };
-        let targets = |instruction: &str| things.targets(&sample, instruction, &config);
         let found = targets("Put the blue box, then the red ball down.");
-        assert_eq!(found, [pointing(2, 1), pointing(3, 0)]);
+        assert_eq!(found, [(2, 1), (3, 0)]);
         // The third thing has no query, and nothing is known of the green cup.
         let found = targets("the gripper puts the red ball on the blue box in the green cup");
-        assert_eq!(found, [pointing(1, 0), pointing(2, 1)]);
+        assert_eq!(found, [(1, 0), (2, 1)]);
     }
 
     #[test]
-    fn the_middle_of_the_pixels_decides() {
+    fn the_places_around_the_middle_have_it_as_their_mean() {
         let mut mask = vec![0; 8 * 12];
         for (y, x) in [(4, 8), (4, 9), (5, 8), (5, 9)] {
             mask[y * 12 + x] = 3;
         }
-        assert_eq!(place(&mask, (8, 12), 3, [4, 6]), Some(2 * 6 + 4));
-        assert_eq!(place(&mask, (8, 12), 2, [4, 6]), None);
+        assert_eq!(middle(&mask, (8, 12), 2), None);
+        let found = middle(&mask, (8, 12), 3).unwrap();
+        assert_eq!(found, [5.0 / 8.0, 9.0 / 12.0]);
+        // In units of places, whose middles are at halves: 2.5 down and 4.5 to the right.
+        assert_eq!(around(found, [4, 6]), [(2 * 6 + 4, 1.0)]);
+        assert_eq!(around([0.5, 0.75], [4, 6]), [(10, 0.5), (16, 0.5)]);
+        assert_eq!(around([0.0, 1.0], [4, 6]), [(5, 1.0)]);
     }
 }

@@ -312,14 +312,14 @@ mod tests {
     use super::*;
     use crate::Supply;
 
-    /// Weights that are not all alike.
-    struct Waves;
+    /// Weights of which no two are alike.
+    struct Mixed;
 
-    impl Supply for Waves {
+    impl Supply for Mixed {
         fn supply(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
             let count: usize = shape.iter().product();
-            let begin = name.len() as f32;
-            let values = (0..count).map(|i| 0.4 * (begin + i as f32 * 1.3).sin());
+            let seed: usize = name.bytes().map(usize::from).sum();
+            let values = (0..count).map(|i| ((seed + i) * 7919 % 1009) as f32 / 504.0 - 1.0);
             Ok(Tensor::from_iter(values, &Device::Cpu)?.reshape(shape)?)
         }
     }
@@ -355,7 +355,7 @@ mod tests {
 
     #[test]
     fn it_answers_each_instruction_as_if_it_were_alone() {
-        let loader = Loader::supplied(&Waves, Engine::Candle);
+        let loader = Loader::supplied(&Mixed, Engine::Candle);
         let probe = GroundedProbe::load(&config(), &loader).unwrap();
         let values = (0..7 * 4 * 5 * 6).map(|i| (i as f32 * 0.37).sin());
         let latents = Tensor::from_iter(values, &Device::Cpu).unwrap();
@@ -373,7 +373,9 @@ mod tests {
             answers.logits.to_vec1::<f32>().unwrap()
         };
         let together = answer(&asked);
-        let alone = asked.each_ref().map(|asked| answer(std::slice::from_ref(asked)));
+        let alone = asked
+            .each_ref()
+            .map(|asked| answer(std::slice::from_ref(asked)));
         let alone = alone.concat();
         for (together, alone) in together.iter().zip(&alone) {
             assert!((together - alone).abs() < 1e-5, "{together} {alone}");
