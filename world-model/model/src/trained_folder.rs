@@ -25,6 +25,7 @@ pub const PROBE_FILE: &str = "probe.safetensors";
 static EMBEDDED_AUTOENCODER: &[u8] = include_bytes!("../weights/tiny/autoencoder.safetensors");
 static EMBEDDED_TRANSITION: &[u8] = include_bytes!("../weights/tiny/transition.safetensors");
 static EMBEDDED_IDM: &[u8] = include_bytes!("../weights/tiny/idm.safetensors");
+static EMBEDDED_PROBE: &[u8] = include_bytes!("../weights/tiny/probe.safetensors");
 
 /// Where the training's weights are.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -84,10 +85,12 @@ impl TrainedFolder {
     /// When it cannot be read.
     pub fn weights(&self, file: &str) -> Result<Option<Weights>> {
         match self {
-            Self::Embedded if file == IDM_FILE => {
-                Weights::from_static("embedded inverse dynamics model", EMBEDDED_IDM).map(Some)
+            Self::Embedded => match file {
+                IDM_FILE => Weights::from_static("embedded inverse dynamics model", EMBEDDED_IDM),
+                PROBE_FILE => Weights::from_static("embedded success probe", EMBEDDED_PROBE),
+                _ => return Ok(None),
             }
-            Self::Embedded => Ok(None),
+            .map(Some),
             Self::Folder(folder) => match folder.join(file) {
                 path if path.is_file() => Weights::open(path).map(Some),
                 _ => Ok(None),
@@ -181,7 +184,13 @@ mod tests {
             (space.height, space.width, space.channels)
         );
         assert_eq!(config.action_dim, model.encoding.action_dim());
-        let sizes = [EMBEDDED_AUTOENCODER, EMBEDDED_TRANSITION, EMBEDDED_IDM].map(<[u8]>::len);
+        let sizes = [
+            EMBEDDED_AUTOENCODER,
+            EMBEDDED_TRANSITION,
+            EMBEDDED_IDM,
+            EMBEDDED_PROBE,
+        ]
+        .map(<[u8]>::len);
         assert!(sizes.iter().sum::<usize>() <= 12_000_000, "{sizes:?}");
         assert!(EMBEDDED_IDM.len() <= 2_000_000);
     }

@@ -9,8 +9,8 @@
 
 mod arguments;
 mod files;
+mod initial;
 mod network;
-mod positions;
 mod recipe;
 
 use std::{collections::BTreeSet, path::Path};
@@ -78,15 +78,15 @@ impl<'a> EncoderTask<'a> {
         let features = (encoder.grid(), encoder.grid(), encoder.hidden_size);
         let head = recipe.head.config(features, encoding).context("head")?;
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
-        positions::begin_as_waves(&fresh, &encoder, &head)?;
+        initial::begin(&fresh, &encoder, &head)?;
         let network = Network::load(&encoder, &head, &fresh.loader())?;
         let (variables, old) = fresh.into_variables();
-        let frames = head.horizon() + 1;
-        let clips = |dataset: &'a Dataset| ClipSource::new(dataset, encoding, frames);
+        let window = head.horizon() + 1;
+        let clips = |dataset: &'a Dataset, frames| ClipSource::new(dataset, encoding, frames);
         Ok(Self {
-            clips: clips(train)?.on(&run.device()?),
+            clips: clips(train, head.horizon() + recipe.windows)?.on(&run.device()?),
             held_out: held_out
-                .map(clips)
+                .map(|dataset| clips(dataset, window))
                 .transpose()
                 .context("the held-out bags")?,
             recipe,
@@ -105,9 +105,22 @@ impl<'a> EncoderTask<'a> {
         let (pictures, actions) = self.clips.batch(self.recipe.micro_batch, rng)?;
         let pictures = relit(&pictures, self.recipe.light, rng)?;
         let features = self.network.features(&pictures)?;
+        let frames = self.head.horizon() + 1;
+        let (features, actions) = (windows(&features, frames)?, windows(&actions, frames)?);
         let mut dropout = Dropout::new(self.recipe.dropout, rng);
         idm::loss(&self.network.head, (&features, &actions), &mut dropout)
     }
+}
+
+/// The windows of so many successive frames within clips (B, n, ...): (B * windows, frames, ...), those of all clips that
+/// begin at the first frame before those that begin at the second.
+fn windows(clips: &Tensor, frames: usize) -> Result<Tensor> {
+    let starts = 0..=clips.dim(1)? - frames;
+    let each = starts.map(|start| clips.narrow(1, start, frames));
+    Ok(Tensor::cat(
+        &each.collect::<candle_core::Result<Vec<_>>>()?,
+        0,
+    )?)
 }
 
 /// Pictures (B, n, H, W, 3) in 0..1 under another light, the same for all of a clip, so that what changes between its

@@ -76,6 +76,24 @@ impl FreshWeights {
         }
     }
 
+    /// The values that a parameter begins with where nothing else is asked for.
+    ///
+    /// # Errors
+    /// If they cannot be made.
+    pub fn usual(&self, name: &str, shape: &[usize]) -> candle_core::Result<Tensor> {
+        if is_scale(name, shape) {
+            return Tensor::ones(shape, DType::F32, &Device::Cpu);
+        }
+        let parameter = Parameter {
+            name: name.to_owned(),
+            shape: shape.to_vec(),
+            initialisation: initialisation(name, shape),
+        };
+        parameter
+            .initial(self.seed)
+            .map_err(candle_core::Error::wrap)
+    }
+
     /// The number format of the variables.
     #[must_use]
     pub fn dtype(&self) -> DType {
@@ -140,20 +158,7 @@ impl Supply for FreshWeights {
         if let Some(tensor) = self.variables.borrow().get(name) {
             return Ok(tensor);
         }
-        let initial = || -> candle_core::Result<Tensor> {
-            if is_scale(name, shape) {
-                return Tensor::ones(shape, DType::F32, &Device::Cpu);
-            }
-            let parameter = Parameter {
-                name: name.to_owned(),
-                shape: shape.to_vec(),
-                initialisation: initialisation(name, shape),
-            };
-            parameter
-                .initial(self.seed)
-                .map_err(candle_core::Error::wrap)
-        };
-        Ok(self.variable(name, shape, initial)?)
+        Ok(self.variable(name, shape, || self.usual(name, shape))?)
     }
 }
 

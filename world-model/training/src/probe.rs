@@ -19,6 +19,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
+use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use wm_model::{Weights, weights::WeightsBuilder};
@@ -156,8 +157,11 @@ impl<'a> ProbeTask<'a> {
             let latents = &sample.latents;
             let noise = normals(latents.dims(), &Device::Cpu, rng)?;
             let latents = (latents + (noise * recipe.latent_noise)?)?;
+            let [down, right] = [(); 2].map(|()| shift(recipe.shift, rng));
+            let latents = shifted(&shifted(&latents, 2, down)?, 3, right)?;
             let sample = Sample {
                 latents: latents.to_device(&self.device)?,
+                shift: [down, right],
                 ..sample
             };
             let questions = sample.questions.iter();
@@ -200,6 +204,20 @@ impl<'a> ProbeTask<'a> {
         }
         Ok(weights.write(path)?)
     }
+}
+
+/// A number of places, of either sign and at most `most`.
+fn shift(most: usize, rng: &mut ChaCha8Rng) -> i64 {
+    let most = most as i64;
+    rng.random_range(-most..=most)
+}
+
+/// What lies at a place along `dim` moved `by` places on; behind it, the first or the last is repeated.
+fn shifted(latents: &Tensor, dim: usize, by: i64) -> Result<Tensor> {
+    let last = latents.dim(dim)? as i64 - 1;
+    let from = (0..=last).map(|place| (place - by).clamp(0, last) as u32);
+    let from = Tensor::from_iter(from, latents.device())?;
+    Ok(latents.contiguous()?.index_select(&from, dim)?)
 }
 
 /// Leaves the episodes out whose instruction has other words, and says so.

@@ -21,6 +21,7 @@ pub struct EncoderRecipe {
     pub checkpoint_seconds: u64,
     pub batch: usize,
     pub micro_batch: usize,
+    pub windows: usize,
     pub light: f64,
     pub dropout: f64,
     pub model: EncoderModelRecipe,
@@ -52,6 +53,7 @@ impl EncoderRecipe {
             self.batch,
             self.micro_batch
         );
+        ensure!(self.windows > 0, "windows is 0, expected at least 1");
         for (name, value) in [("dropout", self.dropout), ("light", self.light)] {
             ensure!(
                 (0.0..1.0).contains(&value),

@@ -52,6 +52,7 @@ fn small(others: &[&str]) -> EncoderRecipe {
     let settings = [
         "batch=8",
         "micro_batch=4",
+        "windows=2",
         "model.name=bars",
         "model.image=16",
         "model.patch=4",
@@ -191,18 +192,56 @@ fn a_fine_tuning_has_the_sizes_of_the_encoder_that_it_begins_from() {
 }
 
 #[test]
+fn an_encoder_begins_close_to_the_patches_of_its_pictures() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = moving_bar(dir.path(), "bags", 2, 1);
+    let recipe = small(&["model.depth=4"]);
+    let encoding = recipe.head.encoding(data.action_space()).unwrap();
+    let run = run_in(dir.path());
+    let task = EncoderTask::new(&recipe, recipe.config(), &encoding, (&data, None), &run).unwrap();
+    let grey = vec![0.4_f32; 16 * 16 * 3];
+    let mut lit = grey.clone();
+    // The second patch of the first row.
+    for row in 0..4 {
+        lit[(row * 16 + 4) * 3..(row * 16 + 8) * 3].fill(0.9);
+    }
+    let pictures = Tensor::from_vec([grey, lit].concat(), (1, 2, 16, 16, 3), &Device::Cpu);
+    let features = task.network.features(&pictures.unwrap()).unwrap();
+    let features = features.reshape((2, 16, 32)).unwrap();
+    let change = (features.get(1).unwrap() - features.get(0).unwrap()).unwrap();
+    let change = change.sqr().unwrap().mean(1).unwrap();
+    let change: Vec<f32> = change.to_vec1().unwrap();
+    let elsewhere = (change.iter().sum::<f32>() - change[1]) / 15.0;
+    println!("{} there, {elsewhere} elsewhere", change[1]);
+    assert!(change[1] > 0.5 && elsewhere < 0.05 * change[1]);
+}
+
+#[test]
+fn windows_are_successive_frames_of_one_clip() {
+    let clips = Tensor::from_vec(
+        vec![0_u32, 1, 2, 3, 10, 11, 12, 13],
+        (2, 4, 1),
+        &Device::Cpu,
+    );
+    let found = windows(&clips.unwrap(), 3).unwrap();
+    let found = found.squeeze(2).unwrap().to_vec2::<u32>().unwrap();
+    assert_eq!(found, [[0, 1, 2], [10, 11, 12], [1, 2, 3], [11, 12, 13]]);
+}
+
+#[test]
 fn settings_that_do_not_fit_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let data = moving_bar(dir.path(), "bags", 1, 1);
     for (setting, named) in [
         ("micro_batch=3", "micro_batch 3"),
+        ("windows=0", "windows is 0"),
         ("dropout=1", "dropout is 1"),
         ("light=-0.1", "light is -0.1"),
         ("model.patch=5", "model.patch, 5"),
         ("model.heads=3", "model.heads, 3"),
         ("head.patch=3", "head: patch is 3"),
         ("head.heads=3", "head"),
-        ("head.horizon=12", "13 frames"),
+        ("head.horizon=12", "14 frames"),
         ("model.name=null", "model.name"),
     ] {
         let recipe = small(&[setting, "length=1 steps", "head.kind=transformer"]);

@@ -9,8 +9,10 @@ use crate::run::Figure;
 pub struct Accuracy {
     /// Episodes under their own instruction.
     pub episodes: usize,
-    /// Mean of the shares of successes and of failures that are told, at a probability of one half; NaN where there are
-    /// none of one kind.
+    /// Shares of the successes and of the failures that are told, at a probability of one half; NaN where there are none.
+    #[serde(default)]
+    pub recalls: [f64; 2],
+    /// Their mean.
     pub balanced: f64,
     /// Area under the ROC curve: how often a success gets a higher probability than a failure.
     pub auc: f64,
@@ -29,6 +31,7 @@ impl Accuracy {
                 .count();
             right as f64 / of(truth).count() as f64
         };
+        let recalls = [true, false].map(share);
         let (mut wins, mut pairs) = (0.0, 0.0);
         for (success, _) in of(true) {
             for (failure, _) in of(false) {
@@ -43,7 +46,8 @@ impl Accuracy {
         let refused = mismatched.iter().filter(|logit| **logit <= 0.0).count();
         Self {
             episodes: own.len(),
-            balanced: 0.5 * (share(true) + share(false)),
+            recalls,
+            balanced: recalls.iter().sum::<f64>() / 2.0,
             auc: wins / pairs,
             mismatches: (!mismatched.is_empty()).then(|| refused as f64 / mismatched.len() as f64),
         }
@@ -77,8 +81,8 @@ impl fmt::Display for Accuracy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{} episodes: balanced accuracy {:.3}, AUC {:.3}",
-            self.episodes, self.balanced, self.auc
+            "{} episodes: balanced accuracy {:.3} (of successes {:.3}, of failures {:.3}), AUC {:.3}",
+            self.episodes, self.balanced, self.recalls[0], self.recalls[1], self.auc
         )?;
         match self.mismatches {
             Some(share) => write!(f, ", {share:.3} of other instructions refused"),
@@ -102,6 +106,7 @@ mod tests {
         ];
         let found = Accuracy::of(&own, &[-1.0, 1.0]);
         assert_eq!(found.episodes, 5);
+        assert_eq!(found.recalls, [0.5, 1.0]);
         assert!((found.balanced - 0.75).abs() < 1e-12, "{found}");
         // Of six pairs, only (-1, -0.5) is the wrong way round.
         assert!((found.auc - 5.0 / 6.0).abs() < 1e-12, "{found}");

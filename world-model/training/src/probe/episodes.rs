@@ -30,6 +30,8 @@ pub(super) struct Sample {
     pub(super) frames: usize,
     /// How far apart.
     pub(super) frame_skip: usize,
+    /// Places by which the latents were moved, down and to the right.
+    pub(super) shift: [i64; 2],
     pub(super) questions: Vec<Question>,
 }
 
@@ -202,6 +204,7 @@ impl<'a> Episodes<'a> {
             first_frame: episode.first_frame + frames.first().copied().unwrap_or(offset),
             frames: frames.len(),
             frame_skip: self.frame_skip,
+            shift: [0; 2],
             questions,
         })
     }

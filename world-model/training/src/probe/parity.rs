@@ -28,6 +28,7 @@ fn sample(number: usize, asked: &Asked) -> Sample {
         first_frame: 0,
         frames: asked.shape[1],
         frame_skip: 1,
+        shift: [0; 2],
         questions: vec![Question {
             instruction: asked.instruction.clone(),
             answer: asked.answer,

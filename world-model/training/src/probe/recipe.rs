@@ -28,6 +28,7 @@ pub struct ProbeRecipe {
     pub pointing: f64,
     pub dropout: f64,
     pub latent_noise: f64,
+    pub shift: usize,
     pub model: ProbeModelRecipe,
     pub optimisation: Optimisation,
 }

@@ -1,10 +1,11 @@
 use rand::SeedableRng as _;
 use serde_json::json;
-use wm_zoo::{folder::write_random_weights, success_probe::SuccessClassifier};
+use wm_zoo::{ModelFolder, folder::write_random_weights, success_probe::SuccessClassifier};
 
 use super::{arguments::train_on, episodes::Question, loss::cross_entropy, *};
 use crate::{
     arguments::tests::run_in,
+    dataset::Dataset,
     recipe::{self, Override, Span},
     run::Stop,
     transition::tests::{labelled, moving},
@@ -103,6 +104,38 @@ fn data_without_outcomes_are_refused_by_what_they_lack() {
     let (recipe, stop) = (small("tiny", 1), Stop::default());
     let error = train_on(&run, &recipe, (&latents, None), (None, None), &stop).unwrap_err();
     assert!(error.to_string().contains("/task/success"), "{error}");
+}
+
+#[test]
+fn the_bundled_probe_judges_the_bundled_bag() {
+    let bag = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../bags/tabletop");
+    let dir = tempfile::tempdir().unwrap();
+    let model = ModelFolder::open("tiny").unwrap();
+    let encoder = model.encoder().unwrap();
+    let cache = dir.path().join("cache");
+    let dataset = Dataset::open(&bag, &cache, encoder.input_size()).unwrap();
+    let latents = Latents::open(&dataset, &*encoder, &cache).unwrap();
+    let episodes = Episodes::new(&latents, 2, None);
+    let episode = episodes.all(1).next().unwrap().unwrap();
+    let shown = episode.latents.squeeze(0).unwrap();
+    let probe = model.probe().unwrap().unwrap();
+    let probability = |text: &str| {
+        let instruction = probe.instruction(text).unwrap();
+        probe.probability(&shown, &instruction).unwrap()
+    };
+    let own = probability(&episode.questions[0].instruction);
+    let other = probability("put the purple box to the right of the white box");
+    println!("{own} {other}");
+    assert!(own > 0.5 && other < 0.5, "{own} {other}");
+}
+
+#[test]
+fn latents_are_shifted_along_one_side_and_the_border_is_repeated() {
+    let rows = Tensor::new(&[[1.0f32, 2.0, 3.0], [4.0, 5.0, 6.0]], &Device::Cpu).unwrap();
+    let found = |dim, by| shifted(&rows, dim, by).unwrap().to_vec2::<f32>().unwrap();
+    assert_eq!(found(1, 1), [[1.0, 1.0, 2.0], [4.0, 4.0, 5.0]]);
+    assert_eq!(found(0, -1), [[4.0, 5.0, 6.0], [4.0, 5.0, 6.0]]);
+    assert_eq!(found(1, 0), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
 }
 
 #[test]

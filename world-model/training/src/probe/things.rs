@@ -65,7 +65,9 @@ impl<'a> Things<'a> {
                 .mask(sample.first_frame + index * sample.frame_skip);
             for (query, value) in &mentioned {
                 let middle = mask.and_then(|mask| middle(mask, self.dataset.size(), *value));
-                let places = middle.into_iter().flat_map(|at| around(at, config.grid));
+                let places = middle
+                    .into_iter()
+                    .flat_map(|at| around(at, config.grid, sample.shift));
                 targets.extend(places.map(|(place, share)| Target {
                     frame,
                     query: *query,
@@ -117,16 +119,23 @@ fn middle(mask: &[u8], (height, width): (usize, usize), value: u8) -> Option<[f6
     (count > 0).then(|| [mean(down, height), mean(right, width)])
 }
 
-/// The places of a grid around a point, with shares by which their mean is the point: those of bilinear interpolation.
-fn around([down, right]: [f64; 2], [rows, columns]: [usize; 2]) -> Vec<(usize, f64)> {
-    let between = |at: f64, count: usize| {
+/// The places of a grid around a point that is moved by `shift` places, with shares by which their mean is the point: those
+/// of bilinear interpolation.
+fn around(
+    [down, right]: [f64; 2],
+    [rows, columns]: [usize; 2],
+    shift: [i64; 2],
+) -> Vec<(usize, f64)> {
+    let between = |at: f64, count: usize, shift: i64| {
         let last = count.saturating_sub(1);
-        let at = (at * count as f64 - 0.5).clamp(0.0, last as f64);
+        let at = (at * count as f64 - 0.5 + shift as f64).clamp(0.0, last as f64);
         let (first, part) = (at.floor() as usize, at.fract());
         [(first, 1.0 - part), ((first + 1).min(last), part)]
     };
-    let places = between(down, rows).into_iter().flat_map(|(row, of_row)| {
-        let of_columns = between(right, columns);
+    let [by_rows, by_columns] = shift;
+    let places = between(down, rows, by_rows);
+    let places = places.into_iter().flat_map(|(row, of_row)| {
+        let of_columns = between(right, columns, by_columns);
         of_columns.map(|(column, of_column)| (row * columns + column, of_row * of_column))
     });
     places.filter(|(_, share)| *share > 0.0).collect()
@@ -167,6 +176,7 @@ mod tests {
             first_frame: 0,
             frames: 5,
             frame_skip: 1,
+            shift: [0; 2],
             questions: Vec::new(),
         };
         // The middle of a mask of one value lies between four places, and the number of the frame is the value.
@@ -198,8 +208,10 @@ mod tests {
         let found = middle(&mask, (8, 12), 3).unwrap();
         assert_eq!(found, [5.0 / 8.0, 9.0 / 12.0]);
         // In units of places, whose middles are at halves: 2.5 down and 4.5 to the right.
-        assert_eq!(around(found, [4, 6]), [(2 * 6 + 4, 1.0)]);
-        assert_eq!(around([0.5, 0.75], [4, 6]), [(10, 0.5), (16, 0.5)]);
-        assert_eq!(around([0.0, 1.0], [4, 6]), [(5, 1.0)]);
+        assert_eq!(around(found, [4, 6], [0; 2]), [(2 * 6 + 4, 1.0)]);
+        assert_eq!(around([0.5, 0.75], [4, 6], [0; 2]), [(10, 0.5), (16, 0.5)]);
+        assert_eq!(around([0.0, 1.0], [4, 6], [0; 2]), [(5, 1.0)]);
+        // Moved up by one and to the right, out of the grid.
+        assert_eq!(around([0.5, 0.75], [4, 6], [-1, 9]), [(5, 0.5), (11, 0.5)]);
     }
 }

@@ -260,14 +260,20 @@ fn a_wrong_tokenizer_is_named_where_the_probe_is_loaded() {
 }
 
 #[test]
+fn the_embedded_probe_reads_the_simulators_instructions() {
+    let probe = ModelFolder::open("tiny").unwrap().probe().unwrap().unwrap();
+    probe
+        .instruction("put the white box to the right of the purple box")
+        .unwrap();
+    let error = probe
+        .instruction("put the towel in the bowl")
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("towel"), "{error}");
+}
+
+#[test]
 fn a_model_need_not_have_a_probe() {
-    assert!(
-        ModelFolder::open("tiny")
-            .unwrap()
-            .probe()
-            .unwrap()
-            .is_none()
-    );
     let without = folder(&adapted());
     let without = DescribedFolder::open(without.path()).unwrap();
     assert!(without.probe().unwrap().is_none());
