@@ -310,7 +310,7 @@ class DitS(TransitionCase):
 
 class AutoencoderCase(Case):
     name, count, side = "autoencoder", 16, 64
-    arguments = ["autoencoder", "--set", "whole_picture_steps=0"]
+    arguments = ["autoencoder", "--set", "whole_picture_share=0"]
 
     def module(self):
         torch.manual_seed(1)
@@ -326,7 +326,7 @@ class AutoencoderCase(Case):
 
 class WholePictures(AutoencoderCase):
     name, count, side = "autoencoder-whole", 4, 128
-    arguments = ["autoencoder", "--set", "whole_picture_steps=100000"]
+    arguments = ["autoencoder", "--set", "whole_picture_share=1"]
 
 
 CASES = {case.name: case for case in (TransitionCase, AutoencoderCase, WholePictures, DitS)}

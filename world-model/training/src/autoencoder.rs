@@ -35,8 +35,9 @@ pub struct AutoencoderRecipe {
     pub batch: usize,
     /// Pixels in each direction of a crop.
     pub crop: usize,
-    /// Steps at the end that see whole pictures, so that the borders and the far context are learnt as they will be.
-    pub whole_picture_steps: u64,
+    /// Share of the steps, at the end, that see whole pictures, so that the borders and the far context are learnt as they
+    /// will be.
+    pub whole_picture_share: f64,
     /// Share of the crops that are centred on something salient.
     pub salient: f64,
     /// Weight of the pixels inside masks, added to 1.

@@ -50,7 +50,7 @@ enum Command {
 
 #[derive(Debug, Subcommand)]
 enum TrainCommand {
-    /// Train a whole world model: all of the following, one after the other, into one folder
+    /// Train autoencoder, transition model, inverse dynamics model and success probe, one after the other, into one folder
     Model(TrainModelArgs),
     /// Train the autoencoder: frames to latents and back
     Autoencoder(TrainAutoencoderArgs),

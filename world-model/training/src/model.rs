@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use candle_core::DType;
 use clap::Args;
-use wm_zoo::DeviceName;
+use wm_zoo::{DeviceName, IDM_FILE, ModelFolder, PROBE_FILE};
 
 use crate::{
     arguments::{RunArgs, fraction},
@@ -35,7 +35,8 @@ pub struct TrainModelArgs {
     /// Use this model's frozen encoder and decoder instead of training an autoencoder: tiny, or a model's folder.
     #[arg(long)]
     pub encoder: Option<String>,
-    /// Fine-tune the transition model of this one (tiny, or a model's folder) instead of beginning anew.
+    /// Fine-tune this model (tiny, or a model's folder) instead of beginning anew: its autoencoder, unless --encoder is
+    /// given, its transition model, and those of the others that it has.
     #[arg(long, value_name = "MODEL")]
     pub from: Option<String>,
     /// Learning rate of what is taken from that model, as a fraction of the recipe's.
@@ -44,7 +45,7 @@ pub struct TrainModelArgs {
     /// Train each part for this fraction of its recipe's length: 0.05 for a first look.
     #[arg(long, default_value_t = 1.0, value_name = "FRACTION", value_parser = fraction)]
     pub share: f64,
-    /// Recipe of all parts: tiny or paper (the autoencoder's is always tiny).
+    /// Recipe of all parts, by name: tiny or paper (the autoencoder's is always tiny).
     #[arg(long, default_value = "tiny")]
     pub recipe: String,
     /// A setting of a part's recipe, as transition.optimisation.learning_rate=1e-3; may be repeated.
@@ -84,7 +85,7 @@ impl TrainModelArgs {
             if part == "autoencoder" && self.encoder.is_some() {
                 continue;
             }
-            let run = self.of(part);
+            let run = self.of(part)?;
             let encoder = encoder.clone();
             println!("== {part}");
             ended = match part {
@@ -110,9 +111,22 @@ impl TrainModelArgs {
         Ok(ended)
     }
 
-    fn of(&self, part: &str) -> RunArgs {
+    /// The model that a part is fine-tuned from, if any.
+    fn origin(&self, part: &str) -> Result<Option<String>> {
+        let Some(from) = &self.from else {
+            return Ok(None);
+        };
+        let has = match part {
+            "idm" => ModelFolder::open(from)?.weights(IDM_FILE)?.is_some(),
+            "probe" => ModelFolder::open(from)?.weights(PROBE_FILE)?.is_some(),
+            _ => true,
+        };
+        Ok(has.then(|| from.clone()))
+    }
+
+    fn of(&self, part: &str) -> Result<RunArgs> {
         let own = self.set.iter().filter(|setting| setting.part() == part);
-        RunArgs {
+        Ok(RunArgs {
             data: self.data.clone(),
             options: self.options.clone(),
             out: self.out.clone(),
@@ -124,7 +138,7 @@ impl TrainModelArgs {
             set: own.map(Override::of_part).collect(),
             steps: None,
             share: self.share,
-            from: self.from.clone().filter(|_| part == "transition"),
+            from: self.origin(part)?,
             old_rate: self.old_rate,
             threads: self.threads,
             device: match part {
@@ -132,6 +146,6 @@ impl TrainModelArgs {
                 _ => self.device,
             },
             dtype: DType::F32,
-        }
+        })
     }
 }

@@ -99,7 +99,7 @@ impl<'a> ProbeTask<'a> {
             .filter(|held_out| held_out.len() > 0);
         let mut config = recipe.config(train.space(), episodes.max_frames());
         if let Some(old) = run.old_config::<ProbeNetworkConfig>(FILE, PROBE_KEY)? {
-            config = recipe::resized(old, &config);
+            config = recipe::resized(old, train.space(), config.max_frames());
         }
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
         let loader = fresh.loader();

@@ -39,7 +39,7 @@ fn train_model(data: &Path, cache: &Path, out: &Path) -> Command {
     for setting in [
         "autoencoder.length=6 steps",
         "autoencoder.batch=2",
-        "autoencoder.whole_picture_steps=2",
+        "autoencoder.whole_picture_share=0.34",
         "autoencoder.model.name=small",
         "autoencoder.model.widths=[8, 8, 16, 16]",
         "autoencoder.model.encoder_blocks=[0, 0, 0, 1]",
@@ -132,8 +132,19 @@ fn a_model_is_trained_by_one_command_and_an_interrupted_one_gives_the_same_bytes
         assert!(read(&whole) == read(&parts), "{file}");
     }
 
-    // What was trained is measured by its own commands.
+    // Every part is fine-tuned from its own.
     let model = whole.to_str().unwrap();
+    let tuned = at("tuned");
+    done(train_model(&data, &cache, &tuned).args(["--from", model]));
+    for part in ["autoencoder", "transition", "idm", "probe"] {
+        let checkpoint = tuned.join(format!("{part}.checkpoint.safetensors"));
+        let checkpoint = std::fs::read(&checkpoint).unwrap();
+        // Its header says what it began from.
+        let header = String::from_utf8_lossy(&checkpoint[..checkpoint.len().min(1 << 16)]);
+        assert!(header.contains(model), "{part} does not begin from {model}");
+    }
+
+    // What was trained is measured by its own commands.
     let weights = |name: &str| whole.join(name).to_str().unwrap().to_owned();
     for (part, file) in [
         ("transition", "transition.safetensors"),

@@ -208,7 +208,7 @@ mod tests {
     fn the_embedded_default_runs() {
         let model = ModelFolder::open("tiny").unwrap();
         let text = run_once(&Parts::load(&model).unwrap()).unwrap();
-        assert_eq!(text.lines().count(), 5, "{text}");
+        assert_eq!(text.lines().count(), 6, "{text}");
         assert!(text.contains("5 Hz: "), "{text}");
     }
 

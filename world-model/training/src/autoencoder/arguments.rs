@@ -47,6 +47,11 @@ impl TrainAutoencoderArgs {
             "the autoencoder trains on the CPU, in f32: leave --device and --dtype out"
         );
         let recipe = self.recipe()?;
+        ensure!(
+            (0.0..=1.0).contains(&recipe.whole_picture_share),
+            "whole_picture_share is {}, expected 0 to 1",
+            recipe.whole_picture_share
+        );
         let data = self.run.data((recipe.model.height, recipe.model.width))?;
         let held_out = data.validation.as_ref();
         train_on(&self.run, &recipe, &data.training, held_out, stop)

@@ -96,7 +96,7 @@ fn recipe() -> AutoencoderRecipe {
         },
         seed: 3,
         length: Span::Steps(60),
-        whole_picture_steps: 10,
+        whole_picture_share: 0.1667,
         batch: 4,
         crop: 8,
         optimisation: recipe::Optimisation {
@@ -160,7 +160,7 @@ fn a_resumed_training_gives_the_weights_of_the_uninterrupted_one() {
             final_rate: 1.0,
             ..recipe().optimisation
         },
-        whole_picture_steps: 0,
+        whole_picture_share: 0.0,
         ..recipe()
     };
     let pause = AutoencoderRecipe {

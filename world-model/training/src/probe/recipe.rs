@@ -142,10 +142,14 @@ impl ProbeRecipe {
     }
 }
 
-/// The kind and the sizes of `old`, for the latents and episodes of `new`.
-pub(super) fn resized(old: ProbeNetworkConfig, new: &ProbeNetworkConfig) -> ProbeNetworkConfig {
+/// The kind and the sizes of `old`, for latents of `space` and episodes of up to `max_frames` frames.
+pub(super) fn resized(
+    old: ProbeNetworkConfig,
+    space: &LatentSpace,
+    max_frames: usize,
+) -> ProbeNetworkConfig {
     use ProbeNetworkConfig::{Grounded, Transformer};
-    let (features, max_frames) = (new.features(), new.max_frames());
+    let (rows, columns, features) = space.shape();
     match old {
         Transformer(old) => Transformer(SuccessProbeConfig {
             features,
@@ -154,6 +158,7 @@ pub(super) fn resized(old: ProbeNetworkConfig, new: &ProbeNetworkConfig) -> Prob
         }),
         Grounded(old) => Grounded(GroundedProbeConfig {
             features,
+            grid: [rows, columns],
             max_frames,
             ..old
         }),
