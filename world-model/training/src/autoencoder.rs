@@ -56,5 +56,12 @@ pub struct AutoencoderRecipe {
 
 is_recipe!(AutoencoderRecipe);
 
+impl AutoencoderRecipe {
+    /// How many of `steps` see whole pictures.
+    fn whole_picture_steps(&self, steps: u64) -> u64 {
+        (self.whole_picture_share * steps as f64).round() as u64
+    }
+}
+
 #[cfg(test)]
 pub(crate) mod tests;

@@ -112,7 +112,7 @@ impl TrainModelArgs {
     }
 
     /// The model that a part is fine-tuned from, if any.
-    fn origin(&self, part: &str) -> Result<Option<String>> {
+    fn begins_from(&self, part: &str) -> Result<Option<String>> {
         let Some(from) = &self.from else {
             return Ok(None);
         };
@@ -138,7 +138,7 @@ impl TrainModelArgs {
             set: own.map(Override::of_part).collect(),
             steps: None,
             share: self.share,
-            from: self.origin(part)?,
+            from: self.begins_from(part)?,
             old_rate: self.old_rate,
             threads: self.threads,
             device: match part {

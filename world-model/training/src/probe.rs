@@ -214,6 +214,9 @@ fn shift(most: usize, rng: &mut ChaCha8Rng) -> i64 {
 
 /// What lies at a place along `dim` moved `by` places on; behind it, the first or the last is repeated.
 fn shifted(latents: &Tensor, dim: usize, by: i64) -> Result<Tensor> {
+    if by == 0 {
+        return Ok(latents.clone());
+    }
     let last = latents.dim(dim)? as i64 - 1;
     let from = (0..=last).map(|place| (place - by).clamp(0, last) as u32);
     let from = Tensor::from_iter(from, latents.device())?;

@@ -34,7 +34,13 @@ impl TrainAutoencoderArgs {
     pub fn recipe(&self) -> Result<AutoencoderRecipe> {
         let mut overrides = self.run.overrides();
         overrides.push(Override::if_open("model.name", self.run.model_name()));
-        Ok(crate::recipe::load(RECIPES, &self.run.recipe, &overrides)?)
+        let recipe: AutoencoderRecipe = crate::recipe::load(RECIPES, &self.run.recipe, &overrides)?;
+        ensure!(
+            (0.0..=1.0).contains(&recipe.whole_picture_share),
+            "whole_picture_share is {}, expected 0 to 1",
+            recipe.whole_picture_share
+        );
+        Ok(recipe)
     }
 
     /// Trains until the last step, or until `stop` asks for the end.
@@ -47,11 +53,6 @@ impl TrainAutoencoderArgs {
             "the autoencoder trains on the CPU, in f32: leave --device and --dtype out"
         );
         let recipe = self.recipe()?;
-        ensure!(
-            (0.0..=1.0).contains(&recipe.whole_picture_share),
-            "whole_picture_share is {}, expected 0 to 1",
-            recipe.whole_picture_share
-        );
         let data = self.run.data((recipe.model.height, recipe.model.width))?;
         let held_out = data.validation.as_ref();
         train_on(&self.run, &recipe, &data.training, held_out, stop)

@@ -8,11 +8,11 @@ use wm_msgs::{
 };
 
 use super::{
-    AutoencoderRecipe, RECIPES, TrainingError, arguments::train_on, evaluate, picture,
-    trainer::AutoencoderTask,
+    AutoencoderRecipe, RECIPES, TrainAutoencoderArgs, TrainingError, arguments::train_on, evaluate,
+    picture, trainer::AutoencoderTask,
 };
 use crate::{
-    arguments::tests::run_in,
+    arguments::{RunArgs, tests::run_in},
     dataset::Dataset,
     recipe::{self, Override, Span},
     run::{Ended, Stop},
@@ -226,4 +226,23 @@ fn frames_of_another_size_are_refused() {
         ),
         "{error}"
     );
+}
+
+#[test]
+fn a_short_training_sees_whole_pictures_in_the_same_share_of_its_steps() {
+    let asked = |setting: &str| {
+        let run = RunArgs {
+            set: vec![setting.parse().unwrap()],
+            ..run_in(Path::new("/no/such/folder"))
+        };
+        TrainAutoencoderArgs { run }.recipe()
+    };
+    let tiny = asked("model.name=test").unwrap();
+    let found = [5500, 275].map(|steps| tiny.whole_picture_steps(steps));
+    assert_eq!(found, [900, 45]);
+    for share in ["1.2", "-0.1"] {
+        let error = asked(&format!("whole_picture_share={share}")).unwrap_err();
+        let expected = format!("whole_picture_share is {share}, expected 0 to 1");
+        assert_eq!(error.to_string(), expected);
+    }
 }

@@ -245,8 +245,7 @@ impl<'a> AutoencoderTask<'a> {
     }
 
     fn crops(&self, step: u64, rng: &mut impl Rng) -> Crops {
-        let at_the_end = (self.recipe.whole_picture_share * self.steps as f64).round() as u64;
-        let whole = step + at_the_end >= self.steps;
+        let whole = step + self.recipe.whole_picture_steps(self.steps) >= self.steps;
         crops::draw(self.train, &self.salience, &self.recipe, whole, rng)
     }
 

@@ -213,7 +213,8 @@ fn an_encoder_begins_close_to_the_patches_of_its_pictures() {
     let change: Vec<f32> = change.to_vec1().unwrap();
     let elsewhere = (change.iter().sum::<f32>() - change[1]) / 15.0;
     println!("{} there, {elsewhere} elsewhere", change[1]);
-    assert!(change[1] > 0.5 && elsewhere < 0.05 * change[1]);
+    // Features have a variance of 1; with blocks that add all of what they compute, the change there is 0.69.
+    assert!(change[1] > 1.5 && elsewhere < 0.05 * change[1]);
 }
 
 #[test]

@@ -10,10 +10,7 @@ pub struct Accuracy {
     /// Episodes under their own instruction.
     pub episodes: usize,
     /// Shares of the successes and of the failures that are told, at a probability of one half; NaN where there are none.
-    #[serde(default)]
     pub recalls: [f64; 2],
-    /// Their mean.
-    pub balanced: f64,
     /// Area under the ROC curve: how often a success gets a higher probability than a failure.
     pub auc: f64,
     /// Share of the successes that are told to fail under another episode's instruction; `None` where none was asked.
@@ -31,7 +28,6 @@ impl Accuracy {
                 .count();
             right as f64 / of(truth).count() as f64
         };
-        let recalls = [true, false].map(share);
         let (mut wins, mut pairs) = (0.0, 0.0);
         for (success, _) in of(true) {
             for (failure, _) in of(false) {
@@ -46,18 +42,24 @@ impl Accuracy {
         let refused = mismatched.iter().filter(|logit| **logit <= 0.0).count();
         Self {
             episodes: own.len(),
-            recalls,
-            balanced: recalls.iter().sum::<f64>() / 2.0,
+            recalls: [true, false].map(share),
             auc: wins / pairs,
             mismatches: (!mismatched.is_empty()).then(|| refused as f64 / mismatched.len() as f64),
         }
+    }
+
+    /// Balanced accuracy: the mean of the recalls of both classes; NaN where there are none of one.
+    #[must_use]
+    pub fn balanced(&self) -> f64 {
+        let [of_successes, of_failures] = self.recalls;
+        f64::midpoint(of_successes, of_failures)
     }
 
     /// The figures of a validation.
     #[must_use]
     pub fn figures(&self) -> Vec<Figure> {
         let mut figures = vec![
-            Figure::new("balanced_accuracy", self.balanced),
+            Figure::new("balanced_accuracy", self.balanced()),
             Figure::new("auc", self.auc),
         ];
         let mismatches = self.mismatches.into_iter();
@@ -69,20 +71,23 @@ impl Accuracy {
     /// one class alone decides nothing: the later one is preferred.
     #[must_use]
     pub fn is_better_than(&self, other: &Self) -> bool {
-        if self.balanced.is_nan() {
+        let balanced = self.balanced();
+        if balanced.is_nan() {
             return true;
         }
-        let order = self.balanced.total_cmp(&other.balanced);
+        let order = balanced.total_cmp(&other.balanced());
         order.then(self.auc.total_cmp(&other.auc)).is_gt()
     }
 }
 
 impl fmt::Display for Accuracy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (balanced, [of_successes, of_failures]) = (self.balanced(), self.recalls);
         write!(
             f,
-            "{} episodes: balanced accuracy {:.3} (of successes {:.3}, of failures {:.3}), AUC {:.3}",
-            self.episodes, self.balanced, self.recalls[0], self.recalls[1], self.auc
+            "{} episodes: balanced accuracy {balanced:.3} (of successes {of_successes:.3}, of failures {of_failures:.3}), \
+             AUC {:.3}",
+            self.episodes, self.auc
         )?;
         match self.mismatches {
             Some(share) => write!(f, ", {share:.3} of other instructions refused"),
@@ -107,7 +112,7 @@ mod tests {
         let found = Accuracy::of(&own, &[-1.0, 1.0]);
         assert_eq!(found.episodes, 5);
         assert_eq!(found.recalls, [0.5, 1.0]);
-        assert!((found.balanced - 0.75).abs() < 1e-12, "{found}");
+        assert!((found.balanced() - 0.75).abs() < 1e-12, "{found}");
         // Of six pairs, only (-1, -0.5) is the wrong way round.
         assert!((found.auc - 5.0 / 6.0).abs() < 1e-12, "{found}");
         assert_eq!(found.mismatches, Some(0.5));

@@ -1,6 +1,10 @@
 use rand::SeedableRng as _;
 use serde_json::json;
-use wm_zoo::{ModelFolder, folder::write_random_weights, success_probe::SuccessClassifier};
+use wm_zoo::{
+    ModelFolder,
+    folder::write_random_weights,
+    success_probe::{GroundedProbeConfig, SuccessClassifier},
+};
 
 use super::{arguments::train_on, episodes::Question, loss::cross_entropy, *};
 use crate::{
@@ -58,12 +62,12 @@ fn it_learns_what_an_instruction_asks_for() {
     let read = |text: &str| Ok(reader.read(text)?);
     let found = accuracy(&weights, &episodes, usize::MAX, read).unwrap();
     println!("{found}");
-    assert!(found.balanced > 0.8, "{found}");
+    assert!(found.balanced() > 0.8, "{found}");
     assert!(found.mismatches.unwrap() > 0.8, "{found}");
     // What was kept is the best of all validations.
     let kept: Accuracy = weights.json(VALIDATION_KEY).unwrap();
     assert!(
-        (kept.balanced - found.balanced).abs() < 1e-9,
+        (kept.balanced() - found.balanced()).abs() < 1e-9,
         "{kept} {found}"
     );
 }
@@ -127,6 +131,39 @@ fn the_bundled_probe_judges_the_bundled_bag() {
     let other = probability("put the purple box to the right of the white box");
     println!("{own} {other}");
     assert!(own > 0.5 && other < 0.5, "{own} {other}");
+}
+
+#[test]
+fn a_fine_tuned_probe_looks_at_the_grid_of_the_new_latents() {
+    let dir = tempfile::tempdir().unwrap();
+    let latents = labelled(dir.path(), 4, 1);
+    let (rows, columns, features) = latents.space().shape();
+    let old = GroundedProbeConfig {
+        features: features + 1,
+        grid: [rows + 3, columns + 5],
+        max_frames: 7,
+        text_features: 4,
+        frames: 3,
+        width: 4,
+        channels: 4,
+        queries: 2,
+        text_width: 4,
+        text_depth: 1,
+        text_heads: 1,
+        hidden: 4,
+    };
+    let new = super::recipe::resized(
+        ProbeNetworkConfig::Grounded(old.clone()),
+        latents.space(),
+        9,
+    );
+    let expected = GroundedProbeConfig {
+        features,
+        grid: [rows, columns],
+        max_frames: 9,
+        ..old
+    };
+    assert_eq!(new, ProbeNetworkConfig::Grounded(expected));
 }
 
 #[test]
@@ -236,7 +273,7 @@ fn a_text_tower_reads_instructions() {
     let weights = Weights::open(dir.path().join(FILE)).unwrap();
     let kept: Accuracy = weights.json(VALIDATION_KEY).unwrap();
     println!("{kept}");
-    assert!(kept.balanced > 0.8, "{kept}");
+    assert!(kept.balanced() > 0.8, "{kept}");
 
     // As the nodes read it: the tower is found where the weights say it is.
     let classifier = SuccessClassifier::of_trained(weights, held_out.space()).unwrap();
