@@ -413,7 +413,7 @@ async fn public_topics_carry_what_they_should(
                     break decode_compressed(&jpeg).unwrap();
                 }
             };
-            assert!(wm_model::metrics::psnr(&jpeg, &raw).unwrap() > 25.0);
+            assert!(wm_metrics::images::psnr(&jpeg, &raw).unwrap() > 25.0);
         }
     }
     let error = loop {

@@ -7,7 +7,7 @@
 //! What is compared: the decoded prediction of a moment with the camera's frame of that moment, at the prediction's
 //! resolution; and, as baseline, the last observed frame, repeated ("persistence") with that same frame.
 //!
-//! Not here: topics and DDS (the node [`monitor`] alone), metrics themselves (`wm_model::metrics`).
+//! Not here: topics and DDS (the node [`monitor`] alone), metrics themselves (`wm_metrics`).
 
 mod bag;
 pub mod figures;

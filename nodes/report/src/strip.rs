@@ -5,7 +5,7 @@ use super::{
     scorer::ShownRollout,
 };
 use image::{Rgb, RgbImage, imageops};
-use wm_model::metrics::psnr;
+use wm_metrics::images::psnr;
 
 /// Between pictures, and around them \[px\].
 const GAP: u32 = 6;

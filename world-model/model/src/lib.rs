@@ -14,7 +14,6 @@ mod world_model;
 
 pub mod autoencoder;
 pub mod image;
-pub mod metrics;
 pub mod ops;
 pub mod planner;
 pub mod sampler;

@@ -24,12 +24,13 @@ use candle_core::Device;
 use image::RgbImage;
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
+use wm_evaluation::Figure;
 use wm_zoo::Checkpoint;
 
 use crate::{
     arguments::RunArgs,
     optimiser::{Group, Parameter, Trained, Variables},
-    run::{Figure, StepLoss, Task},
+    run::{StepLoss, Task},
     transition::normals,
     workers::{BatchLoss, Batches, Workers},
 };

@@ -8,13 +8,12 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use candle_core::{DType, Device};
+use wm_dataset::{Data, DataOptions, DatasetError, Latents};
 use wm_model::{Encoder, Weights};
 use wm_zoo::{Compute, DeviceName, Engine, ModelFolder};
 
 use crate::{
-    dataset::{Data, DataOptions, Dataset, DatasetError},
     fresh_weights::FreshWeights,
-    latents::Latents,
     optimiser::Group,
     recipe::{Override, Recipe, Span},
     run::{Ended, RunSettings, Stop, Task},
@@ -307,37 +306,6 @@ pub(crate) fn fraction(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(value) if f64::is_finite(value) && value > 0.0 => Ok(value),
         _ => Err("expected a positive number".to_owned()),
-    }
-}
-
-/// What an evaluation measures on.
-#[derive(Clone, Debug, Args)]
-pub struct HeldOutArgs {
-    /// What to measure on: bags, folders of bags, or folders that `wm dataset` prepared, of which the episodes for
-    /// validation are taken.
-    #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
-    pub data: Vec<PathBuf>,
-    /// How recordings become episodes.
-    #[command(flatten)]
-    pub options: DataOptions,
-    /// Folder for decoded frames and latents; a temporary one by default.
-    #[arg(long)]
-    pub cache: Option<PathBuf>,
-}
-
-impl HeldOutArgs {
-    /// Where decoded frames and latents are kept.
-    #[must_use]
-    pub fn cache(&self) -> PathBuf {
-        self.cache.clone().unwrap_or_else(std::env::temp_dir)
-    }
-
-    /// The data, with frames of `size` (height, width), all cameras side by side.
-    ///
-    /// # Errors
-    /// Names what cannot be used.
-    pub fn open(&self, size: (usize, usize)) -> Result<Dataset, DatasetError> {
-        Dataset::held_out(&self.data, size, &self.cache(), &self.options)
     }
 }
 

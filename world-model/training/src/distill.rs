@@ -50,6 +50,8 @@ use candle_core::Tensor;
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
+use wm_dataset::{ClipSource, Latents};
+use wm_evaluation::{ActionChange, Figure, Windows};
 use wm_model::{
     Weights,
     transition::{CONFIG_KEY, Transition, WeightGradients},
@@ -58,15 +60,11 @@ use wm_zoo::idm::TrainedIdm;
 
 use crate::{
     arguments::RunArgs,
-    latents::Latents,
     optimiser::{Parameter, Trained, Variables},
     recipe::Recipe as _,
-    run::{Ended, Figure, StepLoss, Stop, Task},
+    run::{Ended, StepLoss, Stop, Task},
     trained_weights::trained_weights_of_actions,
-    transition::{
-        ActionChange, Batch, ClipSource, Evaluation, FILE, HORIZON, Objective, QUICK_WINDOWS,
-        table_row,
-    },
+    transition::{Batch, FILE, HORIZON, Objective, QUICK_WINDOWS, table_row},
     workers::{BatchLoss, Batches, Workers},
 };
 pub use arguments::TrainDistillArgs;
@@ -149,7 +147,7 @@ fn judge(out: &Path, recipe: &DistillRecipe, teacher: &Teacher, gated: &Gated<'_
         return named(FILE);
     };
     let student = Transition::from_weights(Weights::open(&candidate)?)?;
-    let evaluation = Evaluation::new(held_out, &teacher.encoding, HORIZON, usize::MAX)?;
+    let evaluation = Windows::new(held_out, &teacher.encoding, HORIZON, usize::MAX)?;
     let measurement = Measurement {
         evaluation: &evaluation,
         encoding: &teacher.encoding,
@@ -183,7 +181,7 @@ struct Networks<'a> {
 
 /// Held-out windows, and the teacher's figures on them.
 struct HeldOut {
-    evaluation: Evaluation,
+    evaluation: Windows,
     teacher: Vec<f64>,
 }
 
@@ -217,7 +215,7 @@ impl<'a> DistillTask<'a> {
         let config = student.config();
         let levels = Levels::new(teacher.sampler(), &config.sampler)?;
         let held_out = held_out.map(|latents| {
-            let evaluation = Evaluation::new(latents, &teacher.encoding, HORIZON, QUICK_WINDOWS)
+            let evaluation = Windows::new(latents, &teacher.encoding, HORIZON, QUICK_WINDOWS)
                 .context("the episodes for validation")?;
             let packed = teacher.pack()?;
             anyhow::Ok(HeldOut {

@@ -19,6 +19,8 @@ use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
+use wm_dataset::{ClipSource, Dataset};
+use wm_evaluation::{Figure, on_clips};
 use wm_model::Encoder;
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
@@ -31,11 +33,9 @@ use wm_zoo::{
 
 use crate::{
     arguments::RunArgs,
-    dataset::Dataset,
-    idm::{self, QUICK_WINDOWS, on_clips},
+    idm::{self, QUICK_WINDOWS},
     optimiser::{Group, Parameter, Trained, Variables},
-    run::{Figure, StepLoss, Task},
-    transition::ClipSource,
+    run::{StepLoss, Task},
     workers::{BatchLoss, Batches, Workers},
 };
 use network::{HEAD, Network, each_frame};

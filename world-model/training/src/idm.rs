@@ -2,7 +2,6 @@
 //! Smooth-L1 on the latents of a frozen encoder. The network is the paper's transformer, or a small convolutional one.
 
 mod arguments;
-mod correlation;
 mod recipe;
 
 use std::{collections::BTreeSet, path::Path};
@@ -10,6 +9,8 @@ use std::{collections::BTreeSet, path::Path};
 use anyhow::{Context as _, Result, ensure};
 use candle_core::{DType, Tensor};
 use rand_chacha::ChaCha8Rng;
+use wm_dataset::{ClipSource, Latents};
+use wm_evaluation::{Figure, on_real};
 use wm_model::Weights;
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
@@ -20,16 +21,13 @@ use wm_zoo::{
 
 use crate::{
     arguments::RunArgs,
-    latents::Latents,
     optimiser::{Group, Parameter, Trained, Variables},
-    run::{Figure, StepLoss, Task},
+    run::{StepLoss, Task},
     trained_weights::trained_weights_of_actions,
-    transition::{ClipSource, normals},
+    transition::normals,
     workers::{BatchLoss, Batches, Workers},
 };
 pub use arguments::{EvaluateIdmArgs, TrainIdmArgs};
-pub(crate) use correlation::on_clips;
-pub use correlation::{Correlation, on_predicted, on_real};
 pub use recipe::{IdmKind, IdmModelRecipe, IdmRecipe, RECIPES};
 
 /// Windows of the evaluations during the training.

@@ -1,6 +1,6 @@
 //! Training of a world model from bags.
 //!
-//! [`dataset`] turns recordings into episodes, [`latents`] encodes them once. A training ([`autoencoder`], [`encoder`],
+//! `wm_dataset` turns recordings into episodes and encodes them once. A training ([`autoencoder`], [`encoder`],
 //! [`adapter`], [`transition`], [`idm`], [`probe`]) is a [`run::Task`] with a [`recipe`]; [`run`] steps it, saves it and
 //! takes it up again. [`model`] trains all parts of a model.
 //!
@@ -9,21 +9,18 @@
 pub mod adapter;
 pub mod arguments;
 pub mod autoencoder;
-pub mod dataset;
 pub mod distill;
 pub mod encoder;
 #[cfg(test)]
 mod fixture;
 pub mod fresh_weights;
 pub mod idm;
-pub mod latents;
 pub mod model;
 pub mod model_folder;
 pub mod optimiser;
 pub mod probe;
 pub mod recipe;
 pub mod run;
-pub mod squared_error;
 mod trained_weights;
 pub mod transition;
 pub mod workers;

@@ -6,11 +6,13 @@ use std::{io::IsTerminal as _, process::ExitCode};
 
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
+use wm_dataset::DatasetArgs;
+use wm_evaluation::{MergeArgs, SuiteArgs};
+use wm_findings::Suite;
 use wm_sim::SimArgs;
 use wm_training::{
     adapter::TrainAdapterArgs,
     autoencoder::{EvaluateAutoencoderArgs, TrainAutoencoderArgs},
-    dataset::DatasetArgs,
     distill::TrainDistillArgs,
     encoder::TrainEncoderArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
@@ -78,6 +80,20 @@ enum EvalCommand {
     Idm(EvaluateIdmArgs),
     /// Measure how well a success probe tells success from failure
     Probe(EvaluateProbeArgs),
+    /// Measure a model by all suites
+    All(SuiteArgs),
+    /// Measure how decoded rollouts compare with what came
+    Fidelity(SuiteArgs),
+    /// Measure whether predictions obey actions
+    Control(SuiteArgs),
+    /// Measure whether latents tell actions and success
+    Latents(SuiteArgs),
+    /// Measure predictions under other light, camera faults and wrong rates
+    Robustness(SuiteArgs),
+    /// Measure what a model takes to compute on this machine
+    Cost(SuiteArgs),
+    /// Put the records of shards, or of several models, together
+    Merge(MergeArgs),
 }
 
 impl TrainCommand {
@@ -111,6 +127,13 @@ impl Command {
                 EvalCommand::Transition(arguments) => arguments.run()?,
                 EvalCommand::Idm(arguments) => arguments.run()?,
                 EvalCommand::Probe(arguments) => arguments.run()?,
+                EvalCommand::All(arguments) => arguments.run(&Suite::ALL)?,
+                EvalCommand::Fidelity(arguments) => arguments.run(&[Suite::Fidelity])?,
+                EvalCommand::Control(arguments) => arguments.run(&[Suite::Control])?,
+                EvalCommand::Latents(arguments) => arguments.run(&[Suite::Latents])?,
+                EvalCommand::Robustness(arguments) => arguments.run(&[Suite::Robustness])?,
+                EvalCommand::Cost(arguments) => arguments.run(&[Suite::Cost])?,
+                EvalCommand::Merge(arguments) => arguments.run()?,
             },
         }
         Ok(ExitCode::SUCCESS)

@@ -6,12 +6,12 @@ use std::path::PathBuf;
 use anyhow::Result;
 use candle_core::DType;
 use clap::Args;
+use wm_dataset::DataOptions;
 use wm_zoo::{DeviceName, IDM_FILE, ModelFolder, PROBE_FILE};
 
 use crate::{
     arguments::{RunArgs, fraction},
     autoencoder::TrainAutoencoderArgs,
-    dataset::DataOptions,
     idm::TrainIdmArgs,
     probe::TrainProbeArgs,
     recipe::Override,

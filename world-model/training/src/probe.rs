@@ -4,7 +4,6 @@
 //! Samples are successes, failures, and successes under another episode's instruction. The weights that are kept are the
 //! best of all validations, not the last.
 
-mod accuracy;
 mod arguments;
 mod episodes;
 mod loss;
@@ -22,6 +21,8 @@ use candle_core::{Device, Tensor};
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use wm_dataset::Latents;
+use wm_evaluation::{Accuracy, Figure};
 use wm_model::{Weights, weights::WeightsBuilder};
 use wm_zoo::{
     Engine, Loader, PROBE_FILE as FILE,
@@ -32,14 +33,12 @@ use wm_zoo::{
 
 use crate::{
     arguments::RunArgs,
-    latents::Latents,
     optimiser::{Group, Parameter, Trained, Variables},
-    run::{Figure, StepLoss, Task},
+    run::{StepLoss, Task},
     trained_weights::trained_weights,
     transition::normals,
     workers::{BatchLoss, Batches, Workers},
 };
-pub use accuracy::Accuracy;
 pub use arguments::{EvaluateProbeArgs, TrainProbeArgs};
 use episodes::{Episodes, Sample, Shares};
 use loss::loss;

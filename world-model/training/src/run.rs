@@ -21,9 +21,10 @@ use serde_json::Value;
 
 use crate::optimiser::{AdamW, AdamWSettings, Group, OptimiserError, Parameter, Schedule, Trained};
 use events::Events;
-pub use journal::{Figure, Journal};
+pub use journal::Journal;
 use progress::Progress;
 pub use stop::Stop;
+use wm_evaluation::Figure;
 
 /// Steps in a row whose loss is not finite, after which a run gives up.
 const MOST_SKIPPED: u32 = 10;

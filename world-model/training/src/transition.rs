@@ -6,15 +6,9 @@
 //! cache; see [`Workers`].
 
 mod arguments;
-mod clips;
-mod evaluation;
-mod frame_values;
 mod noised_at_once;
 mod objective;
-mod pictures;
 mod recipe;
-mod recovery;
-mod strip;
 
 use std::{collections::BTreeSet, path::Path};
 
@@ -22,6 +16,8 @@ use anyhow::{Context as _, Result};
 use candle_core::DType;
 use image::RgbImage;
 use serde_json::json;
+use wm_dataset::{ClipSource, Dataset, Latents};
+use wm_evaluation::{ActionChange, Figure, PictureErrors, Windows, recover_actions, strip};
 use wm_model::{
     Decoder, Weights,
     transition::{
@@ -33,26 +29,17 @@ use wm_zoo::{ModelFolder, TransitionTensors};
 
 use crate::{
     arguments::RunArgs,
-    dataset::Dataset,
     fresh_weights::FreshWeights,
-    latents::Latents,
     model_folder::carry_encoder,
     optimiser::{Group, Parameter, Trained, Variables},
-    run::{Ended, Figure, StepLoss, Stop, Task},
+    run::{Ended, StepLoss, Stop, Task},
     trained_weights::trained_weights_of_actions,
     workers::{BatchLoss, Batches, Workers},
 };
 pub use arguments::{EvaluateTransitionArgs, TrainTransitionArgs};
-pub use clips::ClipSource;
-pub(crate) use evaluation::squared;
-pub use evaluation::{ActionChange, Evaluation};
-pub use frame_values::FrameValues;
 pub(crate) use objective::{Batch, normals};
 pub use objective::{Forcing, Objective, ObjectiveRecipe, TauDistribution};
-pub use pictures::{PictureErrors, StepErrors};
 pub use recipe::{ModelRecipe, RECIPES, SamplerRecipe, TransitionRecipe};
-pub use recovery::recover_actions;
-pub use strip::strip;
 
 /// Model steps that are predicted in an evaluation.
 pub(crate) const HORIZON: usize = 8;
@@ -119,7 +106,7 @@ pub(crate) fn train_on(
 /// Held-out latents, and some windows of them.
 struct HeldOut<'a> {
     latents: &'a Latents,
-    quick: Evaluation,
+    quick: Windows,
     pictures: Option<Pictures<'a>>,
 }
 
@@ -162,7 +149,7 @@ impl<'a> TransitionTask<'a> {
                 Some((latents, pictures)) => Some(HeldOut {
                     latents,
                     pictures,
-                    quick: Evaluation::new(latents, encoding, HORIZON, QUICK_WINDOWS)
+                    quick: Windows::new(latents, encoding, HORIZON, QUICK_WINDOWS)
                         .context("the held-out bags")?,
                 }),
                 None => None,
@@ -236,7 +223,7 @@ impl Task for TransitionTask<'_> {
         };
         let model = model.pack()?;
         let ratios = if thorough {
-            Evaluation::new(held_out.latents, self.encoding, HORIZON, usize::MAX)?
+            Windows::new(held_out.latents, self.encoding, HORIZON, usize::MAX)?
                 .ratios(&model, ActionChange::None)?
         } else {
             held_out.quick.ratios(&model, ActionChange::None)?
@@ -277,7 +264,7 @@ impl EvaluateTransitionArgs {
             .space()
             .expect_same(latents.action_space(), "the model", "the bags")?;
         let model = Transition::from_weights(weights)?.pack()?;
-        let evaluation = Evaluation::new(&latents, &actions, HORIZON, self.windows)?;
+        let evaluation = Windows::new(&latents, &actions, HORIZON, self.windows)?;
         println!(
             "{} windows; squared latent error / persistence",
             evaluation.len()

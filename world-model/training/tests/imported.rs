@@ -6,8 +6,8 @@
 
 use std::{env, path::PathBuf};
 
+use wm_dataset::{Data, DataOptions};
 use wm_import::{ImportOptions, import_bridge, import_droid};
-use wm_training::dataset::{Data, DataOptions};
 
 fn folder(variable: &str, name: &str) -> Option<PathBuf> {
     let folder = env::var_os(variable).map(|dir| PathBuf::from(dir).join(name));

@@ -6,9 +6,10 @@
 
 use std::{env, path::PathBuf};
 
+use wm_dataset::Dataset;
 use wm_import::{ImportOptions, import_bridge};
 use wm_model::{Autoencoder, Weights};
-use wm_training::{autoencoder::evaluate, dataset::Dataset};
+use wm_training::autoencoder::evaluate;
 
 fn folder(variable: &str) -> Option<PathBuf> {
     let folder = env::var_os(variable).map(PathBuf::from);

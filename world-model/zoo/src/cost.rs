@@ -33,7 +33,7 @@ pub use autoencoder::{
 };
 pub(crate) use probe::pooled_probe;
 pub use probe::{siglip2_text, success_probe};
-pub use transition::{CLIP_FRAMES, transition};
+pub use transition::{CLIP_FRAMES, transition, transition_of};
 pub use vit::{siglip2, vjepa, web_dino};
 
 /// Side of the frames that costs are counted for, in pixels.

@@ -22,7 +22,7 @@ mod names;
 mod network;
 mod trained;
 
-use candle_core::{D, DType, Tensor};
+use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::Result;
@@ -261,39 +261,6 @@ impl Idm {
     }
 }
 
-/// Pearson's correlation of predicted and true actions, (samples, actions) each, for each of the
-/// first `components`, and their mean; the paper averages over the six continuous ones.
-///
-/// A component that does not vary has no correlation and counts as 0.
-///
-/// # Errors
-/// If the shapes differ.
-pub fn pearson(predicted: &Tensor, truth: &Tensor, components: usize) -> Result<(Vec<f64>, f64)> {
-    let (samples, actions) = predicted.dims2()?;
-    if truth.dims() != [samples, actions] || components == 0 || components > actions {
-        let expected = format!("({samples}, {actions}), of which {components} are compared");
-        return Err(shape_error("the true actions", expected, truth));
-    }
-    let centred = |x: &Tensor| -> Result<Tensor> {
-        let x = x.to_dtype(DType::F64)?.narrow(D::Minus1, 0, components)?;
-        Ok(x.broadcast_sub(&x.mean_keepdim(0)?)?)
-    };
-    let (predicted, truth) = (centred(predicted)?, centred(truth)?);
-    let sums = |x: &Tensor, y: &Tensor| -> Result<Vec<f64>> { Ok((x * y)?.sum(0)?.to_vec1()?) };
-    let scale = sums(&predicted, &predicted)?;
-    let scale = scale.into_iter().zip(sums(&truth, &truth)?);
-    let r: Vec<f64> = sums(&predicted, &truth)?
-        .into_iter()
-        .zip(scale)
-        .map(|(both, (x, y))| match (x * y).sqrt() {
-            0.0 => 0.0,
-            scale => both / scale,
-        })
-        .collect();
-    let mean = r.iter().sum::<f64>() / components as f64;
-    Ok((r, mean))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -358,20 +325,5 @@ mod tests {
         let config: IdmConfig =
             serde_json::from_str(r#"{"features": 1152, "horizon": 4}"#).unwrap();
         assert_eq!(config, IdmConfig::paper(1152, 4));
-    }
-
-    #[test]
-    fn correlation_is_per_component() {
-        let on = &Device::Cpu;
-        let truth = Tensor::new(&[[1.0_f32, 1.0, 5.0], [2.0, 3.0, 5.0], [3.0, 2.0, 5.0]], on);
-        let predicted = Tensor::new(
-            &[[2.0_f32, -1.0, 1.0], [4.0, -3.0, 2.0], [6.0, -2.0, 9.0]],
-            on,
-        );
-        let (r, mean) = pearson(&predicted.unwrap(), &truth.unwrap(), 3).unwrap();
-        for (r, expected) in r.iter().zip([1.0, -1.0, 0.0]) {
-            assert!((r - expected).abs() < 1e-12);
-        }
-        assert!(mean.abs() < 1e-12);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{collections::VecDeque, sync::Arc};
 
-use wm_model::metrics::mean_squared_error;
+use wm_metrics::images::mean_squared_error;
 use wm_msgs::{builtin_interfaces::Time, std_msgs::Header, wm_msgs::PredictionError};
 
 use crate::history::Frame;

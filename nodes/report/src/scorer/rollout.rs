@@ -4,7 +4,7 @@ use image::RgbImage;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
-use wm_model::metrics::psnr;
+use wm_metrics::images::psnr;
 
 /// Rollouts in the making: a horizon of 64 steps of two camera frames, and some room.
 const OPEN_LIMIT: usize = 160;

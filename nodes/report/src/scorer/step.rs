@@ -3,7 +3,7 @@
 use super::PSNR_CAP_DB;
 use crate::{figures::StepFigures, histogram::Times};
 use image::RgbImage;
-use wm_model::metrics::{psnr, ssim};
+use wm_metrics::images::{psnr, ssim};
 
 /// A mean in the making.
 #[derive(Clone, Copy, Debug, Default)]

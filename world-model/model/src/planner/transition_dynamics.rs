@@ -4,7 +4,7 @@ use candle_core::Tensor;
 
 use super::Dynamics;
 use crate::{
-    Result,
+    Error, Result,
     sampler::{Given, Rollout, Sampler},
     transition::PackedTransition,
 };
@@ -15,6 +15,8 @@ use crate::{
 pub struct TransitionDynamics<'m> {
     start: Rollout<'m>,
     action_dim: usize,
+    /// The last predicted frame's own action (1, A), where it is known.
+    last: Option<Tensor>,
 }
 
 impl<'m> TransitionDynamics<'m> {
@@ -40,7 +42,30 @@ impl<'m> TransitionDynamics<'m> {
     pub fn after(mut start: Rollout<'m>) -> Result<Self> {
         start.prepare()?;
         let action_dim = start.action_dim();
-        Ok(Self { start, action_dim })
+        Ok(Self {
+            start,
+            action_dim,
+            last: None,
+        })
+    }
+
+    /// The same, whose last predicted frame carries this `action` (1, A) for its own. Without it the last searched one
+    /// goes on.
+    ///
+    /// # Errors
+    /// Where the shape does not fit.
+    pub fn ending_with(self, action: &Tensor) -> Result<Self> {
+        if action.dims() != [1, self.action_dim] {
+            return Err(Error::Shape {
+                what: "the action after the last step",
+                expected: format!("(1, {})", self.action_dim),
+                found: action.dims().to_vec(),
+            });
+        }
+        Ok(Self {
+            last: Some(action.clone()),
+            ..self
+        })
     }
 }
 
@@ -55,8 +80,11 @@ impl Dynamics for TransitionDynamics<'_> {
         let mut latents = Vec::with_capacity(steps);
         let at = |step: usize| actions.narrow(1, step, 1)?.squeeze(1)?.contiguous();
         for step in 0..steps {
-            // After the last step the last action goes on.
-            let own = at((step + 1).min(steps - 1))?;
+            let own = match &self.last {
+                Some(last) if step + 1 == steps => last.clone(),
+                // Without one, the last action goes on.
+                _ => at((step + 1).min(steps - 1))?,
+            };
             let given = Given {
                 own_action: Some(&own),
                 ..Given::default()

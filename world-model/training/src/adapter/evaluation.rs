@@ -3,6 +3,7 @@ use std::fmt;
 use anyhow::Result;
 use candle_core::{DType, Tensor};
 use image::RgbImage;
+use wm_evaluation::{Figure, SquaredError};
 use wm_model::{autoencoder::Normalisation, image::to_rgb};
 use wm_zoo::{Checkpoint, Engine, Loader, svae::Svae, vae::PixelDecoder};
 
@@ -11,7 +12,6 @@ use super::{
     feature_loss::cosines,
     files::{ADAPTER, Output, PIXEL_DECODER},
 };
-use crate::{run::Figure, squared_error::SquaredError};
 
 /// Frames that are computed at once.
 const BATCH: usize = 8;

@@ -1,8 +1,7 @@
 use anyhow::{Context as _, Result, ensure};
 use candle_core::{Device, Tensor};
+use wm_dataset::{Dataset, Latents};
 use wm_model::LatentSpace;
-
-use crate::{dataset::Dataset, latents::Latents};
 
 /// Frames of bags with the features that a frozen encoder has of them.
 #[derive(Clone, Copy, Debug)]

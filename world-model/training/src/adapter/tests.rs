@@ -3,6 +3,7 @@ use std::path::Path;
 use candle_core::{DType, Tensor};
 use serde::Deserialize;
 use serde_json::{Value, json};
+use wm_dataset::{Dataset, Latents};
 use wm_model::{Encoder, LatentSpace, transition::WeightGradients};
 use wm_zoo::{
     folder::{DescribedFolder, write_random_weights},
@@ -15,8 +16,6 @@ use crate::{
     arguments::tests::on_cpu,
     arguments::tests::run_in,
     autoencoder::tests::dataset,
-    dataset::Dataset,
-    latents::Latents,
     recipe::{self, Override, Span},
     run::Stop,
 };

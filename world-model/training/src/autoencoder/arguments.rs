@@ -4,6 +4,7 @@ use anyhow::{Result, ensure};
 use candle_core::DType;
 use clap::Args;
 use serde_json::json;
+use wm_dataset::{Dataset, HeldOutArgs};
 use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _};
 use wm_zoo::{DeviceName, ModelFolder};
 
@@ -12,8 +13,7 @@ use super::{
     trainer::{AutoencoderTask, TrainingError},
 };
 use crate::{
-    arguments::{HeldOutArgs, RunArgs},
-    dataset::Dataset,
+    arguments::RunArgs,
     recipe::Override,
     run::{Ended, Stop},
 };

@@ -1,8 +1,8 @@
 use rand::Rng;
+use wm_dataset::Dataset;
 use wm_model::ops::GridSize;
 
 use super::{AutoencoderRecipe, salience::Salience};
-use crate::dataset::Dataset;
 
 /// Pictures that one step trains on.
 pub(super) struct Crops {

@@ -1,9 +1,10 @@
 use candle_core::Tensor;
 use image::RgbImage;
+use wm_dataset::Dataset;
+use wm_evaluation::SquaredError;
 use wm_model::{Autoencoder, Decoder as _, Encoder as _, image::to_rgb};
 
 use super::trainer::{TrainingError, pictures};
-use crate::{dataset::Dataset, squared_error::SquaredError};
 
 /// How well an autoencoder reconstructs frames.
 #[derive(Clone, Copy, Debug, PartialEq)]

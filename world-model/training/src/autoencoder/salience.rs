@@ -1,6 +1,5 @@
 use rand::{Rng, seq::IteratorRandom as _};
-
-use crate::dataset::{Dataset, Episode};
+use wm_dataset::{Dataset, Episode};
 
 /// Frames of an episode that its median is taken over.
 const MEDIAN_FRAMES: usize = 11;

@@ -2,6 +2,7 @@ use std::{io::Cursor, path::Path};
 
 use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
 use wm_bag::{BagWriter, WriterOptions};
+use wm_dataset::Dataset;
 use wm_model::{Autoencoder, AutoencoderConfig};
 use wm_msgs::{
     builtin_interfaces::Time, sensor_msgs::CompressedImage, std_msgs::Header, wm_msgs::Action,
@@ -13,7 +14,6 @@ use super::{
 };
 use crate::{
     arguments::{RunArgs, tests::run_in},
-    dataset::Dataset,
     recipe::{self, Override, Span},
     run::{Ended, Stop},
 };

@@ -10,6 +10,8 @@ use rand::Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use rayon::prelude::*;
 use thiserror::Error;
+use wm_dataset::{Dataset, DatasetError};
+use wm_evaluation::Figure;
 use wm_model::{
     Autoencoder, Encoder as _,
     autoencoder::{Network, NetworkGradient, Normalisation, Tape, clamp, clamp_slope},
@@ -23,9 +25,8 @@ use super::{
     salience::Salience,
 };
 use crate::{
-    dataset::{Dataset, DatasetError},
     optimiser::{Group, OptimiserError, Parameter, Trained, step_rng},
-    run::{Figure, StepLoss, Task},
+    run::{StepLoss, Task},
     trained_weights::PRECISION,
 };
 

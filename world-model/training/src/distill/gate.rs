@@ -5,15 +5,12 @@ use std::fmt;
 use anyhow::{Result, bail};
 use rayon::prelude::*;
 use serde::Serialize;
+use wm_evaluation::{ActionChange, Windows, on_predicted, recover_actions, squared};
 use wm_model::transition::PackedTransition;
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::idm::TrainedIdm;
 
 use super::recipe::GateRecipe;
-use crate::{
-    idm::on_predicted,
-    transition::{ActionChange, Evaluation, recover_actions, squared},
-};
 
 /// How a model does.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,7 +29,7 @@ pub(super) struct Figures {
 
 /// What figures are measured on and with.
 pub(super) struct Measurement<'a> {
-    pub(super) evaluation: &'a Evaluation,
+    pub(super) evaluation: &'a Windows,
     pub(super) encoding: &'a ActionEncoding,
     pub(super) idm: Option<&'a TrainedIdm>,
     /// Plans to make.

@@ -4,13 +4,14 @@ use anyhow::Result;
 use candle_core::{D, DType, Tensor};
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
+use wm_dataset::ClipSource;
 use wm_model::{
     sampler::Sampler,
     transition::{ActionAlignment, TemporalPattern, Transition},
 };
 
 use super::{Networks, consistency::pseudo_huber, recipe::SelfForcingRecipe};
-use crate::transition::{ClipSource, Objective, normals};
+use crate::transition::{Objective, normals};
 
 /// A frame to be predicted from a history whose later frames the student made itself.
 pub(super) struct OwnHistory {

@@ -5,6 +5,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use candle_core::{Device, Tensor};
+use wm_dataset::Latents;
 use wm_model::{
     Error, LatentSpace, Weights,
     sampler::Sampler,
@@ -16,7 +17,6 @@ use wm_motion::actions::ActionEncoding;
 use wm_zoo::Compute;
 
 use crate::{
-    latents::Latents,
     optimiser::{Trained, Variables},
     transition::{FILE, in_its_format},
 };

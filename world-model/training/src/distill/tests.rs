@@ -78,11 +78,7 @@ fn distil(
 
 /// How a model does on windows, and the mean squared distance of its first predictions from those that the teacher
 /// makes from the same noise.
-fn measured(
-    model: &Transition,
-    teacher: &Teacher,
-    evaluation: &Evaluation,
-) -> (Vec<f64>, f64, f64) {
+fn measured(model: &Transition, teacher: &Teacher, evaluation: &Windows) -> (Vec<f64>, f64, f64) {
     let measurement = Measurement {
         evaluation,
         encoding: &teacher.encoding,
@@ -100,7 +96,7 @@ fn measured(
             all.unwrap().remove(0)
         };
         let (a, b) = (predicted(&model), predicted(&taught));
-        distance += crate::transition::squared(&a, &b).unwrap() / a.elem_count() as f64;
+        distance += wm_evaluation::squared(&a, &b).unwrap() / a.elem_count() as f64;
     }
     (
         found.ratios,
@@ -130,7 +126,7 @@ fn a_student_does_in_few_steps_what_its_teacher_does_in_ten() {
     let kind = (Parametrisation::Velocity, ActionAlignment::WithFrame);
     let file = taught(dir.path(), &train, kind, 800);
     let teacher = Teacher::open(&file, STEPS, &on_cpu()).unwrap();
-    let evaluation = Evaluation::new(&held_out, &teacher.encoding, HORIZON, usize::MAX).unwrap();
+    let evaluation = Windows::new(&held_out, &teacher.encoding, HORIZON, usize::MAX).unwrap();
     let measure = |name: &str, model: &Transition| {
         let (ratios, motion, distance) = measured(model, &teacher, &evaluation);
         let row = table_row(&ratios);

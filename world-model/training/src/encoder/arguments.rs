@@ -1,12 +1,12 @@
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
+use wm_dataset::Dataset;
 use wm_zoo::vit::WebDinoConfig;
 
 use super::{EncoderRecipe, EncoderTask, FILE, RECIPES, files::CONFIG_KEY};
 use crate::{
     arguments::RunArgs,
-    dataset::Dataset,
     recipe::Override,
     run::{Ended, Stop},
 };

@@ -1,11 +1,11 @@
 use image::{Rgb, RgbImage};
 use serde_json::Value;
+use wm_dataset::testing::write_moves;
 use wm_zoo::ModelFolder;
 
 use super::{arguments::train_on, *};
 use crate::{
     arguments::tests::run_in,
-    dataset::tests::write_moves,
     recipe::{self, Override, Span},
     run::Stop,
 };

@@ -3,6 +3,8 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use clap::Args;
 use serde_json::json;
+use wm_dataset::{HeldOutArgs, Latents};
+use wm_evaluation::{Windows, on_predicted, on_real};
 use wm_model::{
     Weights,
     transition::{ACTIONS_KEY, Transition},
@@ -10,13 +12,11 @@ use wm_model::{
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{ModelFolder, idm::TrainedIdm};
 
-use super::{IdmRecipe, IdmTask, RECIPES, on_predicted, on_real};
+use super::{IdmRecipe, IdmTask, RECIPES};
 use crate::{
-    arguments::{HeldOutArgs, RunArgs},
-    latents::Latents,
+    arguments::RunArgs,
     model_folder::carry_encoder,
     run::{Ended, Stop},
-    transition::Evaluation,
 };
 
 /// Model steps that a transition model predicts for an evaluation.
@@ -110,7 +110,7 @@ impl EvaluateIdmArgs {
             let transition = Transition::from_weights(weights)
                 .with_context(|| path.display().to_string())?
                 .pack()?;
-            let evaluation = Evaluation::new(&latents, &encoding, HORIZON, self.windows)?;
+            let evaluation = Windows::new(&latents, &encoding, HORIZON, self.windows)?;
             let found = on_predicted(&model, &transition, &evaluation)?;
             println!("predicted latents: {found}");
         }

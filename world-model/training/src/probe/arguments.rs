@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, ensure};
 use clap::Args;
 use serde_json::json;
+use wm_dataset::{HeldOutArgs, Latents};
 use wm_model::{LatentSpace, Weights, transition::LATENT_SPACE_KEY};
 use wm_zoo::{
     ModelFolder,
@@ -14,8 +15,7 @@ use super::{
     leave_out_unknown, things::Things,
 };
 use crate::{
-    arguments::{HeldOutArgs, RunArgs},
-    latents::Latents,
+    arguments::RunArgs,
     model_folder::carry_encoder,
     run::{Ended, Stop},
 };

@@ -3,8 +3,7 @@ use std::collections::BTreeSet;
 use anyhow::{Result, ensure};
 use candle_core::{Device, Tensor};
 use rand::{Rng, seq::IndexedRandom as _};
-
-use crate::{dataset::Episode, latents::Latents};
+use wm_dataset::{Episode, Latents};
 
 /// An episode that shows whether its instruction was carried out.
 #[derive(Clone, Debug)]

@@ -1,5 +1,6 @@
 use rand::SeedableRng as _;
 use serde_json::json;
+use wm_dataset::Dataset;
 use wm_zoo::{
     ModelFolder,
     folder::write_random_weights,
@@ -9,7 +10,6 @@ use wm_zoo::{
 use super::{arguments::train_on, episodes::Question, loss::cross_entropy, *};
 use crate::{
     arguments::tests::run_in,
-    dataset::Dataset,
     recipe::{self, Override, Span},
     run::Stop,
     transition::tests::{labelled, moving},

@@ -1,9 +1,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
+use wm_dataset::{Dataset, Episode};
 use wm_zoo::success_probe::{GroundedProbeConfig, words};
 
 use super::episodes::Sample;
-use crate::dataset::{Dataset, Episode};
 
 /// The words of a thing's name.
 type Name = Vec<String>;
@@ -146,7 +146,7 @@ mod tests {
     use candle_core::{DType, Device, Tensor};
 
     use super::*;
-    use crate::dataset::tests::write_masked;
+    use wm_dataset::testing::write_masked;
 
     #[test]
     fn queries_point_at_what_the_instruction_names_in_its_order() {

@@ -11,8 +11,9 @@ use std::{
 use anyhow::{Context as _, Result};
 use image::{ImageFormat, RgbImage};
 use prost::Message;
+use wm_evaluation::Figure;
 
-use super::{Figure, StepLoss};
+use super::StepLoss;
 
 #[derive(Clone, PartialEq, Message)]
 struct Event {

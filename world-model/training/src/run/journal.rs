@@ -10,28 +10,9 @@ use plotters::prelude::{
     SVGBackend, WHITE,
 };
 use serde::{Deserialize, Serialize};
+use wm_evaluation::Figure;
 
 use super::StepLoss;
-
-/// A figure of a validation.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Figure {
-    /// What was measured, as `ratio_k1`.
-    pub name: String,
-    /// The value.
-    pub value: f64,
-}
-
-impl Figure {
-    /// See the fields.
-    #[must_use]
-    pub fn new(name: impl Into<String>, value: f64) -> Self {
-        Self {
-            name: name.into(),
-            value,
-        }
-    }
-}
 
 /// What a run has seen, on disk as `NAME.journal.jsonl`: a JSON object per line, one per step
 /// (`{"step", "loss", "gradient_norm", "learning_rate", PART...}`) and one per validation

@@ -1,5 +1,6 @@
 use anyhow::ensure;
 use serde_json::json;
+use wm_evaluation::Figure;
 
 use super::*;
 

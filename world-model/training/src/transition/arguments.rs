@@ -1,8 +1,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use wm_dataset::HeldOutArgs;
 
-use crate::arguments::{HeldOutArgs, RunArgs};
+use crate::arguments::RunArgs;
 
 /// Trains the transition model on bags of episodes, with the latents of a frozen encoder.
 #[derive(Clone, Debug, Args)]

@@ -4,12 +4,13 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
+use wm_dataset::ClipSource;
 use wm_model::{
     sampler::shift_time,
     transition::{ActionAlignment, Parametrisation, TemporalPattern, Transition, TransitionConfig},
 };
 
-use super::{ClipSource, noised_at_once};
+use super::noised_at_once;
 
 /// Smallest noise level that is trained on: the velocity of the residual parametrisation is divided by it.
 const SMALLEST_TAU: f64 = 0.01;

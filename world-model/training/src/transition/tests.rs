@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use half::f16;
+use wm_dataset::Episode;
 use wm_model::{
     LatentSpace,
     transition::{ActionAlignment, Parametrisation},
@@ -11,7 +12,6 @@ use wm_zoo::{Compute, Engine};
 use super::*;
 use crate::{
     arguments::tests::run_in,
-    dataset::Episode,
     optimiser::{AdamW, AdamWSettings, Schedule},
     recipe::{self, Span},
 };
@@ -228,7 +228,7 @@ fn it_learns_what_actions_do() {
             trained.0.assign(optimiser.weights()).unwrap();
         }
         let model = trained.1;
-        let evaluation = Evaluation::new(&held_out, &encoding, 3, usize::MAX).unwrap();
+        let evaluation = Windows::new(&held_out, &encoding, 3, usize::MAX).unwrap();
         let model = model.pack().unwrap();
         let ratio = |change| evaluation.ratios(&model, change).unwrap()[0];
         let (told, negated) = (ratio(ActionChange::None), ratio(ActionChange::Negated));

@@ -1,6 +1,5 @@
 //! The cost of the transition model.
 
-use wm_model::ops::RopeLayout;
 use wm_model::transition::TransitionConfig;
 
 use super::{ACTIONS, Cost, applied, attended, count};
@@ -23,22 +22,20 @@ pub fn transition(config: &DitConfig) -> Result<Cost> {
     )
 }
 
+/// Counts a transition model that was trained here; operations as of [`transition`].
+///
+/// # Errors
+/// If the configuration cannot be built.
+pub fn transition_of(config: &TransitionConfig) -> Result<Cost> {
+    transition(&DitConfig::of(config))
+}
+
 /// DiT-L on latents (height, width, channels).
 pub(super) fn large(latent: (usize, usize, usize), patch: usize, wide: bool) -> Result<Cost> {
     let preset = TransitionConfig::preset("dit-l", latent, patch, ACTIONS)?;
     transition(&DitConfig {
-        views: 1,
-        rope_layout: RopeLayout::default(),
-        hidden: preset.hidden,
-        depth: preset.depth,
-        heads: preset.heads,
-        channels: preset.channels,
-        patch: preset.patch,
-        grid: [preset.latent_height, preset.latent_width],
-        action_dim: preset.action_dim,
-        max_frames: preset.max_frames,
         head: if wide { Head::Wide } else { Head::Plain },
-        wide_dim: None,
+        ..DitConfig::of(&preset)
     })
 }
 

@@ -214,8 +214,8 @@ fn predictions_are_scored_when_their_moment_comes() {
     let errors = feed(&mut step, 4..=4).errors;
     assert_eq!(errors.len(), 1);
     let values = |index: i64| decode_latent(&latent(index), &space()).unwrap();
-    let mse = wm_model::metrics::mean_squared_error(&predicted[0].values, &values(4)).unwrap();
-    let persistence = wm_model::metrics::mean_squared_error(&values(2), &values(4)).unwrap();
+    let mse = wm_metrics::images::mean_squared_error(&predicted[0].values, &values(4)).unwrap();
+    let persistence = wm_metrics::images::mean_squared_error(&values(2), &values(4)).unwrap();
     let error = &errors[0];
     assert_eq!(
         (error.header.stamp, error.observed_stamp, error.step),
@@ -257,7 +257,7 @@ fn a_chunk_after_the_latent_of_its_image_makes_the_rollout_due_again() {
     let errors = feed(&mut step, 4..=4).errors;
     assert_eq!(errors.len(), 1);
     let seen = decode_latent(&latent(4), &space()).unwrap();
-    let mse = wm_model::metrics::mean_squared_error(&informed[0].values, &seen).unwrap();
+    let mse = wm_metrics::images::mean_squared_error(&informed[0].values, &seen).unwrap();
     assert!((f64::from(errors[0].mse) - mse).abs() < 1e-6);
 
     let ahead = step.chunk(&chunk(6, 10), stamp(4)).unwrap();

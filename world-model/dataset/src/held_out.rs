@@ -1,0 +1,36 @@
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::{DataOptions, Dataset, DatasetError};
+
+/// What an evaluation measures on.
+#[derive(Clone, Debug, Args)]
+pub struct HeldOutArgs {
+    /// What to measure on: bags, folders of bags, or folders that `wm dataset` prepared, of which the episodes for
+    /// validation are taken.
+    #[arg(long, visible_alias = "bags", required = true, num_args = 1.., value_name = "PATH")]
+    pub data: Vec<PathBuf>,
+    /// How recordings become episodes.
+    #[command(flatten)]
+    pub options: DataOptions,
+    /// Folder for decoded frames and latents; a temporary one by default.
+    #[arg(long)]
+    pub cache: Option<PathBuf>,
+}
+
+impl HeldOutArgs {
+    /// Where decoded frames and latents are kept.
+    #[must_use]
+    pub fn cache(&self) -> PathBuf {
+        self.cache.clone().unwrap_or_else(std::env::temp_dir)
+    }
+
+    /// The data, with frames of `size` (height, width), all cameras side by side.
+    ///
+    /// # Errors
+    /// Names what cannot be used.
+    pub fn open(&self, size: (usize, usize)) -> Result<Dataset, DatasetError> {
+        Dataset::held_out(&self.data, size, &self.cache(), &self.options)
+    }
+}

@@ -1,0 +1,194 @@
+use std::{fs::File, os::unix::fs::FileExt as _, path::PathBuf};
+
+use image::{GrayImage, RgbImage, imageops::FilterType};
+use rayon::prelude::*;
+use wm_bag::BagReader;
+use wm_camera::camera_frame::CameraFrame;
+
+use super::Planned;
+use crate::{
+    DatasetError, Manifest, Size, cameras::MASK, cutting::Draft, progress::progress_bar,
+    recording::Broken, store::NewFolder,
+};
+
+/// Decodes the frames of all episodes into the folder's files; gives the pictures of each source that cannot be decoded.
+///
+/// Episodes are decoded at the same time, each on one thread and by one picture at a time: a picture goes to its place in
+/// the file as it comes, so that memory does not grow with the length of an episode.
+pub(super) fn write(
+    bags: &[Planned],
+    readers: &[Option<BagReader>],
+    manifest: &Manifest,
+    folder: &NewFolder,
+) -> Result<Vec<Broken>, DatasetError> {
+    let total: usize = manifest.episodes.iter().map(|episode| episode.frames).sum();
+    let progress = progress_bar("decoding", "frames", total);
+    let files = Files {
+        frames: folder.create_file("frames")?,
+        masks: match manifest.has_masks {
+            true => Some(folder.create_file("masks")?),
+            false => None,
+        },
+        view: manifest.size,
+        views: manifest.cameras.len(),
+    };
+    let mut jobs = Vec::new();
+    let mut first_frame = 0;
+    for bag in bags {
+        for draft in &bag.episodes {
+            jobs.push((bag, draft, first_frame));
+            first_frame += draft.actions.len();
+        }
+    }
+    let results = jobs.par_iter().map(|(bag, draft, first_frame)| {
+        let Some(reader) = readers.get(bag.source).and_then(Option::as_ref) else {
+            return Ok((bag.source, Broken::new()));
+        };
+        let broken = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
+        progress.inc(draft.actions.len() as u64);
+        Ok((bag.source, broken))
+    });
+    let mut all = vec![Broken::new(); readers.len()];
+    for (source, broken) in results.collect::<Result<Vec<_>, DatasetError>>()? {
+        if let Some(all) = all.get_mut(source) {
+            all.extend(broken);
+        }
+    }
+    progress.finish_and_clear();
+    Ok(all)
+}
+
+/// The files that pictures go to, with their paths.
+struct Files {
+    frames: (File, PathBuf),
+    masks: Option<(File, PathBuf)>,
+    view: Size,
+    views: usize,
+}
+
+/// The pictures of a stream that an episode still waits for.
+struct Awaited<'a> {
+    topic: &'a str,
+    /// Stamps of its frames, in order; a slow camera's picture may be in several.
+    stamps: &'a [i64],
+    is_there: Vec<bool>,
+}
+
+impl Awaited<'_> {
+    /// The frames of the episode that show a picture of this stamp, if it is not there yet.
+    fn frames(&self, stamp_ns: i64) -> std::ops::Range<usize> {
+        let first = self.stamps.partition_point(|other| *other < stamp_ns);
+        let end = self.stamps.partition_point(|other| *other <= stamp_ns);
+        match self.is_there.get(first) {
+            Some(false) => first..end,
+            _ => first..first,
+        }
+    }
+}
+
+impl Files {
+    fn write_episode(
+        &self,
+        reader: &BagReader,
+        topics: &[String],
+        draft: &Draft,
+        first_frame: usize,
+    ) -> Result<Broken, DatasetError> {
+        let mut awaited: Vec<Awaited<'_>> = topics
+            .iter()
+            .zip(&draft.stamps)
+            .map(|(topic, stamps)| Awaited {
+                topic,
+                stamps,
+                is_there: vec![false; stamps.len()],
+            })
+            .collect();
+        let mut broken = Broken::new();
+        let (from_ns, to_ns) = draft.logged_ns;
+        let messages = reader.messages().only_topics(topics).starting_at(from_ns);
+        // Messages that cannot be read were counted at the first reading.
+        for message in messages.flatten() {
+            if message.log_time_ns > to_ns {
+                break;
+            }
+            let of_topic = |awaited: &&mut Awaited<'_>| *awaited.topic == *message.topic;
+            let Some((view, awaited)) = (0..).zip(&mut awaited).find(|(_, a)| of_topic(a)) else {
+                continue;
+            };
+            let Ok(frame) = CameraFrame::of_bag(&message) else {
+                continue;
+            };
+            let stamp_ns = frame.header().stamp.to_nanos();
+            let frames = awaited.frames(stamp_ns);
+            if frames.is_empty() {
+                continue;
+            }
+            let Ok(shown) = self.decoded(&frame, awaited.topic == MASK) else {
+                broken.insert((awaited.topic.to_owned(), stamp_ns));
+                continue;
+            };
+            for frame in frames {
+                self.write(first_frame + frame, view, &shown)?;
+                if let Some(is_there) = awaited.is_there.get_mut(frame) {
+                    *is_there = true;
+                }
+            }
+        }
+        for stream in &awaited {
+            let missing = stream.stamps.iter().zip(&stream.is_there);
+            let missing = missing.filter(|(_, is_there)| !**is_there);
+            broken.extend(missing.map(|(stamp_ns, _)| (stream.topic.to_owned(), *stamp_ns)));
+        }
+        Ok(broken)
+    }
+
+    /// A picture at the size of a view.
+    fn decoded(&self, frame: &CameraFrame, is_mask: bool) -> Result<Shown, String> {
+        let Size { height, width } = self.view;
+        if let (true, CameraFrame::Compressed(mask)) = (is_mask, frame) {
+            let mask = image::load_from_memory(&mask.data).map_err(|error| error.to_string())?;
+            return Ok(Shown::Mask(shrink(&mask.into_luma8(), self.view)));
+        }
+        let picture = frame.decode().map_err(|error| error.to_string())?;
+        let resized = wm_model::image::resize(&picture, (height, width));
+        Ok(Shown::View(resized.map_err(|error| error.to_string())?))
+    }
+
+    /// Writes a picture to its place: a view to its columns of the frame.
+    fn write(&self, frame: usize, view: usize, shown: &Shown) -> Result<(), DatasetError> {
+        let Size { height, width } = self.view;
+        let to = |(file, path): &(File, PathBuf), bytes: &[u8], at: usize| {
+            let written = file.write_all_at(bytes, at as u64);
+            written.map_err(DatasetError::io(path))
+        };
+        let row_bytes = width * 3;
+        match (shown, &self.masks) {
+            (Shown::Mask(mask), Some(masks)) => to(masks, mask.as_raw(), frame * height * width),
+            (Shown::Mask(_), None) => Ok(()),
+            (Shown::View(picture), _) if self.views == 1 => {
+                to(&self.frames, picture.as_raw(), frame * height * row_bytes)
+            }
+            (Shown::View(picture), _) => {
+                let rows = picture.as_raw().chunks_exact(row_bytes).enumerate();
+                for (row, bytes) in rows {
+                    let row = frame * height + row;
+                    let at = (row * self.views + view) * row_bytes;
+                    to(&self.frames, bytes, at)?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+enum Shown {
+    View(RgbImage),
+    Mask(GrayImage),
+}
+
+/// Class numbers may not be blended: nearest neighbour.
+pub(crate) fn shrink(mask: &GrayImage, size: Size) -> GrayImage {
+    // A side is at most 4096.
+    let (width, height) = (size.width as u32, size.height as u32);
+    image::imageops::resize(mask, width, height, FilterType::Nearest)
+}

@@ -1,0 +1,213 @@
+use super::{
+    super::{Cut, DataOptions},
+    outcome::Outcome,
+};
+use crate::testing::{CAMERA, Recorder, START_NS};
+
+fn recorded(write: impl FnOnce(&mut Recorder), options: DataOptions) -> Outcome {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("run");
+    let mut recorder = Recorder::new(&bag);
+    write(&mut recorder);
+    recorder.finish();
+    Outcome::of(&bag, options).unwrap()
+}
+
+#[test]
+fn a_gap_of_the_camera_begins_an_episode() {
+    let write = |recorder: &mut Recorder| {
+        for frame in 0..20 {
+            // A frame is missing before the tenth, and stamps jitter by 30 ms.
+            let ms = frame * 200 + if frame >= 10 { 200 } else { 0 } + (frame % 2) * 30;
+            recorder.frame(CAMERA, ms, frame as u8);
+        }
+        for tick in 0..220 {
+            recorder.action(tick * 20, 0.001);
+        }
+    };
+    let outcome = recorded(write, DataOptions::default());
+    assert_eq!(outcome.lengths(), [10, 10]);
+    assert_eq!(outcome.reds(), (0..20).collect::<Vec<u8>>());
+    let names: Vec<_> = outcome.episodes().iter().map(|e| e.name.clone()).collect();
+    assert_eq!(names, ["run#1", "run#2"]);
+    // 0.001 m every 20 ms: over the jittery interval of 230 ms, and, at the end of the first episode, over a period.
+    let firsts = outcome.episodes()[0].actions.iter().map(|a| a[0]);
+    let firsts: Vec<f32> = firsts.collect();
+    assert!((firsts[0] - 0.0115).abs() < 1e-6, "{firsts:?}");
+    assert!((firsts[9] - 0.01).abs() < 1e-6, "{firsts:?}");
+    assert_eq!(
+        outcome.manifest.episodes[1].begin_ns,
+        START_NS + 2_200_000_000
+    );
+
+    let options = DataOptions {
+        gap_periods: Some(2.5),
+        ..DataOptions::default()
+    };
+    assert_eq!(recorded(write, options).lengths(), [20]);
+}
+
+#[test]
+fn a_message_begins_an_episode() {
+    let write = |recorder: &mut Recorder| {
+        recorder.run(0..6);
+        recorder.text("/episode", 1_100, "whatever");
+        recorder.text("/episode", 1_110, "twice is once");
+        recorder.run(6..10);
+    };
+    let options = DataOptions {
+        cut_topic: vec!["/episode".into()],
+        ..DataOptions::default()
+    };
+    let outcome = recorded(write, options.clone());
+    assert_eq!(outcome.lengths(), [6, 4]);
+    assert_eq!(recorded(write, DataOptions::default()).lengths(), [10]);
+
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("run");
+    let mut recorder = Recorder::new(&bag);
+    recorder.run(0..4);
+    recorder.finish();
+    let error = Outcome::of(&bag, options).err().unwrap().to_string();
+    assert!(
+        error.contains("--cut-topic: no bag has /episode"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_new_instruction_begins_an_episode_and_the_same_again_does_not() {
+    let write = |recorder: &mut Recorder| {
+        recorder.run(0..1);
+        // It comes after the first frame, as discovery takes time.
+        recorder.text("/task/instruction", 10, "open the drawer");
+        recorder.run(1..5);
+        recorder.text("/task/instruction", 900, "open the drawer");
+        recorder.run(5..8);
+        recorder.text("/task/instruction", 1_500, "close the drawer");
+        recorder.run(8..12);
+    };
+    let options = DataOptions {
+        cut: vec![Cut::Instruction],
+        ..DataOptions::default()
+    };
+    let outcome = recorded(write, options);
+    assert_eq!(outcome.lengths(), [8, 4]);
+    let told: Vec<_> = outcome
+        .episodes()
+        .iter()
+        .map(|e| e.instruction.clone().unwrap())
+        .collect();
+    assert_eq!(told, ["open the drawer", "close the drawer"]);
+    let whole = recorded(write, DataOptions::default());
+    assert_eq!(whole.lengths(), [12]);
+}
+
+#[test]
+fn success_is_of_the_episode_that_it_ends() {
+    let write = |recorder: &mut Recorder| {
+        recorder.run(0..5);
+        recorder.success(800, true);
+        recorder.run(5..9);
+        recorder.success(1_600, false);
+        recorder.run(9..12);
+    };
+    let options = DataOptions {
+        cut_topic: vec!["/task/success".into()],
+        ..DataOptions::default()
+    };
+    let outcome = recorded(write, options);
+    assert_eq!(outcome.lengths(), [5, 4, 3]);
+    let successes: Vec<_> = outcome.episodes().iter().map(|e| e.success).collect();
+    assert_eq!(successes, [Some(true), Some(false), None]);
+    let statistics = outcome.data.training.statistics().unwrap();
+    let success = statistics.success;
+    assert_eq!(
+        (success.succeeded, success.failed, success.unknown),
+        (1, 1, 1)
+    );
+}
+
+/// Seconds count from the first frame, at any rate of the camera, and what is too short is named.
+#[test]
+fn seconds_cut_and_what_is_too_short_is_named() {
+    for hertz in [5, 30] {
+        let write = |recorder: &mut Recorder| {
+            for tick in 0..11 * hertz / 5 {
+                recorder.frame(CAMERA, tick * 1000 / hertz, 1);
+                recorder.action(tick * 1000 / hertz, 0.05 / hertz as f32);
+            }
+        };
+        let options = DataOptions {
+            cut_seconds: Some(1.0),
+            min_seconds: Some(0.8),
+            ..DataOptions::default()
+        };
+        let outcome = recorded(write, options);
+        assert_eq!(outcome.lengths(), [5, 5], "{hertz} Hz");
+        for action in outcome.episodes().iter().flat_map(|e| &e.actions) {
+            // Stamps are whole milliseconds.
+            assert!((action[0] - 0.01).abs() < 1e-4, "{hertz} Hz: {action:?}");
+        }
+        let left = outcome.left_out();
+        assert!(
+            left.contains("an episode of 0.20 s; at least 0.8 s are asked for"),
+            "{hertz} Hz: {left}"
+        );
+    }
+}
+
+#[test]
+fn frames_without_actions_are_in_no_episode_and_counted() {
+    let write = |recorder: &mut Recorder| {
+        for frame in 0..20 {
+            recorder.frame(CAMERA, frame * 200, frame as u8);
+            // The robot starts later and ends earlier than the camera.
+            if (5..15).contains(&frame) {
+                recorder.action(frame * 200, 0.01);
+            }
+        }
+    };
+    let outcome = recorded(write, DataOptions::default());
+    // The last action lasts until the fifteenth frame, which is the end.
+    assert_eq!(outcome.reds(), (5..=15).collect::<Vec<u8>>());
+    let left = outcome.left_out();
+    assert!(
+        left.contains("9 frames from") && left.contains("no message on /wm/action"),
+        "{left}"
+    );
+}
+
+/// One message that no robot makes costs the frames around it and no more.
+#[test]
+fn an_implausible_action_is_cut_out_and_named() {
+    let write = |recorder: &mut Recorder| {
+        for frame in 0..20 {
+            recorder.frame(CAMERA, frame * 200, frame as u8);
+            recorder.action(frame * 200, if frame == 10 { f32::NAN } else { 0.01 });
+        }
+    };
+    let outcome = recorded(write, DataOptions::default());
+    let reds = outcome.reds();
+    assert!(reds.len() >= 16 && !reds.contains(&10), "{reds:?}");
+    assert_eq!(outcome.lengths().len(), 2);
+    let left = outcome.left_out();
+    assert!(left.contains("1 action: no robot makes them"), "{left}");
+}
+
+#[test]
+fn frames_that_go_back_in_time_are_left_out() {
+    let write = |recorder: &mut Recorder| {
+        recorder.run(0..5);
+        recorder.frame(CAMERA, 800, 99);
+        recorder.picture_late(CAMERA, 100, 810, Vec::new());
+        recorder.run(5..8);
+    };
+    let outcome = recorded(write, DataOptions::default());
+    assert_eq!(outcome.reds(), (0..8).collect::<Vec<u8>>());
+    let left = outcome.left_out();
+    assert!(
+        left.contains("2 pictures: the stamps on /camera") && left.contains("not later"),
+        "{left}"
+    );
+}

@@ -1,0 +1,53 @@
+use anyhow::Result;
+use candle_core::Tensor;
+use serde::{Deserialize, Serialize};
+
+use crate::{ActionChange, Subject, Windows, squared};
+
+/// What predictions of one window do under right and wrong actions. Squared latent errors, and squared changes from one
+/// frame to the next, step by step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Response {
+    /// Error of the last observed latent, repeated.
+    pub persistence: Vec<f64>,
+    /// Error of the predictions under the true actions.
+    pub told: Vec<f64>,
+    /// Under wrong actions; of a change that does not apply to these actions there is none.
+    pub wrong: Vec<(ActionChange, Vec<f64>)>,
+    /// Squared change of what came.
+    pub motion: Vec<f64>,
+    /// Squared change of the predictions under the true actions.
+    pub predicted_motion: Vec<f64>,
+}
+
+pub(super) fn measure(subject: &Subject, windows: &Windows, unit: usize) -> Result<Response> {
+    let last = windows.last_observed(unit)?;
+    let coming = windows.coming(unit)?;
+    let truths: Vec<Tensor> = (0..coming.dim(0)?)
+        .map(|k| coming.narrow(0, k, 1))
+        .collect::<candle_core::Result<_>>()?;
+    let errors = |predicted: &[Tensor]| -> Result<Vec<f64>> {
+        let pairs = predicted.iter().zip(&truths);
+        pairs.map(|(a, b)| squared(a, b)).collect()
+    };
+    let motion = |frames: &[Tensor]| -> Result<Vec<f64>> {
+        let before = std::iter::once(&last).chain(frames);
+        before.zip(frames).map(|(a, b)| squared(a, b)).collect()
+    };
+    let predict =
+        |change| windows.predict(unit, &subject.world.transition, subject.sampler(), change);
+    let predicted = predict(ActionChange::None)?;
+    let space = subject.world.encoding.space();
+    let wrong = ActionChange::WRONG
+        .into_iter()
+        .filter(|change| change.applies_to(space));
+    let wrong = wrong.map(|change| Ok((change, errors(&predict(change)?)?)));
+    let held = vec![last.clone(); truths.len()];
+    Ok(Response {
+        persistence: errors(&held)?,
+        told: errors(&predicted)?,
+        wrong: wrong.collect::<Result<_>>()?,
+        motion: motion(&truths)?,
+        predicted_motion: motion(&predicted)?,
+    })
+}

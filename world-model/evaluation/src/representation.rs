@@ -1,0 +1,77 @@
+//! Whether latents, real and predicted, tell actions and success (the paper, appendix C.3): Pearson's r of an inverse
+//! dynamics model, and the accuracy of a success probe.
+
+mod recovery;
+mod success;
+mod summary;
+
+use anyhow::Result;
+use serde::{Deserialize, Serialize};
+
+pub use recovery::{Told, ToldActions};
+pub use success::Judged;
+pub use summary::summarise;
+
+use crate::{Settings, Subject};
+
+/// What was found in one unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Representation {
+    /// The actions of a window.
+    Told(ToldActions),
+    /// The success of an episode.
+    Judged(Judged),
+}
+
+/// The units of both parts.
+pub struct Representations<'a> {
+    subject: &'a Subject,
+    settings: &'a Settings,
+    told: Option<crate::Windows>,
+    judged: Vec<usize>,
+}
+
+impl<'a> Representations<'a> {
+    /// Cuts the windows and chooses the episodes.
+    ///
+    /// # Errors
+    /// If no episode is long enough.
+    pub fn new(subject: &'a Subject, settings: &'a Settings) -> Result<Self> {
+        Ok(Self {
+            subject,
+            settings,
+            told: recovery::windows(subject, settings)?,
+            judged: success::units(subject, settings),
+        })
+    }
+
+    /// The names of the units: first the windows.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let windows = (0..self.windows()).map(|unit| format!("window {unit}"));
+        let episodes = self.subject.dataset.episodes();
+        let judged = self
+            .judged
+            .iter()
+            .filter_map(|episode| episodes.get(*episode));
+        windows.chain(judged.map(|e| e.name.clone())).collect()
+    }
+
+    fn windows(&self) -> usize {
+        self.told.as_ref().map_or(0, crate::Windows::len)
+    }
+
+    /// Measures one.
+    ///
+    /// # Errors
+    /// If model and data do not fit.
+    pub fn measure(&self, unit: usize) -> Result<Representation> {
+        let seed = self.settings.seed.wrapping_add(unit as u64);
+        if let (Some(windows), true) = (&self.told, unit < self.windows()) {
+            return recovery::measure(self.subject, windows, unit).map(Representation::Told);
+        }
+        let episode = self.judged.get(unit - self.windows());
+        let episode = anyhow::Context::context(episode, "no such unit")?;
+        success::measure(self.subject, *episode, seed).map(Representation::Judged)
+    }
+}

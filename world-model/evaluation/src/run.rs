@@ -1,0 +1,223 @@
+//! Measures the units of some suites in parallel, and makes findings of them.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use rayon::prelude::*;
+use wm_dataset::progress_bar;
+use wm_findings::{Header, ModelFindings, Section, Suite};
+
+use crate::{
+    Settings, Shard, Subject,
+    control::{self, Control},
+    cost, fidelity,
+    records::{Heading, Measured, Record, Records},
+    representation::{self, Representations},
+    robustness,
+};
+
+/// The suites of an evaluation with their units.
+struct Plan<'a> {
+    subject: &'a Subject,
+    settings: &'a Settings,
+    suites: Vec<Planned<'a>>,
+}
+
+enum Planned<'a> {
+    Fidelity(Vec<usize>),
+    Control(Control<'a>),
+    Latents(Representations<'a>),
+    Robustness(Vec<(usize, usize)>),
+    Cost,
+}
+
+impl<'a> Planned<'a> {
+    /// `None` where the model has not what the suite needs.
+    fn new(suite: Suite, subject: &'a Subject, settings: &'a Settings) -> Result<Option<Self>> {
+        Ok(match suite {
+            Suite::Fidelity if subject.decoder.is_none() => None,
+            Suite::Fidelity => {
+                let units = fidelity::units(subject, &settings.fidelity);
+                Some(Self::Fidelity(units))
+            }
+            Suite::Control => Some(Self::Control(Control::new(subject, settings)?)),
+            Suite::Latents => Some(Self::Latents(Representations::new(subject, settings)?)),
+            Suite::Robustness => Some(Self::Robustness(robustness::units(subject, settings))),
+            Suite::Cost => Some(Self::Cost),
+            _ => None,
+        })
+    }
+
+    fn suite(&self) -> Suite {
+        match self {
+            Self::Fidelity(_) => Suite::Fidelity,
+            Self::Control(_) => Suite::Control,
+            Self::Latents(_) => Suite::Latents,
+            Self::Robustness(_) => Suite::Robustness,
+            Self::Cost => Suite::Cost,
+        }
+    }
+
+    /// Names of the units.
+    fn names(&self, subject: &Subject) -> Vec<String> {
+        let episodes = subject.dataset.episodes();
+        let episode = |index: &usize| episodes.get(*index).map_or("", |e| &e.name).to_owned();
+        match self {
+            Self::Fidelity(units) => units.iter().map(episode).collect(),
+            Self::Control(control) => control.names(),
+            Self::Latents(representations) => representations.names(),
+            Self::Robustness(units) => {
+                let units = units.iter();
+                units
+                    .map(|(index, start)| format!("{} from frame {start}", episode(index)))
+                    .collect()
+            }
+            Self::Cost => vec!["model".into()],
+        }
+    }
+
+    fn measure(&self, subject: &Subject, settings: &Settings, unit: usize) -> Result<Measured> {
+        let seed = settings.seed.wrapping_add(unit as u64);
+        let none = || anyhow::anyhow!("no unit {unit}");
+        Ok(match self {
+            Self::Fidelity(units) => {
+                let own = &settings.fidelity;
+                let episode = *units.get(unit).ok_or_else(none)?;
+                let shown = unit < own.strips;
+                let found = fidelity::measure(subject, own, seed, episode, shown)?;
+                Measured::Fidelity(found)
+            }
+            Self::Control(control) => Measured::Control(control.measure(unit)?),
+            Self::Latents(representations) => Measured::Latents(representations.measure(unit)?),
+            Self::Robustness(units) => {
+                let window = *units.get(unit).ok_or_else(none)?;
+                let found = robustness::measure(subject, settings, seed, window)?;
+                Measured::Robustness(found)
+            }
+            Self::Cost => Measured::Cost(cost::measure(subject)?),
+        })
+    }
+}
+
+/// Measures the units of this shard that are not in the records yet; gives the path of the records.
+///
+/// # Errors
+/// If a suite cannot be measured, or records cannot be read or written.
+pub fn measure(
+    subject: &Subject,
+    data: &[PathBuf],
+    suites: &[Suite],
+    settings: &Settings,
+    (folder, shard): (&Path, Shard),
+) -> Result<PathBuf> {
+    let planned = suites
+        .iter()
+        .map(|suite| Planned::new(*suite, subject, settings));
+    let planned: Vec<Option<Planned<'_>>> = planned.collect::<Result<_>>()?;
+    let plan = Plan {
+        subject,
+        settings,
+        suites: planned.into_iter().flatten().collect(),
+    };
+    let heading = plan.heading(data)?;
+    let hash: String = heading.header.hash.chars().take(12).collect();
+    let name = Path::new(&heading.header.model).file_name();
+    let name = name.map_or("model".into(), |name| name.to_string_lossy().into_owned());
+    let path = folder.join(format!("{name}-{hash}.{shard}.jsonl"));
+    let records = Records::open(&path, &heading)?;
+    plan.run(&records, shard)?;
+    Ok(path)
+}
+
+impl Plan<'_> {
+    fn heading(&self, data: &[PathBuf]) -> Result<Heading> {
+        let Subject { world, dataset, .. } = self.subject;
+        let suites = self.suites.iter();
+        let units = suites.map(|planned| (planned.suite(), planned.names(self.subject).len()));
+        Ok(Heading {
+            units: units.collect(),
+            header: Header {
+                model: world.name.clone(),
+                hash: world.hash.clone(),
+                space: world.space.name.clone(),
+                data: data.iter().map(|path| path.display().to_string()).collect(),
+                data_digest: dataset.digest().to_owned(),
+                episodes: dataset.episodes().len(),
+                seed: self.settings.seed,
+                settings: serde_json::to_value(self.settings)?,
+                sampler: serde_json::to_value(self.subject.sampler())?,
+                version: env!("CARGO_PKG_VERSION").into(),
+            },
+        })
+    }
+
+    fn run(&self, records: &Records, shard: Shard) -> Result<()> {
+        let mut pending = Vec::new();
+        let mut timed = Vec::new();
+        let mut number = 0;
+        for planned in &self.suites {
+            for (unit, name) in planned.names(self.subject).into_iter().enumerate() {
+                // Over all suites, so that few units of each are shared evenly too.
+                if shard.has(number) && !records.has(planned.suite(), unit) {
+                    match planned {
+                        Planned::Cost => timed.push((planned, unit, name)),
+                        _ => pending.push((planned, unit, name)),
+                    }
+                }
+                number += 1;
+            }
+        }
+        let progress = progress_bar("measuring", "units", pending.len() + timed.len());
+        let one = |(planned, unit, name): &(&Planned<'_>, usize, String)| -> Result<()> {
+            let found = planned.measure(self.subject, self.settings, *unit)?;
+            records.keep(&Record {
+                suite: planned.suite(),
+                unit: *unit,
+                name: name.clone(),
+                found,
+            })?;
+            progress.inc(1);
+            Ok(())
+        };
+        // One by one in their order: their lengths differ by far, and chunks would leave threads idle.
+        pending.par_iter().with_max_len(1).try_for_each(one)?;
+        // Alone, since they are about time.
+        timed.iter().try_for_each(one)?;
+        progress.finish_and_clear();
+        Ok(())
+    }
+}
+
+/// The findings of merged records, in their order.
+///
+/// # Errors
+/// If the settings in the heading are not those of this program.
+pub fn findings(heading: Heading, records: Vec<Record>) -> Result<ModelFindings> {
+    let settings: Settings = serde_json::from_value(heading.header.settings.clone())?;
+    let mut fidelities = Vec::new();
+    let mut controls = Vec::new();
+    let mut latents = Vec::new();
+    let mut robustnesses = Vec::new();
+    let mut costs = Vec::new();
+    for Record { name, found, .. } in records {
+        match found {
+            Measured::Fidelity(found) => fidelities.push((name, found)),
+            Measured::Control(found) => controls.push((name, found)),
+            Measured::Latents(found) => latents.push((name, found)),
+            Measured::Robustness(found) => robustnesses.push((name, found)),
+            Measured::Cost(found) => costs.push((name, found)),
+        }
+    }
+    let sections = heading.units.keys().map(|suite| match suite {
+        Suite::Fidelity => fidelity::summarise(&fidelities, &settings),
+        Suite::Control => control::summarise(&controls, &settings),
+        Suite::Latents => representation::summarise(&latents, &settings),
+        Suite::Robustness => robustness::summarise(&robustnesses, &settings),
+        Suite::Cost => cost::summarise(&costs),
+        suite => Section::new(*suite),
+    });
+    Ok(ModelFindings {
+        sections: sections.collect(),
+        header: heading.header,
+    })
+}

@@ -1,0 +1,182 @@
+//! A model and the data that it is measured on.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result, ensure};
+use candle_core::{Device, Tensor};
+use image::RgbImage;
+use wm_dataset::{Clip, ClipSource, Dataset, HeldOutArgs, Latents};
+use wm_model::{
+    Decoder, Encoder, WorldModel,
+    image::to_rgb,
+    sampler::{Given, Rollout, Sampler},
+};
+use wm_zoo::{ModelFolder, idm::TrainedIdm, success_probe::SuccessClassifier};
+
+use crate::CONTEXT;
+
+/// A model with all that it has, and held-out episodes in its latents.
+pub struct Subject {
+    /// Frames to latents.
+    pub encoder: Box<dyn Encoder>,
+    /// Latents to frames, where the model has one.
+    pub decoder: Option<Box<dyn Decoder>>,
+    /// The transition model.
+    pub world: WorldModel,
+    /// The inverse dynamics models, that of the model's folder first.
+    pub idms: Vec<TrainedIdm>,
+    /// The success probe, where the model has one.
+    pub probe: Option<SuccessClassifier>,
+    /// The frames.
+    pub dataset: Dataset,
+    /// Their latents.
+    pub latents: Latents,
+}
+
+impl Subject {
+    /// Opens the model `name` (`tiny`, or a folder) and the data.
+    ///
+    /// # Errors
+    /// Names what cannot be used: a model without a transition model, data of other actions, a broken file.
+    pub fn open(name: &str, on: &HeldOutArgs, more_idms: &[impl AsRef<Path>]) -> Result<Self> {
+        let folder = ModelFolder::open(name)?;
+        ensure!(
+            folder.has_transition(),
+            "{name} encodes and decodes only: it has no transition model to evaluate"
+        );
+        let encoder = folder.encoder()?;
+        let world = folder.world_model()?;
+        let dataset = on.open(encoder.input_size())?;
+        (world.encoding.space()).expect_same(dataset.action_space(), "the model", "the bags")?;
+        let latents = Latents::open(&dataset, &*encoder, &on.cache())?;
+        let mut idms: Vec<TrainedIdm> = folder.idm()?.into_iter().collect();
+        for path in more_idms {
+            let idm = TrainedIdm::open(path)?;
+            (idm.space().require(latents.space()))
+                .with_context(|| path.as_ref().display().to_string())?;
+            idms.push(idm);
+        }
+        Ok(Self {
+            decoder: folder.decoder()?,
+            probe: folder.probe()?,
+            encoder,
+            world,
+            idms,
+            dataset,
+            latents,
+        })
+    }
+
+    /// Frames `index`, `index + skip`, ... of an episode that a rollout of at most `steps` predicted steps compares: the
+    /// observed ones first; none where the episode is too short to predict any.
+    #[must_use]
+    pub fn frames_of(&self, episode: usize, steps: usize) -> Vec<usize> {
+        let Some(episode) = self.dataset.episodes().get(episode) else {
+            return Vec::new();
+        };
+        let indices = (0..episode.frame_count).step_by(self.world.encoding.frame_skip());
+        let indices: Vec<usize> = indices.take(CONTEXT + steps).collect();
+        if indices.len() <= CONTEXT {
+            return Vec::new();
+        }
+        let first = episode.first_frame;
+        indices.into_iter().map(|index| first + index).collect()
+    }
+
+    /// An episode from its beginning, `count` frames one model step apart.
+    ///
+    /// # Errors
+    /// If it is shorter.
+    pub fn recording(&self, episode: usize, count: usize) -> Result<Recording> {
+        let source = ClipSource::new(&self.latents, &self.world.encoding, count)?;
+        let (frames, actions) = source.tensors(&[Clip::new(episode, 0)])?;
+        Ok(Recording {
+            frames: frames.squeeze(0)?,
+            actions: actions.squeeze(0)?,
+        })
+    }
+
+    /// A frame of the data.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn frame(&self, index: usize) -> Result<RgbImage> {
+        let (height, width) = self.dataset.size();
+        let frame = self.dataset.frame(index);
+        let frame = frame.with_context(|| format!("no frame {index}"))?;
+        RgbImage::from_raw(width as u32, height as u32, frame.to_vec())
+            .context("a frame of another size")
+    }
+
+    /// Decodes latents (N, h, w, C).
+    ///
+    /// # Errors
+    /// If there is no decoder, or they do not fit it.
+    pub fn decode(&self, latents: &Tensor) -> Result<Vec<RgbImage>> {
+        let decoder = self
+            .decoder
+            .as_deref()
+            .context("the model has no decoder")?;
+        let count = latents.dim(0)?;
+        // One at a time bounds the memory of a large decoder.
+        let pictures = (0..count).map(|at| {
+            let picture = decoder.decode(&latents.narrow(0, at, 1)?.contiguous()?)?;
+            Ok(to_rgb(&picture.squeeze(0)?)?)
+        });
+        pictures.collect()
+    }
+
+    /// Encodes pictures to latents (N, h, w, C).
+    ///
+    /// # Errors
+    /// If they do not fit the encoder.
+    pub fn encode(&self, pictures: &[RgbImage]) -> Result<Tensor> {
+        let (height, width) = self.dataset.size();
+        let latents = pictures.iter().map(|picture| {
+            let values: Vec<f32> = picture
+                .as_raw()
+                .iter()
+                .map(|v| f32::from(*v) / 255.0)
+                .collect();
+            let tensor = Tensor::from_vec(values, (1, height, width, 3), &Device::Cpu)?;
+            Ok(self.encoder.encode(&tensor)?)
+        });
+        Ok(Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?)
+    }
+
+    /// The sampler that the model was made for.
+    #[must_use]
+    pub fn sampler(&self) -> &Sampler {
+        &self.world.transition.config().sampler
+    }
+
+    /// Predicts what follows the first [`CONTEXT`] frames of a recording under its actions, to its end: (K, h, w, C).
+    ///
+    /// # Errors
+    /// If the recording does not fit the model.
+    pub fn rollout(&self, recording: &Recording, seed: u64) -> Result<Tensor> {
+        let Recording { frames, actions } = recording;
+        let context = frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
+        let past = actions.narrow(0, 0, CONTEXT - 1)?;
+        let model = &self.world.transition;
+        let mut rollout = Rollout::new(model, self.sampler(), &context, Some(&past), seed)?;
+        let predicted = (CONTEXT..frames.dim(0)?).map(|at| {
+            let own = actions.narrow(0, at, 1)?;
+            let given = Given {
+                own_action: Some(&own),
+                ..Given::default()
+            };
+            Ok(rollout.next_given(&actions.narrow(0, at - 1, 1)?, given)?)
+        });
+        Ok(Tensor::cat(&predicted.collect::<Result<Vec<_>>>()?, 0)?)
+    }
+}
+
+/// Latents and actions, one model step apart.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// (N, h, w, C).
+    pub frames: Tensor,
+    /// (N, A): what the robot does from each frame on.
+    pub actions: Tensor,
+}

@@ -1,0 +1,298 @@
+use std::fmt;
+
+use anyhow::{Context as _, Result};
+use candle_core::{Device, Tensor};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use wm_dataset::{ClipSource, Latents};
+use wm_model::{
+    sampler::{Given, Rollout, Sampler},
+    transition::PackedTransition,
+};
+use wm_motion::actions::{ActionEncoding, ActionSpace};
+
+/// Observed frames that a prediction starts from.
+pub const CONTEXT: usize = 2;
+/// Seed of the noise of all evaluated predictions.
+pub const SEED: u64 = 0;
+
+/// The actions that the predictions get in place of the true ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ActionChange {
+    /// The true actions.
+    None,
+    /// Changes of position, orientation and joints of the opposite sign; grippers and other states stay.
+    Negated,
+    /// All zero.
+    Zero,
+    /// Those of another window.
+    Shuffled,
+}
+
+impl ActionChange {
+    /// The wrong ones.
+    pub const WRONG: [Self; 3] = [Self::Negated, Self::Zero, Self::Shuffled];
+
+    /// Its name in that of a metric.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "true",
+            Self::Negated => "negated",
+            Self::Zero => "zero",
+            Self::Shuffled => "shuffled",
+        }
+    }
+
+    /// Whether it changes such actions: states have no opposite.
+    #[must_use]
+    pub fn applies_to(self, space: &ActionSpace) -> bool {
+        let mut dimensions = space.dimensions().iter();
+        self != Self::Negated || dimensions.any(|dimension| dimension.kind.is_delta())
+    }
+}
+
+impl fmt::Display for ActionChange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::None => "true",
+            Self::Negated => "negated",
+            Self::Zero => "zero",
+            Self::Shuffled => "another's",
+        })
+    }
+}
+
+/// One window: observed frames and those to be predicted.
+pub(crate) struct Window {
+    /// Index of the first frame in the dataset.
+    pub first_frame: usize,
+    /// (CONTEXT + K, h, w, C).
+    pub frames: Tensor,
+    /// (CONTEXT + K, A): those of the frames; the last one leads out of the window.
+    pub actions: Tensor,
+}
+
+/// Windows of episodes on which predictions are compared with what came, and with persistence: that nothing changes
+/// from the last observed frame on.
+pub struct Windows {
+    pub(crate) all: Vec<Window>,
+    horizon: usize,
+    /// Camera frames a model step.
+    frame_skip: usize,
+    /// By what negated actions are multiplied, value by value.
+    signs: Vec<f32>,
+}
+
+impl Windows {
+    /// At most `most` windows, spread evenly over the episodes, of `horizon` predicted model steps each.
+    ///
+    /// # Errors
+    /// When no episode is long enough.
+    pub fn new(
+        latents: &Latents,
+        encoding: &ActionEncoding,
+        horizon: usize,
+        most: usize,
+    ) -> Result<Self> {
+        let source = ClipSource::new(latents, encoding, CONTEXT + horizon)?;
+        let clips = source.all();
+        let stride = clips.len().div_ceil(most.max(1)).max(1);
+        let cases = clips.into_iter().step_by(stride).map(|clip| {
+            let (frames, actions) = source.tensors(&[clip])?;
+            Ok(Window {
+                first_frame: source.first_frame(clip),
+                frames: frames.squeeze(0)?,
+                actions: actions.squeeze(0)?,
+            })
+        });
+        Ok(Self {
+            all: cases.collect::<Result<_>>()?,
+            horizon,
+            frame_skip: encoding.frame_skip(),
+            signs: signs(encoding),
+        })
+    }
+
+    /// Number of windows.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.all.len()
+    }
+
+    /// Whether there are none; `new` does not make such.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// [`Windows::ratios_with`] the model's own sampler.
+    ///
+    /// # Errors
+    /// When the model does not fit the latents.
+    pub fn ratios(&self, model: &PackedTransition, change: ActionChange) -> Result<Vec<f64>> {
+        self.ratios_with(model, &model.config().sampler, change)
+    }
+
+    /// Squared latent error of the predictions over that of persistence, both summed over all windows, for each
+    /// predicted step.
+    ///
+    /// # Errors
+    /// When the model does not fit the latents.
+    pub fn ratios_with(
+        &self,
+        model: &PackedTransition,
+        sampler: &Sampler,
+        change: ActionChange,
+    ) -> Result<Vec<f64>> {
+        let errors = (0..self.all.len())
+            .into_par_iter()
+            .map(|index| self.errors(index, model, sampler, change))
+            .collect::<Result<Vec<_>>>()?;
+        let sums = (0..self.horizon).map(|k| {
+            let at = |errors: &[Vec<(f64, f64)>]| {
+                let of_step = errors.iter().filter_map(|case| case.get(k));
+                of_step.fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1))
+            };
+            at(&errors)
+        });
+        Ok(sums
+            .map(|(model, persistence)| model / persistence)
+            .collect())
+    }
+
+    /// Squared errors of prediction and persistence, step by step.
+    fn errors(
+        &self,
+        index: usize,
+        model: &PackedTransition,
+        sampler: &Sampler,
+        change: ActionChange,
+    ) -> Result<Vec<(f64, f64)>> {
+        let case = self.case(index)?;
+        let last = case.frames.narrow(0, CONTEXT - 1, 1)?;
+        let predicted = self.predict(index, model, sampler, change)?;
+        predicted
+            .iter()
+            .enumerate()
+            .map(|(k, predicted)| {
+                let truth = case.frames.narrow(0, CONTEXT + k, 1)?;
+                Ok((squared(predicted, &truth)?, squared(&last, &truth)?))
+            })
+            .collect()
+    }
+
+    /// The predicted latents (1, h, w, C) of a window, step by step.
+    ///
+    /// # Errors
+    /// When the model does not fit the latents, or there is no such window.
+    pub fn predict(
+        &self,
+        index: usize,
+        model: &PackedTransition,
+        sampler: &Sampler,
+        change: ActionChange,
+    ) -> Result<Vec<Tensor>> {
+        let case = self.case(index)?;
+        let context = case.frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
+        let past = case.actions.narrow(0, 0, CONTEXT - 1)?;
+        let told = self.changed(index, change)?;
+        let mut rollout = Rollout::new(model, sampler, &context, Some(&past), SEED)?;
+        (0..self.horizon)
+            .map(|k| {
+                let own = told.narrow(0, k + 1, 1)?;
+                let given = Given {
+                    own_action: Some(&own),
+                    ..Given::default()
+                };
+                Ok(rollout.next_given(&told.narrow(0, k, 1)?, given)?)
+            })
+            .collect()
+    }
+
+    /// Where a window's frames are in the dataset, the observed ones first.
+    ///
+    /// # Errors
+    /// When there is no such window.
+    pub fn frame_indices(&self, index: usize) -> Result<Vec<usize>> {
+        let first = self.case(index)?.first_frame;
+        Ok((0..CONTEXT + self.horizon)
+            .map(|i| first + i * self.frame_skip)
+            .collect())
+    }
+
+    /// The observed latents (1, CONTEXT, h, w, C) of a window, and the actions (CONTEXT - 1, A) between them.
+    ///
+    /// # Errors
+    /// When there is no such window.
+    pub fn context(&self, index: usize) -> Result<(Tensor, Tensor)> {
+        let window = self.case(index)?;
+        Ok((
+            window.frames.narrow(0, 0, CONTEXT)?.unsqueeze(0)?,
+            window.actions.narrow(0, 0, CONTEXT - 1)?,
+        ))
+    }
+
+    /// The last observed latent (1, h, w, C) of a window.
+    ///
+    /// # Errors
+    /// When there is no such window.
+    pub fn last_observed(&self, index: usize) -> Result<Tensor> {
+        Ok(self.case(index)?.frames.narrow(0, CONTEXT - 1, 1)?)
+    }
+
+    /// What came in a window, (K, h, w, C).
+    ///
+    /// # Errors
+    /// When there is no such window.
+    pub fn coming(&self, index: usize) -> Result<Tensor> {
+        Ok(self.case(index)?.frames.narrow(0, CONTEXT, self.horizon)?)
+    }
+
+    /// The true actions (K + 1, A) of a window, from the last observed frame on.
+    ///
+    /// # Errors
+    /// When there is no such window.
+    pub fn actions(&self, index: usize) -> Result<Tensor> {
+        let actions = &self.case(index)?.actions;
+        Ok(actions.narrow(0, CONTEXT - 1, self.horizon + 1)?)
+    }
+
+    fn case(&self, index: usize) -> Result<&Window> {
+        self.all.get(index).context("no such window")
+    }
+
+    /// The actions (K + 1, A) that the prediction of a window is told: the last frame carries one too.
+    fn changed(&self, index: usize, change: ActionChange) -> Result<Tensor> {
+        let own = self.actions(index)?;
+        Ok(match change {
+            ActionChange::None => own,
+            ActionChange::Zero => own.zeros_like()?,
+            // Half the windows away is another episode.
+            ActionChange::Shuffled => self.actions((index + self.len() / 2) % self.len())?,
+            ActionChange::Negated => {
+                let signs =
+                    Tensor::from_vec(self.signs.clone(), (1, self.signs.len()), &Device::Cpu)?;
+                own.broadcast_mul(&signs)?
+            }
+        })
+    }
+}
+
+/// -1 for changes; states, and values behind those of the action space, keep their sign.
+fn signs(encoding: &ActionEncoding) -> Vec<f32> {
+    let dimensions = encoding.space().dimensions().iter();
+    let signs = dimensions.map(|dimension| if dimension.kind.is_delta() { -1.0 } else { 1.0 });
+    let rest = std::iter::repeat(1.0);
+    signs.chain(rest).take(encoding.action_dim()).collect()
+}
+
+/// Sum of the squared differences.
+///
+/// # Errors
+/// When shapes differ.
+pub fn squared(a: &Tensor, b: &Tensor) -> Result<f64> {
+    let error = (a - b)?.sqr()?.sum_all()?.to_scalar::<f32>()?;
+    Ok(f64::from(error))
+}

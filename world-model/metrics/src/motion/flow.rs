@@ -1,0 +1,109 @@
+use crate::{
+    MetricError,
+    error::{finite, mean},
+};
+
+/// Share of a field's vectors, the longest, that stand for its motion (VBench).
+pub const TOP_SHARE: f64 = 0.05;
+
+/// Optical flow of a pair of frames: where each pixel of the first is in the second \[px\].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Flow {
+    width: u32,
+    u: Vec<f32>,
+    v: Vec<f32>,
+}
+
+impl Flow {
+    /// Of the flow to the right `u` and downwards `v` \[px\], row after row. Of a RAFT output (2, h, w) these are the two
+    /// planes.
+    ///
+    /// # Errors
+    /// [`MetricError::Length`] where a plane has not width x height values; [`MetricError::Empty`];
+    /// [`MetricError::NotFinite`].
+    pub fn new(width: u32, height: u32, u: Vec<f32>, v: Vec<f32>) -> Result<Self, MetricError> {
+        let pixels = width as usize * height as usize;
+        for plane in [&u, &v] {
+            crate::error::same_length(pixels, plane.len())?;
+            finite("flow", plane.iter().copied().map(f64::from))?;
+        }
+        Ok(Self { width, u, v })
+    }
+
+    /// Width and height \[px\].
+    #[must_use]
+    pub fn dimensions(&self) -> (u32, u32) {
+        // As many pixels as were given, so that the height fits what it was.
+        (self.width, (self.u.len() / self.width as usize) as u32)
+    }
+
+    /// The vectors (right, down), row after row \[px\].
+    pub fn vectors(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let pairs = self.u.iter().zip(&self.v);
+        pairs.map(|(u, v)| (f64::from(*u), f64::from(*v)))
+    }
+
+    /// Lengths of the vectors, row after row \[px\].
+    pub fn magnitudes(&self) -> impl Iterator<Item = f64> + '_ {
+        self.vectors().map(|(u, v)| u.hypot(v))
+    }
+
+    /// Mean length of the longest 5 % of the vectors, rounded down to a number of vectors and at least one \[px\]: what
+    /// VBench and WorldArena take for the motion of a pair.
+    #[must_use]
+    pub fn top_mean(&self) -> f64 {
+        top_mean(self.magnitudes().collect())
+    }
+
+    pub(super) fn at(&self, x: usize, y: usize) -> Option<(f64, f64)> {
+        let index = y * self.width as usize + x;
+        let (u, v) = (self.u.get(index)?, self.v.get(index)?);
+        Some((f64::from(*u), f64::from(*v)))
+    }
+}
+
+/// Mean of the largest [`TOP_SHARE`] of the values, of which there is at least one.
+pub(super) fn top_mean(mut magnitudes: Vec<f64>) -> f64 {
+    // Counts stay far below 2^52.
+    let count = ((magnitudes.len() as f64 * TOP_SHARE) as usize).max(1);
+    if count < magnitudes.len() {
+        magnitudes.select_nth_unstable_by(count, |a, b| b.total_cmp(a));
+        magnitudes.truncate(count);
+    }
+    // Sorted, so that the sum does not depend on how they were selected.
+    magnitudes.sort_unstable_by(f64::total_cmp);
+    mean(&magnitudes)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[test]
+    fn the_top_is_a_twentieth() {
+        // Lengths 0, 5, 10 .. 195 of 40 pixels: the mean of 190 and 195.
+        let of = |factor: f32| (0..40_u8).map(|i| factor * f32::from(i)).collect();
+        let flow = Flow::new(8, 5, of(3.0), of(-4.0)).unwrap();
+        assert!((flow.top_mean() - 192.5).abs() < 1e-9);
+        assert_eq!(flow.dimensions(), (8, 5));
+        let small = Flow::new(2, 1, vec![1.0, 2.0], vec![0.0; 2]).unwrap();
+        assert_eq!(small.top_mean(), 2.0);
+    }
+
+    #[test]
+    fn what_is_no_flow_is_named() {
+        let short = Flow::new(2, 2, vec![0.0; 4], vec![0.0; 3]);
+        assert!(matches!(
+            short,
+            Err(MetricError::Length {
+                first: 4,
+                second: 3
+            })
+        ));
+        assert_eq!(Flow::new(0, 2, vec![], vec![]), Err(MetricError::Empty));
+        let nan = Flow::new(1, 1, vec![0.0], vec![f32::NAN]);
+        assert!(matches!(nan, Err(MetricError::NotFinite { .. })));
+    }
+}

@@ -1,0 +1,240 @@
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::Interval;
+use crate::{
+    MetricError,
+    error::{finite, mean, same_length},
+};
+
+/// How a bootstrap draws.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bootstrap {
+    /// Number of resamples.
+    pub resamples: usize,
+    /// Seed of ChaCha8; each resample has a stream of its own, so that threads change nothing.
+    pub seed: u64,
+    /// Share of the resamples within the interval, between 0 and 1.
+    pub level: f64,
+}
+
+impl Default for Bootstrap {
+    /// 10 000 resamples, seed 0, 95 %.
+    fn default() -> Self {
+        Self {
+            resamples: 10_000,
+            seed: 0,
+            level: 0.95,
+        }
+    }
+}
+
+/// A figure and how sure it is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Of the samples themselves.
+    pub value: f64,
+    /// Percentile interval: quantiles of the resamples, linear between neighbours as NumPy's `percentile`.
+    pub interval: Interval,
+    /// Standard deviation over the resamples.
+    pub standard_error: f64,
+    /// Share of the resamples at or below 0: for a difference, the one-sided p that a bootstrap gives. Below one over the
+    /// number of resamples it reads 0.
+    pub not_above_zero: f64,
+}
+
+/// Percentile bootstrap of any statistic of `count` samples. `statistic` is given the numbers of the samples drawn, as
+/// many as there are and each below `count`; for the value itself, each once and in order.
+///
+/// # Errors
+/// [`MetricError::Empty`] of no sample; [`MetricError::Range`] of the settings; [`MetricError::NotFinite`] where the
+/// statistic of a resample is.
+pub fn bootstrap(
+    count: usize,
+    settings: &Bootstrap,
+    statistic: impl Fn(&[usize]) -> f64 + Sync,
+) -> Result<Estimate, MetricError> {
+    if count == 0 {
+        return Err(MetricError::Empty);
+    }
+    let own: Vec<usize> = (0..count).collect();
+    resample(settings, statistic(&own), |random| {
+        let drawn: Vec<usize> = (0..count).map(|_| random.random_range(0..count)).collect();
+        statistic(&drawn)
+    })
+}
+
+/// [`bootstrap`] of a mean. SciPy's `bootstrap(method="percentile")` draws other numbers from the same distribution.
+///
+/// # Errors
+/// As [`bootstrap`]; [`MetricError::NotFinite`] of the values.
+pub fn bootstrap_mean(values: &[f64], settings: &Bootstrap) -> Result<Estimate, MetricError> {
+    finite("values", values.iter().copied())?;
+    bootstrap(values.len(), settings, |drawn| {
+        let drawn = drawn.iter().filter_map(|index| values.get(*index));
+        // Counts stay far below 2^52.
+        drawn.sum::<f64>() / values.len() as f64
+    })
+}
+
+/// [`bootstrap`] of the mean of `first` minus that of `second`, where a sample, for example a task, is on both sides:
+/// what is drawn is drawn for both. The paper's "paired bootstrap over tasks".
+///
+/// # Errors
+/// As [`bootstrap_mean`]; [`MetricError::Length`].
+pub fn bootstrap_paired_difference(
+    first: &[f64],
+    second: &[f64],
+    settings: &Bootstrap,
+) -> Result<Estimate, MetricError> {
+    same_length(first.len(), second.len())?;
+    let differences: Vec<f64> = first.iter().zip(second).map(|(a, b)| a - b).collect();
+    bootstrap_mean(&differences, settings)
+}
+
+/// Draws all resamples, in their order.
+pub(super) fn resample(
+    settings: &Bootstrap,
+    value: f64,
+    draw: impl Fn(&mut ChaCha8Rng) -> f64 + Sync,
+) -> Result<Estimate, MetricError> {
+    let range = |what, expected, actual| MetricError::Range {
+        what,
+        expected,
+        actual,
+    };
+    if settings.resamples < 2 {
+        let actual = settings.resamples.to_string();
+        return Err(range("the number of resamples", "at least 2", actual));
+    }
+    if !(settings.level > 0.0 && settings.level < 1.0) {
+        let actual = settings.level.to_string();
+        return Err(range("the level", "between 0 and 1", actual));
+    }
+    let mut drawn: Vec<f64> = (0..settings.resamples as u64)
+        .into_par_iter()
+        .map(|stream| {
+            let mut random = ChaCha8Rng::seed_from_u64(settings.seed);
+            random.set_stream(stream);
+            draw(&mut random)
+        })
+        .collect();
+    finite(
+        "statistics of resamples",
+        drawn.iter().copied().chain([value]),
+    )?;
+    let middle = mean(&drawn);
+    let squares: f64 = drawn.iter().map(|value| (value - middle).powi(2)).sum();
+    finite("squares of the statistics", [squares])?;
+    let not_above_zero = drawn.iter().filter(|value| **value <= 0.0).count();
+    drawn.sort_unstable_by(f64::total_cmp);
+    let tail = (1.0 - settings.level) / 2.0;
+    // Counts stay far below 2^52.
+    let count = settings.resamples as f64;
+    Ok(Estimate {
+        value,
+        interval: Interval {
+            low: quantile(&drawn, tail),
+            high: quantile(&drawn, 1.0 - tail),
+        },
+        standard_error: (squares / (count - 1.0)).sqrt(),
+        not_above_zero: not_above_zero as f64 / count,
+    })
+}
+
+/// Of sorted values, linear between neighbours.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let place = share * (sorted.len() as f64 - 1.0);
+    // A whole number from 0 to below the length.
+    let below = place.floor() as usize;
+    let at = |index: usize| sorted.get(index).or(sorted.last()).copied().unwrap_or(0.0);
+    let (low, high) = (at(below), at(below + 1));
+    low + (high - low) * (place - place.floor())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn quantiles_as_numpy() {
+        let sorted = [1.0, 2.0, 4.0, 8.0];
+        assert_eq!(quantile(&sorted, 0.5), 3.0);
+        assert!((quantile(&sorted, 0.9) - 6.8).abs() < 1e-12);
+        assert_eq!((quantile(&sorted, 0.0), quantile(&sorted, 1.0)), (1.0, 8.0));
+    }
+
+    #[test]
+    fn of_a_coin() {
+        // The resampled mean of 50 of 100 is binomial: 0.5 +- 1.96 x 0.05.
+        let values: Vec<f64> = (0..100).map(|i| f64::from(i % 2)).collect();
+        let found = bootstrap_mean(&values, &Bootstrap::default()).unwrap();
+        assert_eq!(found.value, 0.5);
+        assert!((found.standard_error - 0.05).abs() < 0.002);
+        assert!((found.interval.low - 0.4).abs() <= 0.01 + 1e-12);
+        assert!((found.interval.high - 0.6).abs() <= 0.01 + 1e-12);
+        assert_eq!(found.not_above_zero, 0.0);
+    }
+
+    #[test]
+    fn threads_change_nothing() {
+        let values: Vec<f64> = (0..37).map(|i| f64::from(i * i % 11)).collect();
+        let settings = Bootstrap {
+            resamples: 500,
+            ..Bootstrap::default()
+        };
+        let of = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            let pool = pool.build().unwrap();
+            pool.install(|| bootstrap_mean(&values, &settings).unwrap())
+        };
+        assert_eq!(of(1), of(3));
+        let other = Bootstrap {
+            seed: 1,
+            ..settings
+        };
+        assert_ne!(of(1), bootstrap_mean(&values, &other).unwrap());
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_named() {
+        let settings = Bootstrap::default();
+        assert_eq!(bootstrap_mean(&[], &settings), Err(MetricError::Empty));
+        assert!(bootstrap_mean(&[f64::NAN], &settings).is_err());
+        assert!(bootstrap(3, &settings, |_| f64::NAN).is_err());
+        for bad in [
+            Bootstrap {
+                resamples: 1,
+                ..settings
+            },
+            Bootstrap {
+                level: 1.0,
+                ..settings
+            },
+        ] {
+            let error = bootstrap_mean(&[1.0, 2.0], &bad).unwrap_err();
+            assert!(matches!(error, MetricError::Range { .. }));
+        }
+        let ragged = bootstrap_paired_difference(&[1.0], &[1.0, 2.0], &settings);
+        assert!(matches!(ragged, Err(MetricError::Length { .. })));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+        #[test]
+        fn is_the_same_each_time(values in prop::collection::vec(-1e3_f64..1e3, 1..30), seed: u64) {
+            let settings = Bootstrap { resamples: 50, seed, level: 0.9 };
+            let found = bootstrap_mean(&values, &settings).unwrap();
+            prop_assert_eq!(found, bootstrap_mean(&values, &settings).unwrap());
+            prop_assert!(found.interval.low <= found.interval.high);
+            let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(*value), high.max(*value)));
+            prop_assert!(found.interval.low >= low - 1e-9 && found.interval.high <= high + 1e-9);
+        }
+    }
+}

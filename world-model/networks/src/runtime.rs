@@ -1,0 +1,11 @@
+//! What runs an ONNX file, if the program was built with anything that does.
+
+#[cfg(not(feature = "onnx"))]
+mod absent;
+#[cfg(feature = "onnx")]
+mod tract;
+
+#[cfg(not(feature = "onnx"))]
+pub(crate) use absent::Session;
+#[cfg(feature = "onnx")]
+pub(crate) use tract::Session;

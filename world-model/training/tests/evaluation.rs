@@ -1,0 +1,196 @@
+//! `wm eval SUITE`, whole: the embedded model on bags of the simulator.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use serde_json::Value;
+
+/// Everything in few seconds.
+const SMALL: &str = "
+resamples: 200
+fidelity: {episodes: 2, steps: 4, strips: 1}
+control:
+  searches: [{k: 1, windows: 2}, {k: 2, windows: 1}]
+  population: 8
+  iterations: 2
+  elites: 2
+  response_windows: 3
+  response_steps: 4
+latents: {windows: 3, steps: 4, judged_episodes: 3}
+robustness: {windows: 2, steps: 2}
+";
+
+fn run(arguments: &[&str], paths: &[(&str, &Path)]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wm-training"));
+    command.args(arguments);
+    for (flag, path) in paths {
+        command.arg(flag).arg(path);
+    }
+    command.output().unwrap()
+}
+
+fn done(arguments: &[&str], paths: &[(&str, &Path)]) -> String {
+    let found = run(arguments, paths);
+    let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
+    let (stdout, stderr) = (text(&found.stdout), text(&found.stderr));
+    assert!(found.status.success(), "{arguments:?}\n{stdout}\n{stderr}");
+    stdout
+}
+
+fn refused(arguments: &[&str], paths: &[(&str, &Path)]) -> String {
+    let found = run(arguments, paths);
+    assert_eq!(found.status.code(), Some(1), "{arguments:?}");
+    String::from_utf8(found.stderr).unwrap()
+}
+
+#[test]
+fn threads_shards_and_interruptions_change_no_byte() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let (bags, cache, settings) = (path("bags"), path("cache"), path("settings.yaml"));
+    fs::write(&settings, SMALL).unwrap();
+    let sim = [
+        "sim",
+        "--episodes",
+        "6",
+        "--frames",
+        "30",
+        "--failures",
+        "0.5",
+        "--seed",
+        "77",
+    ];
+    done(&sim, &[("--out", &bags)]);
+
+    let eval = |more: &[&str], paths: &[(&str, &Path)]| {
+        let first = ["eval", "all", "--model", "tiny", "--skip", "cost"];
+        let own: [(&str, &Path); 3] = [
+            ("--bags", &bags),
+            ("--cache", &cache),
+            ("--settings", &settings),
+        ];
+        done(&[&first, more].concat(), &[&own, paths].concat())
+    };
+    let first = path("one");
+    let printed = eval(&["--threads", "1"], &[("--report", &first)]);
+    for figure in [
+        "fidelity.psnr_ceiling",
+        "control.cem_k1_error_from_zero",
+        "control.cem_k2_error ",
+        "control.ratio_k4_negated",
+        "latents.idm_k1_r_predicted",
+        "latents.success_balanced_accuracy_real",
+        "robustness.psnr_darker",
+        "control.cem_k2_error_idm",
+    ] {
+        assert!(printed.contains(figure), "{figure}\n{printed}");
+    }
+    let written = |folder: &Path| {
+        ["report.html", "figures.json", "figures.csv"]
+            .map(|name| fs::read_to_string(folder.join(name)).unwrap())
+    };
+    let expected = written(&first);
+    let json: Value = serde_json::from_str(&expected[1]).unwrap();
+    assert_eq!((&json["model"], &json["seed"]), (&"tiny".into(), &0.into()));
+    assert_eq!(json["settings"]["control"]["population"], 8);
+    let error = &json["metrics"]["control.cem_k1_error"];
+    assert_eq!(error["n"], 2, "{error}");
+    assert!(error["value"].as_f64().unwrap() > 0.0, "{error}");
+    let psnr = &json["metrics"]["fidelity.psnr"]["value"];
+    let ceiling = &json["metrics"]["fidelity.psnr_ceiling"]["value"];
+    assert!(ceiling.as_f64() > psnr.as_f64(), "{psnr} {ceiling}");
+
+    // Two threads, and a run that was killed within a line.
+    let second = path("two");
+    eval(&["--threads", "2"], &[("--report", &second)]);
+    assert_eq!(written(&second), expected);
+    let records = fs::read_dir(second.join("records"))
+        .unwrap()
+        .next()
+        .unwrap();
+    let records = records.unwrap().path();
+    let whole = fs::read(&records).unwrap();
+    let third = path("three");
+    let resumed = third.join("records").join(records.file_name().unwrap());
+    fs::create_dir_all(third.join("records")).unwrap();
+    fs::write(&resumed, &whole[..whole.len() / 2]).unwrap();
+    eval(&[], &[("--report", &third)]);
+    assert_eq!(written(&third), expected);
+
+    // Two shards.
+    let shards = path("shards");
+    for shard in ["0/2", "1/2"] {
+        if shard == "1/2" {
+            let error = refused(
+                &["eval", "merge"],
+                &[("--json", &path("early.json")), ("--", &shards)],
+            );
+            assert!(error.contains("units are missing"), "{error}");
+        }
+        eval(&["--shard", shard], &[("--records", &shards)]);
+    }
+    let fourth = path("four");
+    done(
+        &["eval", "merge"],
+        &[("--report", &fourth), ("--", &shards)],
+    );
+    assert_eq!(written(&fourth), expected);
+
+    // Nothing is replaced, and other settings do not go on with these records.
+    let all = ["eval", "fidelity", "--model", "tiny"];
+    let on: [(&str, &Path); 3] = [("--bags", &bags), ("--cache", &cache), ("--report", &first)];
+    let error = refused(&all, &on);
+    assert!(
+        error.contains("report.html: it is there already"),
+        "{error}"
+    );
+    fs::remove_file(first.join("report.html")).unwrap();
+    let error = refused(&all, &on);
+    assert!(error.contains("is of another evaluation"), "{error}");
+    assert!(
+        error.contains("header.settings.control.population"),
+        "{error}"
+    );
+}
+
+#[test]
+fn what_cannot_be_evaluated_is_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let all = ["eval", "all", "--model"];
+    let error = refused(
+        &[&all[..], &["no/such"]].concat(),
+        &[("--bags", &path("bags"))],
+    );
+    assert!(error.contains("no/such"), "{error}");
+    let error = refused(
+        &[&all[..], &["tiny"]].concat(),
+        &[("--bags", &path("bags"))],
+    );
+    assert!(error.contains("bags"), "{error}");
+    fs::write(path("s.yaml"), "control: {populaton: 1}").unwrap();
+    let bags = path("bags");
+    done(
+        &["sim", "--episodes", "1", "--frames", "30"],
+        &[("--out", &bags)],
+    );
+    let settings = path("s.yaml");
+    let paths: [(&str, &Path); 3] = [
+        ("--bags", &bags),
+        ("--cache", &path("cache")),
+        ("--settings", &settings),
+    ];
+    let error = refused(&[&all[..], &["tiny"]].concat(), &paths);
+    assert!(
+        error.contains("s.yaml") && error.contains("populaton"),
+        "{error}"
+    );
+    fs::write(path("r.jsonl"), "{}\n").unwrap();
+    let error = refused(&["eval", "merge"], &[("--", &path("r.jsonl"))]);
+    assert!(error.contains("r.jsonl: its first line"), "{error}");
+}
