@@ -1,13 +1,19 @@
 //! `wm eval SUITE`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use wm_dataset::HeldOutArgs;
 use wm_findings::Suite;
 
-use crate::{OutputArgs, Protocol, Settings, Shard, Subject, merge::of_files, run};
+use crate::{
+    OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, Settings, Shard, Subject,
+    merge::of_files, policy::Setup, run,
+};
 
 /// Measures a model, or several side by side, on bags.
 #[derive(Clone, Debug, Args)]
@@ -46,6 +52,9 @@ pub struct SuiteArgs {
     /// Further inverse dynamics models, as for another number of steps.
     #[arg(long, num_args = 1.., value_name = "FILE")]
     pub idm: Vec<PathBuf>,
+    /// Networks of the user's.
+    #[command(flatten)]
+    pub perception: PerceptionArgs,
     /// Measure part I of N, from 0: `wm eval merge` puts the parts together.
     #[arg(long, value_name = "I/N", requires = "records")]
     pub shard: Option<Shard>,
@@ -59,6 +68,9 @@ pub struct SuiteArgs {
     /// Where the findings go.
     #[command(flatten)]
     pub output: OutputArgs,
+    /// Who acts in the imagined environment.
+    #[command(flatten, next_help_heading = "Policy")]
+    pub policy: PolicyArgs,
 }
 
 impl SuiteArgs {
@@ -95,18 +107,27 @@ impl SuiteArgs {
             .filter(|s| !self.skip.contains(s))
             .collect();
         ensure!(!suites.is_empty(), "--skip leaves no suite");
+        ensure!(
+            self.perception.is_empty() || suites.contains(&Suite::Fidelity),
+            "--networks and --lpips are for the suite fidelity"
+        );
+        let perception = Arc::new(Perception::open(&self.perception)?);
         let shard = self.shard.unwrap_or(Shard::WHOLE);
+        let setup = Setup::new(&self.policy)?;
         let mut files = Vec::new();
         for model in std::iter::once(&self.model).chain(&self.compare) {
-            let subject = Subject::open(model, &self.on, &self.idm)
+            let mut subject = Subject::open(model, &self.on, &self.idm)
                 .with_context(|| format!("model {model}"))?;
-            let settings = self.settings()?;
+            subject.perception = Arc::clone(&perception);
+            let mut settings = self.settings(&setup)?;
+            settings.networks = perception.description().cloned();
             let records = (folder, shard);
             files.push(run::measure(
                 &subject,
                 &self.on.data,
                 &suites,
                 &settings,
+                &setup,
                 records,
             )?);
         }
@@ -119,7 +140,7 @@ impl SuiteArgs {
         self.output.write(&of_files(&files)?)
     }
 
-    fn settings(&self) -> Result<Settings> {
+    fn settings(&self, setup: &Setup) -> Result<Settings> {
         let mut settings = Settings::of(self.protocol, self.seed);
         if let Some(path) = &self.settings {
             let name = || path.display().to_string();
@@ -129,6 +150,7 @@ impl SuiteArgs {
         if let Some(episodes) = self.episodes {
             settings.fidelity.episodes = episodes;
             settings.latents.judged_episodes = episodes;
+            settings.policy.tasks = episodes;
         }
         if let Some(windows) = self.windows {
             for search in &mut settings.control.searches {
@@ -140,7 +162,12 @@ impl SuiteArgs {
         }
         if let Some(steps) = self.steps {
             settings.fidelity.steps = steps;
+            settings.policy.steps = steps;
         }
+        if let Some(trials) = self.policy.trials {
+            settings.policy.trials = trials;
+        }
+        settings.policy.inputs = setup.inputs().clone();
         Ok(settings)
     }
 }

@@ -1,5 +1,6 @@
 //! Decoded rollouts against what came (the paper, appendix C.2): PSNR and SSIM by step, of predictions, of
-//! reconstructions (encoded and decoded, the ceiling), and of the last observed frame, repeated (persistence).
+//! reconstructions (encoded and decoded, the ceiling), and of the last observed frame, repeated (persistence); and what
+//! networks say of them ([`perception`](crate::perception)).
 
 mod summary;
 
@@ -8,7 +9,12 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use wm_metrics::images::{psnr, ssim, ssim_luminance};
 
-use crate::{CONTEXT, Subject, picture_strip::strip_of, settings::FidelitySettings};
+use crate::{
+    CONTEXT, Subject,
+    perception::{EpisodePerception, RolloutPictures},
+    picture_strip::strip_of,
+    settings::FidelitySettings,
+};
 pub use summary::summarise;
 
 /// PSNR of one picture counts as at most this \[dB\]: the noise of rounding to 8 bits alone is at 58.9 dB, so beyond it
@@ -22,6 +28,9 @@ pub struct EpisodeFidelity {
     pub steps: Vec<StepFidelity>,
     /// What came, what was predicted and what was reconstructed, as a PNG in base64, if the report shows it.
     pub strip: Option<String>,
+    /// What networks of the user's say.
+    #[serde(default, skip_serializing_if = "EpisodePerception::is_empty")]
+    pub perception: EpisodePerception,
 }
 
 /// One predicted step.
@@ -97,10 +106,17 @@ pub fn measure(
         })
     });
     let steps = steps.collect::<Result<_>>()?;
+    let perception = subject.perception.measure(&RolloutPictures {
+        held: &held,
+        truth: &truths,
+        predicted: &predicted,
+        reconstructed: &reconstructed,
+    })?;
     let rows = [&truths, &predicted, &reconstructed];
     let strip = shown.then(|| strip_of(&rows.map(Vec::as_slice)));
     Ok(EpisodeFidelity {
         steps,
         strip: strip.transpose()?,
+        perception,
     })
 }

@@ -6,7 +6,7 @@ use wm_metrics::statistics::{Bootstrap, bootstrap, bootstrap_mean};
 use crate::Settings;
 
 /// Fewest units of an interval.
-const FEWEST: usize = 3;
+pub(crate) const FEWEST: usize = 3;
 
 /// The bootstrap of all intervals.
 pub(crate) fn draws(settings: &Settings) -> Bootstrap {

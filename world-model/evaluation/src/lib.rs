@@ -1,15 +1,16 @@
 //! Measures a world model on recordings by the paper's protocols (section 4.2, appendix C).
 //!
 //! A [`Subject`] is a model with the data that it is measured on. A suite ([`fidelity`], [`control`], [`representation`],
-//! [`robustness`], [`cost`]) has units (an episode, a window), measures each by itself, and makes findings of what was
-//! measured: of the units alone, without the model. So units are spread over threads, processes and machines, kept in
-//! [`records`], and merged ([`run`]).
+//! [`policy`], [`robustness`], [`cost`]) has units (an episode, a window), measures each by itself, and makes findings of
+//! what was measured: of the units alone, without the model. So units are spread over threads, processes and machines, kept
+//! in [`records`], and merged ([`run`]).
 //!
 //! Not here: what the findings look like (`wm_findings`), the figures' formulas (`wm_metrics`).
 
 mod accuracy;
 mod action_correlation;
 mod arguments;
+pub mod card;
 pub mod control;
 pub mod cost;
 pub mod fidelity;
@@ -17,8 +18,10 @@ mod figure;
 mod figures;
 mod merge;
 mod output;
+pub mod perception;
 mod picture_strip;
 mod pictures;
+pub mod policy;
 pub mod records;
 mod recovery;
 pub mod representation;
@@ -38,8 +41,10 @@ pub use figure::Figure;
 pub use figures::spread;
 pub use merge::MergeArgs;
 pub use output::OutputArgs;
+pub use perception::{Perception, PerceptionArgs};
 pub use picture_strip::grid;
 pub use pictures::{PictureErrors, StepErrors};
+pub use policy::{PolicyArgs, PolicySettings};
 pub use recovery::{Recovery, recover_actions};
 pub use settings::{
     ControlSettings, FidelitySettings, LatentsSettings, Protocol, RobustnessSettings,

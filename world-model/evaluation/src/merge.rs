@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use wm_findings::ModelFindings;
 
-use crate::{OutputArgs, records, run};
+use crate::{OutputArgs, policy::with_borda, records, run};
 
 /// Puts the records of shards together, of one model or of several to be compared.
 #[derive(Clone, Debug, Args)]
@@ -68,5 +68,5 @@ pub(crate) fn of_files(paths: &[PathBuf]) -> Result<Vec<ModelFindings>> {
         let (heading, found) = records::merge(files)?;
         run::findings(heading, found)
     });
-    findings.collect()
+    Ok(with_borda(findings.collect::<Result<_>>()?))
 }

@@ -5,9 +5,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
-use wm_findings::{Better, ModelFindings};
+use wm_findings::{Better, CardAbout, ModelFindings};
+
+use crate::card::{self, Written};
 
 /// Where findings go.
 #[derive(Clone, Debug, Default, Args)]
@@ -21,6 +23,12 @@ pub struct OutputArgs {
     /// Folder for the report: report.html, figures.json, figures.csv, and the records.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
+    /// File for the model card of the first model, as MODEL.md. One that somebody changed is not replaced.
+    #[arg(long, value_name = "FILE")]
+    pub card: Option<PathBuf>,
+    /// YAML with what a card tells besides figures: name, data, recipe, limits, uses_refused, commands.
+    #[arg(long, value_name = "FILE", requires = "card")]
+    pub about: Option<PathBuf>,
 }
 
 impl OutputArgs {
@@ -47,6 +55,27 @@ impl OutputArgs {
             let Some(path) = path else { continue };
             write(&path, text)?;
             println!("wrote {}", path.display());
+        }
+        match (&self.card, findings) {
+            (Some(path), [first, ..]) => self.write_card(path, first),
+            _ => Ok(()),
+        }
+    }
+
+    fn write_card(&self, path: &Path, findings: &ModelFindings) -> Result<()> {
+        let about = match &self.about {
+            Some(file) => card::about(file)?,
+            None => CardAbout {
+                name: findings.header.model.clone(),
+                ..CardAbout::default()
+            },
+        };
+        match card::write(path, findings, &about)? {
+            Written::Yes => println!("wrote {}", path.display()),
+            Written::Kept => bail!(
+                "{}: it was changed by hand, and stays; give another name",
+                path.display()
+            ),
         }
         Ok(())
     }

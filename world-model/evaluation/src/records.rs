@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use wm_findings::{Header, Suite};
 
 use crate::{
-    control::WindowControl, cost::ModelCost, fidelity::EpisodeFidelity,
+    control::WindowControl, cost::ModelCost, fidelity::EpisodeFidelity, policy::Imagined,
     representation::Representation, robustness::WindowRobustness,
 };
 
@@ -50,6 +50,7 @@ pub enum Measured {
     Fidelity(EpisodeFidelity),
     Control(WindowControl),
     Latents(Representation),
+    Policy(Imagined),
     Robustness(WindowRobustness),
     Cost(ModelCost),
 }
@@ -262,12 +263,16 @@ mod tests {
     }
 
     fn record(unit: usize) -> Record {
-        let steps = Vec::new();
+        let found = EpisodeFidelity {
+            steps: Vec::new(),
+            strip: None,
+            perception: Default::default(),
+        };
         Record {
             suite: Suite::Fidelity,
             unit,
             name: format!("episode {unit}"),
-            found: Measured::Fidelity(EpisodeFidelity { steps, strip: None }),
+            found: Measured::Fidelity(found),
         }
     }
 

@@ -11,6 +11,7 @@ use crate::{
     Settings, Shard, Subject,
     control::{self, Control},
     cost, fidelity,
+    policy::{self, Setup, Trials},
     records::{Heading, Measured, Record, Records},
     representation::{self, Representations},
     robustness,
@@ -27,13 +28,19 @@ enum Planned<'a> {
     Fidelity(Vec<usize>),
     Control(Control<'a>),
     Latents(Representations<'a>),
+    Policy(Trials<'a>),
     Robustness(Vec<(usize, usize)>),
     Cost,
 }
 
 impl<'a> Planned<'a> {
     /// `None` where the model has not what the suite needs.
-    fn new(suite: Suite, subject: &'a Subject, settings: &'a Settings) -> Result<Option<Self>> {
+    fn new(
+        suite: Suite,
+        subject: &'a Subject,
+        settings: &'a Settings,
+        (setup, records): (&'a Setup, (&Path, Shard)),
+    ) -> Result<Option<Self>> {
         Ok(match suite {
             Suite::Fidelity if subject.decoder.is_none() => None,
             Suite::Fidelity => {
@@ -42,6 +49,9 @@ impl<'a> Planned<'a> {
             }
             Suite::Control => Some(Self::Control(Control::new(subject, settings)?)),
             Suite::Latents => Some(Self::Latents(Representations::new(subject, settings)?)),
+            Suite::Policy => Some(Self::Policy(Trials::new(
+                subject, settings, setup, records,
+            )?)),
             Suite::Robustness => Some(Self::Robustness(robustness::units(subject, settings))),
             Suite::Cost => Some(Self::Cost),
             _ => None,
@@ -53,6 +63,7 @@ impl<'a> Planned<'a> {
             Self::Fidelity(_) => Suite::Fidelity,
             Self::Control(_) => Suite::Control,
             Self::Latents(_) => Suite::Latents,
+            Self::Policy(_) => Suite::Policy,
             Self::Robustness(_) => Suite::Robustness,
             Self::Cost => Suite::Cost,
         }
@@ -66,6 +77,7 @@ impl<'a> Planned<'a> {
             Self::Fidelity(units) => units.iter().map(episode).collect(),
             Self::Control(control) => control.names(),
             Self::Latents(representations) => representations.names(),
+            Self::Policy(trials) => trials.names(),
             Self::Robustness(units) => {
                 let units = units.iter();
                 units
@@ -89,6 +101,7 @@ impl<'a> Planned<'a> {
             }
             Self::Control(control) => Measured::Control(control.measure(unit)?),
             Self::Latents(representations) => Measured::Latents(representations.measure(unit)?),
+            Self::Policy(trials) => Measured::Policy(trials.measure(unit)?),
             Self::Robustness(units) => {
                 let window = *units.get(unit).ok_or_else(none)?;
                 let found = robustness::measure(subject, settings, seed, window)?;
@@ -108,11 +121,12 @@ pub fn measure(
     data: &[PathBuf],
     suites: &[Suite],
     settings: &Settings,
+    setup: &Setup,
     (folder, shard): (&Path, Shard),
 ) -> Result<PathBuf> {
     let planned = suites
         .iter()
-        .map(|suite| Planned::new(*suite, subject, settings));
+        .map(|suite| Planned::new(*suite, subject, settings, (setup, (folder, shard))));
     let planned: Vec<Option<Planned<'_>>> = planned.collect::<Result<_>>()?;
     let plan = Plan {
         subject,
@@ -197,6 +211,7 @@ pub fn findings(heading: Heading, records: Vec<Record>) -> Result<ModelFindings>
     let mut fidelities = Vec::new();
     let mut controls = Vec::new();
     let mut latents = Vec::new();
+    let mut policies = Vec::new();
     let mut robustnesses = Vec::new();
     let mut costs = Vec::new();
     for Record { name, found, .. } in records {
@@ -204,6 +219,7 @@ pub fn findings(heading: Heading, records: Vec<Record>) -> Result<ModelFindings>
             Measured::Fidelity(found) => fidelities.push((name, found)),
             Measured::Control(found) => controls.push((name, found)),
             Measured::Latents(found) => latents.push((name, found)),
+            Measured::Policy(found) => policies.push((name, found)),
             Measured::Robustness(found) => robustnesses.push((name, found)),
             Measured::Cost(found) => costs.push((name, found)),
         }
@@ -212,6 +228,7 @@ pub fn findings(heading: Heading, records: Vec<Record>) -> Result<ModelFindings>
         Suite::Fidelity => fidelity::summarise(&fidelities, &settings),
         Suite::Control => control::summarise(&controls, &settings),
         Suite::Latents => representation::summarise(&latents, &settings),
+        Suite::Policy => policy::summarise(&policies, &settings),
         Suite::Robustness => robustness::summarise(&robustnesses, &settings),
         Suite::Cost => cost::summarise(&costs),
         suite => Section::new(*suite),

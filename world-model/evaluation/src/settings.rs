@@ -5,6 +5,8 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::policy::{PolicyInputs, PolicySettings};
+
 /// How much is measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
@@ -32,6 +34,11 @@ pub struct Settings {
     pub latents: LatentsSettings,
     /// See [`RobustnessSettings`].
     pub robustness: RobustnessSettings,
+    /// See [`PolicySettings`].
+    pub policy: PolicySettings,
+    /// The user's networks, as [`Perception::description`](crate::Perception::description) has them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub networks: Option<Value>,
 }
 
 /// Decoded rollouts.
@@ -113,6 +120,19 @@ impl Settings {
         Ok(serde_json::from_value(settings)?)
     }
 
+    /// Those of a model card: what takes seconds, so no searches.
+    #[must_use]
+    pub fn brief(seed: u64) -> Self {
+        let mut settings = Self::of(Protocol::Quick, seed);
+        settings.fidelity.episodes = 8;
+        settings.fidelity.steps = 8;
+        settings.control.searches.clear();
+        settings.control.response_windows = 16;
+        settings.latents.windows = 16;
+        settings.latents.judged_episodes = 16;
+        settings
+    }
+
     /// Those of a protocol.
     #[must_use]
     pub fn of(protocol: Protocol, seed: u64) -> Self {
@@ -155,6 +175,14 @@ impl Settings {
                 windows: choose(16, 100),
                 steps: 4,
             },
+            policy: PolicySettings {
+                tasks: choose(6, 20),
+                trials: choose(2, 8),
+                steps: choose(20, 50),
+                strips: choose(3, 6),
+                inputs: PolicyInputs::default(),
+            },
+            networks: None,
         }
     }
 }

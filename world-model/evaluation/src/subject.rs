@@ -1,6 +1,6 @@
 //! A model and the data that it is measured on.
 
-use std::path::Path;
+use std::{path::Path, sync::Arc};
 
 use anyhow::{Context as _, Result, ensure};
 use candle_core::{Device, Tensor};
@@ -13,7 +13,7 @@ use wm_model::{
 };
 use wm_zoo::{ModelFolder, idm::TrainedIdm, success_probe::SuccessClassifier};
 
-use crate::CONTEXT;
+use crate::{CONTEXT, Perception};
 
 /// A model with all that it has, and held-out episodes in its latents.
 pub struct Subject {
@@ -31,6 +31,8 @@ pub struct Subject {
     pub dataset: Dataset,
     /// Their latents.
     pub latents: Latents,
+    /// The networks that decoded frames are looked at with; none at first.
+    pub perception: Arc<Perception>,
 }
 
 impl Subject {
@@ -44,26 +46,35 @@ impl Subject {
             folder.has_transition(),
             "{name} encodes and decodes only: it has no transition model to evaluate"
         );
-        let encoder = folder.encoder()?;
-        let world = folder.world_model()?;
-        let dataset = on.open(encoder.input_size())?;
-        (world.encoding.space()).expect_same(dataset.action_space(), "the model", "the bags")?;
-        let latents = Latents::open(&dataset, &*encoder, &on.cache())?;
-        let mut idms: Vec<TrainedIdm> = folder.idm()?.into_iter().collect();
+        let dataset = on.open(folder.encoder()?.input_size())?;
+        let mut subject = Self::new(folder, dataset, &on.cache())?;
         for path in more_idms {
             let idm = TrainedIdm::open(path)?;
-            (idm.space().require(latents.space()))
+            (idm.space().require(subject.latents.space()))
                 .with_context(|| path.as_ref().display().to_string())?;
-            idms.push(idm);
+            subject.idms.push(idm);
         }
+        Ok(subject)
+    }
+
+    /// Loads a model, and encodes the data where the cache has not their latents.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn new(folder: ModelFolder, dataset: Dataset, cache: &Path) -> Result<Self> {
+        let encoder = folder.encoder()?;
+        let world = folder.world_model()?;
+        (world.encoding.space()).expect_same(dataset.action_space(), "the model", "the bags")?;
+        let latents = Latents::open(&dataset, &*encoder, cache)?;
         Ok(Self {
             decoder: folder.decoder()?,
             probe: folder.probe()?,
             encoder,
             world,
-            idms,
+            idms: folder.idm()?.into_iter().collect(),
             dataset,
             latents,
+            perception: Arc::default(),
         })
     }
 

@@ -36,8 +36,8 @@ fn telling(suite: Suite) -> &'static [&'static str] {
             "success_drop",
         ],
         Suite::Policy => &[
-            "consensus_success_rate",
-            "probe_success_rate",
+            "consensus_success",
+            "probe_success",
             "interaction_quality",
             "instruction_following",
         ],

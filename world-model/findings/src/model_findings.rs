@@ -40,6 +40,25 @@ pub struct Header {
     pub version: String,
 }
 
+impl Header {
+    /// One that says which model, and nothing of data.
+    #[must_use]
+    pub fn of(model: &str, hash: &str, space: &str) -> Self {
+        Self {
+            model: model.to_owned(),
+            hash: hash.to_owned(),
+            space: space.to_owned(),
+            data: Vec::new(),
+            data_digest: String::new(),
+            episodes: 0,
+            seed: 0,
+            settings: serde_json::Value::Null,
+            sampler: serde_json::Value::Null,
+            version: String::new(),
+        }
+    }
+}
+
 impl ModelFindings {
     /// All figures by name; without those that are not finite, which [`Self::absent`] has.
     #[must_use]

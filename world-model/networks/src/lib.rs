@@ -28,7 +28,7 @@
 //! # Who runs the files
 //!
 //! [tract](https://github.com/sonos/tract), with the feature `onnx`; it is off by default, since it takes minutes to compile.
-//! A run uses the thread that asks for it, so that the same inputs give the same bits whatever the number of threads; on
+//! A network may be shared among threads. A run uses the thread that asks for it, so that the same inputs give the same bits whatever the number of threads; on
 //! another processor, or in a batch of another size, the last bits may differ. A file that is damaged is an error, not a panic: tract's own panics are caught, though
 //! each still writes its line to stderr.
 //!
@@ -74,3 +74,15 @@ pub use scores::{Distance, Score, Scores};
 pub use spec::{Channels, Input, Layout, Output, Pooling, Resize, Size, Spec};
 pub use tensor::Tensor;
 pub use tracks::{Query, TrackPoint, Tracks};
+
+// Metrics open a network once and share it among their threads.
+const _: () = {
+    const fn is_shared<T: Send + Sync>() {}
+    is_shared::<Features>();
+    is_shared::<ClipFeatures>();
+    is_shared::<Scores>();
+    is_shared::<Distance>();
+    is_shared::<Flow>();
+    is_shared::<Depth>();
+    is_shared::<Tracks>();
+};

@@ -11,7 +11,6 @@ mod evaluation;
 mod feature_loss;
 mod files;
 mod frames;
-mod lpips;
 mod ms_ssim;
 mod objective;
 mod pixel_loss;
@@ -25,7 +24,7 @@ use image::RgbImage;
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use wm_evaluation::Figure;
-use wm_zoo::Checkpoint;
+use wm_zoo::{Checkpoint, lpips::Lpips};
 
 use crate::{
     arguments::RunArgs,
@@ -42,7 +41,6 @@ pub use arguments::TrainAdapterArgs;
 pub use evaluation::Reconstruction;
 pub use files::{FILE, STATISTICS};
 pub use frames::Frames;
-pub use lpips::Lpips;
 pub use ms_ssim::MsSsim;
 pub use recipe::{AdapterModelRecipe, AdapterRecipe, LossRecipe, RECIPES};
 

@@ -16,6 +16,7 @@ mod fixture;
 pub mod fresh_weights;
 pub mod idm;
 pub mod model;
+pub mod model_card;
 pub mod model_folder;
 pub mod optimiser;
 pub mod probe;

@@ -17,6 +17,7 @@ use wm_training::{
     encoder::TrainEncoderArgs,
     idm::{EvaluateIdmArgs, TrainIdmArgs},
     model::TrainModelArgs,
+    model_card,
     probe::{EvaluateProbeArgs, TrainProbeArgs},
     run::{Ended, Stop},
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
@@ -88,6 +89,8 @@ enum EvalCommand {
     Control(SuiteArgs),
     /// Measure whether latents tell actions and success
     Latents(SuiteArgs),
+    /// Measure what becomes of a policy in the imagined environment
+    Policy(SuiteArgs),
     /// Measure predictions under other light, camera faults and wrong rates
     Robustness(SuiteArgs),
     /// Measure what a model takes to compute on this machine
@@ -99,16 +102,20 @@ enum EvalCommand {
 impl TrainCommand {
     fn run(self) -> anyhow::Result<ExitCode> {
         let stop = Stop::on_signals()?;
-        let ended = match self {
-            Self::Model(arguments) => arguments.run(&stop)?,
-            Self::Autoencoder(arguments) => arguments.run(&stop)?,
-            Self::Encoder(arguments) => arguments.run(&stop)?,
-            Self::Transition(arguments) => arguments.run(&stop)?,
-            Self::Adapter(arguments) => arguments.run(&stop)?,
-            Self::Distill(arguments) => arguments.run(&stop)?,
-            Self::Idm(arguments) => arguments.run(&stop)?,
-            Self::Probe(arguments) => arguments.run(&stop)?,
+        let (ended, of) = match self {
+            // Its card is of all parts.
+            Self::Model(arguments) => (arguments.run(&stop)?, None),
+            Self::Autoencoder(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
+            Self::Encoder(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
+            Self::Transition(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
+            Self::Adapter(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
+            Self::Distill(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
+            Self::Idm(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
+            Self::Probe(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
         };
+        if let (Ended::Finished, Some(run)) = (ended, of) {
+            model_card::write(&run);
+        }
         Ok(match ended {
             Ended::Finished => ExitCode::SUCCESS,
             Ended::Stopped => ExitCode::from(STOPPED),
@@ -131,6 +138,7 @@ impl Command {
                 EvalCommand::Fidelity(arguments) => arguments.run(&[Suite::Fidelity])?,
                 EvalCommand::Control(arguments) => arguments.run(&[Suite::Control])?,
                 EvalCommand::Latents(arguments) => arguments.run(&[Suite::Latents])?,
+                EvalCommand::Policy(arguments) => arguments.run(&[Suite::Policy])?,
                 EvalCommand::Robustness(arguments) => arguments.run(&[Suite::Robustness])?,
                 EvalCommand::Cost(arguments) => arguments.run(&[Suite::Cost])?,
                 EvalCommand::Merge(arguments) => arguments.run()?,

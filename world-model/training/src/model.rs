@@ -103,6 +103,7 @@ impl TrainModelArgs {
                 return Ok(ended);
             }
         }
+        crate::model_card::write(&self.of("transition")?);
         println!(
             "{} is a model: pass it to the nodes as model:={}",
             self.out.display(),

@@ -22,6 +22,7 @@ control:
   response_windows: 3
   response_steps: 4
 latents: {windows: 3, steps: 4, judged_episodes: 3}
+policy: {tasks: 2, trials: 2, steps: 3, strips: 1}
 robustness: {windows: 2, steps: 2}
 ";
 
@@ -86,6 +87,7 @@ fn threads_shards_and_interruptions_change_no_byte() {
         "latents.idm_k1_r_predicted",
         "latents.success_balanced_accuracy_real",
         "robustness.psnr_darker",
+        "policy.probe_success",
         "control.cem_k2_error_idm",
     ] {
         assert!(printed.contains(figure), "{figure}\n{printed}");

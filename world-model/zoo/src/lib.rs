@@ -7,6 +7,7 @@
 //! | The S-VAE adapter | [`svae`] |
 //! | Inverse dynamics, success probes | [`idm`], [`success_probe`], [`pooled_probe`] |
 //! | EfficientNet-Lite0 | [`efficientnet_lite0`] |
+//! | LPIPS | [`lpips`] |
 //! | A whole world model of these, for the nodes | [`folder`] |
 //! | The transition model (DiT) | [`wm_model::transition`], configured by [`kinds`] |
 //!
@@ -46,6 +47,7 @@ pub mod loader;
 
 pub mod efficientnet_lite0;
 pub mod idm;
+pub mod lpips;
 pub mod pooled_probe;
 pub mod success_probe;
 pub mod svae;

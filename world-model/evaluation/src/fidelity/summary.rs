@@ -1,7 +1,7 @@
 use wm_findings::{Better, Curve, Picture, Section, Series, Suite};
 
 use super::{EpisodeFidelity, Similarity, StepFidelity};
-use crate::{Settings, figures::mean_over_units};
+use crate::{Settings, figures::mean_over_units, perception};
 
 type Of = fn(&StepFidelity) -> &Similarity;
 type Figure = fn(&Similarity) -> f64;
@@ -84,6 +84,11 @@ pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) ->
              episode counts for the steps that it has."
         ));
     }
+    let found = episodes.iter();
+    let found: Vec<_> = found
+        .map(|(name, episode)| (&**name, &episode.perception))
+        .collect();
+    perception::summarise(&mut section, &found, settings);
     section
 }
 

@@ -1,8 +1,17 @@
+//! LPIPS: the learned perceptual distance of two pictures, with AlexNet.
+//!
+//! Paper: "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric" (arXiv 1801.03924), version 0.1;
+//! checkpoints: torchvision's AlexNet (`alexnet-owt-7be5be79.pth`) and the linear heads of the package `lpips`
+//! (`weights/v0.1/alex.pth`). Gradients reach both pictures.
+//!
+//! Names: `features.{0,3,6,8,10}.{weight,bias}` of AlexNet, what else the file has is passed over;
+//! `lin{0..4}.model.1.weight` of the heads.
+
 use std::path::Path;
 
-use anyhow::{Context as _, Result, ensure};
 use candle_core::{DType, Device, Tensor};
-use wm_zoo::Checkpoint;
+
+use crate::{Checkpoint, Error, Misshapen, Result};
 
 /// What the scaling layer of LPIPS v0.1 subtracts from each colour of pictures in -1..1, and divides by.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
@@ -40,13 +49,19 @@ struct Layer {
 }
 
 impl Lpips {
-    /// Opens torchvision's AlexNet (`features.{0,3,6,8,10}.{weight,bias}`; what else the file has is passed over) and the
-    /// linear heads (`lin{0..4}.model.1.weight`).
+    /// Opens AlexNet and the linear heads, safetensors or torch files.
     ///
     /// # Errors
     /// If a tensor is missing or of another shape.
     pub fn open(trunk: &Path, heads: &Path) -> Result<Self> {
-        let (trunk, heads) = (Checkpoint::open(trunk)?, Checkpoint::open(heads)?);
+        Self::load(&Checkpoint::open(trunk)?, &Checkpoint::open(heads)?)
+    }
+
+    /// The same, of files that are open.
+    ///
+    /// # Errors
+    /// If a tensor is missing or of another shape.
+    pub fn load(trunk: &Checkpoint, heads: &Checkpoint) -> Result<Self> {
         let mut inputs = 3;
         let mut layers = Vec::with_capacity(CONVOLUTIONS.len());
         for (order, ((index, kernel, stride, border), pools)) in
@@ -56,7 +71,7 @@ impl Lpips {
             let found = trunk.shape(&name);
             let outputs = found.and_then(|shape| shape.first().copied()).unwrap_or(0);
             let expected = [outputs, inputs, kernel, kernel];
-            let weight = tensor(&trunk, &name, &expected)?;
+            let weight = tensor(trunk, &name, &expected)?;
             let weight = weight.permute((2, 3, 1, 0))?.contiguous()?;
             let head = format!("lin{order}.model.1.weight");
             layers.push(Layer {
@@ -64,8 +79,8 @@ impl Lpips {
                 stride,
                 border,
                 weight: weight.reshape((kernel * kernel * inputs, outputs))?,
-                bias: tensor(&trunk, &format!("features.{index}.bias"), &[outputs])?,
-                head: tensor(&heads, &head, &[1, outputs, 1, 1])?.reshape(outputs)?,
+                bias: tensor(trunk, &format!("features.{index}.bias"), &[outputs])?,
+                head: tensor(heads, &head, &[1, outputs, 1, 1])?.reshape(outputs)?,
                 pools,
             });
             inputs = outputs;
@@ -132,10 +147,7 @@ impl Layer {
 
 /// For every position of a window along a side, the places that it covers; and how many positions there are.
 fn taps(side: usize, window: usize, stride: usize, device: &Device) -> Result<(Tensor, usize)> {
-    ensure!(
-        side >= window,
-        "pictures are too small for LPIPS: {side} places for a window of {window}"
-    );
+    require_side(side, window)?;
     let positions = (side - window) / stride + 1;
     let places = (0..positions).flat_map(|position| {
         let first = position * stride;
@@ -150,10 +162,7 @@ fn pooled(x: &Tensor) -> Result<Tensor> {
     let mut x = x.clone();
     for axis in [1, 2] {
         let side = x.dim(axis)?;
-        ensure!(
-            side >= 3,
-            "pictures are too small for LPIPS: {side} places for a window of 3"
-        );
+        require_side(side, 3)?;
         let positions = (side - 3) / 2 + 1;
         let part = |tap: usize| -> Result<Tensor> {
             let places: Vec<u32> = (0..positions).map(|at| (2 * at + tap) as u32).collect();
@@ -179,13 +188,36 @@ fn unit(x: &Tensor) -> Result<Tensor> {
     Ok(x.broadcast_div(&(length + TINY)?)?)
 }
 
-fn tensor(checkpoint: &Checkpoint, name: &str, expected: &[usize]) -> Result<Tensor> {
-    let found = checkpoint.shape(name);
-    ensure!(
-        found == Some(expected),
-        "{}: `{name}` is {found:?}, expected {expected:?}",
-        checkpoint.file()
-    );
-    let tensor = checkpoint.tensor(name, DType::F32);
-    tensor.with_context(|| checkpoint.file().to_owned())
+fn require_side(side: usize, window: usize) -> Result<()> {
+    if side >= window {
+        return Ok(());
+    }
+    let error = wm_model::Error::Shape {
+        what: "side of a layer of LPIPS, whose pictures are too small",
+        expected: format!("at least {window}"),
+        found: vec![side],
+    };
+    Err(error.into())
 }
+
+fn tensor(checkpoint: &Checkpoint, name: &str, expected: &[usize]) -> Result<Tensor> {
+    let (mut missing, mut misshapen) = (Vec::new(), Vec::new());
+    match checkpoint.shape(name) {
+        Some(found) if found == expected => return checkpoint.tensor(name, DType::F32),
+        Some(found) => misshapen.push(Misshapen {
+            name: name.to_owned(),
+            expected: expected.to_vec(),
+            found: found.to_vec(),
+        }),
+        None => missing.push(name.to_owned()),
+    }
+    Err(Error::Tensors {
+        file: checkpoint.file().to_owned(),
+        missing,
+        misshapen,
+        unexpected: Vec::new(),
+    })
+}
+
+#[cfg(test)]
+mod tests;

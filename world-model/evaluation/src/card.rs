@@ -1,0 +1,86 @@
+//! MODEL.md: the model card of findings.
+
+use std::{fs, io::Write as _, path::Path};
+
+use anyhow::{Context as _, Result, ensure};
+use sha2::{Digest as _, Sha256};
+use wm_findings::{CardAbout, ModelFindings, model_card};
+
+/// The name of the file in a model's folder.
+pub const FILE: &str = "MODEL.md";
+const SEAL: &str = "<!-- wm replaces this file as long as the SHA-256 of what is above is ";
+
+/// What became of a card.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Written {
+    /// It was written.
+    Yes,
+    /// A card that somebody wrote or changed is there, and stays.
+    Kept,
+}
+
+/// Writes the card of findings to `path`. A card that is there is replaced only if nobody has changed it.
+///
+/// # Errors
+/// If the file cannot be read or written.
+pub fn write(path: &Path, findings: &ModelFindings, about: &CardAbout) -> Result<Written> {
+    let name = || path.display().to_string();
+    if path.exists() && !is_ours(&fs::read_to_string(path).with_context(name)?) {
+        return Ok(Written::Kept);
+    }
+    let card = sealed(&model_card(findings, about));
+    // In one move: half a card would count as changed.
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    let mut partial =
+        tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new("."))).with_context(name)?;
+    partial.write_all(card.as_bytes()).with_context(name)?;
+    partial.persist(path).with_context(name)?;
+    Ok(Written::Yes)
+}
+
+/// What a YAML file says of a model: name, data, recipe, limits, uses_refused, commands.
+///
+/// # Errors
+/// If it cannot be read, or says something else.
+pub fn about(path: &Path) -> Result<CardAbout> {
+    let name = || path.display().to_string();
+    let text = fs::read_to_string(path).with_context(name)?;
+    let about: CardAbout = serde_yaml_ng::from_str(&text).with_context(name)?;
+    ensure!(!about.name.is_empty(), "{}: `name` is empty", name());
+    Ok(about)
+}
+
+fn sealed(card: &str) -> String {
+    format!("{card}\n{SEAL}{} -->\n", digest(card))
+}
+
+fn is_ours(text: &str) -> bool {
+    let Some((card, seal)) = text.rsplit_once(SEAL) else {
+        return false;
+    };
+    let card = card.strip_suffix('\n').unwrap_or(card);
+    seal.strip_suffix(" -->\n") == Some(&digest(card))
+}
+
+fn digest(card: &str) -> String {
+    Sha256::digest(card)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_card_that_somebody_changed_stays() {
+        let card = sealed("# a model\n\nof ours\n");
+        assert!(is_ours(&card));
+        assert!(!is_ours(&card.replace("of ours", "of mine")));
+        assert!(!is_ours("# a model\n"));
+        assert!(!is_ours(""));
+    }
+}

@@ -1,0 +1,42 @@
+use anyhow::Result;
+use image::RgbImage;
+use wm_metrics::MetricError;
+
+use super::Values;
+
+/// The pictures of a rollout, all of one size.
+#[derive(Clone, Copy, Debug)]
+pub struct RolloutPictures<'a> {
+    /// The last observed frame.
+    pub held: &'a RgbImage,
+    /// What came, step by step.
+    pub truth: &'a [RgbImage],
+    /// What was predicted.
+    pub predicted: &'a [RgbImage],
+    /// What came, encoded and decoded.
+    pub reconstructed: &'a [RgbImage],
+}
+
+impl RolloutPictures<'_> {
+    /// A figure of the predictions and of its ceiling.
+    pub(super) fn both(&self, of: impl Fn(&[RgbImage]) -> Result<Vec<f64>>) -> Result<Values> {
+        Ok(Values {
+            predicted: of(self.predicted)?,
+            reconstructed: of(self.reconstructed)?,
+        })
+    }
+
+    /// One number of the predictions and one of their ceiling, or why there is none.
+    pub(super) fn one_each(
+        &self,
+        of: impl Fn(&[RgbImage]) -> Result<Result<f64, MetricError>>,
+    ) -> Result<Result<Values, MetricError>> {
+        let (predicted, reconstructed) = (of(self.predicted)?, of(self.reconstructed)?);
+        Ok(predicted.and_then(|predicted| {
+            Ok(Values {
+                predicted: vec![predicted],
+                reconstructed: vec![reconstructed?],
+            })
+        }))
+    }
+}

@@ -1,0 +1,244 @@
+//! A policy that is a program.
+
+use std::{
+    io::{BufRead as _, BufReader, Read as _, Write as _},
+    process::{Child, ChildStdin, ChildStdout, Command, Stdio},
+    sync::{
+        Mutex,
+        mpsc::{Receiver, RecvTimeoutError, Sender, channel},
+    },
+    thread,
+    time::Duration,
+};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+
+use super::{protocol::Request, words::words};
+
+/// Longest answer in bytes.
+const MAX_LINE: u64 = 4 << 20;
+
+/// A program that is asked for actions. One process serves all trials, one request after the other: a policy that holds an
+/// accelerator is there once. It is started by the first request and killed when this is dropped. What it writes to its
+/// standard error goes to that of this process.
+#[derive(Debug)]
+pub(super) struct Process {
+    command: String,
+    words: Vec<String>,
+    limit: Duration,
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+enum State {
+    NotStarted,
+    Running(Running),
+    /// It failed, and the run with it.
+    Ended,
+}
+
+/// A program that runs.
+#[derive(Debug)]
+struct Running {
+    child: Child,
+    requests: Sender<Vec<u8>>,
+    lines: Receiver<Result<String>>,
+}
+
+impl Process {
+    /// The program of a command, which takes at most `limit` for an answer. Nothing is started yet.
+    ///
+    /// # Errors
+    /// If the command cannot be split into words.
+    pub(super) fn new(command: &str, limit: Duration) -> Result<Self> {
+        Ok(Self {
+            command: command.to_owned(),
+            words: words(command)?,
+            limit,
+            state: Mutex::new(State::NotStarted),
+        })
+    }
+
+    /// The command.
+    pub(super) fn command(&self) -> &str {
+        &self.command
+    }
+
+    /// The line that answers a request.
+    ///
+    /// # Errors
+    /// If the program cannot be started, has ended, or does not answer in time; it is then ended, and is not asked again.
+    pub(super) fn ask(&self, request: &Request<'_>) -> Result<String> {
+        let mut line = serde_json::to_vec(request)?;
+        line.push(b'\n');
+        let state = self.state.lock();
+        let mut state = state.map_err(|_| anyhow!("another thread failed while it asked"))?;
+        if matches!(*state, State::NotStarted) {
+            *state = State::Running(Running::start(&self.words)?);
+        }
+        let asked = match &mut *state {
+            State::Running(running) => running.ask(line, self.limit),
+            State::NotStarted | State::Ended => bail!("it was ended after an error"),
+        };
+        if asked.is_err() {
+            *state = State::Ended;
+        }
+        asked
+    }
+}
+
+impl Running {
+    fn start(words: &[String]) -> Result<Self> {
+        let (program, arguments) = words.split_first().context("an empty command")?;
+        let mut child = Command::new(program)
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .with_context(|| format!("{program} cannot be started"))?;
+        let stdin = child.stdin.take().context("a pipe to it")?;
+        let stdout = child.stdout.take().context("a pipe from it")?;
+        let (requests, to_write) = channel();
+        let (read, lines) = channel();
+        // Both apart from the thread that asks: neither a full pipe nor a silent program may hold it beyond the limit. They
+        // end with the pipes.
+        thread::spawn(move || write(stdin, &to_write));
+        thread::spawn(move || read_lines(stdout, &read));
+        Ok(Self {
+            child,
+            requests,
+            lines,
+        })
+    }
+
+    fn ask(&mut self, line: Vec<u8>, limit: Duration) -> Result<String> {
+        // If the program has ended, the other pipe tells.
+        self.requests.send(line).ok();
+        match self.lines.recv_timeout(limit) {
+            Ok(line) => line,
+            Err(RecvTimeoutError::Timeout) => bail!("no answer within {} s", limit.as_secs_f64()),
+            Err(RecvTimeoutError::Disconnected) => {
+                let status = self.child.try_wait().ok().flatten();
+                let status = status.map_or(String::new(), |status| format!(" ({status})"));
+                bail!(
+                    "it has ended its output{status}; what it wrote to its standard error is above"
+                )
+            }
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Both fail only where it has been waited for.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+fn write(mut stdin: ChildStdin, requests: &Receiver<Vec<u8>>) {
+    for line in requests {
+        if stdin.write_all(&line).and_then(|()| stdin.flush()).is_err() {
+            return;
+        }
+    }
+}
+
+fn read_lines(stdout: ChildStdout, lines: &Sender<Result<String>>) {
+    let mut stdout = BufReader::new(stdout);
+    loop {
+        let mut line = Vec::new();
+        let read = stdout.by_ref().take(MAX_LINE).read_until(b'\n', &mut line);
+        let line = match read {
+            Ok(0) => return,
+            Ok(_) if line.ends_with(b"\n") => {
+                String::from_utf8(line).context("its answer is no UTF-8")
+            }
+            Ok(_) if line.len() as u64 == MAX_LINE => {
+                Err(anyhow!("its answer is longer than {MAX_LINE} bytes"))
+            }
+            Ok(_) => Err(anyhow!("it has ended within an answer")),
+            Err(error) => Err(error).context("its output cannot be read"),
+        };
+        let is_last = line.is_err();
+        if lines.send(line).is_err() || is_last {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::path::Path;
+
+    use wm_motion::actions::ActionEncoding;
+
+    use super::*;
+    use crate::policy::protocol::{SpaceOf, VERSION};
+
+    fn ask(process: &Process) -> Result<String> {
+        let encoding = ActionEncoding::default();
+        process.ask(&Request {
+            version: VERSION,
+            task: "a task",
+            trial: 0,
+            seed: 0,
+            step: 0,
+            instruction: "",
+            // More than a pipe holds.
+            image: "A".repeat(1 << 20),
+            views: 1,
+            state: None,
+            action_space: &SpaceOf::of(&encoding),
+        })
+    }
+
+    /// The process that runs, if any.
+    fn pid(process: &Process) -> Option<u32> {
+        match &*process.state.lock().unwrap() {
+            State::Running(running) => Some(running.child.id()),
+            State::NotStarted | State::Ended => None,
+        }
+    }
+
+    fn is_there(pid: u32) -> bool {
+        Path::new(&format!("/proc/{pid}")).exists()
+    }
+
+    #[test]
+    fn one_process_answers_all_requests_and_does_not_outlive_its_owner() {
+        let process = Process::new("cat", Duration::from_secs(60)).unwrap();
+        assert_eq!(pid(&process), None);
+        let line = ask(&process).unwrap();
+        assert!(
+            line.starts_with("{\"version\":1,\"task\":\"a task\""),
+            "{}",
+            line.len()
+        );
+        let first = pid(&process).unwrap();
+        ask(&process).unwrap();
+        assert_eq!(pid(&process), Some(first));
+        assert!(is_there(first));
+        drop(process);
+        assert!(!is_there(first));
+    }
+
+    #[test]
+    fn a_silent_one_that_reads_nothing_is_ended_and_not_started_again() {
+        let process = Process::new("sleep 3600", Duration::from_millis(20)).unwrap();
+        let error = ask(&process).unwrap_err().to_string();
+        assert!(error.contains("no answer within 0.02 s"), "{error}");
+        assert_eq!(pid(&process), None);
+        let error = ask(&process).unwrap_err().to_string();
+        assert!(error.contains("ended after an error"), "{error}");
+    }
+
+    #[test]
+    fn an_endless_answer_is_cut_off() {
+        let process = Process::new("cat /dev/zero", Duration::from_secs(60)).unwrap();
+        let error = ask(&process).unwrap_err().to_string();
+        assert!(error.contains("longer than"), "{error}");
+    }
+}
