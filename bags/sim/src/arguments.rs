@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
+use wm_bag::Shard;
 
 use crate::dataset::generate_bags;
 use crate::episode::EpisodeOptions;
@@ -29,6 +30,10 @@ pub struct SimArgs {
     /// object, or stopping halfway. If it is not 0, every episode has one task
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     pub failures: f64,
+    /// Make every Nth of the episodes, from the Ith on, counted from 0: several machines share one command, each with
+    /// another I
+    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    pub shard: Shard,
     /// Directory for the bags; created if it does not exist
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -42,7 +47,7 @@ impl SimArgs {
     pub fn run(&self) -> anyhow::Result<()> {
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("cannot make the directory {}", self.out.display()))?;
-        let bar = ProgressBar::new(self.episodes);
+        let bar = ProgressBar::new(self.shard.share_of(self.episodes));
         bar.set_style(ProgressStyle::with_template(
             "{wide_bar} {pos}/{len} episodes, {eta} left",
         )?);
@@ -53,7 +58,8 @@ impl SimArgs {
             ..EpisodeOptions::default()
         };
         let succeeded = AtomicU64::new(0);
-        let bags = generate_bags(&self.out, self.episodes, self.seed, &options, |episode| {
+        let own = (self.episodes, self.shard);
+        let bags = generate_bags(&self.out, own, self.seed, &options, |episode| {
             succeeded.fetch_add(u64::from(episode.success), Ordering::Relaxed);
             bar.inc(1);
         })

@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use wm_bag::Shard;
+
 use crate::bag::write_bag;
 use crate::episode::{Episode, EpisodeOptions};
 use crate::error::Error;
 
-/// Makes `episodes` episodes with the seeds from `first_seed` on, each a bag `episode_000012` (its number
+/// Makes those of a shard of `episodes` episodes with the seeds from `first_seed` on, each a bag `episode_000012` (its number
 /// is its seed) in the directory `out`, on all of rayon's threads. Calls `finished` after each. Returns
 /// the bags' directories in the order of their seeds.
 ///
@@ -17,7 +19,7 @@ use crate::error::Error;
 /// [`Error::Seeds`] if the seeds run past the largest number.
 pub fn generate_bags(
     out: &Path,
-    episodes: u64,
+    (episodes, shard): (u64, Shard),
     first_seed: u64,
     options: &EpisodeOptions,
     finished: impl Fn(&Episode) + Sync,
@@ -26,7 +28,12 @@ pub fn generate_bags(
         first_seed,
         episodes,
     })?;
-    (first_seed..end)
+    let seeds: Vec<u64> = (0..)
+        .zip(first_seed..end)
+        .filter(|(n, _)| shard.has(*n))
+        .map(|(_, seed)| seed)
+        .collect();
+    seeds
         .into_par_iter()
         .map(|seed| {
             let episode = Episode::generate(seed, options)?;
@@ -51,8 +58,14 @@ mod tests {
             ..EpisodeOptions::default()
         };
         let read = |name: &str| {
-            let dirs =
-                generate_bags(&scratch.path().join(name), 2, 7, &options, |_| {}).expect("bags");
+            let dirs = generate_bags(
+                &scratch.path().join(name),
+                (2, Shard::WHOLE),
+                7,
+                &options,
+                |_| {},
+            )
+            .expect("bags");
             let mut all = Vec::new();
             for dir in &dirs {
                 assert!(dir.join("metadata.yaml").is_file());
@@ -77,7 +90,13 @@ mod tests {
     #[test]
     fn seeds_past_the_end_are_an_error() {
         let options = EpisodeOptions::default();
-        let result = generate_bags(Path::new("unused"), 2, u64::MAX, &options, |_| {});
+        let result = generate_bags(
+            Path::new("unused"),
+            (2, Shard::WHOLE),
+            u64::MAX,
+            &options,
+            |_| {},
+        );
         assert!(matches!(result, Err(Error::Seeds { .. })));
     }
 }

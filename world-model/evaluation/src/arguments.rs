@@ -49,6 +49,9 @@ pub struct SuiteArgs {
     /// Seed of everything that is drawn.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// Euler steps of a predicted frame, instead of the model's own.
+    #[arg(long, value_name = "N")]
+    pub sampling_steps: Option<usize>,
     /// Further inverse dynamics models, as for another number of steps.
     #[arg(long, num_args = 1.., value_name = "FILE")]
     pub idm: Vec<PathBuf>,
@@ -119,6 +122,10 @@ impl SuiteArgs {
             let mut subject = Subject::open(model, &self.on, &self.idm)
                 .with_context(|| format!("model {model}"))?;
             subject.perception = Arc::clone(&perception);
+            if let Some(steps) = self.sampling_steps {
+                subject.sampler.steps = steps;
+                subject.sampler.validate().context("--sampling-steps")?;
+            }
             let mut settings = self.settings(&setup)?;
             settings.networks = perception.description().cloned();
             let records = (folder, shard);

@@ -71,7 +71,7 @@ pub fn measure(subject: &Subject) -> Result<ModelCost> {
     Ok(ModelCost {
         transition_parameters: config.parameter_count(),
         transition_operations: cost::transition_of(config)?.operations,
-        euler_steps: config.sampler.steps,
+        euler_steps: subject.sampler().steps,
         parts,
         peak_megabytes: peak_megabytes(),
         machine: machine(),

@@ -28,7 +28,6 @@ pub mod representation;
 pub mod robustness;
 pub mod run;
 mod settings;
-mod shard;
 mod squared_error;
 mod strip;
 mod subject;
@@ -50,7 +49,7 @@ pub use settings::{
     ControlSettings, FidelitySettings, LatentsSettings, Protocol, RobustnessSettings,
     SearchSettings, Settings,
 };
-pub use shard::Shard;
+pub use wm_bag::Shard;
 pub use squared_error::SquaredError;
 pub use strip::strip;
 pub use subject::{Recording, Subject};

@@ -55,8 +55,9 @@ pub(crate) fn of_files(paths: &[PathBuf]) -> Result<Vec<ModelFindings>> {
     for path in paths {
         let (heading, found) = records::read(path)?;
         let of_model = models.iter_mut().find(|model| {
-            let first = model.first().map(|(_, first, _)| &first.header.hash);
-            first == Some(&heading.header.hash)
+            let first = model.first().map(|(_, first, _)| &first.header);
+            let own = &heading.header;
+            first.is_some_and(|first| first.hash == own.hash && first.sampler == own.sampler)
         });
         let file = (path.clone(), heading, found);
         match of_model {

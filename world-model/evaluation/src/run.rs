@@ -151,7 +151,7 @@ impl Plan<'_> {
         Ok(Heading {
             units: units.collect(),
             header: Header {
-                model: world.name.clone(),
+                model: self.subject.name(),
                 hash: world.hash.clone(),
                 space: world.space.name.clone(),
                 data: data.iter().map(|path| path.display().to_string()).collect(),

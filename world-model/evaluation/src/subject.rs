@@ -23,6 +23,8 @@ pub struct Subject {
     pub decoder: Option<Box<dyn Decoder>>,
     /// The transition model.
     pub world: WorldModel,
+    /// How frames are sampled: the model's own settings, unless others are asked for.
+    pub sampler: Sampler,
     /// The inverse dynamics models, that of the model's folder first.
     pub idms: Vec<TrainedIdm>,
     /// The success probe, where the model has one.
@@ -70,6 +72,7 @@ impl Subject {
             decoder: folder.decoder()?,
             probe: folder.probe()?,
             encoder,
+            sampler: world.transition.config().sampler.clone(),
             world,
             idms: folder.idm()?.into_iter().collect(),
             dataset,
@@ -155,10 +158,21 @@ impl Subject {
         Ok(Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?)
     }
 
-    /// The sampler that the model was made for.
+    /// What a report calls the model: with the Euler steps where they are not its own.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let (name, steps) = (&self.world.name, self.sampler.steps);
+        if self.sampler == self.world.transition.config().sampler {
+            name.clone()
+        } else {
+            format!("{name} ({steps} Euler steps)")
+        }
+    }
+
+    /// How frames are sampled.
     #[must_use]
     pub fn sampler(&self) -> &Sampler {
-        &self.world.transition.config().sampler
+        &self.sampler
     }
 
     /// Predicts what follows the first [`CONTEXT`] frames of a recording under its actions, to its end: (K, h, w, C).

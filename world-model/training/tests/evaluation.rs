@@ -49,6 +49,63 @@ fn refused(arguments: &[&str], paths: &[(&str, &Path)]) -> String {
     String::from_utf8(found.stderr).unwrap()
 }
 
+/// Opens the report as a person would, wide and narrow, and looks whether anything is to be seen.
+fn in_a_browser(report: &Path) {
+    let browsers = ["chromium-headless-shell", "chromium", "google-chrome"];
+    let version = |name: &&str| Command::new(name).arg("--version").output().is_ok();
+    let Some(browser) = browsers.into_iter().find(version) else {
+        assert!(
+            std::env::var_os("CI").is_none(),
+            "no browser, and this is not to be skipped in CI: tests/setup_system installs one"
+        );
+        eprintln!("skipped: none of {browsers:?} is installed");
+        return;
+    };
+    let page = format!("file://{}", report.display());
+    for width in [400, 1400] {
+        let picture = report.with_extension(format!("{width}.png"));
+        let found = Command::new(browser)
+            .args(["--headless", "--no-sandbox", "--hide-scrollbars"])
+            .arg(format!("--window-size={width},2400"))
+            .arg(format!("--screenshot={}", picture.display()))
+            .arg(&page)
+            .output()
+            .unwrap();
+        assert!(
+            found.status.success(),
+            "{}",
+            String::from_utf8_lossy(&found.stderr)
+        );
+        let picture = image::open(&picture).unwrap().into_rgb8();
+        assert_eq!(picture.dimensions(), (width, 2400));
+        // Text and lines on a background: many colours (anti-aliasing).
+        let mut counts = std::collections::HashMap::new();
+        for pixel in picture.pixels() {
+            *counts.entry(pixel.0).or_insert(0_u32) += 1;
+        }
+        let most = counts.values().max().unwrap();
+        assert!(counts.len() > 100, "{width}: {} colours", counts.len());
+        assert!(
+            f64::from(*most) < 0.97 * f64::from(width * 2400),
+            "{width}: empty"
+        );
+    }
+    let found = Command::new(browser)
+        .args(["--headless", "--no-sandbox", "--dump-dom"])
+        .arg(&page)
+        .output()
+        .unwrap();
+    let dom = String::from_utf8_lossy(&found.stdout).into_owned();
+    for part in [
+        "Do predictions obey the actions?",
+        "control.cem_k1_error",
+        "<svg",
+        "data:image/png",
+    ] {
+        assert!(dom.contains(part), "{part}");
+    }
+}
+
 #[test]
 fn threads_shards_and_interruptions_change_no_byte() {
     let dir = tempfile::tempdir().unwrap();
@@ -106,6 +163,8 @@ fn threads_shards_and_interruptions_change_no_byte() {
     let psnr = &json["metrics"]["fidelity.psnr"]["value"];
     let ceiling = &json["metrics"]["fidelity.psnr_ceiling"]["value"];
     assert!(ceiling.as_f64() > psnr.as_f64(), "{psnr} {ceiling}");
+
+    in_a_browser(&first.join("report.html"));
 
     // Two threads, and a run that was killed within a line.
     let second = path("two");

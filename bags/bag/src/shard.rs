@@ -1,6 +1,6 @@
 use std::{fmt, str::FromStr};
 
-/// One of several processes that share the units of an evaluation.
+/// One of several processes or machines that share the work on many recordings: every Nth is its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
     index: usize,
@@ -11,10 +11,17 @@ impl Shard {
     /// The only one.
     pub const WHOLE: Self = Self { index: 0, count: 1 };
 
-    /// Whether a unit is this one's.
+    /// Whether the recording, or unit of work, of this number is this one's.
     #[must_use]
     pub fn has(self, unit: usize) -> bool {
         unit % self.count == self.index
+    }
+
+    /// How many of `count` are its own.
+    #[must_use]
+    pub fn share_of(self, count: u64) -> u64 {
+        let (index, shards) = (self.index as u64, self.count as u64);
+        count.saturating_sub(index).div_ceil(shards)
     }
 
     /// Whether there are others.
@@ -55,6 +62,8 @@ mod tests {
         let shards: Vec<Shard> = ["0/3", "1/3", "2/3"].map(|s| s.parse().unwrap()).into();
         for unit in 0..10 {
             assert_eq!(shards.iter().filter(|shard| shard.has(unit)).count(), 1);
+            let shares: u64 = shards.iter().map(|shard| shard.share_of(unit as u64)).sum();
+            assert_eq!(shares, unit as u64);
         }
         for wrong in ["3/3", "1", "-1/2", "0/0", "a/b"] {
             assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
