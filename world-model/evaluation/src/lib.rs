@@ -49,8 +49,8 @@ pub use settings::{
     ControlSettings, FidelitySettings, LatentsSettings, Protocol, RobustnessSettings,
     SearchSettings, Settings,
 };
-pub use wm_bag::Shard;
 pub use squared_error::SquaredError;
 pub use strip::strip;
 pub use subject::{Recording, Subject};
 pub use windows::{ActionChange, CONTEXT, Windows, squared};
+pub use wm_bag::Shard;

@@ -1,6 +1,6 @@
 //! MODEL.md: what a model is, and is not, for those who are to decide whether to use it.
 
-use std::fmt::Write as _;
+use std::{collections::BTreeMap, fmt::Write as _};
 
 use serde::{Deserialize, Serialize};
 
@@ -173,8 +173,12 @@ fn figures(line: &mut impl FnMut(&str), findings: &ModelFindings, suite: Suite) 
         line("");
         line("Not measured:");
         line("");
+        let mut names_by_reason: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for (name, why) in absent {
-            line(&format!("- {}: {}", code(name), inline(&why)));
+            names_by_reason.entry(why).or_default().push(code(name));
+        }
+        for (why, names) in names_by_reason {
+            line(&format!("- {}: {}", names.join(", "), inline(&why)));
         }
     }
 }
@@ -209,13 +213,16 @@ fn inline(text: &str) -> String {
     escaped
 }
 
-/// Code, with more backticks around it than are in it. A bar would end the cell of a table even here.
+/// Code, with more backticks around it than are in it. A bar would end the cell of a table even here, and a backslash before
+/// it undo its escape: text with a bar is marked up as HTML.
 fn code(text: &str) -> String {
+    if text.contains('|') {
+        return format!("<code>{}</code>", inline(text));
+    }
     let text: String = text
         .chars()
         .map(|c| if c.is_control() { ' ' } else { c })
         .collect();
-    let text = text.replace('|', "\\|");
     if !text.contains('`') {
         return format!("`{text}`");
     }

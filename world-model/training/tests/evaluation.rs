@@ -98,7 +98,7 @@ fn in_a_browser(report: &Path) {
     let dom = String::from_utf8_lossy(&found.stdout).into_owned();
     for part in [
         "Do predictions obey the actions?",
-        "control.cem_k1_error",
+        "CEM error: distance to the true actions",
         "<svg",
         "data:image/png",
     ] {

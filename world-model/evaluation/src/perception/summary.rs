@@ -98,7 +98,9 @@ fn why_absent(episodes: &[Episode<'_>], name: &str, roles: &[Role]) -> String {
         return format!("no episode has one: {why}");
     }
     let absent = roles.iter().filter(|role| !is_present(episodes, **role));
-    let absent: Vec<String> = absent.map(|role| role.not_measured()).collect();
+    let absent: Vec<String> = absent
+        .map(|role| format!("no network for `{}`", role.name()))
+        .collect();
     format!("{}; see docs/evaluation.md", absent.join("; "))
 }
 

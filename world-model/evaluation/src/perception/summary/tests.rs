@@ -102,7 +102,7 @@ fn every_metric_without_a_network_is_absent_by_name() {
     assert_eq!(absent, names);
     assert_eq!(
         why(&section, "fvd"),
-        "FVD: not measured: no network for `fvd`; see docs/evaluation.md"
+        "no network for `fvd`; see docs/evaluation.md"
     );
     let both = why(&section, "t_lpips");
     assert!(
