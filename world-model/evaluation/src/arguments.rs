@@ -114,6 +114,10 @@ impl SuiteArgs {
             self.perception.is_empty() || suites.contains(&Suite::Fidelity),
             "--networks and --lpips are for the suite fidelity"
         );
+        ensure!(
+            self.policy.is_default() || suites.contains(&Suite::Policy),
+            "--policy, --tasks, --trials, --ood, --start-images, --judges and --prompts are for the suite policy"
+        );
         let perception = Arc::new(Perception::open(&self.perception)?);
         let shard = self.shard.unwrap_or(Shard::WHOLE);
         let setup = Setup::new(&self.policy)?;

@@ -1,6 +1,6 @@
 //! MODEL.md: the model card of findings.
 
-use std::{fs, io::Write as _, path::Path};
+use std::{fs, path::Path};
 
 use anyhow::{Context as _, Result, ensure};
 use sha2::{Digest as _, Sha256};
@@ -30,13 +30,9 @@ pub fn write(path: &Path, findings: &ModelFindings, about: &CardAbout) -> Result
     }
     let card = sealed(&model_card(findings, about));
     // In one move: half a card would count as changed.
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    let mut partial =
-        tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new("."))).with_context(name)?;
-    partial.write_all(card.as_bytes()).with_context(name)?;
-    partial.persist(path).with_context(name)?;
+    let partial = path.with_extension("partial");
+    fs::write(&partial, card).with_context(|| partial.display().to_string())?;
+    fs::rename(&partial, path).with_context(name)?;
     Ok(Written::Yes)
 }
 

@@ -96,6 +96,8 @@ impl Records {
             .append(true)
             .open(path)
             .with_context(name)?;
+        file.try_lock()
+            .with_context(|| format!("{}: is another process writing it?", name()))?;
         Ok(Self {
             path: path.to_owned(),
             file: Mutex::new(file),

@@ -89,7 +89,7 @@ impl Subject {
             return Vec::new();
         };
         let indices = (0..episode.frame_count).step_by(self.world.encoding.frame_skip());
-        let indices: Vec<usize> = indices.take(CONTEXT + steps).collect();
+        let indices: Vec<usize> = indices.take(CONTEXT.saturating_add(steps)).collect();
         if indices.len() <= CONTEXT {
             return Vec::new();
         }

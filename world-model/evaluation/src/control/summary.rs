@@ -29,6 +29,13 @@ pub fn summarise(windows: &[(String, WindowControl)], settings: &Settings) -> Se
         of_horizon(&mut section, &searches, settings, search.k);
     }
     of_responses(&mut section, &responses, settings);
+    if settings.control.searches.is_empty() {
+        section.absent(
+            "cem_k1_error",
+            "no searches were asked for, which take minutes: wm eval control",
+        );
+        return section;
+    }
     section.notes.push(
         "The search of the paper starts at the true actions with a deviation of a quarter of the range, so that a model \
          which ignores actions keeps some of the truth: beside it, the same search from zero, and the errors of a random \

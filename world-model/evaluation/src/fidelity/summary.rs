@@ -10,6 +10,13 @@ type Figure = fn(&Similarity) -> f64;
 #[must_use]
 pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) -> Section {
     let mut section = Section::new(Suite::Fidelity);
+    if episodes.is_empty() {
+        section.absent(
+            "psnr",
+            "the model has no decoder, or no episode is long enough to predict a step",
+        );
+        return section;
+    }
     let pictures: [(&str, &str, Of); 3] = [
         ("", "decoded predictions", |step| &step.predicted),
         (

@@ -42,6 +42,20 @@ pub struct PolicyArgs {
     pub prompts: Option<PathBuf>,
 }
 
+impl PolicyArgs {
+    /// Whether nothing was asked for.
+    pub(crate) fn is_default(&self) -> bool {
+        self.policy == BuiltIn::default()
+            && self.policy_command.is_none()
+            && self.tasks.is_none()
+            && self.trials.is_none()
+            && self.ood.is_none()
+            && self.start_images.is_none()
+            && self.judges.is_none()
+            && self.prompts.is_none()
+    }
+}
+
 /// A policy that takes no program.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum BuiltIn {

@@ -87,18 +87,7 @@ mod tests {
             section.metric(&name, Metric::plain(*rate, 8, Better::Higher, "a rate"));
         }
         ModelFindings {
-            header: Header {
-                model: name.into(),
-                hash: name.into(),
-                space: String::new(),
-                data: Vec::new(),
-                data_digest: String::new(),
-                episodes: 0,
-                seed: 0,
-                settings: serde_json::Value::Null,
-                sampler: serde_json::Value::Null,
-                version: String::new(),
-            },
+            header: Header::of(name, name, ""),
             sections: vec![section],
         }
     }

@@ -44,7 +44,7 @@ pub(super) fn measure(subject: &Subject, episode: usize, seed: u64) -> Result<Ju
     let (Some(text), Some(success)) = (&own.instruction, own.success) else {
         anyhow::bail!("{}: no instruction or no outcome", own.name);
     };
-    let frames = subject.frames_of(episode, usize::MAX - CONTEXT);
+    let frames = subject.frames_of(episode, usize::MAX);
     let recording = subject.recording(episode, frames.len())?;
     let observed = recording.frames.narrow(0, 0, CONTEXT)?;
     let predicted = Tensor::cat(&[observed, subject.rollout(&recording, seed)?], 0)?;

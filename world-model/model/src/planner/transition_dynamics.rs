@@ -121,6 +121,35 @@ mod tests {
     }
 
     #[test]
+    fn the_last_frame_carries_the_action_that_is_known() {
+        let (model, context) = (model(), context());
+        let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
+        let sampler = &model.config().sampler;
+        let new = || TransitionDynamics::new(&model, sampler, &context, Some(&past), 5).unwrap();
+        let values: Vec<f32> = (0..20).map(|i| (i as f32 * 0.7).sin()).collect();
+        let actions = Tensor::from_vec(values, (1, 2, 10), &Device::Cpu).unwrap();
+        let latents = |mut dynamics: TransitionDynamics<'_>| {
+            let rolled = dynamics.rollout(&actions).unwrap();
+            rolled
+                .squeeze(0)
+                .unwrap()
+                .flatten_from(1)
+                .unwrap()
+                .to_vec2::<f32>()
+                .unwrap()
+        };
+        let searched = actions.narrow(1, 1, 1).unwrap().squeeze(1).unwrap();
+        let known = (&searched * -1.0).unwrap();
+        let going_on = latents(new());
+        assert_eq!(latents(new().ending_with(&searched).unwrap()), going_on);
+        let ending = latents(new().ending_with(&known).unwrap());
+        assert_eq!(ending[0], going_on[0], "only the last frame carries it");
+        assert_ne!(ending[1], going_on[1]);
+        let short = known.narrow(1, 0, 9).unwrap();
+        assert!(new().ending_with(&short).is_err());
+    }
+
+    #[test]
     fn the_cost_of_a_plan_is_that_of_its_own_rollout() {
         let (model, context) = (model(), context());
         let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
