@@ -102,7 +102,7 @@ mod tests {
     use super::*;
     use crate::{
         planner::{Cem, CemSettings, Target},
-        transition::{Transition, TransitionConfig},
+        transition::{ActionAlignment, Transition, TransitionConfig},
     };
 
     fn model() -> PackedTransition {
@@ -122,7 +122,13 @@ mod tests {
 
     #[test]
     fn the_last_frame_carries_the_action_that_is_known() {
-        let (model, context) = (model(), context());
+        // A model of which every frame carries the action that follows it, as the paper's do.
+        let config = TransitionConfig {
+            action_alignment: ActionAlignment::WithFrame,
+            ..model().config().clone()
+        };
+        let model = Transition::random(config, 3).unwrap().pack().unwrap();
+        let context = context();
         let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
         let sampler = &model.config().sampler;
         let new = || TransitionDynamics::new(&model, sampler, &context, Some(&past), 5).unwrap();
