@@ -1,4 +1,4 @@
-use std::{fmt, str::FromStr};
+use std::{fmt, ops::Range, str::FromStr};
 
 /// One of several processes or machines that share the work on many recordings: every Nth is its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +22,14 @@ impl Shard {
     pub fn share_of(self, count: u64) -> u64 {
         let (index, shards) = (self.index as u64, self.count as u64);
         count.saturating_sub(index).div_ceil(shards)
+    }
+
+    /// Its own of `count` things in a row, which are cut into one range per shard; the first ones may have one more.
+    #[must_use]
+    pub fn range_of(self, count: usize) -> Range<usize> {
+        let (each, rest) = (count / self.count, count % self.count);
+        let first = self.index * each + self.index.min(rest);
+        first..first + each + usize::from(self.index < rest)
     }
 
     /// Whether there are others.
@@ -59,12 +67,16 @@ mod tests {
 
     #[test]
     fn every_unit_is_in_one_shard() {
-        let shards: Vec<Shard> = ["0/3", "1/3", "2/3"].map(|s| s.parse().unwrap()).into();
+        let shards: [Shard; 3] = ["0/3", "1/3", "2/3"].map(|s| s.parse().unwrap());
         for unit in 0..10 {
             assert_eq!(shards.iter().filter(|shard| shard.has(unit)).count(), 1);
             let shares: u64 = shards.iter().map(|shard| shard.share_of(unit as u64)).sum();
             assert_eq!(shares, unit as u64);
+            let ranges = shards.iter().flat_map(|shard| shard.range_of(unit));
+            assert!(ranges.eq(0..unit), "one after the other, without a gap");
         }
+        let lengths = shards.map(|shard| shard.range_of(8).len());
+        assert_eq!(lengths, [3, 3, 2]);
         for wrong in ["3/3", "1", "-1/2", "0/0", "a/b"] {
             assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
         }

@@ -13,7 +13,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::{Args, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
-use wm_import::{import_bridge, import_droid};
+use wm_import::{Shard, import_bridge, import_droid};
 use wm_motion::actions::ActionSpace;
 
 /// Imports data sets as bags, and exports bags as data sets.
@@ -54,7 +54,7 @@ struct EpisodesCommand {
     #[arg(long)]
     episodes: Option<usize>,
     #[command(flatten)]
-    jpeg: Jpeg,
+    common: Common,
 }
 
 #[derive(Args, Debug)]
@@ -71,14 +71,18 @@ struct FromLerobot {
     #[arg(long, value_name = "FILE")]
     action_space: Option<PathBuf>,
     #[command(flatten)]
-    jpeg: Jpeg,
+    common: Common,
 }
 
 #[derive(Args, Debug)]
-struct Jpeg {
+struct Common {
     /// JPEG quality of the frames of videos, 1 to 100
     #[arg(long, default_value_t = wm_import::ImportOptions::default().jpeg_quality, value_parser = clap::value_parser!(u8).range(1..=100))]
     jpeg_quality: u8,
+    /// Import every Nth of the episodes, from the Ith on, counted from 0: several machines share one command, each with
+    /// another I. A bag keeps its number, so that all may write to one folder
+    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    shard: Shard,
 }
 
 #[derive(Args, Debug)]
@@ -132,7 +136,8 @@ impl EpisodesCommand {
     fn options(&self) -> wm_import::ImportOptions {
         wm_import::ImportOptions {
             episodes: self.episodes,
-            jpeg_quality: self.jpeg.jpeg_quality,
+            jpeg_quality: self.common.jpeg_quality,
+            shard: self.common.shard,
             ..wm_import::ImportOptions::default()
         }
     }
@@ -148,7 +153,8 @@ impl ImportCommand {
                 let options = wm_lerobot::ImportOptions {
                     episodes: from.episodes,
                     action_space: from.action_space.as_deref().map(action_space).transpose()?,
-                    jpeg_quality: from.jpeg.jpeg_quality,
+                    jpeg_quality: from.common.jpeg_quality,
+                    shard: from.common.shard,
                     ..wm_lerobot::ImportOptions::default()
                 };
                 wm_lerobot::import(&from.source, &from.output, &options)?

@@ -15,7 +15,7 @@ use std::path::Path;
 
 use crate::{
     ImportError,
-    episode::{Camera, Episode, Joints, VALUES},
+    episode::{Camera, Episode, Joints, Unread, VALUES},
     video::Video,
 };
 use annotation::Annotation;
@@ -27,15 +27,16 @@ const CAMERAS: [&str; 3] = ["exterior_1", "exterior_2", "wrist"];
 /// The joints of the Franka arm, as its description (franka_description) names them for the arm `panda`.
 const JOINT_PREFIX: &str = "panda_joint";
 
-/// The episodes below `src`, each read when it is asked for.
+/// The episodes below `src`.
 pub(crate) fn episodes(
     src: &Path,
     jpeg_quality: u8,
-) -> Result<impl Iterator<Item = Result<Episode, ImportError>>, ImportError> {
+) -> Result<impl Iterator<Item = Result<Unread, ImportError>>, ImportError> {
     let found = source::find(src)?;
-    Ok(found
-        .into_iter()
-        .map(move |located| episode(&located, jpeg_quality)))
+    Ok(found.into_iter().map(move |located| {
+        let unread: Unread = Box::new(move || episode(&located, jpeg_quality));
+        Ok(unread)
+    }))
 }
 
 fn episode(located: &Located, jpeg_quality: u8) -> Result<Episode, ImportError> {

@@ -19,6 +19,9 @@ const BRIDGE_PERIOD_NS: u64 = 200_000_000;
 /// REP-105's name for the frame that the robot is mounted in.
 const BASE_FRAME: &str = "base_link";
 
+/// Reads an episode that was found.
+pub(crate) type Unread = Box<dyn FnOnce() -> Result<Episode, ImportError>>;
+
 /// The frames of a camera.
 #[derive(Debug)]
 pub(crate) struct Camera {

@@ -37,21 +37,26 @@ mod jpeg;
 mod mp4_npz;
 mod rlds;
 mod source;
+#[cfg(test)]
+mod testing;
 pub mod video;
 
 use std::path::{Path, PathBuf};
 
-use episode::Episode;
 pub use episode::ORIGIN;
+use episode::Unread;
 pub use error::ImportError;
 pub use jpeg::jpeg;
 use source::Source;
+pub use wm_bag::Shard;
 
 /// How episodes are imported.
 #[derive(Clone, Debug)]
 pub struct ImportOptions {
     /// Import at most this many episodes; none imports all.
     pub episodes: Option<usize>,
+    /// Import only the episodes of this shard: several machines share an import. The bags keep their numbers.
+    pub shard: Shard,
     /// JPEG quality of frames that are not JPEG already, 1 to 100.
     pub jpeg_quality: u8,
     /// Stamp of the first frame of each episode, in ns since the epoch; the data carry no time of their own.
@@ -62,6 +67,7 @@ impl Default for ImportOptions {
     fn default() -> Self {
         Self {
             episodes: None,
+            shard: Shard::WHOLE,
             jpeg_quality: 95,
             // Any fixed time serves, so that an import is reproducible; not 0, which ROS reads as "no time".
             start_ns: 1_700_000_000_000_000_000,
@@ -71,7 +77,7 @@ impl Default for ImportOptions {
 
 /// Imports Bridge V2 episodes: each becomes a bag `OUT/episode_NNNNNN`. The layout is found by what `src` holds.
 ///
-/// `src` may be a directory, one `.mp4` or `.npz`, or one TFRecord. Gives the bags, in order.
+/// `src` may be a directory, one `.mp4` or `.npz`, or one TFRecord. Gives the bags, in order; a shard may have none.
 ///
 /// # Errors
 /// `src` holds neither layout; a file is missing, corrupt or incomplete (the error names it); or a bag already exists
@@ -82,7 +88,7 @@ pub fn import_bridge(
     options: &ImportOptions,
 ) -> Result<Vec<PathBuf>, ImportError> {
     let source = Source::find(src)?;
-    let episodes: Box<dyn Iterator<Item = Result<Episode, ImportError>>> = match source {
+    let episodes: Box<dyn Iterator<Item = Result<Unread, ImportError>>> = match source {
         Source::Mp4Npz(pairs) => Box::new(mp4_npz::episodes(pairs, options.jpeg_quality)),
         Source::Rlds(shards) => Box::new(rlds::episodes(shards, options.jpeg_quality)),
     };
@@ -105,19 +111,25 @@ pub fn import_droid(
     write(episodes, src, out, options)
 }
 
-/// Writes each episode as a bag.
+/// Writes each episode of the shard as a bag; the others are not read.
 fn write(
-    episodes: impl Iterator<Item = Result<Episode, ImportError>>,
+    episodes: impl Iterator<Item = Result<Unread, ImportError>>,
     src: &Path,
     out: &Path,
     options: &ImportOptions,
 ) -> Result<Vec<PathBuf>, ImportError> {
     let mut bags = Vec::new();
-    for (number, episode) in episodes
+    let mut is_empty = true;
+    for (number, unread) in episodes
         .take(options.episodes.unwrap_or(usize::MAX))
         .enumerate()
     {
-        let episode = episode?;
+        let unread = unread?;
+        is_empty = false;
+        if !options.shard.has(number) {
+            continue;
+        }
+        let episode = unread()?;
         let bag = out.join(format!("episode_{number:06}"));
         episode.write(&bag, options.start_ns, &episode.origin(src))?;
         tracing::info!(
@@ -126,7 +138,7 @@ fn write(
         );
         bags.push(bag);
     }
-    if bags.is_empty() {
+    if is_empty {
         return Err(ImportError::NoEpisodes(src.to_owned()));
     }
     Ok(bags)

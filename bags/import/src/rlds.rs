@@ -15,7 +15,7 @@ use image::{ImageFormat, RgbImage};
 
 use crate::{
     ImportError,
-    episode::{Episode, VALUES, bridge_cameras},
+    episode::{Episode, Unread, VALUES, bridge_cameras},
     jpeg,
 };
 use example::Example;
@@ -26,58 +26,62 @@ const STATE: &str = "steps/observation/state";
 const INSTRUCTION: &str = "steps/language_instruction";
 const IMAGE_PREFIX: &str = "steps/observation/image_";
 
-/// The episodes of these files, each read when it is asked for.
+/// The episodes of these files.
 pub(crate) fn episodes(
-    shards: Vec<PathBuf>,
+    files: Vec<PathBuf>,
     jpeg_quality: u8,
-) -> impl Iterator<Item = Result<Episode, ImportError>> {
-    shards.into_iter().flat_map(move |file| {
-        let (shard, error) = match TfRecords::open(&file) {
+) -> impl Iterator<Item = Result<Unread, ImportError>> {
+    files.into_iter().flat_map(move |file| {
+        let (episodes, error) = match TfRecords::open(&file) {
             Ok(records) => (
-                Some(Shard {
+                Some(Episodes {
                     file,
                     records,
-                    read: 0,
+                    found: 0,
                     jpeg_quality,
                 }),
                 None,
             ),
             Err(error) => (None, Some(Err(error))),
         };
-        error.into_iter().chain(shard.into_iter().flatten())
+        error.into_iter().chain(episodes.into_iter().flatten())
     })
 }
 
 /// The episodes of one file.
-struct Shard {
+struct Episodes {
     file: PathBuf,
     records: TfRecords,
-    read: u64,
+    found: u64,
     jpeg_quality: u8,
 }
 
-impl Iterator for Shard {
-    type Item = Result<Episode, ImportError>;
+impl Iterator for Episodes {
+    type Item = Result<Unread, ImportError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let Some(record) = self.records.next() else {
             return self.check_count().err().map(Err);
         };
-        let number = self.read;
-        self.read += 1;
-        Some(record.and_then(|record| episode(&self.file, number, &record, self.jpeg_quality)))
+        let number = self.found;
+        self.found += 1;
+        let (file, quality) = (self.file.clone(), self.jpeg_quality);
+        Some(record.map(|record| {
+            let unread: Unread = Box::new(move || episode(&file, number, &record.read()?, quality));
+            unread
+        }))
     }
 }
 
-impl Shard {
+impl Episodes {
     /// Holds the count against the data set's own description: a file cut between two records looks whole otherwise.
     fn check_count(&self) -> Result<(), ImportError> {
         match split::expected_records(&self.file)? {
-            Some(expected) if expected != self.read => Err(ImportError::corrupt(
+            Some(expected) if expected != self.found => Err(ImportError::corrupt(
                 &self.file,
                 format!(
                     "expected {expected} episodes, as dataset_info.json says, got {}",
-                    self.read
+                    self.found
                 ),
             )),
             _ => Ok(()),

@@ -8,15 +8,22 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use wm_bag::Shard;
 use wm_motion::actions::{ActionError, ActionSpace};
 
-use crate::{LeRobotError, dataset::Dataset, info::ACTION};
+use crate::{
+    LeRobotError,
+    dataset::{Dataset, Entry},
+    info::ACTION,
+};
 
 /// How episodes are imported.
 #[derive(Clone, Debug)]
 pub struct ImportOptions {
     /// The numbers of the episodes to import; none imports all.
     pub episodes: Option<RangeInclusive<i64>>,
+    /// Import only every Nth of these: several machines share an import.
+    pub shard: Shard,
     /// JPEG quality of the frames of videos, 1 to 100. Pictures that are kept as files are taken over as they are.
     pub jpeg_quality: u8,
     /// Stamp of the first frame of each episode, in ns since the epoch; LeRobot keeps no time of day. Episodes that were
@@ -31,6 +38,7 @@ impl Default for ImportOptions {
         let bridge = wm_import::ImportOptions::default();
         Self {
             episodes: None,
+            shard: Shard::WHOLE,
             jpeg_quality: bridge.jpeg_quality,
             start_ns: bridge.start_ns,
             action_space: None,
@@ -39,7 +47,7 @@ impl Default for ImportOptions {
 }
 
 /// Imports a LeRobot dataset of version v2.1 or v3.0: each episode becomes a bag `OUT/episode_NNNNNN` with its number.
-/// Gives the bags, in order.
+/// Gives the bags, in order; a shard may have none.
 ///
 /// Stamps are `start + frame_index / fps`, to the nanosecond; the `timestamp` of each row is held against that.
 ///
@@ -63,25 +71,28 @@ pub fn import(
         );
     }
     let actions = actions(&dataset, options.action_space.as_ref())?;
+    let is_wanted = |entry: &&Entry| {
+        let wanted = options.episodes.as_ref();
+        wanted.is_none_or(|wanted| wanted.contains(&entry.index))
+    };
+    let wanted: Vec<&Entry> = dataset.episodes.iter().filter(is_wanted).collect();
+    if wanted.is_empty() {
+        return Err(LeRobotError::Nothing(format!(
+            "{} has {} episodes, but none of those that you asked for",
+            src.display(),
+            dataset.episodes.len()
+        )));
+    }
+    let own = wanted.into_iter().enumerate();
+    let own = own.filter(|(number, _)| options.shard.has(*number));
     let mut bags = Vec::new();
-    for entry in &dataset.episodes {
-        let is_wanted = options.episodes.as_ref();
-        if is_wanted.is_some_and(|wanted| !wanted.contains(&entry.index)) {
-            continue;
-        }
+    for (_, entry) in own {
         let episode = episode::read(&dataset, entry, options.jpeg_quality)?;
         let path = out.join(format!("episode_{:06}", entry.index));
         let start_ns = entry.start_ns.unwrap_or(options.start_ns);
         bag::write(&episode, actions.as_ref(), &path, start_ns)?;
         tracing::info!(episode = entry.index, bag = %path.display(), frames = entry.length, "imported");
         bags.push(path);
-    }
-    if bags.is_empty() {
-        return Err(LeRobotError::Nothing(format!(
-            "{} has {} episodes, but none of those that you asked for",
-            src.display(),
-            dataset.episodes.len()
-        )));
     }
     Ok(bags)
 }

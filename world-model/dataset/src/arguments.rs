@@ -1,10 +1,12 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use wm_bag::Shard;
+use wm_model::Encoder;
 use wm_zoo::ModelFolder;
 
 use super::{
-    Data, DataOptions, DatasetError, Size,
+    Data, DataOptions, Dataset, DatasetError, Size,
     data::name_left_out,
     preparation::Preparation,
     search::{find, find_others},
@@ -49,6 +51,10 @@ enum DatasetCommand {
         /// Folder for the latents, and for smaller pictures if the encoder takes such [default: the prepared folder]
         #[arg(long)]
         cache: Option<PathBuf>,
+        /// Encode only the Ith of N equal parts of the frames, counted from 0, and leave the statistics: several machines
+        /// share the work, each with another I and the same folders. The same command without this joins the parts
+        #[arg(long, value_name = "I/N")]
+        shard: Option<Shard>,
     },
 }
 
@@ -72,6 +78,7 @@ impl DatasetArgs {
                     dir,
                     encoder,
                     cache,
+                    shard,
                 }),
                 _,
             ) => {
@@ -80,13 +87,10 @@ impl DatasetArgs {
                 let options = DataOptions::default();
                 let paths = [dir.clone()];
                 let data = Data::open(&paths, encoder.input_size(), cache, &options)?;
-                let statistics = Latents::open(&data.training, &*encoder, cache)?.statistics()?;
-                for (channel, (mean, std)) in
-                    (statistics.mean.iter().zip(&statistics.std)).enumerate()
-                {
-                    println!("channel {channel}: mean {mean:.4}, std {std:.4}");
+                match shard {
+                    Some(shard) => encode_shard(&data.training, &*encoder, cache, *shard),
+                    None => add_statistics(dir, &Latents::open(&data.training, &*encoder, cache)?),
                 }
-                Ok(add_latent_statistics(dir, statistics)?)
             }
             (None, Some(out)) => Ok(self.prepare(out)?),
             // The command line requires one or the other.
@@ -118,4 +122,31 @@ impl DatasetArgs {
         println!("{manifest}");
         Ok(())
     }
+}
+
+/// Adds mean and standard deviation of the latents to the folder's statistics, and prints them.
+fn add_statistics(dir: &Path, latents: &Latents) -> anyhow::Result<()> {
+    let statistics = latents.statistics()?;
+    for (channel, (mean, std)) in (statistics.mean.iter().zip(&statistics.std)).enumerate() {
+        println!("channel {channel}: mean {mean:.4}, std {std:.4}");
+    }
+    Ok(add_latent_statistics(dir, statistics)?)
+}
+
+/// Encodes a shard's frames, and says where they are.
+fn encode_shard(
+    dataset: &Dataset,
+    encoder: &dyn Encoder,
+    cache: &Path,
+    shard: Shard,
+) -> anyhow::Result<()> {
+    let files = Latents::encode_shard(dataset, encoder, cache, shard)?;
+    for file in &files {
+        println!("{}", file.display());
+    }
+    if files.is_empty() {
+        println!("There are too few frames for shard {shard}.");
+    }
+    println!("The same command without --shard joins the shards and adds the statistics.");
+    Ok(())
 }

@@ -2,25 +2,25 @@
 //! 16-bit floats.
 //!
 //! The cache is keyed by the digest of the frames and by the latent space: other frames or another encoder make a new one.
+//! Several machines may each encode a part of the frames beside it.
 
-use std::{
-    fs::{self, File},
-    io::{BufWriter, Write as _},
-    path::Path,
-};
+mod file;
+mod part;
+
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, ensure};
-use candle_core::{Device, Tensor};
 use half::f16;
 use memmap2::Mmap;
 use rayon::prelude::*;
+use wm_bag::Shard;
 use wm_model::{Encoder, LatentSpace};
 use wm_motion::actions::ActionSpace;
 
-use crate::{Dataset, Episode, Folder, LatentStatistics, Layout, progress_bar, short};
-
-/// Frames that are encoded at once: bounds the memory.
-const BATCH: usize = 16;
+use crate::{Dataset, Episode, LatentStatistics, Layout};
+use file::LatentFile;
+#[cfg(any(test, feature = "testing"))]
+use file::map;
 
 /// Latents of episodes, in the order of their frames.
 #[derive(Debug)]
@@ -34,42 +34,39 @@ pub struct Latents {
 }
 
 impl Latents {
-    /// The latents of `dataset`: encoded now, or taken from `cache_dir`, or a prepared folder, where an earlier call has left
-    /// them. All frames of a folder are encoded, so that another choice of its episodes finds its latents too.
+    /// The latents of `dataset`: taken from `cache_dir`, or a prepared folder, where an earlier call has left them, or else
+    /// encoded now. What [`encode_shard`](Self::encode_shard) has left in `cache_dir` is not encoded again; it is joined and
+    /// removed. All frames of a folder are encoded, so that another choice of its episodes finds its latents too.
     ///
     /// # Errors
     /// When a frame cannot be encoded, or the cache cannot be read or written.
     pub fn open(dataset: &Dataset, encoder: &dyn Encoder, cache_dir: &Path) -> Result<Self> {
-        let space = encoder.space().clone();
-        ensure!(
-            encoder.input_size() == dataset.size(),
-            "frames of {:?} for an encoder of {:?} (height, width)",
-            dataset.size(),
-            encoder.input_size()
-        );
-        let mut files = Vec::new();
-        for folder in dataset.folders() {
-            let digest = short(&folder.manifest().digest);
-            let name = format!("latents-{digest}-{}", short(&space.hash));
-            let prepared = folder.dir().join(&name);
-            let path = if prepared.is_file() {
-                prepared
-            } else {
-                cache_dir.join(name)
-            };
-            if !path.is_file() {
-                encode(folder, dataset.size(), encoder, &path)?;
-            }
-            files.push(map(&path, folder.frame_count(), &space)?);
-        }
+        let files = latent_files(dataset, encoder, cache_dir)?;
+        let files = files.iter().map(LatentFile::open);
         Ok(Self {
-            space,
+            files: files.collect::<Result<_>>()?,
+            space: encoder.space().clone(),
             layout: dataset.layout().clone(),
             digest: dataset.digest().to_owned(),
             actions: dataset.action_space().clone(),
             views: dataset.views(),
-            files,
         })
+    }
+
+    /// Encodes a shard's share of the frames of each folder, unless they are in `cache_dir` already: one of as many ranges
+    /// as there are shards. Gives the files that have them; none where there are too few frames for all shards.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn encode_shard(
+        dataset: &Dataset,
+        encoder: &dyn Encoder,
+        cache_dir: &Path,
+        shard: Shard,
+    ) -> Result<Vec<PathBuf>> {
+        let files = latent_files(dataset, encoder, cache_dir)?;
+        let parts = files.iter().map(|file| file.encode_shard(shard));
+        parts.filter_map(Result::transpose).collect()
     }
 
     /// The latents of `episodes` in one file.
@@ -202,146 +199,22 @@ impl Latents {
     }
 }
 
-fn map(path: &Path, frames: usize, space: &LatentSpace) -> Result<Mmap> {
-    let file = File::open(path).with_context(|| path.display().to_string())?;
-    // SAFETY: the cache is this program's own; whoever changes it during a training breaks only their own run.
-    let values = unsafe { Mmap::map(&file) }.with_context(|| path.display().to_string())?;
-    let expected = frames * space.elements() * size_of::<f16>();
+/// The file of each of a data set's folders.
+fn latent_files<'a>(
+    dataset: &'a Dataset,
+    encoder: &'a dyn Encoder,
+    cache_dir: &Path,
+) -> Result<Vec<LatentFile<'a>>> {
     ensure!(
-        values.len() == expected,
-        "{}: expected {expected} bytes, found {}; remove the file to recompute it",
-        path.display(),
-        values.len()
+        encoder.input_size() == dataset.size(),
+        "frames of {:?} for an encoder of {:?} (height, width)",
+        dataset.size(),
+        encoder.input_size()
     );
-    Ok(values)
-}
-
-fn encode(folder: &Folder, size: (usize, usize), encoder: &dyn Encoder, path: &Path) -> Result<()> {
-    let total = folder.frame_count();
-    let elements = encoder.space().elements();
-    let progress = progress_bar("encoding", "frames", total);
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    }
-    // Two programs may encode the same.
-    let partial = path.with_extension(format!("partial-{}", std::process::id()));
-    let mut file =
-        BufWriter::new(File::create(&partial).with_context(|| partial.display().to_string())?);
-    let firsts: Vec<usize> = (0..total).step_by(BATCH).collect();
-    // A batch a thread at a time: parallel, in order, and bounded in memory.
-    for group in firsts.chunks(rayon::current_num_threads()) {
-        let encoded = group
-            .par_iter()
-            .map(|first| encode_batch(folder, size, encoder, *first, BATCH.min(total - first)))
-            .collect::<Result<Vec<_>>>()?;
-        for latents in encoded {
-            file.write_all(&latents)?;
-            progress.inc((latents.len() / size_of::<f16>() / elements) as u64);
-        }
-    }
-    file.flush()?;
-    progress.finish_and_clear();
-    // In one move, so that a file of this name is whole.
-    fs::rename(&partial, path).with_context(|| path.display().to_string())
-}
-
-/// The latents of `count` frames from `first` on, as the cache holds them.
-fn encode_batch(
-    folder: &Folder,
-    (height, width): (usize, usize),
-    encoder: &dyn Encoder,
-    first: usize,
-    count: usize,
-) -> Result<Vec<u8>> {
-    let mut pixels = Vec::with_capacity(count * height * width * 3);
-    for index in first..first + count {
-        let frame = folder
-            .frame(index)
-            .with_context(|| format!("no frame {index}"))?;
-        pixels.extend(frame.iter().map(|value| f32::from(*value) / 255.0));
-    }
-    let images = Tensor::from_vec(pixels, (count, height, width, 3), &Device::Cpu)?;
-    let latents = encoder.encode(&images)?.flatten_all()?.to_vec1::<f32>()?;
-    ensure!(
-        latents.iter().all(|value| value.is_finite()),
-        "a latent of the frames {first} to {} is not finite",
-        first + count - 1
-    );
-    Ok(latents
-        .into_iter()
-        .flat_map(|value| f16::from_f32(value).to_le_bytes())
-        .collect())
+    let folders = dataset.folders().iter();
+    let files = folders.map(|folder| LatentFile::new(folder, encoder, cache_dir));
+    Ok(files.collect())
 }
 
 #[cfg(test)]
-mod tests {
-    use std::path::PathBuf;
-
-    use wm_model::Result;
-
-    use super::*;
-    use crate::{Data, DataOptions};
-
-    /// Two channels: the red of each pixel, and 0.5.
-    struct Red(LatentSpace);
-
-    impl Encoder for Red {
-        fn space(&self) -> &LatentSpace {
-            &self.0
-        }
-
-        fn input_size(&self) -> (usize, usize) {
-            (16, 16)
-        }
-
-        fn encode(&self, images: &Tensor) -> Result<Tensor> {
-            let red = images.narrow(3, 0, 1)?;
-            let half = (red.zeros_like()? + 0.5)?;
-            Ok(Tensor::cat(&[red, half], 3)?)
-        }
-    }
-
-    #[test]
-    fn another_split_finds_its_latents_and_their_statistics_are_right() {
-        let dir = tempfile::tempdir().unwrap();
-        let bags = dir.path().join("bags");
-        let frames = |name: &str, reds: &[u8]| {
-            crate::testing::write_reds(&bags.join(name), reds);
-        };
-        frames("a", &[0, 255, 0, 255]);
-        frames("b", &[51, 51, 51]);
-        let cache = dir.path().join("cache");
-        let space = LatentSpace {
-            name: "red".into(),
-            hash: "00".into(),
-            height: 16,
-            width: 16,
-            channels: 2,
-        };
-        let encoder = Red(space);
-        let mut made: Vec<PathBuf> = Vec::new();
-        for seed in 0..4 {
-            let options = DataOptions {
-                validation: Some(0.5),
-                validation_seed: Some(seed),
-                ..DataOptions::default()
-            };
-            let data = Data::open(std::slice::from_ref(&bags), (16, 16), &cache, &options).unwrap();
-            let latents = Latents::open(&data.training, &encoder, &cache).unwrap();
-            let statistics = latents.statistics().unwrap();
-            let (mean, std) = match latents.episodes()[0].name.as_str() {
-                "a" => (0.5, 0.5),
-                _ => (0.2, 0.0),
-            };
-            // As exact as 16-bit numbers.
-            assert!((statistics.mean[0] - mean).abs() < 1e-3, "{statistics:?}");
-            assert!((statistics.std[0] - std).abs() < 1e-3, "{statistics:?}");
-            assert_eq!((statistics.mean[1], statistics.std[1]), (0.5, 0.0));
-            let entries = fs::read_dir(&cache).unwrap();
-            let mut found: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
-            found.sort();
-            assert!(made.is_empty() || made == found, "{found:?}");
-            made = found;
-        }
-    }
-}
+mod tests;

@@ -6,7 +6,6 @@ use std::{
     io::{BufWriter, Write as _},
     os::unix::fs::FileExt as _,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicU64, Ordering},
 };
 
 use image::{GrayImage, RgbImage};
@@ -290,11 +289,9 @@ pub(super) struct NewFolder {
 
 impl NewFolder {
     pub fn create(dir: &Path) -> Result<Self, DatasetError> {
-        // Also two threads may prepare the same.
-        static NUMBER: AtomicU64 = AtomicU64::new(0);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let name = dir.file_name().unwrap_or_default().to_string_lossy();
-        let name = format!("{name}.partial-{}-{number}", std::process::id());
+        // Two threads may prepare the same, or two machines, whose processes may have the same number.
+        let name = format!("{name}.partial-{:016x}", rand::random::<u64>());
         let partial = dir.with_file_name(name);
         fs::create_dir_all(&partial).map_err(DatasetError::io(&partial))?;
         Ok(Self {

@@ -9,10 +9,11 @@ use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use wm_dataset::HeldOutArgs;
 use wm_findings::Suite;
+use wm_zoo::ModelFolder;
 
 use crate::{
-    OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, Settings, Shard, Subject,
-    merge::of_files, policy::Setup, run,
+    OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, ReaderArgs, Settings, Shard,
+    Subject, merge::of_files, policy::Setup, run,
 };
 
 /// Measures a model, or several side by side, on bags.
@@ -52,9 +53,9 @@ pub struct SuiteArgs {
     /// Euler steps of a predicted frame, instead of the model's own.
     #[arg(long, value_name = "N")]
     pub sampling_steps: Option<usize>,
-    /// Further inverse dynamics models, as for another number of steps.
-    #[arg(long, num_args = 1.., value_name = "FILE")]
-    pub idm: Vec<PathBuf>,
+    /// Further models that read latents.
+    #[command(flatten)]
+    pub readers: ReaderArgs,
     /// Networks of the user's.
     #[command(flatten)]
     pub perception: PerceptionArgs,
@@ -121,9 +122,12 @@ impl SuiteArgs {
         let perception = Arc::new(Perception::open(&self.perception)?);
         let shard = self.shard.unwrap_or(Shard::WHOLE);
         let setup = Setup::new(&self.policy)?;
+        let models = || std::iter::once(&self.model).chain(&self.compare);
+        let folders = models().map(|model| Ok(ModelFolder::open(model)?));
+        (self.readers).require_models(&folders.collect::<Result<Vec<_>>>()?)?;
         let mut files = Vec::new();
-        for model in std::iter::once(&self.model).chain(&self.compare) {
-            let mut subject = Subject::open(model, &self.on, &self.idm)
+        for model in models() {
+            let mut subject = Subject::open(model, &self.on, &self.readers)
                 .with_context(|| format!("model {model}"))?;
             subject.perception = Arc::clone(&perception);
             if let Some(steps) = self.sampling_steps {

@@ -22,6 +22,7 @@ pub mod perception;
 mod picture_strip;
 mod pictures;
 pub mod policy;
+mod readers;
 pub mod records;
 mod recovery;
 pub mod representation;
@@ -44,6 +45,7 @@ pub use perception::{Perception, PerceptionArgs};
 pub use picture_strip::grid;
 pub use pictures::{PictureErrors, StepErrors};
 pub use policy::{PolicyArgs, PolicySettings};
+pub use readers::{Reader, ReaderArgs, Readers};
 pub use recovery::{Recovery, recover_actions};
 pub use settings::{
     ControlSettings, FidelitySettings, LatentsSettings, Protocol, RobustnessSettings,

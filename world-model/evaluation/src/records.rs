@@ -255,6 +255,7 @@ mod tests {
                 data: vec!["bags".into()],
                 data_digest: "11".into(),
                 episodes: 2,
+                readers: BTreeMap::new(),
                 seed,
                 settings: serde_json::to_value(Settings::of(crate::Protocol::Quick, seed)).unwrap(),
                 sampler: serde_json::Value::Null,

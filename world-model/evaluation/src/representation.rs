@@ -9,7 +9,7 @@ use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
 pub use recovery::{Told, ToldActions};
-pub use success::Judged;
+pub use success::{Answers, Judged};
 pub use summary::summarise;
 
 use crate::{Settings, Subject};

@@ -161,6 +161,7 @@ impl Plan<'_> {
                 seed: self.settings.seed,
                 settings: serde_json::to_value(self.settings)?,
                 sampler: serde_json::to_value(self.subject.sampler())?,
+                readers: self.subject.readers.hashes.clone(),
                 version: env!("CARGO_PKG_VERSION").into(),
             },
         })

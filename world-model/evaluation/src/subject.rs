@@ -11,9 +11,9 @@ use wm_model::{
     image::to_rgb,
     sampler::{Given, Rollout, Sampler},
 };
-use wm_zoo::{ModelFolder, idm::TrainedIdm, success_probe::SuccessClassifier};
+use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
-use crate::{CONTEXT, Perception};
+use crate::{CONTEXT, Perception, ReaderArgs, Readers, readers::OWN_PROBE};
 
 /// A model with all that it has, and held-out episodes in its latents.
 pub struct Subject {
@@ -25,10 +25,8 @@ pub struct Subject {
     pub world: WorldModel,
     /// How frames are sampled: the model's own settings, unless others are asked for.
     pub sampler: Sampler,
-    /// The inverse dynamics models, that of the model's folder first.
-    pub idms: Vec<TrainedIdm>,
-    /// The success probe, where the model has one.
-    pub probe: Option<SuccessClassifier>,
+    /// Inverse dynamics models and success probes.
+    pub readers: Readers,
     /// The frames.
     pub dataset: Dataset,
     /// Their latents.
@@ -42,20 +40,15 @@ impl Subject {
     ///
     /// # Errors
     /// Names what cannot be used: a model without a transition model, data of other actions, a broken file.
-    pub fn open(name: &str, on: &HeldOutArgs, more_idms: &[impl AsRef<Path>]) -> Result<Self> {
+    pub fn open(name: &str, on: &HeldOutArgs, more: &ReaderArgs) -> Result<Self> {
         let folder = ModelFolder::open(name)?;
         ensure!(
             folder.has_transition(),
             "{name} encodes and decodes only: it has no transition model to evaluate"
         );
         let dataset = on.open(folder.encoder()?.input_size())?;
-        let mut subject = Self::new(folder, dataset, &on.cache())?;
-        for path in more_idms {
-            let idm = TrainedIdm::open(path)?;
-            (idm.space().require(subject.latents.space()))
-                .with_context(|| path.as_ref().display().to_string())?;
-            subject.idms.push(idm);
-        }
+        let mut subject = Self::new(&folder, dataset, &on.cache())?;
+        subject.readers.add(more, &folder)?;
         Ok(subject)
     }
 
@@ -63,18 +56,17 @@ impl Subject {
     ///
     /// # Errors
     /// As [`Self::open`].
-    pub fn new(folder: ModelFolder, dataset: Dataset, cache: &Path) -> Result<Self> {
+    pub fn new(folder: &ModelFolder, dataset: Dataset, cache: &Path) -> Result<Self> {
         let encoder = folder.encoder()?;
         let world = folder.world_model()?;
         (world.encoding.space()).expect_same(dataset.action_space(), "the model", "the bags")?;
         let latents = Latents::open(&dataset, &*encoder, cache)?;
         Ok(Self {
             decoder: folder.decoder()?,
-            probe: folder.probe()?,
             encoder,
             sampler: world.transition.config().sampler.clone(),
             world,
-            idms: folder.idm()?.into_iter().collect(),
+            readers: Readers::of_folder(folder)?,
             dataset,
             latents,
             perception: Arc::default(),
@@ -167,6 +159,15 @@ impl Subject {
         } else {
             format!("{name} ({steps} Euler steps)")
         }
+    }
+
+    /// The model's own success probe.
+    #[must_use]
+    pub fn probe(&self) -> Option<&SuccessClassifier> {
+        let first = self.readers.probes.first();
+        first
+            .filter(|own| own.name == OWN_PROBE)
+            .map(|own| &own.model)
     }
 
     /// How frames are sampled.

@@ -49,6 +49,7 @@ struct Model<'a> {
     version: &'a str,
     settings: Sorted<'a>,
     sampler: Sorted<'a>,
+    readers: &'a BTreeMap<String, String>,
     metrics: BTreeMap<&'a str, Figure<'a>>,
     absent: BTreeMap<&'a str, String>,
 }
@@ -134,6 +135,7 @@ fn model(findings: &ModelFindings) -> Model<'_> {
         version: &header.version,
         settings: Sorted(&header.settings),
         sampler: Sorted(&header.sampler),
+        readers: &header.readers,
         metrics: metrics
             .map(|(name, metric)| {
                 let figure = Figure {

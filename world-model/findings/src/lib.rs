@@ -27,6 +27,7 @@
 //!         seed: 0,
 //!         settings: serde_json::json!({"steps": 8}),
 //!         sampler: serde_json::json!({"steps": 10}),
+//!         readers: Default::default(),
 //!         version: "0.1.0".into(),
 //!     },
 //!     sections: vec![control],

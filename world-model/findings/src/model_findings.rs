@@ -36,6 +36,9 @@ pub struct Header {
     pub settings: serde_json::Value,
     /// How frames are sampled: a property of the model, in which models that are compared may differ.
     pub sampler: serde_json::Value,
+    /// Lower-case hex SHA-256 of the inverse dynamics models and success probes, by the names that their figures begin with.
+    #[serde(default)]
+    pub readers: BTreeMap<String, String>,
     /// Version of this program.
     pub version: String,
 }
@@ -54,6 +57,7 @@ impl Header {
             seed: 0,
             settings: serde_json::Value::Null,
             sampler: serde_json::Value::Null,
+            readers: BTreeMap::new(),
             version: String::new(),
         }
     }

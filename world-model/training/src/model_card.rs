@@ -55,7 +55,7 @@ fn try_to_write(run: &RunArgs) -> Result<()> {
 }
 
 fn measured(run: &RunArgs, folder: ModelFolder, validation: Dataset) -> Result<ModelFindings> {
-    let subject = Subject::new(folder, validation, &run.cache())?;
+    let subject = Subject::new(&folder, validation, &run.cache())?;
     let records = tempfile::tempdir()?;
     let settings = Settings::brief(0);
     let on = (records.path(), Shard::WHOLE);

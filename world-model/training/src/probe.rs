@@ -16,7 +16,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use candle_core::{Device, Tensor};
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
@@ -102,15 +102,22 @@ impl<'a> ProbeTask<'a> {
         }
         let fresh = run.fresh_weights(FILE, recipe.seed)?;
         let loader = fresh.loader();
-        let text = match text_tower {
-            Some(folder) => {
+        let text = match (text_tower, config.text_features_mut()) {
+            (Some(_), None) => {
+                bail!("this kind of probe reads no instruction: leave --text-tower out")
+            }
+            (None, None) => {
+                episodes.require_failures()?;
+                Text::None
+            }
+            (Some(folder), Some(features)) => {
                 let held_out = held_out.iter().flat_map(Episodes::instructions);
                 let tower = Tower::read(folder, episodes.instructions().chain(held_out))?;
-                *config.text_features_mut() = tower.features();
+                *features = tower.features();
                 Text::Tower(tower)
             }
-            None => {
-                let words = WordsConfig::of(episodes.instructions(), *config.text_features_mut());
+            (None, Some(features)) => {
+                let words = WordsConfig::of(episodes.instructions(), *features);
                 if let Some(held_out) = &mut held_out {
                     leave_out_unknown(held_out, &words);
                 }
@@ -143,10 +150,14 @@ impl<'a> ProbeTask<'a> {
 
     fn loss(&self, rng: &mut ChaCha8Rng) -> Result<Tensor> {
         let recipe = self.recipe;
-        let shares = Shares {
-            successes: recipe.successes,
-            mismatches: recipe.mismatches,
-            others: recipe.others,
+        let shares = if self.model.reads_instructions() {
+            Shares {
+                successes: recipe.successes,
+                mismatches: recipe.mismatches,
+                others: recipe.others,
+            }
+        } else {
+            Shares::of_outcomes(recipe.successes)
         };
         let things = self.things.as_ref().filter(|_| recipe.pointing > 0.0);
         let pointing = things.map(|things| (things, recipe.pointing));
@@ -164,7 +175,8 @@ impl<'a> ProbeTask<'a> {
                 ..sample
             };
             let questions = sample.questions.iter();
-            let readings = questions.map(|question| self.text.read(&question.instruction));
+            let readings =
+                questions.filter_map(|question| self.text.read(&question.instruction).transpose());
             let readings = readings.collect::<Result<Vec<_>>>()?;
             let mut dropout = Dropout::new(recipe.dropout, rng);
             losses.push(loss(
@@ -185,10 +197,12 @@ impl<'a> ProbeTask<'a> {
         match &self.text {
             Text::Words(_) => {
                 let reader = Reader::of_trained(&weights)?;
-                accuracy(&weights, held_out, EPISODES, |text| Ok(reader.read(text)?))
+                accuracy(&weights, held_out, EPISODES, |text| {
+                    Ok(Some(reader.read(text)?))
+                })
             }
-            tower @ Text::Tower(_) => {
-                accuracy(&weights, held_out, EPISODES, |text| tower.read(text))
+            Text::Tower(_) | Text::None => {
+                accuracy(&weights, held_out, EPISODES, |text| self.text.read(text))
             }
         }
     }
@@ -233,12 +247,12 @@ fn leave_out_unknown(episodes: &mut Episodes<'_>, words: &WordsConfig) {
     }
 }
 
-/// What the weights of a probe answer, by way of `read` for instructions.
+/// What the weights of a probe answer, by way of `read` for instructions, where it reads them.
 fn accuracy(
     weights: &Weights,
     episodes: &Episodes<'_>,
     most: usize,
-    read: impl Fn(&str) -> Result<Reading>,
+    read: impl Fn(&str) -> Result<Option<Reading>>,
 ) -> Result<Accuracy> {
     let supply = OfWeights(weights);
     let loader = Loader::supplied(&supply, Engine::Cpu);
@@ -253,10 +267,13 @@ fn accuracy(
     }
     let answer = |sample: &Sample| {
         let questions = sample.questions.iter();
+        // One that reads no instruction cannot refuse another episode's.
+        let questions =
+            questions.filter(|question| probe.reads_instructions() || !question.is_mismatch);
         let answers = questions.map(|question| {
             let reading = readings.get(&*question.instruction);
             let reading = reading.context("an instruction was not read")?;
-            let logit = probe.forward(&sample.latents, reading)?;
+            let logit = probe.forward(&sample.latents, reading.as_ref())?;
             Ok((logit.squeeze(0)?.to_scalar::<f32>()?, question.clone()))
         });
         answers.collect::<Result<Vec<_>>>()

@@ -219,6 +219,105 @@ fn threads_shards_and_interruptions_change_no_byte() {
     );
 }
 
+const ENCODER: &str =
+    "micro_batch=1 model.patch=16 model.hidden=16 model.depth=1 head.hidden=16 head.width=8";
+const ADAPTER: &str = "micro_batch=1 model.latent=4 model.layers=1 model.ffn=16 model.base=8 \
+                       model.multipliers=[1,1,1,1,1] loss.kl_warm_up=0.0";
+
+/// A semantic model of small untrained networks; inverse dynamics models of its latents and of its encoder's features, and
+/// a linear probe.
+#[test]
+fn further_models_read_the_latents_and_the_features_behind_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let (bags, cache, settings) = (path("bags"), path("cache"), path("settings.yaml"));
+    fs::write(&settings, SMALL).unwrap();
+    let sim = "sim --episodes 6 --frames 24 --failures 0.5 --seed 77";
+    done(&sim.split(' ').collect::<Vec<_>>(), &[("--out", &bags)]);
+    let train = |what: &str, of: Option<&str>, out: &str, sets: &str| {
+        let mut words = vec!["train", what, "--threads", "2", "--steps", "1"];
+        words.extend(["--validation", "0", "--set", "batch=2"]);
+        words.extend(sets.split(' ').flat_map(|set| ["--set", set]));
+        let of = of.map(path);
+        let out = path(out);
+        let mut paths: Vec<(&str, &Path)> = vec![("--data", &bags), ("--cache", &cache)];
+        paths.extend(of.iter().map(|of| ("--encoder", of.as_path())));
+        paths.push(("--out", &out));
+        done(&words, &paths);
+    };
+    train("encoder", None, "encoder", ENCODER);
+    train("adapter", Some("encoder"), "model", ADAPTER);
+    let transition = "model.hidden=32 model.depth=1 model.heads=2";
+    train("transition", Some("model"), "model", transition);
+    let idm = "micro_batch=1 model.hidden=16 model.width=8";
+    train("idm", Some("encoder"), "native", idm);
+    train(
+        "idm",
+        Some("model"),
+        "chunks",
+        &format!("{idm} model.horizon=4"),
+    );
+    train(
+        "probe",
+        Some("model"),
+        "linear",
+        "micro_batch=1 model.kind=linear",
+    );
+
+    let (model, report) = (path("model"), path("report"));
+    let more = |of: &str| {
+        path(of).join(format!(
+            "{}.safetensors",
+            if of == "linear" { "probe" } else { "idm" }
+        ))
+    };
+    let (native, chunks, linear) = (more("native"), more("chunks"), more("linear"));
+    let on: [(&str, &Path); 3] = [
+        ("--bags", &bags),
+        ("--cache", &cache),
+        ("--settings", &settings),
+    ];
+    let readers: [(&str, &Path); 3] =
+        [("--idm", &native), ("--idm", &chunks), ("--probe", &linear)];
+    let own: [(&str, &Path); 2] = [("--model", &model), ("--report", &report)];
+    done(&["eval", "latents"], &[&on[..], &readers, &own].concat());
+    let json = fs::read_to_string(report.join("figures.json")).unwrap();
+    let json: Value = serde_json::from_str(&json).unwrap();
+    for name in [
+        "idm_native_k1_r_real",
+        "idm_native_k1_r_predicted",
+        "idm_k4_r_real",
+        "success_linear_auc_real",
+        "success_linear_drop",
+    ] {
+        let figure = &json["metrics"][format!("latents.{name}")];
+        assert!(figure["value"].is_number(), "{name}: {json}");
+    }
+    // Latents that go through the adapter's decoder are not what the other one reads.
+    assert!(json["metrics"]["latents.idm_k1_r_real"].is_null(), "{json}");
+    let names: Vec<&String> = json["readers"].as_object().unwrap().keys().collect();
+    assert_eq!(names, ["idm_k4", "idm_native_k1", "success_linear"]);
+
+    // Records know what they were read with.
+    fs::remove_file(report.join("report.html")).unwrap();
+    fs::remove_file(report.join("figures.json")).unwrap();
+    fs::remove_file(report.join("figures.csv")).unwrap();
+    let fewer = refused(
+        &["eval", "latents"],
+        &[&on[..], &readers[..2], &own].concat(),
+    );
+    assert!(fewer.contains("header.readers.success_linear"), "{fewer}");
+    // Of several models each takes its own; a file that fits none is named.
+    let error = refused(
+        &["eval", "latents", "--model", "tiny"],
+        &[&on[..], &readers[..1]].concat(),
+    );
+    assert!(
+        error.contains("native") && error.contains("expected `"),
+        "{error}"
+    );
+}
+
 #[test]
 fn what_cannot_be_evaluated_is_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();

@@ -36,6 +36,7 @@ mod decoder;
 mod description;
 mod encoder;
 mod fit;
+mod native;
 mod probe;
 mod random;
 mod source;
@@ -58,6 +59,7 @@ pub use description::{
     Configuration, DecoderPart, Description, Part, Precision, ProbePart, Statistics, TextPart,
     TransitionPart,
 };
+pub use native::NativeDecoder;
 pub use random::write_random_weights;
 pub use summary::{PartSummary, Stepping, Summary};
 
@@ -229,29 +231,12 @@ impl DescribedFolder {
         if let Some(space) = self.space.get() {
             return Ok(space.clone());
         }
-        let mut hash = Sha256::new();
-        let [height, width, channels] = self.latent;
-        let settings = (
+        let space = self.space_of(
+            self.description.name.clone(),
             self.latent,
-            self.description.image,
-            self.views,
-            self.description.dtype,
-        );
-        hash.update(format!("{}\n", canonical(&settings)?));
-        hash.update(format!("{}\n", self.encoder.config.canonical()?));
-        self.encoder.source.hash(&self.encoder.tensors, &mut hash)?;
-        if let Some(adapter) = &self.adapter {
-            hash.update(format!("{}\n", canonical(&adapter.config)?));
-            adapter.source.hash(&adapter.tensors, &mut hash)?;
-        }
-        self.normalisation.add_to(&mut hash);
-        let space = LatentSpace {
-            name: self.description.name.clone(),
-            hash: format!("{:x}", hash.finalize()),
-            height,
-            width,
-            channels,
-        };
+            self.adapter.as_ref(),
+            &self.normalisation,
+        )?;
         Ok(self.space.get_or_init(|| space).clone())
     }
 

@@ -10,7 +10,7 @@ use wm_model::{Decoder, Encoder, LatentSpace, Weights, WorldModel};
 use wm_motion::actions::ActionEncoding;
 
 use crate::Result;
-use crate::folder::DescribedFolder;
+use crate::folder::{DescribedFolder, NativeDecoder};
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
 
@@ -147,6 +147,17 @@ impl ModelFolder {
         match self.weights(PROBE_FILE)? {
             Some(weights) => SuccessClassifier::of_trained(weights, &self.space()?).map(Some),
             None => Ok(None),
+        }
+    }
+
+    /// Loads the decoder of its adapter; `None` where its latents are the encoder's own.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in the weights.
+    pub fn native_decoder(&self) -> Result<Option<NativeDecoder>> {
+        match self {
+            Self::Trained(_) => Ok(None),
+            Self::Described(folder) => folder.native_decoder(),
         }
     }
 

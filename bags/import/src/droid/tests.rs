@@ -3,7 +3,11 @@ use std::{f64::consts::PI, fs, path::Path};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::mp4_npz::tests::video;
+use crate::{
+    ImportOptions, import_droid,
+    mp4_npz::tests::video,
+    testing::{assert_shards_join, shard},
+};
 
 const FRAMES: usize = 4;
 
@@ -49,7 +53,8 @@ fn read(annotation: &Value, frames: [u32; 3]) -> Result<Episode, String> {
     let dir = tempfile::tempdir().unwrap();
     write(dir.path(), annotation, frames);
     let mut found = episodes(dir.path(), 95).unwrap();
-    found.next().unwrap().map_err(|error| error.to_string())
+    let unread = found.next().unwrap().unwrap();
+    unread().map_err(|error| error.to_string())
 }
 
 #[test]
@@ -161,6 +166,33 @@ fn what_does_not_fit_is_named() {
     ] {
         assert!(error.contains(part), "{part:?} in {error:?}");
     }
+}
+
+#[test]
+fn shards_import_what_one_run_does() {
+    let dir = tempfile::tempdir().unwrap();
+    let (src, out) = (dir.path().join("src"), dir.path().join("out"));
+    write(&src, &annotation(), [4; 3]);
+    let file = |name: &str| src.join("annotation/val").join(name);
+    for name in ["8.json", "9.json"] {
+        let mut other = annotation();
+        other["texts"] = json!([name]);
+        fs::write(file(name), other.to_string()).unwrap();
+    }
+    assert_shards_join(3, |out, options| import_droid(&src, out, options));
+
+    // What is wrong with the episode of one does not concern the other.
+    fs::write(file("8.json"), "").unwrap();
+    let import = |index| {
+        let options = ImportOptions {
+            shard: shard(index, 2),
+            ..ImportOptions::default()
+        };
+        import_droid(&src, &out, &options)
+    };
+    assert_eq!(import(0).unwrap().len(), 2);
+    let error = import(1).unwrap_err().to_string();
+    assert!(error.contains("8.json"), "{error}");
 }
 
 #[test]

@@ -17,7 +17,12 @@ use proptest::prelude::*;
 use zip::{ZipWriter, write::SimpleFileOptions};
 
 use super::*;
-use crate::episode::VALUES;
+use crate::{
+    ImportOptions,
+    episode::VALUES,
+    import_bridge,
+    testing::{assert_shards_join, shard},
+};
 
 /// Frame `number`: a bright square that moves over a gradient.
 fn frame(number: u32) -> RgbImage {
@@ -129,9 +134,8 @@ fn read(dir: &Path, video: &[u8], npz: &[u8]) -> Result<Episode, ImportError> {
     let (video_file, actions_file) = (dir.join("made.mp4"), dir.join("made.npz"));
     fs::write(&video_file, video).unwrap();
     fs::write(&actions_file, npz).unwrap();
-    episodes(vec![(video_file, actions_file)], 95)
-        .next()
-        .unwrap()
+    let unread = episodes(vec![(video_file, actions_file)], 95).next();
+    unread.unwrap()?()
 }
 
 fn rows(count: usize) -> Vec<Vec<f32>> {
@@ -205,6 +209,34 @@ fn wrong_files_are_named() {
     ] {
         assert!(text.contains(part), "{part:?} in {text:?}");
     }
+}
+
+#[test]
+fn shards_import_what_one_run_does() {
+    let dir = tempfile::tempdir().unwrap();
+    let (src, out) = (dir.path().join("src"), dir.path().join("out"));
+    fs::create_dir(&src).unwrap();
+    for (frames, name) in [(2, "a"), (3, "b"), (4, "c"), (5, "d"), (2, "e")] {
+        fs::write(src.join(name).with_extension("mp4"), video(frames)).unwrap();
+        let npz = npz("actions", 10, &rows(frames as usize));
+        fs::write(src.join(name).with_extension("npz"), npz).unwrap();
+    }
+    assert_shards_join(5, |out, options| import_bridge(&src, out, options));
+
+    // What is wrong with the episode of one does not concern the other, and the limit is that of one run.
+    fs::write(src.join("b.mp4"), "not a video").unwrap();
+    let import = |index| {
+        let options = ImportOptions {
+            shard: shard(index, 2),
+            episodes: Some(4),
+            ..ImportOptions::default()
+        };
+        import_bridge(&src, &out, &options)
+    };
+    let bags = ["episode_000000", "episode_000002"].map(|bag| out.join(bag));
+    assert_eq!(import(0).unwrap(), bags);
+    let error = import(1).unwrap_err().to_string();
+    assert!(error.contains("b.mp4"), "{error}");
 }
 
 #[test]

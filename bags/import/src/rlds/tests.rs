@@ -8,7 +8,10 @@ use super::{
     example::{BytesList, Feature, Features, FloatList, Int64List, Kind},
     *,
 };
-use crate::{ImportOptions, import_bridge};
+use crate::{
+    ImportOptions, import_bridge,
+    testing::{assert_shards_join, shard},
+};
 
 fn feature(kind: Kind) -> Feature {
     Feature { kind: Some(kind) }
@@ -83,7 +86,7 @@ fn read(bytes: &[u8]) -> Result<Vec<Episode>, ImportError> {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("made.tfrecord");
     fs::write(&file, bytes).unwrap();
-    episodes(vec![file], 95).collect()
+    episodes(vec![file], 95).map(|unread| unread?()).collect()
 }
 
 #[test]
@@ -198,6 +201,40 @@ fn a_file_with_too_few_episodes_is_incomplete() {
         import(2, "a"),
         Err(ImportError::Bag(wm_bag::BagError::Exists(_)))
     ));
+}
+
+#[test]
+fn shards_import_what_one_run_does() {
+    let dir = tempfile::tempdir().unwrap();
+    let (src, out) = (dir.path().join("src"), dir.path().join("out"));
+    let file = src.join("a.tfrecord");
+    fs::create_dir(&src).unwrap();
+    fs::write(&file, tfrecord(&[example(2), example(1), example(3)])).unwrap();
+    fs::write(src.join("b.tfrecord"), tfrecord(&[example(1), example(2)])).unwrap();
+    assert_shards_join(5, |out, options| import_bridge(&src, out, options));
+
+    // What is wrong with the episode of one does not concern the other.
+    let mut damaged = fs::read(&file).unwrap();
+    damaged[tfrecord(&[example(2)]).len() + 20] ^= 1;
+    fs::write(&file, damaged).unwrap();
+    let import = |index| {
+        let options = ImportOptions {
+            shard: shard(index, 2),
+            ..ImportOptions::default()
+        };
+        import_bridge(&src, &out, &options)
+    };
+    assert_eq!(import(0).unwrap().len(), 3);
+    let error = import(1).unwrap_err().to_string();
+    assert!(error.contains("a.tfrecord"), "{error}");
+
+    // A source without an episode is an error to every shard.
+    for name in ["a.tfrecord", "b.tfrecord"] {
+        fs::write(src.join(name), "").unwrap();
+    }
+    for index in 0..2 {
+        assert!(matches!(import(index), Err(ImportError::NoEpisodes(_))));
+    }
 }
 
 proptest! {

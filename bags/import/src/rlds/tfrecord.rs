@@ -1,7 +1,8 @@
 use std::{
     fs::File,
-    io::{BufReader, Read},
+    os::unix::fs::FileExt as _,
     path::{Path, PathBuf},
+    rc::Rc,
 };
 
 use crate::ImportError;
@@ -9,103 +10,123 @@ use crate::ImportError;
 /// No episode comes near this; a longer record is not one.
 const MAX_RECORD_BYTES: u64 = 1 << 30;
 
-/// The records of a TFRecord file, held against their CRCs. Each is: length (8 bytes, little endian), masked CRC-32C of
-/// the length, data, masked CRC-32C of the data.
+/// Bytes of a length with its CRC, and of a CRC.
+const HEADER: u64 = 12;
+const CRC: u64 = 4;
+
+/// The records of a TFRecord file. Each is: length (8 bytes, little endian), masked CRC-32C of the length, data, masked
+/// CRC-32C of the data. Only the lengths are read to find them.
 pub(super) struct TfRecords {
-    file: PathBuf,
-    stream: BufReader<File>,
-    left: u64,
+    stream: Rc<Stream>,
+    /// Where the next record begins.
     at: u64,
+    end: u64,
+}
+
+/// A record that was found.
+pub(super) struct Record {
+    stream: Rc<Stream>,
+    start: u64,
+    length: u64,
+}
+
+struct Stream {
+    path: PathBuf,
+    file: File,
 }
 
 impl TfRecords {
-    pub fn open(file: &Path) -> Result<Self, ImportError> {
-        let io = |source| ImportError::io(file, source);
-        let stream = File::open(file).map_err(io)?;
-        let left = stream.metadata().map_err(io)?.len();
+    pub fn open(path: &Path) -> Result<Self, ImportError> {
+        let io = |source| ImportError::io(path, source);
+        let file = File::open(path).map_err(io)?;
+        let end = file.metadata().map_err(io)?.len();
+        let path = path.to_owned();
         Ok(Self {
-            file: file.to_owned(),
-            stream: BufReader::new(stream),
-            left,
+            stream: Rc::new(Stream { path, file }),
             at: 0,
+            end,
         })
     }
 
-    fn record(&mut self) -> Result<Vec<u8>, ImportError> {
-        let start = self.at;
-        let damaged = |file: &Path, reason: &str| {
-            ImportError::corrupt(file, format!("the record at byte {start}: {reason}"))
-        };
-        let length_bytes: [u8; 8] = self.take()?;
-        let length_crc = u32::from_le_bytes(self.take()?);
-        if masked_crc(&length_bytes) != length_crc {
-            return Err(damaged(
-                &self.file,
-                "wrong CRC of its length; is this a TFRecord file?",
+    fn locate(&self) -> Result<Record, ImportError> {
+        let (start, stream) = (self.at, &self.stream);
+        let left = self.end.saturating_sub(start);
+        let Some(left) = left.checked_sub(HEADER) else {
+            return Err(ImportError::corrupt(
+                &stream.path,
+                format!("it ends within a record, at byte {start}"),
             ));
+        };
+        let length_bytes: [u8; 8] = stream.array(start)?;
+        let length_crc = u32::from_le_bytes(stream.array(start + 8)?);
+        if masked_crc(&length_bytes) != length_crc {
+            return Err(stream.damaged(start, "wrong CRC of its length; is this a TFRecord file?"));
         }
         let length = u64::from_le_bytes(length_bytes);
         if length > MAX_RECORD_BYTES {
-            return Err(damaged(
-                &self.file,
-                &format!("{length} bytes, more than the limit of {MAX_RECORD_BYTES}"),
-            ));
+            let reason = format!("{length} bytes, more than the limit of {MAX_RECORD_BYTES}");
+            return Err(stream.damaged(start, &reason));
         }
-        if length.saturating_add(4) > self.left {
-            return Err(damaged(
-                &self.file,
-                &format!(
-                    "it has {length} bytes, but only {} are left in the file",
-                    self.left
-                ),
-            ));
+        if length.saturating_add(CRC) > left {
+            let reason = format!("it has {length} bytes, but only {left} are left in the file");
+            return Err(stream.damaged(start, &reason));
         }
-        // At most MAX_RECORD_BYTES, which fits.
-        let mut data = vec![0; length as usize];
-        self.fill(&mut data)?;
-        let crc = u32::from_le_bytes(self.take()?);
-        if masked_crc(&data) != crc {
-            return Err(damaged(&self.file, "wrong CRC of its data"));
-        }
-        Ok(data)
-    }
-
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], ImportError> {
-        if (N as u64) > self.left {
-            return Err(ImportError::corrupt(
-                &self.file,
-                format!("it ends within a record, at byte {}", self.at),
-            ));
-        }
-        let mut bytes = [0; N];
-        self.fill(&mut bytes)?;
-        Ok(bytes)
-    }
-
-    fn fill(&mut self, bytes: &mut [u8]) -> Result<(), ImportError> {
-        self.stream
-            .read_exact(bytes)
-            .map_err(|source| ImportError::io(&self.file, source))?;
-        let length = bytes.len() as u64;
-        self.left = self.left.saturating_sub(length);
-        self.at += length;
-        Ok(())
+        Ok(Record {
+            stream: self.stream.clone(),
+            start,
+            length,
+        })
     }
 }
 
 impl Iterator for TfRecords {
-    type Item = Result<Vec<u8>, ImportError>;
+    type Item = Result<Record, ImportError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        if self.left == 0 {
+        if self.at >= self.end {
             return None;
         }
-        let record = self.record();
-        if record.is_err() {
-            // Nothing after a damaged record can be found.
-            self.left = 0;
-        }
+        let record = self.locate();
+        // Nothing after a damaged length can be found.
+        self.at = record.as_ref().map_or(self.end, Record::end);
         Some(record)
+    }
+}
+
+impl Record {
+    /// Its data, held against their CRC.
+    pub fn read(&self) -> Result<Vec<u8>, ImportError> {
+        let stream = &self.stream;
+        // At most MAX_RECORD_BYTES, which fits.
+        let mut data = vec![0; self.length as usize];
+        stream.fill(&mut data, self.start + HEADER)?;
+        let crc = u32::from_le_bytes(stream.array(self.start + HEADER + self.length)?);
+        if masked_crc(&data) != crc {
+            return Err(stream.damaged(self.start, "wrong CRC of its data"));
+        }
+        Ok(data)
+    }
+
+    fn end(&self) -> u64 {
+        self.start + HEADER + self.length + CRC
+    }
+}
+
+impl Stream {
+    fn array<const N: usize>(&self, at: u64) -> Result<[u8; N], ImportError> {
+        let mut bytes = [0; N];
+        self.fill(&mut bytes, at)?;
+        Ok(bytes)
+    }
+
+    fn fill(&self, bytes: &mut [u8], at: u64) -> Result<(), ImportError> {
+        self.file
+            .read_exact_at(bytes, at)
+            .map_err(|source| ImportError::io(&self.path, source))
+    }
+
+    fn damaged(&self, start: u64, reason: &str) -> ImportError {
+        ImportError::corrupt(&self.path, format!("the record at byte {start}: {reason}"))
     }
 }
 

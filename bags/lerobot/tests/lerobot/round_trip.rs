@@ -94,6 +94,23 @@ fn episodes_are_chosen_by_number() {
         [out.join("episode_000001"), out.join("episode_000002")]
     );
     assert_eq!(Episode::read(&bags[1]), episodes[2]);
+    for (shard, expected) in [("0/3", &["0", "3"][..]), ("1/3", &["1"]), ("4/5", &[])] {
+        let options = ImportOptions {
+            shard: shard.parse().unwrap(),
+            ..ImportOptions::default()
+        };
+        let out = scratch.path().join(shard.replace('/', "_of_"));
+        let bags = import(&scratch.path().join("dataset"), &out, &options).unwrap();
+        let expected = expected
+            .iter()
+            .map(|n| out.join(format!("episode_00000{n}")));
+        assert_eq!(bags, expected.collect::<Vec<_>>());
+        for bag in bags {
+            let number = bag.to_str().unwrap().chars().last().unwrap();
+            let number = number.to_digit(10).unwrap() as usize;
+            assert_eq!(Episode::read(&bag), episodes[number]);
+        }
+    }
     let options = ImportOptions {
         episodes: Some(9..=9),
         ..ImportOptions::default()

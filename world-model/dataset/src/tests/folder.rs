@@ -210,6 +210,47 @@ fn prepared_pictures_are_made_smaller_and_never_larger() {
 }
 
 #[test]
+fn shards_leave_latents_and_the_command_without_one_joins_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let bags = bags(dir.path(), 5);
+    let prepared = |name: &str| {
+        let out = dir.path().join(name);
+        let (bags, text) = (bags.to_str().unwrap(), out.to_str().unwrap());
+        wm_dataset(&[bags, "-o", text, "--size", "128x128"]).unwrap();
+        out
+    };
+    let latents = |out: &Path, more: &[&str]| {
+        let line = ["latents", out.to_str().unwrap(), "--encoder", "tiny"];
+        wm_dataset(&[&line, more].concat()).unwrap();
+    };
+    let (one, shared) = (prepared("one"), prepared("shared"));
+    latents(&one, &[]);
+    let (names, statistics) = (entries(&shared), fs::read(shared.join("statistics.json")));
+    // 30 frames are two batches.
+    for shard in ["0/3", "1/3", "2/3"] {
+        latents(&shared, &["--shard", shard]);
+    }
+    let parts = entries(&shared);
+    let parts: Vec<_> = parts.iter().filter(|name| !names.contains(name)).collect();
+    assert!(
+        parts.len() == 2
+            && parts[0].ends_with(".frames-0-16")
+            && parts[1].ends_with(".frames-16-14"),
+        "{parts:?}"
+    );
+    let read = |out: &Path, name: &str| fs::read(out.join(name)).unwrap();
+    assert_eq!(read(&shared, "statistics.json"), statistics.unwrap());
+    latents(&shared, &[]);
+    assert_eq!(entries(&shared), entries(&one));
+    for name in entries(&one) {
+        assert!(
+            name == "dataset.json" || read(&shared, &name) == read(&one, &name),
+            "{name}"
+        );
+    }
+}
+
+#[test]
 fn several_folders_and_bags_are_one_data_set() {
     let dir = tempfile::tempdir().unwrap();
     let bags = bags(dir.path(), 3);

@@ -94,10 +94,17 @@ fn the_command_takes_bags_or_a_question() {
         "wm bag_a bag_b -o out --size 64x64 --cut instruction",
         "wm info out",
         "wm latents out --autoencoder weights",
+        "wm latents out --encoder weights --shard 0/4",
     ] {
         Cli::try_parse_from(good.split(' ')).unwrap();
     }
-    for bad in ["wm bag", "wm -o out", "wm info", "wm bag -o out --size 12"] {
+    for bad in [
+        "wm bag",
+        "wm -o out",
+        "wm info",
+        "wm bag -o out --size 12",
+        "wm latents out --encoder weights --shard 4/4",
+    ] {
         assert!(Cli::try_parse_from(bad.split(' ')).is_err(), "{bad}");
     }
 }

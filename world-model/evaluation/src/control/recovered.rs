@@ -124,12 +124,14 @@ fn told_by_idm(
     unit: usize,
     k: usize,
 ) -> Result<Option<Vec<Vec<f32>>>> {
-    let Some(idm) = subject.idms.iter().find(|idm| idm.idm().horizon() == k) else {
+    let mut idms = subject.readers.idms.iter();
+    let Some(idm) = idms.find(|idm| idm.model.idm().horizon() == k) else {
         return Ok(None);
     };
     let coming = windows.coming(unit)?.narrow(0, 0, k)?;
     let frames = Tensor::cat(&[windows.last_observed(unit)?, coming], 0)?;
-    let told = idm.actions(&frames.unsqueeze(0)?)?.squeeze(0)?;
+    let frames = idm.latents(&frames)?;
+    let told = idm.model.actions(&frames.unsqueeze(0)?)?.squeeze(0)?;
     let values = subject.world.encoding.space().len();
     Ok(Some(told.narrow(1, 0, values)?.to_vec2()?))
 }

@@ -15,7 +15,7 @@ use wm_dataset::{
 use wm_findings::{Section, Suite};
 
 use super::{PolicyArgs, Setup, Trials, arguments::BuiltIn, *};
-use crate::{CONTEXT, Protocol, Settings, Shard, Subject, records, run};
+use crate::{CONTEXT, Protocol, ReaderArgs, Settings, Shard, Subject, records, run};
 
 /// What the bundled probe reads.
 const INSTRUCTIONS: [&str; 2] = ["pick up the red box", "push the blue box to the left"];
@@ -48,8 +48,7 @@ impl Bags {
             options: DataOptions::default(),
             cache: Some(dir.path().join("cache")),
         };
-        let none: [&Path; 0] = [];
-        let subject = Subject::open("tiny", &on, &none).unwrap();
+        let subject = Subject::open("tiny", &on, &ReaderArgs::default()).unwrap();
         Self { dir, subject }
     }
 

@@ -178,7 +178,7 @@ impl<'a> Trials<'a> {
 
     /// None without a probe that reads the instruction.
     fn probability(&self, latents: &Tensor, instruction: &str) -> Result<Option<f32>> {
-        let Some(probe) = &self.subject.probe else {
+        let Some(probe) = self.subject.probe() else {
             return Ok(None);
         };
         let Ok(instruction) = probe.instruction(instruction) else {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use wm_motion::actions::Kind;
 use wm_zoo::idm::TrainedIdm;
 
-use crate::{ActionChange, Settings, Subject, Windows};
+use crate::{ActionChange, Reader, Settings, Subject, Windows};
 
 /// The actions of one window, and what the inverse dynamics models tell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,6 +18,8 @@ pub struct ToldActions {
 /// What one inverse dynamics model tells.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Told {
+    /// What the names of its figures begin with.
+    pub name: String,
     /// Steps k that it tells at once.
     pub k: usize,
     /// Name of the latent space that it reads.
@@ -32,13 +34,14 @@ pub struct Told {
 
 /// Windows that are long enough for all models; `None` where there is no model.
 pub(super) fn windows(subject: &Subject, settings: &Settings) -> Result<Option<Windows>> {
-    let horizons = subject.idms.iter().map(|idm| idm.idm().horizon());
+    let idms = &subject.readers.idms;
+    let horizons = idms.iter().map(|idm| idm.model.idm().horizon());
     let Some(longest) = horizons.max() else {
         return Ok(None);
     };
-    for idm in &subject.idms {
+    for idm in idms {
         let (own, others) = (
-            idm.encoding().frame_skip(),
+            idm.model.encoding().frame_skip(),
             subject.world.encoding.frame_skip(),
         );
         ensure!(
@@ -66,8 +69,8 @@ pub(super) fn measure(subject: &Subject, windows: &Windows, unit: usize) -> Resu
     let predicted = Tensor::cat(&frames, 0)?;
     let values = subject.world.encoding.space().len();
     let actions = windows.actions(unit)?.narrow(1, 0, values)?;
-    let models = subject.idms.iter().map(|idm| {
-        let k = idm.idm().horizon();
+    let models = subject.readers.idms.iter().map(|idm| {
+        let k = idm.model.idm().horizon();
         // Chunks that follow one another, so that no action counts twice.
         let starts = || (0..=predicted.dim(0).unwrap_or(0).saturating_sub(k + 1)).step_by(k);
         let mut truth = Vec::new();
@@ -75,8 +78,9 @@ pub(super) fn measure(subject: &Subject, windows: &Windows, unit: usize) -> Resu
             truth.extend(actions.narrow(0, first, k)?.to_vec2::<f32>()?);
         }
         Ok(Told {
+            name: idm.name.clone(),
             k,
-            space: idm.space().name.clone(),
+            space: idm.space.clone(),
             truth,
             real: told(idm, &real, starts(), values)?,
             predicted: told(idm, &predicted, starts(), values)?,
@@ -91,16 +95,17 @@ pub(super) fn measure(subject: &Subject, windows: &Windows, unit: usize) -> Resu
 }
 
 fn told(
-    idm: &TrainedIdm,
+    idm: &Reader<TrainedIdm>,
     frames: &Tensor,
     starts: impl Iterator<Item = usize>,
     values: usize,
 ) -> Result<Vec<Vec<f32>>> {
-    let k = idm.idm().horizon();
+    let k = idm.model.idm().horizon();
+    let frames = idm.latents(frames)?;
     let mut rows = Vec::new();
     for first in starts {
         let latents = frames.narrow(0, first, k + 1)?.unsqueeze(0)?;
-        let told = idm.actions(&latents)?.squeeze(0)?;
+        let told = idm.model.actions(&latents)?.squeeze(0)?;
         rows.extend(told.narrow(1, 0, values)?.to_vec2::<f32>()?);
     }
     Ok(rows)

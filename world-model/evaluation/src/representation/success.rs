@@ -2,43 +2,55 @@ use anyhow::{Context as _, Result};
 use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 use wm_dataset::Episode;
+use wm_zoo::success_probe::SuccessClassifier;
 
-use crate::{CONTEXT, Settings, Subject};
+use crate::{CONTEXT, Reader, Settings, Subject, readers::OWN_PROBE};
 
-/// What the success probe says of one episode.
+/// What the success probes say of one episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Judged {
     /// Its instruction.
     pub instruction: String,
     /// Whether it was carried out.
     pub success: bool,
+    /// What each probe says, the model's own first.
+    pub probes: Vec<Answers>,
+}
+
+/// What a success probe says of one episode.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Answers {
+    /// What the names of its figures begin with.
+    pub name: String,
+    /// What it is, in words.
+    pub about: String,
     /// Probability on the latents of the frames.
     pub real: f32,
     /// Probability on a rollout from the first frames under the true actions.
     pub predicted: f32,
-    /// Probability on the latents of the frames under another episode's instruction, of a success.
+    /// Probability on the latents of the frames under another episode's instruction, of a success; `None` of a probe that
+    /// reads no instruction.
     pub mismatched: Option<f32>,
 }
 
-/// Episodes with an instruction that the probe knows and an outcome, at most so many, spread over all.
+/// Episodes with an instruction that all probes know and an outcome, at most so many, spread over all.
 pub(super) fn units(subject: &Subject, settings: &Settings) -> Vec<usize> {
-    let Some(probe) = &subject.probe else {
+    let probes = &subject.readers.probes;
+    if probes.is_empty() {
         return Vec::new();
-    };
+    }
+    let is_known = |text: &str| (probes.iter()).all(|probe| probe.model.instruction(text).is_ok());
     let episodes = subject.dataset.episodes().iter().enumerate();
     let judged = episodes.filter(|(index, episode)| {
         let is_long = !subject.frames_of(*index, 1).is_empty();
         let instruction = episode.instruction.as_deref();
-        is_long
-            && episode.success.is_some()
-            && instruction.is_some_and(|text| probe.instruction(text).is_ok())
+        is_long && episode.success.is_some() && instruction.is_some_and(is_known)
     });
     let judged = judged.map(|(index, _)| index).collect();
     crate::spread(judged, settings.latents.judged_episodes)
 }
 
 pub(super) fn measure(subject: &Subject, episode: usize, seed: u64) -> Result<Judged> {
-    let probe = subject.probe.as_ref().context("no success probe")?;
     let episodes = subject.dataset.episodes();
     let own = episodes.get(episode).context("no such episode")?;
     let (Some(text), Some(success)) = (&own.instruction, own.success) else {
@@ -48,16 +60,41 @@ pub(super) fn measure(subject: &Subject, episode: usize, seed: u64) -> Result<Ju
     let recording = subject.recording(episode, frames.len())?;
     let observed = recording.frames.narrow(0, 0, CONTEXT)?;
     let predicted = Tensor::cat(&[observed, subject.rollout(&recording, seed)?], 0)?;
-    let instruction = probe.instruction(text)?;
     let other = other(episodes, episode).filter(|_| success);
-    let other = other.and_then(|text| probe.instruction(text).ok());
+    let probes = subject.readers.probes.iter();
+    let probes = probes.map(|probe| {
+        let real = probe.latents(&recording.frames)?;
+        answers(probe, (&real, &probe.latents(&predicted)?), (text, other))
+    });
     Ok(Judged {
         instruction: text.clone(),
         success,
-        real: probe.probability(&recording.frames, &instruction)?,
-        predicted: probe.probability(&predicted, &instruction)?,
+        probes: probes.collect::<Result<_>>()?,
+    })
+}
+
+/// Of latents of the frames and of predicted ones, under the own instruction and another episode's.
+fn answers(
+    probe: &Reader<SuccessClassifier>,
+    (real, predicted): (&Tensor, &Tensor),
+    (text, other): (&str, Option<&str>),
+) -> Result<Answers> {
+    let Reader {
+        name, model, space, ..
+    } = probe;
+    let own = model.instruction(text)?;
+    let other = other.filter(|_| model.reads_instructions());
+    let other = other.and_then(|text| model.instruction(text).ok());
+    Ok(Answers {
+        name: name.clone(),
+        about: match name.as_str() {
+            OWN_PROBE => "success probe".to_owned(),
+            _ => format!("{} success probe in {space}", model.kind()),
+        },
+        real: model.probability(real, &own)?,
+        predicted: model.probability(predicted, &own)?,
         mismatched: other
-            .map(|other| probe.probability(&recording.frames, &other))
+            .map(|other| model.probability(real, &other))
             .transpose()?,
     })
 }

@@ -36,6 +36,7 @@ pub fn findings(model: &str, variant: u64) -> ModelFindings {
                 "cem": {"samples": 64, "iterations": 5, "elites": 8},
             }),
             sampler: json!({"steps": 8, "shift": 1.0, "context_tau": 0.01}),
+            readers: [("success".to_owned(), "9b2f".repeat(16))].into(),
             version: "0.1.0".to_owned(),
         },
         sections: vec![

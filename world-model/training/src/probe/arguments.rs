@@ -132,18 +132,26 @@ impl EvaluateProbeArgs {
         weights
             .json::<LatentSpace>(LATENT_SPACE_KEY)?
             .require(latents.space())?;
-        let config: ProbeNetworkConfig = weights.json(PROBE_KEY)?;
+        let mut config: ProbeNetworkConfig = weights.json(PROBE_KEY)?;
         let frame_skip = weights.json(FRAME_SKIP_KEY)?;
-        let reader = Reader::of_trained(&weights)?;
+        let reader = match config.text_features_mut() {
+            Some(_) => Some(Reader::of_trained(&weights)?),
+            None => None,
+        };
         let mut episodes = Episodes::new(&latents, frame_skip, Some(config.max_frames()));
-        if let Reader::Words(words) = &reader {
+        if let Some(Reader::Words(words)) = &reader {
             leave_out_unknown(&mut episodes, words.config());
         }
         ensure!(
             episodes.len() > 0,
             "no episode has an instruction of known words and an outcome"
         );
-        let read = |text: &str| Ok(reader.read(text)?);
+        let read = |text: &str| {
+            Ok(reader
+                .as_ref()
+                .map(|reader| reader.read(text))
+                .transpose()?)
+        };
         println!("{}", accuracy(&weights, &episodes, usize::MAX, read)?);
         Ok(())
     }

@@ -56,6 +56,17 @@ pub(super) struct Shares {
     pub(super) others: usize,
 }
 
+impl Shares {
+    /// For a probe that reads no instruction: outcomes alone.
+    pub(super) fn of_outcomes(successes: f64) -> Self {
+        Self {
+            successes,
+            mismatches: 0.0,
+            others: 0,
+        }
+    }
+}
+
 /// The episodes with an instruction and an outcome.
 pub(super) struct Episodes<'a> {
     latents: &'a Latents,
@@ -99,6 +110,20 @@ impl<'a> Episodes<'a> {
         ensure!(
             !self.successes.is_empty(),
             "none of the {} episodes with an outcome is a success",
+            self.labelled.len()
+        );
+        Ok(())
+    }
+
+    /// Refuses data that a probe that reads no instruction cannot be trained on.
+    ///
+    /// # Errors
+    /// If none fails.
+    pub(super) fn require_failures(&self) -> Result<()> {
+        ensure!(
+            !self.failures.is_empty(),
+            "none of the {} episodes with an outcome is a failure, and without reading instructions there is nothing else \
+             to tell a success from",
             self.labelled.len()
         );
         Ok(())

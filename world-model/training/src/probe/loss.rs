@@ -10,8 +10,8 @@ use super::{
     things::{Target, Things},
 };
 
-/// The loss of what a probe is asked about one episode, whose instructions were read in the order of the questions: binary
-/// cross-entropy, and for a probe that looks for things, `pointing` times the cross-entropy of where it looks.
+/// The loss of what a probe is asked about one episode, whose instructions were read in the order of the questions (none is
+/// for a probe that reads none): binary cross-entropy, and for a probe that looks for things, `pointing` times the cross-entropy of where it looks.
 pub(super) fn loss(
     model: &ProbeNetwork,
     sample: &Sample,
@@ -22,6 +22,9 @@ pub(super) fn loss(
     match model {
         ProbeNetwork::Transformer(model) => of_transformer(model, sample, readings, dropout),
         ProbeNetwork::Grounded(model) => of_grounded(model, sample, readings, pointing, dropout),
+        ProbeNetwork::Linear(_) | ProbeNetwork::Temporal(_) => {
+            cross_entropy(&model.forward(&sample.latents, None)?, &sample.questions)
+        }
     }
 }
 

@@ -50,7 +50,7 @@ fn a_step_is_pytorchs() {
     fill(&variables);
     let asked: Vec<Asked> = fixture.of("questions");
     let losses = asked.iter().enumerate().map(|(number, asked)| {
-        let readings = [words.read(&asked.instruction).unwrap()];
+        let readings = [words.read(&asked.instruction).unwrap().unwrap()];
         let sample = sample(number, asked);
         loss(&model, &sample, &readings, None, &mut Dropout::none()).unwrap()
     });
@@ -80,7 +80,7 @@ fn a_step_of_the_grounded_one_is_pytorchs() {
         .collect();
     let seen = model.look(&sample(0, &asked[0]).latents).unwrap();
     let read = asked.iter().map(|asked| {
-        let reading = words.read(&asked.instruction).unwrap();
+        let reading = words.read(&asked.instruction).unwrap().unwrap();
         model.read(&reading.features, None).unwrap()
     });
     let read: Vec<_> = read.collect();

@@ -1,7 +1,10 @@
 use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use wm_model::LatentSpace;
-use wm_zoo::success_probe::{GroundedProbeConfig, ProbeNetworkConfig, SuccessProbeConfig};
+use wm_zoo::{
+    pooled_probe::{LinearProbeConfig, TemporalProbeConfig},
+    success_probe::{GroundedProbeConfig, ProbeNetworkConfig, SuccessProbeConfig},
+};
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
@@ -43,6 +46,10 @@ pub enum ProbeKind {
     Transformer,
     /// The small one, which looks for what an instruction names.
     Grounded,
+    /// A linear layer on pooled latents, which reads no instruction.
+    Linear,
+    /// A transformer block over pooled frames, which reads no instruction.
+    Temporal,
 }
 
 /// Shape of the model.
@@ -138,6 +145,19 @@ impl ProbeRecipe {
                 text_heads: own.text_heads,
                 hidden: own.hidden,
             }),
+            ProbeKind::Linear => ProbeNetworkConfig::Linear(LinearProbeConfig {
+                features,
+                pool: own.pool,
+                max_frames,
+            }),
+            ProbeKind::Temporal => ProbeNetworkConfig::Temporal(TemporalProbeConfig {
+                features,
+                max_frames,
+                pool: own.pool,
+                hidden: own.hidden,
+                heads: own.heads,
+                mlp: own.ffn,
+            }),
         }
     }
 }
@@ -148,7 +168,7 @@ pub(super) fn resized(
     space: &LatentSpace,
     max_frames: usize,
 ) -> ProbeNetworkConfig {
-    use ProbeNetworkConfig::{Grounded, Transformer};
+    use ProbeNetworkConfig::{Grounded, Linear, Temporal, Transformer};
     let (rows, columns, features) = space.shape();
     match old {
         Transformer(old) => Transformer(SuccessProbeConfig {
@@ -159,6 +179,16 @@ pub(super) fn resized(
         Grounded(old) => Grounded(GroundedProbeConfig {
             features,
             grid: [rows, columns],
+            max_frames,
+            ..old
+        }),
+        Linear(old) => Linear(LinearProbeConfig {
+            features,
+            max_frames,
+            ..old
+        }),
+        Temporal(old) => Temporal(TemporalProbeConfig {
+            features,
             max_frames,
             ..old
         }),

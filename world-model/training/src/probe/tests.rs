@@ -59,7 +59,7 @@ fn it_learns_what_an_instruction_asks_for() {
     let weights = Weights::open(dir.path().join(FILE)).unwrap();
     let episodes = Episodes::new(&held_out, 1, None);
     let reader = Reader::of_trained(&weights).unwrap();
-    let read = |text: &str| Ok(reader.read(text)?);
+    let read = |text: &str| Ok(Some(reader.read(text)?));
     let found = accuracy(&weights, &episodes, usize::MAX, read).unwrap();
     println!("{found}");
     assert!(found.balanced() > 0.8, "{found}");
@@ -69,6 +69,70 @@ fn it_learns_what_an_instruction_asks_for() {
     assert!(
         (kept.balanced() - found.balanced()).abs() < 1e-9,
         "{kept} {found}"
+    );
+}
+
+/// Of episodes that succeed if their level ended above zero, whatever they were told.
+fn ended_high(dir: &Path, episodes: usize, seed: u64) -> Latents {
+    let told = labelled(dir, episodes, seed);
+    let mut list = told.episodes().to_vec();
+    for episode in &mut list {
+        let is_up = episode.instruction.as_deref() == Some("go up");
+        episode.success = episode.success.map(|success| success == is_up);
+    }
+    let file = dir.join(format!("latents {seed}"));
+    let actions = told.action_space().clone();
+    Latents::map(&file, told.space().clone(), list, "high".into(), actions).unwrap()
+}
+
+#[test]
+fn probes_without_instructions_tell_outcomes_that_can_be_seen() {
+    let dir = tempfile::tempdir().unwrap();
+    let (train, held_out) = (
+        ended_high(dir.path(), 200, 1),
+        ended_high(dir.path(), 100, 2),
+    );
+    for (kind, name, least) in [
+        (ProbeKind::Linear, "linear", 0.75),
+        (ProbeKind::Temporal, "temporal", 0.85),
+    ] {
+        let mut recipe = small("tiny", 300);
+        recipe.model.kind = kind;
+        let (run, stop) = (run_in(&dir.path().join(name)), Stop::default());
+        let latents = (&train, Some(&held_out));
+        train_on(&run, &recipe, latents, (None, None), &stop).unwrap();
+        let weights = Weights::open(run.out.join(FILE)).unwrap();
+        let kept: Accuracy = weights.json(VALIDATION_KEY).unwrap();
+        println!("{name}: {kept}");
+        assert!(kept.balanced() > least, "{name}: {kept}");
+        assert_eq!(kept.mismatches, None);
+        // As a model's folder or `wm eval latents --probe` opens it.
+        let probe = SuccessClassifier::of_trained(weights, train.space()).unwrap();
+        assert_eq!((probe.kind(), probe.reads_instructions()), (name, false));
+        assert_eq!(probe.vocabulary(), None);
+
+        let tower = Some(dir.path());
+        let refused = train_on(&run, &recipe, latents, (None, tower), &stop).unwrap_err();
+        assert!(refused.to_string().contains("--text-tower"), "{refused}");
+    }
+}
+
+#[test]
+fn without_reading_instructions_there_must_be_failures() {
+    let dir = tempfile::tempdir().unwrap();
+    let told = labelled(dir.path(), 8, 1);
+    let mut list = told.episodes().to_vec();
+    list.iter_mut().for_each(|e| e.success = Some(true));
+    let actions = told.action_space().clone();
+    let file = dir.path().join("latents 1");
+    let all = Latents::map(&file, told.space().clone(), list, "all".into(), actions).unwrap();
+    let mut recipe = small("tiny", 1);
+    recipe.model.kind = ProbeKind::Linear;
+    let (run, stop) = (run_in(dir.path()), Stop::default());
+    let error = train_on(&run, &recipe, (&all, None), (None, None), &stop).unwrap_err();
+    assert!(
+        error.to_string().contains("none of the 8 episodes"),
+        "{error}"
     );
 }
 

@@ -18,6 +18,8 @@ pub(super) enum Text {
     Words(WordEmbedding),
     /// A frozen text tower, which has read each instruction once.
     Tower(Tower),
+    /// Nothing: the probe reads no instruction.
+    None,
 }
 
 /// Instructions as a frozen text tower reads them.
@@ -65,16 +67,19 @@ impl Text {
         Ok(Self::Words(WordEmbedding::load(config, loader)?))
     }
 
-    pub(super) fn read(&self, instruction: &str) -> Result<Reading> {
+    /// What a probe makes of an instruction; `None` where it reads none.
+    pub(super) fn read(&self, instruction: &str) -> Result<Option<Reading>> {
         match self {
-            Self::Words(words) => Ok(Reading {
+            Self::Words(words) => Ok(Some(Reading {
                 features: words.read(instruction)?,
                 mask: None,
-            }),
+            })),
             Self::Tower(tower) => {
                 let reading = tower.readings.get(instruction).cloned();
-                reading.with_context(|| format!("`{instruction}` was not read"))
+                let reading = reading.with_context(|| format!("`{instruction}` was not read"))?;
+                Ok(Some(reading))
             }
+            Self::None => Ok(None),
         }
     }
 
@@ -83,6 +88,7 @@ impl Text {
         let (key, value) = match self {
             Self::Words(words) => (WORDS_KEY, serde_json::to_string(words.config())?),
             Self::Tower(tower) => (TEXT_TOWER_KEY, serde_json::to_string(&tower.folder)?),
+            Self::None => return Ok(()),
         };
         weights.metadata(key, value);
         Ok(())
@@ -93,6 +99,7 @@ impl Text {
         match self {
             Self::Words(words) => format!("{} words", words.config().vocabulary.len()),
             Self::Tower(tower) => format!("{} instructions", tower.readings.len()),
+            Self::None => "whatever the instruction".to_owned(),
         }
     }
 }

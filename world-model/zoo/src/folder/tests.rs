@@ -106,6 +106,34 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
     }
 }
 
+#[test]
+fn an_adapter_decodes_to_the_space_of_its_encoder_alone() {
+    let folder = folder(&adapted());
+    let open = || DescribedFolder::open(folder.path()).unwrap();
+    let (adapter, encoder) = (open().native_decoder().unwrap().unwrap(), open().encoder());
+    let images = Tensor::rand(0f32, 1.0, (2, 32, 32, 3), &Device::Cpu).unwrap();
+    let latents = encoder.unwrap().encode(&images).unwrap();
+    let features = adapter.decode(&latents).unwrap();
+    assert_eq!(features.dims(), [2, 4, 4, 48]);
+    // By the adapter's own round trip of the encoder's features.
+    let svae = open()
+        .load_adapter(open().adapter.as_ref())
+        .unwrap()
+        .unwrap();
+
+    let space = space_of(&folder, &native());
+    assert_eq!(adapter.native().hash, space.hash);
+    assert_eq!(adapter.native().shape(), space.shape());
+    assert!(open().native_decoder().unwrap().is_none());
+    let own = svae.forward(&open().encoder().unwrap().encode(&images).unwrap());
+    let values = |x: &Tensor| x.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    for (a, b) in values(&features).iter().zip(values(&own.unwrap())) {
+        assert!((a - b).abs() < 1e-4, "{a} {b}");
+    }
+    let wrong = adapter.decode(&features).unwrap_err().to_string();
+    assert!(wrong.contains("(N, 4, 4, 6)"), "{wrong}");
+}
+
 /// A model whose transition the training is still to write encodes and decodes; the file beside it is then taken, if it
 /// was trained on these latents.
 #[test]

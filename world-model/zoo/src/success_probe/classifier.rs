@@ -74,6 +74,21 @@ impl Instruction {
 }
 
 impl SuccessClassifier {
+    /// What kind of probe it is: transformer, grounded, linear, temporal or progress.
+    pub fn kind(&self) -> &'static str {
+        match &self.judge {
+            Judge::Instructed(judge) => judge.probe.kind(),
+            Judge::Pooled(PooledProbe::Linear(_)) => "linear",
+            Judge::Pooled(PooledProbe::Temporal(_)) => "temporal",
+            Judge::Pooled(PooledProbe::Progress(_)) => "progress",
+        }
+    }
+
+    /// Whether its answer depends on an instruction.
+    pub fn reads_instructions(&self) -> bool {
+        matches!(self.judge, Judge::Instructed(_))
+    }
+
     /// Longest episode that is read.
     pub fn max_frames(&self) -> usize {
         match &self.judge {
@@ -166,7 +181,7 @@ impl Reader {
 
 impl Instructed {
     fn probability(&self, latents: &Tensor, reading: &Reading) -> Result<f32> {
-        let logit = self.probe.forward(latents, reading)?;
+        let logit = self.probe.forward(latents, Some(reading))?;
         let logit = logit.squeeze(0)?.to_scalar::<f32>()?;
         if !logit.is_finite() {
             let what = "the success probe's logit";

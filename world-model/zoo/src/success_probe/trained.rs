@@ -8,6 +8,7 @@ use super::{
     SuccessClassifier, WordEmbedding, WordsConfig,
 };
 use crate::kinds::Kind;
+use crate::pooled_probe::PooledProbe;
 use crate::vit::{SiglipText, SiglipTextConfig};
 use crate::{Checkpoint, Engine, Error, Loader, Result, checkpoint::Average, loader::OfWeights};
 
@@ -31,10 +32,17 @@ impl SuccessClassifier {
         let config: ProbeNetworkConfig = weights.json(PROBE_KEY)?;
         let supply = OfWeights(&weights);
         let probe = ProbeNetwork::load(&config, &Loader::supplied(&supply, Engine::Cpu))?;
-        let reader = Reader::of_trained(&weights)?;
+        let judge = match probe {
+            ProbeNetwork::Linear(probe) => Judge::Pooled(PooledProbe::Linear(probe)),
+            ProbeNetwork::Temporal(probe) => Judge::Pooled(PooledProbe::Temporal(probe)),
+            probe @ (ProbeNetwork::Transformer(_) | ProbeNetwork::Grounded(_)) => {
+                let reader = Reader::of_trained(&weights)?;
+                Judge::Instructed(Box::new(Instructed { reader, probe }))
+            }
+        };
         weights.finish()?;
         Ok(Self {
-            judge: Judge::Instructed(Box::new(Instructed { reader, probe })),
+            judge,
             normalisation: Normalisation::identity(space.channels),
         })
     }

@@ -101,7 +101,7 @@ fn the_probe_reads_no_padding_and_no_normalisation() {
         features: words.narrow(1, 0, 4).unwrap(),
         mask: None,
     };
-    let logit = judge.probe.forward(&latents, &words).unwrap();
+    let logit = judge.probe.forward(&latents, Some(&words)).unwrap();
     let logit = logit.to_vec1::<f32>().unwrap()[0];
     let expected = 1.0 / (1.0 + (-logit).exp());
     assert!((found - expected).abs() < 1e-6, "{found} {expected}");

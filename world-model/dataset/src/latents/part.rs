@@ -1,0 +1,112 @@
+use std::{
+    fs::{self, File},
+    io::ErrorKind,
+    ops::Range,
+    os::unix::fs::FileExt as _,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context as _, Result, ensure};
+
+use super::file::expect_length;
+
+/// A file with the latents of some frames in a row, beside where that of all frames will be.
+pub(super) struct Part {
+    path: PathBuf,
+    file: File,
+    frames: Range<usize>,
+    frame_bytes: usize,
+}
+
+impl Part {
+    /// Where the part with these frames of `whole` lies.
+    pub fn path_of(whole: &Path, frames: &Range<usize>) -> PathBuf {
+        let mut path = whole.as_os_str().to_owned();
+        path.push(format!(".frames-{}-{}", frames.start, frames.len()));
+        path.into()
+    }
+
+    /// All parts of `whole`, which will have `total` frames.
+    ///
+    /// # Errors
+    /// When a part cannot be read, or has not the length that its name says.
+    pub fn find_all(whole: &Path, total: usize, frame_bytes: usize) -> Result<Vec<Self>> {
+        let (Some(dir), Some(name)) = (whole.parent(), whole.file_name()) else {
+            return Ok(Vec::new());
+        };
+        let entries = match fs::read_dir(dir) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries.with_context(|| dir.display().to_string())?,
+        };
+        let mut parts = Vec::new();
+        for entry in entries {
+            let entry = entry.with_context(|| dir.display().to_string())?;
+            let entry_name = entry.file_name();
+            let Some(frames) = frames_of(&entry_name.to_string_lossy(), &name.to_string_lossy())
+            else {
+                continue;
+            };
+            let path = entry.path();
+            let file = match File::open(&path) {
+                // Another program has joined it.
+                Err(error) if error.kind() == ErrorKind::NotFound => continue,
+                file => file.with_context(|| path.display().to_string())?,
+            };
+            ensure!(
+                frames.end <= total,
+                "{}: expected frames of the {total} that there are; remove the file to recompute it",
+                path.display()
+            );
+            let found = file
+                .metadata()
+                .with_context(|| path.display().to_string())?;
+            expect_length(&path, frames.len() * frame_bytes, found.len())?;
+            parts.push(Self {
+                path,
+                file,
+                frames,
+                frame_bytes,
+            });
+        }
+        Ok(parts)
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether it has all of these frames.
+    pub fn has(&self, frames: &Range<usize>) -> bool {
+        self.frames.start <= frames.start && frames.end <= self.frames.end
+    }
+
+    /// The latents of frames that it has.
+    pub fn read(&self, frames: &Range<usize>) -> Result<Vec<u8>> {
+        let mut latents = vec![0; frames.len() * self.frame_bytes];
+        let at = frames.start.saturating_sub(self.frames.start) * self.frame_bytes;
+        let read = self.file.read_exact_at(&mut latents, at as u64);
+        read.with_context(|| self.path.display().to_string())?;
+        Ok(latents)
+    }
+
+    /// Removes it, when it is joined. What cannot be removed only takes room.
+    pub fn remove(&self) {
+        match fs::remove_file(&self.path) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                tracing::warn!(
+                    "{}: it is not needed any more: {error}",
+                    self.path.display()
+                );
+            }
+            _ => (),
+        }
+    }
+}
+
+/// The frames of the part that has this name; `None` if it is not a part of `whole`.
+fn frames_of(name: &str, whole: &str) -> Option<Range<usize>> {
+    let frames = name.strip_prefix(whole)?.strip_prefix(".frames-")?;
+    let (first, count) = frames.split_once('-')?;
+    let (first, count): (usize, usize) = (first.parse().ok()?, count.parse().ok()?);
+    Some(first..first.checked_add(count)?)
+}

@@ -1,0 +1,218 @@
+//! What reads latents beside a transition model: inverse dynamics models and success probes, those of the model's folder and
+//! further ones.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use anyhow::{Context as _, Result, ensure};
+use candle_core::Tensor;
+use clap::Args;
+use wm_model::{
+    LatentSpace, Weights,
+    trained_folder::{IDM_FILE, PROBE_FILE},
+    transition::LATENT_SPACE_KEY,
+};
+use wm_zoo::{
+    ModelFolder, folder::NativeDecoder, idm::TrainedIdm, success_probe::SuccessClassifier,
+};
+
+/// What the names of the figures of the model's own success probe begin with.
+pub(crate) const OWN_PROBE: &str = "success";
+
+/// Further models that read latents. Of several world models, each takes those that read its latents.
+#[derive(Args, Clone, Debug, Default)]
+pub struct ReaderArgs {
+    /// Further inverse dynamics models, as for another number of steps. One that was trained on the features of a model's
+    /// encoder reads the model's latents through the decoder of its adapter.
+    #[arg(long, num_args = 1.., value_name = "FILE")]
+    pub idm: Vec<PathBuf>,
+    /// Further success probes, as linear and temporal ones, by the same rule.
+    #[arg(long, num_args = 1.., value_name = "FILE")]
+    pub probe: Vec<PathBuf>,
+}
+
+impl ReaderArgs {
+    /// Checks, before anything is measured, that each file reads the latents of one of the models.
+    ///
+    /// # Errors
+    /// Names the first that reads none, and what it reads.
+    pub fn require_models(&self, models: &[ModelFolder]) -> Result<()> {
+        for path in self.idm.iter().chain(&self.probe) {
+            let reads = space_of(&open(path)?)?;
+            let mut spaces = Vec::new();
+            for model in models {
+                spaces.push(model.space()?);
+                spaces.extend(model.native_decoder()?.map(|d| d.native().clone()));
+            }
+            let names: Vec<String> = spaces.iter().map(ToString::to_string).collect();
+            ensure!(
+                spaces.iter().any(|space| same(space, &reads)),
+                "{}: it reads latents of {reads}; expected {}",
+                path.display(),
+                names.join(", or ")
+            );
+        }
+        Ok(())
+    }
+}
+
+/// A model that reads latents, by itself or through the decoder of their adapter.
+#[derive(Debug)]
+pub struct Reader<M> {
+    /// What the names of its figures begin with, as `idm_k1`.
+    pub name: String,
+    /// The model.
+    pub model: M,
+    /// Name of the latent space that it was trained on.
+    pub space: String,
+    through: Option<Arc<NativeDecoder>>,
+}
+
+impl<M> Reader<M> {
+    /// Latents (N, h, w, C) of the world model as this one reads them.
+    ///
+    /// # Errors
+    /// If they do not fit the adapter.
+    pub fn latents(&self, latents: &Tensor) -> Result<Tensor> {
+        match &self.through {
+            None => Ok(latents.clone()),
+            Some(adapter) => Ok(adapter.decode(latents)?),
+        }
+    }
+}
+
+/// All that read the latents of one world model.
+#[derive(Debug, Default)]
+pub struct Readers {
+    /// Inverse dynamics models, that of the model's folder first.
+    pub idms: Vec<Reader<TrainedIdm>>,
+    /// Success probes, that of the model's folder first.
+    pub probes: Vec<Reader<SuccessClassifier>>,
+    /// Lower-case hex SHA-256 of the tensors of each that a training wrote, by its name.
+    pub hashes: BTreeMap<String, String>,
+}
+
+impl Readers {
+    /// Those of the model's folder.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in their files.
+    pub fn of_folder(folder: &ModelFolder) -> Result<Self> {
+        let mut readers = Self::default();
+        let space = folder.space()?.name;
+        if let Some(model) = folder.idm()? {
+            let name = format!("idm_k{}", model.idm().horizon());
+            readers.hash(&name, folder.weights(IDM_FILE)?);
+            readers.idms.push(Reader {
+                name,
+                model,
+                space: space.clone(),
+                through: None,
+            });
+        }
+        if let Some(model) = folder.probe()? {
+            let name = OWN_PROBE.to_owned();
+            readers.hash(&name, folder.weights(PROBE_FILE)?);
+            readers.probes.push(Reader {
+                name,
+                model,
+                space,
+                through: None,
+            });
+        }
+        Ok(readers)
+    }
+
+    /// Adds those of `more` that read latents of `folder`, or of its encoder.
+    ///
+    /// # Errors
+    /// If a file cannot be read.
+    pub fn add(&mut self, more: &ReaderArgs, folder: &ModelFolder) -> Result<()> {
+        if more.idm.is_empty() && more.probe.is_empty() {
+            return Ok(());
+        }
+        let own = folder.space()?;
+        let native = folder.native_decoder()?.map(Arc::new);
+        // Which of the two it reads, if any.
+        let fit = |reads: &LatentSpace| match &native {
+            _ if same(&own, reads) => Some(None),
+            Some(native) if same(native.native(), reads) => Some(Some(Arc::clone(native))),
+            _ => None,
+        };
+        for path in &more.idm {
+            let weights = open(path)?;
+            let reads = space_of(&weights)?;
+            let Some(through) = fit(&reads) else { continue };
+            let hash = weights.sha256();
+            let model =
+                TrainedIdm::from_weights(weights).with_context(|| path.display().to_string())?;
+            let of = if through.is_some() { "_native" } else { "" };
+            let k = model.idm().horizon();
+            let name = self.free_name(|n| format!("idm{n}{of}_k{k}"));
+            self.hashes.insert(name.clone(), hash);
+            self.idms.push(Reader {
+                name,
+                model,
+                space: reads.name,
+                through,
+            });
+        }
+        for path in &more.probe {
+            let weights = open(path)?;
+            let reads = space_of(&weights)?;
+            let Some(through) = fit(&reads) else { continue };
+            let hash = weights.sha256();
+            let model = SuccessClassifier::of_trained(weights, &reads)
+                .with_context(|| path.display().to_string())?;
+            let of = if through.is_some() { "_native" } else { "" };
+            let name = self.free_name(|n| format!("success{n}{of}_{}", model.kind()));
+            self.hashes.insert(name.clone(), hash);
+            self.probes.push(Reader {
+                name,
+                model,
+                space: reads.name,
+                through,
+            });
+        }
+        Ok(())
+    }
+
+    fn hash(&mut self, name: &str, weights: Option<Weights>) {
+        if let Some(weights) = weights {
+            self.hashes.insert(name.to_owned(), weights.sha256());
+        }
+    }
+
+    /// The first of `name("")`, `name("2")`, `name("3")`, ... that no other has.
+    fn free_name(&self, name: impl Fn(&str) -> String) -> String {
+        let idms = self.idms.iter().map(|reader| &*reader.name);
+        let taken: BTreeSet<&str> = idms.chain(self.probes.iter().map(|r| &*r.name)).collect();
+        let mut number = 1;
+        loop {
+            let of = match number {
+                1 => name(""),
+                number => name(&number.to_string()),
+            };
+            if !taken.contains(&*of) {
+                return of;
+            }
+            number += 1;
+        }
+    }
+}
+
+fn open(path: &Path) -> Result<Weights> {
+    Weights::open(path).with_context(|| path.display().to_string())
+}
+
+fn space_of(weights: &Weights) -> Result<LatentSpace> {
+    Ok(weights.json(LATENT_SPACE_KEY)?)
+}
+
+/// Whether latents of both mean the same: a name is only a name.
+fn same(a: &LatentSpace, b: &LatentSpace) -> bool {
+    (&a.hash, a.shape()) == (&b.hash, b.shape())
+}
