@@ -82,6 +82,13 @@ impl DatasetArgs {
                 }),
                 _,
             ) => {
+                if !is_prepared(dir) {
+                    let dir = dir.display();
+                    anyhow::bail!(
+                        "{dir}: it is no prepared data set; make one first: wm dataset {dir} -o DATA, then wm dataset \
+                         latents DATA"
+                    );
+                }
                 let encoder = ModelFolder::open(encoder)?.encoder()?;
                 let cache = cache.as_ref().unwrap_or(dir);
                 let options = DataOptions::default();

@@ -24,6 +24,12 @@ pub struct Clip {
 }
 
 impl Clip {
+    /// The number of its episode among all.
+    #[must_use]
+    pub fn episode(&self) -> usize {
+        self.episode
+    }
+
     /// The clip of an episode, by its number among all, from one of its camera frames on.
     #[must_use]
     pub fn new(episode: usize, start: usize) -> Self {

@@ -14,7 +14,8 @@ pub struct HeldOutArgs {
     /// How recordings become episodes.
     #[command(flatten)]
     pub options: DataOptions,
-    /// Folder for decoded frames and latents; a temporary one by default.
+    /// Folder for decoded frames and latents, which the next run takes from there; by default the system's for temporary
+    /// files, where they stay until they are removed.
     #[arg(long)]
     pub cache: Option<PathBuf>,
 }

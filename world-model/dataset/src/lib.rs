@@ -217,6 +217,12 @@ impl Dataset {
         &self.layout
     }
 
+    /// What was left out when it was prepared.
+    pub fn left_out(&self) -> impl Iterator<Item = &LeftOut> {
+        let folders = self.folders.iter();
+        folders.flat_map(|folder| &folder.manifest().left_out)
+    }
+
     /// Where its frames are.
     pub(crate) fn folders(&self) -> &[Arc<Folder>] {
         &self.folders

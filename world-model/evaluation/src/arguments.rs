@@ -1,6 +1,7 @@
 //! `wm eval SUITE`.
 
 use std::{
+    collections::BTreeMap,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -13,7 +14,7 @@ use wm_zoo::ModelFolder;
 
 use crate::{
     OutputArgs, Perception, PerceptionArgs, PolicyArgs, Protocol, ReaderArgs, Settings, Shard,
-    Subject, merge::of_files, policy::Setup, run,
+    Subject, merge::of_files, open_model, policy::Setup, run,
 };
 
 /// Measures a model, or several side by side, on bags.
@@ -60,10 +61,10 @@ pub struct SuiteArgs {
     #[command(flatten)]
     pub perception: PerceptionArgs,
     /// Measure part I of N, from 0: `wm eval merge` puts the parts together.
-    #[arg(long, value_name = "I/N", requires = "records")]
+    #[arg(long, value_name = "I/N", requires = "records", conflicts_with_all = ["report", "json", "csv", "card"])]
     pub shard: Option<Shard>,
-    /// Folder for what is measured, unit by unit, from which a run that was interrupted goes on; in the report's folder by
-    /// default.
+    /// Folder for what is measured, unit by unit, from which a run that was interrupted goes on; by default in the report's
+    /// folder, or beside the file of the figures.
     #[arg(long, value_name = "DIR")]
     pub records: Option<PathBuf>,
     /// Number of threads; all of the machine by default. The figures are the same whatever it is.
@@ -75,6 +76,25 @@ pub struct SuiteArgs {
     /// Who acts in the imagined environment.
     #[command(flatten, next_help_heading = "Policy")]
     pub policy: PolicyArgs,
+}
+
+/// Refuses a model that is there twice.
+fn require_different(folders: &[ModelFolder]) -> Result<()> {
+    if folders.len() < 2 {
+        return Ok(());
+    }
+    let mut names_by_hash: BTreeMap<String, String> = BTreeMap::new();
+    for folder in folders {
+        let world = folder.world_model()?;
+        let other = names_by_hash.insert(world.hash, folder.name());
+        ensure!(
+            other.is_none(),
+            "{} has the weights of {}: there is nothing to compare",
+            folder.name(),
+            other.unwrap_or_default()
+        );
+    }
+    Ok(())
 }
 
 impl SuiteArgs {
@@ -92,12 +112,12 @@ impl SuiteArgs {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
             pool.build_global().context("--threads")?;
         }
+        ensure!(
+            self.sampling_steps != Some(0),
+            "--sampling-steps is at least 1"
+        );
         let temporary;
-        let default = self
-            .output
-            .report
-            .as_ref()
-            .map(|folder| folder.join("records"));
+        let default = self.output.records();
         let folder: &Path = match self.records.as_ref().or(default.as_ref()) {
             Some(folder) => folder,
             None => {
@@ -122,11 +142,17 @@ impl SuiteArgs {
         let perception = Arc::new(Perception::open(&self.perception)?);
         let shard = self.shard.unwrap_or(Shard::WHOLE);
         let setup = Setup::new(&self.policy)?;
+        let mut settings = self.settings(&setup)?;
+        settings.networks = perception.description().cloned();
         let models = || std::iter::once(&self.model).chain(&self.compare);
-        let folders = models().map(|model| Ok(ModelFolder::open(model)?));
-        (self.readers).require_models(&folders.collect::<Result<Vec<_>>>()?)?;
+        let folders: Vec<ModelFolder> = models()
+            .map(|model| open_model(model))
+            .collect::<Result<_>>()?;
+        require_different(&folders)?;
+        self.readers.require_models(&folders)?;
+        drop(folders);
         let mut files = Vec::new();
-        for model in models() {
+        for (position, model) in models().enumerate() {
             let mut subject = Subject::open(model, &self.on, &self.readers)
                 .with_context(|| format!("model {model}"))?;
             subject.perception = Arc::clone(&perception);
@@ -134,12 +160,10 @@ impl SuiteArgs {
                 subject.sampler.steps = steps;
                 subject.sampler.validate().context("--sampling-steps")?;
             }
-            let mut settings = self.settings(&setup)?;
-            settings.networks = perception.description().cloned();
             let records = (folder, shard);
             files.push(run::measure(
                 &subject,
-                &self.on.data,
+                (&self.on.data, position),
                 &suites,
                 &settings,
                 &setup,

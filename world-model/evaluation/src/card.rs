@@ -19,13 +19,25 @@ pub enum Written {
     Kept,
 }
 
+/// Whether a card may be written to `path`: nobody has changed what is there.
+///
+/// # Errors
+/// If what is there cannot be read.
+pub fn is_free(path: &Path) -> Result<bool> {
+    if !path.exists() {
+        return Ok(true);
+    }
+    let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    Ok(is_ours(&text))
+}
+
 /// Writes the card of findings to `path`. A card that is there is replaced only if nobody has changed it.
 ///
 /// # Errors
 /// If the file cannot be read or written.
 pub fn write(path: &Path, findings: &ModelFindings, about: &CardAbout) -> Result<Written> {
     let name = || path.display().to_string();
-    if path.exists() && !is_ours(&fs::read_to_string(path).with_context(name)?) {
+    if !is_free(path)? {
         return Ok(Written::Kept);
     }
     let card = sealed(&model_card(findings, about));
@@ -46,6 +58,34 @@ pub fn about(path: &Path) -> Result<CardAbout> {
     let about: CardAbout = serde_yaml_ng::from_str(&text).with_context(name)?;
     ensure!(!about.name.is_empty(), "{}: `name` is empty", name());
     Ok(about)
+}
+
+/// How much was measured, by the settings.
+pub(crate) fn extent(settings: &serde_json::Value) -> String {
+    let of = |path: &str| match settings.pointer(path) {
+        Some(value) => value.to_string(),
+        None => "-".to_owned(),
+    };
+    let searches = settings.pointer("/control/searches");
+    let searches = searches.and_then(serde_json::Value::as_array);
+    let searches = searches.into_iter().flatten().map(|search| {
+        let of = |key: &str| search.get(key).map_or("-".to_owned(), ToString::to_string);
+        format!("{} windows at k = {}", of("windows"), of("k"))
+    });
+    let searches: Vec<String> = searches.collect();
+    format!(
+        "At most: decoded rollouts of {} steps of {} episodes; searches of {} x {} candidates ({}); {} windows of responses to \
+         actions. All settings: --json.",
+        of("/fidelity/steps"),
+        of("/fidelity/episodes"),
+        of("/control/iterations"),
+        of("/control/population"),
+        match searches.is_empty() {
+            true => "none".to_owned(),
+            false => searches.join(", "),
+        },
+        of("/control/response_windows"),
+    )
 }
 
 fn sealed(card: &str) -> String {

@@ -1,7 +1,7 @@
 //! From the values of units to figures with intervals.
 
 use wm_findings::{Better, Metric};
-use wm_metrics::statistics::{Bootstrap, bootstrap, bootstrap_mean};
+use wm_metrics::statistics::{Bootstrap, Estimate, bootstrap_mean, replicates};
 
 use crate::Settings;
 
@@ -52,11 +52,15 @@ pub(crate) fn figure_of_units(
             .filter(|v| v.is_finite())
             .unwrap_or(value)
     };
-    let estimate = bootstrap(count, &draws(settings), finite).ok();
+    let draws = draws(settings);
+    let replicates = match count >= FEWEST {
+        true => replicates(count, &draws, finite).unwrap_or_default(),
+        false => Vec::new(),
+    };
+    let estimate = Estimate::of_replicates(value, replicates.clone(), draws.level);
     Some(Metric {
-        interval: estimate
-            .filter(|_| count >= FEWEST)
-            .map(|estimate| estimate.interval),
+        interval: estimate.ok().map(|estimate| estimate.interval),
+        replicates,
         ..Metric::plain(value, count, better, about)
     })
 }

@@ -53,6 +53,6 @@ pub use settings::{
 };
 pub use squared_error::SquaredError;
 pub use strip::strip;
-pub use subject::{Recording, Subject};
+pub use subject::{Recording, Subject, open_model};
 pub use windows::{ActionChange, CONTEXT, Windows, squared};
 pub use wm_bag::Shard;

@@ -16,7 +16,10 @@ use wm_model::{
     transition::LATENT_SPACE_KEY,
 };
 use wm_zoo::{
-    ModelFolder, folder::NativeDecoder, idm::TrainedIdm, success_probe::SuccessClassifier,
+    ModelFolder,
+    folder::NativeDecoder,
+    idm::{IDM_KEY, TrainedIdm},
+    success_probe::{PROBE_KEY, SuccessClassifier},
 };
 
 /// What the names of the figures of the model's own success probe begin with.
@@ -40,8 +43,10 @@ impl ReaderArgs {
     /// # Errors
     /// Names the first that reads none, and what it reads.
     pub fn require_models(&self, models: &[ModelFolder]) -> Result<()> {
-        for path in self.idm.iter().chain(&self.probe) {
-            let reads = space_of(&open(path)?)?;
+        let idms = self.idm.iter().map(|path| (path, IDM_KEY));
+        let probes = self.probe.iter().map(|path| (path, PROBE_KEY));
+        for (path, key) in idms.chain(probes) {
+            let reads = space_of(&open(path, key)?)?;
             let mut spaces = Vec::new();
             for model in models {
                 spaces.push(model.space()?);
@@ -50,7 +55,7 @@ impl ReaderArgs {
             let names: Vec<String> = spaces.iter().map(ToString::to_string).collect();
             ensure!(
                 spaces.iter().any(|space| same(space, &reads)),
-                "{}: it reads latents of {reads}; expected {}",
+                "{}: it reads latents of {reads}; expected {} (wm train idm|probe --encoder MODEL makes one)",
                 path.display(),
                 names.join(", or ")
             );
@@ -143,7 +148,7 @@ impl Readers {
             _ => None,
         };
         for path in &more.idm {
-            let weights = open(path)?;
+            let weights = open(path, IDM_KEY)?;
             let reads = space_of(&weights)?;
             let Some(through) = fit(&reads) else { continue };
             let hash = weights.sha256();
@@ -161,7 +166,7 @@ impl Readers {
             });
         }
         for path in &more.probe {
-            let weights = open(path)?;
+            let weights = open(path, PROBE_KEY)?;
             let reads = space_of(&weights)?;
             let Some(through) = fit(&reads) else { continue };
             let hash = weights.sha256();
@@ -204,8 +209,23 @@ impl Readers {
     }
 }
 
-fn open(path: &Path) -> Result<Weights> {
-    Weights::open(path).with_context(|| path.display().to_string())
+/// Opens the file of a reader: of an inverse dynamics model ([`IDM_KEY`]) or a success probe ([`PROBE_KEY`]).
+fn open(path: &Path, key: &str) -> Result<Weights> {
+    let (what, file) = match key {
+        IDM_KEY => ("inverse dynamics model", IDM_FILE),
+        _ => ("success probe", PROBE_FILE),
+    };
+    let path = match path.is_dir() {
+        true => path.join(file),
+        false => path.to_owned(),
+    };
+    let weights = Weights::open(&path)?;
+    ensure!(
+        weights.metadata(key).is_some(),
+        "{}: it is no {what}",
+        path.display()
+    );
+    Ok(weights)
 }
 
 fn space_of(weights: &Weights) -> Result<LatentSpace> {

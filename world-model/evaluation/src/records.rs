@@ -25,8 +25,26 @@ use crate::{
 pub struct Heading {
     /// What is measured on what, and how.
     pub header: Header,
+    /// The model's place on the command line: the first one is what the others are compared with.
+    #[serde(default)]
+    pub position: usize,
     /// How many units each suite has, over all shards.
     pub units: BTreeMap<Suite, usize>,
+    /// Suites that could not be measured on these data, and why.
+    #[serde(default)]
+    pub absent: BTreeMap<Suite, String>,
+}
+
+impl Heading {
+    /// All that makes it this evaluation: model and data by their hashes, wherever they lie.
+    fn identity(&self) -> Self {
+        let mut own = self.clone();
+        own.position = 0;
+        own.header.model.clear();
+        own.header.data.clear();
+        own.header.left_out.clear();
+        own
+    }
 }
 
 /// A unit and what was found.
@@ -105,6 +123,24 @@ impl Records {
         })
     }
 
+    /// How many units were measured before.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.done.len()
+    }
+
+    /// Whether none was.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.done.is_empty()
+    }
+
+    /// Where they are.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Whether a unit was measured before.
     #[must_use]
     pub fn has(&self, suite: Suite, unit: usize) -> bool {
@@ -170,6 +206,9 @@ fn read_whole(path: &Path) -> Result<(Heading, Vec<Record>, u64)> {
 /// # Errors
 /// If the files are of different evaluations, disagree about a unit, or units are missing.
 pub fn merge(files: Vec<(PathBuf, Heading, Vec<Record>)>) -> Result<(Heading, Vec<Record>)> {
+    let names: Vec<String> = (files.iter())
+        .map(|(path, ..)| path.display().to_string())
+        .collect();
     let mut files = files.into_iter();
     let (first, heading, records) = files.next().context("no records")?;
     let mut merged: BTreeMap<(Suite, usize), Record> = BTreeMap::new();
@@ -195,28 +234,28 @@ pub fn merge(files: Vec<(PathBuf, Heading, Vec<Record>)>) -> Result<(Heading, Ve
             .with_context(|| format!("{} and {}", first.display(), path.display()))?;
         add(&path, records)?;
     }
-    for (suite, units) in &heading.units {
+    let units = heading.units.iter();
+    let missing = units.filter_map(|(suite, units)| {
         let missing = (0..*units).filter(|unit| !merged.contains_key(&(*suite, *unit)));
-        let missing: Vec<String> = missing.map(|unit| unit.to_string()).collect();
-        ensure!(
-            missing.is_empty(),
-            "{suite}: {} of {units} units are missing ({}{}): is a shard not given, or not done?",
-            missing.len(),
-            missing
-                .iter()
-                .take(8)
-                .cloned()
-                .collect::<Vec<_>>()
-                .join(", "),
-            if missing.len() > 8 { ", ..." } else { "" }
-        );
-    }
+        let missing = missing.count();
+        (missing > 0).then(|| format!("{suite} {missing} of {units}"))
+    });
+    let missing: Vec<String> = missing.collect();
+    ensure!(
+        missing.is_empty(),
+        "units are missing ({}) in {}: is a shard not given, or not done?",
+        missing.join(", "),
+        names.join(", ")
+    );
     Ok((heading, merged.into_values().collect()))
 }
 
 /// Refuses different evaluations, and names what differs.
 fn same(a: &Heading, b: &Heading) -> Result<()> {
-    let (a, b) = (serde_json::to_value(a)?, serde_json::to_value(b)?);
+    let (a, b) = (
+        serde_json::to_value(a.identity())?,
+        serde_json::to_value(b.identity())?,
+    );
     let mut differences = Vec::new();
     differ("", &a, &b, &mut differences);
     ensure!(differences.is_empty(), "{}", differences.join("; "));
@@ -248,6 +287,8 @@ mod tests {
 
     fn heading(seed: u64) -> Heading {
         Heading {
+            position: 0,
+            absent: BTreeMap::new(),
             header: Header {
                 model: "tiny".into(),
                 hash: "00".into(),
@@ -255,6 +296,7 @@ mod tests {
                 data: vec!["bags".into()],
                 data_digest: "11".into(),
                 episodes: 2,
+                left_out: Vec::new(),
                 readers: BTreeMap::new(),
                 seed,
                 settings: serde_json::to_value(Settings::of(crate::Protocol::Quick, seed)).unwrap(),
@@ -308,9 +350,23 @@ mod tests {
             (path.to_owned(), heading, records)
         };
         let error = merge(vec![file(&path)]).unwrap_err().to_string();
-        assert!(error.contains("1 of 3 units are missing (1)"), "{error}");
+        assert!(error.contains("missing (fidelity 1 of 3)"), "{error}");
+        assert!(error.contains("a.jsonl"), "{error}");
         let (_, merged) = merge(vec![file(&other), file(&path)]).unwrap();
         let units: Vec<usize> = merged.iter().map(|record| record.unit).collect();
         assert_eq!(units, [0, 1, 2]);
+    }
+
+    #[test]
+    fn model_and_data_are_the_same_wherever_they_lie() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.jsonl");
+        drop(Records::open(&path, &heading(0)).unwrap());
+        let mut elsewhere = heading(0);
+        elsewhere.header.model = "./tiny/".into();
+        elsewhere.header.data = vec!["/mnt/bags/".into()];
+        drop(Records::open(&path, &elsewhere).unwrap());
+        elsewhere.header.data_digest = "22".into();
+        assert!(Records::open(&path, &elsewhere).is_err());
     }
 }

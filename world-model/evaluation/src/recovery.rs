@@ -194,6 +194,7 @@ mod tests {
         let actions = Tensor::new(&gripper.map(action), &Device::Cpu).unwrap();
         let frames = Tensor::zeros((5, 1, 1, 1), DType::F32, &Device::Cpu).unwrap();
         let case = Window {
+            episode: 0,
             first_frame: 0,
             frames,
             actions,

@@ -38,6 +38,9 @@ pub struct UnderChange {
     pub persistence: Vec<f64>,
     /// PSNR of the decoded predictions \[dB\]; empty without a decoder.
     pub psnr: Vec<f64>,
+    /// That of the last observed frame, repeated, under the same change.
+    #[serde(default)]
+    pub held_psnr: Vec<f64>,
 }
 
 /// The windows: an episode, and a camera frame of it, from which on there is enough for every change.
@@ -107,6 +110,10 @@ pub fn measure(
             None => Vec::new(),
         };
         let coming = changed.iter().skip(CONTEXT);
+        let last = changed.get(CONTEXT - 1).context("no observed frame")?;
+        let came = coming.clone().take(pictures.len());
+        let held_psnr = came.map(|frame| Ok(psnr(last, frame)?.min(PSNR_CAP_DB)));
+        let held_psnr = held_psnr.collect::<Result<_>>()?;
         Ok(UnderChange {
             change,
             error: (0..count)
@@ -120,6 +127,7 @@ pub fn measure(
                 .zip(coming)
                 .map(|(a, b)| Ok(psnr(a, b)?.min(PSNR_CAP_DB)))
                 .collect::<Result<_>>()?,
+            held_psnr,
         })
     };
     let changes = Change::ALL.into_iter();

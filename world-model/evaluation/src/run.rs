@@ -1,6 +1,9 @@
 //! Measures the units of some suites in parallel, and makes findings of them.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 use anyhow::Result;
 use rayon::prelude::*;
@@ -22,6 +25,8 @@ struct Plan<'a> {
     subject: &'a Subject,
     settings: &'a Settings,
     suites: Vec<Planned<'a>>,
+    /// Suites that these data are too short for, and why.
+    absent: BTreeMap<Suite, String>,
 }
 
 enum Planned<'a> {
@@ -119,38 +124,49 @@ impl<'a> Planned<'a> {
 /// If a suite cannot be measured, or records cannot be read or written.
 pub fn measure(
     subject: &Subject,
-    data: &[PathBuf],
+    (data, position): (&[PathBuf], usize),
     suites: &[Suite],
     settings: &Settings,
     setup: &Setup,
     (folder, shard): (&Path, Shard),
 ) -> Result<PathBuf> {
-    let planned = suites
-        .iter()
-        .map(|suite| Planned::new(*suite, subject, settings, (setup, (folder, shard))));
-    let planned: Vec<Option<Planned<'_>>> = planned.collect::<Result<_>>()?;
-    let plan = Plan {
+    let mut plan = Plan {
         subject,
         settings,
-        suites: planned.into_iter().flatten().collect(),
+        suites: Vec::new(),
+        absent: BTreeMap::new(),
     };
-    let heading = plan.heading(data)?;
+    for suite in suites {
+        match Planned::new(*suite, subject, settings, (setup, (folder, shard))) {
+            Ok(planned) => plan.suites.extend(planned),
+            // Others may well be measured on episodes that are too short for one.
+            Err(error) if suites.len() > 1 && matches!(suite, Suite::Control | Suite::Latents) => {
+                plan.absent.insert(*suite, format!("{error:#}"));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    let heading = plan.heading(data, position)?;
     let hash: String = heading.header.hash.chars().take(12).collect();
     let name = Path::new(&heading.header.model).file_name();
-    let name = name.map_or("model".into(), |name| name.to_string_lossy().into_owned());
-    let path = folder.join(format!("{name}-{hash}.{shard}.jsonl"));
+    let name = name.map_or("model".into(), |name| name.to_string_lossy());
+    let words = name.split(|c: char| !(c.is_alphanumeric() || "._-".contains(c)));
+    let words: Vec<&str> = words.filter(|word| !word.is_empty()).collect();
+    let path = folder.join(format!("{}-{hash}.{shard}.jsonl", words.join("-")));
     let records = Records::open(&path, &heading)?;
     plan.run(&records, shard)?;
     Ok(path)
 }
 
 impl Plan<'_> {
-    fn heading(&self, data: &[PathBuf]) -> Result<Heading> {
+    fn heading(&self, data: &[PathBuf], position: usize) -> Result<Heading> {
         let Subject { world, dataset, .. } = self.subject;
         let suites = self.suites.iter();
         let units = suites.map(|planned| (planned.suite(), planned.names(self.subject).len()));
         Ok(Heading {
+            position,
             units: units.collect(),
+            absent: self.absent.clone(),
             header: Header {
                 model: self.subject.name(),
                 hash: world.hash.clone(),
@@ -158,6 +174,7 @@ impl Plan<'_> {
                 data: data.iter().map(|path| path.display().to_string()).collect(),
                 data_digest: dataset.digest().to_owned(),
                 episodes: dataset.episodes().len(),
+                left_out: dataset.left_out().map(ToString::to_string).collect(),
                 seed: self.settings.seed,
                 settings: serde_json::to_value(self.settings)?,
                 sampler: serde_json::to_value(self.subject.sampler())?,
@@ -183,7 +200,12 @@ impl Plan<'_> {
                 number += 1;
             }
         }
-        let progress = progress_bar("measuring", "units", pending.len() + timed.len());
+        let total = pending.len() + timed.len();
+        if !records.is_empty() {
+            let (done, path) = (records.len(), records.path().display());
+            println!("{done} units were measured before, in {path}");
+        }
+        let progress = progress_bar("measuring", "units", total);
         let one = |(planned, unit, name): &(&Planned<'_>, usize, String)| -> Result<()> {
             let found = planned.measure(self.subject, self.settings, *unit)?;
             records.keep(&Record {
@@ -193,6 +215,11 @@ impl Plan<'_> {
                 found,
             })?;
             progress.inc(1);
+            // A job's log shows no bar.
+            let done = progress.position() as usize;
+            if progress.is_hidden() && done * 10 / total > (done - 1) * 10 / total {
+                println!("measured {done} of {total} units");
+            }
             Ok(())
         };
         // One by one in their order: their lengths differ by far, and chunks would leave threads idle.
@@ -226,6 +253,11 @@ pub fn findings(heading: Heading, records: Vec<Record>) -> Result<ModelFindings>
             Measured::Cost(found) => costs.push((name, found)),
         }
     }
+    let too_short = heading.absent.iter().map(|(suite, why)| {
+        let mut section = Section::new(*suite);
+        section.absent(suite.name(), why);
+        section
+    });
     let sections = heading.units.keys().map(|suite| match suite {
         Suite::Fidelity => fidelity::summarise(&fidelities, &settings),
         Suite::Control => control::summarise(&controls, &settings),
@@ -236,7 +268,7 @@ pub fn findings(heading: Heading, records: Vec<Record>) -> Result<ModelFindings>
         suite => Section::new(*suite),
     });
     Ok(ModelFindings {
-        sections: sections.collect(),
+        sections: sections.chain(too_short).collect(),
         header: heading.header,
     })
 }

@@ -120,6 +120,14 @@ impl Settings {
         Ok(serde_json::from_value(settings)?)
     }
 
+    /// As YAML, which [`Self::with`] reads.
+    ///
+    /// # Errors
+    /// None that is known of: numbers and names have a form in YAML.
+    pub fn to_yaml(&self) -> Result<String> {
+        Ok(serde_yaml_ng::to_string(self)?)
+    }
+
     /// Those of a model card: what takes seconds, so no searches.
     #[must_use]
     pub fn brief(seed: u64) -> Self {

@@ -2,7 +2,7 @@
 
 use std::{path::Path, sync::Arc};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_dataset::{Clip, ClipSource, Dataset, HeldOutArgs, Latents};
@@ -10,6 +10,7 @@ use wm_model::{
     Decoder, Encoder, WorldModel,
     image::to_rgb,
     sampler::{Given, Rollout, Sampler},
+    trained_folder::EMBEDDED,
 };
 use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
@@ -41,11 +42,7 @@ impl Subject {
     /// # Errors
     /// Names what cannot be used: a model without a transition model, data of other actions, a broken file.
     pub fn open(name: &str, on: &HeldOutArgs, more: &ReaderArgs) -> Result<Self> {
-        let folder = ModelFolder::open(name)?;
-        ensure!(
-            folder.has_transition(),
-            "{name} encodes and decodes only: it has no transition model to evaluate"
-        );
+        let folder = open_model(name)?;
         let dataset = on.open(folder.encoder()?.input_size())?;
         let mut subject = Self::new(&folder, dataset, &on.cache())?;
         subject.readers.add(more, &folder)?;
@@ -196,6 +193,28 @@ impl Subject {
         });
         Ok(Tensor::cat(&predicted.collect::<Result<Vec<_>>>()?, 0)?)
     }
+}
+
+/// Opens the model `name` (`tiny`, or a folder), without loading it.
+///
+/// # Errors
+/// If there is none, or it has no transition model.
+pub fn open_model(name: &str) -> Result<ModelFolder> {
+    ensure!(
+        name == EMBEDDED || Path::new(name).exists(),
+        "{name}: no such folder; a model is `{EMBEDDED}` or a folder"
+    );
+    let folder = ModelFolder::open(name)?;
+    if !folder.has_transition() {
+        folder
+            .space()
+            .with_context(|| format!("{name}: it is no model"))?;
+        bail!(
+            "{name} encodes and decodes only: it has no transition model to evaluate; train one: wm train transition --data \
+             BAGS --encoder {name} --out {name}"
+        );
+    }
+    Ok(folder)
 }
 
 /// Latents and actions, one model step apart.

@@ -66,6 +66,8 @@ impl fmt::Display for ActionChange {
 
 /// One window: observed frames and those to be predicted.
 pub(crate) struct Window {
+    /// Number of its episode.
+    pub episode: usize,
     /// Index of the first frame in the dataset.
     pub first_frame: usize,
     /// (CONTEXT + K, h, w, C).
@@ -102,6 +104,7 @@ impl Windows {
         let cases = clips.into_iter().step_by(stride).map(|clip| {
             let (frames, actions) = source.tensors(&[clip])?;
             Ok(Window {
+                episode: clip.episode(),
                 first_frame: source.first_frame(clip),
                 frames: frames.squeeze(0)?,
                 actions: actions.squeeze(0)?,
@@ -259,6 +262,18 @@ impl Windows {
         Ok(actions.narrow(0, CONTEXT - 1, self.horizon + 1)?)
     }
 
+    /// A window of another episode than this one's, far from it; `None` where all are of one episode.
+    #[must_use]
+    pub fn other(&self, index: usize) -> Option<usize> {
+        let own = self.all.get(index)?.episode;
+        let far = (0..self.len()).map(|by| (index + self.len() / 2 + by) % self.len());
+        let mut others = far.filter(|other| {
+            let other = self.all.get(*other);
+            other.is_some_and(|other| other.episode != own)
+        });
+        others.next()
+    }
+
     fn case(&self, index: usize) -> Result<&Window> {
         self.all.get(index).context("no such window")
     }
@@ -269,8 +284,10 @@ impl Windows {
         Ok(match change {
             ActionChange::None => own,
             ActionChange::Zero => own.zeros_like()?,
-            // Half the windows away is another episode.
-            ActionChange::Shuffled => self.actions((index + self.len() / 2) % self.len())?,
+            ActionChange::Shuffled => {
+                let other = self.other(index);
+                self.actions(other.context("there is no window of another episode")?)?
+            }
             ActionChange::Negated => {
                 let signs =
                     Tensor::from_vec(self.signs.clone(), (1, self.signs.len()), &Device::Cpu)?;

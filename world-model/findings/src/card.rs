@@ -16,6 +16,8 @@ pub struct CardAbout {
     pub data: Vec<String>,
     /// How it was trained: settings and their values.
     pub recipe: Vec<(String, String)>,
+    /// What is to be known of the figures, as how much was measured.
+    pub notes: Vec<String>,
     /// What it cannot do.
     pub limits: Vec<String>,
     /// What it must not be used for, besides what no world model must.
@@ -104,6 +106,17 @@ pub fn model_card(findings: &ModelFindings, about: &CardAbout) -> String {
         header.seed,
         code(&header.data_digest),
     ));
+    if !header.left_out.is_empty() {
+        line("");
+        line(&format!(
+            "Left out: {}.",
+            inline(&header.left_out.join("; "))
+        ));
+    }
+    for note in &about.notes {
+        line("");
+        line(&inline(note));
+    }
     for suite in Suite::ALL {
         figures(&mut line, findings, suite);
     }

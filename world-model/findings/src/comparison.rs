@@ -5,13 +5,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Serialize;
 use serde_json::Value;
 use wm_metrics::statistics::{
-    Bootstrap, Interval, Method, SignFlip, bootstrap_paired_difference, sign_flip_test,
+    Bootstrap, Estimate, Interval, Method, SignFlip, bootstrap_paired_difference, sign_flip_test,
 };
 
 use crate::{Better, FindingsError, Header, Metric, Mismatch, ModelFindings, json::settings};
 
 /// The least number of pairs that have an interval and a test.
 const PAIRS: usize = 2;
+/// The least number of units of which a bootstrap alone may tell models apart: the sign-flip test never does with fewer.
+const UNITS: usize = 6;
 
 /// One-sided level of the test that a [`Verdict`] wants beside a 95 % interval, which leaves as much at either end.
 const LEVEL: f64 = 0.025;
@@ -36,13 +38,14 @@ pub struct Difference {
     pub baseline: f64,
     /// The model's.
     pub value: f64,
-    /// The model's minus the baseline's: the mean over the pairs where there are enough of them, else of the figures.
+    /// The model's minus the baseline's: of the mean over the pairs, where the figure is one, else of the figures.
     pub difference: f64,
     /// 95 % paired bootstrap interval of the difference.
     pub interval: Option<Interval>,
-    /// One-sided p of the sign-flip test that the model is better; small where it is.
+    /// One-sided p that the model is better, small where it is: of the sign-flip test, or of the paired bootstrap where the
+    /// figure is no mean over units.
     pub p: Option<f64>,
-    /// Whether p was counted, not estimated from drawn sign patterns.
+    /// Whether p was counted, not estimated from drawn sign patterns or resamples.
     pub p_is_exact: bool,
     /// Pairs: units of the same name.
     pub n: usize,
@@ -54,8 +57,8 @@ pub struct Difference {
     pub verdict: Verdict,
 }
 
-/// What can be said of a difference. For more than [`Self::Unclear`], its 95 % interval must not hold 0 and the sign-flip
-/// test in its direction must give p of at most 0.025: an interval of a handful of pairs is too narrow, and the test alone
+/// What can be said of a difference. For more than [`Self::Unclear`], its 95 % interval must not hold 0, and of a mean over
+/// units the sign-flip test in its direction must give p of at most 0.025: an interval of a handful of pairs is too narrow, and the test alone
 /// says nothing of size. Fewer than six pairs never suffice. Not corrected for the number of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -166,9 +169,6 @@ fn difference(name: &str, a: &Metric, b: &Metric, seed: u64) -> Result<Differenc
         unit: a.unit.clone(),
         verdict: Verdict::Untested,
     };
-    if plain.n < PAIRS {
-        return Ok(plain);
-    }
     let statistics = |source| FindingsError::Statistics {
         metric: name.to_owned(),
         source,
@@ -177,25 +177,40 @@ fn difference(name: &str, a: &Metric, b: &Metric, seed: u64) -> Result<Differenc
         seed,
         ..Bootstrap::default()
     };
-    let estimate = bootstrap_paired_difference(&theirs, &ours, &settings).map_err(statistics)?;
+    let estimate = match paired_replicates(a, b) {
+        Some(differences) => Estimate::of_replicates(plain.difference, differences, settings.level),
+        None if plain.n >= PAIRS => bootstrap_paired_difference(&theirs, &ours, &settings),
+        None => return Ok(plain),
+    };
+    let estimate = estimate.map_err(statistics)?;
     let flips = SignFlip {
         seed,
         ..SignFlip::default()
     };
-    let test = |sign: f64| {
+    // p, and whether it was counted, that the difference has this sign.
+    let test = |sign: f64| -> Result<(f64, bool), FindingsError> {
+        if plain.n < PAIRS {
+            let share = estimate.not_above_zero;
+            return Ok((if sign > 0.0 { share } else { 1.0 - share }, false));
+        }
         let pairs = theirs.iter().zip(&ours);
         let signed: Vec<f64> = pairs.map(|(b, a)| sign * (b - a)).collect();
-        sign_flip_test(&signed, &flips).map_err(statistics)
+        let test = sign_flip_test(&signed, &flips).map_err(statistics)?;
+        let is_exact = matches!(test.method, Method::Convolved | Method::Enumerated);
+        Ok((test.p, is_exact))
     };
     let (more, less) = (test(1.0)?, test(-1.0)?);
     let shown = match a.better {
-        Better::Higher => Some(&more),
-        Better::Lower => Some(&less),
+        Better::Higher => Some(more),
+        Better::Lower => Some(less),
         Better::Neither => None,
     };
-    let above = estimate.interval.low > 0.0 && more.p <= LEVEL;
-    let below = estimate.interval.high < 0.0 && less.p <= LEVEL;
+    let n = if plain.n < PAIRS { a.n } else { plain.n };
+    let above = estimate.interval.low > 0.0 && more.0 <= LEVEL;
+    let below = estimate.interval.high < 0.0 && less.0 <= LEVEL;
     let verdict = match (a.better, above, below) {
+        // Where only a bootstrap tells, as few as the sign-flip test never tells apart.
+        _ if n < UNITS && plain.n < PAIRS => Verdict::Untested,
         (_, false, false) => Verdict::Unclear,
         (Better::Neither, ..) => Verdict::Differs,
         (Better::Higher, true, _) | (Better::Lower, false, _) => Verdict::Better,
@@ -204,12 +219,22 @@ fn difference(name: &str, a: &Metric, b: &Metric, seed: u64) -> Result<Differenc
     Ok(Difference {
         difference: estimate.value,
         interval: Some(estimate.interval),
-        p: shown.map(|test| test.p),
-        p_is_exact: shown
-            .is_some_and(|test| matches!(test.method, Method::Convolved | Method::Enumerated)),
+        p: shown.map(|(p, _)| p),
+        p_is_exact: shown.is_some_and(|(_, is_exact)| is_exact),
+        n,
         verdict,
         ..plain
     })
+}
+
+/// Replicates of the difference, where both figures have replicates of the same draws.
+fn paired_replicates(a: &Metric, b: &Metric) -> Option<Vec<f64>> {
+    let count = a.replicates.len();
+    if count < 2 || count != b.replicates.len() || a.n != b.n {
+        return None;
+    }
+    let pairs = b.replicates.iter().zip(&a.replicates);
+    Some(pairs.map(|(b, a)| b - a).collect())
 }
 
 /// All that must be equal and is not.

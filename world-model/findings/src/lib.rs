@@ -24,6 +24,7 @@
 //!         data: vec!["bridge_test".into()],
 //!         data_digest: "11".repeat(32),
 //!         episodes: 20,
+//!         left_out: Vec::new(),
 //!         seed: 0,
 //!         settings: serde_json::json!({"steps": 8}),
 //!         sampler: serde_json::json!({"steps": 10}),

@@ -30,6 +30,9 @@ pub struct Header {
     pub data_digest: String,
     /// Episodes measured on.
     pub episodes: usize,
+    /// What of the data was left out, and why.
+    #[serde(default)]
+    pub left_out: Vec<String>,
     /// Seed of everything that is drawn.
     pub seed: u64,
     /// The settings of the suites.
@@ -54,6 +57,7 @@ impl Header {
             data: Vec::new(),
             data_digest: String::new(),
             episodes: 0,
+            left_out: Vec::new(),
             seed: 0,
             settings: serde_json::Value::Null,
             sampler: serde_json::Value::Null,

@@ -46,6 +46,10 @@ pub struct Metric {
     /// The value of every unit by the unit's name, for paired comparisons of models; empty where there are none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub samples: BTreeMap<String, f64>,
+    /// Of a figure that is no mean over units, its value in every bootstrap resample: those of two models over the same units
+    /// are of the same draws ([`wm_metrics::statistics::replicates`]). Empty where there are none.
+    #[serde(skip)]
+    pub replicates: Vec<f64>,
 }
 
 /// Which way a figure is better.
@@ -198,6 +202,7 @@ impl Metric {
             unit: String::new(),
             about: about.to_owned(),
             samples: BTreeMap::new(),
+            replicates: Vec::new(),
         }
     }
 

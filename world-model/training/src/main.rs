@@ -7,7 +7,7 @@ use std::{io::IsTerminal as _, process::ExitCode};
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_dataset::DatasetArgs;
-use wm_evaluation::{MergeArgs, SuiteArgs};
+use wm_evaluation::{MergeArgs, Protocol, Settings, SuiteArgs};
 use wm_findings::Suite;
 use wm_sim::SimArgs;
 use wm_training::{
@@ -97,6 +97,12 @@ enum EvalCommand {
     Cost(SuiteArgs),
     /// Put the records of shards, or of several models, together
     Merge(MergeArgs),
+    /// Print the settings of a protocol as YAML, which --settings takes
+    Settings {
+        /// How much is measured
+        #[arg(long, value_enum, default_value_t)]
+        protocol: Protocol,
+    },
 }
 
 impl TrainCommand {
@@ -142,6 +148,9 @@ impl Command {
                 EvalCommand::Robustness(arguments) => arguments.run(&[Suite::Robustness])?,
                 EvalCommand::Cost(arguments) => arguments.run(&[Suite::Cost])?,
                 EvalCommand::Merge(arguments) => arguments.run()?,
+                EvalCommand::Settings { protocol } => {
+                    print!("{}", Settings::of(protocol, 0).to_yaml()?);
+                }
             },
         }
         Ok(ExitCode::SUCCESS)

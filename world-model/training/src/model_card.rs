@@ -60,7 +60,7 @@ fn measured(run: &RunArgs, folder: ModelFolder, validation: Dataset) -> Result<M
     let settings = Settings::brief(0);
     let on = (records.path(), Shard::WHOLE);
     let setup = Setup::new(&PolicyArgs::default())?;
-    let path = run::measure(&subject, &run.data, &SUITES, &settings, &setup, on)?;
+    let path = run::measure(&subject, (&run.data, 0), &SUITES, &settings, &setup, on)?;
     let (heading, found) = records::merge(vec![read(&path)?])?;
     run::findings(heading, found)
 }
@@ -108,6 +108,13 @@ fn about(run: &RunArgs, training: &Dataset, validation: Option<&Dataset>) -> Car
         name: run.model_name(),
         data,
         recipe,
+        notes: validation.map_or(Vec::new(), |_| {
+            vec![
+                "A short evaluation by the training, on its episodes for validation: rollouts of 8 steps of at most 8 episodes, \
+                 no searches. The command at the end measures more."
+                    .to_owned(),
+            ]
+        }),
         limits: match validation {
             Some(_) => Vec::new(),
             None => vec!["It was not measured: no episodes were held out.".to_owned()],

@@ -96,6 +96,14 @@ impl<'a> ProbeTask<'a> {
         let mut held_out = held_out
             .map(|held_out| Episodes::new(held_out, own.frame_skip, most))
             .filter(|held_out| held_out.len() > 0);
+        if let Some([successes, failures]) = held_out.as_ref().map(Episodes::counts)
+            && (successes == 0 || failures == 0)
+        {
+            println!(
+                "validation has {successes} successes and {failures} failures: accuracy cannot be told, and the last weights \
+                 are kept; give --held-out, a larger --validation, or another --validation-seed"
+            );
+        }
         let mut config = recipe.config(train.space(), episodes.max_frames());
         if let Some(old) = run.old_config::<ProbeNetworkConfig>(FILE, PROBE_KEY)? {
             config = recipe::resized(old, train.space(), config.max_frames());

@@ -143,7 +143,7 @@ fn threads_shards_and_interruptions_change_no_byte() {
         "control.ratio_k4_negated",
         "latents.idm_k1_r_predicted",
         "latents.success_balanced_accuracy_real",
-        "robustness.psnr_darker",
+        "robustness.psnr_gain_darker",
         "policy.probe_success",
         "control.cem_k2_error_idm",
     ] {
@@ -191,7 +191,10 @@ fn threads_shards_and_interruptions_change_no_byte() {
                 &["eval", "merge"],
                 &[("--json", &path("early.json")), ("--", &shards)],
             );
-            assert!(error.contains("units are missing"), "{error}");
+            assert!(
+                error.contains("units are missing") && error.contains("0-of-2"),
+                "{error}"
+            );
         }
         eval(&["--shard", shard], &[("--records", &shards)]);
     }
@@ -210,7 +213,9 @@ fn threads_shards_and_interruptions_change_no_byte() {
         error.contains("report.html: it is there already"),
         "{error}"
     );
-    fs::remove_file(first.join("report.html")).unwrap();
+    for name in ["report.html", "figures.json", "figures.csv"] {
+        fs::remove_file(first.join(name)).unwrap();
+    }
     let error = refused(&all, &on);
     assert!(error.contains("is of another evaluation"), "{error}");
     assert!(
@@ -318,6 +323,35 @@ fn further_models_read_the_latents_and_the_features_behind_them() {
     );
 }
 
+/// The semantic model of the repository is whole, and predicts the bundled bag better than persistence does.
+#[test]
+fn the_bundled_semantic_model_beats_the_persistence_baseline() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let (model, bags) = (
+        root.join("world-model/model/weights/semantic"),
+        root.join("bags/tabletop"),
+    );
+    let (settings, json) = (dir.path().join("settings.yaml"), dir.path().join("f.json"));
+    fs::write(&settings, SMALL).unwrap();
+    let cache = dir.path().join("cache");
+    let paths: [(&str, &Path); 5] = [
+        ("--model", &model),
+        ("--bags", &bags),
+        ("--cache", &cache),
+        ("--settings", &settings),
+        ("--json", &json),
+    ];
+    done(&["eval", "all", "--skip", "cost", "robustness"], &paths);
+    let found: Value = serde_json::from_str(&fs::read_to_string(json).unwrap()).unwrap();
+    let figure = |name: &str| found["metrics"][name]["value"].as_f64().unwrap();
+    let ratio = figure("control.ratio_k1");
+    assert!(ratio < 0.9, "{ratio}");
+    assert!(figure("control.ratio_k1_negated") > ratio);
+    assert!(figure("fidelity.psnr_ceiling") > figure("fidelity.psnr"));
+    assert!(figure("latents.idm_k1_r_real") > 0.0);
+}
+
 #[test]
 fn what_cannot_be_evaluated_is_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
@@ -350,6 +384,41 @@ fn what_cannot_be_evaluated_is_refused_by_name() {
         error.contains("s.yaml") && error.contains("populaton"),
         "{error}"
     );
+    // What is wrong is found before anything is measured.
+    let settings = path("ok.yaml");
+    fs::write(&settings, SMALL).unwrap();
+    let on: [(&str, &Path); 3] = [
+        ("--bags", &bags),
+        ("--cache", &path("cache")),
+        ("--settings", &settings),
+    ];
+    let json = path("f.json");
+    for (more, told) in [
+        (vec!["--compare", "tiny"], "there is nothing to compare"),
+        (vec!["--compare", "nowhere"], "nowhere: no such folder"),
+        (vec!["--sampling-steps", "0"], "--sampling-steps"),
+        (vec!["--about", "no.yaml", "--card", "c.md"], "no.yaml"),
+        (vec!["--csv", "no/such/f.csv"], "its folder does not exist"),
+    ] {
+        let paths = [&on[..], &[("--json", json.as_path())]].concat();
+        let words = [&all[..], &["tiny"], &more[..]].concat();
+        let error = refused(&words, &paths);
+        assert!(error.contains(told), "{error}");
+        assert!(!path("f.records").exists(), "{more:?}");
+    }
+    // One episode has no other's actions, and no figure pretends so; an interrupted run would go on from beside the file.
+    let words = ["eval", "control", "--model", "tiny"];
+    done(&words, &[&on[..], &[("--json", json.as_path())]].concat());
+    let found: Value = serde_json::from_str(&fs::read_to_string(&json).unwrap()).unwrap();
+    assert!(found["metrics"]["control.ratio_k1_negated"].is_object());
+    assert!(found["metrics"]["control.ratio_k1_shuffled"].is_null());
+    assert!(path("f.records").is_dir());
+    let error = refused(
+        &["dataset", "latents", "--encoder", "tiny"],
+        &[("--", &bags)],
+    );
+    assert!(error.contains("it is no prepared data set"), "{error}");
+
     fs::write(path("r.jsonl"), "{}\n").unwrap();
     let error = refused(&["eval", "merge"], &[("--", &path("r.jsonl"))]);
     assert!(error.contains("r.jsonl: its first line"), "{error}");

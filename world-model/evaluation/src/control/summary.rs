@@ -195,9 +195,10 @@ fn of_responses(section: &mut Section, windows: &[(&String, &Response)], setting
         } else {
             section.absent(
                 &format!("ratio_k1_{}", change.name()),
-                format!(
-                    "{change} actions: the model's actions are no changes, which have no opposite"
-                ),
+                match change {
+                    ActionChange::Shuffled => "another's actions: all windows are of one episode",
+                    _ => "the model's actions are no changes, which have no opposite",
+                },
             );
         }
     }

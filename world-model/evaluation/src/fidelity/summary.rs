@@ -49,7 +49,12 @@ pub fn summarise(episodes: &[(String, EpisodeFidelity)], settings: &Settings) ->
         for (end, what, of) in pictures {
             let values = per_episode(episodes, |step| figure(of(step)));
             let about = format!("{about}: {what}; mean over frames, then episodes");
-            let metric = mean_over_units(&values, settings, Better::Higher, &about);
+            // The baseline is a property of the data.
+            let better = match end {
+                "_persistence" => Better::Neither,
+                _ => Better::Higher,
+            };
+            let metric = mean_over_units(&values, settings, better, &about);
             if let Some(metric) = metric {
                 section.metric(&format!("{name}{end}"), metric.in_unit(unit));
             }

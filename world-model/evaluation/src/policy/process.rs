@@ -33,8 +33,8 @@ pub(super) struct Process {
 enum State {
     NotStarted,
     Running(Running),
-    /// It failed, and the run with it.
-    Ended,
+    /// It failed by this error, and the run with it.
+    Ended(String),
 }
 
 /// A program that runs.
@@ -78,10 +78,12 @@ impl Process {
         }
         let asked = match &mut *state {
             State::Running(running) => running.ask(line, self.limit),
-            State::NotStarted | State::Ended => bail!("it was ended after an error"),
+            // Of several threads, any may be the one whose error is shown.
+            State::Ended(error) => bail!("it was ended after an error: {error}"),
+            State::NotStarted => bail!("it was not started"),
         };
-        if asked.is_err() {
-            *state = State::Ended;
+        if let Err(error) = &asked {
+            *state = State::Ended(format!("{error:#}"));
         }
         asked
     }
@@ -199,7 +201,7 @@ mod tests {
     fn pid(process: &Process) -> Option<u32> {
         match &*process.state.lock().unwrap() {
             State::Running(running) => Some(running.child.id()),
-            State::NotStarted | State::Ended => None,
+            State::NotStarted | State::Ended(_) => None,
         }
     }
 
@@ -232,7 +234,10 @@ mod tests {
         assert!(error.contains("no answer within 0.02 s"), "{error}");
         assert_eq!(pid(&process), None);
         let error = ask(&process).unwrap_err().to_string();
-        assert!(error.contains("ended after an error"), "{error}");
+        assert!(
+            error.contains("ended after an error: no answer within"),
+            "{error}"
+        );
     }
 
     #[test]

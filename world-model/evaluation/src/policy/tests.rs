@@ -69,7 +69,7 @@ impl Bags {
         let records = (&*self.dir.path().join(folder), Shard::WHOLE);
         let path = run::measure(
             &self.subject,
-            &[],
+            (&[], 0),
             &[Suite::Policy],
             &settings,
             &setup,

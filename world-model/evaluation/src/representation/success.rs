@@ -46,8 +46,25 @@ pub(super) fn units(subject: &Subject, settings: &Settings) -> Vec<usize> {
         let instruction = episode.instruction.as_deref();
         is_long && episode.success.is_some() && instruction.is_some_and(is_known)
     });
-    let judged = judged.map(|(index, _)| index).collect();
-    crate::spread(judged, settings.latents.judged_episodes)
+    let (successes, failures): (Vec<_>, Vec<_>) =
+        judged.partition(|(_, episode)| episode.success == Some(true));
+    let [successes, failures] =
+        [successes, failures].map(|of| of.into_iter().map(|(index, _)| index).collect::<Vec<_>>());
+    // Both outcomes, as far as there are: one alone has no accuracy.
+    let most = settings.latents.judged_episodes;
+    let half = most.div_ceil(2);
+    let of_failures = half.max(most.saturating_sub(successes.len()));
+    let failures = match failures.len() {
+        0 => Vec::new(),
+        _ => crate::spread(failures, of_failures),
+    };
+    let of_successes = most.saturating_sub(failures.len());
+    let mut chosen = failures;
+    if of_successes > 0 {
+        chosen.extend(crate::spread(successes, of_successes));
+    }
+    chosen.sort_unstable();
+    chosen
 }
 
 pub(super) fn measure(subject: &Subject, episode: usize, seed: u64) -> Result<Judged> {

@@ -28,8 +28,9 @@ pub(super) fn comparisons(markup: &mut Markup, comparisons: &[Comparison], label
             };
             markup.leaf("h2", &[("id", "comparison-heading")], &heading);
             let about = "Differences over the units that both models were measured on, with 95 % paired bootstrap intervals; \
-                         p is that of a one-sided sign-flip test that the model is better. A figure counts as better or worse \
-                         if the interval does not hold 0 and the test in that direction gives p of at most 0.025, which fewer \
+                         p is that of a one-sided sign-flip test that the model is better; of figures that are no means over \
+                         units, as ratios and correlations, that of the bootstrap (≈). A figure counts as better or worse if \
+                         the interval does not hold 0 and the test in that direction gives p of at most 0.025, which fewer \
                          than six pairs never do. Of forty figures in which \
                          models do not differ, about one will by chance count as better, and one as worse.";
             markup.leaf("p", &[("class", "about")], about);

@@ -29,14 +29,17 @@ impl Row<'_> {
         )
     }
 
-    /// The best value of several that differ.
+    /// The best value of several that differ, also as they are shown.
     fn best(&self) -> Option<f64> {
         let mut values: Vec<f64> = self.metrics.iter().flatten().map(|m| m.value).collect();
         values.sort_unstable_by(f64::total_cmp);
         let (least, most) = (*values.first()?, *values.last()?);
+        let digits = self.digits();
+        if digits.show(least) == digits.show(most) {
+            return None;
+        }
         let better = self.metrics.iter().flatten().next()?.better;
         match better {
-            _ if least >= most => None,
             Better::Higher => Some(most),
             Better::Lower => Some(least),
             Better::Neither => None,

@@ -32,6 +32,11 @@ pub(super) fn header(markup: &mut Markup, title: &str, models: &[Named<'_>]) {
             fact(markup, "Episodes", |markup| {
                 markup.text(&header.episodes.to_string());
             });
+            if !header.left_out.is_empty() {
+                fact(markup, "Left out", |markup| {
+                    markup.text(&header.left_out.join("; "));
+                });
+            }
             fact(markup, "Seed", |markup| {
                 markup.text(&header.seed.to_string());
             });

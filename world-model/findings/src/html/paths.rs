@@ -89,7 +89,7 @@ pub(super) fn paths(
             } else if count > 8 {
                 format!("{count} episodes, colours repeat")
             } else {
-                format!("{count} episodes, a colour each")
+                format!("{count} paths, a colour each")
             };
             markup.leaf("span", &[], &shown);
         });

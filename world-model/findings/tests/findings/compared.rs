@@ -44,6 +44,37 @@ fn by_hand() {
     assert_eq!(of(Better::Neither).p, None);
 }
 
+/// A ratio of sums, a correlation: figures of all units together.
+#[test]
+fn figures_that_are_no_means_are_compared_by_their_resamples() {
+    let of = |n: usize, value: f64, replicates: &[f64]| {
+        let mut findings = with(Better::Lower, &[1.0]);
+        for section in &mut findings.sections {
+            for metric in section.metrics.values_mut() {
+                metric.samples.clear();
+                (metric.n, metric.value) = (n, value);
+                metric.replicates = replicates.to_vec();
+            }
+        }
+        findings
+    };
+    let compared =
+        |a: &ModelFindings, b: &ModelFindings| compare(a, b).unwrap().differences[NAME].clone();
+    let ours = of(8, 0.5, &[0.4, 0.5, 0.6, 0.7]);
+    // Each model's own intervals overlap; drawn alike, one is always 0.2 lower.
+    let theirs = of(8, 0.3, &[0.2, 0.3, 0.4, 0.5]);
+    let found = compared(&ours, &theirs);
+    let interval = found.interval.unwrap();
+    assert!((interval.low + 0.2).abs() < 1e-9 && (interval.high + 0.2).abs() < 1e-9);
+    assert_eq!((found.n, found.p, found.p_is_exact), (8, Some(0.0), false));
+    assert_eq!(found.verdict, Verdict::Better);
+    assert_eq!(compared(&theirs, &ours).verdict, Verdict::Worse);
+    let few = (of(5, 0.5, &[0.4, 0.5]), of(5, 0.3, &[0.2, 0.3]));
+    assert_eq!(compared(&few.0, &few.1).verdict, Verdict::Untested);
+    let other = of(7, 0.3, &[0.2, 0.3, 0.4, 0.5]);
+    assert_eq!(compared(&ours, &other).interval, None);
+}
+
 #[test]
 fn six_pairs_of_one_direction_suffice() {
     let (a, b) = ([1.0; 6], [1.5, 1.6, 1.7, 1.8, 1.9, 2.0]);

@@ -28,6 +28,7 @@ pub fn findings(model: &str, variant: u64) -> ModelFindings {
             ],
             data_digest: "5ac1d3".repeat(11)[..64].to_owned(),
             episodes: 20,
+            left_out: vec!["sample/bridge_v2_test/17: it has no actions".to_owned()],
             seed: 7,
             settings: json!({
                 "solver": {"kind": "euler", "steps": 8},
@@ -419,6 +420,7 @@ pub fn about() -> CardAbout {
             ("steps".to_owned(), "100 000".to_owned()),
             ("batch | accumulated".to_owned(), "64".to_owned()),
         ],
+        notes: vec!["At most 45 steps of 20 episodes.".to_owned()],
         limits: vec!["One camera, 256 by 256 pixels.".to_owned()],
         uses_refused: vec!["Near people.".to_owned()],
         commands: vec![

@@ -56,14 +56,76 @@ pub fn bootstrap(
     settings: &Bootstrap,
     statistic: impl Fn(&[usize]) -> f64 + Sync,
 ) -> Result<Estimate, MetricError> {
+    let own: Vec<usize> = (0..count).collect();
+    let drawn = replicates(count, settings, &statistic)?;
+    Estimate::of_replicates(statistic(&own), drawn, settings.level)
+}
+
+/// The statistic of every resample of [`bootstrap`], in their order: two statistics of as many samples, by the same settings,
+/// are of the same draws, so that their differences, one by one, are replicates of the difference.
+///
+/// # Errors
+/// As [`bootstrap`].
+pub fn replicates(
+    count: usize,
+    settings: &Bootstrap,
+    statistic: impl Fn(&[usize]) -> f64 + Sync,
+) -> Result<Vec<f64>, MetricError> {
     if count == 0 {
         return Err(MetricError::Empty);
     }
-    let own: Vec<usize> = (0..count).collect();
-    resample(settings, statistic(&own), |random| {
+    draw_all(settings, |random| {
         let drawn: Vec<usize> = (0..count).map(|_| random.random_range(0..count)).collect();
         statistic(&drawn)
     })
+}
+
+impl Estimate {
+    /// Of a value and its replicates: those of [`replicates`], or their differences.
+    ///
+    /// # Errors
+    /// [`MetricError::NotFinite`] of one of them; [`MetricError::Range`] of fewer than two, or of a level that is not between
+    /// 0 and 1.
+    pub fn of_replicates(
+        value: f64,
+        mut replicates: Vec<f64>,
+        level: f64,
+    ) -> Result<Self, MetricError> {
+        let range = |what, expected, actual| MetricError::Range {
+            what,
+            expected,
+            actual,
+        };
+        if replicates.len() < 2 {
+            let actual = replicates.len().to_string();
+            return Err(range("the number of resamples", "at least 2", actual));
+        }
+        if !(level > 0.0 && level < 1.0) {
+            let actual = level.to_string();
+            return Err(range("the level", "between 0 and 1", actual));
+        }
+        finite(
+            "statistics of resamples",
+            replicates.iter().copied().chain([value]),
+        )?;
+        let middle = mean(&replicates);
+        let squares: f64 = replicates.iter().map(|own| (own - middle).powi(2)).sum();
+        finite("squares of the statistics", [squares])?;
+        let not_above_zero = replicates.iter().filter(|own| **own <= 0.0).count();
+        replicates.sort_unstable_by(f64::total_cmp);
+        let tail = (1.0 - level) / 2.0;
+        // Counts stay far below 2^52.
+        let count = replicates.len() as f64;
+        Ok(Self {
+            value,
+            interval: Interval {
+                low: quantile(&replicates, tail),
+                high: quantile(&replicates, 1.0 - tail),
+            },
+            standard_error: (squares / (count - 1.0)).sqrt(),
+            not_above_zero: not_above_zero as f64 / count,
+        })
+    }
 }
 
 /// [`bootstrap`] of a mean. SciPy's `bootstrap(method="percentile")` draws other numbers from the same distribution.
@@ -94,54 +156,28 @@ pub fn bootstrap_paired_difference(
     bootstrap_mean(&differences, settings)
 }
 
-/// Draws all resamples, in their order.
+/// An estimate of what `draw` gives.
 pub(super) fn resample(
     settings: &Bootstrap,
     value: f64,
     draw: impl Fn(&mut ChaCha8Rng) -> f64 + Sync,
 ) -> Result<Estimate, MetricError> {
-    let range = |what, expected, actual| MetricError::Range {
-        what,
-        expected,
-        actual,
-    };
-    if settings.resamples < 2 {
-        let actual = settings.resamples.to_string();
-        return Err(range("the number of resamples", "at least 2", actual));
-    }
-    if !(settings.level > 0.0 && settings.level < 1.0) {
-        let actual = settings.level.to_string();
-        return Err(range("the level", "between 0 and 1", actual));
-    }
-    let mut drawn: Vec<f64> = (0..settings.resamples as u64)
+    Estimate::of_replicates(value, draw_all(settings, draw)?, settings.level)
+}
+
+/// Draws all resamples, in their order.
+fn draw_all(
+    settings: &Bootstrap,
+    draw: impl Fn(&mut ChaCha8Rng) -> f64 + Sync,
+) -> Result<Vec<f64>, MetricError> {
+    let drawn = (0..settings.resamples as u64)
         .into_par_iter()
         .map(|stream| {
             let mut random = ChaCha8Rng::seed_from_u64(settings.seed);
             random.set_stream(stream);
             draw(&mut random)
-        })
-        .collect();
-    finite(
-        "statistics of resamples",
-        drawn.iter().copied().chain([value]),
-    )?;
-    let middle = mean(&drawn);
-    let squares: f64 = drawn.iter().map(|value| (value - middle).powi(2)).sum();
-    finite("squares of the statistics", [squares])?;
-    let not_above_zero = drawn.iter().filter(|value| **value <= 0.0).count();
-    drawn.sort_unstable_by(f64::total_cmp);
-    let tail = (1.0 - settings.level) / 2.0;
-    // Counts stay far below 2^52.
-    let count = settings.resamples as f64;
-    Ok(Estimate {
-        value,
-        interval: Interval {
-            low: quantile(&drawn, tail),
-            high: quantile(&drawn, 1.0 - tail),
-        },
-        standard_error: (squares / (count - 1.0)).sqrt(),
-        not_above_zero: not_above_zero as f64 / count,
-    })
+        });
+    Ok(drawn.collect())
 }
 
 /// Of sorted values, linear between neighbours.
@@ -180,6 +216,26 @@ mod tests {
         assert!((found.interval.low - 0.4).abs() <= 0.01 + 1e-12);
         assert!((found.interval.high - 0.6).abs() <= 0.01 + 1e-12);
         assert_eq!(found.not_above_zero, 0.0);
+    }
+
+    #[test]
+    fn replicates_of_the_same_draws_are_paired() {
+        let first = [3.0, 1.0, 4.0, 1.0, 5.0, 9.0];
+        let second = [2.0, 7.0, 1.0, 8.0, 2.0, 8.0];
+        let settings = Bootstrap::default();
+        let of = |values: &[f64; 6]| {
+            let mean = |drawn: &[usize]| drawn.iter().map(|i| values[*i]).sum::<f64>() / 6.0;
+            (
+                mean(&[0, 1, 2, 3, 4, 5]),
+                replicates(6, &settings, mean).unwrap(),
+            )
+        };
+        let ((a, ours), (b, theirs)) = (of(&first), of(&second));
+        let differences = ours.iter().zip(&theirs).map(|(a, b)| a - b).collect();
+        let found = Estimate::of_replicates(a - b, differences, 0.95).unwrap();
+        let expected = bootstrap_paired_difference(&first, &second, &settings).unwrap();
+        assert!((found.interval.low - expected.interval.low).abs() < 1e-12);
+        assert!((found.interval.high - expected.interval.high).abs() < 1e-12);
     }
 
     #[test]

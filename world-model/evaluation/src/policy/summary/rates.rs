@@ -225,7 +225,12 @@ fn mean(values: &[f64]) -> f64 {
 /// Of the recorded policy: the probe on imagined latents against itself on the frames, and against what came of it.
 fn add_of_recordings(section: &mut Section, trials: &[&Imagined], settings: &Settings) {
     type Told = fn(&Imagined) -> Option<f64>;
-    let figures: [(&str, &str, Told); 3] = [
+    let figures: [(&str, &str, Told); 4] = [
+        (
+            "recorded_success",
+            "share of the tasks that the recording did, as it says itself",
+            |trial| trial.outcome.map(f64::from),
+        ),
         (
             "recorded_probe_on_frames",
             "probability of success by the success probe on the latents of the recorded frames, to the trial's last step or the \

@@ -36,43 +36,25 @@ pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: u
         });
         Table::from_rows(rows)
     };
+    let fit = |of: Rows| {
+        let actions = table(|told| &told.truth)?;
+        CanonicalCorrelation::fit(&table(of)?, &actions, Regularisation::Ridge(1e-6))
+    };
+    let steps = models().map(|told| told.truth.len()).sum();
+    let mut plane = None;
     for (source, of) in [
         ("real", (|told| &told.real) as Rows),
         ("predicted", |told| &told.predicted),
     ] {
-        let fitted = table(of).and_then(|features| {
-            let actions = table(|told| &told.truth)?;
-            let found =
-                CanonicalCorrelation::fit(&features, &actions, Regularisation::Ridge(1e-6))?;
-            let projected = found.project_features(&features, 2)?;
-            Ok((found, projected))
-        });
-        let Ok((found, projected)) = fitted else {
+        let Ok(found) = fit(of) else {
             section.absent(
                 &format!("{name}_cca_{source}"),
                 "too few steps, or actions that never vary, for canonical correlations",
             );
             continue;
         };
-        let mut rows = projected.iter();
-        let mut paths = Vec::new();
-        for told in models() {
-            let mut at = [0.0, 0.0];
-            // Actions are changes: their sum is the path.
-            let steps = of(told).iter().filter_map(|_| rows.next());
-            let path = steps.filter_map(|row| match row {
-                [x, y, ..] => {
-                    at = [at[0] + x, at[1] + y];
-                    Some(at)
-                }
-                _ => None,
-            });
-            paths.push(std::iter::once([0.0, 0.0]).chain(path).collect());
-        }
-        paths.truncate(PATHS);
         let correlations = found.correlations();
         let rho = |i: usize| correlations.get(i).copied().unwrap_or(0.0);
-        let steps = models().map(|told| told.truth.len()).sum();
         let about = "canonical correlation of told with true actions";
         section.metric(
             &format!("{name}_cca_rho1_{source}"),
@@ -91,14 +73,43 @@ pub(super) fn of_model(section: &mut Section, windows: &[&ToldActions], model: u
                 "root of the mean squared canonical correlation (Hooper's trace correlation)",
             ),
         );
+        let (first, second) = (rho(0), rho(1));
+        plane = plane.or(Some((found, first, second)));
+    }
+    let Some((plane, first, second)) = plane else {
+        return;
+    };
+    // All in one plane, so that they can be compared: true and told actions are of the same values.
+    let drawn: [(&str, Rows); 3] = [
+        ("true actions", |told| &told.truth),
+        ("told from real latents", |told| &told.real),
+        ("told from predicted latents", |told| &told.predicted),
+    ];
+    for (what, of) in drawn {
+        let Ok(projected) = table(of).and_then(|rows| plane.project_features(&rows, 2)) else {
+            continue;
+        };
+        let mut rows = projected.iter();
+        let mut paths = Vec::new();
+        for told in models() {
+            let mut at = [0.0, 0.0];
+            // Actions are changes: their sum is the path.
+            let steps = of(told).iter().filter_map(|_| rows.next());
+            let path = steps.filter_map(|row| match row {
+                [x, y, ..] => {
+                    at = [at[0] + x, at[1] + y];
+                    Some(at)
+                }
+                _ => None,
+            });
+            paths.push(std::iter::once([0.0, 0.0]).chain(path).collect());
+        }
+        paths.truncate(PATHS);
         section.trajectories.push(Trajectories {
-            title: format!("Action trajectories, {name}, {source} latents"),
+            title: format!("Action trajectories, {name}, {what}"),
             caption: format!(
-                "Told actions, added up, in the plane of the two leading canonical correlations with the true ones: rho1 = \
-                 {:.2}, rho2 = {:.2}, eta = {:.2}. A path is a window.",
-                rho(0),
-                rho(1),
-                found.eta()
+                "Actions, added up, in the plane of the two leading canonical correlations of those told from real latents \
+                 with the true ones (rho1 = {first:.2}, rho2 = {second:.2}). A path is a window.",
             ),
             paths,
         });

@@ -54,7 +54,10 @@ pub(super) fn of_probe(
             let name = format!("{name}_{figure}_{source}");
             match metric {
                 Some(metric) => section.metric(&name, Metric { about, ..metric }),
-                None => section.absent(&name, "the episodes are all successes, or all failures"),
+                None => section.absent(
+                    &name,
+                    format!("the {n} episodes with an outcome are all successes, or all failures"),
+                ),
             }
         };
         let figure = |figure: &(dyn Fn(&[usize]) -> f64 + Sync)| {
