@@ -60,7 +60,12 @@ fn of_horizon(
         values.collect()
     };
     let mut add = |name: &str, about: &str, figure: &dyn Fn(&Recovered) -> Option<f64>| {
-        match mean_over_units(&values(figure), settings, Better::Lower, about) {
+        // A random guess and no motion are of the data, and costs are of a latent space: they rank no models.
+        let better = match name {
+            "error" | "error_from_zero" | "error_idm" => Better::Lower,
+            _ => Better::Neither,
+        };
+        match mean_over_units(&values(figure), settings, better, about) {
             Some(metric) => section.metric(&format!("cem_k{k}_{name}"), metric),
             None => section.absent(
                 &format!("cem_k{k}_{name}"),
