@@ -1,5 +1,8 @@
 //! What can go wrong.
 
+use crate::environment::GoalKind;
+use crate::world::EndEffectorAction;
+
 /// Errors of the simulator.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -28,6 +31,33 @@ pub enum Error {
         first_seed: u64,
         /// How many.
         episodes: u64,
+    },
+    /// A kind of goal that there is not.
+    #[error("expected a task of reach, push and pick-place, got {got:?}")]
+    GoalKind {
+        /// What was given.
+        got: String,
+    },
+    /// An action that is not a motion.
+    #[error(
+        "expected seven finite numbers as an action (m, rad, gripper), got {:?} {:?} {}",
+        .action.translation.as_slice(), .action.rotation.as_slice(), .action.gripper
+    )]
+    Action {
+        /// What was given.
+        action: EndEffectorAction,
+    },
+    /// A seed of which no goal came that the arm can attain.
+    #[error(
+        "expected a task of {kind} that can be solved from seed {seed}, got none in {tables} tables"
+    )]
+    Unsolvable {
+        /// What kind of goal was wanted.
+        kind: GoalKind,
+        /// The seed.
+        seed: u64,
+        /// How many tables were tried.
+        tables: usize,
     },
     /// A bag that cannot be written.
     #[error(transparent)]

@@ -15,6 +15,9 @@
 //! # }
 //! ```
 //!
+//! An [`Environment`] is such a table for closed-loop control: a goal to reach, to push to or to pick and place,
+//! its picture and words, one action at a time, and whether the goal is attained.
+//!
 //! # What holds
 //! - The motion from one frame to the next is exactly the recorded action: the operator's lag, tremor
 //!   and pauses are in the action, and what the limits or a contact took away from the command is taken
@@ -31,6 +34,7 @@ pub mod arm;
 mod attempt;
 mod bag;
 mod dataset;
+mod environment;
 mod episode;
 mod error;
 mod gripper;
@@ -50,6 +54,10 @@ pub use bag::{
     MASK_TOPIC, POSE_TOPIC, START_NS, SUCCESS_TOPIC, write_bag,
 };
 pub use dataset::generate_bags;
+pub use environment::{
+    Environment, Goal, GoalKind, JOINT_NAMES, PLACE_TOLERANCE_M, REACH_TOLERANCE_M, Snapshot,
+    Target,
+};
 pub use episode::{Episode, EpisodeOptions, FRAMES, Frame};
 pub use error::Error;
 pub use scene::{FIRST_OBJECT_MASK, GRIPPER_MASK, Scene};

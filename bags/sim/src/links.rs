@@ -26,6 +26,7 @@ pub enum Link {
 }
 
 /// A mesh in its link's frame, and its surface.
+#[derive(Clone)]
 pub struct LinkPart {
     pub link: Link,
     pub mesh: Arc<Mesh>,

@@ -16,6 +16,7 @@ pub const GRIPPER_MASK: u8 = 1;
 pub const FIRST_OBJECT_MASK: u8 = 2;
 
 /// The meshes of one episode.
+#[derive(Clone)]
 pub struct Scene {
     links: Vec<LinkPart>,
     objects: Vec<Arc<Mesh>>,

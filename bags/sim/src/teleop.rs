@@ -8,6 +8,8 @@ mod plan;
 mod task;
 
 pub use failure::Failure;
+pub(crate) use plan::{DIRECTIONS, burdened, grasp_level, graspable, inside};
+pub(crate) use task::LEVEL_M;
 pub use task::{Relation, Task};
 
 use nalgebra::Vector3;
@@ -28,7 +30,7 @@ pub const LARGEST_TURN_RAD: f64 = 1.39 / 5.6;
 /// A sub-goal is given up after this many actions.
 const PATIENCE: usize = 14;
 /// After the last task the hand stays above this, clear of everything, metres.
-const CLEAR_M: f64 = 0.095;
+pub(crate) const CLEAR_M: f64 = 0.095;
 /// Nearer to a sub-goal than this the hand makes no gestures, metres.
 const GESTURE_DISTANCE_M: f64 = 0.035;
 /// Tasks end when fewer frames than this are left, and the operator only drifts.
@@ -349,7 +351,7 @@ impl Operator {
 }
 
 /// The turn of one action from the hand's pose towards `rpy`, radians.
-fn turn_towards(rpy: Vector3<f64>, world: &World) -> Vector3<f64> {
+pub(crate) fn turn_towards(rpy: Vector3<f64>, world: &World) -> Vector3<f64> {
     (rpy - world.tool().rpy).map(|v| v.clamp(-LARGEST_TURN_RAD, LARGEST_TURN_RAD))
 }
 

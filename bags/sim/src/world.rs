@@ -45,6 +45,25 @@ pub struct EndEffectorAction {
 }
 
 impl EndEffectorAction {
+    /// No motion, and the gripper as given, 0 closed to 1 open.
+    pub fn still(gripper: f64) -> Self {
+        Self {
+            translation: Vector3::zeros(),
+            rotation: Vector3::zeros(),
+            gripper,
+        }
+    }
+
+    /// The action of seven values in Bridge order.
+    pub fn from_values(values: [f32; 7]) -> Self {
+        let [x, y, z, roll, pitch, yaw, gripper] = values.map(f64::from);
+        Self {
+            translation: Vector3::new(x, y, z),
+            rotation: Vector3::new(roll, pitch, yaw),
+            gripper,
+        }
+    }
+
     /// The seven values in Bridge order.
     pub fn values(&self) -> [f32; 7] {
         let (t, r) = (self.translation, self.rotation);
@@ -53,14 +72,14 @@ impl EndEffectorAction {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 struct Grasp {
     object: usize,
     object_in_tool: Isometry3<f64>,
 }
 
 /// The state of the table, the objects and the hand.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct World {
     objects: Vec<Object>,
     tool: ToolPose,

@@ -200,7 +200,7 @@ pub struct Plan {
     pub lead_steps: u32,
     /// Epoch of the planner's history; a reset or a clock jump starts a new epoch with a greater number.
     pub epoch: u64,
-    /// Cost of the planned actions: mean squared latent error to the goal.
+    /// Cost of the planned actions: the weighted sum of the terms.
     pub cost: f32,
     /// The best cost after each iteration.
     pub iteration_costs: Vec<f32>,
@@ -216,6 +216,14 @@ pub struct Plan {
     pub time_taken: Duration,
     /// True if the deadline ended the search before its last iteration.
     pub deadline_cut: bool,
+    /// How many candidates were rolled out.
+    pub candidates: u32,
+    /// Names of the terms of the cost.
+    pub terms: Vec<String>,
+    /// The plan's cost term by term, weighted; their sum is `cost`.
+    pub term_costs: Vec<f32>,
+    /// The plan's cost as predicted with other noise; how far these costs are apart says how far the prediction can be trusted.
+    pub spread_costs: Vec<f32>,
 }
 
 /// What the camera sees, or is predicted to see, in an episode of the env.

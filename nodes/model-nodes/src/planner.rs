@@ -1,17 +1,19 @@
 //! The planner node: a goal image, latents and actions in, plans out.
 //!
 //! [`PlannerStep`] is the node's state without its ROS interface: it keeps the goal's latent and the observed history,
-//! and says when and from what to plan ([`PlanRequest`]). [`PlannerModel::plan`] computes a request by the
-//! cross-entropy method over the transition model, which this node holds itself: candidates never cross a topic.
+//! and says when and from what to plan ([`PlanRequest`]). [`PlannerModel::plan`] computes a request by one
+//! of the planners of `wm_planner` over the transition model, which this node holds itself: candidates never cross a topic.
 
 mod error;
 mod goal;
 mod model;
 mod node;
+mod setup;
 mod step;
 
 pub use error::PlannerError;
 pub use goal::Goal;
 pub use model::PlannerModel;
 pub use node::{NODE, body};
+pub use setup::{PlannerSetup, Weights};
 pub use step::{Lead, PlanRequest, PlanWait, PlannerSettings, PlannerStep, Unsent};

@@ -429,7 +429,7 @@ async fn public_topics_carry_what_they_should(
     let plan = soon("a plan", &mut world.plans).await;
     assert_eq!(
         (plan.goal_stamp, plan.planner.as_str(), plan.actions.len()),
-        (stamp(30), "cem", 2)
+        (stamp(30), "icem", 2)
     );
     assert_eq!(plan.period, RosDuration::from_nanos(2 * PERIOD));
     assert!(plan.time_taken.to_nanos() > 0 && plan.cost.is_finite());

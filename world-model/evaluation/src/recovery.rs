@@ -5,11 +5,12 @@ use std::fmt;
 use anyhow::{Context as _, Result};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wm_model::{
-    planner::{Cem, CemSettings, Returned, Target, TransitionDynamics},
-    transition::PackedTransition,
-};
+use wm_model::transition::PackedTransition;
 use wm_motion::actions::ActionEncoding;
+use wm_planner::{
+    Cem, CemSettings, Objective, Planner as _, Problem, Returned, SearchSpace, Target,
+    TransitionDynamics,
+};
 
 use crate::windows::{CONTEXT, SEED, Window, Windows};
 
@@ -83,18 +84,18 @@ pub fn recover_actions(
         population: 200,
         iterations: 10,
         elites: 20,
-        batch: 100,
         initial_std: 0.2,
         returned: Returned::FinalMean,
         ..CemSettings::default()
     };
-    let cem = Cem::new(settings, &bounds)?;
+    let cem = Cem::new(settings)?;
+    let space = SearchSpace::bounded(&bounds, encoding.action_dim())?;
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let (mut translation, mut rotation) = ([0.0; 3], [0.0; 3]);
     let mut right = Vec::new();
     let cases = some_of(windows.all.iter().collect(), plans);
     for case in &cases {
-        let (planned, truth) = plan(model, &cem, case, CONTEXT - 1)?;
+        let (planned, truth) = plan(model, (&cem, &space), case, CONTEXT - 1)?;
         let random: Vec<f32> = bounds
             .iter()
             .map(|(low, high)| rng.random_range(*low..=*high))
@@ -109,7 +110,7 @@ pub fn recover_actions(
     let moves = some_of(moves(&windows.all)?, plans);
     let mut right_of_moves = Vec::new();
     for (case, step) in &moves {
-        let (planned, truth) = plan(model, &cem, case, *step)?;
+        let (planned, truth) = plan(model, (&cem, &space), case, *step)?;
         right_of_moves.extend(is_right(&planned, &truth));
     }
     Ok(Recovery {
@@ -148,7 +149,7 @@ fn moves(cases: &[Window]) -> Result<Vec<(&Window, usize)>> {
 /// The action planned from the frames up to `step` of a window towards the next one, and the true one.
 fn plan(
     model: &PackedTransition,
-    cem: &Cem,
+    (cem, space): (&Cem, &SearchSpace),
     case: &Window,
     step: usize,
 ) -> Result<(Vec<f32>, Vec<f32>)> {
@@ -158,7 +159,15 @@ fn plan(
     let sampler = &model.config().sampler;
     let mut dynamics = TransitionDynamics::new(model, sampler, &context, Some(&past), SEED)?;
     let target = Target::EachStep(case.frames.narrow(0, step + 1, 1)?);
-    let plan = cem.plan(&mut dynamics, &target, None, SEED, &mut || false)?;
+    let mut problem = Problem {
+        space,
+        dynamics: &mut dynamics,
+        objective: &Objective::of(target),
+        horizon: 1,
+        batch: 100,
+        proposals: Vec::new(),
+    };
+    let plan = cem.plan(&mut problem, SEED, &mut |_| false)?;
     let planned = plan.actions.into_iter().next();
     let truth = case.actions.get(step)?.to_vec1::<f32>()?;
     Ok((planned.context("a plan without actions")?, truth))

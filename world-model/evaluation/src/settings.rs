@@ -2,7 +2,7 @@
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
 
 use crate::policy::{PolicyInputs, PolicySettings};
@@ -113,11 +113,7 @@ impl Settings {
     /// # Errors
     /// If it names what is no setting, or gives a value of another kind.
     pub fn with(&self, text: &str) -> Result<Self> {
-        let changes: Value = serde_yaml_ng::from_str(text)?;
-        ensure!(changes.is_object(), "expected settings by name");
-        let mut settings = serde_json::to_value(self)?;
-        change(&mut settings, changes);
-        Ok(serde_json::from_value(settings)?)
+        changed(self, text)
     }
 
     /// As YAML, which [`Self::with`] reads.
@@ -196,6 +192,15 @@ impl Settings {
 }
 
 /// Replaces what `changes` names, at any depth.
+/// `settings` with those of a YAML text in their place.
+pub(crate) fn changed<S: Serialize + DeserializeOwned>(settings: &S, text: &str) -> Result<S> {
+    let changes: Value = serde_yaml_ng::from_str(text)?;
+    ensure!(changes.is_object(), "expected settings by name");
+    let mut settings = serde_json::to_value(settings)?;
+    change(&mut settings, changes);
+    Ok(serde_json::from_value(settings)?)
+}
+
 fn change(settings: &mut Value, changes: Value) {
     match (settings, changes) {
         (Value::Object(settings), Value::Object(changes)) => {

@@ -1,4 +1,4 @@
-//! The world model: encoders, decoders, the latent transition model, its sampler and a planner.
+//! The world model: encoders, decoders, the latent transition model, and its sampler.
 //!
 //! A frozen [`Encoder`] turns camera frames into latents, a transition model predicts the next
 //! latent from the last ones and an action, and a [`Decoder`] turns latents into pictures.
@@ -15,7 +15,6 @@ mod world_model;
 pub mod autoencoder;
 pub mod image;
 pub mod ops;
-pub mod planner;
 pub mod sampler;
 pub mod trained_folder;
 pub mod transition;

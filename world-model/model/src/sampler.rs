@@ -165,6 +165,32 @@ impl<'m> Rollout<'m> {
         })
     }
 
+    /// One candidate for each of the `noise`s, which goes on from here under it.
+    ///
+    /// # Errors
+    /// If there is none, or this already is several candidates.
+    pub fn candidates_under(&self, noise: &[Noise]) -> Result<Self> {
+        Ok(Self {
+            noise: noise.into(),
+            ..self.candidates(noise.len())?
+        })
+    }
+
+    /// The newest latent, observed or predicted: (H, W, C).
+    ///
+    /// # Errors
+    /// If this is several candidates.
+    pub fn newest(&self) -> Result<Tensor> {
+        let c = self.model.config();
+        let shape = (c.latent_height, c.latent_width, c.channels);
+        let last = self.window.last_frame()?;
+        if last.batch != 1 {
+            let reason = format!("the newest latent of {} was asked for", last.batch);
+            return Err(Error::config("candidates", reason));
+        }
+        Ok(Tensor::from_slice(&last.values, shape, &Device::Cpu)?)
+    }
+
     /// Length A of a model action.
     pub fn action_dim(&self) -> usize {
         self.model.config().action_dim

@@ -2,12 +2,12 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 a training that a signal stopped and that was saved.
 
-use std::{io::IsTerminal as _, process::ExitCode};
+use std::{ffi::OsString, io::IsTerminal as _, process::ExitCode};
 
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_dataset::DatasetArgs;
-use wm_evaluation::{MergeArgs, Protocol, Settings, SuiteArgs};
+use wm_evaluation::{ClosedLoopArgs, MergeArgs, Protocol, Settings, SuiteArgs};
 use wm_findings::Suite;
 use wm_sim::SimArgs;
 use wm_training::{
@@ -85,8 +85,10 @@ enum EvalCommand {
     All(SuiteArgs),
     /// Measure how decoded rollouts compare with what came
     Fidelity(SuiteArgs),
-    /// Measure whether predictions obey actions
+    /// Measure whether predictions obey actions; with --task, how often a planner succeeds on the simulated arm
     Control(SuiteArgs),
+    /// Measure how often a planner succeeds on the simulated arm; the same as control --task
+    Task(ClosedLoopArgs),
     /// Measure whether latents tell actions and success
     Latents(SuiteArgs),
     /// Measure what becomes of a policy in the imagined environment
@@ -143,6 +145,7 @@ impl Command {
                 EvalCommand::All(arguments) => arguments.run(&Suite::ALL)?,
                 EvalCommand::Fidelity(arguments) => arguments.run(&[Suite::Fidelity])?,
                 EvalCommand::Control(arguments) => arguments.run(&[Suite::Control])?,
+                EvalCommand::Task(arguments) => arguments.run()?,
                 EvalCommand::Latents(arguments) => arguments.run(&[Suite::Latents])?,
                 EvalCommand::Policy(arguments) => arguments.run(&[Suite::Policy])?,
                 EvalCommand::Robustness(arguments) => arguments.run(&[Suite::Robustness])?,
@@ -167,6 +170,23 @@ fn keep_candle_to_one_thread() {
     }
 }
 
+/// `eval control --task` as `eval task --task`, which has other arguments than the suite.
+fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = arguments.collect();
+    let is_task = |argument: &OsString| {
+        let text = argument.to_string_lossy();
+        text == "--task" || text.starts_with("--task=")
+    };
+    if let [_, eval, control, rest @ ..] = arguments.as_mut_slice()
+        && *eval == "eval"
+        && *control == "control"
+        && rest.iter().any(is_task)
+    {
+        *control = "task".into();
+    }
+    arguments
+}
+
 fn main() -> ExitCode {
     keep_candle_to_one_thread();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
@@ -177,7 +197,7 @@ fn main() -> ExitCode {
         .without_time()
         .with_target(false)
         .init();
-    match Command::parse().run() {
+    match Command::parse_from(with_task(std::env::args_os())).run() {
         Ok(code) => code,
         Err(error) => {
             eprintln!("wm: {error:#}");

@@ -90,6 +90,7 @@ struct Backdrop {
 }
 
 /// Renders frames of one episode; keeps its buffers between frames.
+#[derive(Clone)]
 pub struct Renderer {
     camera: Camera,
     light: Light,

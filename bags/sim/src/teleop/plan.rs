@@ -160,7 +160,7 @@ pub fn graspable(object: &Object) -> bool {
 }
 
 /// Whether something stands on `object` or it holds something.
-fn burdened(world: &World, index: usize) -> bool {
+pub fn burdened(world: &World, index: usize) -> bool {
     let Some(base) = world.objects().get(index) else {
         return false;
     };
@@ -172,7 +172,7 @@ fn burdened(world: &World, index: usize) -> bool {
 }
 
 /// Height over its foot at which to grasp an object, metres.
-fn grasp_level(object: &Object) -> f64 {
+pub fn grasp_level(object: &Object) -> f64 {
     match object.shape {
         Shape::Ball { radius } => 0.85 * radius,
         // Low on a cone, where it is wide.

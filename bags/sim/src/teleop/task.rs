@@ -27,7 +27,7 @@ pub enum Relation {
 /// Further apart than this, one thing is not beside another, metres.
 const BESIDE_M: f64 = 0.16;
 /// Largest error of a height, metres.
-const LEVEL_M: f64 = 0.012;
+pub const LEVEL_M: f64 = 0.012;
 
 impl Relation {
     /// Where the first thing is from the second: to the viewer's right and away from the viewer.

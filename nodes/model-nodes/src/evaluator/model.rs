@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
-use wm_model::{planner::Target, sampler::Given};
+use wm_model::sampler::Given;
 use wm_motion::motion::StepAction;
 use wm_msgs::wm_msgs::{Assessment, CandidateAssessment, Timing as TimingMessage};
+use wm_planner::Target;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
 
 use super::{EvaluationRequest, EvaluatorError};

@@ -1,8 +1,8 @@
 //! What can go wrong in the planner.
 
 use thiserror::Error;
-use wm_model::planner::PlanError;
 use wm_motion::actions::ActionError;
+use wm_planner::PlanError;
 
 use crate::{history::HistoryError, predictor::PredictorError};
 use wm_wire::latent_message::LatentError;

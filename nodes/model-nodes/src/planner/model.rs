@@ -1,45 +1,57 @@
 //! From a plan request to a plan.
 
-use candle_core::{Device, Tensor};
+use std::{collections::BTreeMap, fmt, sync::Arc};
+
+use candle_core::{DType, Device, Tensor};
 use serde::Serialize;
-use wm_model::{
-    planner::{Cem, CemSettings, Partial, PlannedActions, Target, TransitionDynamics},
-    sampler::Given,
-};
-use wm_motion::actions::ActionEncoding;
+use wm_model::{WorldModel, sampler::Given};
+use wm_motion::actions::{ActionEncoding, Kind};
 use wm_msgs::{
     builtin_interfaces::Duration,
     std_msgs::Header,
     wm_msgs::{Action, Plan},
 };
+use wm_planner::{
+    ActionSize, Coordinate, GoalDistance, Objective, PlannedActions, PlannerChoice,
+    PlannerSettings, Problem, Range, SearchSpace, Smoothness, Target, TransitionDynamics, spread,
+};
+use wm_zoo::idm::TrainedIdm;
 
-use super::{PlanRequest, PlannerError};
-use wm_model::WorldModel;
-
+use super::{PlanRequest, PlannerError, PlannerSetup};
 use crate::history::stack;
 
-/// The name of the search, as in `Plan.planner`.
-const PLANNER: &str = "cem";
-
 /// The search and the model that it searches with.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct PlannerModel {
     model: WorldModel,
-    cem: Cem,
-    /// Indices of the values that are searched.
-    searched: Vec<usize>,
+    idm: Option<Arc<TrainedIdm>>,
+    setup: PlannerSetup,
+    choice: PlannerChoice,
+    /// The values that are searched.
+    coordinates: Vec<Coordinate>,
     integration_steps: usize,
     settings_json: String,
+}
+
+impl fmt::Debug for PlannerModel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("PlannerModel")
+            .field("settings", &self.settings_json)
+            .finish_non_exhaustive()
+    }
 }
 
 /// What `Plan.settings` holds.
 #[derive(Serialize)]
 struct SettingsText<'a> {
     #[serde(flatten)]
-    cem: &'a CemSettings,
+    setup: &'a PlannerSetup,
+    /// Those of the planner that is used.
+    #[serde(flatten)]
+    planner: BTreeMap<&'static str, serde_json::Value>,
     integration_steps: usize,
-    /// Least and greatest value of each coordinate in model units.
-    bounds: &'a [(f32, f32)],
+    /// Least and greatest value of each searched value in model units.
+    bounds: Vec<(f32, f32)>,
     /// Their dimensions.
     searched: &'a [&'a str],
     model: &'a str,
@@ -49,18 +61,18 @@ struct SettingsText<'a> {
 impl PlannerModel {
     /// A planner over `model` that searches the dimensions named by `searched` (none named: all but grippers), with at
     /// most `max_translation` \[m\] and `max_rotation` \[rad\] along each axis in one model step; infinity leaves them to
-    /// the model's own bounds.
+    /// the model's own bounds. A gripper that is searched is open or closed, nothing between.
     ///
     /// # Errors
     /// [`PlannerError::Searched`] names a dimension that the model's actions do not have, [`PlannerError::Plan`] a
-    /// setting that cannot serve.
+    /// setting that cannot serve, or that there is no inverse dynamics model.
     pub fn new(
         model: WorldModel,
-        settings: CemSettings,
+        idm: Option<TrainedIdm>,
+        setup: PlannerSetup,
         searched: &[String],
         integration_steps: usize,
-        max_translation: f64,
-        max_rotation: f64,
+        (max_translation, max_rotation): (f64, f64),
     ) -> Result<Self, PlannerError> {
         let space = model.encoding.space();
         if let Some(unknown) = searched
@@ -73,24 +85,43 @@ impl PlannerModel {
             });
         }
         let all = bounds(&model.encoding, max_translation, max_rotation);
-        let (mut indices, mut names, mut bounds) = (Vec::new(), Vec::new(), Vec::new());
-        for (index, (dimension, bound)) in space.dimensions().iter().zip(all).enumerate() {
+        let (mut coordinates, mut names) = (Vec::new(), Vec::new());
+        for (index, (dimension, (low, high))) in space.dimensions().iter().zip(all).enumerate() {
             let is_searched = if searched.is_empty() {
                 !dimension.kind.is_gripper()
             } else {
                 searched.contains(&dimension.name)
             };
             if is_searched {
-                indices.push(index);
+                let range = match dimension.kind {
+                    Kind::GripperBinary => Range::Either(-1.0, 1.0),
+                    _ => Range::Between(low, high),
+                };
+                coordinates.push(Coordinate {
+                    index,
+                    range,
+                    rate: f32::INFINITY,
+                });
                 names.push(dimension.name.as_str());
-                bounds.push(bound);
             }
         }
-        let cem = Cem::new(settings, &bounds)?;
+        let idm = idm.map(Arc::new);
+        let choice = setup.choice.unwrap_or(match idm {
+            Some(_) => PlannerChoice::IdmIcem,
+            None => PlannerChoice::Icem,
+        });
+        // What cannot serve is found here, not at the first goal.
+        let nowhere = Tensor::zeros(model.space.shape(), DType::F32, &Device::Cpu)?;
+        choice.build(&setup.settings, idm.as_ref(), &[nowhere])?;
+        SearchSpace::new(vec![0.0; model.encoding.action_dim()], coordinates.clone())?;
+        let bounds = coordinates
+            .iter()
+            .map(|coordinate| coordinate.range.bounds());
         let text = SettingsText {
-            cem: cem.settings(),
+            setup: &setup,
+            planner: used(choice, &setup.settings)?,
             integration_steps,
-            bounds: cem.bounds(),
+            bounds: bounds.collect(),
             searched: &names,
             model: &model.name,
             model_hash: &model.hash,
@@ -98,11 +129,18 @@ impl PlannerModel {
         let settings_json = serde_json::to_string(&text)?;
         Ok(Self {
             model,
-            cem,
-            searched: indices,
+            idm,
+            setup,
+            choice,
+            coordinates,
             integration_steps,
             settings_json,
         })
+    }
+
+    /// Which planner it is.
+    pub fn choice(&self) -> PlannerChoice {
+        self.choice
     }
 
     /// Searches for the plan of a request, until `out_of_time`. The message is complete but for `time_taken`, which is
@@ -142,26 +180,63 @@ impl PlannerModel {
             }
         }
         let mut dynamics = TransitionDynamics::after(rollout)?;
-        let base = self.base(request);
-        let mut dynamics = Partial::new(&mut dynamics, &base, &self.searched);
+        let searched = SearchSpace::new(self.base(request), self.coordinates.clone())?;
+        let searched = match request.until.split_last() {
+            // The action that the robot takes as the plan begins is the one that it replaces.
+            Some((_, [.., before])) => searched.after(&before.model.values)?,
+            _ => searched,
+        };
         let goal = Tensor::from_slice(&request.goal.values, space.shape(), &Device::Cpu)?;
-        let target = Target::LastStep(goal);
+        let objective = self.objective(&goal);
+        let planner = self
+            .choice
+            .build(&self.setup.settings, self.idm.as_ref(), &[goal])?;
         // A plan of another horizon, from before a parameter changed, is no start.
         let start = request
             .start
             .as_ref()
-            .map(|start| start.actions.as_slice())
-            .filter(|start| start.len() == self.cem.settings().horizon);
-        let found = self
-            .cem
-            .plan(&mut dynamics, &target, start, request.seed, out_of_time)?;
+            .map(|start| &start.actions)
+            .filter(|start| start.len() == self.setup.horizon);
+        let mut problem = Problem {
+            space: &searched,
+            dynamics: &mut dynamics,
+            objective: &objective,
+            horizon: self.setup.horizon,
+            batch: self.setup.batch,
+            proposals: start.into_iter().cloned().collect(),
+        };
+        let found = planner.plan(&mut problem, request.seed, &mut |_| out_of_time())?;
+        // Other seeds than those of the plans to come.
+        let seeds = (1..=self.setup.spread_seeds as u64).map(|index| !request.seed ^ index);
+        let seeds: Vec<u64> = seeds.collect();
+        let spread_costs = if seeds.is_empty() {
+            Vec::new()
+        } else {
+            spread(&dynamics, &objective, &searched, &found.actions, &seeds)?
+        };
         let actions = found
             .actions
             .iter()
-            .map(|action| encoding.decode_step(&dynamics.whole(action)))
+            .map(|action| encoding.decode_step(&searched.whole(action)))
             .collect::<Result<Vec<_>, _>>()?;
-        let message = self.message(request, &found, actions);
+        let message = Plan {
+            terms: objective.names().map(str::to_owned).collect(),
+            term_costs: found.terms.clone(),
+            spread_costs,
+            ..self.message(request, &found, actions)
+        };
         Ok((found, message))
+    }
+
+    fn objective(&self, goal: &Tensor) -> Objective {
+        let weights = self.setup.weights;
+        let last = GoalDistance::new(Target::LastStep(goal.clone()));
+        let path = GoalDistance::new(Target::AllSteps(goal.clone())).named("path");
+        Objective::default()
+            .and(weights.goal, last)
+            .and(weights.path, path)
+            .and(weights.action, ActionSize)
+            .and(weights.smoothness, Smoothness)
     }
 
     /// What dimensions do that are not searched: deltas nothing, and states hold.
@@ -189,9 +264,9 @@ impl PlannerModel {
         let lead_steps = request.lead_steps();
         let dimensions = self.model.encoding.space().dimensions();
         let named = self
-            .searched
+            .coordinates
             .iter()
-            .filter_map(|index| dimensions.get(*index));
+            .filter_map(|coordinate| dimensions.get(coordinate.index));
         let actions = actions
             .into_iter()
             .enumerate()
@@ -213,19 +288,45 @@ impl PlannerModel {
             epoch: moment.epoch,
             cost: found.cost,
             iteration_costs: found.iteration_costs.clone(),
-            planner: PLANNER.into(),
+            planner: self.choice.to_string(),
             settings: self.settings_json.clone(),
             seed: request.seed,
             goal_stamp: request.goal.stamp,
             time_taken: Duration::default(),
             deadline_cut: found.deadline_cut,
+            candidates: u32::try_from(found.candidates).unwrap_or(u32::MAX),
+            ..Plan::default()
         }
     }
 }
 
+/// Settings of what a planner consists of, by name.
+fn used(
+    choice: PlannerChoice,
+    settings: &PlannerSettings,
+) -> serde_json::Result<BTreeMap<&'static str, serde_json::Value>> {
+    let mut used = BTreeMap::new();
+    if choice.needs_idm() {
+        used.insert("idm", serde_json::to_value(&settings.idm)?);
+    }
+    match choice {
+        PlannerChoice::Idm => None,
+        PlannerChoice::Cem | PlannerChoice::IdmCem => {
+            used.insert("cem", serde_json::to_value(&settings.cem)?)
+        }
+        PlannerChoice::Icem | PlannerChoice::IdmIcem => {
+            used.insert("icem", serde_json::to_value(&settings.icem)?)
+        }
+        PlannerChoice::Mppi | PlannerChoice::IdmMppi => {
+            used.insert("mppi", serde_json::to_value(&settings.mppi)?)
+        }
+    };
+    Ok(used)
+}
+
 /// The model's bounds, narrowed to the physical ones of a model step.
 fn bounds(encoding: &ActionEncoding, max_translation: f64, max_rotation: f64) -> Vec<(f32, f32)> {
-    use wm_motion::actions::{Accumulation, Kind};
+    use wm_motion::actions::Accumulation;
     // But for the sum, a model step repeats its scaled delta in each of its intervals.
     let intervals = match encoding.accumulation() {
         Accumulation::Sum => 1,

@@ -6,14 +6,18 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_model::planner::{CemSettings, PlannedActions, Returned};
 use wm_motion::actions::ActionEncoding;
 use wm_msgs::{builtin_interfaces::Duration as RosDuration, wm_msgs::Plan};
+use wm_planner::{
+    CemSettings, IcemSettings, InverseSettings, MppiSettings, Path, PlannedActions, PlannerChoice,
+    PlannerSettings as Planners, Returned,
+};
 use wm_ros::{Diagnostics, Node, NodeDefinition, Publisher, Qos, complaints::Complaints};
 use wm_zoo::ModelFolder;
 
 use super::{
-    Lead, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerSettings, PlannerStep,
+    Lead, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerSettings, PlannerSetup,
+    PlannerStep, Weights,
 };
 use crate::{
     chunk_merging::Merging,
@@ -44,29 +48,61 @@ pub async fn body(node: Node) -> Result<()> {
     harness::body::<Planner>(node).await
 }
 
+/// A planner by name; `None` for auto.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Named(Option<PlannerChoice>);
+
 wm_ros::parameters! {
     /// The node's parameters.
     struct Parameters {
         /// Image transport of the goal.
         image_transport: Transports = "both";
-        /// Candidates per iteration.
-        population: usize = 32, in 2..=MANY;
+        /// The planner: cem, icem, mppi, idm (what the inverse dynamics model tells), or one of the first three from what
+        /// that tells, as idm+icem. auto: idm+icem if the model has an inverse dynamics model, else icem.
+        planner: Named = "auto", one_of {
+            "auto" => Named(None),
+            "cem" => Named(Some(PlannerChoice::Cem)),
+            "icem" => Named(Some(PlannerChoice::Icem)),
+            "mppi" => Named(Some(PlannerChoice::Mppi)),
+            "idm" => Named(Some(PlannerChoice::Idm)),
+            "idm+cem" => Named(Some(PlannerChoice::IdmCem)),
+            "idm+icem" => Named(Some(PlannerChoice::IdmIcem)),
+            "idm+mppi" => Named(Some(PlannerChoice::IdmMppi)),
+        };
+        /// Candidates per iteration; in icem of the first one, with fewer in each later one.
+        population: usize = 16, in 2..=MANY;
         /// Iterations per plan.
-        iterations: usize = 3, in 1..=MANY;
-        /// Number of best candidates that the next iteration is fitted to.
-        elites: usize = 8, in 2..=MANY;
+        iterations: usize = 2, in 1..=MANY;
+        /// Number of best candidates that the next iteration is fitted to (cem, icem).
+        elites: usize = 4, in 2..=MANY;
         /// Number of model steps in a plan.
-        horizon: usize = 1, in 1..=MANY;
+        horizon: usize = 2, in 1..=16;
         /// Candidates per batch. The deadline is checked after each batch.
         batch: usize = 16, in 1..=MANY;
         /// Initial standard deviation, as a fraction of each dimension's range.
-        initial_std: f64 = 0.25, in 1e-6..=10.0;
-        /// Minimum standard deviation [model units].
-        std_floor: f64 = 1e-4, in 1e-9..=10.0;
-        /// Which actions are returned.
+        initial_std: f64 = 0.15, in 1e-6..=10.0;
+        /// Minimum standard deviation [model units] (cem, icem).
+        std_floor: f64 = 0.02, in 1e-9..=10.0;
+        /// Which actions are returned (cem).
         returned: Returned = "best_seen", one_of {
             "best_seen" => Returned::BestSeen, "final_mean" => Returned::FinalMean,
         };
+        /// Exponent of the noise's spectrum over time: 0 is white, larger is smoother (icem).
+        noise_beta: f64 = 2.0, in 0.0..=10.0;
+        /// Temperature, as a fraction of the standard deviation of the costs (mppi).
+        temperature: f64 = 0.3, in 1e-6..=1e6;
+        /// The latents that the inverse dynamics model is asked about: the imagined ones on the way, or a straight line.
+        idm_path: Path = "imagined", one_of { "imagined" => Path::Imagined, "line" => Path::Line };
+        /// Weight of the distance to the goal after the last step.
+        goal_weight: f64 = 1.0, in 0.0..=1e6;
+        /// Weight of the mean distance to the goal over all steps.
+        path_weight: f64 = 0.0, in 0.0..=1e6;
+        /// Weight of the size of the actions.
+        action_weight: f64 = 0.0, in 0.0..=1e6;
+        /// Weight of the change from one action to the next.
+        smoothness_weight: f64 = 0.0, in 0.0..=1e6;
+        /// Number of other noise seeds that the plan's cost is predicted with, for its spread.
+        spread_seeds: usize = 0, in 0..=64;
         /// Number of observed frames that a plan starts from, one model step apart; at most 64.
         context_frames: usize = 2, in 1..=MANY;
         /// Minimum time between two plans for one goal [s].
@@ -111,17 +147,50 @@ wm_ros::endpoints! {
 }
 
 impl Parameters {
-    /// Settings of the search.
-    fn cem(&self) -> CemSettings {
-        CemSettings {
-            population: self.population,
-            iterations: self.iterations,
-            elites: self.elites,
+    /// How to plan.
+    fn setup(&self) -> PlannerSetup {
+        let (population, iterations, elites) = (self.population, self.iterations, self.elites);
+        let (initial_std, std_floor) = (self.initial_std as f32, self.std_floor as f32);
+        PlannerSetup {
+            choice: self.planner.0,
+            settings: Planners {
+                cem: CemSettings {
+                    population,
+                    iterations,
+                    elites,
+                    initial_std,
+                    std_floor,
+                    try_proposals: true,
+                    returned: self.returned,
+                },
+                icem: IcemSettings {
+                    population,
+                    iterations,
+                    elites,
+                    initial_std,
+                    std_floor,
+                    noise_beta: self.noise_beta as f32,
+                    ..IcemSettings::default()
+                },
+                mppi: MppiSettings {
+                    population,
+                    iterations,
+                    std: initial_std,
+                    temperature: self.temperature as f32,
+                },
+                idm: InverseSettings {
+                    path: self.idm_path,
+                },
+            },
             horizon: self.horizon,
             batch: self.batch,
-            initial_std: self.initial_std as f32,
-            std_floor: self.std_floor as f32,
-            returned: self.returned,
+            weights: Weights {
+                goal: self.goal_weight as f32,
+                path: self.path_weight as f32,
+                action: self.action_weight as f32,
+                smoothness: self.smoothness_weight as f32,
+            },
+            spread_seeds: self.spread_seeds,
         }
     }
 
@@ -185,7 +254,7 @@ impl ModelNode for Planner {
             merging: parameters.chunk_merging.0,
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        tracing::info!("planning with {} in latent space {space}", model.name);
+        let name = model.name.clone();
         let integration_steps = match parameters.integration_steps {
             0 => model.transition.config().sampler.steps,
             steps => steps,
@@ -193,12 +262,17 @@ impl ModelNode for Planner {
         let limit = |value: f64| if value > 0.0 { value } else { f64::INFINITY };
         let planner = PlannerModel::new(
             model,
-            parameters.cem(),
+            folder.idm()?,
+            parameters.setup(),
             &parameters.search,
             integration_steps,
-            limit(parameters.max_translation),
-            limit(parameters.max_rotation),
+            (
+                limit(parameters.max_translation),
+                limit(parameters.max_rotation),
+            ),
         )?;
+        let choice = planner.choice();
+        tracing::info!("planning with {name} by {choice} in latent space {space}");
         let encoder = EncoderStep::new(encoder, LatentDtype::F32);
         Ok(Model {
             encoder: Arc::new(Mutex::new(encoder)),

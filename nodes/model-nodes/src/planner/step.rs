@@ -6,12 +6,12 @@ use std::{
 };
 
 use thiserror::Error;
-use wm_model::planner::PlannedActions;
 use wm_motion::motion::StepAction;
 use wm_msgs::{
     builtin_interfaces::Time,
     wm_msgs::{Action, ActionChunk, Latent},
 };
+use wm_planner::PlannedActions;
 
 use super::Goal;
 use crate::{

@@ -3,9 +3,15 @@ use candle_core::Tensor;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use wm_model::planner::{Cem, CemSettings, Dynamics as _, Returned, Target, TransitionDynamics};
+use wm_planner::{
+    Cem, CemSettings, Dynamics as _, Objective, Planner as _, Problem, Returned, SearchSpace,
+    Target, TransitionDynamics,
+};
 
 use crate::{Settings, Subject, Windows};
+
+/// Candidates that are rolled out at once.
+const BATCH: usize = 64;
 
 /// The searches in one window.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,7 +80,6 @@ pub(super) fn measure(
     let truth: Vec<Vec<f32>> = told.narrow(0, 0, k)?.narrow(1, 0, values)?.to_vec2()?;
 
     let settings_of = CemSettings {
-        horizon: k,
         population: own.population,
         iterations: own.iterations,
         elites: own.elites,
@@ -83,11 +88,23 @@ pub(super) fn measure(
         ..CemSettings::default()
     };
     let bounds = vec![(-own.bound, own.bound); values];
-    let cem = Cem::new(settings_of, &bounds)?;
+    let cem = Cem::new(settings_of)?;
+    let space = SearchSpace::bounded(&bounds, dynamics.action_dim())?;
+    let objective = Objective::of(target.clone());
     let mut searches = Vec::new();
     for start in [Start::Truth, Start::Zero] {
-        let mean = (start == Start::Truth).then_some(truth.as_slice());
-        let plan = cem.plan(&mut dynamics, &target, mean, seed, &mut || false)?;
+        let mut problem = Problem {
+            space: &space,
+            dynamics: &mut dynamics,
+            objective: &objective,
+            horizon: k,
+            batch: BATCH,
+            proposals: match start {
+                Start::Truth => vec![truth.clone()],
+                Start::Zero => Vec::new(),
+            },
+        };
+        let plan = cem.plan(&mut problem, seed, &mut |_| false)?;
         searches.push(Search {
             start,
             error: error(&plan.actions, &truth),

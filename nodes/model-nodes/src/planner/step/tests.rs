@@ -6,17 +6,17 @@ use candle_core::{Device, Tensor};
 use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
-    planner::{CemSettings, Target},
     sampler::Given,
     transition::{Transition, TransitionConfig},
 };
 use wm_motion::actions::ActionEncoding;
 use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header, wm_msgs::Plan};
+use wm_planner::{CemSettings, PlannerChoice, Target};
 
 use super::*;
 use crate::{
     history::{ChunkMerging, HistorySettings, Timing},
-    planner::{PlannerError, PlannerModel},
+    planner::{PlannerError, PlannerModel, PlannerSetup, Weights},
 };
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
@@ -74,29 +74,39 @@ fn predictor_model() -> WorldModel {
     }
 }
 
-fn searching(settings: CemSettings, searched: &[&str]) -> Result<PlannerModel, PlannerError> {
+fn searching(setup: PlannerSetup, searched: &[&str]) -> Result<PlannerModel, PlannerError> {
     let searched: Vec<String> = searched.iter().map(|name| (*name).to_owned()).collect();
     PlannerModel::new(
         predictor_model(),
-        settings,
+        None,
+        setup,
         &searched,
         1,
-        0.02,
-        f64::INFINITY,
+        (0.02, f64::INFINITY),
     )
 }
 
-fn model(settings: CemSettings) -> PlannerModel {
-    searching(settings, &[]).unwrap()
+fn model(setup: PlannerSetup) -> PlannerModel {
+    searching(setup, &[]).unwrap()
 }
 
-fn settings() -> CemSettings {
-    CemSettings {
+fn settings() -> PlannerSetup {
+    let cem = CemSettings {
         population: 32,
         iterations: 3,
         elites: 8,
-        horizon: 2,
         ..CemSettings::default()
+    };
+    PlannerSetup {
+        choice: Some(PlannerChoice::Cem),
+        settings: wm_planner::PlannerSettings {
+            cem,
+            ..Default::default()
+        },
+        horizon: 2,
+        batch: 64,
+        weights: Weights::default(),
+        spread_seeds: 0,
     }
 }
 
@@ -214,7 +224,7 @@ fn a_plan_says_what_it_was_computed_from_and_keeps_the_bounds() {
     }
     let told: serde_json::Value = serde_json::from_str(&plan.settings).unwrap();
     assert_eq!(
-        (told["population"].as_u64(), told["horizon"].as_u64()),
+        (told["cem"]["population"].as_u64(), told["horizon"].as_u64()),
         (Some(32), Some(2))
     );
     assert_eq!(
@@ -266,7 +276,7 @@ fn a_search_slower_than_the_plan_period_still_starts_the_next_one() {
     let mut step = planner_that_begins(Lead::Measured {
         first: Duration::from_secs(1),
     });
-    let model = model(CemSettings {
+    let model = model(PlannerSetup {
         horizon: 6,
         ..settings()
     });

@@ -2,12 +2,13 @@
 
 use candle_core::Tensor;
 
-use super::Dynamics;
-use crate::{
+use wm_model::{
     Error, Result,
-    sampler::{Given, Rollout, Sampler},
+    sampler::{Given, Noise, Rollout, Sampler},
     transition::PackedTransition,
 };
+
+use crate::Dynamics;
 
 /// Rolls candidates out with the transition model, from one context whose keys and values are computed once, and with
 /// one noise a step that all candidates of all iterations share.
@@ -69,14 +70,27 @@ impl<'m> TransitionDynamics<'m> {
     }
 }
 
-impl Dynamics for TransitionDynamics<'_> {
-    fn action_dim(&self) -> usize {
-        self.action_dim
+impl TransitionDynamics<'_> {
+    /// What one sequence of `actions` (1, k, A) leads to under the noise of each of N `seeds`: (N, k, h, w, C).
+    ///
+    /// # Errors
+    /// Where the shape does not fit, there is no seed, or the model fails.
+    pub fn rollout_under(&self, actions: &Tensor, seeds: &[u64]) -> Result<Tensor> {
+        let noise: Vec<Noise> = seeds
+            .iter()
+            .map(|seed| Noise {
+                seed: *seed,
+                first_step: 0,
+            })
+            .collect();
+        let (_, steps, values) = actions.dims3()?;
+        let actions = actions.broadcast_as((seeds.len(), steps, values))?;
+        self.follow(self.start.candidates_under(&noise)?, &actions)
     }
 
-    fn rollout(&mut self, actions: &Tensor) -> Result<Tensor> {
-        let (count, steps, _) = actions.dims3()?;
-        let mut rollout = self.start.candidates(count)?;
+    /// Where `actions` (N, k, A) lead the N candidates of a rollout.
+    fn follow(&self, mut rollout: Rollout<'_>, actions: &Tensor) -> Result<Tensor> {
+        let steps = actions.dim(1)?;
         let mut latents = Vec::with_capacity(steps);
         let at = |step: usize| actions.narrow(1, step, 1)?.squeeze(1)?.contiguous();
         for step in 0..steps {
@@ -95,15 +109,27 @@ impl Dynamics for TransitionDynamics<'_> {
     }
 }
 
+impl Dynamics for TransitionDynamics<'_> {
+    fn action_dim(&self) -> usize {
+        self.action_dim
+    }
+
+    fn start(&self) -> Result<Tensor> {
+        self.start.newest()
+    }
+
+    fn rollout(&mut self, actions: &Tensor) -> Result<Tensor> {
+        self.follow(self.start.candidates(actions.dim(0)?)?, actions)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use candle_core::{DType, Device};
 
     use super::*;
-    use crate::{
-        planner::{Cem, CemSettings, Target},
-        transition::{ActionAlignment, Transition, TransitionConfig},
-    };
+    use crate::{Cem, CemSettings, Objective, Planner as _, Problem, SearchSpace, Target, spread};
+    use wm_model::transition::{ActionAlignment, Transition, TransitionConfig};
 
     fn model() -> PackedTransition {
         let config = TransitionConfig {
@@ -178,10 +204,18 @@ mod tests {
             elites: 8,
             ..CemSettings::default()
         };
-        let cem = Cem::new(settings, &[(-2.0, 2.0); 7]).unwrap();
-        let plan = cem
-            .plan(&mut dynamics, &target, None, 1, &mut || false)
-            .unwrap();
+        let cem = Cem::new(settings).unwrap();
+        let space = SearchSpace::bounded(&[(-2.0, 2.0); 7], 10).unwrap();
+        let objective = Objective::of(target.clone());
+        let mut problem = Problem {
+            space: &space,
+            dynamics: &mut dynamics,
+            objective: &objective,
+            horizon: 1,
+            batch: 20,
+            proposals: Vec::new(),
+        };
+        let plan = cem.plan(&mut problem, 1, &mut |_| false).unwrap();
         assert!(
             plan.cost < plan.iteration_costs[0] / 2.0,
             "{:?}",
@@ -196,5 +230,9 @@ mod tests {
             .unwrap();
         let cost = target.costs(&reached.unsqueeze(1).unwrap()).unwrap()[0];
         assert_eq!(cost, plan.cost, "alone and in a batch");
+
+        let costs = spread(&dynamics, &objective, &space, &plan.actions, &[5, 6]).unwrap();
+        assert_eq!(costs[0], plan.cost, "under the plan's own noise");
+        assert_ne!(costs[1], plan.cost, "under another");
     }
 }

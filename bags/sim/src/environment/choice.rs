@@ -1,0 +1,152 @@
+//! Goals that suit a table: an object, and a place for it or for the hand.
+//!
+//! What is drawn here looks possible. Whether it is, the solution shows.
+
+use nalgebra::Vector3;
+use rand::seq::IndexedRandom;
+use rand_chacha::ChaCha8Rng;
+
+use super::goal::{GoalKind, Target};
+use crate::object::{Object, Shape};
+use crate::teleop::{DIRECTIONS, Relation, Task, burdened, graspable, inside};
+use crate::variety::Span;
+use crate::world::{WORKSPACE_M, World};
+
+/// Least way of the tool to the goal of a reach, metres.
+const LEAST_REACH_M: f64 = 0.06;
+/// Height of that goal over the top of an object, metres: as operators keep it.
+const HOVER_M: Span = Span::new(0.03, 0.08);
+/// How far objects are pushed, metres.
+const PUSH_M: Span = Span::new(0.05, 0.10);
+/// How far a push may point beside left, right, forward and away, radians: what operators do.
+const PUSH_ANGLE_RAD: Span = Span::around_zero(0.35);
+/// Least way of an object that is carried, metres.
+const LEAST_CARRY_M: f64 = 0.08;
+/// Room between an object and the one that it is put beside, metres: for a finger that opens there.
+const BESIDE_M: Span = Span::new(0.045, 0.06);
+/// Least room between the place of an object and any other object, metres.
+const CLEAR_M: f64 = 0.015;
+/// Places stay this far from the edge of the workspace, metres.
+const EDGE_M: f64 = 0.015;
+
+/// A goal and its instruction for a viewer who sees `world` along `viewer` (unit vectors to the right and
+/// ahead over the table), or `None` where this draw does not suit.
+pub fn draw(
+    kind: GoalKind,
+    world: &World,
+    viewer: [Vector3<f64>; 2],
+    rng: &mut ChaCha8Rng,
+) -> Option<(Target, String)> {
+    let indices: Vec<usize> = (0..world.objects().len()).collect();
+    let index = *indices.choose(rng)?;
+    let (target, task) = match kind {
+        GoalKind::Reach => reach(world, index, rng)?,
+        GoalKind::Push => push(world, index, viewer, rng)?,
+        GoalKind::PickPlace => {
+            let other = *indices.choose(rng)?;
+            pick_place(world, [index, other], viewer, rng)?
+        }
+    };
+    Some((target, task.instruction(world)))
+}
+
+fn reach(world: &World, index: usize, rng: &mut ChaCha8Rng) -> Option<(Target, Task)> {
+    let object = world.objects().get(index)?;
+    let up = object.shape.height() + HOVER_M.pick(rng);
+    let position = object.position() + Vector3::z() * up;
+    let suits = inside(position, 0.0)
+        && position.z < WORKSPACE_M[1][2]
+        && (position - world.tool().position).norm() >= LEAST_REACH_M;
+    let task = Task::Reach { object: index };
+    suits.then_some((Target::Tool { position }, task))
+}
+
+fn push(
+    world: &World,
+    index: usize,
+    viewer: [Vector3<f64>; 2],
+    rng: &mut ChaCha8Rng,
+) -> Option<(Target, Task)> {
+    let object = world.objects().get(index)?;
+    let (words, [right, ahead]) = *DIRECTIONS.choose(rng)?;
+    let towards = viewer[0] * right + viewer[1] * ahead;
+    let (sin, cos) = PUSH_ANGLE_RAD.pick(rng).sin_cos();
+    let direction = Vector3::new(
+        cos * towards.x - sin * towards.y,
+        sin * towards.x + cos * towards.y,
+        0.0,
+    );
+    let from = object.position();
+    let place = from + direction * PUSH_M.pick(rng);
+    let suits = !matches!(object.shape, Shape::Mat { .. })
+        && inside(place, EDGE_M)
+        && clear(world, object, index, place);
+    let target = Target::Object {
+        object: index,
+        place,
+        carried: false,
+    };
+    let task = Task::Push {
+        object: index,
+        direction_words: words,
+        direction: towards,
+        viewer,
+        from,
+    };
+    suits.then_some((target, task))
+}
+
+fn pick_place(
+    world: &World,
+    [index, other_index]: [usize; 2],
+    viewer: [Vector3<f64>; 2],
+    rng: &mut ChaCha8Rng,
+) -> Option<(Target, Task)> {
+    let object = world.objects().get(index)?;
+    let other = world.objects().get(other_index)?;
+    let relation = if matches!(other.shape, Shape::Mat { .. }) {
+        Relation::OnMat
+    } else {
+        *[
+            Relation::Left,
+            Relation::Right,
+            Relation::Front,
+            Relation::Behind,
+        ]
+        .choose(rng)?
+    };
+    let [right, ahead] = relation.direction();
+    let apart = object.shape.bounding_radius() + other.shape.bounding_radius() + BESIDE_M.pick(rng);
+    let place = other.position()
+        + (viewer[0] * right + viewer[1] * ahead) * apart
+        + Vector3::z() * relation.rise(other);
+    let suits = index != other_index
+        && graspable(object)
+        && !burdened(world, index)
+        && inside(place, EDGE_M)
+        && clear(world, object, index, place)
+        && (place - object.position()).norm() >= LEAST_CARRY_M;
+    let target = Target::Object {
+        object: index,
+        place,
+        carried: true,
+    };
+    let task = Task::Place {
+        object: index,
+        other: other_index,
+        relation,
+        viewer,
+        spot: place,
+    };
+    suits.then_some((target, task))
+}
+
+/// Whether `object` touches nothing but mats at `place`.
+fn clear(world: &World, object: &Object, index: usize, place: Vector3<f64>) -> bool {
+    world.objects().iter().enumerate().all(|(i, other)| {
+        i == index
+            || matches!(other.shape, Shape::Mat { .. })
+            || (other.position() - place).xy().norm()
+                > object.shape.bounding_radius() + other.shape.bounding_radius() + CLEAR_M
+    })
+}

@@ -1,0 +1,135 @@
+//! `wm eval control --task`.
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, Result, ensure};
+use clap::Args;
+use rayon::prelude::*;
+use wm_dataset::progress_bar;
+use wm_model::trained_folder::EMBEDDED;
+use wm_sim::GoalKind;
+
+use super::{
+    controller::Controller,
+    findings::{About, Findings},
+    model::Model,
+    settings::{ClosedLoopSettings, Goals},
+    trial::{Setup, Trial, run},
+};
+use crate::open_model;
+
+/// Measures how often a planner succeeds on the simulated arm.
+#[derive(Clone, Debug, Args)]
+pub struct ClosedLoopArgs {
+    /// What the arm is to do: reach, push or pick-place.
+    #[arg(long)]
+    pub task: GoalKind,
+    /// Who acts: cem, icem, mppi, idm, idm+cem, idm+icem, idm+mppi, oracle, hold or random.
+    #[arg(long, default_value = "idm+icem")]
+    pub planner: Controller,
+    /// The model: tiny, or a model's folder.
+    #[arg(long, default_value = EMBEDDED)]
+    pub model: String,
+    /// The simulator is the planner's model: how often it would succeed if its predictions were perfect.
+    #[arg(long)]
+    pub perfect_model: bool,
+    /// Number of episodes.
+    #[arg(long, default_value_t = 50)]
+    pub episodes: usize,
+    /// Seed of the first episode; each later one adds 1. The bundled model was not trained on the default.
+    #[arg(long, default_value_t = 5_000_000)]
+    pub seed: u64,
+    /// Model steps of a plan.
+    #[arg(long)]
+    pub horizon: Option<usize>,
+    /// The pictures that the planner is given.
+    #[arg(long, value_enum)]
+    pub goals: Option<Goals>,
+    /// YAML with settings, named as in the JSON.
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// Where the findings go as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Number of episodes at a time. Times of plans are a robot's only with 1.
+    #[arg(long, default_value_t = 1)]
+    pub parallel: usize,
+}
+
+impl ClosedLoopArgs {
+    /// Acts, and prints and writes what came of it.
+    ///
+    /// # Errors
+    /// When the model or the settings cannot be used, or the file is there.
+    pub fn run(&self) -> Result<()> {
+        ensure!(self.episodes > 0, "--episodes is at least 1");
+        ensure!(self.parallel > 0, "--parallel is at least 1");
+        if let Some(json) = &self.json {
+            ensure!(!json.exists(), "{} is there already", json.display());
+        }
+        ensure!(
+            !self.perfect_model || matches!(self.planner, Controller::Planner(_)),
+            "--perfect-model is for planners, which {} is not",
+            self.planner
+        );
+        let settings = self.settings()?;
+        let model = Model::load(&open_model(&self.model)?)?;
+        let frames_per_step = model.frames_per_step();
+        let setup = Setup {
+            task: self.task,
+            controller: self.planner,
+            is_perfect: self.perfect_model,
+            model: Some(&model),
+            frames_per_step,
+            settings: &settings,
+        };
+        let bar = progress_bar("acting in", "episodes", self.episodes);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.parallel);
+        let pool = pool.build().context("--parallel")?;
+        let one = |index: usize| -> Result<Trial> {
+            let trial = run(&setup, self.seed.wrapping_add(index as u64));
+            bar.inc(1);
+            trial
+        };
+        let trials: Result<Vec<Trial>> = if self.parallel == 1 {
+            (0..self.episodes).map(one).collect()
+        } else {
+            pool.install(|| (0..self.episodes).into_par_iter().map(one).collect())
+        };
+        bar.finish_and_clear();
+        let about = About {
+            task: self.task.to_string(),
+            planner: self.planner.to_string(),
+            perfect_model: self.perfect_model,
+            model: model.world.name.clone(),
+            model_hash: model.world.hash.clone(),
+            seed: self.seed,
+            settings: settings.clone(),
+            step_ms: wm_sim::STEP_S * 1e3 * frames_per_step as f64,
+        };
+        let findings = Findings::of(about, &trials?)?;
+        println!("{findings}");
+        if let Some(json) = &self.json {
+            std::fs::write(json, findings.to_json()?)
+                .with_context(|| json.display().to_string())?;
+        }
+        Ok(())
+    }
+
+    fn settings(&self) -> Result<ClosedLoopSettings> {
+        let mut settings = ClosedLoopSettings::of(self.task);
+        if let Some(path) = &self.settings {
+            let name = || path.display().to_string();
+            let text = std::fs::read_to_string(path).with_context(name)?;
+            settings = settings.with(&text).with_context(name)?;
+        }
+        if let Some(horizon) = self.horizon {
+            settings.horizon = horizon;
+        }
+        if let Some(goals) = self.goals {
+            settings.goals = goals;
+        }
+        settings.validate()?;
+        Ok(settings)
+    }
+}

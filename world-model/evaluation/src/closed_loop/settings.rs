@@ -1,0 +1,122 @@
+//! What can be chosen of a closed loop.
+
+use anyhow::{Result, ensure};
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
+use wm_planner::PlannerSettings;
+use wm_sim::GoalKind;
+
+use crate::settings::changed;
+
+/// Which pictures of the solution a planner is given.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Goals {
+    /// The last one alone.
+    #[default]
+    Final,
+    /// One of each model step, in order.
+    Subgoals,
+}
+
+/// What can be chosen of a closed loop; a YAML file may hold any of it by its name.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClosedLoopSettings {
+    /// Model steps of a plan.
+    pub horizon: usize,
+    /// Model steps of each plan that are carried out before the next plan.
+    pub execute: usize,
+    /// Most model steps of an episode, as a multiple of the oracle's; never fewer than ten.
+    pub patience: f64,
+    /// The pictures that the planner is given.
+    pub goals: Goals,
+    /// A subgoal is reached when its latent is nearer than this share of its distance from the next one.
+    pub arrival: f32,
+    /// Plans that are made for a subgoal at most before the next one is tried.
+    pub wait: usize,
+    /// Whether the gripper is searched; it keeps its state otherwise.
+    pub gripper: bool,
+    /// Time that a plan may take \[ms\]; 0 for no limit, without which the same seed gives the same actions.
+    pub deadline_ms: u64,
+    /// Candidates rolled out at once.
+    pub batch: usize,
+    /// Weight of the distance to the goal after the last step.
+    pub last_step: f32,
+    /// Weight of the mean distance to the goal over all steps.
+    pub all_steps: f32,
+    /// Weight of the size of the actions.
+    pub action: f32,
+    /// Weight of the change from one action to the next.
+    pub smoothness: f32,
+    /// Settings of the planners.
+    pub planner: PlannerSettings,
+}
+
+impl ClosedLoopSettings {
+    /// The defaults for a task: where an object is to be moved, the gripper is searched, and the planner is given subgoals,
+    /// since the last picture alone does not tell the way.
+    pub fn of(task: GoalKind) -> Self {
+        let moves_object = task != GoalKind::Reach;
+        Self {
+            goals: if moves_object {
+                Goals::Subgoals
+            } else {
+                Goals::Final
+            },
+            gripper: moves_object,
+            ..Self::default()
+        }
+    }
+}
+
+impl ClosedLoopSettings {
+    /// The same with the settings of a YAML text in their place.
+    ///
+    /// # Errors
+    /// Names what there is not.
+    pub fn with(&self, text: &str) -> Result<Self> {
+        changed(self, text)
+    }
+
+    /// Whether the numbers can serve; the planner checks its own.
+    ///
+    /// # Errors
+    /// Names what cannot.
+    pub fn validate(&self) -> Result<()> {
+        ensure!(
+            (1..=16).contains(&self.horizon) && (1..=self.horizon).contains(&self.execute),
+            "horizon must be from 1 to 16 and execute from 1 to horizon, not {} and {}",
+            self.horizon,
+            self.execute
+        );
+        ensure!(
+            self.patience.is_finite() && self.patience > 0.0,
+            "patience must be positive and finite, not {}",
+            self.patience
+        );
+        ensure!(self.batch > 0, "batch must be at least 1");
+        Ok(())
+    }
+}
+
+impl Default for ClosedLoopSettings {
+    fn default() -> Self {
+        Self {
+            horizon: 4,
+            execute: 1,
+            patience: 5.0,
+            goals: Goals::Final,
+            arrival: 0.3,
+            wait: 4,
+            gripper: false,
+            deadline_ms: 0,
+            batch: 16,
+            last_step: 0.5,
+            all_steps: 0.5,
+            action: 0.0,
+            smoothness: 0.0,
+            planner: PlannerSettings::default(),
+        }
+    }
+}

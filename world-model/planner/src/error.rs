@@ -1,0 +1,59 @@
+//! Why there is no plan.
+
+use thiserror::Error;
+
+/// Why there is no plan.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PlanError {
+    /// A setting, a bound or a proposal that cannot serve.
+    #[error("planner: {0}")]
+    Setting(String),
+    /// The model, or the goal's latent, does not fit.
+    #[error(transparent)]
+    Model(#[from] wm_model::Error),
+    /// Not one candidate of an iteration had a finite cost.
+    #[error(
+        "planner: none of the {candidates} candidates of iteration {iteration} has a finite cost"
+    )]
+    NoFiniteCost {
+        /// The iteration, from 1.
+        iteration: usize,
+        /// How many candidates were tried in it.
+        candidates: usize,
+    },
+}
+
+impl From<candle_core::Error> for PlanError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::Model(error.into())
+    }
+}
+
+pub(crate) fn check_positive(name: &str, value: f32) -> Result<(), PlanError> {
+    if value.is_finite() && value > 0.0 {
+        return Ok(());
+    }
+    Err(PlanError::Setting(format!(
+        "{name} must be positive and finite, not {value}"
+    )))
+}
+
+pub(crate) fn check_share(name: &str, value: f32) -> Result<(), PlanError> {
+    if (0.0..1.0).contains(&value) {
+        return Ok(());
+    }
+    Err(PlanError::Setting(format!(
+        "{name} must be at least 0 and below 1, not {value}"
+    )))
+}
+
+/// Two elites are the fewest that have an unbiased standard deviation.
+pub(crate) fn check_elites(elites: usize, population: usize) -> Result<(), PlanError> {
+    if (2..=population).contains(&elites) {
+        return Ok(());
+    }
+    Err(PlanError::Setting(format!(
+        "elites must be at least 2 and at most the population of {population}, not {elites}"
+    )))
+}

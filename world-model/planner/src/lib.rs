@@ -1,0 +1,51 @@
+//! Planning: which actions bring what the camera sees to a goal.
+//!
+//! A [`Problem`] says what may be chosen ([`SearchSpace`]), what comes of it ([`Dynamics`]) and what that costs
+//! ([`Objective`], a sum of named terms). A [`Planner`] solves it: [`Cem`], [`Icem`] and [`Mppi`] search, [`Inverse`] asks an
+//! inverse dynamics model, and [`Seeded`] searches from what another found. None of them holds a model, a clock or a
+//! robot; one seed gives one plan, whatever the size of the batches and the number of threads.
+//!
+//! The transition model serves as the dynamics by [`TransitionDynamics`], which shares one cached context and one noise
+//! among all candidates. Everything here is in model units; `wm_motion::actions::ActionEncoding` turns a plan into metres
+//! and radians.
+
+mod cem;
+mod choice;
+mod dynamics;
+mod error;
+mod icem;
+mod inverse;
+mod mppi;
+mod objective;
+mod planned;
+mod planner;
+mod problem;
+mod proposal;
+mod search;
+mod seeded;
+mod space;
+mod spread;
+mod transition_dynamics;
+mod workspace;
+
+#[cfg(test)]
+mod testing;
+
+pub use cem::{Cem, CemSettings, Returned};
+pub use choice::{PlannerChoice, PlannerSettings};
+pub use dynamics::Dynamics;
+pub use error::PlanError;
+pub use icem::{Icem, IcemSettings};
+pub use inverse::{Inverse, InverseSettings, Path};
+pub use mppi::{Mppi, MppiSettings};
+pub use objective::{
+    ActionSize, Costs, GoalDistance, Objective, Smoothness, Success, Target, Term, WorkspaceMargin,
+};
+pub use planned::PlannedActions;
+pub use planner::Planner;
+pub use problem::{Problem, Progress, Watch};
+pub use seeded::Seeded;
+pub use space::{Coordinate, Range, SearchSpace};
+pub use spread::spread;
+pub use transition_dynamics::TransitionDynamics;
+pub use workspace::{Workspace, WorkspaceAxis};

@@ -1,0 +1,133 @@
+//! What a plan costs: a sum of named terms.
+
+mod action_size;
+mod goal_distance;
+mod smoothness;
+mod success;
+mod workspace_margin;
+
+use std::fmt::Debug;
+
+use candle_core::Tensor;
+
+pub use action_size::ActionSize;
+pub use goal_distance::{GoalDistance, Target};
+pub use smoothness::Smoothness;
+pub use success::Success;
+pub use workspace_margin::WorkspaceMargin;
+
+use crate::{PlanError, SearchSpace};
+
+/// A term of the cost. The objective weighs it.
+pub trait Term: Debug + Send + Sync {
+    /// Its name, as in parameters and in `Plan.terms`.
+    fn name(&self) -> &'static str;
+
+    /// What each of N candidates costs: `candidates` of steps x searched values within the limits of `space`, and the
+    /// `latents` (N, k, h, w, C) that they lead to. A cost may be NaN or infinite where a latent is.
+    ///
+    /// # Errors
+    /// Where the latents do not fit, or a model fails.
+    fn costs(
+        &self,
+        space: &SearchSpace,
+        candidates: &[Vec<f32>],
+        latents: &Tensor,
+    ) -> Result<Vec<f32>, PlanError>;
+}
+
+/// A weighted sum of terms.
+#[derive(Debug, Default)]
+pub struct Objective {
+    terms: Vec<(f32, Box<dyn Term>)>,
+}
+
+/// What candidates cost.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Costs {
+    /// Of each candidate: the sum of its terms.
+    pub total: Vec<f32>,
+    /// Of each candidate: its terms, weighted, in the objective's order.
+    pub terms: Vec<Vec<f32>>,
+}
+
+impl Objective {
+    /// The distance to a goal alone, which is the objective of the controllability metric.
+    pub fn of(target: Target) -> Self {
+        Self::default().and(1.0, GoalDistance::new(target))
+    }
+
+    /// The same with another term of this weight; a weight of 0 leaves it out.
+    #[must_use]
+    pub fn and(mut self, weight: f32, term: impl Term + 'static) -> Self {
+        if weight != 0.0 {
+            self.terms.push((weight, Box::new(term)));
+        }
+        self
+    }
+
+    /// Names of its terms.
+    pub fn names(&self) -> impl Iterator<Item = &'static str> {
+        self.terms.iter().map(|(_, term)| term.name())
+    }
+
+    /// Costs of candidates; see [`Term::costs`].
+    ///
+    /// # Errors
+    /// [`PlanError::Setting`] without a term, and those of the terms.
+    pub fn costs(
+        &self,
+        space: &SearchSpace,
+        candidates: &[Vec<f32>],
+        latents: &Tensor,
+    ) -> Result<Costs, PlanError> {
+        if self.terms.is_empty() {
+            return Err(PlanError::Setting(
+                "the objective has no terms: nothing to reach".into(),
+            ));
+        }
+        let mut terms = vec![Vec::with_capacity(self.terms.len()); candidates.len()];
+        for (weight, term) in &self.terms {
+            let costs = term.costs(space, candidates, latents)?;
+            if costs.len() != candidates.len() {
+                return Err(PlanError::Setting(format!(
+                    "the term {} gave {} costs for {} candidates",
+                    term.name(),
+                    costs.len(),
+                    candidates.len()
+                )));
+            }
+            for (terms, cost) in terms.iter_mut().zip(costs) {
+                terms.push(weight * cost);
+            }
+        }
+        let total = terms.iter().map(|terms| terms.iter().sum()).collect();
+        Ok(Costs { total, terms })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::Device;
+
+    use super::*;
+
+    #[test]
+    fn terms_are_weighted_and_added_and_a_weight_of_zero_leaves_one_out() {
+        let space = SearchSpace::bounded(&[(-1.0, 1.0)], 1).unwrap();
+        let latents =
+            Tensor::zeros((2, 2, 1, 1, 1), candle_core::DType::F32, &Device::Cpu).unwrap();
+        let goal = Tensor::ones((1, 1, 1), candle_core::DType::F32, &Device::Cpu).unwrap();
+        let objective = Objective::of(Target::LastStep(goal))
+            .and(0.5, ActionSize)
+            .and(0.0, Smoothness);
+        assert_eq!(objective.names().collect::<Vec<_>>(), ["goal", "action"]);
+        let costs = objective
+            .costs(&space, &[vec![0.0, 0.0], vec![1.0, -1.0]], &latents)
+            .unwrap();
+        assert_eq!(costs.terms, [[1.0, 0.0], [1.0, 0.5]]);
+        assert_eq!(costs.total, [1.0, 1.5]);
+        let nothing = Objective::default().costs(&space, &[vec![0.0, 0.0]], &latents);
+        assert!(nothing.unwrap_err().to_string().contains("no terms"));
+    }
+}

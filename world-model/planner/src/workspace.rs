@@ -1,0 +1,43 @@
+//! Where the end effector may be.
+
+/// A box that planned motion stays within. Translations are taken along the axes of the frame of the actions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Workspace {
+    /// One for each axis that a searched value moves along.
+    pub axes: Vec<WorkspaceAxis>,
+}
+
+/// An axis of the box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WorkspaceAxis {
+    /// Index of the searched value that moves along it.
+    pub coordinate: usize,
+    /// Motion of a model step for a value of 1 \[m\].
+    pub metres: f64,
+    /// Where the end effector is when the plan begins \[m\].
+    pub position: f64,
+    /// Least and greatest position \[m\].
+    pub range: (f64, f64),
+}
+
+impl WorkspaceAxis {
+    /// The value nearest to `value` that keeps the position within the range, and the position that it leads to. From
+    /// outside, only motion towards the range is kept.
+    pub(crate) fn keep(&self, position: f64, value: f32) -> (f32, f64) {
+        let (low, high) = self.range;
+        let next = position + f64::from(value) * self.metres;
+        let kept = next.clamp(low.min(position), high.max(position));
+        if kept == next || self.metres == 0.0 {
+            return (value, next);
+        }
+        (((kept - position) / self.metres) as f32, kept)
+    }
+
+    /// How far `position` is beyond the range narrowed by `margin` on both sides \[m\].
+    pub(crate) fn beyond(&self, position: f64, margin: f64) -> f64 {
+        let (low, high) = self.range;
+        (low + margin - position)
+            .max(position - (high - margin))
+            .max(0.0)
+    }
+}
