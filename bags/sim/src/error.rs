@@ -33,7 +33,7 @@ pub enum Error {
         episodes: u64,
     },
     /// A kind of goal that there is not.
-    #[error("expected a task of reach, push and pick-place, got {got:?}")]
+    #[error("expected a task, one of reach, push and pick-place, got {got:?}")]
     GoalKind {
         /// What was given.
         got: String,

@@ -24,7 +24,8 @@ pub enum GoalKind {
     /// the goal as at the start; only its position counts.
     Reach,
     /// Push an object 0.05 to 0.10 m over the table, along a straight line, about to the viewer's left or
-    /// right, forward or away. How it gets there does not count: it may be carried.
+    /// right or forward; seldom away, where the hand would hide it. How it gets there does not count: it may be
+    /// carried.
     Push,
     /// Grasp an object, carry it 0.08 m or more to a clear place beside another one or on a mat, and let go
     /// of it. The solution lifts it; an object that was pushed there, and is not held, is there all the same.
