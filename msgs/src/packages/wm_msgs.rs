@@ -145,7 +145,7 @@ pub struct ExecutorStatus {
     pub state: u8,
     /// Why it does not move, or not as it was told; empty if it does.
     pub reason: String,
-    /// When the first action of the chunk or plan being executed begins; zero: none.
+    /// Stamp of the chunk, or of the first action of the plan, being executed; zero: none.
     pub chunk_stamp: Time,
     /// Chunks and plans that were begun, in a dry run too.
     pub begun: u64,
