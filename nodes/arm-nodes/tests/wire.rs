@@ -8,10 +8,10 @@ use std::{thread::JoinHandle, time::Duration};
 use wm_arm_nodes::executor;
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
-    geometry_msgs::TwistStamped,
-    std_msgs::{Bool, Float64, Float64MultiArray},
+    geometry_msgs::{PoseStamped, TwistStamped},
+    std_msgs::{Bool, Float64, Float64MultiArray, Header},
     std_srvs::{Outcome, SetBool, SetBoolRequest, Trigger, TriggerRequest},
-    wm_msgs::{Action, ActionChunk, ExecutorStatus},
+    wm_msgs::{Action, ActionChunk, ExecutorStatus, Plan},
 };
 use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
 
@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A domain for each test, so that tests neither meet each other nor another run of them.
 fn domain(test: u16) -> u16 {
-    20 + (std::process::id() % 20) as u16 * 4 + test
+    20 + (std::process::id() % 16) as u16 * 5 + test
 }
 
 fn context(domain_id: u16) -> Context {
@@ -124,10 +124,13 @@ impl World {
     }
 }
 
-async fn in_time<T>(scenario: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, scenario)
-        .await
-        .expect("a message that should come does not")
+#[track_caller]
+fn in_time<T>(scenario: impl Future<Output = T>) -> impl Future<Output = T> {
+    let caller = std::panic::Location::caller();
+    async move {
+        let ended = tokio::time::timeout(PATIENCE, scenario).await;
+        ended.unwrap_or_else(|_| panic!("{caller}: a message that should come does not"))
+    }
 }
 
 #[tokio::test(flavor = "current_thread")]
@@ -270,6 +273,72 @@ async fn a_node_that_ends_stops_the_arm_first() {
     here.close();
 }
 
+#[tokio::test(flavor = "current_thread")]
+async fn it_moves_while_the_deadman_is_held_and_the_pose_is_known() {
+    let domain = domain(3);
+    let running = Running::start(
+        domain,
+        "-p base_frame:=base_link -p require_deadman:=true -p source:=plan -p workspace_min:=[-1.0,-1.0,-1.0] \
+         -p workspace_max:=[1.0,1.0,1.0]",
+    );
+    let here = context(domain);
+    in_time(async {
+        let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
+        let node = Node::new(&here, "world", wm_ros::NAMESPACE, &args).unwrap();
+        let plans: Publisher<Plan> = node.publisher("plan", Qos::reliable(10)).unwrap();
+        let deadman: Publisher<Bool> = node.publisher("deadman", Qos::reliable(10)).unwrap();
+        let poses: Publisher<PoseStamped> = node.publisher("ee_pose", Qos::reliable(10)).unwrap();
+        let arm: Client<SetBool> = node.client("executor/arm").unwrap();
+        let mut status: Subscription<ExecutorStatus> = node
+            .subscription("executor/status", Qos::latched(1))
+            .unwrap();
+        let mut twists: Subscription<TwistStamped> = node
+            .subscription("command/twist", Qos::reliable(100))
+            .unwrap();
+        plans.wait_for_subscribers(1).await;
+        deadman.wait_for_subscribers(1).await;
+        poses.wait_for_subscribers(1).await;
+        twists.wait_for_publishers(1).await;
+        arm.wait_for_service().await;
+        let armed = arm.call(&SetBoolRequest { data: true }).await.unwrap();
+        assert!(armed.success, "{}", armed.message);
+
+        let mut pose = PoseStamped::default();
+        pose.header.frame_id = "base_link".into();
+        let mut plan = Plan {
+            period: RosDuration::from_nanos(400_000_000),
+            ..Plan::default()
+        };
+        let mut ticks = tokio::time::interval(Duration::from_millis(20));
+        loop {
+            tokio::select! {
+                _ = ticks.tick() => {
+                    deadman.publish(&Bool { data: true }).unwrap();
+                    poses.publish(&pose).unwrap();
+                    plan.header.stamp = node.now();
+                    pose.header.stamp = node.now();
+                    let header = Header { frame_id: "base_link".into(), ..plan.header.clone() };
+                    let values = vec![0.0, 0.04, 0.0, 0.0, 0.0, 0.0, 0.0];
+                    plan.actions = vec![Action { header, values }; 20];
+                    plans.publish(&plan).unwrap();
+                }
+                twist = twists.recv() => if twist.unwrap().message.twist.linear.y > 0.09 { break },
+            }
+        }
+        // Plans of eight seconds are under way, but nobody holds the switch.
+        while twists.recv().await.unwrap().message.twist.linear.y != 0.0 {}
+        loop {
+            let status = status.recv().await.unwrap().message;
+            if status.reason.contains("_timeout") {
+                break;
+            }
+        }
+    })
+    .await;
+    running.stop().unwrap();
+    here.close();
+}
+
 #[test]
 fn parameters_that_contradict_each_other_are_named() {
     for (parameters, named) in [
@@ -284,7 +353,7 @@ fn parameters_that_contradict_each_other_are_named() {
         ),
         ("-p action_space:=/nowhere.json", "/nowhere.json"),
     ] {
-        let running = Running::start(domain(3), parameters);
+        let running = Running::start(domain(4), parameters);
         let result = running.thread.join().unwrap();
         running.context.close();
         let error = format!("{:#}", result.unwrap_err());

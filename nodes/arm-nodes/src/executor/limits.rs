@@ -48,13 +48,37 @@ fn at_most(axes: Axes, most: f64) -> Axes {
     plus([0.0; 3], axes, most / magnitude)
 }
 
+/// What `from` becomes by a change of at most `most` on the way to `to`. Braking goes first: an axis along which the arm has
+/// to stop does not wait for the others.
 fn step(from: Axes, to: Axes, most: f64) -> Axes {
-    let change = plus(to, from, -1.0);
-    let magnitude = norm(change);
-    if magnitude <= most {
+    let whole = plus(to, from, -1.0);
+    if norm(whole) <= most {
         return to;
     }
-    plus(from, change, most / magnitude)
+    // From where each axis has lost all the speed that it has to lose, on.
+    let mut braked = from;
+    for (axis, to) in braked.iter_mut().zip(to) {
+        *axis = match *axis >= 0.0 {
+            true => to.clamp(0.0, *axis),
+            false => to.clamp(*axis, 0.0),
+        };
+    }
+    let brake = plus(braked, from, -1.0);
+    let braking = norm(brake);
+    if braking >= most {
+        return plus(from, brake, most / braking);
+    }
+    let rest = plus(to, braked, -1.0);
+    // Greatest share of the rest with |brake + share x rest| = most. Both have the same signs, so it is at least 0; and it
+    // is below 1, since the whole is more than most.
+    let (square, product) = (dot(rest, rest), dot(brake, rest));
+    let root = (product * product + square * (most * most - braking * braking)).max(0.0);
+    let share = (root.sqrt() - product) / square.max(f64::MIN_POSITIVE);
+    plus(braked, rest, share.clamp(0.0, 1.0))
+}
+
+fn dot([ax, ay, az]: Axes, [bx, by, bz]: Axes) -> f64 {
+    ax * bx + ay * by + az * bz
 }
 
 #[cfg(test)]
@@ -94,5 +118,19 @@ mod tests {
         }
         assert_eq!(velocity, target);
         assert_eq!(LIMITS.stopping_time(), 0.5);
+    }
+
+    #[test]
+    fn braking_goes_first() {
+        let of = |linear| Velocity {
+            linear,
+            ..Velocity::ZERO
+        };
+        let (from, to) = (of([0.2, -0.05, 0.0]), of([0.0, 0.4, 0.0]));
+        let next = LIMITS.toward(from, to, 0.1);
+        assert!(next.linear[0] < 0.11 && next.linear[1] < 0.0, "{next:?}");
+        let later = LIMITS.toward(next, to, 0.15);
+        assert_eq!(later.linear[0], 0.0);
+        assert!(later.linear[1] > 0.05, "{later:?}");
     }
 }

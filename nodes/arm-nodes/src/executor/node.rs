@@ -1,6 +1,9 @@
 //! The executor on the wire.
 
-use std::{process::ExitCode, time::Instant};
+use std::{
+    process::ExitCode,
+    time::{Duration, Instant},
+};
 
 use anyhow::Result;
 use tokio::time::MissedTickBehavior;
@@ -216,7 +219,7 @@ pub async fn body(node: Node) -> Result<()> {
             _ = ticks.tick() => {
                 let is_moving = executor.tick()?;
                 if is_ending && !is_moving {
-                    return Ok(());
+                    return executor.outlets.settle().await;
                 }
             }
             Some(received) = errors.recv() => executor.step.prediction_error(&received.message),
@@ -247,6 +250,22 @@ struct Outlets {
     status: Publisher<ExecutorStatus>,
 }
 
+impl Outlets {
+    /// Waits, but not for long, until the last command has arrived: a node that is gone sends nothing again.
+    async fn settle(&self) -> Result<()> {
+        if let Some(twists) = &self.twists {
+            twists.wait_for_acknowledgments(FAREWELL).await?;
+        }
+        if let Some(velocities) = &self.velocities {
+            velocities.wait_for_acknowledgments(FAREWELL).await?;
+        }
+        if let Some(motions) = &self.motions {
+            motions.wait_for_acknowledgments(FAREWELL).await?;
+        }
+        Ok(())
+    }
+}
+
 struct Executor {
     node: Node,
     step: ExecutorStep,
@@ -258,7 +277,9 @@ struct Executor {
 }
 
 /// The status goes out at least this often.
-const STATUS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
+const STATUS_PERIOD: Duration = Duration::from_secs(1);
+/// How long the last command may take to arrive: less than a process has to end after a signal.
+const FAREWELL: Duration = Duration::from_millis(300);
 
 impl Executor {
     fn now(&self) -> Now {

@@ -104,6 +104,9 @@ pub enum Refusal {
         /// By how much \[s\].
         before_s: f64,
     },
+    /// More have yet to begin than are kept.
+    #[error("{0} others have yet to begin; no more are kept")]
+    Full(usize),
     /// Something that must be there for a motion is not.
     #[error(transparent)]
     Held(#[from] Hold),
@@ -147,6 +150,7 @@ impl Refusal {
             Self::Late { .. } => "late",
             Self::Early { .. } => "early",
             Self::Older { .. } => "older",
+            Self::Full(_) => "full",
             Self::Held(hold) => hold.reason(),
             Self::Vetoed(_) => "vetoed",
             Self::Unassessed { .. } | Self::Crowded { .. } => "unassessed",

@@ -1,8 +1,14 @@
 //! What is to be executed, and when.
 
-use std::time::{Duration, Instant};
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
 
-use super::{Layout, Offer, Velocity, Veto};
+use super::{Layout, Offer, Refusal, Velocity, Veto};
+
+/// Offers that may have yet to begin: more than come within the time that they may lie ahead.
+const MOST_NEXT: usize = 128;
 
 /// An offer that passed every check.
 #[derive(Clone, Debug)]
@@ -31,22 +37,31 @@ pub(super) enum Change {
     Over,
 }
 
-/// The offer that is executed, and the one after it. A newer one takes over when it begins, wherever the older one is.
+/// The offer that is executed, and those after it by when they begin. Where one begins, the one before it ends.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Schedule {
     current: Option<Accepted>,
-    next: Option<Accepted>,
+    next: VecDeque<Accepted>,
 }
 
 impl Schedule {
-    /// Takes an offer, which replaces one that has yet to begin.
-    pub fn push(&mut self, offer: Offer, received: Instant) {
-        self.next = Some(Accepted { offer, received });
+    /// Takes an offer, which replaces those that would begin later.
+    ///
+    /// # Errors
+    /// [`Refusal::Full`] where too many have yet to begin.
+    pub fn push(&mut self, offer: Offer, received: Instant) -> Result<(), Refusal> {
+        self.next
+            .retain(|other| other.offer.begin_ns < offer.begin_ns);
+        if self.next.len() >= MOST_NEXT {
+            return Err(Refusal::Full(MOST_NEXT));
+        }
+        self.next.push_back(Accepted { offer, received });
+        Ok(())
     }
 
     /// Stamp of the newest offer \[ns\].
     pub fn newest_ns(&self) -> Option<i64> {
-        let newest = self.next.as_ref().or(self.current.as_ref());
+        let newest = self.next.back().or(self.current.as_ref());
         newest.map(|accepted| accepted.offer.stamp_ns)
     }
 
@@ -57,25 +72,35 @@ impl Schedule {
 
     /// Forgets everything; whether anything had begun.
     pub fn clear(&mut self) -> bool {
-        self.next = None;
+        self.next.clear();
         self.current.take().is_some()
     }
 
     /// Drops what `judge` vetoes: of what has begun, and of what has yet to begin.
-    pub fn veto(&mut self, judge: impl Fn(&Offer) -> Option<Veto>) -> (Option<Veto>, Option<Veto>) {
-        let drop = |slot: &mut Option<Accepted>| {
-            let veto = slot.as_ref().and_then(|accepted| judge(&accepted.offer))?;
-            *slot = None;
-            Some(veto)
-        };
-        (drop(&mut self.current), drop(&mut self.next))
+    pub fn veto(&mut self, judge: impl Fn(&Offer) -> Option<Veto>) -> (Option<Veto>, Vec<Veto>) {
+        let of_current = self.current().and_then(&judge);
+        if of_current.is_some() {
+            self.current = None;
+        }
+        let mut of_next = Vec::new();
+        self.next.retain(|accepted| {
+            let veto = judge(&accepted.offer);
+            let is_good = veto.is_none();
+            of_next.extend(veto);
+            is_good
+        });
+        (of_current, of_next)
     }
 
     /// Goes on to a moment.
     pub fn advance(&mut self, now_ns: i64, now: Instant, max_age: Duration) -> Option<Change> {
+        let mut begun = None;
         let begins = |next: &mut Accepted| next.offer.begin_ns <= now_ns;
-        if let Some(next) = self.next.take_if(begins) {
-            self.current = Some(next);
+        while let Some(next) = self.next.pop_front_if(begins) {
+            begun = Some(next);
+        }
+        if begun.is_some() {
+            self.current = begun;
             return Some(Change::Begun);
         }
         let current = self.current.as_ref()?;
@@ -94,16 +119,13 @@ impl Schedule {
     /// lies in that time in part counts in part.
     pub fn told(&self, from_ns: i64, span_ns: i64, layout: &Layout) -> Option<Told> {
         let to_ns = from_ns.saturating_add(span_ns);
-        let next_ns = self
-            .next
-            .as_ref()
-            .map_or(i64::MAX, |next| next.offer.begin_ns);
         let mut told: Option<Told> = None;
-        let slots = [(&self.current, next_ns), (&self.next, i64::MAX)];
-        for (accepted, until_ns) in slots {
-            let Some(Accepted { offer, .. }) = accepted else {
-                continue;
-            };
+        let mut offers = self.current.iter().chain(&self.next).peekable();
+        while let Some(Accepted { offer, .. }) = offers.next() {
+            if offer.begin_ns >= to_ns {
+                break;
+            }
+            let until_ns = offers.peek().map_or(i64::MAX, |next| next.offer.begin_ns);
             // The bounds keep the period above zero.
             let period_s = offer.period_ns as f64 / 1e9;
             let first = from_ns.saturating_sub(offer.begin_ns) / offer.period_ns.max(1);
@@ -111,7 +133,7 @@ impl Schedule {
             for (index, values) in offer.actions.iter().enumerate().skip(first) {
                 let start_ns = offer.start_ns(index).max(from_ns);
                 let end_ns = offer.start_ns(index + 1).min(to_ns).min(until_ns);
-                if start_ns >= to_ns {
+                if start_ns >= to_ns.min(until_ns) {
                     break;
                 }
                 if end_ns <= start_ns {
@@ -162,7 +184,9 @@ mod tests {
         let now = Instant::now();
         let mut schedule = Schedule::default();
         // 30 Hz: three actions in 100 ms, of which none may be left out.
-        schedule.push(offer(0, 20, &[0.001, 0.003, 0.005, 0.007, 0.009]), now);
+        schedule
+            .push(offer(0, 20, &[0.001, 0.003, 0.005, 0.007, 0.009]), now)
+            .unwrap();
         schedule.advance(0, now, Duration::from_secs(1));
         let near = |found: Option<f64>, expected: f64| {
             assert!((found.unwrap() - expected).abs() < 1e-6, "{found:?}");
@@ -178,9 +202,9 @@ mod tests {
         let now = Instant::now();
         let age = Duration::from_secs(1);
         let mut schedule = Schedule::default();
-        schedule.push(offer(0, 200, &[0.02; 4]), now);
+        schedule.push(offer(0, 200, &[0.02; 4]), now).unwrap();
         assert_eq!(schedule.advance(0, now, age), Some(Change::Begun));
-        schedule.push(offer(300, 200, &[-0.02; 2]), now);
+        schedule.push(offer(300, 200, &[-0.02; 2]), now).unwrap();
         assert_eq!(schedule.advance(250 * MS, now, age), None);
         let half = forward(&schedule, 250, 100).unwrap();
         assert!(half.abs() < 1e-6, "{half}");
@@ -190,11 +214,30 @@ mod tests {
     }
 
     #[test]
+    fn offers_that_each_begin_later_begin_all_the_same() {
+        let now = Instant::now();
+        let age = Duration::from_secs(10);
+        let mut schedule = Schedule::default();
+        let mut begun = 0;
+        for tick in 0..40 {
+            // Ten times a second, each for a second later.
+            let offer = offer(tick * 100 + 1000, 200, &[0.02; 2]);
+            schedule.push(offer, now).unwrap();
+            let change = schedule.advance(tick * 100 * MS, now, age);
+            begun += i32::from(change == Some(Change::Begun));
+        }
+        assert_eq!(begun, 30);
+        let at_most = (0..200).map(|index| offer(10_000 + index, 200, &[0.02]));
+        let pushed = at_most.map(|offer| schedule.push(offer, now));
+        assert!(pushed.last().unwrap().is_err());
+    }
+
+    #[test]
     fn an_offer_is_executed_only_for_so_long_after_it_came() {
         let now = Instant::now();
         let age = Duration::from_secs(1);
         let mut schedule = Schedule::default();
-        schedule.push(offer(0, 1000, &[0.02; 4]), now);
+        schedule.push(offer(0, 1000, &[0.02; 4]), now).unwrap();
         schedule.advance(0, now, age);
         let later = now + Duration::from_millis(1001);
         // A simulated clock may stand still.

@@ -303,7 +303,7 @@ impl ExecutorStep {
         match self.vetoes.judge(&offer) {
             Verdict::Veto(veto) => Err(veto.into()),
             Verdict::Pass => {
-                self.schedule.push(offer, received);
+                self.schedule.push(offer, received)?;
                 Ok(Taken::Accepted)
             }
             Verdict::Unassessed => {
@@ -396,7 +396,8 @@ impl ExecutorStep {
             self.counts.interrupted += 1;
             self.cause = Some(Cause::Vetoed);
         }
-        self.counts.refused += u64::from(of_next.is_some());
+        // A length fits.
+        self.counts.refused += of_next.len() as u64;
         for veto in of_current.into_iter().chain(of_next) {
             self.counts.vetoed += 1;
             let refusal = Refusal::Vetoed(veto);

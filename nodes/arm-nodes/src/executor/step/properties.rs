@@ -119,6 +119,48 @@ proptest! {
         prop_assert!(last.is_zero(), "{last:?}");
     }
 
+    /// The arm goes where it is told at once, and says where it is at times.
+    #[test]
+    fn no_motion_leaves_the_box(
+        motions in prop::collection::vec((prop::array::uniform3(-0.1_f32..0.1), 1_i64..10), 1..40),
+        silences in prop::collection::vec(1_i64..4, 1..10),
+    ) {
+        let (least, most) = ([-0.1, -0.15, 0.0], [0.1, 0.05, 0.3]);
+        let (lookahead, timeout) = (Duration::from_millis(300), Duration::from_millis(200));
+        let workspace = Some(Workspace::new(least, most, lookahead, timeout));
+        let mut bench = Bench::new(Settings { workspace, ..settings() });
+        bench.step.arm().unwrap();
+        let mut position = [0.0, 0.0, 0.1];
+        let mut silence = silences.iter().cycle();
+        let (mut ms, mut wait) = (0, 0);
+        for (motion, ticks) in motions {
+            for tick in 0..ticks {
+                if wait == 0 {
+                    let mut pose = PoseStamped::default();
+                    let [x, y, z] = position;
+                    pose.pose.position = wm_msgs::geometry_msgs::Point { x, y, z };
+                    bench.step.pose(&pose, bench.at(ms).at).unwrap();
+                    wait = *silence.next().unwrap();
+                }
+                wait -= 1;
+                if tick == 0 {
+                    let mut message = chunk(ms, 0.0, 10);
+                    for action in &mut message.actions {
+                        action.values[..3].copy_from_slice(&motion);
+                    }
+                    bench.offer(ms, &message).unwrap();
+                }
+                if let Output::Send(command) = bench.tick(ms) {
+                    position = plus(position, command.velocity.linear, 0.05);
+                }
+                ms += 50;
+                for ((at, least), most) in position.into_iter().zip(least).zip(most) {
+                    prop_assert!((least - 1e-9..=most + 1e-9).contains(&at), "{at} of {least} to {most}");
+                }
+            }
+        }
+    }
+
     #[test]
     fn a_change_of_velocity_is_bounded(from in prop::array::uniform3(-1.0_f64..1.0), to in prop::array::uniform3(-1.0_f64..1.0)) {
         let limits = settings().limits;
@@ -127,5 +169,15 @@ proptest! {
         let next = limits.toward(from, to, 0.05);
         prop_assert!(norm(plus(next.linear, from.linear, -1.0)) <= 0.1 + 1e-12);
         prop_assert!(norm(next.linear) <= limits.linear_velocity + 1e-12);
+        // It gets there, and with no axis further off than before.
+        let is_between = |((next, from), to): ((&f64, f64), f64)| {
+            (from.min(to) - 1e-12..=from.max(to) + 1e-12).contains(next)
+        };
+        prop_assert!(next.linear.iter().zip(from.linear).zip(to.linear).all(is_between));
+        let mut velocity = from;
+        for _ in 0..10 {
+            velocity = limits.toward(velocity, to, 0.05);
+        }
+        prop_assert_eq!(velocity, to);
     }
 }
