@@ -3,7 +3,7 @@
 use serde::{Serialize, de::DeserializeOwned};
 use wm_msgs::{
     builtin_interfaces, cdr, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rosbag2_interfaces,
-    rosgraph_msgs, sensor_msgs, std_msgs, wm_msgs as wm,
+    rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, wm_msgs as wm,
 };
 
 /// Decodes an input as each type in turn.
@@ -37,6 +37,8 @@ pub fn message(data: &[u8]) {
             std_msgs::Float32,
             std_msgs::Header,
             std_msgs::String,
+            std_srvs::SetBoolRequest,
+            std_srvs::TriggerRequest,
             wm::Action,
             wm::ActionCandidates,
             wm::ActionChunk,
@@ -44,6 +46,7 @@ pub fn message(data: &[u8]) {
             wm::EnvObservation,
             wm::EnvResetRequest,
             wm::EnvStepRequest,
+            wm::ExecutorStatus,
             wm::Latent,
             wm::Plan,
             wm::Prediction,

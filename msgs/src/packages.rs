@@ -70,5 +70,6 @@ pub mod rosgraph_msgs;
 pub mod sensor_msgs;
 pub(crate) mod service_msgs;
 pub mod std_msgs;
+pub mod std_srvs;
 pub mod vision_msgs;
 pub mod wm_msgs;

@@ -1,4 +1,4 @@
-//! Package `geometry_msgs`: where the arm's end effector is.
+//! Package `geometry_msgs`: where the arm's end effector is, and how it moves.
 
 use super::std_msgs::Header;
 use serde::{Deserialize, Serialize};
@@ -57,6 +57,35 @@ pub struct PoseStamped {
     pub pose: Pose,
 }
 
+/// Three numbers with a direction; the message that holds it says in which unit and frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Vector3 {
+    /// Forward.
+    pub x: f64,
+    /// Left.
+    pub y: f64,
+    /// Up.
+    pub z: f64,
+}
+
+/// A velocity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Twist {
+    /// Of the position \[m/s\].
+    pub linear: Vector3,
+    /// Of the orientation, about the axes of the frame \[rad/s\].
+    pub angular: Vector3,
+}
+
+/// A velocity with its time and frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TwistStamped {
+    /// `stamp`: when the velocity holds; `frame_id`: the frame it is expressed in.
+    pub header: Header,
+    /// The velocity.
+    pub twist: Twist,
+}
+
 message!(
     Point,
     "geometry_msgs",
@@ -80,4 +109,22 @@ message!(
     "geometry_msgs",
     "std_msgs/Header header\nPose pose\n",
     [Header, Pose]
+);
+message!(
+    Vector3,
+    "geometry_msgs",
+    "float64 x\nfloat64 y\nfloat64 z\n",
+    []
+);
+message!(
+    Twist,
+    "geometry_msgs",
+    "Vector3 linear\nVector3 angular\n",
+    [Vector3]
+);
+message!(
+    TwistStamped,
+    "geometry_msgs",
+    "std_msgs/Header header\nTwist twist\n",
+    [Header, Twist]
 );

@@ -33,6 +33,42 @@ pub struct Float32 {
     pub data: f32,
 }
 
+/// A number; its topic says of what.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Float64 {
+    /// The number.
+    pub data: f64,
+}
+
+/// One dimension of an array.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MultiArrayDimension {
+    /// What it counts.
+    pub label: std::string::String,
+    /// How many.
+    pub size: u32,
+    /// Numbers from here to the array's end: `size` x those of the dimensions within.
+    pub stride: u32,
+}
+
+/// How the numbers of an array lie.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MultiArrayLayout {
+    /// Outermost first.
+    pub dim: Vec<MultiArrayDimension>,
+    /// Numbers before the array begins.
+    pub data_offset: u32,
+}
+
+/// An array of numbers; its topic says of what.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Float64MultiArray {
+    /// How they lie.
+    pub layout: MultiArrayLayout,
+    /// The numbers.
+    pub data: Vec<f64>,
+}
+
 message!(
     Header,
     "std_msgs",
@@ -42,3 +78,22 @@ message!(
 message!(String, "std_msgs", "string data\n", []);
 message!(Bool, "std_msgs", "bool data\n", []);
 message!(Float32, "std_msgs", "float32 data\n", []);
+message!(Float64, "std_msgs", "float64 data\n", []);
+message!(
+    MultiArrayDimension,
+    "std_msgs",
+    "string label\nuint32 size\nuint32 stride\n",
+    []
+);
+message!(
+    MultiArrayLayout,
+    "std_msgs",
+    "MultiArrayDimension[] dim\nuint32 data_offset\n",
+    [MultiArrayDimension]
+);
+message!(
+    Float64MultiArray,
+    "std_msgs",
+    "MultiArrayLayout layout\nfloat64[] data\n",
+    [MultiArrayLayout]
+);

@@ -135,6 +135,41 @@ pub struct Assessment {
     pub timing: Timing,
 }
 
+/// What the executor does with chunks and plans, and why.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExecutorStatus {
+    /// `stamp`: when this was so; `frame_id`: the frame of the commands.
+    pub header: Header,
+    /// [`DRY_RUN`](Self::DRY_RUN), [`IDLE`](Self::IDLE), [`EXECUTING`](Self::EXECUTING), [`STOPPING`](Self::STOPPING) or
+    /// [`STOPPED`](Self::STOPPED).
+    pub state: u8,
+    /// Why it does not move, or not as it was told; empty if it does.
+    pub reason: String,
+    /// Stamp of the chunk, or of the first action of the plan, being executed; zero: none.
+    pub chunk_stamp: Time,
+    /// Chunks and plans that were begun, in a dry run too.
+    pub begun: u64,
+    /// Chunks and plans that were refused, the vetoed ones included.
+    pub refused: u64,
+    /// Chunks that a rule about the model's predictions refused or cut short.
+    pub vetoed: u64,
+    /// Chunks and plans that were cut short.
+    pub interrupted: u64,
+}
+
+impl ExecutorStatus {
+    /// Not armed: commands are computed but not sent.
+    pub const DRY_RUN: u8 = 0;
+    /// Armed, and nothing to execute.
+    pub const IDLE: u8 = 1;
+    /// Armed, and a chunk or plan is being executed.
+    pub const EXECUTING: u8 = 2;
+    /// Commands decelerate to zero.
+    pub const STOPPING: u8 = 3;
+    /// Emergency stop: until reset and armed again.
+    pub const STOPPED: u8 = 4;
+}
+
 /// One predicted step. A rollout is `horizon` messages with the same `observed_stamp`; each is sent when it is ready.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Prediction {
@@ -407,6 +442,12 @@ message!(
     "wm_msgs",
     include_str!("../../msg/EnvObservation.msg"),
     [CompressedImage]
+);
+message!(
+    ExecutorStatus,
+    "wm_msgs",
+    include_str!("../../msg/ExecutorStatus.msg"),
+    [Header, Time]
 );
 message!(
     Timing,

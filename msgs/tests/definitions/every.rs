@@ -5,14 +5,17 @@ macro_rules! every_message {
     ($check:ident $(, $argument:expr)*) => {
         every_message!(@ $check [$($argument),*]
             builtin_interfaces::Time builtin_interfaces::Duration std_msgs::Header std_msgs::String std_msgs::Bool
-            std_msgs::Float32 sensor_msgs::Image sensor_msgs::CompressedImage sensor_msgs::JointState
-            geometry_msgs::Point geometry_msgs::Quaternion geometry_msgs::Pose geometry_msgs::PoseStamped diagnostic_msgs::KeyValue
+            std_msgs::Float32 std_msgs::Float64 std_msgs::MultiArrayDimension std_msgs::MultiArrayLayout
+            std_msgs::Float64MultiArray sensor_msgs::Image sensor_msgs::CompressedImage sensor_msgs::JointState
+            geometry_msgs::Point geometry_msgs::Quaternion geometry_msgs::Pose geometry_msgs::PoseStamped
+            geometry_msgs::Vector3 geometry_msgs::Twist geometry_msgs::TwistStamped diagnostic_msgs::KeyValue
             diagnostic_msgs::DiagnosticStatus diagnostic_msgs::DiagnosticArray rosgraph_msgs::Clock
             vision_msgs::VisionClass vision_msgs::LabelInfo
             lifecycle_msgs::State lifecycle_msgs::Transition lifecycle_msgs::TransitionDescription
             lifecycle_msgs::TransitionEvent wm_msgs::LatentSpace wm_msgs::Latent wm_msgs::Action wm_msgs::ActionChunk
             wm_msgs::Prediction wm_msgs::PredictionError wm_msgs::Plan wm_msgs::Timing wm_msgs::ActionCandidates
-            wm_msgs::CandidateAssessment wm_msgs::Assessment wm_msgs::EnvObservation)
+            wm_msgs::CandidateAssessment wm_msgs::Assessment wm_msgs::EnvObservation
+            wm_msgs::ExecutorStatus)
     };
     (@ $check:ident $arguments:tt $($package:ident :: $message:ident)*) => {
         $(every_message!(@call $check $arguments $package $message);)*
@@ -28,6 +31,8 @@ macro_rules! every_service {
         $check::<::wm_msgs::wm_msgs::Reset>($($argument),*);
         $check::<::wm_msgs::wm_msgs::EnvReset>($($argument),*);
         $check::<::wm_msgs::wm_msgs::EnvStep>($($argument),*);
+        $check::<::wm_msgs::std_srvs::Trigger>($($argument),*);
+        $check::<::wm_msgs::std_srvs::SetBool>($($argument),*);
         $check::<::wm_msgs::lifecycle_msgs::ChangeState>($($argument),*);
         $check::<::wm_msgs::lifecycle_msgs::GetState>($($argument),*);
         $check::<::wm_msgs::lifecycle_msgs::GetAvailableStates>($($argument),*);

@@ -73,6 +73,18 @@ fn known_hashes_are_ours() {
             "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
         ),
         (
+            "geometry_msgs/msg/TwistStamped",
+            "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
+        ),
+        (
+            "std_srvs/srv/Trigger",
+            "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
+        ),
+        (
+            "std_srvs/srv/SetBool",
+            "RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
+        ),
+        (
             "diagnostic_msgs/msg/DiagnosticArray",
             "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
         ),

@@ -163,6 +163,17 @@ fn constants_are_those_of_the_definitions() {
         ]
         .map(|(name, value)| (name.to_owned(), value.to_string()))
     );
+    assert_eq!(
+        constants("wm_msgs", wm::ExecutorStatus::DEFINITION),
+        [
+            ("DRY_RUN", wm::ExecutorStatus::DRY_RUN),
+            ("IDLE", wm::ExecutorStatus::IDLE),
+            ("EXECUTING", wm::ExecutorStatus::EXECUTING),
+            ("STOPPING", wm::ExecutorStatus::STOPPING),
+            ("STOPPED", wm::ExecutorStatus::STOPPED)
+        ]
+        .map(|(name, value)| (name.to_owned(), value.to_string()))
+    );
     use diagnostic_msgs::DiagnosticStatus as Status;
     assert_eq!(
         constants("diagnostic_msgs", Status::DEFINITION),

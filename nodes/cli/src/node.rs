@@ -13,6 +13,7 @@ type Definition = NodeDefinition<anyhow::Error>;
 pub fn definitions() -> impl Iterator<Item = &'static Definition> {
     wm_model_nodes::NODES
         .iter()
+        .chain(wm_arm_nodes::NODES)
         .chain(wm_bag_nodes::NODES)
         .chain([&wm_report::monitor::NODE])
 }

@@ -7,7 +7,9 @@ use wm_bag::{Schema, SchemaEncoding, type_schema};
 use wm_msgs::{
     Message, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rcl_interfaces,
     rosgraph_msgs, sensor_msgs, std_msgs,
-    wm_msgs::{Action, ActionChunk, Latent, LatentSpace, Plan, Prediction, PredictionError},
+    wm_msgs::{
+        Action, ActionChunk, ExecutorStatus, Latent, LatentSpace, Plan, Prediction, PredictionError,
+    },
 };
 
 /// A definition file is text of a few kilobytes; a larger one is no definition.
@@ -50,10 +52,13 @@ fn own(type_name: &str) -> Option<Schema> {
         of::<std_msgs::String>,
         of::<std_msgs::Bool>,
         of::<std_msgs::Float32>,
+        of::<std_msgs::Float64>,
+        of::<std_msgs::Float64MultiArray>,
         of::<sensor_msgs::Image>,
         of::<sensor_msgs::CompressedImage>,
         of::<geometry_msgs::Pose>,
         of::<geometry_msgs::PoseStamped>,
+        of::<geometry_msgs::TwistStamped>,
         of::<diagnostic_msgs::DiagnosticArray>,
         of::<rosgraph_msgs::Clock>,
         of::<lifecycle_msgs::TransitionEvent>,
@@ -64,6 +69,7 @@ fn own(type_name: &str) -> Option<Schema> {
         of::<Prediction>,
         of::<PredictionError>,
         of::<Plan>,
+        of::<ExecutorStatus>,
     ];
     known.iter().find_map(|of| of(type_name))
 }

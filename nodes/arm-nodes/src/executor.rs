@@ -1,0 +1,45 @@
+//! The executor node: chunks and plans in, commands for an arm out.
+//!
+//! [`ExecutorStep`] is the node's whole behaviour without DDS and without a clock. It takes an offer (a chunk or a plan)
+//! only if it passes every check ([`Refusal`]), and at each [`ExecutorStep::tick`] says what to send ([`Output`]): the
+//! motion that the newest offer tells for the next command period, within limits of velocity and acceleration
+//! ([`Limits`]), of the workspace ([`Workspace`]) and of the deadman switch ([`Deadman`]).
+//!
+//! Promises, each with a test:
+//! - Nothing is sent on the command topics before the node is armed, or after an emergency stop but zeros.
+//! - Commanded velocity and acceleration never exceed their limits; the emergency stop alone is a step to zero.
+//! - Whatever is missing (the next chunk, the pose, the deadman) ends in zero velocity within `stop_within`.
+//!
+//! It is no safety function: it runs on an ordinary computer and network. The arm's controller has to stop by itself
+//! where commands stay out.
+
+mod bounds;
+mod cause;
+mod deadman;
+mod layout;
+mod limits;
+mod message;
+mod node;
+mod offer;
+mod parameters;
+mod refusal;
+mod schedule;
+mod step;
+mod velocity;
+mod veto;
+mod workspace;
+
+pub use bounds::Bounds;
+pub use cause::{Cause, Hold};
+pub use deadman::Deadman;
+pub use layout::{Layout, LayoutError};
+pub use limits::Limits;
+pub use node::{NODE, body};
+pub use offer::{Begin, Offer, Source};
+pub use refusal::Refusal;
+pub use step::{
+    ArmError, Command, Counts, ExecutorStep, Now, Output, Settings, State, Status, Taken, Tick,
+};
+pub use velocity::Velocity;
+pub use veto::{Veto, VetoSettings};
+pub use workspace::{PoseError, Workspace};

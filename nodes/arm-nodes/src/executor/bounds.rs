@@ -1,0 +1,78 @@
+//! What a single action may be.
+
+use std::{ops::RangeInclusive, time::Duration};
+
+use wm_motion::{actions::Kind, motion::MAX_CHUNK};
+
+use super::{Layout, Offer, Refusal};
+
+/// How far beyond 0 and 1 the opening of a gripper may lie: policies regress it.
+const GRIPPER_SLACK: f32 = 0.1;
+
+/// What a single action may be.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bounds {
+    /// Greatest translation along an axis \[m\].
+    pub translation: f64,
+    /// Greatest rotation about an axis \[rad\].
+    pub rotation: f64,
+    /// How long it may take.
+    pub periods: RangeInclusive<Duration>,
+}
+
+impl Bounds {
+    /// Checks all actions of an offer.
+    ///
+    /// # Errors
+    /// [`Refusal`] names the first that is at fault.
+    pub fn check(&self, offer: &Offer, layout: &Layout) -> Result<(), Refusal> {
+        let count = offer.actions.len();
+        if !(1..=MAX_CHUNK).contains(&count) {
+            return Err(Refusal::Count(count));
+        }
+        // A negative period has no unsigned form, and is none.
+        let period = u64::try_from(offer.period_ns).map(Duration::from_nanos);
+        if !period.is_ok_and(|period| self.periods.contains(&period)) {
+            return Err(Refusal::Period {
+                period_s: offer.period_ns as f64 / 1e9,
+                least_s: self.periods.start().as_secs_f64(),
+                most_s: self.periods.end().as_secs_f64(),
+            });
+        }
+        let mut actions = offer.actions.iter().enumerate();
+        actions.try_for_each(|(index, values)| self.check_action(index, values, layout))
+    }
+
+    fn check_action(&self, index: usize, values: &[f32], layout: &Layout) -> Result<(), Refusal> {
+        let space = layout.space();
+        space
+            .check(values)
+            .map_err(|error| Refusal::Action { index, error })?;
+        for (value, dimension) in values.iter().zip(space.dimensions()) {
+            let name = || dimension.name.clone();
+            let limit = match dimension.kind {
+                Kind::TranslationDelta => self.translation,
+                Kind::RotationDelta => self.rotation,
+                _ if (-GRIPPER_SLACK..=1.0 + GRIPPER_SLACK).contains(value) => continue,
+                _ => {
+                    return Err(Refusal::Gripper {
+                        index,
+                        name: name(),
+                        value: *value,
+                    });
+                }
+            };
+            // A value that was written as f32 may lie beyond its own limit by the rounding.
+            if f64::from(value.abs()) > limit * (1.0 + f64::from(f32::EPSILON)) {
+                return Err(Refusal::Bounds {
+                    index,
+                    name: name(),
+                    value: *value,
+                    limit,
+                    unit: dimension.unit.clone(),
+                });
+            }
+        }
+        Ok(())
+    }
+}

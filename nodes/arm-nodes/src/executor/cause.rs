@@ -1,0 +1,95 @@
+//! Why the arm does not move, or not as it was told.
+
+use std::fmt;
+
+use thiserror::Error;
+
+/// What must be there for a motion, and is not.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum Hold {
+    /// Nothing has come from the deadman switch.
+    #[error("no message on deadman yet; expected true, since require_deadman is set")]
+    NoDeadman,
+    /// The deadman switch is let go.
+    #[error("deadman is false; expected true")]
+    DeadmanReleased,
+    /// The deadman switch is silent.
+    #[error("no message on deadman for more than {timeout_s} s (deadman_timeout)")]
+    DeadmanSilent {
+        /// The parameter \[s\].
+        timeout_s: f64,
+    },
+    /// No pose of the end effector has come.
+    #[error("no message on ee_pose yet; expected one, since a workspace box is set")]
+    NoPose,
+    /// The pose of the end effector is old.
+    #[error("no message on ee_pose for more than {timeout_s} s (pose_timeout)")]
+    PoseSilent {
+        /// The parameter \[s\].
+        timeout_s: f64,
+    },
+}
+
+impl Hold {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::NoDeadman | Self::DeadmanReleased | Self::DeadmanSilent { .. } => "deadman",
+            Self::NoPose | Self::PoseSilent { .. } => "no_pose",
+        }
+    }
+}
+
+/// Why the arm does not move, or not as it was told.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cause {
+    /// Nothing was offered that could be executed.
+    Nothing,
+    /// What was executed is over, and nothing followed.
+    Silence,
+    /// What was executed was received too long ago.
+    Stale,
+    /// What was executed was vetoed.
+    Vetoed,
+    /// Something is missing.
+    Held(Hold),
+    /// Disarmed while it moved.
+    Disarmed,
+    /// The node's clock went back.
+    ClockJump,
+    /// The node ends.
+    Shutdown,
+    /// An emergency stop, and who asked for it.
+    Emergency(&'static str),
+    /// It moves, but not along these axes (x, y, z): the workspace box ends there.
+    Cut([bool; 3]),
+    /// It moves, but slower than it was told.
+    Slowed,
+}
+
+impl fmt::Display for Cause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Nothing => f.write_str("no chunk or plan"),
+            Self::Silence => f.write_str("the last chunk or plan is over, and none followed"),
+            Self::Stale => f.write_str("the chunk or plan was received more than max_age ago"),
+            Self::Vetoed => f.write_str("the chunk was vetoed while it was executed"),
+            Self::Held(hold) => hold.fmt(f),
+            Self::Disarmed => f.write_str("disarmed"),
+            Self::ClockJump => f.write_str("the clock jumped back: disarmed"),
+            Self::Shutdown => f.write_str("the node ends"),
+            Self::Emergency(by) => write!(f, "emergency stop by {by}: until ~/reset and ~/arm"),
+            Self::Cut(axes) => {
+                f.write_str("the workspace box ends at")?;
+                for (name, is_cut) in ["x", "y", "z"].iter().zip(axes) {
+                    if *is_cut {
+                        write!(f, " {name}")?;
+                    }
+                }
+                Ok(())
+            }
+            Self::Slowed => f.write_str("slowed down to the velocity limits"),
+        }
+    }
+}

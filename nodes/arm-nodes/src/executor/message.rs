@@ -1,0 +1,66 @@
+//! Commands and status as messages.
+
+use wm_msgs::{
+    builtin_interfaces::Time,
+    geometry_msgs::{Twist, TwistStamped, Vector3},
+    std_msgs::{Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout},
+    wm_msgs::ExecutorStatus,
+};
+
+use super::{State, Status, Velocity};
+
+/// vx, vy, vz, wx, wy, wz.
+const AXES: u32 = 6;
+
+fn vector([x, y, z]: [f64; 3]) -> Vector3 {
+    Vector3 { x, y, z }
+}
+
+pub(super) fn twist(header: Header, velocity: Velocity) -> TwistStamped {
+    TwistStamped {
+        header,
+        twist: Twist {
+            linear: vector(velocity.linear),
+            angular: vector(velocity.angular),
+        },
+    }
+}
+
+/// One dimension of six: vx, vy, vz \[m/s\], wx, wy, wz \[rad/s\].
+pub(super) fn array(velocity: Velocity) -> Float64MultiArray {
+    Float64MultiArray {
+        layout: MultiArrayLayout {
+            dim: vec![MultiArrayDimension {
+                label: "vx vy vz wx wy wz".into(),
+                size: AXES,
+                stride: AXES,
+            }],
+            data_offset: 0,
+        },
+        data: velocity
+            .linear
+            .into_iter()
+            .chain(velocity.angular)
+            .collect(),
+    }
+}
+
+pub(super) fn status(header: Header, status: &Status) -> ExecutorStatus {
+    let counts = status.counts;
+    ExecutorStatus {
+        header,
+        state: match status.state {
+            State::DryRun => ExecutorStatus::DRY_RUN,
+            State::Idle => ExecutorStatus::IDLE,
+            State::Executing => ExecutorStatus::EXECUTING,
+            State::Stopping => ExecutorStatus::STOPPING,
+            State::Stopped => ExecutorStatus::STOPPED,
+        },
+        reason: status.reason.clone(),
+        chunk_stamp: status.offer_ns.map(Time::from_nanos).unwrap_or_default(),
+        begun: counts.begun,
+        refused: counts.refused,
+        vetoed: counts.vetoed,
+        interrupted: counts.interrupted,
+    }
+}

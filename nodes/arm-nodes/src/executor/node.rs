@@ -1,0 +1,458 @@
+//! The executor on the wire.
+
+use std::{
+    process::ExitCode,
+    time::{Duration, Instant},
+};
+
+use anyhow::Result;
+use tokio::time::MissedTickBehavior;
+use tracing::{error, info, warn};
+use wm_msgs::{
+    Message,
+    builtin_interfaces::Time,
+    geometry_msgs::{PoseStamped, TwistStamped},
+    std_msgs::{Bool, Float64, Float64MultiArray, Header},
+    std_srvs::{Outcome, SetBool, Trigger},
+    wm_msgs::{
+        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Plan, PredictionError,
+    },
+};
+use wm_ros::{
+    Call, Component, Diagnostics, EndpointSet as _, Error, Level, NAMESPACE, Node, NodeArgs,
+    NodeDefinition, ParameterSet as _, Publisher, Qos, Received, Service, Subscription,
+    calls::{Calls, answer},
+    complaints::Complaints,
+};
+
+use super::{
+    Cause, Command, ExecutorStep, Now, Output, Refusal, Source, State, Status, Taken, message,
+    parameters::Parameters,
+};
+
+const NAME: &str = "executor";
+
+/// The node.
+pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
+    name: NAME,
+    about: "Executes action chunks and plans on an arm, within limits.",
+    parameters: Parameters::specs,
+    endpoints: Endpoints::specs,
+    is_managed: false,
+    run,
+    component: Some(|| Component::new(NAME, body)),
+};
+
+/// Only the newest command counts.
+const COMMANDS: Qos = Qos::reliable(1);
+
+wm_ros::endpoints! {
+    /// Topics and services.
+    struct Endpoints {
+        /// A policy's next actions, unless source is plan.
+        chunks: Option<Subscription<ActionChunk>> = "action_chunk", made(|node, name, qos| {
+            heard(node, name, qos, "chunk")
+        });
+        /// A planner's plans, unless source is chunk.
+        plans: Option<Subscription<Plan>> = "plan", made(|node, name, qos| heard(node, name, qos, "plan"));
+        /// Where the end effector is, for the workspace box.
+        poses: Subscription<PoseStamped> = "ee_pose", qos(Qos::best_effort(1));
+        /// True while a person allows motion, with require_deadman.
+        deadman: Subscription<Bool> = "deadman", qos(Qos::best_effort(1));
+        /// True: emergency stop. Volatile or latched.
+        emergency: Subscription<Bool> = "emergency_stop", made(|node, name, qos| {
+            node.subscription_catching_up(name, qos)
+        });
+        /// The chunks that a policy chooses from, to which assessments refer.
+        candidates: Subscription<ActionCandidates> = "action_candidates";
+        /// What the model predicts of them, for the veto.
+        assessments: Subscription<Assessment> = "assessment";
+        /// What predictions were worth, for the veto.
+        errors: Subscription<PredictionError> = "prediction_error", qos(Qos::best_effort(16));
+        /// Velocities in the robot's base frame, with command_type twist.
+        twists: Option<Publisher<TwistStamped>> = "command/twist", qos(COMMANDS), made(|node, name, qos| {
+            chosen(node, name, qos, "twist")
+        });
+        /// The same as vx, vy, vz [m/s], wx, wy, wz [rad/s], with command_type velocity.
+        velocities: Option<Publisher<Float64MultiArray>> = "command/velocity", qos(COMMANDS), made(|node, name, qos| {
+            chosen(node, name, qos, "velocity")
+        });
+        /// The motion of each command period, with command_type action.
+        motions: Option<Publisher<Action>> = "command/action", qos(COMMANDS), made(|node, name, qos| {
+            chosen(node, name, qos, "action")
+        });
+        /// The gripper's opening, 0 closed to 1 open.
+        gripper: Publisher<Float64> = "command/gripper", qos(COMMANDS);
+        /// While not armed: the velocities that would be sent.
+        previews: Publisher<TwistStamped> = "~/command_preview", qos(COMMANDS);
+        /// What was done in each command period, with publish_action.
+        actions: Option<Publisher<Action>> = "action", made(|node, name, qos| {
+            let is_wanted: bool = node.parameter("publish_action")?;
+            is_wanted.then(|| node.publisher(name, qos)).transpose()
+        });
+        /// What the node does, and why.
+        status: Publisher<ExecutorStatus> = "~/status", qos(Qos::latched(1));
+        /// Arms the node (true), or decelerates and disarms it (false).
+        arm: Service<SetBool> = "~/arm";
+        /// Emergency stop: zero velocity at once, until ~/reset and ~/arm.
+        stop: Service<Trigger> = "~/stop";
+        /// Ends an emergency stop and forgets everything; the node is not armed.
+        reset: Service<Trigger> = "~/reset";
+    }
+}
+
+/// The publisher of a kind of command, where it is the one that is chosen.
+fn chosen<M: Message>(
+    node: &Node,
+    name: &str,
+    qos: Qos,
+    command_type: &str,
+) -> Result<Option<Publisher<M>>, Error> {
+    let wanted: String = node.parameter("command_type")?;
+    (wanted == command_type)
+        .then(|| node.publisher(name, qos))
+        .transpose()
+}
+
+/// The subscription to offers of a kind, where they are executed.
+fn heard<M: Message>(
+    node: &Node,
+    name: &str,
+    qos: Qos,
+    source: &str,
+) -> Result<Option<Subscription<M>>, Error> {
+    let wanted: String = node.parameter("source")?;
+    (wanted == source || wanted == "both")
+        .then(|| node.subscription(name, qos))
+        .transpose()
+}
+
+/// The next message of a subscription that there may not be.
+async fn next<M: Message>(subscription: &mut Option<Subscription<M>>) -> Option<Received<M>> {
+    match subscription {
+        Some(subscription) => subscription.recv().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// A call.
+enum Request {
+    Arm(Call<SetBool>),
+    Stop(Call<Trigger>),
+    Reset(Call<Trigger>),
+}
+
+fn run(args: &NodeArgs) -> Result<ExitCode> {
+    args.expect_no_rest()?;
+    wm_ros::run(NAME, NAMESPACE, args, body).map(|()| ExitCode::SUCCESS)
+}
+
+/// The node itself, in a process that may run other nodes too.
+///
+/// # Errors
+/// Parameters contradict each other, or the graph fails.
+pub async fn body(node: Node) -> Result<()> {
+    let parameters = Parameters::declare(&node)?;
+    node.seal_parameters()?;
+    let settings = parameters.settings()?;
+    let Endpoints {
+        mut chunks,
+        mut plans,
+        mut poses,
+        mut deadman,
+        mut emergency,
+        mut candidates,
+        mut assessments,
+        mut errors,
+        twists,
+        velocities,
+        motions,
+        gripper,
+        previews,
+        actions,
+        status,
+        arm,
+        stop,
+        reset,
+    } = Endpoints::make(&node)?;
+    node.seal_endpoints()?;
+    let mut calls = Calls::default();
+    calls.add(arm, Request::Arm);
+    calls.add(stop, Request::Stop);
+    calls.add(reset, Request::Reset);
+    let mut ticks = tokio::time::interval(settings.period);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let mut executor = Executor {
+        step: ExecutorStep::new(settings),
+        complaints: Complaints::new(node.diagnostics()),
+        diagnostics: node.diagnostics(),
+        outlets: Outlets {
+            twists,
+            velocities,
+            motions,
+            gripper,
+            previews,
+            actions,
+            status,
+        },
+        told: None,
+        node: node.clone(),
+    };
+    info!(
+        "not armed: call {}/arm to execute",
+        node.fully_qualified_name()
+    );
+    let shutdown = node.shutdown();
+    let mut is_ending = false;
+    loop {
+        // What stops the arm goes first; commands go before what leads to further ones.
+        tokio::select! {
+            biased;
+            Some(received) = emergency.recv() => executor.emergency(received.message.data)?,
+            call = calls.next() => executor.obey(call)?,
+            () = shutdown.wait(), if !is_ending => {
+                is_ending = true;
+                executor.step.disarm(Cause::Shutdown);
+            }
+            Some(received) = deadman.recv() => executor.step.deadman(received.message.data, received.at),
+            Some(received) = poses.recv() => executor.pose(&received.message, received.at),
+            _ = ticks.tick() => {
+                let is_moving = executor.tick()?;
+                if is_ending && !is_moving {
+                    return executor.outlets.settle().await;
+                }
+            }
+            Some(received) = errors.recv() => executor.step.prediction_error(&received.message),
+            Some(received) = candidates.recv() => executor.step.candidates(&received.message),
+            Some(received) = assessments.recv() => executor.assessment(&received.message),
+            Some(received) = next(&mut chunks) => {
+                let now = executor.now();
+                let taken = executor.step.chunk(&received.message, received.at, now);
+                executor.take(Source::Chunk, taken);
+            }
+            Some(received) = next(&mut plans) => {
+                let now = executor.now();
+                let taken = executor.step.plan(&received.message, received.at, now);
+                executor.take(Source::Plan, taken);
+            }
+        }
+    }
+}
+
+/// Where commands go.
+struct Outlets {
+    twists: Option<Publisher<TwistStamped>>,
+    velocities: Option<Publisher<Float64MultiArray>>,
+    motions: Option<Publisher<Action>>,
+    gripper: Publisher<Float64>,
+    previews: Publisher<TwistStamped>,
+    actions: Option<Publisher<Action>>,
+    status: Publisher<ExecutorStatus>,
+}
+
+impl Outlets {
+    /// Waits, but not for long, until the last command has arrived: a node that is gone sends nothing again.
+    async fn settle(&self) -> Result<()> {
+        if let Some(twists) = &self.twists {
+            twists.wait_for_acknowledgments(FAREWELL).await?;
+        }
+        if let Some(velocities) = &self.velocities {
+            velocities.wait_for_acknowledgments(FAREWELL).await?;
+        }
+        if let Some(motions) = &self.motions {
+            motions.wait_for_acknowledgments(FAREWELL).await?;
+        }
+        Ok(())
+    }
+}
+
+struct Executor {
+    node: Node,
+    step: ExecutorStep,
+    outlets: Outlets,
+    complaints: Complaints,
+    diagnostics: Diagnostics,
+    /// The status that was sent last, and when.
+    told: Option<(Status, Instant)>,
+}
+
+/// The status goes out at least this often.
+const STATUS_PERIOD: Duration = Duration::from_secs(1);
+/// How long the last command may take to arrive: less than a process has to end after a signal.
+const FAREWELL: Duration = Duration::from_millis(300);
+
+impl Executor {
+    fn now(&self) -> Now {
+        Now {
+            at: Instant::now(),
+            stamp_ns: self.node.now().to_nanos(),
+        }
+    }
+
+    fn header(&self, stamp_ns: i64) -> Header {
+        Header {
+            stamp: Time::from_nanos(stamp_ns),
+            frame_id: self.step.frame_id().to_owned(),
+        }
+    }
+
+    /// Sends the command of this period; whether the arm moves.
+    fn tick(&mut self) -> Result<bool> {
+        let now = self.now();
+        let tick = self.step.tick(now);
+        for refusal in &tick.refused {
+            self.complaints.left_out(refusal.reason(), refusal);
+        }
+        let header = self.header(now.stamp_ns);
+        let mut is_moving = false;
+        match tick.output {
+            Output::Silent => {}
+            Output::Preview(command) => {
+                let preview = message::twist(header, command.velocity);
+                self.outlets.previews.publish(&preview)?;
+            }
+            Output::Send(command) => {
+                is_moving = !command.velocity.is_zero();
+                self.send(&header, command)?;
+            }
+        }
+        self.tell(now)?;
+        Ok(is_moving)
+    }
+
+    fn send(&self, header: &Header, command: Command) -> Result<()> {
+        let outlets = &self.outlets;
+        if let Some(twists) = &outlets.twists {
+            twists.publish(&message::twist(header.clone(), command.velocity))?;
+        }
+        if let Some(velocities) = &outlets.velocities {
+            velocities.publish(&message::array(command.velocity))?;
+        }
+        let settings = self.step.settings();
+        let action = || Action {
+            header: header.clone(),
+            values: settings.layout.action(
+                command.velocity,
+                command.gripper,
+                settings.period.as_secs_f64(),
+            ),
+        };
+        if let Some(motions) = &outlets.motions {
+            motions.publish(&action())?;
+        }
+        if let Some(data) = command.gripper {
+            outlets.gripper.publish(&Float64 { data })?;
+        }
+        if let Some(actions) = &outlets.actions {
+            actions.publish(&action())?;
+        }
+        Ok(())
+    }
+
+    /// Publishes the status where it has changed, or some time has passed.
+    fn tell(&mut self, now: Now) -> Result<()> {
+        let status = self.step.status();
+        if let Some((told, at)) = &self.told {
+            let is_new = *told != status;
+            if !is_new && now.at.saturating_duration_since(*at) < STATUS_PERIOD {
+                return Ok(());
+            }
+            if told.state != status.state {
+                let text = format!("{}: {}", name(status.state), status.reason);
+                match status.state {
+                    State::Stopped => error!("{text}"),
+                    _ => info!("{}", text.trim_end_matches(": ")),
+                }
+            }
+        }
+        let level = match status.state {
+            State::Stopped => Level::Error,
+            State::Stopping => Level::Warn,
+            State::DryRun | State::Idle | State::Executing => Level::Ok,
+        };
+        let text = match status.reason.as_str() {
+            "" => name(status.state).to_owned(),
+            reason => format!("{}: {reason}", name(status.state)),
+        };
+        self.diagnostics.set_status(level, text);
+        let message = message::status(self.header(now.stamp_ns), &status);
+        self.outlets.status.publish(&message)?;
+        self.told = Some((status, now.at));
+        Ok(())
+    }
+
+    fn take(&mut self, source: Source, taken: Result<Taken, Refusal>) {
+        if let Err(refusal) = taken {
+            let text = format!("{}: {refusal}", source.name());
+            self.complaints.left_out(refusal.reason(), &text);
+        }
+    }
+
+    fn assessment(&mut self, assessment: &Assessment) {
+        let now = self.now();
+        for refusal in self.step.assessment(assessment, now) {
+            self.complaints.left_out(refusal.reason(), &refusal);
+        }
+    }
+
+    fn pose(&mut self, pose: &PoseStamped, at: Instant) {
+        if let Err(problem) = self.step.pose(pose, at) {
+            self.complaints.left_out(problem.reason(), &problem);
+        }
+    }
+
+    fn emergency(&mut self, is_pressed: bool) -> Result<()> {
+        self.step.emergency(is_pressed);
+        if is_pressed {
+            // The arm does not wait for the next period.
+            self.tick()?;
+        }
+        Ok(())
+    }
+
+    fn obey(&mut self, request: Request) -> Result<()> {
+        let outcome = |done: Result<(), super::ArmError>, what: &str| match done {
+            Ok(()) => Outcome {
+                success: true,
+                message: what.to_owned(),
+            },
+            Err(refused) => {
+                warn!("{refused}");
+                Outcome {
+                    success: false,
+                    message: refused.to_string(),
+                }
+            }
+        };
+        match request {
+            Request::Arm(call) if call.request.data => {
+                answer(call, &outcome(self.step.arm(), "armed"));
+            }
+            Request::Arm(call) => {
+                self.step.disarm(Cause::Disarmed);
+                answer(call, &outcome(Ok(()), "disarmed"));
+            }
+            Request::Stop(call) => {
+                self.step.stop("~/stop");
+                self.tick()?;
+                answer(call, &outcome(Ok(()), "stopped"));
+                return Ok(());
+            }
+            Request::Reset(call) => {
+                let reset = self.step.reset();
+                answer(call, &outcome(reset, "reset: not armed"));
+            }
+        }
+        self.tell(self.now())
+    }
+}
+
+fn name(state: State) -> &'static str {
+    match state {
+        State::DryRun => "dry run",
+        State::Idle => "idle",
+        State::Executing => "executing",
+        State::Stopping => "stopping",
+        State::Stopped => "stopped",
+    }
+}

@@ -1,0 +1,102 @@
+//! What is offered for execution.
+
+use wm_msgs::wm_msgs::{Action, ActionChunk, Plan};
+
+/// Who offers actions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// A policy, or a bag.
+    Chunk,
+    /// A planner.
+    Plan,
+}
+
+impl Source {
+    /// In a sentence.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Chunk => "chunk",
+            Self::Plan => "plan",
+        }
+    }
+}
+
+/// When the first action of a chunk or plan begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Begin {
+    /// At its stamp: of one that comes late, the first actions are left out.
+    Stamp,
+    /// When it is taken: for policies that say nothing of time, or think for longer than they tell.
+    Reception,
+}
+
+/// A chunk or a plan, as it came.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Offer {
+    /// Who offers it.
+    pub source: Source,
+    /// Of the message; of a plan, of its first action \[ns\].
+    pub stamp_ns: i64,
+    /// When its first action begins, by the node's clock \[ns\].
+    pub begin_ns: i64,
+    /// How long each action takes \[ns\].
+    pub period_ns: i64,
+    /// The frame of its motions.
+    pub frame_id: String,
+    /// Epoch of the planner's history; a chunk has none.
+    pub epoch: Option<u64>,
+    /// Values of the actions, in physical units.
+    pub actions: Vec<Vec<f32>>,
+}
+
+impl Offer {
+    /// A policy's chunk.
+    pub fn of_chunk(chunk: &ActionChunk) -> Self {
+        let stamp_ns = chunk.header.stamp.to_nanos();
+        Self {
+            source: Source::Chunk,
+            stamp_ns,
+            begin_ns: stamp_ns,
+            period_ns: chunk.period.to_nanos(),
+            frame_id: chunk.header.frame_id.clone(),
+            epoch: None,
+            actions: values(&chunk.actions),
+        }
+    }
+
+    /// A planner's plan. The stamp of its header is that of the observed frame; its actions say when they begin.
+    pub fn of_plan(plan: &Plan) -> Self {
+        let first = plan
+            .actions
+            .first()
+            .map_or(&plan.header, |action| &action.header);
+        let stamp_ns = first.stamp.to_nanos();
+        Self {
+            source: Source::Plan,
+            stamp_ns,
+            begin_ns: stamp_ns,
+            period_ns: plan.period.to_nanos(),
+            frame_id: first.frame_id.clone(),
+            epoch: Some(plan.epoch),
+            actions: values(&plan.actions),
+        }
+    }
+
+    /// When its last action is over \[ns\].
+    pub fn end_ns(&self) -> i64 {
+        let count = i64::try_from(self.actions.len()).unwrap_or(i64::MAX);
+        let span_ns = self.period_ns.saturating_mul(count);
+        self.begin_ns.saturating_add(span_ns)
+    }
+
+    /// When an action begins \[ns\].
+    pub fn start_ns(&self, index: usize) -> i64 {
+        let index = i64::try_from(index).unwrap_or(i64::MAX);
+        self.begin_ns
+            .saturating_add(self.period_ns.saturating_mul(index))
+    }
+}
+
+fn values(actions: &[Action]) -> Vec<Vec<f32>> {
+    actions.iter().map(|action| action.values.clone()).collect()
+}

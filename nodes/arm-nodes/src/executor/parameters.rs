@@ -1,0 +1,197 @@
+//! The executor's parameters, checked.
+
+use std::{path::PathBuf, time::Duration};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use wm_motion::actions::ActionSpace;
+
+use super::{Begin, Bounds, Deadman, Layout, Limits, Settings, VetoSettings, Workspace};
+
+/// Rounding of sums of seconds \[s\].
+const ROUNDING_S: f64 = 1e-9;
+
+wm_ros::parameters! {
+    /// The node's parameters.
+    pub(super) struct Parameters {
+        /// Action space of chunks and plans: a YAML or JSON file; empty: that of Bridge V2.
+        action_space: PathBuf = "";
+        /// Frame that chunks, plans and ee_pose must have, and that commands get; empty: any, and that of the chunk or
+        /// plan.
+        base_frame: String = "";
+        /// What is sent to the arm: velocities as twist (command/twist) or as six numbers (command/velocity), or the
+        /// motion of each command period as an action (command/action).
+        _command_type as "command_type": &'static str = "twist", one_of {
+            "twist" => "twist", "velocity" => "velocity", "action" => "action",
+        };
+        /// What is executed: a policy's chunks (action_chunk), a planner's plans (plan), or whichever is the newer.
+        _source as "source": &'static str = "both", one_of {
+            "chunk" => "chunk", "plan" => "plan", "both" => "both",
+        };
+        /// When the first action of a chunk or plan begins: at its stamp, or when it is taken. The first actions of one
+        /// that comes late are left out, or delayed.
+        begin: Begin = "stamp", one_of { "stamp" => Begin::Stamp, "reception" => Begin::Reception };
+        /// Commands per second [Hz].
+        rate: f64 = 20.0, in 1.0..=500.0;
+        /// For how long after its reception a chunk or plan is executed [s]. With begin reception, its stamp may not be
+        /// older either.
+        max_age: Duration = 2.0, in 0.01..=60.0;
+        /// How far in the future a chunk or plan may begin [s].
+        max_lead: Duration = 5.0, in 0.0..=60.0;
+        /// Shortest duration of one action [s].
+        min_period: Duration = 0.005, in 0.001..=60.0;
+        /// Longest duration of one action [s].
+        max_period: Duration = 2.0, in 0.001..=60.0;
+        /// Greatest translation along an axis in one action [m]. A chunk or plan beyond that is refused.
+        max_translation: f64 = 0.1, in 1e-6..=10.0;
+        /// Greatest rotation about an axis in one action [rad]. A chunk or plan beyond that is refused.
+        max_rotation: f64 = 0.5, in 1e-6..=10.0;
+        /// Greatest linear velocity [m/s]. What is faster is slowed down.
+        max_linear_velocity: f64 = 0.25, in 1e-6..=10.0;
+        /// Greatest angular velocity [rad/s]. What is faster is slowed down.
+        max_angular_velocity: f64 = 1.25, in 1e-6..=50.0;
+        /// Greatest linear acceleration [m/s^2].
+        max_linear_acceleration: f64 = 2.0, in 1e-6..=1000.0;
+        /// Greatest angular acceleration [rad/s^2].
+        max_angular_acceleration: f64 = 10.0, in 1e-6..=1000.0;
+        /// Time within which the arm stands still once there is nothing to execute [s]. Velocities, accelerations and the
+        /// rate must allow it.
+        stop_within: Duration = 0.2, in 0.001..=60.0;
+        /// For how long zeros are sent after a motion [s]. Then nothing is sent until the next one.
+        zero_for: Duration = 0.5, in 0.0..=60.0;
+        /// While not armed, try chunks and plans out: their commands go to ~/command_preview only.
+        dry_run: bool = true;
+        /// Lower corner of the box that the end effector has to stay in [m]: x, y, z in base_frame. Empty: no box.
+        workspace_min: Vec<f64> = Vec::<f64>::new();
+        /// Upper corner of that box [m]: x, y, z.
+        workspace_max: Vec<f64> = Vec::<f64>::new();
+        /// No motion may leave the box within this time [s].
+        workspace_lookahead: Duration = 0.3, in 0.001..=10.0;
+        /// With a box: the arm stops when ee_pose has been silent for this long [s].
+        pose_timeout: Duration = 0.2, in 0.001..=60.0;
+        /// Move only while the topic deadman says true.
+        require_deadman: bool = false;
+        /// With require_deadman: the arm stops when deadman has been silent for this long [s].
+        deadman_timeout: Duration = 0.3, in 0.001..=60.0;
+        /// Veto a chunk whose predicted cost to the goal becomes more than this many times what it is after the first
+        /// predicted step; 0: never.
+        veto_cost_rise: f64 = 0.0, in 0.0..=1e6;
+        /// Veto a chunk whose predicted success probability is lower; 0: never.
+        veto_min_success: f64 = 0.0, in 0.0..=1.0;
+        /// Begin a chunk only after its assessment has come, with the figures that the rules are about.
+        veto_required: bool = false;
+        /// With veto_required: how long a chunk waits for its assessment [s].
+        veto_wait: Duration = 0.5, in 0.0..=60.0;
+        /// Veto everything while the mean error of the last predictions is more than this many times that of the
+        /// persistence baseline; 0: never.
+        veto_error_ratio: f64 = 0.0, in 0.0..=1e6;
+        /// Number of prediction errors in that mean.
+        veto_error_window: usize = 10, in 1..=10_000;
+        /// Publish what was done in each command period on action.
+        pub(super) publish_action: bool = false;
+    }
+}
+
+impl Parameters {
+    /// What they say.
+    ///
+    /// # Errors
+    /// Names those that contradict each other, or the file that cannot be read.
+    pub(super) fn settings(&self) -> Result<Settings> {
+        let limits = Limits {
+            linear_velocity: self.max_linear_velocity,
+            angular_velocity: self.max_angular_velocity,
+            linear_acceleration: self.max_linear_acceleration,
+            angular_acceleration: self.max_angular_acceleration,
+        };
+        let period = Duration::from_secs_f64(self.rate.recip());
+        let stop_s = limits.stopping_time() + period.as_secs_f64();
+        ensure!(
+            stop_s <= self.stop_within.as_secs_f64() + ROUNDING_S,
+            "from the greatest velocities the arm takes {stop_s:.3} s to stop (max_*_velocity / max_*_acceleration + 1 / \
+             rate), but stop_within is {} s: raise it or the accelerations, or lower the velocities",
+            self.stop_within.as_secs_f64()
+        );
+        ensure!(
+            self.min_period <= self.max_period,
+            "min_period is {} s, more than max_period, {} s",
+            self.min_period.as_secs_f64(),
+            self.max_period.as_secs_f64()
+        );
+        Ok(Settings {
+            layout: Layout::new(self.space()?)?,
+            base_frame: self.base_frame.clone(),
+            period,
+            bounds: Bounds {
+                translation: self.max_translation,
+                rotation: self.max_rotation,
+                periods: self.min_period..=self.max_period,
+            },
+            limits,
+            max_age: self.max_age,
+            begin: self.begin,
+            max_lead: self.max_lead,
+            zero_for: self.zero_for,
+            dry_run: self.dry_run,
+            workspace: self.workspace(&limits, period)?,
+            deadman: self
+                .require_deadman
+                .then(|| Deadman::new(self.deadman_timeout)),
+            veto: VetoSettings {
+                cost_rise: self.veto_cost_rise,
+                min_success: self.veto_min_success,
+                is_required: self.veto_required,
+                wait: self.veto_wait,
+                error_ratio: self.veto_error_ratio,
+                error_window: self.veto_error_window,
+            },
+        })
+    }
+
+    fn space(&self) -> Result<ActionSpace> {
+        let path = &self.action_space;
+        if path.as_os_str().is_empty() {
+            return Ok(ActionSpace::bridge());
+        }
+        let named = || format!("parameter action_space is {}", path.display());
+        let text = std::fs::read_to_string(path).with_context(named)?;
+        // JSON is YAML.
+        serde_yaml_ng::from_str(&text).with_context(named)
+    }
+
+    fn workspace(&self, limits: &Limits, period: Duration) -> Result<Option<Workspace>> {
+        let (least, most) = (&self.workspace_min[..], &self.workspace_max[..]);
+        let (least, most) = match (least, most) {
+            ([], []) => return Ok(None),
+            ([ax, ay, az], [bx, by, bz]) => ([*ax, *ay, *az], [*bx, *by, *bz]),
+            _ => bail!(
+                "workspace_min has {} numbers and workspace_max has {}; expected x, y and z in both, or none",
+                least.len(),
+                most.len()
+            ),
+        };
+        ensure!(
+            !self.base_frame.is_empty(),
+            "a workspace box is set, but base_frame is empty: expected the frame of the box and of ee_pose"
+        );
+        let sides = least.into_iter().zip(most);
+        for (axis, (least, most)) in ["x", "y", "z"].into_iter().zip(sides) {
+            ensure!(
+                least.is_finite() && most.is_finite() && least < most,
+                "the workspace box goes from {least} to {most} along {axis}: expected finite numbers, the lower one first"
+            );
+        }
+        let stop_s = limits.linear_velocity / limits.linear_acceleration + period.as_secs_f64();
+        let lookahead_s = self.workspace_lookahead.as_secs_f64();
+        ensure!(
+            lookahead_s + ROUNDING_S >= stop_s,
+            "workspace_lookahead is {lookahead_s} s, but the arm takes {stop_s:.3} s to stop (max_linear_velocity / \
+             max_linear_acceleration + 1 / rate)"
+        );
+        Ok(Some(Workspace::new(
+            least,
+            most,
+            self.workspace_lookahead,
+            self.pose_timeout,
+        )))
+    }
+}

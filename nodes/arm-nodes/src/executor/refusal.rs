@@ -1,0 +1,160 @@
+//! Why a chunk or a plan is not executed.
+
+use thiserror::Error;
+use wm_motion::{actions::ActionError, motion::MAX_CHUNK};
+
+use super::{Hold, Veto};
+
+/// Why a chunk or a plan is not executed.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// The node is not armed, and makes no dry run.
+    #[error("not armed: expected a call of ~/arm")]
+    NotArmed,
+    /// An emergency stop is latched.
+    #[error("emergency stop: expected a call of ~/reset")]
+    Stopped,
+    /// No action, or more than a chunk has.
+    #[error("it has {0} actions; expected 1 to {MAX_CHUNK}")]
+    Count(usize),
+    /// An action that is not one of the action space.
+    #[error("action {index}: {error}")]
+    Action {
+        /// Which action.
+        index: usize,
+        /// What is wrong with it.
+        error: ActionError,
+    },
+    /// A motion that is too large for one action.
+    #[error("action {index}: {name} is {value:.4} {unit}; at most {limit} is allowed")]
+    Bounds {
+        /// Which action.
+        index: usize,
+        /// The dimension.
+        name: String,
+        /// Its value.
+        value: f32,
+        /// Greatest magnitude.
+        limit: f64,
+        /// Its unit.
+        unit: String,
+    },
+    /// A gripper's opening that is none.
+    #[error("action {index}: {name} is {value}; expected 0 (closed) to 1 (open)")]
+    Gripper {
+        /// Which action.
+        index: usize,
+        /// The dimension.
+        name: String,
+        /// Its value.
+        value: f32,
+    },
+    /// Actions that follow too fast or too slowly.
+    #[error("its period is {period_s} s; expected {least_s} to {most_s} s")]
+    Period {
+        /// The period \[s\].
+        period_s: f64,
+        /// Least \[s\].
+        least_s: f64,
+        /// Greatest \[s\].
+        most_s: f64,
+    },
+    /// Motions in another frame.
+    #[error("its frame is {actual:?}; expected base_frame, {expected:?}")]
+    Frame {
+        /// The parameter.
+        expected: String,
+        /// What came.
+        actual: String,
+    },
+    /// A plan from before the planner's last reset.
+    #[error("its epoch is {actual}; expected {newest} or later")]
+    Epoch {
+        /// The newest that was seen.
+        newest: u64,
+        /// What came.
+        actual: u64,
+    },
+    /// It waited too long before it was looked at.
+    #[error("it is {age_s:.2} s old; at most {most_s} s is allowed (max_age)")]
+    Stale {
+        /// Since its reception or, where it begins then, its stamp \[s\].
+        age_s: f64,
+        /// The parameter max_age \[s\].
+        most_s: f64,
+    },
+    /// Its last action is over.
+    #[error("it came late: its last action was over {ago_s:.2} s ago")]
+    Late {
+        /// Since then \[s\].
+        ago_s: f64,
+    },
+    /// It begins far in the future: two clocks differ.
+    #[error("it begins in {ahead_s:.2} s; at most {most_s} s is allowed: do the clocks agree?")]
+    Early {
+        /// Until then \[s\].
+        ahead_s: f64,
+        /// The parameter max_lead \[s\].
+        most_s: f64,
+    },
+    /// A newer one was taken already.
+    #[error("its stamp is {before_s:.2} s before that of the newest one that was taken")]
+    Older {
+        /// By how much \[s\].
+        before_s: f64,
+    },
+    /// More have yet to begin than are kept.
+    #[error("{0} others have yet to begin; no more are kept")]
+    Full(usize),
+    /// Something that must be there for a motion is not.
+    #[error(transparent)]
+    Held(#[from] Hold),
+    /// The model's predictions speak against it.
+    #[error("vetoed: {0}")]
+    Vetoed(#[from] Veto),
+    /// Its assessment did not come.
+    #[error("no assessment came within {waited_s:.2} s; expected one, since veto_required is set")]
+    Unassessed {
+        /// How long it waited \[s\].
+        waited_s: f64,
+    },
+    /// More wait for their assessments than are kept.
+    #[error("{waiting} newer ones wait for their assessments; at most {waiting} are kept")]
+    Crowded {
+        /// How many are kept.
+        waiting: usize,
+    },
+    /// What it waited for is void: the node was armed, disarmed, stopped or reset.
+    #[error("forgotten while it waited for its assessment")]
+    Forgotten,
+}
+
+impl Refusal {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::NotArmed => "not_armed",
+            Self::Stopped => "stopped",
+            Self::Count(_) => "action_count",
+            Self::Action { error, .. } => match error {
+                ActionError::NotFinite { .. } => "not_finite",
+                ActionError::Implausible { .. } => "out_of_bounds",
+                _ => "wrong_length",
+            },
+            Self::Bounds { .. } | Self::Gripper { .. } => "out_of_bounds",
+            Self::Period { .. } => "period",
+            Self::Frame { .. } => "wrong_frame",
+            Self::Epoch { .. } => "old_epoch",
+            Self::Stale { .. } => "stale",
+            Self::Late { .. } => "late",
+            Self::Early { .. } => "early",
+            Self::Older { .. } => "older",
+            Self::Full(_) => "full",
+            Self::Held(hold) => hold.reason(),
+            Self::Vetoed(_) => "vetoed",
+            Self::Unassessed { .. } | Self::Crowded { .. } => "unassessed",
+            Self::Forgotten => "forgotten",
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! What to command in the next command period.
+
+use std::time::Duration;
+
+use super::{
+    Cause, Command, ExecutorStep, JUMP_NS, Now, Output, Phase, Refusal, State, Status, Tick,
+};
+use crate::executor::{
+    Velocity,
+    schedule::{Change, Told},
+};
+
+impl ExecutorStep {
+    /// The command of the period that begins now. To be called once a period.
+    pub fn tick(&mut self, now: Now) -> Tick {
+        let since = self
+            .last
+            .map(|last| now.at.saturating_duration_since(last.at));
+        // A tick that is late may make up for the last one, but a pause is no reason for a jerk.
+        let period = self.settings.period;
+        let seconds = since.unwrap_or(period).min(2 * period).as_secs_f64();
+        if self
+            .last
+            .is_some_and(|last| now.stamp_ns < last.stamp_ns - JUMP_NS)
+        {
+            self.jump();
+        }
+        self.last = Some(now);
+        let mut refused = self.expire(now);
+        if matches!(self.phase, Phase::Stopped(_)) {
+            // All at once: an emergency stop is the one step that no limit smooths.
+            self.velocity = Velocity::ZERO;
+        } else {
+            let (told, cause) = self.told(now, &mut refused);
+            let target = self.settings.limits.within(told.velocity);
+            self.gripper = told.gripper.or(self.gripper);
+            self.cause = cause.or((target != told.velocity).then_some(Cause::Slowed));
+            self.velocity = self.settings.limits.toward(self.velocity, target, seconds);
+        }
+        self.rest(now);
+        Tick {
+            output: self.output(),
+            refused,
+        }
+    }
+
+    /// What is told for this period, and why it is not all that an offer tells.
+    fn told(&mut self, now: Now, refused: &mut Vec<Refusal>) -> (Told, Option<Cause>) {
+        let nothing = Told {
+            velocity: Velocity::ZERO,
+            gripper: None,
+        };
+        if let Phase::Disarming(cause) = &self.phase {
+            return (nothing, Some(cause.clone()));
+        }
+        if let Err(hold) = self.expect_free(now.at) {
+            self.counts.interrupted += u64::from(self.schedule.clear());
+            for _ in 0..self.waiting.len() {
+                refused.push(Refusal::Held(hold));
+            }
+            self.counts.refused += self.waiting.len() as u64;
+            self.waiting.clear();
+            return (nothing, Some(Cause::Held(hold)));
+        }
+        let max_age = self.settings.max_age;
+        let before = self.cause.take();
+        let cause = match self.schedule.advance(now.stamp_ns, now.at, max_age) {
+            Some(Change::Begun) => {
+                self.counts.begun += 1;
+                self.refusal = None;
+                if let Some(offer) = self.schedule.current() {
+                    self.frame_id.clone_from(&offer.frame_id);
+                }
+                None
+            }
+            Some(Change::Over) => Some(Cause::Silence),
+            Some(Change::Stale) => {
+                self.counts.interrupted += 1;
+                Some(Cause::Stale)
+            }
+            // Why the last one ended; what held it back is over.
+            None => before
+                .filter(|cause| matches!(cause, Cause::Silence | Cause::Stale | Cause::Vetoed)),
+        };
+        let span_ns = i64::try_from(self.settings.period.as_nanos()).unwrap_or(i64::MAX);
+        let layout = &self.settings.layout;
+        let Some(mut told) = self.schedule.told(now.stamp_ns, span_ns, layout) else {
+            return (nothing, Some(cause.unwrap_or(Cause::Nothing)));
+        };
+        let mut cause = None;
+        if let Some(workspace) = &self.settings.workspace {
+            match workspace.cut(told.velocity.linear, now.at) {
+                Ok((linear, is_cut)) => {
+                    told.velocity.linear = linear;
+                    cause = is_cut.contains(&true).then_some(Cause::Cut(is_cut));
+                }
+                // What `expect_free` has ruled out.
+                Err(hold) => return (nothing, Some(Cause::Held(hold))),
+            }
+        }
+        (told, cause)
+    }
+
+    /// Time has gone back: a bag begins again, or the clock was set. Nothing of before holds.
+    fn jump(&mut self) {
+        self.forget();
+        self.epoch = None;
+        self.vetoes.clear();
+        self.disarm(Cause::ClockJump);
+    }
+
+    /// Refuses what has waited too long for its assessment.
+    fn expire(&mut self, now: Now) -> Vec<Refusal> {
+        let wait = self.vetoes.settings().wait;
+        let mut refused = Vec::new();
+        while let Some(first) = self.waiting.front() {
+            let waited = now.at.saturating_duration_since(first.since);
+            if waited <= wait && first.offer.end_ns() > now.stamp_ns {
+                break;
+            }
+            self.waiting.pop_front();
+            let refusal = Refusal::Unassessed {
+                waited_s: waited.as_secs_f64(),
+            };
+            self.note(&refusal);
+            refused.push(refusal);
+        }
+        refused
+    }
+
+    /// Goes on with zeros for a while after a motion, and then with nothing.
+    fn rest(&mut self, now: Now) {
+        let is_stopped = matches!(self.phase, Phase::Stopped(_));
+        let is_active = !is_stopped && self.schedule.current().is_some();
+        if is_active || !self.velocity.is_zero() {
+            self.is_busy = true;
+            self.rest = None;
+            return;
+        }
+        let rest = *self.rest.get_or_insert(now.at);
+        let rested = now.at.saturating_duration_since(rest);
+        // The first zero goes out, however short the time.
+        if rested > Duration::ZERO && rested >= self.settings.zero_for {
+            self.is_busy = false;
+        }
+        if !self.is_busy && matches!(self.phase, Phase::Disarming(_)) {
+            self.phase = Phase::DryRun;
+        }
+    }
+
+    fn output(&self) -> Output {
+        if !self.is_busy {
+            return Output::Silent;
+        }
+        let command = Command {
+            velocity: self.velocity,
+            gripper: self.gripper,
+        };
+        match self.phase {
+            Phase::DryRun => Output::Preview(command),
+            Phase::Armed | Phase::Disarming(_) | Phase::Stopped(_) => Output::Send(command),
+        }
+    }
+
+    /// What it does, and why.
+    pub fn status(&self) -> Status {
+        let offer = match self.phase {
+            Phase::DryRun | Phase::Armed => self.schedule.current(),
+            Phase::Disarming(_) | Phase::Stopped(_) => None,
+        };
+        let state = match &self.phase {
+            Phase::DryRun => State::DryRun,
+            Phase::Armed if offer.is_some() => State::Executing,
+            Phase::Armed if self.velocity.is_zero() => State::Idle,
+            Phase::Armed | Phase::Disarming(_) => State::Stopping,
+            Phase::Stopped(_) => State::Stopped,
+        };
+        let cause = match &self.phase {
+            Phase::Disarming(cause) | Phase::Stopped(cause) => Some(cause),
+            Phase::DryRun | Phase::Armed => self.cause.as_ref(),
+        };
+        let mut parts = Vec::new();
+        if self.phase == Phase::DryRun {
+            parts.push("not armed".to_owned());
+        }
+        parts.extend(cause.map(ToString::to_string));
+        if let Some(refusal) = &self.refusal {
+            parts.push(format!("last refused: {refusal}"));
+        }
+        Status {
+            state,
+            reason: parts.join("; "),
+            offer_ns: offer.map(|offer| offer.stamp_ns),
+            counts: self.counts,
+        }
+    }
+}

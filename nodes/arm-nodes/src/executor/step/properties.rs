@@ -1,0 +1,183 @@
+//! What holds whatever comes.
+
+use proptest::prelude::*;
+
+use super::{tests::*, *};
+use crate::executor::velocity::{norm, plus};
+
+/// What may happen between two commands.
+#[derive(Clone, Debug)]
+enum Event {
+    Nothing,
+    Arm,
+    Disarm,
+    Stop,
+    Reset,
+    Deadman(bool),
+    /// Stamp relative to now \[ms\], duration of an action \[ms\], and the actions.
+    Chunk(i64, i64, Vec<Vec<f32>>),
+}
+
+fn value() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        8 => -0.1_f32..0.1,
+        1 => Just(f32::NAN),
+        1 => Just(f32::INFINITY),
+        1 => -1e3_f32..1e3,
+    ]
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    let good = prop::collection::vec(-0.1_f32..0.1, 6).prop_map(|mut values| {
+        values.push(1.0);
+        values
+    });
+    let action = prop_oneof![20 => good.boxed(), 1 => prop::collection::vec(value(), 0..9).boxed()];
+    let actions = prop::collection::vec(action, 0..6);
+    prop_oneof![
+        6 => Just(Event::Nothing),
+        1 => Just(Event::Arm),
+        1 => prop_oneof![Just(Event::Disarm), Just(Event::Stop), Just(Event::Reset)],
+        2 => prop::bool::weighted(0.9).prop_map(Event::Deadman),
+        6 => (-300_i64..300, 1_i64..400, actions).prop_map(|(stamp, period, actions)| {
+            Event::Chunk(stamp, period, actions)
+        }),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn commands_keep_to_the_limits(
+        events in prop::collection::vec((event(), 1_i64..150), 1..120),
+        needs_deadman in any::<bool>(),
+    ) {
+        let deadman = needs_deadman.then(|| Deadman::new(Duration::from_millis(500)));
+        let limits = settings().limits;
+        let mut bench = Bench::new(Settings { deadman, ..settings() });
+        let mut ms = 0;
+        let mut before = Velocity::ZERO;
+        let mut is_sent_before = false;
+        let (mut was_armed, mut is_stopped) = (false, false);
+        for (event, wait_ms) in events {
+            ms += wait_ms;
+            match event {
+                Event::Nothing => {}
+                Event::Arm => was_armed |= bench.step.arm().is_ok(),
+                Event::Disarm => bench.step.disarm(Cause::Disarmed),
+                Event::Stop => {
+                    bench.step.stop("~/stop");
+                    is_stopped = true;
+                }
+                Event::Reset => is_stopped &= bench.step.reset().is_err(),
+                Event::Deadman(is_held) => bench.step.deadman(is_held, bench.at(ms).at),
+                Event::Chunk(stamp_ms, period_ms, actions) => {
+                    let mut message = chunk(ms + stamp_ms, 0.0, actions.len());
+                    message.period = wm_msgs::builtin_interfaces::Duration::from_nanos(period_ms * 1_000_000);
+                    for (action, values) in message.actions.iter_mut().zip(actions) {
+                        action.values = values;
+                    }
+                    bench.offer(ms, &message).ok();
+                }
+            }
+            let output = bench.tick(ms);
+            let (command, is_sent) = match output {
+                Output::Silent => (None, false),
+                Output::Preview(command) => (Some(command), false),
+                Output::Send(command) => (Some(command), true),
+            };
+            prop_assert!(was_armed || !is_sent, "sent before it was armed");
+            if bench.step.status().state == State::DryRun {
+                prop_assert!(!is_sent, "sent in a dry run");
+            }
+            let velocity = command.map_or(Velocity::ZERO, |command| command.velocity);
+            let numbers = velocity.linear.into_iter().chain(velocity.angular);
+            prop_assert!(numbers.chain(command.and_then(|command| command.gripper)).all(f64::is_finite));
+            prop_assert!(norm(velocity.linear) <= limits.linear_velocity + 1e-9);
+            prop_assert!(norm(velocity.angular) <= limits.angular_velocity + 1e-9);
+            if is_stopped {
+                prop_assert!(velocity.is_zero(), "moves after an emergency stop");
+            } else if is_sent || is_sent_before {
+                // Nothing that goes out, or ceases to, is a jump.
+                let seconds = if is_sent_before { wait_ms as f64 / 1e3 } else { 0.05_f64.max(wait_ms as f64 / 1e3) };
+                let start = if is_sent_before { before } else { Velocity::ZERO };
+                let change = velocity.plus(start, -1.0);
+                prop_assert!(norm(change.linear) <= limits.linear_acceleration * seconds + 1e-9);
+                prop_assert!(norm(change.angular) <= limits.angular_acceleration * seconds + 1e-9);
+            }
+            before = velocity;
+            is_sent_before = is_sent;
+        }
+        // Whatever happened: with nothing more to do, it stands still.
+        bench.step.disarm(Cause::Disarmed);
+        let mut last = Velocity::ZERO;
+        for _ in 0..4 {
+            ms += 50;
+            if let Output::Send(command) = bench.tick(ms) {
+                last = command.velocity;
+            }
+        }
+        prop_assert!(last.is_zero(), "{last:?}");
+    }
+
+    /// The arm goes where it is told at once, and says where it is at times.
+    #[test]
+    fn no_motion_leaves_the_box(
+        motions in prop::collection::vec((prop::array::uniform3(-0.1_f32..0.1), 1_i64..10), 1..40),
+        silences in prop::collection::vec(1_i64..4, 1..10),
+    ) {
+        let (least, most) = ([-0.1, -0.15, 0.0], [0.1, 0.05, 0.3]);
+        let (lookahead, timeout) = (Duration::from_millis(300), Duration::from_millis(200));
+        let workspace = Some(Workspace::new(least, most, lookahead, timeout));
+        let mut bench = Bench::new(Settings { workspace, ..settings() });
+        bench.step.arm().unwrap();
+        let mut position = [0.0, 0.0, 0.1];
+        let mut silence = silences.iter().cycle();
+        let (mut ms, mut wait) = (0, 0);
+        for (motion, ticks) in motions {
+            for tick in 0..ticks {
+                if wait == 0 {
+                    let mut pose = PoseStamped::default();
+                    let [x, y, z] = position;
+                    pose.pose.position = wm_msgs::geometry_msgs::Point { x, y, z };
+                    bench.step.pose(&pose, bench.at(ms).at).unwrap();
+                    wait = *silence.next().unwrap();
+                }
+                wait -= 1;
+                if tick == 0 {
+                    let mut message = chunk(ms, 0.0, 10);
+                    for action in &mut message.actions {
+                        action.values[..3].copy_from_slice(&motion);
+                    }
+                    bench.offer(ms, &message).unwrap();
+                }
+                if let Output::Send(command) = bench.tick(ms) {
+                    position = plus(position, command.velocity.linear, 0.05);
+                }
+                ms += 50;
+                for ((at, least), most) in position.into_iter().zip(least).zip(most) {
+                    prop_assert!((least - 1e-9..=most + 1e-9).contains(&at), "{at} of {least} to {most}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_change_of_velocity_is_bounded(from in prop::array::uniform3(-1.0_f64..1.0), to in prop::array::uniform3(-1.0_f64..1.0)) {
+        let limits = settings().limits;
+        let of = |linear| limits.within(Velocity { linear, angular: linear });
+        let (from, to) = (of(from), of(to));
+        let next = limits.toward(from, to, 0.05);
+        prop_assert!(norm(plus(next.linear, from.linear, -1.0)) <= 0.1 + 1e-12);
+        prop_assert!(norm(next.linear) <= limits.linear_velocity + 1e-12);
+        // It gets there, and with no axis further off than before.
+        let is_between = |((next, from), to): ((&f64, f64), f64)| {
+            (from.min(to) - 1e-12..=from.max(to) + 1e-12).contains(next)
+        };
+        prop_assert!(next.linear.iter().zip(from.linear).zip(to.linear).all(is_between));
+        let mut velocity = from;
+        for _ in 0..10 {
+            velocity = limits.toward(velocity, to, 0.05);
+        }
+        prop_assert_eq!(velocity, to);
+    }
+}

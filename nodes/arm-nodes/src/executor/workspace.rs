@@ -1,0 +1,146 @@
+//! The box that the end effector has to stay in.
+
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use super::{Hold, velocity::Axes};
+
+/// Why a measured pose is left out.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum PoseError {
+    /// Not numbers.
+    #[error("ee_pose is {0:?}, not finite numbers")]
+    NotFinite([f64; 3]),
+    /// A position in another frame.
+    #[error("the frame of ee_pose is {actual:?}; expected base_frame, {expected:?}")]
+    Frame {
+        /// The parameter.
+        expected: String,
+        /// What came.
+        actual: String,
+    },
+}
+
+impl PoseError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        "pose"
+    }
+}
+
+/// The box that the end effector has to stay in, and where it is.
+#[derive(Clone, Debug)]
+pub struct Workspace {
+    least: Axes,
+    most: Axes,
+    lookahead: Duration,
+    timeout: Duration,
+    measured: Option<(Axes, Instant)>,
+}
+
+impl Workspace {
+    /// A box from `least` to `most` \[m\] that no motion may leave within `lookahead` of a position that is at most
+    /// `timeout` old.
+    pub fn new(least: [f64; 3], most: [f64; 3], lookahead: Duration, timeout: Duration) -> Self {
+        Self {
+            least,
+            most,
+            lookahead,
+            timeout,
+            measured: None,
+        }
+    }
+
+    /// Where the end effector is \[m\], and when that came.
+    ///
+    /// # Errors
+    /// [`PoseError::NotFinite`]; what came before still counts, for as long as it may.
+    pub fn measure(&mut self, position: [f64; 3], at: Instant) -> Result<(), PoseError> {
+        if !position.iter().all(|value| value.is_finite()) {
+            return Err(PoseError::NotFinite(position));
+        }
+        self.measured = Some((position, at));
+        Ok(())
+    }
+
+    /// Where the end effector is, and for how long that has been known.
+    fn position(&self, now: Instant) -> Result<(Axes, Duration), Hold> {
+        let (position, at) = self.measured.ok_or(Hold::NoPose)?;
+        let age = now.saturating_duration_since(at);
+        if age > self.timeout {
+            return Err(Hold::PoseSilent {
+                timeout_s: self.timeout.as_secs_f64(),
+            });
+        }
+        Ok((position, age))
+    }
+
+    /// Whether it is known where the end effector is.
+    ///
+    /// # Errors
+    /// [`Hold`] says why the arm may not move.
+    pub fn check(&self, now: Instant) -> Result<(), Hold> {
+        self.position(now).map(drop)
+    }
+
+    /// What is left of a linear velocity \[m/s\] so that the box is not left, or not further, and along which axes
+    /// something was cut. The nearer the side, the slower: the arm can stop in time.
+    ///
+    /// # Errors
+    /// [`Hold`] says why the arm may not move.
+    pub fn cut(&self, linear: [f64; 3], now: Instant) -> Result<([f64; 3], [bool; 3]), Hold> {
+        let (position, age) = self.position(now)?;
+        // Since it was measured the arm has moved on.
+        let reach_s = (self.lookahead + age).as_secs_f64().max(1e-3);
+        let mut left = [0.0; 3];
+        let mut is_cut = [false; 3];
+        let sides = self.least.into_iter().zip(self.most);
+        let axes = linear.into_iter().zip(position).zip(sides);
+        for ((slot, is_cut), ((velocity, at), (least, most))) in
+            left.iter_mut().zip(&mut is_cut).zip(axes)
+        {
+            let down = ((least - at) / reach_s).min(0.0);
+            let up = ((most - at) / reach_s).max(0.0);
+            *slot = velocity.clamp(down, up);
+            *is_cut = *slot != velocity;
+        }
+        Ok((left, is_cut))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn near_a_side_only_the_motion_towards_it_is_cut() {
+        let now = Instant::now();
+        let second = Duration::from_secs(1);
+        let mut workspace = Workspace::new([0.0; 3], [1.0; 3], second, second);
+        assert_eq!(workspace.cut([1.0; 3], now), Err(Hold::NoPose));
+        // Inside near the upper side, at a side, and outside.
+        workspace.measure([0.9, 0.0, 1.5], now).unwrap();
+        let (left, is_cut) = workspace.cut([0.5, -0.5, 0.5], now).unwrap();
+        assert!((left[0] - 0.1).abs() < 1e-12, "{left:?}");
+        assert_eq!((left[1], left[2]), (0.0, 0.0));
+        assert_eq!(is_cut, [true; 3]);
+        let (left, is_cut) = workspace.cut([-0.5, 0.5, -0.5], now).unwrap();
+        assert_eq!((left, is_cut), ([-0.5, 0.5, -0.5], [false; 3]));
+        // An older position leaves less room.
+        let (left, _) = workspace.cut([0.5, 0.0, 0.0], now + second).unwrap();
+        assert!((left[0] - 0.05).abs() < 1e-12, "{left:?}");
+        let held = workspace.cut([0.5; 3], now + 2 * second);
+        assert_eq!(held, Err(Hold::PoseSilent { timeout_s: 1.0 }));
+    }
+
+    #[test]
+    fn a_position_that_is_no_number_is_refused() {
+        let second = Duration::from_secs(1);
+        let mut workspace = Workspace::new([0.0; 3], [1.0; 3], second, second);
+        let refused = workspace.measure([0.0, f64::NAN, 0.0], Instant::now());
+        assert!(matches!(refused, Err(PoseError::NotFinite(_))));
+        assert_eq!(workspace.check(Instant::now()), Err(Hold::NoPose));
+    }
+}

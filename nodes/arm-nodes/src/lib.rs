@@ -1,0 +1,13 @@
+//! The nodes that stand between plans and an arm: the executor, which turns chunks and plans into commands.
+//!
+//! As elsewhere, a node is a pure step, which knows neither DDS nor a clock, and the wires around it.
+//!
+//! Not here: models (`wm_model_nodes`), the ROS runtime (`wm_ros`), inverse kinematics and controllers, which the robot
+//! brings.
+
+pub mod executor;
+
+use wm_ros::NodeDefinition;
+
+/// All of them.
+pub const NODES: &[NodeDefinition<anyhow::Error>] = &[executor::NODE];
