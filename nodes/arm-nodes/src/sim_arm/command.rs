@@ -82,16 +82,68 @@ impl Delta {
     }
 }
 
+/// A velocity that holds until something else is said, and what was said before in the same step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Held {
+    velocity: Velocity,
+    /// Since when it counts for this step \[ns\].
+    since_ns: i64,
+    /// What earlier velocities led to in this step \[m, rad\].
+    before: Velocity,
+}
+
+impl Held {
+    pub(super) fn new(velocity: Velocity, since_ns: i64) -> Self {
+        Self {
+            velocity,
+            since_ns,
+            before: Velocity::ZERO,
+        }
+    }
+
+    /// Another velocity from `since_ns` on.
+    pub(super) fn then(self, velocity: Velocity, since_ns: i64) -> Self {
+        Self {
+            velocity,
+            since_ns,
+            before: self.displacement(since_ns),
+        }
+    }
+
+    /// What was commanded in the step from `start_ns` to `now_ns`, on average.
+    pub(super) fn mean(&self, start_ns: i64, now_ns: i64) -> Velocity {
+        let seconds = seconds(start_ns, now_ns);
+        if seconds <= 0.0 {
+            return self.velocity;
+        }
+        Velocity::ZERO.plus(self.displacement(now_ns), seconds.recip())
+    }
+
+    /// The same, for the next step.
+    pub(super) fn from(self, start_ns: i64) -> Self {
+        Self::new(self.velocity, start_ns)
+    }
+
+    fn displacement(&self, until_ns: i64) -> Velocity {
+        let seconds = seconds(self.since_ns, until_ns).max(0.0);
+        self.before.plus(self.velocity, seconds)
+    }
+}
+
+fn seconds(from_ns: i64, to_ns: i64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 / 1e9
+}
+
 /// How the arm is to move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Motion {
     /// From now on, until something else is said.
-    Velocity(Velocity),
+    Velocity(Held),
     /// Once.
     Delta(Delta),
 }
 
-pub(super) fn of_twist(twist: &TwistStamped, base_frame: &str) -> Result<Motion, CommandError> {
+pub(super) fn of_twist(twist: &TwistStamped, base_frame: &str) -> Result<Velocity, CommandError> {
     check_frame(&twist.header.frame_id, base_frame)?;
     let (linear, angular) = (twist.twist.linear, twist.twist.angular);
     velocity([
@@ -99,7 +151,7 @@ pub(super) fn of_twist(twist: &TwistStamped, base_frame: &str) -> Result<Motion,
     ])
 }
 
-pub(super) fn of_array(array: &Float64MultiArray) -> Result<Motion, CommandError> {
+pub(super) fn of_array(array: &Float64MultiArray) -> Result<Velocity, CommandError> {
     let values = <[f64; 6]>::try_from(array.data.as_slice());
     velocity(values.map_err(|_| CommandError::Length {
         actual: array.data.len(),
@@ -108,7 +160,7 @@ pub(super) fn of_array(array: &Float64MultiArray) -> Result<Motion, CommandError
 }
 
 /// The motion and the gripper's opening.
-pub(super) fn of_action(action: &Action, base_frame: &str) -> Result<(Motion, f64), CommandError> {
+pub(super) fn of_action(action: &Action, base_frame: &str) -> Result<(Delta, f64), CommandError> {
     check_frame(&action.header.frame_id, base_frame)?;
     let values = <[f32; 7]>::try_from(action.values.as_slice());
     let values = values.map_err(|_| CommandError::Length {
@@ -122,7 +174,7 @@ pub(super) fn of_action(action: &Action, base_frame: &str) -> Result<(Motion, f6
         translation: Vector3::new(x, y, z),
         turn: UnitQuaternion::from_euler_angles(roll, pitch, yaw),
     };
-    Ok((Motion::Delta(delta), gripper))
+    Ok((delta, gripper))
 }
 
 pub(super) fn of_gripper(gripper: &Float64) -> Result<f64, CommandError> {
@@ -130,13 +182,13 @@ pub(super) fn of_gripper(gripper: &Float64) -> Result<f64, CommandError> {
     Ok(gripper.data)
 }
 
-fn velocity(values: [f64; 6]) -> Result<Motion, CommandError> {
+fn velocity(values: [f64; 6]) -> Result<Velocity, CommandError> {
     check_finite(&values)?;
     let [vx, vy, vz, wx, wy, wz] = values;
-    Ok(Motion::Velocity(Velocity {
+    Ok(Velocity {
         linear: [vx, vy, vz],
         angular: [wx, wy, wz],
-    }))
+    })
 }
 
 fn check_finite(values: &[f64]) -> Result<(), CommandError> {

@@ -133,8 +133,8 @@ pub async fn body(node: Node) -> Result<()> {
         complaints: Complaints::new(node.diagnostics()),
         diagnostics: node.diagnostics(),
     };
-    arm.announce(&step)?;
     let (clock, shutdown) = (node.clock(), node.shutdown());
+    arm.announce(&step, clock.now())?;
     let mut jumps = clock.jumps();
     // A simulated clock stands at zero before it is heard of.
     tokio::select! {
@@ -157,7 +157,7 @@ pub async fn body(node: Node) -> Result<()> {
                     let done = step.reset(task, seed);
                     (step, done)
                 }).await?;
-                arm.answer(call, done, &step)?;
+                arm.answer(call, done, &step, clock.now())?;
                 next_ns = clock.now().to_nanos();
             }
             Some(received) = twists.recv() => {
@@ -243,7 +243,7 @@ struct SimArm {
 
 impl SimArm {
     /// Says what is to be done.
-    fn announce(&self, step: &SimArmStep) -> Result<()> {
+    fn announce(&self, step: &SimArmStep, now: Time) -> Result<()> {
         let settings = step.settings();
         info!(
             "{} with seed {}: {}",
@@ -251,8 +251,7 @@ impl SimArm {
             settings.seed,
             step.instruction()
         );
-        // It holds at any time: no stamp.
-        let goal = message::pictures(step.goal_picture(), 0, self.transports)?;
+        let goal = message::pictures(step.goal_picture(), now.to_nanos(), self.transports)?;
         self.outlets.goals.publish(&goal)?;
         let data = step.instruction().to_owned();
         self.outlets.instructions.publish(&Text { data })?;
@@ -335,10 +334,11 @@ impl SimArm {
         call: Call<Reset>,
         done: Result<(), wm_sim::Error>,
         step: &SimArmStep,
+        now: Time,
     ) -> Result<()> {
         let (success, message) = match done {
             Ok(()) => {
-                self.announce(step)?;
+                self.announce(step, now)?;
                 (true, step.instruction().to_owned())
             }
             Err(refused) => (false, refused.to_string()),

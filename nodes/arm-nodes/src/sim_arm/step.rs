@@ -15,9 +15,11 @@ use wm_sim::{
     arm::ToolPose,
 };
 
+use crate::executor::Velocity;
+
 use super::{
     camera::{Camera, CameraSettings, Frame},
-    command::{self, CommandError, Delta, Motion},
+    command::{self, CommandError, Delta, Held, Motion},
 };
 
 /// Rounding of what is exactly the largest motion of a step, in the single precision of actions \[m or rad\].
@@ -175,13 +177,14 @@ impl SimArmStep {
         Ok(())
     }
 
-    /// Takes a velocity, which holds until the next command, but for `command_timeout` at most.
+    /// Takes a velocity, which holds until the next command, but for `command_timeout` at most. Of several in a step,
+    /// each counts for its time.
     ///
     /// # Errors
     /// [`CommandError`] says why it is not obeyed; what was told before still holds.
     pub fn twist(&mut self, twist: &TwistStamped, received_ns: i64) -> Result<(), CommandError> {
-        let motion = command::of_twist(twist, &self.settings.base_frame)?;
-        self.motion = Some((motion, received_ns));
+        let velocity = command::of_twist(twist, &self.settings.base_frame)?;
+        self.hold(velocity, received_ns);
         Ok(())
     }
 
@@ -194,8 +197,16 @@ impl SimArmStep {
         array: &Float64MultiArray,
         received_ns: i64,
     ) -> Result<(), CommandError> {
-        self.motion = Some((command::of_array(array)?, received_ns));
+        self.hold(command::of_array(array)?, received_ns);
         Ok(())
+    }
+
+    fn hold(&mut self, velocity: Velocity, received_ns: i64) {
+        let held = match self.motion {
+            Some((Motion::Velocity(held), _)) => held.then(velocity, received_ns),
+            _ => Held::new(velocity, received_ns),
+        };
+        self.motion = Some((Motion::Velocity(held), received_ns));
     }
 
     /// Takes a motion, to be done once in the next step, and the gripper's opening. What comes between two ticks adds
@@ -204,14 +215,12 @@ impl SimArmStep {
     /// # Errors
     /// As [`Self::twist`].
     pub fn action(&mut self, action: &Action, received_ns: i64) -> Result<(), CommandError> {
-        let (motion, gripper) = command::of_action(action, &self.settings.base_frame)?;
-        let motion = match (self.motion, motion) {
-            (Some((Motion::Delta(before), _)), Motion::Delta(next)) => {
-                Motion::Delta(before.then(next))
-            }
-            (_, motion) => motion,
+        let (next, gripper) = command::of_action(action, &self.settings.base_frame)?;
+        let delta = match self.motion {
+            Some((Motion::Delta(before), _)) => before.then(next),
+            _ => next,
         };
-        self.motion = Some((motion, received_ns));
+        self.motion = Some((Motion::Delta(delta), received_ns));
         self.gripper = gripper.clamp(0.0, 1.0);
         Ok(())
     }
@@ -230,7 +239,7 @@ impl SimArmStep {
         let mut problem = None;
         let done = self.last_ns.map(|stamp_ns| {
             let command;
-            (command, problem) = self.command(now_ns);
+            (command, problem) = self.command(stamp_ns, now_ns);
             let action = self.environment.step(&command).unwrap_or_else(|refused| {
                 problem = Some(Problem::Refused(refused.to_string()));
                 self.motion = None;
@@ -239,6 +248,9 @@ impl SimArmStep {
             Done { stamp_ns, action }
         });
         self.last_ns = Some(now_ns);
+        if let Some((Motion::Velocity(held), _)) = &mut self.motion {
+            *held = held.from(now_ns);
+        }
         let picture = self.environment.picture();
         let is_picture_lost = !self.camera.take(picture, now_ns);
         let is_solved = self.environment.solved();
@@ -276,8 +288,8 @@ impl SimArmStep {
         self.camera.forget()
     }
 
-    /// What one step is to do.
-    fn command(&mut self, now_ns: i64) -> (EndEffectorAction, Option<Problem>) {
+    /// What the step since `start_ns` is to do.
+    fn command(&mut self, start_ns: i64, now_ns: i64) -> (EndEffectorAction, Option<Problem>) {
         let still = EndEffectorAction::still(self.gripper);
         let Some((motion, said_ns)) = self.motion else {
             return (still, None);
@@ -294,7 +306,8 @@ impl SimArmStep {
                 let waited_s = now_ns.saturating_sub(said_ns) as f64 / 1e9;
                 return (still, Some(Problem::Stale { waited_s }));
             }
-            Motion::Velocity(velocity) => Delta::of_velocity(velocity, STEP_S),
+            // A step is 0.2 s, whatever the clock says of a tick that is a little late.
+            Motion::Velocity(held) => Delta::of_velocity(held.mean(start_ns, now_ns), STEP_S),
             Motion::Delta(delta) => delta,
         };
         let (translation, rotation) = (delta.translation, delta.rotation());

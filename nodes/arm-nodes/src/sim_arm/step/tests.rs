@@ -3,7 +3,7 @@
 use wm_msgs::std_msgs::Header;
 
 use super::*;
-use crate::executor::{Layout, Velocity};
+use crate::executor::Layout;
 use wm_motion::actions::ActionSpace;
 
 const STEP_NS: i64 = 200_000_000;
@@ -83,6 +83,25 @@ fn a_twist_becomes_its_displacement_until_it_is_too_old() {
     arm.twist(&twist_of(velocity), 4 * STEP_NS).unwrap();
     let tick = arm.tick(5 * STEP_NS);
     assert!(tick.done.unwrap().action.translation.norm() > 0.02);
+}
+
+#[test]
+fn of_several_twists_in_a_step_each_counts_for_its_time() {
+    let mut arm = arm(GoalKind::Reach, 3);
+    let velocity = inwards(&arm);
+    // Said before there was a step.
+    arm.twist(&twist_of(velocity), -STEP_NS / 2).unwrap();
+    arm.tick(0);
+    arm.twist(&twist_of(Velocity::ZERO), STEP_NS / 4).unwrap();
+    let step = Vector3::from(velocity.linear) * STEP_S;
+    let done = arm.tick(STEP_NS).done.unwrap().action;
+    assert!((done.translation - step / 4.0).norm() < 1e-9, "{done:?}");
+    arm.twist(&twist_of(velocity), STEP_NS * 3 / 2).unwrap();
+    let done = arm.tick(2 * STEP_NS).done.unwrap().action;
+    assert!((done.translation - step / 2.0).norm() < 1e-9, "{done:?}");
+    // A tick that is late makes no longer step.
+    let done = arm.tick(3 * STEP_NS + STEP_NS / 2).done.unwrap().action;
+    assert!((done.translation - step).norm() < 1e-9, "{done:?}");
 }
 
 #[test]
