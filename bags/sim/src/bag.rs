@@ -43,8 +43,10 @@ pub const START_NS: u64 = 1_700_000_000_000_000_000;
 pub const FRAME_PERIOD_NS: u64 = 200_000_000;
 /// JPEG quality of the pictures: no visible blocks, about 20 KB a frame.
 const JPEG_QUALITY: u8 = 95;
-const CAMERA_FRAME: &str = "camera_optical_frame";
-const BASE_FRAME: &str = "base_link";
+/// The frame of the pictures.
+pub const CAMERA_FRAME: &str = "camera_optical_frame";
+/// The frame of the tool's pose and of actions.
+pub const BASE_FRAME: &str = "base_link";
 
 /// Writes an episode as a bag into the directory `dir`, which must not exist yet or be empty.
 ///
@@ -145,7 +147,8 @@ fn write_frame(bag: &mut BagWriter, frame: &Frame, stamp_ns: u64) -> Result<(), 
     Ok(())
 }
 
-fn pose_message(tool: &ToolPose) -> Pose {
+/// The tool's pose as a message, in the base frame.
+pub fn pose_message(tool: &ToolPose) -> Pose {
     let frame = tool.frame();
     let (position, rotation) = (frame.translation.vector, frame.rotation);
     Pose {

@@ -50,8 +50,9 @@ mod world;
 
 pub use arguments::SimArgs;
 pub use bag::{
-    ACTION_TOPIC, CAMERA_TOPIC, FRAME_PERIOD_NS, GRIPPER_TOPIC, INSTRUCTION_TOPIC, LABELS_TOPIC,
-    MASK_TOPIC, POSE_TOPIC, START_NS, SUCCESS_TOPIC, write_bag,
+    ACTION_TOPIC, BASE_FRAME, CAMERA_FRAME, CAMERA_TOPIC, FRAME_PERIOD_NS, GRIPPER_TOPIC,
+    INSTRUCTION_TOPIC, LABELS_TOPIC, MASK_TOPIC, POSE_TOPIC, START_NS, SUCCESS_TOPIC, pose_message,
+    write_bag,
 };
 pub use dataset::generate_bags;
 pub use environment::{

@@ -1,4 +1,5 @@
-//! The nodes that stand between plans and an arm: the executor, which turns chunks and plans into commands.
+//! The nodes that stand between plans and an arm: the executor, which turns chunks and plans into commands, and a
+//! simulated arm, which takes such commands where there is no real one.
 //!
 //! As elsewhere, a node is a pure step, which knows neither DDS nor a clock, and the wires around it.
 //!
@@ -6,8 +7,9 @@
 //! brings.
 
 pub mod executor;
+pub mod sim_arm;
 
 use wm_ros::NodeDefinition;
 
 /// All of them.
-pub const NODES: &[NodeDefinition<anyhow::Error>] = &[executor::NODE];
+pub const NODES: &[NodeDefinition<anyhow::Error>] = &[executor::NODE, sim_arm::NODE];

@@ -30,7 +30,7 @@ enum Subcommands {
     /// Play, record, inspect, recover, cut, import and export bags
     #[command(subcommand)]
     Bag(Box<bag::BagCommand>),
-    /// Make bags with a simulated arm on a tabletop (runs wm-training)
+    /// Make bags with a simulated arm on a tabletop (runs wm-training); --live: the node sim_arm
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Sim(external::Arguments),
     /// Prepare bags for training, or say what is prepared (runs wm-training)
@@ -80,6 +80,7 @@ pub fn parse() -> Command {
         .position(|argument| argument == ROS_ARGS)
         .unwrap_or(arguments.len());
     let ros_args = arguments.split_off(at);
+    let arguments = live(arguments);
     let command = Cli::parse_from(arguments).command;
     if !ros_args.is_empty() && !command.takes_ros_args() {
         let error = clap::Error::raw(
@@ -89,6 +90,19 @@ pub fn parse() -> Command {
         error.exit();
     }
     Command { command, ros_args }
+}
+
+/// `wm sim --live` is the node `sim_arm`: it needs no other program.
+fn live(mut arguments: Vec<String>) -> Vec<String> {
+    const LIVE: &str = "--live";
+    let is_sim = arguments.get(1).is_some_and(|command| command == "sim");
+    if is_sim && arguments.iter().any(|argument| argument == LIVE) {
+        arguments.retain(|argument| argument != LIVE);
+        if let Some(command) = arguments.get_mut(1) {
+            wm_arm_nodes::sim_arm::NODE.name.clone_into(command);
+        }
+    }
+    arguments
 }
 
 impl Subcommands {
@@ -139,6 +153,15 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_live_simulation_is_a_node() {
+        let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        assert_eq!(live(words("wm sim --live")), words("wm sim_arm"));
+        for other in ["wm sim --out DIR", "wm", "wm nodes --live"] {
+            assert_eq!(live(words(other)), words(other));
+        }
     }
 
     /// A parameter that is new is a flag without a further line; a bag to play is named without one.

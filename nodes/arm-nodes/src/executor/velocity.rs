@@ -25,7 +25,7 @@ impl Velocity {
     }
 
     /// `self` + `share` of `other`.
-    pub(super) fn plus(self, other: Self, share: f64) -> Self {
+    pub(crate) fn plus(self, other: Self, share: f64) -> Self {
         Self {
             linear: plus(self.linear, other.linear, share),
             angular: plus(self.angular, other.angular, share),

@@ -1,0 +1,164 @@
+//! A camera that is not as good as the renderer: noise, latency, lost pictures.
+
+use std::{collections::VecDeque, time::Duration};
+
+use image::RgbImage;
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+/// Streams of a seed: what is lost does not depend on the noise, nor either on the table. The simulator has those from
+/// 0 on.
+const NOISE: u64 = 1 << 32;
+const LOSS: u64 = NOISE + 1;
+
+/// How good the camera is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CameraSettings {
+    /// Standard deviation of each value's noise \[grey level\].
+    pub noise: f64,
+    /// From a picture's stamp to its publication.
+    pub latency: Duration,
+    /// Share of pictures that are lost, 0 to 1.
+    pub drop: f64,
+}
+
+/// A picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// When it was taken \[ns\].
+    pub stamp_ns: i64,
+    /// What it shows, 256 by 256.
+    pub picture: RgbImage,
+}
+
+/// The camera, and the pictures that are on their way.
+pub(super) struct Camera {
+    settings: CameraSettings,
+    noise: ChaCha8Rng,
+    loss: ChaCha8Rng,
+    /// As many as are taken within the latency.
+    waiting: VecDeque<Frame>,
+}
+
+impl Camera {
+    pub(super) fn new(settings: CameraSettings, seed: u64) -> Self {
+        let stream = |number| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(number);
+            rng
+        };
+        Self {
+            settings,
+            noise: stream(NOISE),
+            loss: stream(LOSS),
+            waiting: VecDeque::new(),
+        }
+    }
+
+    /// Takes a picture; whether it is on its way, and not lost.
+    pub(super) fn take(&mut self, mut picture: RgbImage, stamp_ns: i64) -> bool {
+        let is_lost = self.loss.random::<f64>() < self.settings.drop;
+        let deviation = self.settings.noise;
+        if deviation > 0.0 {
+            for value in picture.iter_mut() {
+                let noise: f64 = self.noise.sample(StandardNormal);
+                // Within a byte after the clamp.
+                *value = (f64::from(*value) + deviation * noise)
+                    .round()
+                    .clamp(0.0, 255.0) as u8;
+            }
+        }
+        if !is_lost {
+            self.waiting.push_back(Frame { stamp_ns, picture });
+        }
+        !is_lost
+    }
+
+    /// When the next picture arrives \[ns\].
+    pub(super) fn next_ns(&self) -> Option<i64> {
+        let latency_ns = i64::try_from(self.settings.latency.as_nanos()).unwrap_or(i64::MAX);
+        let first = self.waiting.front()?;
+        Some(first.stamp_ns.saturating_add(latency_ns))
+    }
+
+    /// The pictures that have arrived by `now_ns`.
+    pub(super) fn arrived(&mut self, now_ns: i64) -> Vec<Frame> {
+        let mut arrived = Vec::new();
+        while self.next_ns().is_some_and(|due_ns| due_ns <= now_ns) {
+            arrived.extend(self.waiting.pop_front());
+        }
+        arrived
+    }
+
+    /// Gives up what is on its way; how many pictures that were.
+    pub(super) fn forget(&mut self) -> usize {
+        let count = self.waiting.len();
+        self.waiting.clear();
+        count
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grey() -> RgbImage {
+        RgbImage::from_pixel(64, 64, image::Rgb([128; 3]))
+    }
+
+    #[test]
+    fn pictures_come_after_the_latency_with_the_stamp_of_their_capture() {
+        let settings = CameraSettings {
+            latency: Duration::from_nanos(30),
+            ..CameraSettings::default()
+        };
+        let mut camera = Camera::new(settings, 1);
+        assert_eq!(camera.next_ns(), None);
+        assert!(camera.take(grey(), 100) && camera.take(grey(), 120));
+        assert_eq!(camera.next_ns(), Some(130));
+        assert!(camera.arrived(129).is_empty());
+        let stamps: Vec<_> = camera.arrived(150).iter().map(|f| f.stamp_ns).collect();
+        assert_eq!(stamps, [100, 120]);
+        assert!(camera.take(grey(), 160));
+        assert_eq!((camera.forget(), camera.next_ns()), (1, None));
+    }
+
+    #[test]
+    fn noise_is_as_strong_as_it_is_said_and_loss_as_frequent_and_both_are_seeded() {
+        let settings = CameraSettings {
+            noise: 5.0,
+            drop: 0.25,
+            ..CameraSettings::default()
+        };
+        let series = |seed| {
+            let mut camera = Camera::new(settings, seed);
+            let taken: Vec<_> = (0..400).map(|at| camera.take(grey(), at)).collect();
+            (taken, camera.arrived(400))
+        };
+        let (taken, frames) = series(1);
+        assert!((taken.clone(), frames.clone()) == series(1));
+        assert_ne!(taken, series(2).0);
+        let lost = taken.iter().filter(|is_shown| !**is_shown).count();
+        assert!((60..140).contains(&lost), "{lost} of 400");
+        let values = frames[0].picture.as_raw();
+        let square: f64 = values.iter().map(|v| (f64::from(*v) - 128.0).powi(2)).sum();
+        let deviation = (square / values.len() as f64).sqrt();
+        assert!((4.8..5.2).contains(&deviation), "{deviation}");
+    }
+
+    #[test]
+    fn a_good_camera_shows_every_picture_as_it_is() {
+        let mut camera = Camera::new(CameraSettings::default(), 1);
+        for at in 0..50 {
+            assert!(camera.take(grey(), at));
+            assert_eq!(camera.arrived(at)[0].picture, grey());
+        }
+        let settings = CameraSettings {
+            drop: 1.0,
+            ..CameraSettings::default()
+        };
+        let mut camera = Camera::new(settings, 1);
+        assert!((0..50).all(|at| !camera.take(grey(), at)));
+    }
+}

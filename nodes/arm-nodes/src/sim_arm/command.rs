@@ -1,0 +1,212 @@
+//! What the arm is told, checked.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use thiserror::Error;
+use wm_msgs::{
+    geometry_msgs::TwistStamped,
+    std_msgs::{Float64, Float64MultiArray},
+    wm_msgs::Action,
+};
+
+use crate::executor::Velocity;
+
+/// Why a command is not obeyed.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum CommandError {
+    /// A value that is no number, or infinite.
+    #[error("its values are {values}; expected finite numbers")]
+    NotFinite {
+        /// What came.
+        values: String,
+    },
+    /// Too many values, or too few.
+    #[error("it has {actual} values; expected {expected}")]
+    Length {
+        /// What came.
+        actual: usize,
+        /// In words.
+        expected: &'static str,
+    },
+    /// Motions in another frame.
+    #[error("its frame is {actual:?}; expected base_frame, {expected:?}, or none")]
+    Frame {
+        /// The parameter.
+        expected: String,
+        /// What came.
+        actual: String,
+    },
+}
+
+impl CommandError {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::NotFinite { .. } => "not_finite",
+            Self::Length { .. } => "wrong_length",
+            Self::Frame { .. } => "wrong_frame",
+        }
+    }
+}
+
+/// A displacement of the tool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Delta {
+    /// In the base frame \[m\].
+    pub(super) translation: Vector3<f64>,
+    /// Of roll, pitch and yaw, as a turn.
+    pub(super) turn: UnitQuaternion<f64>,
+}
+
+impl Delta {
+    /// What a velocity leads to in `seconds`.
+    pub(super) fn of_velocity(velocity: Velocity, seconds: f64) -> Self {
+        Self {
+            translation: Vector3::from(velocity.linear) * seconds,
+            turn: UnitQuaternion::from_scaled_axis(Vector3::from(velocity.angular) * seconds),
+        }
+    }
+
+    /// This one, and then `next`.
+    pub(super) fn then(self, next: Self) -> Self {
+        Self {
+            translation: self.translation + next.translation,
+            turn: next.turn * self.turn,
+        }
+    }
+
+    /// Changes of roll, pitch and yaw \[rad\].
+    pub(super) fn rotation(&self) -> Vector3<f64> {
+        let (roll, pitch, yaw) = self.turn.euler_angles();
+        Vector3::new(roll, pitch, yaw)
+    }
+}
+
+/// A velocity that holds until something else is said, and what was said before in the same step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Held {
+    velocity: Velocity,
+    /// Since when it counts for this step \[ns\].
+    since_ns: i64,
+    /// What earlier velocities led to in this step \[m, rad\].
+    before: Velocity,
+}
+
+impl Held {
+    pub(super) fn new(velocity: Velocity, since_ns: i64) -> Self {
+        Self {
+            velocity,
+            since_ns,
+            before: Velocity::ZERO,
+        }
+    }
+
+    /// Another velocity from `since_ns` on.
+    pub(super) fn then(self, velocity: Velocity, since_ns: i64) -> Self {
+        Self {
+            velocity,
+            since_ns,
+            before: self.displacement(since_ns),
+        }
+    }
+
+    /// What was commanded in the step from `start_ns` to `now_ns`, on average.
+    pub(super) fn mean(&self, start_ns: i64, now_ns: i64) -> Velocity {
+        let seconds = seconds(start_ns, now_ns);
+        if seconds <= 0.0 {
+            return self.velocity;
+        }
+        Velocity::ZERO.plus(self.displacement(now_ns), seconds.recip())
+    }
+
+    /// The same, for the next step.
+    pub(super) fn from(self, start_ns: i64) -> Self {
+        Self::new(self.velocity, start_ns)
+    }
+
+    fn displacement(&self, until_ns: i64) -> Velocity {
+        let seconds = seconds(self.since_ns, until_ns).max(0.0);
+        self.before.plus(self.velocity, seconds)
+    }
+}
+
+fn seconds(from_ns: i64, to_ns: i64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 / 1e9
+}
+
+/// How the arm is to move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Motion {
+    /// From now on, until something else is said.
+    Velocity(Held),
+    /// Once.
+    Delta(Delta),
+}
+
+pub(super) fn of_twist(twist: &TwistStamped, base_frame: &str) -> Result<Velocity, CommandError> {
+    check_frame(&twist.header.frame_id, base_frame)?;
+    let (linear, angular) = (twist.twist.linear, twist.twist.angular);
+    velocity([
+        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
+    ])
+}
+
+pub(super) fn of_array(array: &Float64MultiArray) -> Result<Velocity, CommandError> {
+    let values = <[f64; 6]>::try_from(array.data.as_slice());
+    velocity(values.map_err(|_| CommandError::Length {
+        actual: array.data.len(),
+        expected: "six: vx, vy, vz [m/s], wx, wy, wz [rad/s]",
+    })?)
+}
+
+/// The motion and the gripper's opening.
+pub(super) fn of_action(action: &Action, base_frame: &str) -> Result<(Delta, f64), CommandError> {
+    check_frame(&action.header.frame_id, base_frame)?;
+    let values = <[f32; 7]>::try_from(action.values.as_slice());
+    let values = values.map_err(|_| CommandError::Length {
+        actual: action.values.len(),
+        expected: "seven: dx, dy, dz [m], droll, dpitch, dyaw [rad], gripper",
+    })?;
+    let values = values.map(f64::from);
+    check_finite(&values)?;
+    let [x, y, z, roll, pitch, yaw, gripper] = values;
+    let delta = Delta {
+        translation: Vector3::new(x, y, z),
+        turn: UnitQuaternion::from_euler_angles(roll, pitch, yaw),
+    };
+    Ok((delta, gripper))
+}
+
+pub(super) fn of_gripper(gripper: &Float64) -> Result<f64, CommandError> {
+    check_finite(&[gripper.data])?;
+    Ok(gripper.data)
+}
+
+fn velocity(values: [f64; 6]) -> Result<Velocity, CommandError> {
+    check_finite(&values)?;
+    let [vx, vy, vz, wx, wy, wz] = values;
+    Ok(Velocity {
+        linear: [vx, vy, vz],
+        angular: [wx, wy, wz],
+    })
+}
+
+fn check_finite(values: &[f64]) -> Result<(), CommandError> {
+    if values.iter().all(|value| value.is_finite()) {
+        return Ok(());
+    }
+    Err(CommandError::NotFinite {
+        values: format!("{values:?}"),
+    })
+}
+
+/// A client may leave the frame open, as teleoperation does.
+fn check_frame(frame_id: &str, base_frame: &str) -> Result<(), CommandError> {
+    if frame_id.is_empty() || base_frame.is_empty() || frame_id == base_frame {
+        return Ok(());
+    }
+    Err(CommandError::Frame {
+        expected: base_frame.to_owned(),
+        actual: frame_id.to_owned(),
+    })
+}

@@ -1,0 +1,87 @@
+//! The simulated arm's parameters.
+
+use std::time::Duration;
+
+use wm_ros::{Field, Parameter};
+use wm_sim::GoalKind;
+use wm_wire::transport::Transports;
+
+use super::{CameraSettings, Settings};
+
+/// The task, which may be changed.
+pub(super) struct Task(Parameter<String>);
+
+impl Task {
+    /// That of the moment.
+    fn get(&self) -> GoalKind {
+        // The choices leave no other name than those of tasks.
+        self.0.get().parse().unwrap_or(GoalKind::Reach)
+    }
+}
+
+impl Field for Task {
+    type Ros = String;
+    const IS_READ_ONLY: bool = false;
+    const CHOICES: &'static [&'static str] = &["reach", "push", "pick-place"];
+
+    fn read(parameter: Parameter<String>) -> Option<Self> {
+        Some(Self(parameter))
+    }
+}
+
+wm_ros::parameters! {
+    /// The node's parameters.
+    pub(super) struct Parameters {
+        /// What is to be done. What it is changed to holds from the next call of ~/reset on.
+        task: Task = "reach";
+        /// Seed of the table, the goal and the camera's faults, until a call of ~/reset names another.
+        seed: u64 = 0;
+        /// For how long after its reception a command holds [s]. Then the arm stands still.
+        command_timeout: Duration = 0.5, in 0.001..=60.0;
+        /// Publish what was done in each step on action.
+        _publish_action as "publish_action": bool = true;
+        /// Frame of what is published, and the only one that commands may name; empty: they may name any.
+        base_frame: String = wm_sim::BASE_FRAME;
+        /// Image transport of the camera and of the goal.
+        pub(super) image_transport: Transports = "both";
+        /// Standard deviation of the camera's noise [grey level].
+        noise: f64 = 0.0, in 0.0..=255.0;
+        /// Time from a picture's stamp to its publication [s].
+        latency: Duration = 0.0, in 0.0..=5.0;
+        /// Share of the pictures that are lost.
+        drop: f64 = 0.0, in 0.0..=1.0;
+    }
+}
+
+impl Parameters {
+    /// What they say.
+    pub(super) fn settings(&self) -> Settings {
+        Settings {
+            task: self.task(),
+            seed: self.seed,
+            command_timeout: self.command_timeout,
+            base_frame: self.base_frame.clone(),
+            camera: CameraSettings {
+                noise: self.noise,
+                latency: self.latency,
+                drop: self.drop,
+            },
+        }
+    }
+
+    /// The task of the next reset.
+    pub(super) fn task(&self) -> GoalKind {
+        self.task.get()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tasks_are_those_of_the_simulator() {
+        let names: Vec<_> = GoalKind::ALL.iter().map(|kind| kind.name()).collect();
+        assert_eq!(names, Task::CHOICES);
+    }
+}
