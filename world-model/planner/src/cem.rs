@@ -110,12 +110,13 @@ impl Planner for Cem {
         } = self.settings;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut search = Search::new(problem, watch)?;
-        let proposals = search.proposals();
         let space = search.problem.space;
-        let start = proposals.first().cloned();
-        let start = space.limit(start.unwrap_or_else(|| vec![0.0; search.len()]));
-        let mut proposal = Proposal::about(space, &start, initial_std, std_floor);
-        let mut known = if try_proposals { proposals } else { Vec::new() };
+        let mut proposal = Proposal::about(space, &search.start(), initial_std, std_floor);
+        let mut known = if try_proposals {
+            search.proposals()
+        } else {
+            Vec::new()
+        };
         for _ in 0..iterations {
             // All are drawn before any is rolled out, so that the batch size does not change the plan.
             let mut candidates = std::mem::take(&mut known);

@@ -99,9 +99,12 @@ impl Planner for Icem {
         let mut search = Search::new(problem, watch)?;
         let mut known = search.proposals();
         let (space, steps) = (search.problem.space, search.problem.horizon);
-        let start = known.first().cloned();
-        let start = space.limit(start.unwrap_or_else(|| vec![0.0; search.len()]));
-        let mut proposal = Proposal::about(space, &start, settings.initial_std, settings.std_floor);
+        let mut proposal = Proposal::about(
+            space,
+            &search.start(),
+            settings.initial_std,
+            settings.std_floor,
+        );
         let coloured = ColouredNoise::new(steps, settings.noise_beta);
         let mut population = settings.population as f32;
         for iteration in 1..=settings.iterations {

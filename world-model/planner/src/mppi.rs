@@ -77,8 +77,7 @@ impl Planner for Mppi {
         let mut search = Search::new(problem, watch)?;
         let mut known = search.proposals();
         let space = search.problem.space;
-        let start = known.first().cloned();
-        let mut mean = space.limit(start.unwrap_or_else(|| vec![0.0; search.len()]));
+        let mut mean = search.start();
         for _ in 0..settings.iterations {
             let mut proposal = Proposal::about(space, &mean, settings.std, f32::MIN_POSITIVE);
             let mut candidates = std::mem::take(&mut known);

@@ -138,8 +138,7 @@ impl Proposal {
     }
 }
 
-/// Probability that a standard normal number is below `value`; the logistic approximation, off by at most .01, which is
-/// the same on every machine.
+/// Probability that a standard normal number is below `value`; the logistic approximation, off by at most .01.
 fn normal_below(value: f32) -> f32 {
     1.0 / (1.0 + (-1.702 * value).exp())
 }

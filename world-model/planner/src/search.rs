@@ -55,7 +55,7 @@ impl<'s, 'p> Search<'s, 'p> {
     }
 
     /// Values of a plan, steps x searched values.
-    pub(crate) fn len(&self) -> usize {
+    fn len(&self) -> usize {
         self.problem.horizon * self.problem.space.len()
     }
 
@@ -63,6 +63,13 @@ impl<'s, 'p> Search<'s, 'p> {
     pub(crate) fn proposals(&self) -> Vec<Vec<f32>> {
         let proposals = self.problem.proposals.iter();
         proposals.map(|proposal| proposal.concat()).collect()
+    }
+
+    /// The plan to begin from, within the limits: the first proposal, or no motion.
+    pub(crate) fn start(&self) -> Vec<f32> {
+        let first = self.problem.proposals.first();
+        let start = first.map_or_else(|| vec![0.0; self.len()], |proposal| proposal.concat());
+        self.problem.space.limit(start)
     }
 
     /// Rolls a population out and returns those with a finite cost, the cheapest first; equal costs keep their order.

@@ -11,14 +11,8 @@ use super::{settings::ClosedLoopSettings, trial::Trial};
 /// What came of all episodes of a planner.
 #[derive(Clone, Debug, Serialize)]
 pub struct Findings {
-    pub task: String,
-    pub planner: String,
-    /// Whether the simulator was the planner's model.
-    pub perfect_model: bool,
-    pub model: String,
-    pub model_hash: String,
-    pub seed: u64,
-    pub settings: ClosedLoopSettings,
+    #[serde(flatten)]
+    pub about: About,
     pub success_rate: f64,
     /// Wilson's, 95 %.
     pub interval: [f64; 2],
@@ -49,10 +43,12 @@ pub struct Episode {
     pub distance_m: f64,
 }
 
-/// What is said of the planner besides what came of it.
+/// What was run.
+#[derive(Clone, Debug, Serialize)]
 pub struct About {
     pub task: String,
     pub planner: String,
+    /// Whether the simulator was the planner's model.
     pub perfect_model: bool,
     pub model: String,
     pub model_hash: String,
@@ -93,13 +89,7 @@ impl Findings {
                     distance_m: trial.distance_m,
                 })
                 .collect(),
-            task: about.task,
-            planner: about.planner,
-            perfect_model: about.perfect_model,
-            model: about.model,
-            model_hash: about.model_hash,
-            seed: about.seed,
-            settings: about.settings,
+            about,
         })
     }
 
@@ -112,7 +102,7 @@ impl Findings {
 
 impl fmt::Display for Findings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let with = if self.perfect_model {
+        let with = if self.about.perfect_model {
             ", with the simulator as its model"
         } else {
             ""
@@ -121,8 +111,8 @@ impl fmt::Display for Findings {
         write!(
             f,
             "{} by {}{with}: {:.0} % of {} episodes [{:.0}, {:.0}]",
-            self.task,
-            self.planner,
+            self.about.task,
+            self.about.planner,
             self.success_rate * 100.0,
             self.episodes.len(),
             low * 100.0,
