@@ -2,7 +2,7 @@
 
 use super::{
     builtin_interfaces::{Duration, Time},
-    sensor_msgs::CompressedImage,
+    sensor_msgs::{CompressedImage, Image},
     std_msgs::Header,
 };
 use serde::{Deserialize, Serialize};
@@ -220,6 +220,24 @@ pub struct PredictionError {
     pub ratio: f32,
 }
 
+/// What the camera is to see: pictures or latents, reached one after the other, and what of them counts.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Goal {
+    /// `stamp`: when the goal was set, which [`Plan::goal_stamp`] repeats; `frame_id`: the camera's optical frame.
+    pub header: Header,
+    /// What the camera should see; several are reached one after the other.
+    pub images: Vec<Image>,
+    /// Instead of images: normalised latents of the planner's latent space.
+    pub latents: Vec<Latent>,
+    /// When each of them is to be reached, from when the goal was accepted; none: each when the one before it is
+    /// reached.
+    pub times: Vec<Duration>,
+    /// `mono8`, of any size: only where it is not 0 counts; empty: the whole picture.
+    pub mask: Image,
+    /// The task in words, for the success probe; empty: none.
+    pub instruction: String,
+}
+
 /// Actions that the planner found to bring the camera's latent close to the goal's latent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
@@ -245,8 +263,12 @@ pub struct Plan {
     pub settings: String,
     /// Seed of the planner's candidates and noise.
     pub seed: u64,
-    /// Stamp of the goal image that was planned for.
+    /// Stamp of the goal that was planned for.
     pub goal_stamp: Time,
+    /// The goal's picture or latent that the first action leads to, from 0.
+    pub goal_index: u32,
+    /// Mean squared error of the observed latent to the goal's last one; NaN for words alone.
+    pub distance: f32,
     /// Planning time (wall time).
     pub time_taken: Duration,
     /// True if the deadline ended the search before its last iteration.
@@ -484,6 +506,12 @@ message!(
     "wm_msgs",
     include_str!("../../msg/PredictionError.msg"),
     [Header, Time]
+);
+message!(
+    Goal,
+    "wm_msgs",
+    include_str!("../../msg/Goal.msg"),
+    [Header, Image, Latent, Duration]
 );
 message!(
     Plan,

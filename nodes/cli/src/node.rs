@@ -15,7 +15,7 @@ pub fn definitions() -> impl Iterator<Item = &'static Definition> {
         .iter()
         .chain(wm_arm_nodes::NODES)
         .chain(wm_bag_nodes::NODES)
-        .chain([&wm_report::monitor::NODE])
+        .chain([&wm_report::monitor::NODE, &wm_report::trials::NODE])
 }
 
 fn definition(name: &str) -> Option<&'static Definition> {

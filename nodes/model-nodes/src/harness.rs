@@ -65,7 +65,7 @@ mod goals;
 
 pub(crate) use follower::follows;
 pub use follower::{Event, Follower, Follows, Inputs, Told};
-pub use goals::Goals;
+pub use goals::{GoalInputs, Goals};
 
 use std::{process::ExitCode, sync::Arc};
 

@@ -1,6 +1,6 @@
-//! The planner node: a goal image, latents and actions in, plans out.
+//! The planner node: a goal, latents and actions in, plans out.
 //!
-//! [`PlannerStep`] is the node's state without its ROS interface: it keeps the goal's latent and the observed history,
+//! [`PlannerStep`] is the node's state without its ROS interface: it keeps the goal and the observed history,
 //! and says when and from what to plan ([`PlanRequest`]). [`PlannerModel::plan`] computes a request by one
 //! of the planners of `wm_planner` over the transition model, which this node holds itself: candidates never cross a topic.
 
@@ -12,8 +12,8 @@ mod setup;
 mod step;
 
 pub use error::PlannerError;
-pub use goal::Goal;
-pub use model::PlannerModel;
+pub use goal::{Goal, GoalError, GoalReader};
+pub use model::{Planned, PlannerModel, PlannerParts};
 pub use node::{NODE, body};
-pub use setup::{PlannerSetup, Weights};
+pub use setup::{MotionLimits, PlannerSetup, WorkspaceBox};
 pub use step::{Lead, PlanRequest, PlanWait, PlannerSettings, PlannerStep, Unsent};

@@ -7,7 +7,9 @@
 //! What is compared: the decoded prediction of a moment with the camera's frame of that moment, at the prediction's
 //! resolution; and, as baseline, the last observed frame, repeated ("persistence") with that same frame.
 //!
-//! Not here: topics and DDS (the node [`monitor`] alone), metrics themselves (`wm_metrics`).
+//! How often a planner succeeds on the simulated arm is another question, which the node [`trials`] answers.
+//!
+//! Not here: topics and DDS (the nodes [`monitor`] and [`trials`] alone), metrics themselves (`wm_metrics`).
 
 mod bag;
 pub mod figures;
@@ -19,6 +21,7 @@ pub mod monitor;
 pub mod scorer;
 pub mod strip;
 pub mod table;
+pub mod trials;
 
 pub use bag::score_bag;
 pub use figures::Report;

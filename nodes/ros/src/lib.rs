@@ -87,6 +87,7 @@ pub use lifecycle::{Lifecycle, Machine, Managed, Outcome, Refused, State, Transi
 pub use node::{Node, RemoteEndpoint, Role, TopicInfo};
 pub use parameters::{
     Descriptor, Field, Parameter, ParameterError, ParameterSet, ParameterSpec, Range,
+    RemoteParameters,
 };
 pub use publisher::{Publisher, RawPublisher};
 pub use qos::{Durability, Qos, Reliability};

@@ -3,10 +3,12 @@
 
 mod declaration;
 mod descriptor;
+mod remote;
 pub(crate) mod services;
 
 pub use declaration::{Field, ParameterSet, ParameterSpec};
 pub use descriptor::{Descriptor, Range};
+pub use remote::RemoteParameters;
 
 use crate::{
     args::Override,

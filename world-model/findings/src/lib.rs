@@ -6,6 +6,7 @@
 //! | [`csv`] | spreadsheets: a row per model and figure |
 //! | [`html`] | people: one file with figures, curves, paths and pictures |
 //! | [`model_card`] | people who are to decide whether to use a model |
+//! | [`ClosedLoop`] | how often a planner succeeds on an arm |
 //! | [`compare`] | whether one model is better than another, over the same units |
 //!
 //! Nothing here measures, reads or writes a file. Equal findings give equal bytes: no time, no random name, no order of a
@@ -40,6 +41,7 @@
 //! ```
 
 mod card;
+mod closed_loop;
 mod comparison;
 mod csv;
 mod error;
@@ -52,6 +54,7 @@ mod section;
 mod suite;
 
 pub use card::{CardAbout, model_card};
+pub use closed_loop::{ClosedLoop, Episode, Percentiles, PlanTime};
 pub use comparison::{Comparison, Difference, Verdict, compare, compare_with_first};
 pub use csv::csv;
 pub use error::{FindingsError, Mismatch};

@@ -77,6 +77,17 @@ impl PlannerChoice {
         )
     }
 
+    /// The planner that searches from nothing instead of from what the inverse dynamics model tells: for goals that are
+    /// no latents. None for the one that tells and does not search.
+    pub fn unseeded(self) -> Option<Self> {
+        match self {
+            Self::Idm => None,
+            Self::Cem | Self::IdmCem => Some(Self::Cem),
+            Self::Icem | Self::IdmIcem => Some(Self::Icem),
+            Self::Mppi | Self::IdmMppi => Some(Self::Mppi),
+        }
+    }
+
     /// The planner, for the latents (h, w, C) of `goals` in their order where it asks an inverse dynamics model.
     ///
     /// # Errors

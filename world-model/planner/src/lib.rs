@@ -26,6 +26,8 @@ mod seeded;
 mod space;
 mod spread;
 mod transition_dynamics;
+mod waypoint;
+mod weights;
 mod workspace;
 
 #[cfg(test)]
@@ -48,4 +50,6 @@ pub use seeded::Seeded;
 pub use space::{Coordinate, Range, SearchSpace};
 pub use spread::spread;
 pub use transition_dynamics::TransitionDynamics;
+pub use waypoint::{Arrival, Waypoint, latent_distance, timed};
+pub use weights::{Weights, one_a_step};
 pub use workspace::{Workspace, WorkspaceAxis};

@@ -77,6 +77,14 @@ impl Problem<'_> {
         self.objective.costs(self.space, candidates, &latents)
     }
 
+    /// Latents (k, h, w, C) that the actions of a plan, horizon x searched values, lead to.
+    ///
+    /// # Errors
+    /// Where the model cannot compute it.
+    pub fn imagine(&mut self, actions: &[Vec<f32>]) -> Result<Tensor, PlanError> {
+        Ok(self.rollout(&[actions.concat()])?.squeeze(0)?)
+    }
+
     /// Latents (N, k, h, w, C) that candidates lead to.
     pub(crate) fn rollout(&mut self, candidates: &[Vec<f32>]) -> Result<Tensor, PlanError> {
         let values = self.space.len();

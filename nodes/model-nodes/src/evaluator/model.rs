@@ -90,12 +90,8 @@ impl EvaluatorModel {
             self.probabilities(&context, &latents, request.instruction.as_deref())?;
 
         let mut step_costs = vec![Vec::new(); count];
-        if let Some(goal) = &request.goal {
-            let target = Target::LastStep(Tensor::from_slice(
-                &goal.values,
-                space.shape(),
-                &Device::Cpu,
-            )?);
+        if let Some(goal) = request.goal.as_ref().and_then(|goal| goal.latents.last()) {
+            let target = Target::LastStep(Tensor::from_slice(goal, space.shape(), &Device::Cpu)?);
             for step in 0..horizon {
                 let costs = target.costs(&latents.narrow(1, step, 1)?)?;
                 for (all, cost) in step_costs.iter_mut().zip(costs) {

@@ -31,15 +31,16 @@ use crate::{
     chunk_merging::Merging,
     encoder::EncoderStep,
     env::INSTRUCTION,
-    harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
+    harness::{self, Configured, Follower, GoalInputs, Goals, Inputs, ModelNode, Told},
     history::{History, HistorySettings, Timing, seconds},
+    planner::GoalReader,
     pool::Pool,
     work::Work,
 };
 use wm_camera::image_message::{encode_image, encode_jpeg};
 use wm_wire::{
     latent_message::LatentDtype,
-    transport::{ImagePublisher, ImageSubscription, Pictures, Transports},
+    transport::{ImagePublisher, Pictures, Transports},
 };
 
 /// The node.
@@ -91,8 +92,8 @@ wm_ros::endpoints! {
         inputs: Inputs;
         /// A policy's candidate chunks.
         candidates: Subscription<ActionCandidates> = "action_candidates";
-        /// The goal image, volatile or latched.
-        goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
+        /// What says what to reach; costs are distances to the last of its pictures.
+        goals: GoalInputs;
         /// The task in words, volatile or latched, for the success probe if the model has one.
         instructions: Subscription<Text> = INSTRUCTION, qos(Qos::reliable(1)), made(Node::subscription_catching_up);
         /// What each candidate would do.
@@ -225,7 +226,7 @@ impl ModelNode for Evaluator {
             waiting: None,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
-            goals: Goals::new(&model.encoder, &model.pool),
+            goals: Goals::new(GoalReader::new(&model.encoder), &model.pool),
             evaluations,
             pictures,
             readings,

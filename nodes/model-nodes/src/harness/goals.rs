@@ -1,27 +1,45 @@
-//! Goal images, encoded beside the message loop.
-
-use std::sync::{Arc, Mutex};
+//! Goals, read beside the message loop.
 
 use anyhow::{Context as _, Result};
 use wm_camera::camera_frame::CameraFrame;
-use wm_ros::{Received, complaints::Complaints};
+use wm_msgs::wm_msgs::Goal as GoalMessage;
+use wm_ros::{Node, Received, Subscription, complaints::Complaints};
 use wm_wire::transport::ImageSubscription;
 
 use crate::{
-    encoder::{EncoderError, EncoderStep},
     history::seconds,
-    planner::Goal,
+    planner::{Goal, GoalError, GoalReader},
     pool::Pool,
     work::Work,
 };
 
-/// Makes goals of images. The newest is enough: one may wait.
-pub struct Goals(Work<CameraFrame, Result<Goal, EncoderError>>);
+wm_ros::endpoints! {
+    /// What says what to reach.
+    pub struct GoalInputs {
+        /// The goal image, volatile or latched.
+        images: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
+        /// Goals of other kinds: several images or latents, a region, words. The newest message of both topics counts.
+        messages: Subscription<GoalMessage> = "goal", made(Node::subscription_catching_up);
+    }
+}
+
+/// What a goal is made of.
+enum Told {
+    Picture(CameraFrame),
+    Message(GoalMessage),
+}
+
+/// Makes goals of messages. The newest is enough: one may wait.
+pub struct Goals(Work<Told, Result<Goal, GoalError>>);
 
 impl Goals {
-    /// Goals by this encoder, computed on these threads.
-    pub fn new(encoder: &Arc<Mutex<EncoderStep>>, pool: &Pool) -> Self {
-        Self(Goal::work(encoder, pool))
+    /// Goals by this reader, computed on these threads.
+    pub fn new(reader: GoalReader, pool: &Pool) -> Self {
+        let read = move |told: Told, _: &_| match told {
+            Told::Picture(frame) => reader.of_picture(&frame),
+            Told::Message(message) => reader.of_message(&message),
+        };
+        Self(Work::new(1, read).on(pool))
     }
 
     /// The next goal; `None` at the shutdown. Cancel safe.
@@ -30,25 +48,36 @@ impl Goals {
     /// The encoder panicked.
     pub async fn next(
         &mut self,
-        images: &mut ImageSubscription,
+        inputs: &mut GoalInputs,
         complaints: &mut Complaints,
     ) -> Result<Option<Goal>> {
         loop {
-            tokio::select! {
+            let told = tokio::select! {
                 biased;
                 finished = self.0.finished() => match finished.context("the goal's thread")? {
                     Ok(goal) => {
-                        tracing::info!("goal set: the image of {}", seconds(goal.stamp));
+                        tracing::info!("goal set: that of {}", seconds(goal.stamp));
                         return Ok(Some(goal));
                     }
-                    Err(error) => complaints.left_out("bad_goal", &format_args!("goal image: {error}")),
-                },
-                received = images.recv() => {
-                    let Some(Received { message, .. }) = received else { return Ok(None) };
-                    if self.0.submit(message).is_some() {
-                        complaints.left_out("superseded_goal", &"a newer goal arrived before this one was encoded");
+                    Err(error) => {
+                        complaints.left_out("bad_goal", &format_args!("goal: {error}"));
+                        continue;
                     }
+                },
+                received = inputs.images.recv() => {
+                    let Some(Received { message, .. }) = received else { return Ok(None) };
+                    Told::Picture(message)
                 }
+                received = inputs.messages.recv() => {
+                    let Some(Received { message, .. }) = received else { return Ok(None) };
+                    Told::Message(message)
+                }
+            };
+            if self.0.submit(told).is_some() {
+                complaints.left_out(
+                    "superseded_goal",
+                    &"a newer goal arrived before this one was encoded",
+                );
             }
         }
     }

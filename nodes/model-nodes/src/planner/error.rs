@@ -30,6 +30,11 @@ pub enum PlannerError {
         /// The action space, in words.
         space: String,
     },
+    /// Only a latent tells the inverse dynamics model anything.
+    #[error(
+        "the goal is words alone, which planner \"idm\" cannot plan for; expected icem, cem or mppi, alone or after idm"
+    )]
+    NoLatent,
     /// The settings have no JSON form.
     #[error("the plan's settings: {0}")]
     Settings(#[from] serde_json::Error),
@@ -65,7 +70,7 @@ impl PlannerError {
             Self::Latent(error) => error.reason(),
             Self::History(error) => error.reason(),
             Self::Action(_) => "malformed_action",
-            Self::Plan(_) | Self::Searched { .. } | Self::Settings(_) => "no_plan",
+            Self::Plan(_) | Self::Searched { .. } | Self::NoLatent | Self::Settings(_) => "no_plan",
             Self::Model(_) => "model",
         }
     }

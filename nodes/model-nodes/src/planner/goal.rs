@@ -1,54 +1,43 @@
 //! What to reach.
 
-use std::sync::{Arc, Mutex, PoisonError};
+mod error;
+mod reader;
+
+pub use error::GoalError;
+pub use reader::GoalReader;
+
+use std::sync::Arc;
 
 use wm_msgs::builtin_interfaces::Time;
+use wm_zoo::success_probe::Instruction;
 
-use crate::{
-    encoder::{EncoderError, EncoderStep},
-    pool::Pool,
-    work::Work,
-};
-use wm_camera::camera_frame::CameraFrame;
+/// Goals that are reached one after the other, at most.
+const MOST_LATENTS: usize = 256;
 
-/// The goal: an image's latent.
-#[derive(Clone, Debug, PartialEq)]
+/// What to reach: latents, one after the other, or words.
+#[derive(Clone, Debug)]
 pub struct Goal {
-    /// The image's stamp.
+    /// Of its message.
     pub stamp: Time,
-    /// Its normalised latent, row-major, channels last.
-    pub values: Arc<[f32]>,
+    /// Normalised latents in their order, each row-major, channels last. None where words alone say what to reach.
+    pub latents: Vec<Arc<[f32]>>,
+    /// When each is to be reached, since the goal was set \[ns\], ascending; empty: each when the one before is reached.
+    pub times_ns: Vec<i64>,
+    /// How much each cell of the grid counts, row-major; `None`: all the same.
+    pub mask: Option<Arc<[f32]>>,
+    /// The task in words, as the success probe reads it.
+    pub instruction: Option<Arc<Instruction>>,
 }
 
 impl Goal {
-    /// The goal that an image shows.
-    ///
-    /// # Errors
-    /// An image that is none, or one of which the model makes no finite latent.
-    pub fn of(frame: &CameraFrame, encoder: &EncoderStep) -> Result<Self, EncoderError> {
-        let values = encoder.encode_values(&frame.decode()?)?;
-        if values.iter().any(|value| !value.is_finite()) {
-            return Err(wm_model::Error::NotFinite {
-                what: "the goal's latent",
-            }
-            .into());
+    /// The goal to be where `values` are, a normalised latent.
+    pub fn of_latent(stamp: Time, values: Arc<[f32]>) -> Self {
+        Self {
+            stamp,
+            latents: vec![values],
+            times_ns: Vec::new(),
+            mask: None,
+            instruction: None,
         }
-        Ok(Self {
-            stamp: frame.header().stamp,
-            values: Arc::from(values),
-        })
-    }
-
-    /// Makes goals of images; the newest is enough: one may wait.
-    pub(crate) fn work(
-        encoder: &Arc<Mutex<EncoderStep>>,
-        pool: &Pool,
-    ) -> Work<CameraFrame, Result<Self, EncoderError>> {
-        let encoder = Arc::clone(encoder);
-        Work::new(1, move |frame: CameraFrame, _| {
-            let encoder = encoder.lock().unwrap_or_else(PoisonError::into_inner);
-            Self::of(&frame, &encoder)
-        })
-        .on(pool)
     }
 }

@@ -1,36 +1,68 @@
 //! From a plan request to a plan.
 
-use std::{collections::BTreeMap, fmt, sync::Arc};
+mod limits;
 
-use candle_core::{DType, Device, Tensor};
+use std::{
+    collections::BTreeMap,
+    fmt,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use candle_core::{Device, Tensor};
+use image::RgbImage;
 use serde::Serialize;
-use wm_model::{WorldModel, sampler::Given};
-use wm_motion::actions::{ActionEncoding, Kind};
+use wm_model::{Decoder, WorldModel, image::to_rgb, sampler::Given};
 use wm_msgs::{
     builtin_interfaces::Duration,
     std_msgs::Header,
     wm_msgs::{Action, Plan},
 };
 use wm_planner::{
-    ActionSize, Coordinate, GoalDistance, Objective, PlannedActions, PlannerChoice,
-    PlannerSettings, Problem, Range, SearchSpace, Smoothness, Target, TransitionDynamics, spread,
+    Coordinate, Objective, PlannedActions, PlannerChoice, PlannerSettings, Problem, SearchSpace,
+    Success, TransitionDynamics, Watch, Waypoint, WorkspaceMargin, latent_distance, one_a_step,
+    spread, timed,
 };
-use wm_zoo::idm::TrainedIdm;
+use wm_zoo::{idm::TrainedIdm, success_probe::SuccessClassifier};
 
 use super::{PlanRequest, PlannerError, PlannerSetup};
 use crate::history::stack;
 
+/// What plans are made with.
+#[derive(Clone)]
+pub struct PlannerParts {
+    /// The transition model and its spaces.
+    pub model: WorldModel,
+    /// For planners that begin from what it tells.
+    pub idm: Option<Arc<TrainedIdm>>,
+    /// For goals with words.
+    pub probe: Option<Arc<SuccessClassifier>>,
+    /// For pictures of what plans lead to.
+    pub decoder: Option<Arc<Mutex<Box<dyn Decoder>>>>,
+}
+
 /// The search and the model that it searches with.
 #[derive(Clone)]
 pub struct PlannerModel {
-    model: WorldModel,
-    idm: Option<Arc<TrainedIdm>>,
+    parts: PlannerParts,
     setup: PlannerSetup,
     choice: PlannerChoice,
     /// The values that are searched.
     coordinates: Vec<Coordinate>,
     integration_steps: usize,
     settings_json: String,
+}
+
+/// A plan.
+#[derive(Clone, Debug)]
+pub struct Planned {
+    /// The planned actions, in model units.
+    pub actions: PlannedActions,
+    /// How far along the goal's latents the plan began.
+    pub waypoint: Waypoint,
+    /// Complete but for `time_taken`, which is the sender's to fill.
+    pub message: Plan,
+    /// What the camera would see after its last action, where that was asked for.
+    pub outcome: Option<RgbImage>,
 }
 
 impl fmt::Debug for PlannerModel {
@@ -58,62 +90,39 @@ struct SettingsText<'a> {
     model_hash: &'a str,
 }
 
+/// The latents that a plan is to be at, one a model step, and where along the goal's latents that begins.
+struct Course {
+    goals: Vec<Tensor>,
+    waypoint: Waypoint,
+    /// Of the observation to the goal's last latent.
+    distance: f32,
+}
+
 impl PlannerModel {
-    /// A planner over `model` that searches the dimensions named by `searched` (none named: all but grippers), with at
-    /// most `max_translation` \[m\] and `max_rotation` \[rad\] along each axis in one model step; infinity leaves them to
-    /// the model's own bounds. A gripper that is searched is open or closed, nothing between.
+    /// A planner. A gripper that is searched is open or closed, nothing between.
     ///
     /// # Errors
     /// [`PlannerError::Searched`] names a dimension that the model's actions do not have, [`PlannerError::Plan`] a
     /// setting that cannot serve, or that there is no inverse dynamics model.
-    pub fn new(
-        model: WorldModel,
-        idm: Option<TrainedIdm>,
-        setup: PlannerSetup,
-        searched: &[String],
-        integration_steps: usize,
-        (max_translation, max_rotation): (f64, f64),
-    ) -> Result<Self, PlannerError> {
-        let space = model.encoding.space();
-        if let Some(unknown) = searched
-            .iter()
-            .find(|name| space.dimensions().iter().all(|known| known.name != **name))
-        {
-            return Err(PlannerError::Searched {
-                name: unknown.clone(),
-                space: space.to_string(),
-            });
-        }
-        let all = bounds(&model.encoding, max_translation, max_rotation);
-        let (mut coordinates, mut names) = (Vec::new(), Vec::new());
-        for (index, (dimension, (low, high))) in space.dimensions().iter().zip(all).enumerate() {
-            let is_searched = if searched.is_empty() {
-                !dimension.kind.is_gripper()
-            } else {
-                searched.contains(&dimension.name)
-            };
-            if is_searched {
-                let range = match dimension.kind {
-                    Kind::GripperBinary => Range::Either(-1.0, 1.0),
-                    _ => Range::Between(low, high),
-                };
-                coordinates.push(Coordinate {
-                    index,
-                    range,
-                    rate: f32::INFINITY,
-                });
-                names.push(dimension.name.as_str());
-            }
-        }
-        let idm = idm.map(Arc::new);
-        let choice = setup.choice.unwrap_or(match idm {
+    pub fn new(parts: PlannerParts, setup: PlannerSetup) -> Result<Self, PlannerError> {
+        let model = &parts.model;
+        let choice = setup.choice.unwrap_or(match parts.idm {
             Some(_) => PlannerChoice::IdmIcem,
             None => PlannerChoice::Icem,
         });
+        let coordinates = limits::coordinates(&model.encoding, &setup.search, &setup.limits)?;
         // What cannot serve is found here, not at the first goal.
-        let nowhere = Tensor::zeros(model.space.shape(), DType::F32, &Device::Cpu)?;
-        choice.build(&setup.settings, idm.as_ref(), &[nowhere])?;
+        let nowhere = Tensor::zeros(model.space.shape(), candle_core::DType::F32, &Device::Cpu)?;
+        choice.build(&setup.settings, parts.idm.as_ref(), &[nowhere])?;
         SearchSpace::new(vec![0.0; model.encoding.action_dim()], coordinates.clone())?;
+        let integration_steps = setup
+            .integration_steps
+            .unwrap_or(model.transition.config().sampler.steps);
+        let dimensions = model.encoding.space().dimensions();
+        let named = coordinates
+            .iter()
+            .filter_map(|coordinate| dimensions.get(coordinate.index));
+        let names: Vec<&str> = named.map(|dimension| dimension.name.as_str()).collect();
         let bounds = coordinates
             .iter()
             .map(|coordinate| coordinate.range.bounds());
@@ -128,8 +137,7 @@ impl PlannerModel {
         };
         let settings_json = serde_json::to_string(&text)?;
         Ok(Self {
-            model,
-            idm,
+            parts,
             setup,
             choice,
             coordinates,
@@ -143,27 +151,79 @@ impl PlannerModel {
         self.choice
     }
 
-    /// Searches for the plan of a request, until `out_of_time`. The message is complete but for `time_taken`, which is
-    /// the sender's to fill.
+    /// Searches for the plan of a request; `watch` hears of every batch, and ends the search by `true`.
     ///
     /// # Errors
     /// [`PlannerError`] where the request does not fit the model, or nothing finite is found.
-    pub fn plan(
-        &self,
-        request: &PlanRequest,
-        out_of_time: &mut dyn FnMut() -> bool,
-    ) -> Result<(PlannedActions, Plan), PlannerError> {
-        let WorldModel {
-            transition,
-            space,
-            encoding,
-            ..
-        } = &self.model;
-        let mut sampler = transition.config().sampler.clone();
+    pub fn plan(&self, request: &PlanRequest, watch: Watch<'_>) -> Result<Planned, PlannerError> {
+        let course = self.course(request)?;
+        let mut dynamics = self.dynamics(request)?;
+        let space = self.space(request)?;
+        let objective = self.objective(request, &course.goals)?;
+        let choice = match course.goals.is_empty() {
+            // Words alone: there is no latent to ask the inverse dynamics model about.
+            true => self.choice.unseeded().ok_or(PlannerError::NoLatent)?,
+            false => self.choice,
+        };
+        let planner = choice.build(&self.setup.settings, self.parts.idm.as_ref(), &course.goals)?;
+        // A plan of another horizon, from before a parameter changed, is no start.
+        let start = request
+            .start
+            .as_ref()
+            .map(|start| &start.actions)
+            .filter(|start| start.len() == self.setup.horizon);
+        let mut problem = Problem {
+            space: &space,
+            dynamics: &mut dynamics,
+            objective: &objective,
+            horizon: self.setup.horizon,
+            batch: self.setup.batch,
+            proposals: start.into_iter().cloned().collect(),
+        };
+        let found = planner.plan(&mut problem, request.seed, watch)?;
+        let outcome = match request.is_shown {
+            true => self.outcome(&problem.imagine(&found.actions)?)?,
+            false => None,
+        };
+        // Other seeds than those of the plans to come.
+        let seeds = (1..=self.setup.spread_seeds as u64).map(|index| !request.seed ^ index);
+        let seeds: Vec<u64> = seeds.collect();
+        let spread_costs = if seeds.is_empty() {
+            Vec::new()
+        } else {
+            spread(&dynamics, &objective, &space, &found.actions, &seeds)?
+        };
+        let encoding = &self.parts.model.encoding;
+        let actions = found
+            .actions
+            .iter()
+            .map(|action| encoding.decode_step(&space.whole(action)))
+            .collect::<Result<Vec<_>, _>>()?;
+        let message = Plan {
+            planner: choice.to_string(),
+            // At most as many as a goal may have.
+            goal_index: course.waypoint.index as u32,
+            distance: course.distance,
+            terms: objective.names().map(str::to_owned).collect(),
+            spread_costs,
+            ..self.message(request, &found, actions)
+        };
+        Ok(Planned {
+            actions: found,
+            waypoint: course.waypoint,
+            message,
+            outcome,
+        })
+    }
+
+    /// What comes of actions from where the plan begins.
+    fn dynamics(&self, request: &PlanRequest) -> Result<TransitionDynamics<'_>, PlannerError> {
+        let model = &self.parts.model;
+        let mut sampler = model.transition.config().sampler.clone();
         sampler.steps = self.integration_steps;
-        let mut rollout = request
-            .moment
-            .rollout(transition, space, &sampler, request.seed)?;
+        let moment = &request.moment;
+        let mut rollout =
+            moment.rollout(&model.transition, &model.space, &sampler, request.seed)?;
         // What happens while the search goes on, so that the plan starts where the robot will be.
         for pair in request.until.windows(2) {
             let [action, next] = pair else { continue };
@@ -179,69 +239,105 @@ impl PlannerModel {
                 rollout.next_given(&fed, given)?;
             }
         }
-        let mut dynamics = TransitionDynamics::after(rollout)?;
-        let searched = SearchSpace::new(self.base(request), self.coordinates.clone())?;
-        let searched = match request.until.split_last() {
-            // The action that the robot takes as the plan begins is the one that it replaces.
-            Some((_, [.., before])) => searched.after(&before.model.values)?,
-            _ => searched,
-        };
-        let goal = Tensor::from_slice(&request.goal.values, space.shape(), &Device::Cpu)?;
-        let objective = self.objective(&goal);
-        let planner = self
-            .choice
-            .build(&self.setup.settings, self.idm.as_ref(), &[goal])?;
-        // A plan of another horizon, from before a parameter changed, is no start.
-        let start = request
-            .start
-            .as_ref()
-            .map(|start| &start.actions)
-            .filter(|start| start.len() == self.setup.horizon);
-        let mut problem = Problem {
-            space: &searched,
-            dynamics: &mut dynamics,
-            objective: &objective,
-            horizon: self.setup.horizon,
-            batch: self.setup.batch,
-            proposals: start.into_iter().cloned().collect(),
-        };
-        let found = planner.plan(&mut problem, request.seed, &mut |_| out_of_time())?;
-        // Other seeds than those of the plans to come.
-        let seeds = (1..=self.setup.spread_seeds as u64).map(|index| !request.seed ^ index);
-        let seeds: Vec<u64> = seeds.collect();
-        let spread_costs = if seeds.is_empty() {
-            Vec::new()
-        } else {
-            spread(&dynamics, &objective, &searched, &found.actions, &seeds)?
-        };
-        let actions = found
-            .actions
-            .iter()
-            .map(|action| encoding.decode_step(&searched.whole(action)))
-            .collect::<Result<Vec<_>, _>>()?;
-        let message = Plan {
-            terms: objective.names().map(str::to_owned).collect(),
-            term_costs: found.terms.clone(),
-            spread_costs,
-            ..self.message(request, &found, actions)
-        };
-        Ok((found, message))
+        Ok(TransitionDynamics::after(rollout)?)
     }
 
-    fn objective(&self, goal: &Tensor) -> Objective {
-        let weights = self.setup.weights;
-        let last = GoalDistance::new(Target::LastStep(goal.clone()));
-        let path = GoalDistance::new(Target::AllSteps(goal.clone())).named("path");
-        Objective::default()
-            .and(weights.goal, last)
-            .and(weights.path, path)
-            .and(weights.action, ActionSize)
-            .and(weights.smoothness, Smoothness)
+    /// What may be chosen.
+    fn space(&self, request: &PlanRequest) -> Result<SearchSpace, PlannerError> {
+        let mut space = SearchSpace::new(self.base(request), self.coordinates.clone())?;
+        if let Some((_, [.., before])) = request.until.split_last() {
+            // The action that the robot takes as the plan begins is the one that it replaces.
+            space = space.after(&before.model.values)?;
+        }
+        if let (Some(limits), Some(position)) = (self.setup.limits.workspace, request.position) {
+            let encoding = &self.parts.model.encoding;
+            let workspace = limits::workspace(encoding, &self.coordinates, &limits, position);
+            space = space.within(workspace)?;
+        }
+        Ok(space)
+    }
+
+    /// Which latents to be at.
+    fn course(&self, request: &PlanRequest) -> Result<Course, PlannerError> {
+        let shape = self.parts.model.space.shape();
+        let latent = |values: &Arc<[f32]>| Tensor::from_slice(values, shape, &Device::Cpu);
+        let goal = &request.goal;
+        let latents: Vec<Tensor> = goal.latents.iter().map(latent).collect::<Result<_, _>>()?;
+        let Some(last) = latents.last() else {
+            return Ok(Course {
+                goals: Vec::new(),
+                waypoint: request.waypoint,
+                distance: f32::NAN,
+            });
+        };
+        let observed = latent(&request.moment.observed.values)?;
+        let distance = latent_distance(&observed, last)?;
+        let horizon = self.setup.horizon;
+        let (goals, waypoint) = if goal.times_ns.is_empty() {
+            let waypoint = request
+                .waypoint
+                .advance(&latents, &observed, self.setup.arrival)?;
+            let left = latents.get(waypoint.index..).unwrap_or_default();
+            (one_a_step(left, horizon), waypoint)
+        } else {
+            let begin_ns = request.begin_ns().saturating_sub(request.goal_set_ns);
+            let step_ns = request.moment.timing.step_ns();
+            let indices = timed(&goal.times_ns, begin_ns, step_ns, horizon);
+            let waypoint = Waypoint {
+                index: indices.first().copied().unwrap_or_default(),
+                plans: 0,
+            };
+            let of_step = |index: &usize| latents.get(*index).cloned();
+            (indices.iter().filter_map(of_step).collect(), waypoint)
+        };
+        Ok(Course {
+            goals,
+            waypoint,
+            distance,
+        })
+    }
+
+    fn objective(
+        &self,
+        request: &PlanRequest,
+        goals: &[Tensor],
+    ) -> Result<Objective, PlannerError> {
+        let space = &self.parts.model.space;
+        let mask = request
+            .goal
+            .mask
+            .as_deref()
+            .map(|mask| Tensor::from_slice(mask, (space.height, space.width), &Device::Cpu));
+        let mut objective = self
+            .setup
+            .weights
+            .objective(goals, mask.transpose()?.as_ref())?;
+        if let (Some(probe), Some(instruction)) = (&self.parts.probe, &request.goal.instruction) {
+            let observed = request.moment.context(space)?.squeeze(0)?;
+            let success = Success::new(Arc::clone(probe), (**instruction).clone(), observed);
+            objective = objective.and(self.setup.success, success);
+        }
+        if let Some(limits) = self.setup.limits.workspace {
+            let margin = limits.margin;
+            objective = objective.and(limits.weight, WorkspaceMargin { margin });
+        }
+        Ok(objective)
+    }
+
+    /// The picture of the last of the imagined `latents` (k, h, w, C); none without a decoder.
+    fn outcome(&self, latents: &Tensor) -> Result<Option<RgbImage>, PlannerError> {
+        let Some(decoder) = &self.parts.decoder else {
+            return Ok(None);
+        };
+        let last = latents.dim(0)?.saturating_sub(1);
+        let decoder = decoder.lock().unwrap_or_else(PoisonError::into_inner);
+        let picture = decoder.decode(&latents.narrow(0, last, 1)?)?;
+        Ok(Some(to_rgb(&picture.squeeze(0)?)?))
     }
 
     /// What dimensions do that are not searched: deltas nothing, and states hold.
     fn base(&self, request: &PlanRequest) -> Vec<f32> {
-        let encoding = &self.model.encoding;
+        let encoding = &self.parts.model.encoding;
         let mut base = match request.until.last() {
             Some(last) => last.model.values.clone(),
             None => vec![0.0; encoding.action_dim()],
@@ -262,7 +358,7 @@ impl PlannerModel {
     ) -> Plan {
         let moment = &request.moment;
         let lead_steps = request.lead_steps();
-        let dimensions = self.model.encoding.space().dimensions();
+        let dimensions = self.parts.model.encoding.space().dimensions();
         let named = self
             .coordinates
             .iter()
@@ -288,7 +384,7 @@ impl PlannerModel {
             epoch: moment.epoch,
             cost: found.cost,
             iteration_costs: found.iteration_costs.clone(),
-            planner: self.choice.to_string(),
+            term_costs: found.terms.clone(),
             settings: self.settings_json.clone(),
             seed: request.seed,
             goal_stamp: request.goal.stamp,
@@ -322,27 +418,4 @@ fn used(
         }
     };
     Ok(used)
-}
-
-/// The model's bounds, narrowed to the physical ones of a model step.
-fn bounds(encoding: &ActionEncoding, max_translation: f64, max_rotation: f64) -> Vec<(f32, f32)> {
-    use wm_motion::actions::Accumulation;
-    // But for the sum, a model step repeats its scaled delta in each of its intervals.
-    let intervals = match encoding.accumulation() {
-        Accumulation::Sum => 1,
-        _ => encoding.frame_skip(),
-    };
-    let bounds = encoding.bounds().into_iter();
-    let narrowed = bounds
-        .zip(encoding.space().dimensions())
-        .map(|((low, high), dimension)| {
-            let max = match dimension.kind {
-                Kind::TranslationDelta => max_translation,
-                Kind::RotationDelta => max_rotation,
-                _ => f64::INFINITY,
-            };
-            let limit = (max / intervals as f64) as f32 * dimension.scale.abs();
-            (low.max(-limit), high.min(limit))
-        });
-    narrowed.collect()
 }

@@ -5,31 +5,38 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail, ensure};
+use wm_camera::image_message::{encode_image, encode_jpeg};
 use wm_motion::actions::ActionEncoding;
-use wm_msgs::{builtin_interfaces::Duration as RosDuration, wm_msgs::Plan};
-use wm_planner::{
-    CemSettings, IcemSettings, InverseSettings, MppiSettings, Path, PlannedActions, PlannerChoice,
-    PlannerSettings as Planners, Returned,
+use wm_msgs::{
+    builtin_interfaces::{Duration as RosDuration, Time},
+    geometry_msgs::PoseStamped,
+    wm_msgs::Plan,
 };
-use wm_ros::{Diagnostics, Node, NodeDefinition, Publisher, Qos, complaints::Complaints};
-use wm_zoo::ModelFolder;
+use wm_planner::{
+    Arrival, CemSettings, IcemSettings, InverseSettings, MppiSettings, Path, PlannerChoice,
+    PlannerSettings as Planners, Returned, Weights,
+};
+use wm_ros::{
+    Diagnostics, Node, NodeDefinition, Publisher, Qos, Subscription, complaints::Complaints,
+};
+use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
 use super::{
-    Lead, PlanRequest, PlanWait, PlannerError, PlannerModel, PlannerSettings, PlannerSetup,
-    PlannerStep, Weights,
+    GoalReader, Lead, MotionLimits, PlanRequest, PlanWait, Planned, PlannerError, PlannerModel,
+    PlannerParts, PlannerSettings, PlannerSetup, PlannerStep, WorkspaceBox,
 };
 use crate::{
     chunk_merging::Merging,
     encoder::EncoderStep,
-    harness::{self, Configured, Follower, Goals, Inputs, ModelNode, Told},
+    harness::{self, Configured, Follower, GoalInputs, Goals, Inputs, ModelNode, Told},
     history::{History, HistorySettings, Timing, Wait, seconds},
     pool::Pool,
     work::{Stop, Work},
 };
 use wm_wire::{
     latent_message::LatentDtype,
-    transport::{ImageSubscription, Transports},
+    transport::{ImagePublisher, Pictures, Transports},
 };
 
 /// The node.
@@ -37,6 +44,8 @@ pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Planner>()
 
 /// Largest population, iteration count and the like that is accepted: far beyond use, within every integer type.
 const MANY: i64 = 1_000_000;
+/// Of the picture of what a plan leads to.
+const JPEG_QUALITY: u8 = 90;
 /// How long the first search is taken to be where there is no deadline.
 const FIRST_SEARCH: Duration = Duration::from_secs(1);
 
@@ -55,7 +64,7 @@ struct Named(Option<PlannerChoice>);
 wm_ros::parameters! {
     /// The node's parameters.
     struct Parameters {
-        /// Image transport of the goal.
+        /// Image transport of the goal image and of the picture of what a plan leads to.
         image_transport: Transports = "both";
         /// The planner: cem, icem, mppi, idm (what the inverse dynamics model tells), or one of the first three from what
         /// that tells, as idm+icem. auto: idm+icem if the model has an inverse dynamics model, else icem.
@@ -95,12 +104,18 @@ wm_ros::parameters! {
         idm_path: Path = "imagined", one_of { "imagined" => Path::Imagined, "line" => Path::Line };
         /// Weight of the distance to the goal after the last step.
         goal_weight: f64 = 1.0, in 0.0..=1e6;
-        /// Weight of the mean distance to the goal over all steps.
+        /// Weight of the mean distance to the goal over all steps; of several goals, to that of each step.
         path_weight: f64 = 0.0, in 0.0..=1e6;
         /// Weight of the size of the actions.
         action_weight: f64 = 0.0, in 0.0..=1e6;
         /// Weight of the change from one action to the next.
         smoothness_weight: f64 = 0.0, in 0.0..=1e6;
+        /// Weight of the improbability of success, by the model's success probe, for goals with an instruction.
+        success_weight: f64 = 0.0, in 0.0..=1e6;
+        /// Of several goals, one is reached when its distance is below this share of that to the next one.
+        goal_arrival: f64 = 0.3, in 0.0..=1.0;
+        /// Of several goals, how many plans are made for one before the next one is tried.
+        goal_plans: usize = 4, in 1..=MANY;
         /// Number of other noise seeds that the plan's cost is predicted with, for its spread.
         spread_seeds: usize = 0, in 0..=64;
         /// Number of observed frames that a plan starts from, one model step apart; at most 64.
@@ -124,6 +139,19 @@ wm_ros::parameters! {
         max_translation: f64 = 0.0, in 0.0..=10.0;
         /// Maximum rotation per dimension in one model step [rad]; 0: the model's own bound.
         max_rotation: f64 = 0.0, in 0.0..=10.0;
+        /// Maximum change of the translation along each axis from one model step to the next [m]; 0: no limit.
+        max_translation_change: f64 = 0.0, in 0.0..=10.0;
+        /// Maximum change of the rotation about each axis from one model step to the next [rad]; 0: no limit.
+        max_rotation_change: f64 = 0.0, in 0.0..=10.0;
+        /// Lower corner of the box that the end effector is kept within [m]: x, y, z in the frame of the actions. Empty:
+        /// no box. With one, ee_pose is needed.
+        workspace_min: Vec<f64> = Vec::<f64>::new();
+        /// Upper corner of that box [m]: x, y, z.
+        workspace_max: Vec<f64> = Vec::<f64>::new();
+        /// Where the cost of being near a side of the box begins [m].
+        workspace_margin: f64 = 0.05, in 1e-4..=10.0;
+        /// Weight of that cost.
+        workspace_weight: f64 = 0.0, in 0.0..=1e6;
         /// Time from one camera frame to the next [s], as in the model's training.
         frame_period: f64 = 0.2, in 1e-3..=60.0;
         /// Maximum duration of a search [s]; 0: no limit.
@@ -139,19 +167,23 @@ wm_ros::endpoints! {
     struct Endpoints {
         /// Inputs about the robot.
         inputs: Inputs;
-        /// The goal image, volatile or latched.
-        goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
+        /// What says what to reach.
+        goals: GoalInputs;
+        /// Where the end effector is, for the workspace box.
+        poses: Subscription<PoseStamped> = "ee_pose", qos(Qos::best_effort(1));
         /// The best actions found.
         plans: Publisher<Plan> = "plan", qos(Qos::reliable(10));
+        /// What the camera would see after the last of them, stamped with that time. Made while somebody subscribes.
+        outcomes: ImagePublisher = "plan/image", qos(Qos::reliable(4));
     }
 }
 
 impl Parameters {
     /// How to plan.
-    fn setup(&self) -> PlannerSetup {
+    fn setup(&self) -> Result<PlannerSetup> {
         let (population, iterations, elites) = (self.population, self.iterations, self.elites);
         let (initial_std, std_floor) = (self.initial_std as f32, self.std_floor as f32);
-        PlannerSetup {
+        Ok(PlannerSetup {
             choice: self.planner.0,
             settings: Planners {
                 cem: CemSettings {
@@ -190,8 +222,46 @@ impl Parameters {
                 action: self.action_weight as f32,
                 smoothness: self.smoothness_weight as f32,
             },
+            success: self.success_weight as f32,
             spread_seeds: self.spread_seeds,
+            arrival: Arrival {
+                share: self.goal_arrival as f32,
+                plans: self.goal_plans,
+            },
+            integration_steps: Some(self.integration_steps).filter(|steps| *steps > 0),
+            search: self.search.clone(),
+            limits: MotionLimits {
+                translation: positive(self.max_translation),
+                rotation: positive(self.max_rotation),
+                translation_change: positive(self.max_translation_change),
+                rotation_change: positive(self.max_rotation_change),
+                workspace: self.workspace()?,
+            },
+        })
+    }
+
+    fn workspace(&self) -> Result<Option<WorkspaceBox>> {
+        let (min, max) = match (&self.workspace_min[..], &self.workspace_max[..]) {
+            ([], []) => return Ok(None),
+            ([ax, ay, az], [bx, by, bz]) => ([*ax, *ay, *az], [*bx, *by, *bz]),
+            (min, max) => bail!(
+                "workspace_min has {} numbers and workspace_max has {}; expected x, y and z in both, or none",
+                min.len(),
+                max.len()
+            ),
+        };
+        for (axis, (min, max)) in ["x", "y", "z"].into_iter().zip(min.into_iter().zip(max)) {
+            ensure!(
+                min.is_finite() && max.is_finite() && min < max,
+                "the workspace box goes from {min} to {max} along {axis}: expected finite numbers, the lower one first"
+            );
         }
+        Ok(Some(WorkspaceBox {
+            min,
+            max,
+            margin: self.workspace_margin,
+            weight: self.workspace_weight as f32,
+        }))
     }
 
     /// Settings of the state.
@@ -210,41 +280,55 @@ impl Parameters {
             plan_period_ns: (self.plan_period * 1e9) as i64,
             // Any 64 bits are a seed.
             seed: self.seed as u64,
+            needs_pose: !self.workspace_min.is_empty(),
         }
     }
+}
+
+/// A limit, where 0 says that there is none.
+fn positive(limit: f64) -> Option<f64> {
+    Some(limit).filter(|limit| *limit > 0.0)
 }
 
 /// What the node loads.
 struct Model {
     encoder: Arc<Mutex<EncoderStep>>,
     planner: Arc<PlannerModel>,
+    /// None: the model has none, or words do not count.
+    probe: Option<Arc<SuccessClassifier>>,
     history: HistorySettings,
     space: wm_model::LatentSpace,
     encoding: ActionEncoding,
     pool: Pool,
 }
 
-type Planned = (
-    PlanRequest,
-    Result<(PlannedActions, Plan), PlannerError>,
-    Duration,
-);
+/// What came of a search, and how long it took.
+struct Finished {
+    request: PlanRequest,
+    planned: Result<Planned, PlannerError>,
+    pictures: Option<Pictures>,
+    taken: Duration,
+}
 
 struct Planner {
     follower: Follower,
     step: PlannerStep,
     goals: Goals,
-    searches: Work<PlanRequest, Planned>,
+    searches: Work<PlanRequest, Finished>,
     complaints: Complaints,
     diagnostics: Diagnostics,
 }
 
 impl ModelNode for Planner {
     const NAME: &'static str = "planner";
-    const ABOUT: &'static str = "Plans actions that lead to a goal image.";
+    const ABOUT: &'static str = "Plans actions that lead to a goal.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
     type Model = Model;
+
+    fn check(parameters: &Parameters) -> Result<()> {
+        parameters.workspace().map(|_| ())
+    }
 
     fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
         let (encoder, model) = (folder.encoder()?, folder.world_model()?);
@@ -255,28 +339,27 @@ impl ModelNode for Planner {
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
         let name = model.name.clone();
-        let integration_steps = match parameters.integration_steps {
-            0 => model.transition.config().sampler.steps,
-            steps => steps,
+        let setup = parameters.setup()?;
+        let probe = match setup.success > 0.0 {
+            true => folder.probe()?.map(Arc::new),
+            false => None,
         };
-        let limit = |value: f64| if value > 0.0 { value } else { f64::INFINITY };
-        let planner = PlannerModel::new(
+        let parts = PlannerParts {
             model,
-            folder.idm()?,
-            parameters.setup(),
-            &parameters.search,
-            integration_steps,
-            (
-                limit(parameters.max_translation),
-                limit(parameters.max_rotation),
-            ),
-        )?;
+            idm: folder.idm()?.map(Arc::new),
+            probe: probe.clone(),
+            decoder: folder
+                .decoder()?
+                .map(|decoder| Arc::new(Mutex::new(decoder))),
+        };
+        let planner = PlannerModel::new(parts, setup)?;
         let choice = planner.choice();
         tracing::info!("planning with {name} by {choice} in latent space {space}");
         let encoder = EncoderStep::new(encoder, LatentDtype::F32);
         Ok(Model {
             encoder: Arc::new(Mutex::new(encoder)),
             planner: Arc::new(planner),
+            probe,
             history,
             space,
             encoding,
@@ -287,19 +370,31 @@ impl ModelNode for Planner {
     fn activate(at: &Configured<Self>) -> Result<Self> {
         let (node, model) = (&at.node, &at.model);
         let (deadline, planner) = (at.parameters.deadline, Arc::clone(&model.planner));
+        let transports = at.parameters.image_transport;
         let searches = Work::new(1, move |request: PlanRequest, stop: &Stop| {
             let started = Instant::now();
             let is_late = || !deadline.is_zero() && started.elapsed() >= deadline;
-            let found = planner.plan(&request, &mut || stop.is_asked() || is_late());
-            (request, found, started.elapsed())
+            let planned = planner.plan(&request, &mut |_| stop.is_asked() || is_late());
+            let taken = started.elapsed();
+            let pictures = planned
+                .as_ref()
+                .ok()
+                .and_then(|planned| pictures(planned, transports));
+            Finished {
+                request,
+                planned,
+                pictures,
+                taken,
+            }
         })
         .on(&model.pool);
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
         let history = History::new(model.history, space, encoding, node.now());
+        let reader = GoalReader::new(&model.encoder).with_probe(model.probe.clone());
         Ok(Self {
             follower: Follower::new(node, &at.endpoints.inputs, "start the encoder"),
             step: PlannerStep::new(at.parameters.settings(), history),
-            goals: Goals::new(&model.encoder, &model.pool),
+            goals: Goals::new(reader, &model.pool),
             searches,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
@@ -310,21 +405,31 @@ impl ModelNode for Planner {
         let Endpoints {
             inputs,
             goals,
+            poses,
             plans,
+            outcomes,
         } = &mut at.endpoints;
         loop {
             tokio::select! {
                 biased;
-                finished = self.searches.finished() => self.planned(finished.context("the planner's thread")?, plans)?,
+                finished = self.searches.finished() => {
+                    self.planned(finished.context("the planner's thread")?, plans, outcomes)?;
+                }
                 goal = self.goals.next(goals, &mut self.complaints) => {
                     let Some(goal) = goal? else { return Ok(()) };
-                    self.step.set_goal(goal);
-                    self.plan();
+                    self.step.set_goal(goal, at.node.now());
+                    self.plan(outcomes);
+                }
+                Some(pose) = poses.recv() => {
+                    let at = pose.message.pose.position;
+                    if !self.step.pose([at.x, at.y, at.z], Instant::now()) {
+                        self.complaints.left_out("bad_pose", &"ee_pose: a position that is not finite");
+                    }
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
                     if let Some(Told::Seen(())) = self.follower.tell(event, &mut self.step, &mut self.complaints) {
-                        self.plan();
+                        self.plan(outcomes);
                     }
                 }
             }
@@ -332,11 +437,36 @@ impl ModelNode for Planner {
     }
 }
 
+/// The pictures of what a plan leads to, where there is one.
+fn pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
+    let outcome = planned.outcome.as_ref()?;
+    let message = &planned.message;
+    let mut header = message.header.clone();
+    if let Some(last) = message.actions.last() {
+        let end_ns = last
+            .header
+            .stamp
+            .to_nanos()
+            .saturating_add(message.period.to_nanos());
+        header.stamp = Time::from_nanos(end_ns);
+    }
+    let raw = transports
+        .raw
+        .then(|| encode_image(outcome, header.clone()));
+    let jpeg = transports
+        .compressed
+        .then(|| encode_jpeg(outcome, header, JPEG_QUALITY));
+    // A picture that the decoder made has a size that JPEG takes.
+    let compressed = jpeg.and_then(Result::ok);
+    Some(Pictures { raw, compressed })
+}
+
 impl Planner {
     /// Starts a search where one is due, or says what it waits for.
-    fn plan(&mut self) {
+    fn plan(&mut self, outcomes: &ImagePublisher) {
         match self.step.request(Instant::now()) {
-            Ok(request) => {
+            Ok(mut request) => {
+                request.is_shown = outcomes.subscribers() > 0;
                 self.complaints.working("planning");
                 if self.searches.submit(request).is_some() {
                     self.complaints
@@ -345,6 +475,7 @@ impl Planner {
             }
             Err(PlanWait::Recent) => self.complaints.working("planning"),
             Err(wait @ PlanWait::NoGoal) => self.complaints.waiting("goal", true, &wait),
+            Err(wait @ PlanWait::NoPose { .. }) => self.complaints.waiting("pose", false, &wait),
             Err(PlanWait::History(wait @ Wait::NoFrame)) => {
                 self.complaints.waiting(
                     "frame",
@@ -359,24 +490,39 @@ impl Planner {
         }
     }
 
-    fn planned(&mut self, (request, found, taken): Planned, plans: &Publisher<Plan>) -> Result<()> {
-        match found {
-            Ok((actions, mut plan)) => {
-                // A search takes seconds: far below what 64 bits of nanoseconds hold.
-                plan.time_taken = RosDuration::from_nanos(taken.as_nanos() as i64);
-                self.diagnostics.latency("plan").record(taken);
-                match self.step.planned(&request, &actions, taken, Instant::now()) {
-                    Ok(()) => plans.publish(&plan)?,
-                    Err(unsent) => {
-                        let stamp = seconds(plan.header.stamp);
-                        let text = format_args!(
-                            "the plan from the frame of {stamp} is not sent: {unsent}"
-                        );
-                        self.complaints.left_out(unsent.reason(), &text);
-                    }
-                }
+    fn planned(
+        &mut self,
+        finished: Finished,
+        plans: &Publisher<Plan>,
+        outcomes: &ImagePublisher,
+    ) -> Result<()> {
+        let Finished {
+            request,
+            planned,
+            pictures,
+            taken,
+        } = finished;
+        let planned = match planned {
+            Ok(planned) => planned,
+            Err(error) => {
+                self.complaints.left_out(error.reason(), &error);
+                return Ok(());
             }
-            Err(error) => self.complaints.left_out(error.reason(), &error),
+        };
+        self.diagnostics.latency("plan").record(taken);
+        if let Err(unsent) = self.step.planned(&request, &planned, taken, Instant::now()) {
+            let stamp = seconds(planned.message.header.stamp);
+            let text = format_args!("the plan from the frame of {stamp} is not sent: {unsent}");
+            self.complaints.left_out(unsent.reason(), &text);
+            return Ok(());
+        }
+        plans.publish(&Plan {
+            // A search takes seconds: far below what 64 bits of nanoseconds hold.
+            time_taken: RosDuration::from_nanos(taken.as_nanos() as i64),
+            ..planned.message
+        })?;
+        if let Some(pictures) = pictures {
+            outcomes.publish(&pictures)?;
         }
         Ok(())
     }

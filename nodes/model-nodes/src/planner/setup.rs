@@ -1,7 +1,7 @@
 //! How to plan.
 
 use serde::Serialize;
-use wm_planner::{PlannerChoice, PlannerSettings};
+use wm_planner::{Arrival, PlannerChoice, PlannerSettings, Weights};
 
 /// How to plan.
 #[derive(Clone, Debug, Serialize)]
@@ -19,30 +19,46 @@ pub struct PlannerSetup {
     pub batch: usize,
     /// Weights of the cost's terms.
     pub weights: Weights,
+    /// Weight of the improbability of success, for goals with words.
+    pub success: f32,
     /// Seeds that the plan's cost is predicted under besides its own, for its spread.
     pub spread_seeds: usize,
+    /// When one of several goals gives way to the next.
+    pub arrival: Arrival,
+    /// Euler steps per predicted frame; `None`: the model's own number.
+    #[serde(skip)]
+    pub integration_steps: Option<usize>,
+    /// Names of the dimensions to search; none: all but grippers.
+    #[serde(skip)]
+    pub search: Vec<String>,
+    /// What motions may be.
+    pub limits: MotionLimits,
 }
 
-/// Weights of the cost's terms; 0 leaves a term out.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Weights {
-    /// Distance to the goal after the last step.
-    pub goal: f32,
-    /// Mean distance to the goal over all steps.
-    pub path: f32,
-    /// Size of the actions.
-    pub action: f32,
-    /// Change from one action to the next.
-    pub smoothness: f32,
+/// What the motions of a plan may be, besides the model's own bounds; `None` for no limit.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct MotionLimits {
+    /// Along each axis in one model step \[m\].
+    pub translation: Option<f64>,
+    /// About each axis in one model step \[rad\].
+    pub rotation: Option<f64>,
+    /// Change of the translation along each axis from one model step to the next \[m\].
+    pub translation_change: Option<f64>,
+    /// Change of the rotation about each axis from one model step to the next \[rad\].
+    pub rotation_change: Option<f64>,
+    /// Where the end effector may be.
+    pub workspace: Option<WorkspaceBox>,
 }
 
-impl Default for Weights {
-    fn default() -> Self {
-        Self {
-            goal: 1.0,
-            path: 0.0,
-            action: 0.0,
-            smoothness: 0.0,
-        }
-    }
+/// A box that the end effector is kept within, along the axes of the frame of the actions.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct WorkspaceBox {
+    /// Lower corner \[m\].
+    pub min: [f64; 3],
+    /// Upper corner \[m\].
+    pub max: [f64; 3],
+    /// Where the cost of being near a side begins \[m\], above 0.
+    pub margin: f64,
+    /// Weight of that cost.
+    pub weight: f32,
 }

@@ -2,18 +2,19 @@
 
 use std::{
     convert::Infallible,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use thiserror::Error;
-use wm_motion::motion::StepAction;
+use wm_motion::{actions::Kind, motion::StepAction};
 use wm_msgs::{
     builtin_interfaces::Time,
     wm_msgs::{Action, ActionChunk, Latent},
 };
-use wm_planner::PlannedActions;
+use wm_planner::{PlannedActions, Waypoint};
 
-use super::Goal;
+use super::{Goal, Planned};
 use crate::{
     harness::follows,
     history::{Arrival, History, HistoryError, Moment, Reception, Wait},
@@ -35,6 +36,8 @@ pub struct PlannerSettings {
     pub lead: Lead,
     /// Seed of the first plan; each later one adds 1, so that a plan does not repeat the candidates of the last.
     pub seed: u64,
+    /// Whether a plan has to know where the end effector is.
+    pub needs_pose: bool,
 }
 
 /// When a plan begins: the robot keeps moving during a search.
@@ -57,11 +60,19 @@ pub struct PlanRequest {
     /// What the robot does until the plan begins, one a model step, and what it would do then.
     pub until: Vec<StepAction>,
     /// What to reach.
-    pub goal: Goal,
+    pub goal: Arc<Goal>,
+    /// When that was set, by the node's clock \[ns\].
+    pub goal_set_ns: i64,
+    /// How far along the goal's latents the plans before this one came.
+    pub waypoint: Waypoint,
+    /// Where the end effector is when the plan begins \[m\], if the step was told where it is.
+    pub position: Option<[f64; 3]>,
     /// First mean of the search: the last plan for this goal, without what has passed of it.
     pub start: Option<PlannedActions>,
     /// Seed of the candidates and of the noise.
     pub seed: u64,
+    /// Whether a picture of what the plan leads to is wanted.
+    pub is_shown: bool,
 }
 
 impl PlanRequest {
@@ -115,11 +126,19 @@ impl Unsent {
 #[non_exhaustive]
 pub enum PlanWait {
     /// No goal is set.
-    #[error("no goal image has arrived yet")]
+    #[error("no goal has arrived yet")]
     NoGoal,
     /// The history is not complete.
     #[error(transparent)]
     History(#[from] Wait),
+    /// A workspace is set, and nobody says where the end effector is.
+    #[error(
+        "no pose has arrived on ee_pose for {max_s} s, which workspace_min and workspace_max need"
+    )]
+    NoPose {
+        /// `max_age` \[s\].
+        max_s: f64,
+    },
     /// The last plan is younger than the plan period.
     #[error("the last plan is still recent")]
     Recent,
@@ -131,11 +150,20 @@ struct LastPlan {
     actions: PlannedActions,
 }
 
+/// A goal, and how far one has come.
+struct SetGoal {
+    goal: Arc<Goal>,
+    set_ns: i64,
+    waypoint: Waypoint,
+}
+
 /// The planner node's state: messages in, plan requests out.
 pub struct PlannerStep {
     settings: PlannerSettings,
     history: History,
-    goal: Option<Goal>,
+    goal: Option<SetGoal>,
+    /// Where the end effector is \[m\], and when that was received.
+    pose: Option<([f64; 3], Instant)>,
     /// Observation of the newest request for the goal \[ns\].
     requested_ns: Option<i64>,
     last: Option<LastPlan>,
@@ -159,6 +187,7 @@ impl PlannerStep {
             settings,
             history,
             goal: None,
+            pose: None,
             requested_ns: None,
             last: None,
             searches: Vec::new(),
@@ -198,10 +227,23 @@ impl PlannerStep {
         self.history.chunk(chunk, now)
     }
 
-    /// Takes a goal, row-major values of the planner's own latent space. The next plan does not start from the last
-    /// one.
-    pub fn set_goal(&mut self, goal: Goal) {
-        self.goal = Some(goal);
+    /// Takes where the end effector is, in the frame of the actions; it came at `at`.
+    /// One that is not finite is left out, and the answer is false.
+    pub fn pose(&mut self, position: [f64; 3], at: Instant) -> bool {
+        let is_finite = position.iter().all(|value| value.is_finite());
+        if is_finite {
+            self.pose = Some((position, at));
+        }
+        is_finite
+    }
+
+    /// Takes a goal at `now`, with latents of the planner's own space. The next plan does not start from the last one.
+    pub fn set_goal(&mut self, goal: Goal, now: Time) {
+        self.goal = Some(SetGoal {
+            goal: Arc::new(goal),
+            set_ns: now.to_nanos(),
+            waypoint: Waypoint::default(),
+        });
         self.forget_plans();
     }
 
@@ -210,7 +252,7 @@ impl PlannerStep {
     /// # Errors
     /// [`PlanWait`] says what is missing.
     pub fn request(&mut self, now: Instant) -> Result<PlanRequest, PlanWait> {
-        let goal = self.goal.clone().ok_or(PlanWait::NoGoal)?;
+        let set = self.goal.as_ref().ok_or(PlanWait::NoGoal)?;
         let moment = self.history.moment()?;
         moment.expect_fresh(now, self.settings.max_age)?;
         let observed_ns = moment.observed.stamp_ns;
@@ -223,11 +265,15 @@ impl PlannerStep {
         }
         let until = self.history.future(self.lead_steps(&moment, now) + 1)?;
         let mut request = PlanRequest {
+            position: self.position_after(&until, now)?,
             moment,
             until,
-            goal,
+            goal: Arc::clone(&set.goal),
+            goal_set_ns: set.set_ns,
+            waypoint: set.waypoint,
             start: None,
             seed: self.seed,
+            is_shown: false,
         };
         request.start = self.last.as_ref().and_then(|last| {
             let step_ns = request.moment.timing.step_ns();
@@ -238,6 +284,35 @@ impl PlannerStep {
         self.requested_ns = Some(observed_ns);
         self.seed = self.seed.wrapping_add(1);
         Ok(request)
+    }
+
+    /// Where the end effector is after all but the last of the steps `until` a plan begins.
+    fn position_after(
+        &self,
+        until: &[StepAction],
+        now: Instant,
+    ) -> Result<Option<[f64; 3]>, PlanWait> {
+        if !self.settings.needs_pose {
+            return Ok(None);
+        }
+        let max_age = self.settings.max_age;
+        let fresh = self
+            .pose
+            .filter(|(_, at)| now.saturating_duration_since(*at) <= max_age);
+        let Some((mut position, _)) = fresh else {
+            let max_s = max_age.as_secs_f64();
+            return Err(PlanWait::NoPose { max_s });
+        };
+        let kinds = || self.history.encoding().space().dimensions();
+        let before = until.split_last().map_or(&[][..], |(_, before)| before);
+        for interval in before.iter().flat_map(|step| &step.intervals) {
+            let moved = interval.values.iter().zip(kinds());
+            let moved = moved.filter(|(_, dimension)| dimension.kind == Kind::TranslationDelta);
+            for (axis, (value, _)) in position.iter_mut().zip(moved) {
+                *axis += f64::from(*value);
+            }
+        }
+        Ok(Some(position))
     }
 
     /// Model steps in which the search will be over.
@@ -261,7 +336,7 @@ impl PlannerStep {
     pub fn planned(
         &mut self,
         request: &PlanRequest,
-        actions: &PlannedActions,
+        planned: &Planned,
         taken: Duration,
         now: Instant,
     ) -> Result<(), Unsent> {
@@ -270,9 +345,15 @@ impl PlannerStep {
         }
         self.searches.push(taken);
         let moment = &request.moment;
-        if moment.epoch != self.history.epoch() || self.goal.as_ref() != Some(&request.goal) {
+        let goal = self
+            .goal
+            .as_mut()
+            .filter(|set| Arc::ptr_eq(&set.goal, &request.goal));
+        let Some(set) = goal.filter(|_| moment.epoch == self.history.epoch()) else {
             return Err(Unsent::Superseded);
-        }
+        };
+        set.waypoint = planned.waypoint;
+        let actions = &planned.actions;
         self.last = Some(LastPlan {
             begin_ns: request.begin_ns(),
             actions: actions.clone(),
@@ -299,10 +380,15 @@ impl PlannerStep {
         Ok(())
     }
 
-    /// Forgets all history and the last plan, and takes a new seed where one is given. The goal stays: it is the user's.
+    /// Forgets all history and the last plan, and takes a new seed where one is given. The goal stays, from its beginning:
+    /// it is the user's.
     pub fn reset(&mut self, seed: Option<u64>, now: Time) -> String {
         self.history.reset(now);
         self.forget_plans();
+        if let Some(set) = &mut self.goal {
+            set.waypoint = Waypoint::default();
+            set.set_ns = now.to_nanos();
+        }
         if let Some(seed) = seed {
             self.seed = seed;
         }

@@ -9,8 +9,8 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::num::NonZeroUsize;
 use wm_planner::{
-    ActionSize, Coordinate, Dynamics, GoalDistance, Objective, PlannedActions, PlannerChoice,
-    Problem, Range, SearchSpace, Smoothness, Target, TransitionDynamics,
+    Arrival, Coordinate, Dynamics, PlannedActions, PlannerChoice, Problem, Range, SearchSpace,
+    TransitionDynamics, Waypoint, Weights, one_a_step,
 };
 use wm_sim::{EndEffectorAction, Environment};
 
@@ -45,10 +45,7 @@ struct Planning<'a> {
     is_perfect: bool,
     /// Latents to reach in order, one a model step.
     goals: Vec<Tensor>,
-    /// The next one.
-    next_goal: usize,
-    /// Plans made for it.
-    waited: usize,
+    at: Waypoint,
     /// Latents of the last two model steps, and the action (1, A) between them.
     seen: Vec<Tensor>,
     done: Option<Tensor>,
@@ -95,8 +92,7 @@ impl<'a> Actor<'a> {
                     choice,
                     is_perfect,
                     goals,
-                    next_goal: 0,
-                    waited: 0,
+                    at: Waypoint::default(),
                     seen: Vec::new(),
                     done: None,
                     last: None,
@@ -210,7 +206,13 @@ impl Planning<'_> {
             .choice
             .build(&settings.planner, self.model.idm.as_ref(), &goals)?;
         let space = self.space(environment, settings)?;
-        let objective = objective(settings, &goals)?;
+        let weights = Weights {
+            goal: settings.last_step,
+            path: settings.all_steps,
+            action: settings.action,
+            smoothness: settings.smoothness,
+        };
+        let objective = weights.objective(&one_a_step(&goals, settings.horizon), None)?;
         let (mut simulator, mut transition);
         let dynamics: &mut dyn Dynamics = if self.is_perfect {
             simulator = Simulator {
@@ -259,30 +261,12 @@ impl Planning<'_> {
         observed: &Tensor,
         settings: &ClosedLoopSettings,
     ) -> Result<Vec<Tensor>> {
-        let last = self.goals.len().saturating_sub(1);
-        let apart = |a: &Tensor, b: &Tensor| -> Result<f32> {
-            Ok((a - b)?.sqr()?.mean_all()?.to_scalar::<f32>()?)
+        let arrival = Arrival {
+            share: settings.arrival,
+            plans: settings.wait,
         };
-        self.waited += 1;
-        while self.next_goal < last {
-            let (Some(goal), Some(after)) = (
-                self.goals.get(self.next_goal),
-                self.goals.get(self.next_goal + 1),
-            ) else {
-                break;
-            };
-            let near = apart(observed, goal)? < settings.arrival * apart(goal, after)?;
-            if !near && self.waited <= settings.wait {
-                break;
-            }
-            self.next_goal += 1;
-            self.waited = 0;
-        }
-        Ok(self
-            .goals
-            .get(self.next_goal..)
-            .unwrap_or_default()
-            .to_vec())
+        self.at = self.at.advance(&self.goals, observed, arrival)?;
+        Ok(self.goals.get(self.at.index..).unwrap_or_default().to_vec())
     }
 
     fn space(
@@ -315,28 +299,4 @@ impl Planning<'_> {
         }
         Ok(SearchSpace::new(base, coordinates)?)
     }
-}
-
-fn objective(settings: &ClosedLoopSettings, goals: &[Tensor]) -> Result<Objective> {
-    let last = goals.last().context("no goal")?;
-    let at = |step: usize| goals.get(step).unwrap_or(last).clone();
-    let (last_step, all_steps) = match settings.goals {
-        Goals::Final => (
-            Target::LastStep(last.clone()),
-            Target::AllSteps(last.clone()),
-        ),
-        Goals::Subgoals => {
-            let steps: Vec<Tensor> = (0..settings.horizon).map(at).collect();
-            let end = at(settings.horizon.saturating_sub(1));
-            (
-                Target::LastStep(end),
-                Target::EachStep(Tensor::stack(&steps, 0)?),
-            )
-        }
-    };
-    Ok(Objective::default()
-        .and(settings.last_step, GoalDistance::new(last_step))
-        .and(settings.all_steps, GoalDistance::new(all_steps))
-        .and(settings.action, ActionSize)
-        .and(settings.smoothness, Smoothness))
 }

@@ -229,10 +229,7 @@ fn a_candidate_in_a_batch_is_its_own_rollout_and_the_nearest_to_the_goal_is_best
         let latent = rollout.next_given(&tensor(action), given).unwrap();
         reached = latent.flatten_all().unwrap().to_vec1::<f32>().unwrap();
     }
-    step.set_goal(Goal {
-        stamp: Time::default(),
-        values: reached.into(),
-    });
+    step.set_goal(Goal::of_latent(Time::default(), reached.into()));
     let request = ask(&step, &asked).unwrap();
     let found = EvaluatorModel::new(model, 1)
         .evaluate(&request)

@@ -11,12 +11,12 @@ use wm_model::{
 };
 use wm_motion::actions::ActionEncoding;
 use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header, wm_msgs::Plan};
-use wm_planner::{CemSettings, PlannerChoice, Target};
+use wm_planner::{Arrival, CemSettings, PlannerChoice, Target, Weights};
 
 use super::*;
 use crate::{
     history::{ChunkMerging, HistorySettings, Timing},
-    planner::{PlannerError, PlannerModel, PlannerSetup, Weights},
+    planner::{MotionLimits, PlannerError, PlannerModel, PlannerParts, PlannerSetup, WorkspaceBox},
 };
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
@@ -43,6 +43,7 @@ fn planner_that_begins(lead: Lead) -> PlannerStep {
         max_age: MAX_AGE,
         lead,
         seed: 5,
+        needs_pose: false,
     };
     let history = HistorySettings {
         timing: Timing::new(PERIOD, 2),
@@ -76,14 +77,17 @@ fn predictor_model() -> WorldModel {
 
 fn searching(setup: PlannerSetup, searched: &[&str]) -> Result<PlannerModel, PlannerError> {
     let searched: Vec<String> = searched.iter().map(|name| (*name).to_owned()).collect();
-    PlannerModel::new(
-        predictor_model(),
-        None,
-        setup,
-        &searched,
-        1,
-        (0.02, f64::INFINITY),
-    )
+    let parts = PlannerParts {
+        model: predictor_model(),
+        idm: None,
+        probe: None,
+        decoder: None,
+    };
+    let setup = PlannerSetup {
+        search: searched,
+        ..setup
+    };
+    PlannerModel::new(parts, setup)
 }
 
 fn model(setup: PlannerSetup) -> PlannerModel {
@@ -106,7 +110,15 @@ fn settings() -> PlannerSetup {
         horizon: 2,
         batch: 64,
         weights: Weights::default(),
+        success: 0.0,
         spread_seeds: 0,
+        arrival: Arrival::default(),
+        integration_steps: Some(1),
+        search: Vec::new(),
+        limits: MotionLimits {
+            translation: Some(0.02),
+            ..MotionLimits::default()
+        },
     }
 }
 
@@ -154,17 +166,14 @@ fn feed(step: &mut PlannerStep, span: std::ops::RangeInclusive<u32>) {
 }
 
 fn goal(index: i64) -> Goal {
-    Goal {
-        stamp: stamp(index),
-        values: values(index).into(),
-    }
+    Goal::of_latent(stamp(index), values(index).into())
 }
 
 #[test]
 fn it_waits_for_a_goal_and_for_frames_by_name() {
     let mut step = planner();
     assert_eq!(step.request(at(0)).unwrap_err(), PlanWait::NoGoal);
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     let wait = step.request(at(0)).unwrap_err();
     assert_eq!(wait, PlanWait::History(Wait::NoFrame));
     assert_eq!(wait.to_string(), "no frame has arrived yet");
@@ -175,10 +184,11 @@ fn it_waits_for_a_goal_and_for_frames_by_name() {
 #[test]
 fn a_plan_says_what_it_was_computed_from_and_keeps_the_bounds() {
     let mut step = planner();
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
     let request = step.request(at(2)).unwrap();
-    let (found, plan) = model(settings()).plan(&request, &mut || false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let plan = &found.message;
     assert_eq!(
         plan.header,
         Header {
@@ -200,7 +210,7 @@ fn a_plan_says_what_it_was_computed_from_and_keeps_the_bounds() {
         .map(|action| action.header.stamp)
         .collect();
     assert_eq!(stamps, [stamp(2), stamp(4)]);
-    for (model, action) in found.actions.iter().zip(&plan.actions) {
+    for (model, action) in found.actions.actions.iter().zip(&plan.actions) {
         assert_eq!(action.header.frame_id, "base");
         // Each of the two intervals of a step makes one half.
         let (translations, rotations) = (&model[..3], &model[3..]);
@@ -235,9 +245,10 @@ fn a_plan_says_what_it_was_computed_from_and_keeps_the_bounds() {
         (Some(1), Some("beef"))
     );
 
-    let (again, _) = model(settings()).plan(&request, &mut || false).unwrap();
-    assert_eq!(found, again);
-    let (_, cut) = model(settings()).plan(&request, &mut || true).unwrap();
+    let again = model(settings()).plan(&request, &mut |_| false).unwrap();
+    assert_eq!(found.actions, again.actions);
+    let cut = model(settings()).plan(&request, &mut |_| true).unwrap();
+    let cut = cut.message;
     assert!(cut.deadline_cut && cut.iteration_costs.len() == 1);
 }
 
@@ -249,20 +260,20 @@ fn whole(searched: &[f32]) -> Vec<f32> {
 #[test]
 fn plans_are_a_period_apart_and_start_from_the_rest_of_the_last_one() {
     let mut step = planner();
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
     let request = step.request(at(2)).unwrap();
     assert_eq!((request.seed, &request.start), (5, &None));
-    let (found, _) = model(settings()).plan(&request, &mut || false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
     let taken = Duration::from_millis(100);
     assert_eq!(step.planned(&request, &found, taken, at(2) + taken), Ok(()));
     feed(&mut step, 3..=3);
     assert_eq!(step.request(at(3)).unwrap_err(), PlanWait::Recent);
     feed(&mut step, 4..=4);
     let next = step.request(at(4)).unwrap();
-    assert_eq!((next.seed, next.start), (6, found.without(1)));
+    assert_eq!((next.seed, next.start), (6, found.actions.without(1)));
 
-    step.set_goal(goal(41));
+    step.set_goal(goal(41), Time::default());
     assert_eq!(
         step.request(at(4)).unwrap().start,
         None,
@@ -280,7 +291,7 @@ fn a_search_slower_than_the_plan_period_still_starts_the_next_one() {
         horizon: 6,
         ..settings()
     });
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
     let first = step.request(at(2)).unwrap();
     // The period has passed while the first search goes on: the second one waits for it.
@@ -288,7 +299,7 @@ fn a_search_slower_than_the_plan_period_still_starts_the_next_one() {
     let second = step.request(at(4)).unwrap();
     assert_eq!(second.start, None);
     feed(&mut step, 5..=7);
-    let (found, _) = model.plan(&first, &mut || false).unwrap();
+    let found = model.plan(&first, &mut |_| false).unwrap();
     let taken = Duration::from_secs(1);
     assert_eq!(step.planned(&first, &found, taken, at(7)), Ok(()));
     feed(&mut step, 8..=8);
@@ -296,7 +307,7 @@ fn a_search_slower_than_the_plan_period_still_starts_the_next_one() {
     // It begins three model steps later than the first.
     assert_eq!(third.begin_ns() - first.begin_ns(), 6 * PERIOD);
     assert!(third.start.is_some());
-    assert_eq!(third.start, found.without(3));
+    assert_eq!(third.start, found.actions.without(3));
 }
 
 /// The robot goes on while a plan is searched for.
@@ -305,14 +316,15 @@ fn a_plan_begins_where_the_robot_will_be_when_it_is_ready() {
     let mut step = planner_that_begins(Lead::Measured {
         first: Duration::from_millis(1100),
     });
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     let moving = [0.01, 0.0, -0.01, 0.0, 0.05, 0.0, 1.0];
     feed_moving(&mut step, 0..=2, &moving);
     // 0.1 s and 1.1 s: three steps of 0.4 s.
     let request = step.request(at(2) + Duration::from_millis(100)).unwrap();
     assert_eq!((request.lead_steps(), request.until.len()), (3, 4));
     assert_eq!(request.begin_ns(), stamp(8).to_nanos());
-    let (found, plan) = model(settings()).plan(&request, &mut || false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let plan = &found.message;
     assert_eq!((plan.lead_steps, plan.header.stamp), (3, stamp(2)));
     let stamps = plan.actions.iter().map(|action| action.header.stamp);
     assert_eq!(stamps.collect::<Vec<_>>(), [stamp(8), stamp(10)]);
@@ -329,7 +341,9 @@ fn a_plan_begins_where_the_robot_will_be_when_it_is_ready() {
     let until = request.until[..3]
         .iter()
         .map(|step| step.model.values.clone());
-    let way: Vec<Vec<f32>> = until.chain(found.actions.iter().map(open)).collect();
+    let way: Vec<Vec<f32>> = until
+        .chain(found.actions.actions.iter().map(open))
+        .collect();
     let mut reached = None;
     for action in &way {
         let action = Tensor::from_slice(action, (1, 7), &Device::Cpu).unwrap();
@@ -346,18 +360,18 @@ fn a_plan_begins_where_the_robot_will_be_when_it_is_ready() {
     assert_eq!(step.request(at(4)).unwrap().lead_steps(), 1);
 
     let mut step = planner_that_begins(Lead::Steps(2));
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
     assert_eq!(step.request(at(2)).unwrap().begin_ns(), stamp(6).to_nanos());
 }
 
 fn plan_of(moving: &[f32; 7], searched: &[&str]) -> Plan {
     let mut step = planner();
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     feed_moving(&mut step, 0..=2, moving);
     let request = step.request(at(2)).unwrap();
     let model = searching(settings(), searched).unwrap();
-    model.plan(&request, &mut || false).unwrap().1
+    model.plan(&request, &mut |_| false).unwrap().message
 }
 
 #[test]
@@ -406,11 +420,173 @@ fn what_is_not_searched_stays_and_what_was_is_named() {
     );
 }
 
+/// Values of several goals: near the observed ones, far from them, and farther.
+fn several(times: &[i64]) -> Goal {
+    let shifted = |by: f32| values(2).iter().map(|value| value + by).collect();
+    Goal {
+        latents: vec![shifted(0.1), shifted(1.0), shifted(2.0)],
+        times_ns: times.iter().map(|steps| steps * 2 * PERIOD).collect(),
+        ..goal(40)
+    }
+}
+
+#[test]
+fn goals_are_reached_one_after_the_other() {
+    let mut step = planner();
+    step.set_goal(several(&[]), Time::default());
+    feed(&mut step, 0..=2);
+    let model = model(settings());
+    let request = step.request(at(2)).unwrap();
+    let found = model.plan(&request, &mut |_| false).unwrap();
+    assert_eq!(found.message.goal_index, 1, "the first one is reached");
+    assert!(
+        (found.message.distance - 4.0).abs() < 1e-3,
+        "to the last one"
+    );
+    let taken = Duration::from_millis(1);
+    step.planned(&request, &found, taken, at(2)).unwrap();
+    // It stays far from the second one, which is given up after as many plans as it may take.
+    let mut indices = Vec::new();
+    for index in 0..5 {
+        feed(&mut step, 3 + 2 * index..=4 + 2 * index);
+        let now = at(4 + 2 * index);
+        let request = step.request(now).unwrap();
+        let found = model.plan(&request, &mut |_| false).unwrap();
+        step.planned(&request, &found, taken, now).unwrap();
+        indices.push(found.message.goal_index);
+    }
+    assert_eq!(indices, [1, 1, 1, 1, 2]);
+    step.reset(None, Time::default());
+    feed(&mut step, 20..=22);
+    let again = step.request(at(22)).unwrap();
+    assert_eq!(again.waypoint, Waypoint::default(), "from the beginning");
+}
+
+#[test]
+fn goals_with_times_are_reached_at_their_times() {
+    let mut step = planner();
+    // Set as frame 2 is taken; one model step, two, and five.
+    step.set_goal(several(&[1, 2, 5]), stamp(2));
+    feed(&mut step, 0..=2);
+    let request = step.request(at(2)).unwrap();
+    let model = model(settings());
+    let index = |request: &PlanRequest| {
+        model
+            .plan(request, &mut |_| false)
+            .unwrap()
+            .message
+            .goal_index
+    };
+    assert_eq!(index(&request), 0);
+    feed(&mut step, 3..=4);
+    assert_eq!(index(&step.request(at(4)).unwrap()), 1);
+    feed(&mut step, 5..=8);
+    assert_eq!(index(&step.request(at(8)).unwrap()), 2);
+}
+
+#[test]
+fn a_mask_leaves_out_what_it_does_not_mark() {
+    let mut whole = goal(40);
+    let mut step = planner();
+    step.set_goal(whole.clone(), Time::default());
+    feed(&mut step, 0..=2);
+    let request = step.request(at(2)).unwrap();
+    let all = model(settings()).plan(&request, &mut |_| false).unwrap();
+    whole.mask = Some((0..16).map(|cell| f32::from(u8::from(cell == 3))).collect());
+    let part = PlanRequest {
+        goal: Arc::new(whole.clone()),
+        ..request.clone()
+    };
+    let part = model(settings()).plan(&part, &mut |_| false).unwrap();
+    assert_ne!(all.message.cost, part.message.cost);
+    whole.mask = Some([1.0; 9].into());
+    let wrong = PlanRequest {
+        goal: Arc::new(whole),
+        ..request
+    };
+    assert!(model(settings()).plan(&wrong, &mut |_| false).is_err());
+}
+
+#[test]
+fn a_box_needs_a_pose_and_keeps_the_end_effector_within() {
+    let settings = |step: &PlannerStep| PlannerSettings {
+        needs_pose: true,
+        ..step.settings
+    };
+    let mut step = planner_that_begins(Lead::Steps(1));
+    step.settings = settings(&step);
+    step.set_goal(goal(40), Time::default());
+    let moving = [0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    feed_moving(&mut step, 0..=2, &moving);
+    let wait = step.request(at(2)).unwrap_err();
+    assert!(wait.to_string().contains("ee_pose"), "{wait}");
+    assert!(!step.pose([f64::NAN, 0.0, 0.0], at(2)));
+    assert!(step.pose([0.3, 0.0, 0.1], at(2)));
+    let request = step.request(at(2)).unwrap();
+    // One model step of two frames of 0.01 m until the plan begins.
+    let position = request.position.unwrap();
+    assert!((position[0] - 0.32).abs() < 1e-6, "{position:?}");
+
+    let setup = |workspace| PlannerSetup {
+        limits: MotionLimits {
+            workspace,
+            ..super::tests::settings().limits
+        },
+        ..super::tests::settings()
+    };
+    let end = |workspace| {
+        let planned = model(setup(workspace))
+            .plan(&request, &mut |_| false)
+            .unwrap();
+        let actions = planned.message.actions;
+        let x: f64 = actions
+            .iter()
+            .map(|action| f64::from(action.values[0]))
+            .sum();
+        (position[0] + x, planned.message.terms)
+    };
+    let free = end(None).0;
+    // A wall where the free plan would have gone.
+    let (least, most) = match free > position[0] {
+        true => (0.0, (free + position[0]) / 2.0),
+        false => ((free + position[0]) / 2.0, 1.0),
+    };
+    let (kept, terms) = end(Some(WorkspaceBox {
+        min: [least, -1.0, -1.0],
+        max: [most, 1.0, 1.0],
+        margin: 0.01,
+        weight: 0.1,
+    }));
+    assert!(
+        kept >= least - 1e-6 && kept <= most + 1e-6,
+        "{kept}, not {least} to {most}"
+    );
+    assert!(terms.contains(&"workspace".to_owned()), "{terms:?}");
+}
+
+#[test]
+fn words_alone_need_a_planner_that_searches() {
+    let mut step = planner();
+    let words = Goal {
+        latents: Vec::new(),
+        ..goal(40)
+    };
+    step.set_goal(words, Time::default());
+    feed(&mut step, 0..=2);
+    let request = step.request(at(2)).unwrap();
+    // Nothing reads them here: only the actions cost.
+    let mut setup = settings();
+    setup.weights.action = 1.0;
+    let found = model(setup).plan(&request, &mut |_| false).unwrap();
+    assert_eq!(found.message.terms, ["action"]);
+    assert!(found.message.distance.is_nan());
+}
+
 /// A camera that has stopped says nothing of where the robot is.
 #[test]
 fn nothing_is_planned_or_sent_from_a_frame_that_is_too_old() {
     let mut step = planner();
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
     let late = at(2) + MAX_AGE + Duration::from_millis(1);
     let wait = step.request(late).unwrap_err();
@@ -420,23 +596,23 @@ fn nothing_is_planned_or_sent_from_a_frame_that_is_too_old() {
     );
 
     let request = step.request(at(2) + MAX_AGE).unwrap();
-    let (found, _) = model(settings()).plan(&request, &mut || false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
     let taken = Duration::from_millis(1);
     let unsent = step.planned(&request, &found, taken, late).unwrap_err();
     assert_eq!(unsent.reason(), "stale_frame");
     assert!(unsent.to_string().contains("at most 2.0 s"), "{unsent}");
     // It was a search all the same: the next one starts there.
     feed(&mut step, 3..=4);
-    assert_eq!(step.request(at(4)).unwrap().start, found.without(1));
+    assert_eq!(step.request(at(4)).unwrap().start, found.actions.without(1));
 }
 
 #[test]
 fn a_plan_whose_actions_are_over_is_not_sent() {
     let mut step = planner();
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
     let request = step.request(at(2)).unwrap();
-    let (found, _) = model(settings()).plan(&request, &mut || false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
     feed(&mut step, 3..=7);
     // Two steps of 0.4 s from frame 2 on end with frame 6.
     let taken = Duration::from_secs(1);
@@ -448,10 +624,10 @@ fn a_plan_whose_actions_are_over_is_not_sent() {
 #[test]
 fn a_jump_and_a_reset_forget_the_history_but_not_the_goal() {
     let mut step = planner();
-    step.set_goal(goal(40));
+    step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=20);
     let request = step.request(at(20)).unwrap();
-    let (found, _) = model(settings()).plan(&request, &mut || false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
     feed(&mut step, 0..=2);
     let unsent = step.planned(&request, &found, Duration::ZERO, at(20));
     assert_eq!(unsent, Err(Unsent::Superseded));

@@ -1,0 +1,111 @@
+//! A few pictures of an episode.
+
+use std::sync::Arc;
+
+use image::RgbImage;
+
+/// Most shots that are kept; then every second one goes, and only every second one more is taken.
+const MOST: usize = 32;
+
+/// What was seen and imagined at a moment.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// Since the episode's first shot \[s\].
+    pub time_s: f64,
+    /// What the camera saw.
+    pub seen: RgbImage,
+    /// What the newest plan was to lead to; none before the first one.
+    pub imagined: Option<Arc<RgbImage>>,
+}
+
+/// Shots of an episode, evenly over its time, however long it is.
+#[derive(Clone, Debug)]
+pub struct Shots {
+    shots: Vec<Shot>,
+    /// One of so many frames is kept.
+    stride: usize,
+    frames: usize,
+    first_ns: Option<i64>,
+}
+
+impl Default for Shots {
+    fn default() -> Self {
+        Self {
+            shots: Vec::new(),
+            stride: 1,
+            frames: 0,
+            first_ns: None,
+        }
+    }
+}
+
+impl Shots {
+    /// Takes what is seen at `stamp_ns`, if its turn has come.
+    pub fn take(
+        &mut self,
+        stamp_ns: i64,
+        seen: impl FnOnce() -> Option<RgbImage>,
+        imagined: Option<&Arc<RgbImage>>,
+    ) {
+        let is_due = self.frames % self.stride == 0;
+        self.frames += 1;
+        if !is_due {
+            return;
+        }
+        let Some(seen) = seen() else { return };
+        let first_ns = *self.first_ns.get_or_insert(stamp_ns);
+        self.shots.push(Shot {
+            time_s: stamp_ns.saturating_sub(first_ns) as f64 / 1e9,
+            seen,
+            imagined: imagined.cloned(),
+        });
+        if self.shots.len() == MOST {
+            let mut index = 0;
+            self.shots.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.stride *= 2;
+        }
+    }
+
+    /// At most `count` of them, the first and the last among them.
+    pub fn evenly(&self, count: usize) -> Vec<&Shot> {
+        let last = self.shots.len().saturating_sub(1);
+        let columns = count.min(self.shots.len());
+        let at = |column: usize| {
+            self.shots
+                .get(column * last / columns.saturating_sub(1).max(1))
+        };
+        (0..columns).filter_map(at).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shots_are_even_over_time_and_few() {
+        let mut shots = Shots::default();
+        let mut most = 0;
+        for frame in 0..1000_i64 {
+            shots.take(frame * 1_000_000_000, || Some(RgbImage::new(1, 1)), None);
+            most = most.max(shots.shots.len());
+        }
+        assert!(most < MOST);
+        let times: Vec<f64> = shots.shots.iter().map(|shot| shot.time_s).collect();
+        assert_eq!(times[0], 0.0);
+        assert!(
+            times.windows(2).all(|pair| pair[1] - pair[0] == 64.0),
+            "{times:?}"
+        );
+        let shown = shots.evenly(5);
+        assert_eq!(shown.len(), 5);
+        assert_eq!(
+            (shown[0].time_s, shown[4].time_s),
+            (0.0, times[times.len() - 1])
+        );
+        assert!(Shots::default().evenly(3).is_empty());
+    }
+}

@@ -1,0 +1,66 @@
+//! The usual objective, by its weights.
+
+use candle_core::Tensor;
+use serde::{Deserialize, Serialize};
+
+use crate::{ActionSize, GoalDistance, Objective, PlanError, Smoothness, Target};
+
+/// Weights of the terms that most plans have; 0 leaves a term out.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Weights {
+    /// Distance to the goal after the last step.
+    pub goal: f32,
+    /// Mean distance to the goal over all steps, or to the goal of each.
+    pub path: f32,
+    /// Size of the actions.
+    pub action: f32,
+    /// Change from one action to the next.
+    pub smoothness: f32,
+}
+
+impl Default for Weights {
+    fn default() -> Self {
+        Self {
+            goal: 1.0,
+            path: 0.0,
+            action: 0.0,
+            smoothness: 0.0,
+        }
+    }
+}
+
+impl Weights {
+    /// The objective of a plan that is to be at `goals`, one latent (h, w, C) a model step, where `mask` (h, w) is above 0,
+    /// if there is one. Without goals, the terms of the actions alone.
+    ///
+    /// # Errors
+    /// Latents of different shapes, or a mask that [`GoalDistance::within`] refuses.
+    pub fn objective(
+        &self,
+        goals: &[Tensor],
+        mask: Option<&Tensor>,
+    ) -> Result<Objective, PlanError> {
+        let within = |distance: GoalDistance| match mask {
+            Some(mask) => distance.within(mask),
+            None => Ok(distance),
+        };
+        let mut objective = Objective::default();
+        if let Some(last) = goals.last() {
+            let each = Target::EachStep(Tensor::stack(goals, 0)?);
+            let last = Target::LastStep(last.clone());
+            objective = objective
+                .and(self.goal, within(GoalDistance::new(last))?)
+                .and(self.path, within(GoalDistance::new(each).named("path"))?);
+        }
+        Ok(objective
+            .and(self.action, ActionSize)
+            .and(self.smoothness, Smoothness))
+    }
+}
+
+/// The goals of `horizon` model steps, where each is reached by one step: the last one is that of all that follow.
+pub fn one_a_step(goals: &[Tensor], horizon: usize) -> Vec<Tensor> {
+    let last = goals.last();
+    let of_step = |step| goals.get(step).or(last).cloned();
+    (0..horizon).filter_map(of_step).collect()
+}
