@@ -193,6 +193,45 @@ async fn chunks_become_twists_once_it_is_armed_and_silence_becomes_zero() {
     here.close();
 }
 
+/// As where std_srvs is not at hand, and the arm is a simulated one.
+#[tokio::test(flavor = "current_thread")]
+async fn armed_from_the_start_it_executes_without_a_call() {
+    let domain = domain(4);
+    let running = Running::start(domain, "-p arm_on_start:=true");
+    let here = context(domain);
+    in_time(async {
+        let mut world = World::new(&here).await;
+        let mut twists: Subscription<TwistStamped> = world
+            .node
+            .subscription("command/twist", Qos::reliable(100))
+            .unwrap();
+        twists.wait_for_publishers(1).await;
+        let idle = |status: &ExecutorStatus| status.state == ExecutorStatus::IDLE;
+        world.status(idle).await;
+        world.go("base_link");
+        while twists.recv().await.unwrap().message.twist.linear.x < 0.09 {}
+        // Stopped, it is no more armed than otherwise.
+        world.emergency.publish(&Bool { data: true }).unwrap();
+        world
+            .status(|status| status.state == ExecutorStatus::STOPPED)
+            .await;
+        world.emergency.publish(&Bool { data: false }).unwrap();
+        while !world
+            .reset
+            .call(&TriggerRequest::default())
+            .await
+            .unwrap()
+            .success
+        {}
+        world
+            .status(|status| status.state == ExecutorStatus::DRY_RUN)
+            .await;
+    })
+    .await;
+    running.stop().unwrap();
+    here.close();
+}
+
 #[tokio::test(flavor = "current_thread")]
 async fn an_emergency_stop_ends_a_motion_and_latches() {
     let domain = domain(1);

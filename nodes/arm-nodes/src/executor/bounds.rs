@@ -12,10 +12,12 @@ const GRIPPER_SLACK: f32 = 0.1;
 /// What a single action may be.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounds {
-    /// Greatest translation along an axis \[m\].
+    /// Greatest translation along an axis in an [`Self::interval`] \[m\].
     pub translation: f64,
-    /// Greatest rotation about an axis \[rad\].
+    /// Greatest rotation about an axis in an [`Self::interval`] \[rad\].
     pub rotation: f64,
+    /// What these two are about. An action that takes longer, as a planner's does, may move further.
+    pub interval: Duration,
     /// How long it may take.
     pub periods: RangeInclusive<Duration>,
 }
@@ -32,18 +34,26 @@ impl Bounds {
         }
         // A negative period has no unsigned form, and is none.
         let period = u64::try_from(offer.period_ns).map(Duration::from_nanos);
+        let period_s = offer.period_ns as f64 / 1e9;
         if !period.is_ok_and(|period| self.periods.contains(&period)) {
             return Err(Refusal::Period {
-                period_s: offer.period_ns as f64 / 1e9,
+                period_s,
                 least_s: self.periods.start().as_secs_f64(),
                 most_s: self.periods.end().as_secs_f64(),
             });
         }
         let mut actions = offer.actions.iter().enumerate();
-        actions.try_for_each(|(index, values)| self.check_action(index, values, layout))
+        actions.try_for_each(|(index, values)| self.check_action(index, values, period_s, layout))
     }
 
-    fn check_action(&self, index: usize, values: &[f32], layout: &Layout) -> Result<(), Refusal> {
+    fn check_action(
+        &self,
+        index: usize,
+        values: &[f32],
+        period_s: f64,
+        layout: &Layout,
+    ) -> Result<(), Refusal> {
+        let intervals = period_s / self.interval.as_secs_f64();
         let space = layout.space();
         space
             .check(values)
@@ -51,8 +61,8 @@ impl Bounds {
         for (value, dimension) in values.iter().zip(space.dimensions()) {
             let name = || dimension.name.clone();
             let limit = match dimension.kind {
-                Kind::TranslationDelta => self.translation,
-                Kind::RotationDelta => self.rotation,
+                Kind::TranslationDelta => self.translation * intervals,
+                Kind::RotationDelta => self.rotation * intervals,
                 _ if (-GRIPPER_SLACK..=1.0 + GRIPPER_SLACK).contains(value) => continue,
                 _ => {
                     return Err(Refusal::Gripper {
@@ -70,6 +80,7 @@ impl Bounds {
                     value: *value,
                     limit,
                     unit: dimension.unit.clone(),
+                    period_s,
                 });
             }
         }

@@ -198,10 +198,16 @@ pub async fn body(node: Node) -> Result<()> {
         told: None,
         node: node.clone(),
     };
-    info!(
-        "not armed: call {}/arm to execute",
-        node.fully_qualified_name()
-    );
+    let name = node.fully_qualified_name();
+    if parameters.arm_on_start {
+        executor.step.arm()?;
+        warn!(
+            "armed from the start (arm_on_start), which is for simulated arms only: what comes is executed at once; \
+             call {name}/stop to stop it"
+        );
+    } else {
+        info!("not armed: call {name}/arm to execute");
+    }
     let shutdown = node.shutdown();
     let mut is_ending = false;
     loop {

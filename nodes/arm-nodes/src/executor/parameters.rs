@@ -41,9 +41,10 @@ wm_ros::parameters! {
         min_period: Duration = 0.005, in 0.001..=60.0;
         /// Longest duration of one action [s].
         max_period: Duration = 2.0, in 0.001..=60.0;
-        /// Greatest translation along an axis in one action [m]. A chunk or plan beyond that is refused.
+        /// Greatest translation along an axis in one interval of the action space's rate, 0.2 s for Bridge V2 [m]; in an
+        /// action of another duration, in proportion. A chunk or plan beyond that is refused.
         max_translation: f64 = 0.1, in 1e-6..=10.0;
-        /// Greatest rotation about an axis in one action [rad]. A chunk or plan beyond that is refused.
+        /// Greatest rotation about an axis in the same time [rad], likewise.
         max_rotation: f64 = 0.5, in 1e-6..=10.0;
         /// Greatest linear velocity [m/s]. What is faster is slowed down.
         max_linear_velocity: f64 = 0.25, in 1e-6..=10.0;
@@ -60,6 +61,9 @@ wm_ros::parameters! {
         zero_for: Duration = 0.5, in 0.0..=60.0;
         /// While not armed, try chunks and plans out: their commands go to ~/command_preview only.
         dry_run: bool = true;
+        /// Be armed from the start, without a call of ~/arm: for simulated arms only. A real arm moves with the first
+        /// chunk or plan that comes, whoever stands beside it.
+        pub(super) arm_on_start: bool = false;
         /// Lower corner of the box that the end effector has to stay in [m]: x, y, z in base_frame. Empty: no box.
         workspace_min: Vec<f64> = Vec::<f64>::new();
         /// Upper corner of that box [m]: x, y, z.
@@ -117,15 +121,18 @@ impl Parameters {
             self.min_period.as_secs_f64(),
             self.max_period.as_secs_f64()
         );
+        let layout = Layout::new(self.space()?)?;
         Ok(Settings {
-            layout: Layout::new(self.space()?)?,
             base_frame: self.base_frame.clone(),
             period,
             bounds: Bounds {
                 translation: self.max_translation,
                 rotation: self.max_rotation,
+                // Rates are 0.01 Hz to 1 kHz.
+                interval: Duration::from_secs_f64(layout.space().rate().recip()),
                 periods: self.min_period..=self.max_period,
             },
+            layout,
             limits,
             max_age: self.max_age,
             begin: self.begin,

@@ -27,7 +27,9 @@ pub enum Refusal {
         error: ActionError,
     },
     /// A motion that is too large for one action.
-    #[error("action {index}: {name} is {value:.4} {unit}; at most {limit} is allowed")]
+    #[error(
+        "action {index}: {name} is {value:.4} {unit}; at most {limit:.4} is allowed in {period_s} s"
+    )]
     Bounds {
         /// Which action.
         index: usize,
@@ -39,6 +41,8 @@ pub enum Refusal {
         limit: f64,
         /// Its unit.
         unit: String,
+        /// How long the action takes \[s\].
+        period_s: f64,
     },
     /// A gripper's opening that is none.
     #[error("action {index}: {name} is {value}; expected 0 (closed) to 1 (open)")]

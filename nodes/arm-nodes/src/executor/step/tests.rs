@@ -23,6 +23,7 @@ pub(super) fn settings() -> Settings {
         bounds: Bounds {
             translation: 0.1,
             rotation: 0.5,
+            interval: Duration::from_millis(200),
             periods: Duration::from_millis(5)..=Duration::from_secs(2),
         },
         limits: Limits {
@@ -268,7 +269,11 @@ fn what_cannot_be_executed_is_refused_by_name() {
     for (bad, reason, named) in [
         (set(0, f32::NAN), "not_finite", "action 1: value 0"),
         (set(3, f32::INFINITY), "not_finite", "action 1: value 3"),
-        (set(2, 0.11), "out_of_bounds", "dz is 0.1100 m; at most 0.1"),
+        (
+            set(2, 0.11),
+            "out_of_bounds",
+            "dz is 0.1100 m; at most 0.1000 is allowed in 0.2 s",
+        ),
         (set(5, -0.6), "out_of_bounds", "dyaw is -0.6000 rad"),
         (set(0, 1e30), "out_of_bounds", "dx"),
         (set(6, 1.5), "out_of_bounds", "gripper is 1.5"),
@@ -309,6 +314,25 @@ fn what_cannot_be_executed_is_refused_by_name() {
         "{}",
         bench.reason()
     );
+}
+
+#[test]
+fn a_longer_action_may_move_further() {
+    let mut bench = Bench::armed(settings());
+    let of = |forward: f32, period_ms: i64| ActionChunk {
+        period: RosDuration::from_nanos(period_ms * MS),
+        ..chunk(0, forward, 2)
+    };
+    // A model step of 0.8 s, as a planner tells it.
+    assert_eq!(bench.offer(0, &of(0.39, 800)), Ok(Taken::Accepted));
+    let (reason, text) = bench.refused(0, &of(0.41, 800));
+    assert_eq!(reason, "out_of_bounds");
+    assert!(
+        text.contains("at most 0.4000 is allowed in 0.8 s"),
+        "{text}"
+    );
+    // As far as an action of 0.2 s may move, in a tenth of the time.
+    assert_eq!(bench.refused(0, &of(0.09, 20)).0, "out_of_bounds");
 }
 
 #[test]
