@@ -4,7 +4,7 @@ use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{Twist, TwistStamped, Vector3},
     std_msgs::{Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout},
-    wm_msgs::ExecutorStatus,
+    wm_msgs::{ActionChunk, ExecutorStatus, Plan, Timing},
 };
 
 use super::{State, Status, Velocity};
@@ -14,6 +14,20 @@ const AXES: u32 = 6;
 
 fn vector([x, y, z]: [f64; 3]) -> Vector3 {
     Vector3 { x, y, z }
+}
+
+/// A plan as what a policy would say.
+pub(super) fn chunk(plan: &Plan) -> ActionChunk {
+    let first = plan.actions.first();
+    ActionChunk {
+        header: first.map_or(&plan.header, |action| &action.header).clone(),
+        period: plan.period,
+        actions: plan.actions.clone(),
+        timing: Timing {
+            capture: plan.header.stamp,
+            ..Timing::default()
+        },
+    }
 }
 
 pub(super) fn twist(header: Header, velocity: Velocity) -> TwistStamped {

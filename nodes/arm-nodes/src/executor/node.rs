@@ -90,6 +90,11 @@ wm_ros::endpoints! {
             let is_wanted: bool = node.parameter("publish_action")?;
             is_wanted.then(|| node.publisher(name, qos)).transpose()
         });
+        /// What is going to be done, with announce_plans.
+        announcements: Option<Publisher<ActionChunk>> = "action_chunk", made(|node, name, qos| {
+            let is_wanted: bool = node.parameter("announce_plans")?;
+            is_wanted.then(|| node.publisher(name, qos)).transpose()
+        });
         /// What the node does, and why.
         status: Publisher<ExecutorStatus> = "~/status", qos(Qos::latched(1));
         /// Arms the node (true), or decelerates and disarms it (false).
@@ -170,6 +175,7 @@ pub async fn body(node: Node) -> Result<()> {
         gripper,
         previews,
         actions,
+        announcements,
         status,
         arm,
         stop,
@@ -193,6 +199,7 @@ pub async fn body(node: Node) -> Result<()> {
             gripper,
             previews,
             actions,
+            announcements,
             status,
         },
         told: None,
@@ -239,7 +246,11 @@ pub async fn body(node: Node) -> Result<()> {
             Some(received) = next(&mut plans) => {
                 let now = executor.now();
                 let taken = executor.step.plan(&received.message, received.at, now);
+                let is_accepted = matches!(taken, Ok(Taken::Accepted));
                 executor.take(Source::Plan, taken);
+                if is_accepted {
+                    executor.announce(&received.message)?;
+                }
             }
         }
     }
@@ -253,6 +264,7 @@ struct Outlets {
     gripper: Publisher<Float64>,
     previews: Publisher<TwistStamped>,
     actions: Option<Publisher<Action>>,
+    announcements: Option<Publisher<ActionChunk>>,
     status: Publisher<ExecutorStatus>,
 }
 
@@ -392,6 +404,15 @@ impl Executor {
             let text = format!("{}: {refusal}", source.name());
             self.complaints.left_out(refusal.reason(), &text);
         }
+    }
+
+    /// Tells others of a plan that is going to be done.
+    fn announce(&self, plan: &Plan) -> Result<()> {
+        let is_armed = self.step.status().state != State::DryRun;
+        if let (Some(announcements), true) = (&self.outlets.announcements, is_armed) {
+            announcements.publish(&message::chunk(plan))?;
+        }
+        Ok(())
     }
 
     fn assessment(&mut self, assessment: &Assessment) {

@@ -37,6 +37,8 @@ pub struct Offer {
     pub source: Source,
     /// Of the message; of a plan, of its first action \[ns\].
     pub stamp_ns: i64,
+    /// Which offer is newer: of a chunk its stamp; of a plan the stamp of the frame that it was made from \[ns\].
+    pub made_ns: i64,
     /// When its first action begins, by the node's clock \[ns\].
     pub begin_ns: i64,
     /// How long each action takes \[ns\].
@@ -56,6 +58,7 @@ impl Offer {
         Self {
             source: Source::Chunk,
             stamp_ns,
+            made_ns: stamp_ns,
             begin_ns: stamp_ns,
             period_ns: chunk.period.to_nanos(),
             frame_id: chunk.header.frame_id.clone(),
@@ -74,6 +77,7 @@ impl Offer {
         Self {
             source: Source::Plan,
             stamp_ns,
+            made_ns: plan.header.stamp.to_nanos(),
             begin_ns: stamp_ns,
             period_ns: plan.period.to_nanos(),
             frame_id: first.frame_id.clone(),

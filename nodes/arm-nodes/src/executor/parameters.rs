@@ -27,6 +27,9 @@ wm_ros::parameters! {
         _source as "source": &'static str = "both", one_of {
             "chunk" => "chunk", "plan" => "plan", "both" => "both",
         };
+        /// With source plan, tell others what is going to be done: each plan that is taken while the node is armed goes
+        /// to action_chunk. The predictor then predicts it, and the planner plans from where it leads.
+        pub(super) announce_plans: bool = false;
         /// When the first action of a chunk or plan begins: at its stamp, or when it is taken. The first actions of one
         /// that comes late are left out, or delayed.
         begin: Begin = "stamp", one_of { "stamp" => Begin::Stamp, "reception" => Begin::Reception };

@@ -59,10 +59,10 @@ impl Schedule {
         Ok(())
     }
 
-    /// Stamp of the newest offer \[ns\].
+    /// When the newest offer was made \[ns\].
     pub fn newest_ns(&self) -> Option<i64> {
-        let newest = self.next.back().or(self.current.as_ref());
-        newest.map(|accepted| accepted.offer.stamp_ns)
+        let offers = self.next.iter().chain(&self.current);
+        offers.map(|accepted| accepted.offer.made_ns).max()
     }
 
     /// What is executed.
@@ -165,6 +165,7 @@ mod tests {
         Offer {
             source: Source::Chunk,
             stamp_ns: stamp_ms * MS,
+            made_ns: stamp_ms * MS,
             begin_ns: stamp_ms * MS,
             period_ns: period_ms * MS,
             frame_id: String::new(),

@@ -349,8 +349,8 @@ impl ExecutorStep {
             return Err(Refusal::Early { ahead_s, most_s });
         }
         match self.schedule.newest_ns() {
-            Some(newest_ns) if offer.stamp_ns < newest_ns => Err(Refusal::Older {
-                before_s: seconds(newest_ns.saturating_sub(offer.stamp_ns)),
+            Some(newest_ns) if offer.made_ns < newest_ns => Err(Refusal::Older {
+                before_s: seconds(newest_ns.saturating_sub(offer.made_ns)),
             }),
             _ => Ok(()),
         }

@@ -4,8 +4,11 @@ use anyhow::Result;
 use image::RgbImage;
 use wm_camera::image_message::{encode_image, encode_jpeg};
 use wm_msgs::{
-    builtin_interfaces::Time, geometry_msgs::PoseStamped, sensor_msgs::JointState,
-    std_msgs::Header, wm_msgs::Action,
+    builtin_interfaces::Time,
+    geometry_msgs::PoseStamped,
+    sensor_msgs::JointState,
+    std_msgs::Header,
+    wm_msgs::{Action, Goal},
 };
 use wm_sim::{CAMERA_FRAME, JOINT_NAMES, pose_message};
 use wm_wire::transport::{Pictures, Transports};
@@ -36,6 +39,18 @@ pub(super) fn pictures(
         raw,
         compressed: compressed.transpose()?,
     })
+}
+
+pub(super) fn goal(pictures: &[RgbImage], stamp_ns: i64) -> Goal {
+    let header = || header(stamp_ns, CAMERA_FRAME);
+    let images = pictures
+        .iter()
+        .map(|picture| encode_image(picture, header()));
+    Goal {
+        header: header(),
+        images: images.collect(),
+        ..Goal::default()
+    }
 }
 
 pub(super) fn pose(tick: &Tick, base_frame: &str) -> PoseStamped {

@@ -9,7 +9,7 @@ use wm_msgs::{
     geometry_msgs::{PoseStamped, TwistStamped},
     sensor_msgs::JointState,
     std_msgs::{Bool, Float64, Float64MultiArray, String as Text},
-    wm_msgs::{Action, Reset, ResetResponse},
+    wm_msgs::{Action, Goal, Reset, ResetResponse},
 };
 use wm_ros::{
     Call, Component, Diagnostics, EndpointSet as _, Level, NAMESPACE, Node, NodeArgs,
@@ -55,6 +55,8 @@ wm_ros::endpoints! {
         pictures: ImagePublisher = "/camera/image_raw";
         /// What it would see once the task is done.
         goals: ImagePublisher = "goal/image", qos(Qos::latched(1));
+        /// The same as a goal of one or several pictures, as goal_period has it.
+        ways: Publisher<Goal> = "goal", qos(Qos::latched(1));
         /// The task in words.
         instructions: Publisher<Text> = INSTRUCTION_TOPIC, qos(Qos::latched(1));
         /// Whether the task is done: at the start, after a reset, and when that changes.
@@ -104,6 +106,7 @@ pub async fn body(node: Node) -> Result<()> {
         mut openings,
         pictures,
         goals,
+        ways,
         instructions,
         successes,
         poses,
@@ -120,6 +123,7 @@ pub async fn body(node: Node) -> Result<()> {
         outlets: Outlets {
             pictures,
             goals,
+            ways,
             instructions,
             successes,
             poses,
@@ -216,6 +220,7 @@ fn drawn(frames: &[Frame], transports: Transports) -> Result<Vec<Pictures>> {
 struct Outlets {
     pictures: ImagePublisher,
     goals: ImagePublisher,
+    ways: Publisher<Goal>,
     instructions: Publisher<Text>,
     successes: Publisher<Bool>,
     poses: Publisher<PoseStamped>,
@@ -253,6 +258,8 @@ impl SimArm {
         );
         let goal = message::pictures(step.goal_picture(), now.to_nanos(), self.transports)?;
         self.outlets.goals.publish(&goal)?;
+        let way = message::goal(step.goals(), now.to_nanos());
+        self.outlets.ways.publish(&way)?;
         let data = step.instruction().to_owned();
         self.outlets.instructions.publish(&Text { data })?;
         Ok(())

@@ -1,6 +1,6 @@
 //! The simulated arm's parameters.
 
-use std::time::Duration;
+use std::{num::NonZeroUsize, time::Duration};
 
 use wm_ros::{Field, Parameter};
 use wm_sim::GoalKind;
@@ -36,6 +36,8 @@ wm_ros::parameters! {
         task: Task = "reach";
         /// Seed of the table, the goal and the camera's faults, until a call of ~/reset names another.
         seed: u64 = 0;
+        /// The goal is told by pictures so far apart on the way there [s], one after the other; 0: by the last one alone.
+        goal_period: f64 = 0.0, in 0.0..=60.0;
         /// For how long after its reception a command holds [s]. Then the arm stands still.
         command_timeout: Duration = 0.5, in 0.001..=60.0;
         /// Publish what was done in each step on action.
@@ -61,6 +63,8 @@ impl Parameters {
             seed: self.seed,
             command_timeout: self.command_timeout,
             base_frame: self.base_frame.clone(),
+            // A handful of steps.
+            goal_every: NonZeroUsize::new((self.goal_period / wm_sim::STEP_S).round() as usize),
             camera: CameraSettings {
                 noise: self.noise,
                 latency: self.latency,

@@ -1,6 +1,6 @@
 //! The simulated arm without DDS and without a clock.
 
-use std::time::Duration;
+use std::{num::NonZeroUsize, time::Duration};
 
 use image::RgbImage;
 use nalgebra::Vector3;
@@ -36,6 +36,8 @@ pub struct Settings {
     pub command_timeout: Duration,
     /// The frame that commands may name; empty: any.
     pub base_frame: String,
+    /// The goal is told by a picture after each so many steps of the solution; `None`: by the last one alone.
+    pub goal_every: Option<NonZeroUsize>,
     /// How good the camera is.
     pub camera: CameraSettings,
 }
@@ -119,6 +121,8 @@ pub struct Tick {
 pub struct SimArmStep {
     settings: Settings,
     environment: Environment,
+    /// The way to the goal, and the goal.
+    goals: Vec<RgbImage>,
     camera: Camera,
     /// How the arm is to move, and when that was said last \[ns\].
     motion: Option<(Motion, i64)>,
@@ -136,8 +140,16 @@ impl SimArmStep {
     /// # Errors
     /// [`wm_sim::Error::Unsolvable`]: the seed has no such task.
     pub fn new(settings: Settings) -> Result<Self, wm_sim::Error> {
-        let environment = Environment::new(settings.task, settings.seed, &Variety::default())?;
+        let mut environment = Environment::new(settings.task, settings.seed, &Variety::default())?;
+        let goals = match settings.goal_every {
+            Some(every) => {
+                let subgoals = environment.subgoals(every).into_iter();
+                subgoals.map(|subgoal| subgoal.picture).collect()
+            }
+            None => vec![environment.goal().picture.clone()],
+        };
         Ok(Self {
+            goals,
             camera: Camera::new(settings.camera, settings.seed),
             motion: None,
             gripper: environment.world().opening(),
@@ -161,6 +173,11 @@ impl SimArmStep {
     /// What the camera would see once the task is done.
     pub fn goal_picture(&self) -> &RgbImage {
         &self.environment.goal().picture
+    }
+
+    /// What it would see on the way there, one picture after the other; the last one is the goal's.
+    pub fn goals(&self) -> &[RgbImage] {
+        &self.goals
     }
 
     /// Back to the start of a task, which is that of [`Self::new`] with this seed. Commands are forgotten.

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result};
 use wm_camera::camera_frame::CameraFrame;
-use wm_msgs::wm_msgs::Goal as GoalMessage;
+use wm_msgs::{builtin_interfaces::Time, wm_msgs::Goal as GoalMessage};
 use wm_ros::{Node, Received, Subscription, complaints::Complaints};
 use wm_wire::transport::ImageSubscription;
 
@@ -18,7 +18,8 @@ wm_ros::endpoints! {
     pub struct GoalInputs {
         /// The goal image, volatile or latched.
         images: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
-        /// Goals of other kinds: several images or latents, a region, words. The newest message of both topics counts.
+        /// Goals of other kinds: several images or latents, a region, words. The newest message of both topics counts; of
+        /// two with one stamp, this one.
         messages: Subscription<GoalMessage> = "goal", made(Node::subscription_catching_up);
     }
 }
@@ -30,7 +31,11 @@ enum Told {
 }
 
 /// Makes goals of messages. The newest is enough: one may wait.
-pub struct Goals(Work<Told, Result<Goal, GoalError>>);
+pub struct Goals {
+    work: Work<Told, Result<Goal, GoalError>>,
+    /// Stamp of the newest goal that was no image.
+    told: Option<Time>,
+}
 
 impl Goals {
     /// Goals by this reader, computed on these threads.
@@ -39,7 +44,10 @@ impl Goals {
             Told::Picture(frame) => reader.of_picture(&frame),
             Told::Message(message) => reader.of_message(&message),
         };
-        Self(Work::new(1, read).on(pool))
+        Self {
+            work: Work::new(1, read).on(pool),
+            told: None,
+        }
     }
 
     /// The next goal; `None` at the shutdown. Cancel safe.
@@ -54,7 +62,7 @@ impl Goals {
         loop {
             let told = tokio::select! {
                 biased;
-                finished = self.0.finished() => match finished.context("the goal's thread")? {
+                finished = self.work.finished() => match finished.context("the goal's thread")? {
                     Ok(goal) => {
                         tracing::info!("goal set: that of {}", seconds(goal.stamp));
                         return Ok(Some(goal));
@@ -66,14 +74,19 @@ impl Goals {
                 },
                 received = inputs.images.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(None) };
+                    if self.told.is_some_and(|told| told == message.header().stamp) {
+                        // The same goal, of which the other topic tells more.
+                        continue;
+                    }
                     Told::Picture(message)
                 }
                 received = inputs.messages.recv() => {
                     let Some(Received { message, .. }) = received else { return Ok(None) };
+                    self.told = Some(message.header.stamp).filter(|stamp| *stamp != Time::default());
                     Told::Message(message)
                 }
             };
-            if self.0.submit(told).is_some() {
+            if self.work.submit(told).is_some() {
                 complaints.left_out(
                     "superseded_goal",
                     &"a newer goal arrived before this one was encoded",

@@ -16,7 +16,7 @@ use wm_ros::{
     EndpointSet as _, NAMESPACE, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
     Subscription,
 };
-use wm_sim::{CAMERA_TOPIC, Environment, GoalKind, SUCCESS_TOPIC, Variety};
+use wm_sim::{Environment, GoalKind, SUCCESS_TOPIC, Variety};
 use wm_wire::transport::{ImageSubscription, Transports};
 
 use super::{EpisodeWatch, Shots, files, setting::Setting, strip::strip};
@@ -63,7 +63,7 @@ wm_ros::endpoints! {
     /// Topics.
     struct Endpoints {
         /// What the camera sees.
-        frames: ImageSubscription = CAMERA_TOPIC, qos(Qos::best_effort(8));
+        frames: ImageSubscription = "/camera/image_raw", qos(Qos::best_effort(8));
         /// What it is to see.
         goals: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
         /// What it would see after the plan.

@@ -14,6 +14,7 @@ fn settings(task: GoalKind, seed: u64) -> Settings {
         seed,
         command_timeout: Duration::from_millis(500),
         base_frame: "base_link".into(),
+        goal_every: None,
         camera: CameraSettings::default(),
     }
 }
