@@ -1,8 +1,10 @@
-//! Package `wm_msgs`: latents, actions, predicted steps, their errors, plans, and policies in the loop.
+//! Package `wm_msgs`: latents, actions, predicted steps, their errors, goals, plans, and policies in the loop.
+
+pub mod action;
 
 use super::{
     builtin_interfaces::{Duration, Time},
-    sensor_msgs::CompressedImage,
+    sensor_msgs::{CompressedImage, Image},
     std_msgs::Header,
 };
 use serde::{Deserialize, Serialize};
@@ -218,6 +220,24 @@ pub struct PredictionError {
     pub persistence_mse: f32,
     /// `mse` / `persistence_mse`; below 1 the model beats the persistence baseline; NaN if both are 0.
     pub ratio: f32,
+}
+
+/// What the camera is to see: pictures or latents, reached one after the other, and what of them counts.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Goal {
+    /// `stamp`: when the goal was set, which [`Plan::goal_stamp`] repeats; `frame_id`: the camera's optical frame.
+    pub header: Header,
+    /// What the camera should see; several are reached one after the other.
+    pub images: Vec<Image>,
+    /// Instead of images: normalised latents of the planner's latent space.
+    pub latents: Vec<Latent>,
+    /// When each of them is to be reached, from when the goal was accepted; none: each when the one before it is
+    /// reached.
+    pub times: Vec<Duration>,
+    /// `mono8`, of any size: only where it is not 0 counts; empty: the whole picture.
+    pub mask: Image,
+    /// The task in words, for the success probe; empty: none.
+    pub instruction: String,
 }
 
 /// Actions that the planner found to bring the camera's latent close to the goal's latent.
@@ -484,6 +504,12 @@ message!(
     "wm_msgs",
     include_str!("../../msg/PredictionError.msg"),
     [Header, Time]
+);
+message!(
+    Goal,
+    "wm_msgs",
+    include_str!("../../msg/Goal.msg"),
+    [Header, Image, Latent, Duration]
 );
 message!(
     Plan,
