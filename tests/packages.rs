@@ -97,7 +97,7 @@ fn an_overlay_has_what_the_commands_of_ros_look_up() {
 
     let messages = &overlay["wm_msgs"]["interfaces"];
     let mut files = Vec::new();
-    for folder in ["msg", "srv"] {
+    for folder in ["action", "msg", "srv"] {
         for entry in std::fs::read_dir(root().join("msgs").join(folder)).unwrap() {
             let entry = entry.unwrap();
             let name = format!("{folder}/{}", entry.file_name().to_string_lossy());

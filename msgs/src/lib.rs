@@ -1,5 +1,5 @@
-//! Rust types of the ROS 2 interface package `wm_msgs` (the `.msg` and `.srv` files beside this crate), and of
-//! the few standard ROS messages that the suite uses.
+//! Rust types of the ROS 2 interface package `wm_msgs` (the `.msg`, `.srv` and `.action` files beside this
+//! crate), and of the few standard ROS messages that the suite uses.
 //!
 //! Each package is a module named as in ROS; each type carries its ROS name and its definition through
 //! [`Message`], so that a bag's schema, a DDS type name and the Rust struct cannot drift apart: a test holds
@@ -17,15 +17,17 @@
 //!
 //! Not here: transport, QoS (`wm_ros`), bags (`wm_bag`).
 
+pub mod action;
 pub mod cdr;
 mod message;
 mod packages;
 mod type_description;
 
-pub use message::{Message, Service};
+pub use message::{Action, Message, Service};
 pub use packages::{
-    builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rcl_interfaces,
-    rosbag2_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, vision_msgs, wm_msgs,
+    action_msgs, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs,
+    rcl_interfaces, rosbag2_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, std_srvs,
+    unique_identifier_msgs, vision_msgs, wm_msgs,
 };
 pub use type_description::{
     DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash,

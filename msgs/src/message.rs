@@ -37,3 +37,26 @@ pub trait Service: 'static {
         format!("{}/srv/{}", Self::PACKAGE, Self::NAME)
     }
 }
+
+/// A ROS action type.
+pub trait Action: 'static {
+    /// The package, for example `wm_msgs`.
+    const PACKAGE: &'static str;
+    /// The type's name within the package, for example `Plan`.
+    const NAME: &'static str;
+    /// The text of the `.action` file.
+    const DEFINITION: &'static str;
+    /// What a client requests.
+    type Goal: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
+    /// What a goal comes to; the default where the server has nothing to say.
+    type Result: Serialize + DeserializeOwned + Clone + Default + Send + Sync + 'static;
+    /// What is told of a goal while it is executed.
+    type Feedback: Serialize + DeserializeOwned + Clone + Send + Sync + 'static;
+    /// ROS names (`package/msg/Type`) and texts of every type that [`Self::DEFINITION`] names, transitively, each once.
+    fn dependencies() -> Vec<(&'static str, &'static str)>;
+
+    /// The ROS name of the type, `package/action/Type`.
+    fn ros_name() -> String {
+        format!("{}/action/{}", Self::PACKAGE, Self::NAME)
+    }
+}

@@ -55,11 +55,31 @@ macro_rules! service {
     };
 }
 
+/// Implements [`Action`](crate::Action) for a unit struct: its package, its definition, its three structs, and the
+/// message types that their fields name.
+macro_rules! action {
+    ($type:ident, $package:literal, $definition:expr, $goal:ty, $result:ty, $feedback:ty, [$($field:ty),*]) => {
+        impl $crate::Action for $type {
+            const PACKAGE: &'static str = $package;
+            const NAME: &'static str = stringify!($type);
+            const DEFINITION: &'static str = $definition;
+            type Goal = $goal;
+            type Result = $result;
+            type Feedback = $feedback;
+
+            fn dependencies() -> Vec<(&'static str, &'static str)> {
+                dependencies!($($field),*)
+            }
+        }
+    };
+}
+
 /// The ROS name as a constant: `Message::ros_name` has to build it at run time.
 pub(crate) trait Named {
     const ROS_NAME: &'static str;
 }
 
+pub mod action_msgs;
 pub mod builtin_interfaces;
 pub mod diagnostic_msgs;
 pub mod geometry_msgs;
@@ -71,5 +91,6 @@ pub mod sensor_msgs;
 pub(crate) mod service_msgs;
 pub mod std_msgs;
 pub mod std_srvs;
+pub mod unique_identifier_msgs;
 pub mod vision_msgs;
 pub mod wm_msgs;

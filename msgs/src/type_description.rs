@@ -1,4 +1,4 @@
-//! What a ROS type is made of, read from its `.msg` or `.srv` text, and the hash by which ROS tells types apart.
+//! What a ROS type is made of, read from its `.msg`, `.srv` or `.action` text, and the hash by which ROS tells types apart.
 //!
 //! The hash is REP-2016's `RIHS01`: SHA-256 over the canonical JSON of `type_description_interfaces`, as
 //! `rosidl_generator_type_description` computes it. Constants, default values and comments are no part of it.
@@ -20,7 +20,11 @@ pub use error::DescriptionError;
 pub use field::{Field, FieldType};
 pub use hash::TypeHash;
 
-use crate::{Message, Service, packages::service_msgs};
+use crate::{
+    Action, Message, Service, builtin_interfaces,
+    packages::{Named as _, service_msgs},
+    unique_identifier_msgs::UUID,
+};
 use std::collections::BTreeMap;
 
 /// A type that names more others than this is refused: definitions may come from anywhere.
@@ -29,7 +33,8 @@ const REFERENCED_LIMIT: usize = 256;
 /// One type, without those that it names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IndividualType {
-    /// `package/msg/Type`; of a service `package/srv/Type`, and with `_Request`, `_Response`, `_Event` its parts.
+    /// `package/msg/Type`; of a service `package/srv/Type`, and with `_Request`, `_Response`, `_Event` its parts; of an
+    /// action `package/action/Type`, and its parts in the same way.
     pub name: String,
     /// In order.
     pub fields: Vec<Field>,
@@ -61,6 +66,14 @@ impl TypeDescription {
         Self::service(&S::ros_name(), S::DEFINITION, S::dependencies())
     }
 
+    /// The description of an action type of this crate.
+    ///
+    /// # Errors
+    /// Its definition is not one; a test holds every type of this crate.
+    pub fn of_action<A: Action>() -> Result<Self, DescriptionError> {
+        Self::action(&A::ros_name(), A::DEFINITION, A::dependencies())
+    }
+
     /// The description of the message type `name` with this `.msg` text. `dependencies`: names and texts of at least
     /// the types that it names, transitively. Names are `package/msg/Type` or `package/Type`.
     ///
@@ -73,7 +86,7 @@ impl TypeDescription {
     ) -> Result<Self, DescriptionError> {
         let name = canonical(name);
         let described = definition::parse(&name, text)?;
-        Self::gather(described, BTreeMap::new(), dependencies)
+        Self::gather(described, [], dependencies)
     }
 
     /// The description of the service type `name`, `package/srv/Type`, with this `.srv` text.
@@ -85,47 +98,58 @@ impl TypeDescription {
         text: &str,
         dependencies: impl IntoIterator<Item = (&'a str, &'a str)>,
     ) -> Result<Self, DescriptionError> {
-        let (request, response) =
-            definition::split_service(text).ok_or_else(|| DescriptionError::NoResponse {
+        let [request, response] = &definition::split_parts(text)[..] else {
+            return Err(DescriptionError::NoResponse {
                 name: name.to_owned(),
-            })?;
-        let part = |suffix: &str| format!("{name}_{suffix}");
-        let nested = |field: &str, suffix: &str| Field::nested(field, &part(suffix));
-        let described = IndividualType {
-            name: name.to_owned(),
-            fields: vec![
-                nested("request_message", "Request"),
-                nested("response_message", "Response"),
-                nested("event_message", "Event"),
-            ],
+            });
         };
-        // What rosidl makes of every service: https://design.ros2.org/articles/service_introspection.html
-        let event = IndividualType {
-            name: part("Event"),
-            fields: vec![
-                Field::nested("info", service_msgs::SERVICE_EVENT_INFO.0),
-                nested("request", "Request").at_most(1),
-                nested("response", "Response").at_most(1),
-            ],
-        };
-        let parts = [
-            definition::parse(&part("Request"), request)?,
-            definition::parse(&part("Response"), response)?,
-            event,
-        ];
-        let parts = parts.map(|part| (part.name.clone(), part)).into();
-        let given = dependencies
-            .into_iter()
-            .chain([service_msgs::SERVICE_EVENT_INFO, service_msgs::TIME]);
+        let [described, parts @ ..] = service_types(
+            name,
+            definition::parse(&part(name, "Request"), request)?,
+            definition::parse(&part(name, "Response"), response)?,
+        );
+        let given = dependencies.into_iter().chain(OF_SERVICES);
         Self::gather(described, parts, given)
+    }
+
+    /// The description of the action type `name`, `package/action/Type`, with this `.action` text; or, where `name` is
+    /// `package/action/Type_SendGoal` for example, of this one of the types that rosidl makes of it.
+    ///
+    /// # Errors
+    /// As [`message`](Self::message), and where the text does not have two lines `---` between goal, result and
+    /// feedback, or rosidl makes no type of this name.
+    pub fn action<'a>(
+        name: &str,
+        text: &str,
+        dependencies: impl IntoIterator<Item = (&'a str, &'a str)>,
+    ) -> Result<Self, DescriptionError> {
+        let split = definition::split_parts(text);
+        let [goal, result, feedback] = &split[..] else {
+            return Err(DescriptionError::NoParts {
+                name: name.to_owned(),
+                found: split.len() - 1,
+            });
+        };
+        // a package may have underscores in its name, a type has not
+        let wrong_name = || DescriptionError::Name(name.to_owned());
+        let (package, type_name) = name.rsplit_once('/').ok_or_else(wrong_name)?;
+        let type_name = type_name.split('_').next().unwrap_or_default();
+        let mut types = action_types(&format!("{package}/{type_name}"), goal, result, feedback)?;
+        let described = types.iter().position(|described| described.name == name);
+        let described = types.swap_remove(described.ok_or_else(wrong_name)?);
+        let of_actions = (UUID::ROS_NAME, <UUID as Message>::DEFINITION);
+        let given = dependencies.into_iter().chain(OF_SERVICES);
+        Self::gather(described, types, given.chain([of_actions]))
     }
 
     /// Follows the names from `described`: to `parts`, which are read already, and to the definitions in `given`.
     fn gather<'a>(
         described: IndividualType,
-        mut parts: BTreeMap<String, IndividualType>,
+        parts: impl IntoIterator<Item = IndividualType>,
         given: impl IntoIterator<Item = (&'a str, &'a str)>,
     ) -> Result<Self, DescriptionError> {
+        let named = |part: IndividualType| (part.name.clone(), part);
+        let mut parts: BTreeMap<_, _> = parts.into_iter().map(named).collect();
         let given: BTreeMap<String, &str> = given
             .into_iter()
             .map(|(name, text)| (canonical(name), text))
@@ -168,6 +192,99 @@ impl TypeDescription {
     pub fn hash(&self) -> TypeHash {
         TypeHash::of(self)
     }
+}
+
+/// What the types that rosidl makes of every service name.
+const OF_SERVICES: [(&str, &str); 2] = [service_msgs::SERVICE_EVENT_INFO, service_msgs::TIME];
+
+/// The name of a type that rosidl makes of another.
+fn part(name: &str, suffix: &str) -> String {
+    format!("{name}_{suffix}")
+}
+
+/// A service, its two halves, and the event that rosidl makes of every service:
+/// <https://design.ros2.org/articles/service_introspection.html>.
+fn service_types(
+    name: &str,
+    request: IndividualType,
+    response: IndividualType,
+) -> [IndividualType; 4] {
+    let nested = |field: &str, suffix: &str| Field::nested(field, &part(name, suffix));
+    let service = IndividualType {
+        name: name.to_owned(),
+        fields: vec![
+            nested("request_message", "Request"),
+            nested("response_message", "Response"),
+            nested("event_message", "Event"),
+        ],
+    };
+    let event = IndividualType {
+        name: part(name, "Event"),
+        fields: vec![
+            Field::nested("info", service_msgs::SERVICE_EVENT_INFO.0),
+            nested("request", "Request").at_most(1),
+            nested("response", "Response").at_most(1),
+        ],
+    };
+    [service, request, response, event]
+}
+
+/// An action and all that rosidl makes of it: <https://design.ros2.org/articles/actions.html>.
+fn action_types(
+    name: &str,
+    goal: &str,
+    result: &str,
+    feedback: &str,
+) -> Result<Vec<IndividualType>, DescriptionError> {
+    let nested = |field: &str, suffix: &str| Field::nested(field, &part(name, suffix));
+    let made = |suffix: &str, fields: Vec<Field>| IndividualType {
+        name: part(name, suffix),
+        fields,
+    };
+    let parse = |suffix: &str, text: &str| definition::parse(&part(name, suffix), text);
+    let goal_id = || Field::nested("goal_id", UUID::ROS_NAME);
+    let stamp = Field::nested("stamp", builtin_interfaces::Time::ROS_NAME);
+
+    let action = IndividualType {
+        name: name.to_owned(),
+        fields: vec![
+            nested("goal", "Goal"),
+            nested("result", "Result"),
+            nested("feedback", "Feedback"),
+            nested("send_goal_service", "SendGoal"),
+            nested("get_result_service", "GetResult"),
+            nested("feedback_message", "FeedbackMessage"),
+        ],
+    };
+    let own = [
+        parse("Goal", goal)?,
+        parse("Result", result)?,
+        parse("Feedback", feedback)?,
+        made(
+            "FeedbackMessage",
+            vec![goal_id(), nested("feedback", "Feedback")],
+        ),
+    ];
+    let mut accepted = parse("SendGoal_Response", "bool accepted")?;
+    accepted.fields.push(stamp);
+    let send_goal = service_types(
+        &part(name, "SendGoal"),
+        made("SendGoal_Request", vec![goal_id(), nested("goal", "Goal")]),
+        accepted,
+    );
+    let mut ended = parse("GetResult_Response", "int8 status")?;
+    ended.fields.push(nested("result", "Result"));
+    let get_result = service_types(
+        &part(name, "GetResult"),
+        made("GetResult_Request", vec![goal_id()]),
+        ended,
+    );
+    Ok([action]
+        .into_iter()
+        .chain(own)
+        .chain(send_goal)
+        .chain(get_result)
+        .collect())
 }
 
 /// `package/Type` as `package/msg/Type`; any other name as it is.

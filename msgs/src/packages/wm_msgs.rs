@@ -1,4 +1,6 @@
-//! Package `wm_msgs`: latents, actions, predicted steps, their errors, plans, and policies in the loop.
+//! Package `wm_msgs`: latents, actions, predicted steps, their errors, goals, plans, and policies in the loop.
+
+pub mod action;
 
 use super::{
     builtin_interfaces::{Duration, Time},

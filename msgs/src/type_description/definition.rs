@@ -1,4 +1,4 @@
-//! The text of `.msg` and `.srv` files: <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
+//! The text of `.msg`, `.srv` and `.action` files: <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
 
 use super::{
     DescriptionError, IndividualType,
@@ -8,7 +8,7 @@ use super::{
 /// Reads the text of one message type; constants and default values are passed over.
 pub(super) fn parse(name: &str, text: &str) -> Result<IndividualType, DescriptionError> {
     let parts: Vec<&str> = name.split('/').collect();
-    let [package, "msg" | "srv", type_name] = parts[..] else {
+    let [package, "msg" | "srv" | "action", type_name] = parts[..] else {
         return Err(DescriptionError::Name(name.to_owned()));
     };
     if !is_identifier(package) || !is_identifier(type_name) {
@@ -30,16 +30,16 @@ pub(super) fn parse(name: &str, text: &str) -> Result<IndividualType, Descriptio
     })
 }
 
-/// Request and response of a service: what stands before and after the line `---`.
-pub(super) fn split_service(text: &str) -> Option<(&str, &str)> {
-    let mut start = 0;
+/// The parts of a service or an action: what stands between the lines `---`.
+pub(super) fn split_parts(text: &str) -> Vec<String> {
+    let mut parts = vec![String::new()];
     for line in text.split_inclusive('\n') {
-        if line.trim() == "---" {
-            return Some((text.get(..start)?, text.get(start + line.len()..)?));
+        match parts.last_mut() {
+            Some(part) if line.trim() != "---" => part.push_str(line),
+            _ => parts.push(String::new()),
         }
-        start += line.len();
     }
-    None
+    parts
 }
 
 /// The field of a line; none where the line is a constant, `type NAME = value`.

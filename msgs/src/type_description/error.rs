@@ -43,4 +43,12 @@ pub enum DescriptionError {
         /// The service.
         name: String,
     },
+    /// An action whose text does not have three parts.
+    #[error("{name}: expected two lines `---` between goal, result and feedback, got {found}")]
+    NoParts {
+        /// The action.
+        name: String,
+        /// Lines `---` that there are.
+        found: usize,
+    },
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::lifecycle_msgs;
+use crate::{lifecycle_msgs, wm_msgs::action};
 use proptest::prelude::*;
 
 fn types(text: &str) -> Vec<(u8, u64, u64, Option<String>)> {
@@ -58,6 +58,15 @@ fn what_is_wrong_is_named() {
     }
     let error = TypeDescription::service("pkg/srv/S", "int32 x\n", []).unwrap_err();
     assert!(error.to_string().contains("---"), "{error}");
+    let error = TypeDescription::action("pkg/action/A", "int32 x\n---\n", []).unwrap_err();
+    assert!(error.to_string().contains("got 1"), "{error}");
+    for name in ["pkg/action/A_Other", "A", "a/b/c/A"] {
+        let error = TypeDescription::action(name, "---\n---\n", []).unwrap_err();
+        assert!(
+            error.to_string().contains("expected a type name"),
+            "{error}"
+        );
+    }
 }
 
 #[test]
@@ -81,6 +90,58 @@ fn a_service_is_its_request_its_response_and_the_event_of_both() {
     );
 }
 
+#[test]
+fn an_action_is_its_parts_two_services_and_a_message() {
+    let description = TypeDescription::of_action::<action::Plan>().unwrap();
+    let own =
+        |part: &IndividualType| Some(part.name.strip_prefix("wm_msgs/action/Plan_")?.to_owned());
+    let names: Vec<_> = description.referenced.iter().filter_map(own).collect();
+    assert_eq!(
+        names,
+        [
+            "Feedback",
+            "FeedbackMessage",
+            "GetResult",
+            "GetResult_Event",
+            "GetResult_Request",
+            "GetResult_Response",
+            "Goal",
+            "Result",
+            "SendGoal",
+            "SendGoal_Event",
+            "SendGoal_Request",
+            "SendGoal_Response",
+        ]
+    );
+}
+
+/// A type that rosidl makes of an action is described with what it names, and with no more.
+#[test]
+fn a_part_of_an_action_is_a_type_of_its_own() {
+    let text = "int32 order\n---\nint32[] sequence\n---\nstd_msgs/Header header\n";
+    let described = |name: &str, given: &[(&'static str, &'static str)]| {
+        let described = TypeDescription::action(name, text, given.iter().copied());
+        let described = described.unwrap();
+        assert_eq!(described.described.name, name);
+        let names = described.referenced.into_iter().map(|part| part.name);
+        names.collect::<Vec<_>>()
+    };
+    assert_eq!(described("a_b/action/Fibonacci_Goal", &[]), [""; 0]);
+    assert_eq!(
+        described("a_b/action/Fibonacci_GetResult_Response", &[]),
+        ["a_b/action/Fibonacci_Result"]
+    );
+    let header = [("std_msgs/Header", "string frame_id\n")];
+    assert_eq!(
+        described("a_b/action/Fibonacci_FeedbackMessage", &header),
+        [
+            "a_b/action/Fibonacci_Feedback",
+            "std_msgs/msg/Header",
+            "unique_identifier_msgs/msg/UUID"
+        ]
+    );
+}
+
 /// Names that circle, as no ROS type's do, come to an end.
 #[test]
 fn types_that_name_each_other_come_to_an_end() {
@@ -92,8 +153,9 @@ fn types_that_name_each_other_come_to_an_end() {
 proptest! {
     /// A description or an error, never a panic, whatever the text.
     #[test]
-    fn any_text_is_answered(text in "([a-zA-Z0-9_/<=\\[\\]# \"-]{0,12}\n?){0,6}") {
+    fn any_text_is_answered(text in "([a-zA-Z0-9_/<=\\[\\]# \"-]{0,12}\n?|---\n){0,6}") {
         TypeDescription::message("p/msg/T", &text, []).ok();
         TypeDescription::service("p/srv/T", &text, []).ok();
+        TypeDescription::action("p/action/T", &text, []).ok();
     }
 }

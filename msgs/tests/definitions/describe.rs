@@ -12,6 +12,7 @@ pub enum Shape {
     Primitive(String),
     Bytes,
     Sequence(Box<Shape>),
+    Array(Box<Shape>, usize),
     Struct {
         name: String,
         fields: Vec<(String, Shape)>,
@@ -79,6 +80,24 @@ impl<'de> Deserializer<'de> for Recorder<'_> {
         Ok(value)
     }
 
+    fn deserialize_tuple<V: Visitor<'de>>(
+        self,
+        len: usize,
+        visitor: V,
+    ) -> Result<V::Value, ValueError> {
+        let mut elements = Parts {
+            names: &ELEMENTS[..len],
+            shapes: Vec::new(),
+        };
+        let value = visitor.visit_seq(&mut elements)?;
+        let (_, shape) = elements
+            .shapes
+            .pop()
+            .ok_or_else(|| de::Error::custom("an array took no element"))?;
+        *self.0 = Some(Shape::Array(Box::new(shape), len));
+        Ok(value)
+    }
+
     fn deserialize_struct<V: Visitor<'de>>(
         self,
         name: &'static str,
@@ -102,9 +121,12 @@ impl<'de> Deserializer<'de> for Recorder<'_> {
     }
 
     serde::forward_to_deserialize_any! {
-        i128 u128 char option unit unit_struct newtype_struct tuple tuple_struct map enum identifier ignored_any
+        i128 u128 char option unit unit_struct newtype_struct tuple_struct map enum identifier ignored_any
     }
 }
+
+/// As many as the longest array has.
+const ELEMENTS: [&str; 16] = [""; 16];
 
 /// The parts still to be asked for, and what was answered for those before.
 struct Parts {

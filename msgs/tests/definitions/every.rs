@@ -15,7 +15,8 @@ macro_rules! every_message {
             lifecycle_msgs::TransitionEvent wm_msgs::LatentSpace wm_msgs::Latent wm_msgs::Action wm_msgs::ActionChunk
             wm_msgs::Prediction wm_msgs::PredictionError wm_msgs::Plan wm_msgs::Timing wm_msgs::ActionCandidates
             wm_msgs::CandidateAssessment wm_msgs::Assessment wm_msgs::EnvObservation
-            wm_msgs::ExecutorStatus)
+            wm_msgs::ExecutorStatus wm_msgs::Goal unique_identifier_msgs::UUID action_msgs::GoalInfo
+            action_msgs::GoalStatus action_msgs::GoalStatusArray)
     };
     (@ $check:ident $arguments:tt $($package:ident :: $message:ident)*) => {
         $(every_message!(@call $check $arguments $package $message);)*
@@ -31,6 +32,7 @@ macro_rules! every_service {
         $check::<::wm_msgs::wm_msgs::Reset>($($argument),*);
         $check::<::wm_msgs::wm_msgs::EnvReset>($($argument),*);
         $check::<::wm_msgs::wm_msgs::EnvStep>($($argument),*);
+        $check::<::wm_msgs::action_msgs::CancelGoal>($($argument),*);
         $check::<::wm_msgs::std_srvs::Trigger>($($argument),*);
         $check::<::wm_msgs::std_srvs::SetBool>($($argument),*);
         $check::<::wm_msgs::lifecycle_msgs::ChangeState>($($argument),*);
@@ -51,5 +53,12 @@ macro_rules! every_service {
         $check::<::wm_msgs::rosbag2_interfaces::Snapshot>($($argument),*);
         $check::<::wm_msgs::rosbag2_interfaces::SplitBagfile>($($argument),*);
         $check::<::wm_msgs::rosbag2_interfaces::Record>($($argument),*);
+    };
+}
+
+/// Runs a generic check for every action type of the crate.
+macro_rules! every_action {
+    ($check:ident $(, $argument:expr)*) => {
+        $check::<::wm_msgs::wm_msgs::action::Plan>($($argument),*);
     };
 }

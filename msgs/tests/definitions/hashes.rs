@@ -2,7 +2,9 @@
 
 use crate::installation::Installation;
 use std::collections::BTreeMap;
-use wm_msgs::{Message, Service, TypeDescription, builtin_interfaces::Time, rcl_interfaces};
+use wm_msgs::{
+    Action, Message, Service, TypeDescription, builtin_interfaces::Time, rcl_interfaces,
+};
 
 /// Every type of the crate and its hash.
 fn ours() -> BTreeMap<String, String> {
@@ -17,6 +19,18 @@ fn ours() -> BTreeMap<String, String> {
     let mut hashes = BTreeMap::new();
     every_message!(message, &mut hashes);
     every_service!(service, &mut hashes);
+    // with all that rosidl makes of it
+    fn action<A: Action>(hashes: &mut BTreeMap<String, String>) {
+        let whole = TypeDescription::of_action::<A>().unwrap();
+        let own = std::iter::once(&whole.described).chain(&whole.referenced);
+        for name in own.map(|part| &part.name) {
+            if name.starts_with(&A::ros_name()) {
+                let described = TypeDescription::action(name, A::DEFINITION, A::dependencies());
+                hashes.insert(name.clone(), described.unwrap().hash().to_string());
+            }
+        }
+    }
+    every_action!(action, &mut hashes);
     let given = || {
         let time = ("builtin_interfaces/msg/Time", Time::DEFINITION);
         rcl_interfaces::MESSAGES.into_iter().chain([time])
@@ -36,7 +50,7 @@ fn ours() -> BTreeMap<String, String> {
     hashes
 }
 
-/// From `type_hashes` of the files `share/PACKAGE/{msg,srv}/TYPE.json` that ROS 2 Kilted installs.
+/// From `type_hashes` of the files `share/PACKAGE/{msg,srv,action}/TYPE.json` that ROS 2 Kilted installs.
 #[test]
 fn known_hashes_are_ours() {
     let known = [
@@ -110,6 +124,14 @@ fn known_hashes_are_ours() {
             "RIHS01_e87b287e52219f5f32127c876a0688c537b8a5762612f33b8e740c3b89d19d2b",
         ),
         (
+            "action_msgs/msg/GoalStatusArray",
+            "RIHS01_6c1684b00f177d37438febe6e709fc4e2b0d4248dca4854946f9ed8b30cda83e",
+        ),
+        (
+            "action_msgs/srv/CancelGoal",
+            "RIHS01_573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a",
+        ),
+        (
             "lifecycle_msgs/srv/GetAvailableTransitions",
             "RIHS01_59b7ecefce0982a8a844b9f2c4f14764c1c4543cc55e72924e2aa4adad83e9bc",
         ),
@@ -129,7 +151,14 @@ fn hashes_are_those_of_the_ros_installation() {
     let mut compared = Vec::new();
     let ours = ours();
     for (name, hash) in &ours {
-        let Some(text) = installation.read(name, "json") else {
+        // what rosidl makes of an action is in the action's file
+        let file = match name.split_once("/action/") {
+            Some((package, part)) => {
+                format!("{package}/action/{}", part.split('_').next().unwrap())
+            }
+            None => name.clone(),
+        };
+        let Some(text) = installation.read(&file, "json") else {
             continue;
         };
         let file: serde_json::Value = serde_json::from_str(&text).unwrap();

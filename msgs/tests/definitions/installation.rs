@@ -27,7 +27,7 @@ impl Installation {
         None
     }
 
-    /// The file of a type, `package/msg/Type` or `package/srv/Type`; none, with a plain message, where there is none.
+    /// The file of a type, `package/msg/Type` for example; none, with a plain message, where there is none.
     pub fn read(&self, ros_name: &str, extension: &str) -> Option<String> {
         let file = format!("share/{ros_name}.{extension}");
         let found = self

@@ -1,11 +1,18 @@
 //! A reader of `.msg` text: as much of the grammar as the suite's definitions use.
 
-/// One field: its type (`pkg/msg/Type` or a primitive as the wire has it), whether it is a sequence, its name.
+/// One field: its type (`pkg/msg/Type` or a primitive as the wire has it), how many of it, its name.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Field {
     pub type_name: String,
-    pub sequence: bool,
+    pub number: Number,
     pub name: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Number {
+    One,
+    Array(usize),
+    Sequence,
 }
 
 /// Fields in order, and constants as (name, value).
@@ -38,8 +45,11 @@ pub fn parse(package: &str, text: &str) -> Interface {
                 .push((name.trim().to_owned(), value.trim().to_owned()));
             continue;
         }
-        let sequence = type_name.ends_with("[]");
-        let type_name = type_name.trim_end_matches("[]");
+        let (type_name, number) = match type_name.trim_end_matches(']').split_once('[') {
+            None => (type_name, Number::One),
+            Some((element, "")) => (element, Number::Sequence),
+            Some((element, length)) => (element, Number::Array(length.parse().unwrap())),
+        };
         let type_name = match type_name {
             "byte" | "char" => "uint8".to_owned(),
             primitive if PRIMITIVES.contains(&primitive) => primitive.to_owned(),
@@ -53,7 +63,7 @@ pub fn parse(package: &str, text: &str) -> Interface {
         let name = rest.split_whitespace().next().unwrap().to_owned();
         interface.fields.push(Field {
             type_name,
-            sequence,
+            number,
             name,
         });
     }

@@ -11,10 +11,10 @@ mod interface;
 
 use describe::{Shape, describe};
 use installation::Installation;
-use interface::{Interface, parse};
+use interface::{Interface, Number, parse};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
-use wm_msgs::{Message, Service, diagnostic_msgs, wm_msgs as wm};
+use wm_msgs::{Action, Message, Service, action_msgs, diagnostic_msgs, wm_msgs as wm};
 
 /// Compares a Rust type with the fields of a definition, following nested messages through `definitions`.
 fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String, String>) {
@@ -28,23 +28,27 @@ fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String,
     let expected_names: Vec<_> = expected.iter().map(|field| field.name.as_str()).collect();
     assert_eq!(names, expected_names, "fields of {name}");
     for ((field, shape), expected) in fields.iter().zip(&expected) {
-        let element = match (shape, expected.sequence) {
-            (Shape::Bytes, true) => {
+        let element = match (shape, expected.number) {
+            (Shape::Bytes, Number::Sequence) => {
                 assert_eq!(
                     expected.type_name, "uint8",
                     "{name}.{field} is a byte sequence"
                 );
                 continue;
             }
-            (Shape::Sequence(element), true) => {
+            (Shape::Sequence(element), Number::Sequence) => {
                 assert_ne!(
                     expected.type_name, "uint8",
                     "{name}.{field} wants serde_bytes: 40 times faster"
                 );
                 element
             }
-            (shape, false) => shape,
-            (shape, true) => panic!("{name}.{field}: expected a sequence, got {shape:?}"),
+            (Shape::Array(element, length), Number::Array(expected)) => {
+                assert_eq!(*length, expected, "{name}.{field}");
+                element
+            }
+            (shape, Number::One) => shape,
+            (shape, number) => panic!("{name}.{field}: expected {number:?}, got {shape:?}"),
         };
         match element {
             Shape::Primitive(primitive) => {
@@ -118,36 +122,50 @@ fn every_msg_file_has_a_rust_type() {
     assert_eq!(types, files);
 }
 
+/// Holds a type that is given by a part of a definition.
+fn hold_part<T: DeserializeOwned>(
+    package: &str,
+    text: &str,
+    dependencies: Vec<(&'static str, &'static str)>,
+) {
+    let shape = describe::<T>();
+    let Shape::Struct { fields, .. } = &shape else {
+        panic!("expected a struct, got {shape:?}")
+    };
+    // what rosidl gives a part without fields
+    if let [(name, Shape::Primitive(primitive))] = &fields[..]
+        && name == "structure_needs_at_least_one_member"
+    {
+        assert_eq!((primitive.as_str(), text.trim()), ("uint8", ""));
+        return;
+    }
+    let owned = |(name, text): (&str, &str)| (name.to_owned(), text.to_owned());
+    let definitions = dependencies.into_iter().map(owned).collect();
+    hold(&shape, package, text, &definitions);
+}
+
 #[test]
 fn every_service_has_the_fields_of_its_definition() {
-    fn half<T: DeserializeOwned>(
-        package: &str,
-        text: &str,
-        definitions: &BTreeMap<String, String>,
-    ) {
-        let shape = describe::<T>();
-        let Shape::Struct { fields, .. } = &shape else {
-            panic!("expected a struct, got {shape:?}")
-        };
-        // what rosidl gives a half without fields
-        if let [(name, Shape::Primitive(primitive))] = &fields[..]
-            && name == "structure_needs_at_least_one_member"
-        {
-            assert_eq!((primitive.as_str(), text.trim()), ("uint8", ""));
-            return;
-        }
-        hold(&shape, package, text, definitions);
-    }
     fn hold_service<S: Service>() {
-        let definitions = S::dependencies()
-            .into_iter()
-            .map(|(name, text)| (name.to_owned(), text.to_owned()))
-            .collect();
         let (request, response) = S::DEFINITION.split_once("---\n").unwrap();
-        half::<S::Request>(S::PACKAGE, request, &definitions);
-        half::<S::Response>(S::PACKAGE, response, &definitions);
+        hold_part::<S::Request>(S::PACKAGE, request, S::dependencies());
+        hold_part::<S::Response>(S::PACKAGE, response, S::dependencies());
     }
     every_service!(hold_service);
+}
+
+#[test]
+fn every_action_has_the_fields_of_its_definition() {
+    fn hold_action<A: Action>() {
+        let parts: Vec<&str> = A::DEFINITION.split("---\n").collect();
+        let [goal, result, feedback] = parts[..] else {
+            panic!("{} has {} parts", A::NAME, parts.len())
+        };
+        hold_part::<A::Goal>(A::PACKAGE, goal, A::dependencies());
+        hold_part::<A::Result>(A::PACKAGE, result, A::dependencies());
+        hold_part::<A::Feedback>(A::PACKAGE, feedback, A::dependencies());
+    }
+    every_action!(hold_action);
 }
 
 #[test]
@@ -171,6 +189,34 @@ fn constants_are_those_of_the_definitions() {
             ("EXECUTING", wm::ExecutorStatus::EXECUTING),
             ("STOPPING", wm::ExecutorStatus::STOPPING),
             ("STOPPED", wm::ExecutorStatus::STOPPED)
+        ]
+        .map(|(name, value)| (name.to_owned(), value.to_string()))
+    );
+    use action_msgs::GoalStatus;
+    assert_eq!(
+        constants("action_msgs", GoalStatus::DEFINITION),
+        [
+            ("STATUS_UNKNOWN", GoalStatus::STATUS_UNKNOWN),
+            ("STATUS_ACCEPTED", GoalStatus::STATUS_ACCEPTED),
+            ("STATUS_EXECUTING", GoalStatus::STATUS_EXECUTING),
+            ("STATUS_CANCELING", GoalStatus::STATUS_CANCELING),
+            ("STATUS_SUCCEEDED", GoalStatus::STATUS_SUCCEEDED),
+            ("STATUS_CANCELED", GoalStatus::STATUS_CANCELED),
+            ("STATUS_ABORTED", GoalStatus::STATUS_ABORTED)
+        ]
+        .map(|(name, value)| (name.to_owned(), value.to_string()))
+    );
+    use action_msgs::CancelGoalResponse as Cancelled;
+    let (_, response) = action_msgs::CancelGoal::DEFINITION
+        .split_once("---\n")
+        .unwrap();
+    assert_eq!(
+        constants("action_msgs", response),
+        [
+            ("ERROR_NONE", Cancelled::ERROR_NONE),
+            ("ERROR_REJECTED", Cancelled::ERROR_REJECTED),
+            ("ERROR_UNKNOWN_GOAL_ID", Cancelled::ERROR_UNKNOWN_GOAL_ID),
+            ("ERROR_GOAL_TERMINATED", Cancelled::ERROR_GOAL_TERMINATED)
         ]
         .map(|(name, value)| (name.to_owned(), value.to_string()))
     );
