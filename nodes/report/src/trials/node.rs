@@ -247,6 +247,7 @@ impl Trials {
         while endpoints.plans.try_recv().is_some() {}
         endpoints.plans.recv().await.ok_or_else(ended)?;
         while endpoints.distances.try_recv().is_some() {}
+        while endpoints.outcomes.try_recv().is_some() {}
         self.setting.arm(true).await
     }
 
@@ -255,6 +256,10 @@ impl Trials {
         let endpoints = &mut self.endpoints;
         tokio::select! {
             biased;
+            // The arm tells it before the success that it leads to.
+            distance = endpoints.distances.recv() => {
+                watch.distance(distance.ok_or_else(ended)?.message.data);
+            }
             success = endpoints.successes.recv() => {
                 watch.success(success.ok_or_else(ended)?.message.data);
             }
@@ -270,9 +275,6 @@ impl Trials {
             frame = endpoints.frames.recv() => {
                 let frame = frame.ok_or_else(ended)?.message;
                 watch.frame(frame.header().stamp.to_nanos(), || decoded(&frame));
-            }
-            distance = endpoints.distances.recv() => {
-                watch.distance(distance.ok_or_else(ended)?.message.data);
             }
         }
         Ok(())
