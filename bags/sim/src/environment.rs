@@ -25,7 +25,7 @@ use crate::layout;
 use crate::render::Renderer;
 use crate::room;
 use crate::scene::Scene;
-use crate::teleop::{LARGEST_STEP_M, LARGEST_TURN_RAD};
+use crate::teleop::{LARGEST_STEP_M, LARGEST_TURN_RAD, Task};
 use crate::variety::Variety;
 use crate::world::{EndEffectorAction, STEP_S, World};
 use sight::share_in_sight;
@@ -87,6 +87,7 @@ pub struct Environment {
     world: World,
     steps: usize,
     goal: Goal,
+    task: Task,
     solution: Solution,
     scene: Scene,
     renderer: Renderer,
@@ -111,19 +112,19 @@ impl Environment {
         let found = (0..TABLES).find_map(|_| {
             let world = layout::world(variety, &mut rng);
             let scene = Scene::new(&world);
-            let (target, instruction, solution) = (0..GOALS_PER_TABLE).find_map(|_| {
-                let (target, instruction) = choice::draw(kind, &world, viewer, &mut goals)?;
+            let (target, task, solution) = (0..GOALS_PER_TABLE).find_map(|_| {
+                let (target, task) = choice::draw(kind, &world, viewer, &mut goals)?;
                 let solution = Solution::of(&target, &world)?;
                 let in_sight = target.object().is_none_or(|object| {
                     [&world, solution.end()].into_iter().all(|world| {
                         share_in_sight(&mut renderer, &scene, world, object) >= LEAST_IN_SIGHT
                     })
                 });
-                in_sight.then_some((target, instruction, solution))
+                in_sight.then_some((target, task, solution))
             })?;
-            Some((world, scene, target, instruction, solution))
+            Some((world, scene, target, task, solution))
         });
-        let (world, scene, target, instruction, solution) = found.ok_or(Error::Unsolvable {
+        let (world, scene, target, task, solution) = found.ok_or(Error::Unsolvable {
             kind,
             seed,
             tables: TABLES,
@@ -133,14 +134,15 @@ impl Environment {
         Ok(Self {
             kind,
             seed,
-            world,
             steps: 0,
             goal: Goal {
                 target,
-                instruction,
+                instruction: task.instruction(&world),
                 world: end,
                 picture,
             },
+            task,
+            world,
             solution,
             scene,
             renderer,
@@ -192,6 +194,12 @@ impl Environment {
     /// Whether the goal is attained now; see [`Target::met_by`]. It may be lost again.
     pub fn solved(&self) -> bool {
         self.goal.target.met_by(&self.world)
+    }
+
+    /// Whether things stand now as the instruction asks; see [`Task::succeeded`]. Words ask for less than the goal:
+    /// they name no exact place.
+    pub fn instruction_followed(&self) -> bool {
+        self.task.succeeded(&self.world)
     }
 
     /// The angles of the six joints, radians, and how far the two fingers are from the hand's middle, metres,
@@ -258,8 +266,13 @@ impl Environment {
     /// wherever things are. It moves 0.04 m an action at most. Once there is nothing more to do, it holds
     /// still.
     pub fn oracle(&self) -> EndEffectorAction {
-        oracle::command(&self.goal.target, &self.world)
-            .unwrap_or_else(|| oracle::at_rest(&self.world))
+        self.oracle_for(&self.goal.target)
+    }
+
+    /// What the oracle would do now if `target` were the goal: a controller that is right about everything but
+    /// what it is to do.
+    pub fn oracle_for(&self, target: &Target) -> EndEffectorAction {
+        oracle::command(target, &self.world).unwrap_or_else(|| oracle::at_rest(&self.world))
     }
 
     /// The oracle's actions from the start to the goal; [`Environment::step`] repeats them exactly.

@@ -5,14 +5,15 @@
 //! (`hold`, `random`), and the same planners with the simulator as a perfect model: what is lost to the model, and what to
 //! the cost and the search.
 
-mod actor;
+pub(crate) mod actor;
 mod arguments;
 mod controller;
 mod findings;
-mod model;
+pub(crate) mod model;
+pub(crate) mod seeds;
 mod settings;
 mod simulator;
-mod trial;
+pub(crate) mod trial;
 
 #[cfg(test)]
 mod tests;

@@ -7,7 +7,7 @@ use std::{ffi::OsString, io::IsTerminal as _, process::ExitCode};
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_dataset::DatasetArgs;
-use wm_evaluation::{ClosedLoopArgs, MergeArgs, Protocol, Settings, SuiteArgs};
+use wm_evaluation::{ClosedLoopArgs, ImaginedArgs, MergeArgs, Protocol, Settings, SuiteArgs};
 use wm_findings::Suite;
 use wm_sim::SimArgs;
 use wm_training::{
@@ -93,6 +93,8 @@ enum EvalCommand {
     Latents(SuiteArgs),
     /// Measure what becomes of a policy in the imagined environment
     Policy(SuiteArgs),
+    /// Measure whether success in imagination ranks policies as success on the simulated arm does
+    Imagined(ImaginedArgs),
     /// Measure predictions under other light, camera faults and wrong rates
     Robustness(SuiteArgs),
     /// Measure what a model takes to compute on this machine
@@ -148,6 +150,7 @@ impl Command {
                 EvalCommand::Task(arguments) => arguments.run()?,
                 EvalCommand::Latents(arguments) => arguments.run(&[Suite::Latents])?,
                 EvalCommand::Policy(arguments) => arguments.run(&[Suite::Policy])?,
+                EvalCommand::Imagined(arguments) => arguments.run()?,
                 EvalCommand::Robustness(arguments) => arguments.run(&[Suite::Robustness])?,
                 EvalCommand::Cost(arguments) => arguments.run(&[Suite::Cost])?,
                 EvalCommand::Merge(arguments) => arguments.run()?,

@@ -29,25 +29,24 @@ const CLEAR_M: f64 = 0.015;
 /// Places stay this far from the edge of the workspace, metres.
 const EDGE_M: f64 = 0.015;
 
-/// A goal and its instruction for a viewer who sees `world` along `viewer` (unit vectors to the right and
-/// ahead over the table), or `None` where this draw does not suit.
+/// A goal, and the task that words tell of it, for a viewer who sees `world` along `viewer` (unit vectors to the
+/// right and ahead over the table), or `None` where this draw does not suit.
 pub fn draw(
     kind: GoalKind,
     world: &World,
     viewer: [Vector3<f64>; 2],
     rng: &mut ChaCha8Rng,
-) -> Option<(Target, String)> {
+) -> Option<(Target, Task)> {
     let indices: Vec<usize> = (0..world.objects().len()).collect();
     let index = *indices.choose(rng)?;
-    let (target, task) = match kind {
-        GoalKind::Reach => reach(world, index, rng)?,
-        GoalKind::Push => push(world, index, viewer, rng)?,
+    match kind {
+        GoalKind::Reach => reach(world, index, rng),
+        GoalKind::Push => push(world, index, viewer, rng),
         GoalKind::PickPlace => {
             let other = *indices.choose(rng)?;
-            pick_place(world, [index, other], viewer, rng)?
+            pick_place(world, [index, other], viewer, rng)
         }
-    };
-    Some((target, task.instruction(world)))
+    }
 }
 
 fn reach(world: &World, index: usize, rng: &mut ChaCha8Rng) -> Option<(Target, Task)> {

@@ -279,3 +279,37 @@ fn tables_that_allow_no_goal_are_an_error() {
         Some(Error::Unsolvable { seed: 5, .. })
     ));
 }
+
+#[test]
+fn the_words_are_followed_where_the_goal_is_attained() {
+    for kind in GoalKind::ALL {
+        for mut environment in environments(kind) {
+            let seed = environment.seed();
+            // What is pushed has not moved yet; a hand, or a thing beside another, may be right from the start.
+            assert!(!(kind == GoalKind::Push && environment.instruction_followed()));
+            assert!(solves(&mut environment, 100), "{kind} {seed}");
+            assert!(environment.instruction_followed(), "{kind} {seed}");
+        }
+    }
+}
+
+#[test]
+fn the_oracle_of_another_target_goes_there() {
+    for mut environment in environments(GoalKind::Reach) {
+        let Target::Tool { position } = environment.goal().target else {
+            panic!("a reach brings the tool somewhere");
+        };
+        let other = Target::Tool {
+            position: position.map(|value| value * 0.9),
+        };
+        assert_eq!(
+            environment.oracle(),
+            environment.oracle_for(&environment.goal().target)
+        );
+        for _ in 0..30 {
+            let action = environment.oracle_for(&other);
+            environment.step(&action).expect("finite");
+        }
+        assert!(other.met_by(environment.world()), "{}", environment.seed());
+    }
+}

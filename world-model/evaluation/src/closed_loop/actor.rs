@@ -143,8 +143,8 @@ impl<'a> Actor<'a> {
     }
 }
 
-/// Holds still.
-fn rest(environment: &mut Environment, frames: usize) -> Result<Vec<EndEffectorAction>> {
+/// Holds still, and returns the actions of that.
+pub fn rest(environment: &mut Environment, frames: usize) -> Result<Vec<EndEffectorAction>> {
     let still = EndEffectorAction {
         translation: Vector3::zeros(),
         rotation: Vector3::zeros(),

@@ -4,8 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
-use rayon::prelude::*;
-use wm_dataset::progress_bar;
 use wm_model::trained_folder::EMBEDDED;
 use wm_sim::GoalKind;
 
@@ -13,8 +11,9 @@ use super::{
     controller::Controller,
     findings::{About, Findings},
     model::Model,
+    seeds::Seeds,
     settings::{ClosedLoopSettings, Goals},
-    trial::{Setup, Trial, run},
+    trial::{Setup, run},
 };
 use crate::open_model;
 
@@ -62,8 +61,6 @@ impl ClosedLoopArgs {
     /// # Errors
     /// When the model or the settings cannot be used, or the file is there.
     pub fn run(&self) -> Result<()> {
-        ensure!(self.episodes > 0, "--episodes is at least 1");
-        ensure!(self.parallel > 0, "--parallel is at least 1");
         if let Some(json) = &self.json {
             ensure!(!json.exists(), "{} is there already", json.display());
         }
@@ -83,20 +80,12 @@ impl ClosedLoopArgs {
             frames_per_step,
             settings: &settings,
         };
-        let bar = progress_bar("acting in", "episodes", self.episodes);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.parallel);
-        let pool = pool.build().context("--parallel")?;
-        let one = |index: usize| -> Result<Trial> {
-            let trial = run(&setup, self.seed.wrapping_add(index as u64));
-            bar.inc(1);
-            trial
+        let seeds = Seeds {
+            first: self.seed,
+            count: self.episodes,
+            parallel: self.parallel,
         };
-        let trials: Result<Vec<Trial>> = if self.parallel == 1 {
-            (0..self.episodes).map(one).collect()
-        } else {
-            pool.install(|| (0..self.episodes).into_par_iter().map(one).collect())
-        };
-        bar.finish_and_clear();
+        let trials = seeds.run("acting in", |seed| run(&setup, seed))?;
         let about = About {
             task: self.task.to_string(),
             planner: self.planner.to_string(),
@@ -107,7 +96,7 @@ impl ClosedLoopArgs {
             settings: settings.clone(),
             step_ms: wm_sim::STEP_S * 1e3 * frames_per_step as f64,
         };
-        let findings = Findings::of(about, &trials?)?;
+        let findings = Findings::of(about, &trials)?;
         println!("{findings}");
         if let Some(json) = &self.json {
             std::fs::write(json, findings.to_json()?)

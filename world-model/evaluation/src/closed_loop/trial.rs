@@ -11,7 +11,7 @@ use super::{
 };
 
 /// Fewest model steps that an episode may take.
-const LEAST_STEPS: f64 = 10.0;
+pub const LEAST_STEPS: f64 = 10.0;
 
 /// What came of an episode.
 #[derive(Clone, Debug)]

@@ -1,0 +1,105 @@
+//! `wm eval imagined`.
+
+use std::path::PathBuf;
+
+use anyhow::{Context as _, Result, ensure};
+use clap::Args;
+use wm_model::trained_folder::EMBEDDED;
+use wm_sim::GoalKind;
+
+use super::{
+    findings::{About, Findings},
+    scripted::ScriptedPolicy,
+    start::Setup,
+};
+use crate::{
+    closed_loop::{model::Model, seeds::Seeds},
+    open_model,
+};
+
+/// Measures whether success in imagination ranks policies as success on the simulated arm does.
+#[derive(Clone, Debug, Args)]
+pub struct ImaginedArgs {
+    /// What the arm is to do: reach, push or pick-place.
+    #[arg(long)]
+    pub task: GoalKind,
+    /// Who acts, the simulator's own controller and worse ones: oracle, noise-MM, distracted-PERCENT, beside-MM,
+    /// slow-PERCENT, stop-PERCENT, frozen-gripper, random or hold [default: 16 of them].
+    #[arg(long, num_args = 1.., value_name = "NAME")]
+    pub policy: Vec<ScriptedPolicy>,
+    /// The model: tiny, or a model's folder. It needs a success probe.
+    #[arg(long, default_value = EMBEDDED)]
+    pub model: String,
+    /// Number of episodes of each policy.
+    #[arg(long, default_value_t = 50)]
+    pub episodes: usize,
+    /// Seed of the first episode; each later one adds 1. The bundled model was not trained on the default.
+    #[arg(long, default_value_t = 5_000_000)]
+    pub seed: u64,
+    /// Model steps of an episode, as a multiple of the oracle's; never fewer than ten, nor more than the success probe reads.
+    #[arg(long, default_value_t = 1.5)]
+    pub patience: f64,
+    /// Where the findings go as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Number of episodes at a time.
+    #[arg(long, default_value_t = 1)]
+    pub parallel: usize,
+}
+
+impl ImaginedArgs {
+    /// Acts and imagines, and prints and writes what came of it.
+    ///
+    /// # Errors
+    /// When the model cannot be used, or the file is there.
+    pub fn run(&self) -> Result<()> {
+        if let Some(json) = &self.json {
+            ensure!(!json.exists(), "{} is there already", json.display());
+        }
+        ensure!(
+            self.patience.is_finite() && self.patience > 0.0,
+            "--patience must be positive and finite, not {}",
+            self.patience
+        );
+        let policies = match self.policy.as_slice() {
+            [] => ScriptedPolicy::ALL.as_slice(),
+            chosen => chosen,
+        };
+        let folder = open_model(&self.model)?;
+        let probe = folder.probe()?.with_context(|| {
+            format!(
+                "{} has no success probe: wm train probe makes one",
+                self.model
+            )
+        })?;
+        let model = Model::load(&folder)?;
+        let setup = Setup {
+            task: self.task,
+            policies,
+            model: &model,
+            probe: &probe,
+            patience: self.patience,
+        };
+        let seeds = Seeds {
+            first: self.seed,
+            count: self.episodes,
+            parallel: self.parallel,
+        };
+        let starts = seeds.run("acting and imagining in", |seed| setup.run(seed))?;
+        let about = About {
+            task: self.task.to_string(),
+            model: model.world.name.clone(),
+            model_hash: model.world.hash.clone(),
+            seed: self.seed,
+            starts: self.episodes,
+            patience: self.patience,
+        };
+        let findings = Findings::of(about, policies, &starts)?;
+        print!("{findings}");
+        if let Some(json) = &self.json {
+            std::fs::write(json, findings.to_json()?)
+                .with_context(|| json.display().to_string())?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,96 @@
+//! Scripted policies, by name.
+
+use std::{fmt, str::FromStr};
+
+use anyhow::{Error, bail};
+
+/// A policy made of the simulator's own controller, the oracle, and what is wrong with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScriptedPolicy {
+    /// The oracle.
+    Oracle,
+    /// Normal noise of this standard deviation \[mm\] on each axis of each action.
+    Noise(u32),
+    /// An action drawn evenly in the oracle's place, with this probability \[%\].
+    Distracted(u32),
+    /// It goes, or brings the object, to a place that lies so far \[mm\] beside the goal, on a side drawn for the episode.
+    Beside(u32),
+    /// Its motion is this share \[%\] of the oracle's.
+    Slow(u32),
+    /// It stops after this share \[%\] of the actions that the oracle takes.
+    Stop(u32),
+    /// The gripper stays as it was at the start.
+    FrozenGripper,
+    /// Actions drawn evenly.
+    Random,
+    /// No motion.
+    Hold,
+}
+
+impl ScriptedPolicy {
+    /// From the best to what does nothing, with grades between that bring success on the arm from all to none.
+    pub const ALL: [Self; 16] = [
+        Self::Oracle,
+        Self::Noise(10),
+        Self::Noise(20),
+        Self::Noise(40),
+        Self::Distracted(20),
+        Self::Distracted(40),
+        Self::Distracted(70),
+        Self::Beside(20),
+        Self::Beside(40),
+        Self::Beside(80),
+        Self::Slow(50),
+        Self::Stop(80),
+        Self::Stop(50),
+        Self::FrozenGripper,
+        Self::Random,
+        Self::Hold,
+    ];
+
+    const WITHOUT_GRADE: [Self; 4] = [Self::Oracle, Self::FrozenGripper, Self::Random, Self::Hold];
+}
+
+impl fmt::Display for ScriptedPolicy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Oracle => f.write_str("oracle"),
+            Self::Noise(mm) => write!(f, "noise-{mm}"),
+            Self::Distracted(percent) => write!(f, "distracted-{percent}"),
+            Self::Beside(mm) => write!(f, "beside-{mm}"),
+            Self::Slow(percent) => write!(f, "slow-{percent}"),
+            Self::Stop(percent) => write!(f, "stop-{percent}"),
+            Self::FrozenGripper => f.write_str("frozen-gripper"),
+            Self::Random => f.write_str("random"),
+            Self::Hold => f.write_str("hold"),
+        }
+    }
+}
+
+impl FromStr for ScriptedPolicy {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        let alone = Self::WITHOUT_GRADE.into_iter();
+        if let Some(found) = alone.clone().find(|known| known.to_string() == name) {
+            return Ok(found);
+        }
+        let graded = name.split_once('-');
+        let graded = graded.and_then(|(kind, grade)| Some((kind, grade.parse().ok()?)));
+        Ok(match graded {
+            Some(("noise", mm @ 1..=200)) => Self::Noise(mm),
+            Some(("beside", mm @ 1..=200)) => Self::Beside(mm),
+            Some(("distracted", percent @ 1..=99)) => Self::Distracted(percent),
+            Some(("slow", percent @ 1..=99)) => Self::Slow(percent),
+            Some(("stop", percent @ 1..=99)) => Self::Stop(percent),
+            _ => {
+                let alone: Vec<String> = alone.map(|known| known.to_string()).collect();
+                bail!(
+                    "there is no policy {name:?}; expected {}, noise-N or beside-N of 1 to 200 mm, or distracted-N, slow-N or \
+                     stop-N of 1 to 99 %",
+                    alone.join(", ")
+                )
+            }
+        })
+    }
+}
