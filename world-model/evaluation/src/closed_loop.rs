@@ -9,6 +9,7 @@ pub(crate) mod actor;
 mod arguments;
 mod controller;
 mod findings;
+mod live;
 pub(crate) mod model;
 pub(crate) mod seeds;
 mod settings;

@@ -315,6 +315,9 @@ struct Planner {
     step: PlannerStep,
     goals: Goals,
     searches: Work<PlanRequest, Finished>,
+    is_searching: bool,
+    /// Whether plans are to be made as often as can be.
+    is_eager: bool,
     complaints: Complaints,
     diagnostics: Diagnostics,
 }
@@ -396,6 +399,8 @@ impl ModelNode for Planner {
             step: PlannerStep::new(at.parameters.settings(), history),
             goals: Goals::new(reader, &model.pool),
             searches,
+            is_searching: false,
+            is_eager: at.parameters.plan_period == 0.0,
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
         })
@@ -413,7 +418,9 @@ impl ModelNode for Planner {
             tokio::select! {
                 biased;
                 finished = self.searches.finished() => {
+                    self.is_searching = false;
                     self.planned(finished.context("the planner's thread")?, plans, outcomes)?;
+                    self.plan(outcomes);
                 }
                 goal = self.goals.next(goals, &mut self.complaints) => {
                     let Some(goal) = goal? else { return Ok(()) };
@@ -464,14 +471,21 @@ fn pictures(planned: &Planned, transports: Transports) -> Option<Pictures> {
 impl Planner {
     /// Starts a search where one is due, or says what it waits for.
     fn plan(&mut self, outcomes: &ImagePublisher) {
+        if self.is_searching {
+            // The next search starts from the newest frame when this one is over.
+            if !self.is_eager && self.step.is_due() {
+                self.complaints
+                    .left_out("overload", &"planning takes longer than plan_period");
+            }
+            return;
+        }
         match self.step.request(Instant::now()) {
             Ok(mut request) => {
                 request.is_shown = outcomes.subscribers() > 0;
                 self.complaints.working("planning");
-                if self.searches.submit(request).is_some() {
-                    self.complaints
-                        .left_out("overload", &"planning takes longer than plan_period");
-                }
+                self.is_searching = true;
+                // None waits, so that none is given back.
+                let _ = self.searches.submit(request);
             }
             Err(PlanWait::Recent) => self.complaints.working("planning"),
             Err(wait @ PlanWait::NoGoal) => self.complaints.waiting("goal", true, &wait),

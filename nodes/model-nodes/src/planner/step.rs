@@ -256,12 +256,8 @@ impl PlannerStep {
         let moment = self.history.moment()?;
         moment.expect_fresh(now, self.settings.max_age)?;
         let observed_ns = moment.observed.stamp_ns;
-        if let Some(requested_ns) = self.requested_ns {
-            // A stamp that is a jitter early is due all the same.
-            let due_ns = self.settings.plan_period_ns - moment.timing.tolerance_ns;
-            if observed_ns - requested_ns < due_ns.max(1) {
-                return Err(PlanWait::Recent);
-            }
+        if !self.is_due() {
+            return Err(PlanWait::Recent);
         }
         let until = self.history.future(self.lead_steps(&moment, now) + 1)?;
         let mut request = PlanRequest {
@@ -284,6 +280,16 @@ impl PlannerStep {
         self.requested_ns = Some(observed_ns);
         self.seed = self.seed.wrapping_add(1);
         Ok(request)
+    }
+
+    /// Whether the newest frame is so much newer than that of the last request that it is to be planned from.
+    pub fn is_due(&self) -> bool {
+        let (Some(requested_ns), Some(newest)) = (self.requested_ns, self.history.newest()) else {
+            return true;
+        };
+        // A stamp that is a jitter early is due all the same.
+        let due_ns = self.settings.plan_period_ns - self.history.timing().tolerance_ns;
+        newest.stamp_ns - requested_ns >= due_ns.max(1)
     }
 
     /// Where the end effector is after all but the last of the steps `until` a plan begins.

@@ -8,6 +8,7 @@ use nalgebra::Vector3;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::num::NonZeroUsize;
+use wm_findings::PlanTime;
 use wm_planner::{
     Arrival, Coordinate, Dynamics, PlannedActions, PlannerChoice, Problem, Range, SearchSpace,
     TransitionDynamics, Waypoint, Weights, one_a_step,
@@ -51,15 +52,7 @@ struct Planning<'a> {
     done: Option<Tensor>,
     last: Option<PlannedActions>,
     seed: u64,
-    plans: Vec<Plan>,
-}
-
-/// What a plan took.
-#[derive(Clone, Copy, Debug)]
-pub struct Plan {
-    /// Wall time \[ms\], encoding included.
-    pub ms: f64,
-    pub candidates: usize,
+    plans: Vec<PlanTime>,
 }
 
 impl<'a> Actor<'a> {
@@ -135,7 +128,7 @@ impl<'a> Actor<'a> {
     }
 
     /// What its plans took.
-    pub fn plans(self) -> Vec<Plan> {
+    pub fn plans(self) -> Vec<PlanTime> {
         match self.acts {
             Acts::Plans(planning) => planning.plans,
             _ => Vec::new(),
@@ -165,7 +158,7 @@ impl Planning<'_> {
         let started = Instant::now();
         self.observe(environment)?;
         let found = self.plan(environment, settings, started)?;
-        self.plans.push(Plan {
+        self.plans.push(PlanTime {
             ms: started.elapsed().as_secs_f64() * 1e3,
             candidates: found.candidates,
         });

@@ -9,7 +9,8 @@ use wm_sim::GoalKind;
 
 use super::{
     controller::Controller,
-    findings::{About, Findings},
+    findings::{self, About},
+    live,
     model::Model,
     seeds::Seeds,
     settings::{ClosedLoopSettings, Goals},
@@ -53,6 +54,17 @@ pub struct ClosedLoopArgs {
     /// Number of episodes at a time. Times of plans are a robot's only with 1.
     #[arg(long, default_value_t = 1)]
     pub parallel: usize,
+    /// Through the nodes and DDS, in real time, on the live simulated arm. The planner's settings are then those of the
+    /// launch file.
+    #[arg(long, conflicts_with_all = ["perfect_model", "horizon", "goals", "settings", "parallel"])]
+    pub live: bool,
+    /// The launch file of --live.
+    #[arg(
+        long,
+        value_name = "FILE",
+        default_value = "launch-configs/arm.launch.yaml"
+    )]
+    pub launch: PathBuf,
 }
 
 impl ClosedLoopArgs {
@@ -69,6 +81,9 @@ impl ClosedLoopArgs {
             "--perfect-model is for planners, which {} is not",
             self.planner
         );
+        if self.live {
+            return live::run(self);
+        }
         let settings = self.settings()?;
         let model = Model::load(&open_model(&self.model)?)?;
         let frames_per_step = model.frames_per_step();
@@ -96,7 +111,7 @@ impl ClosedLoopArgs {
             settings: settings.clone(),
             step_ms: wm_sim::STEP_S * 1e3 * frames_per_step as f64,
         };
-        let findings = Findings::of(about, &trials)?;
+        let findings = findings::of(about, &trials)?;
         println!("{findings}");
         if let Some(json) = &self.json {
             std::fs::write(json, findings.to_json()?)

@@ -6,7 +6,7 @@ use wm_zoo::ModelFolder;
 
 use super::{
     controller::Controller,
-    findings::{About, Findings},
+    findings::{self, About},
     model::Model,
     settings::{ClosedLoopSettings, Goals},
     trial::{Setup, Trial, run},
@@ -93,7 +93,7 @@ fn findings_count_successes_and_slow_plans() {
         success,
         steps: 4,
         distance_m: 0.01,
-        plans: vec![super::actor::Plan { ms, candidates: 10 }],
+        plans: vec![wm_findings::PlanTime { ms, candidates: 10 }],
     };
     let about = About {
         task: "reach".into(),
@@ -106,7 +106,7 @@ fn findings_count_successes_and_slow_plans() {
         step_ms: 400.0,
     };
     let trials = [trial(true, 5.0), trial(true, 500.0), trial(false, 10.0)];
-    let findings = Findings::of(about, &trials).unwrap();
+    let findings = findings::of(about, &trials).unwrap();
     let json: serde_json::Value = serde_json::from_str(&findings.to_json().unwrap()).unwrap();
     assert!((json["success_rate"].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-12);
     assert_eq!(json["deadline_misses"], 1);

@@ -1,14 +1,10 @@
 //! One episode in closed loop.
 
 use anyhow::Result;
+use wm_findings::PlanTime;
 use wm_sim::{Environment, GoalKind, Variety};
 
-use super::{
-    actor::{Actor, Plan},
-    controller::Controller,
-    model::Model,
-    settings::ClosedLoopSettings,
-};
+use super::{actor::Actor, controller::Controller, model::Model, settings::ClosedLoopSettings};
 
 /// Fewest model steps that an episode may take.
 pub const LEAST_STEPS: f64 = 10.0;
@@ -22,7 +18,7 @@ pub struct Trial {
     pub steps: usize,
     /// What was missing in the end \[m\].
     pub distance_m: f64,
-    pub plans: Vec<Plan>,
+    pub plans: Vec<PlanTime>,
 }
 
 /// Who acts, and how.
