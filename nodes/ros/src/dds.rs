@@ -143,8 +143,7 @@ impl Dds {
         if endpoint.channel != Channel::Topic {
             return;
         }
-        let (package, name) = (&endpoint.type_name.package, &endpoint.type_name.name);
-        let own_type = format!("{package}/msg/{name}");
+        let own_type = endpoint.type_name.to_string();
         let others = self.seen().into_iter().filter(|seen| {
             !seen.is_own
                 && seen.channel == endpoint.channel
