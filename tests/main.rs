@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)] // the helpers of tests too, not only what is marked #[test]
 
+mod actions;
 mod bags;
 mod cyclone;
 mod exit_codes;

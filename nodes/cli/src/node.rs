@@ -235,7 +235,8 @@ mod tests {
                 assert!(help.contains(&format!("\n  {}  ", spec.name)), "{help}");
             }
             for spec in (node.endpoints)() {
-                assert_eq!(spec.qos.is_none(), spec.direction == Direction::Served);
+                let is_topic = !matches!(spec.direction, Direction::Served | Direction::Performed);
+                assert_eq!(spec.qos.is_some(), is_topic);
                 assert!(
                     help.contains(&format!("  {}  {}", spec.name, spec.type_name)),
                     "{help}"

@@ -139,6 +139,9 @@ pub(crate) trait Backend: Send + Sync {
     fn changes(&self) -> watch::Receiver<u64>;
     /// Why it no longer receives or sends as it should. Once that is so, it stays so.
     fn failure(&self) -> Option<Error>;
+    /// Waits until what the last writers that were dropped have sent is handed over, a moment at most. To be called while
+    /// the runtime still runs.
+    fn settle(&self);
     /// Leaves the graph. Readers and writers that are still held do nothing from then on.
     fn close(&self);
 }

@@ -130,6 +130,7 @@ impl Inner {
         let Some(Thread { stop, handle }) = thread else {
             return;
         };
+        self.backend.settle();
         stop.send(()).ok();
         // A handler on that very thread may hold the last clone; it cannot wait for itself.
         if handle.thread().id() != std::thread::current().id() && handle.join().is_err() {

@@ -12,6 +12,7 @@
 //! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
 //! - what is believed of the graph is compared with what rustdds knows ([`reconcile`]), since its events may be lost;
 //! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would be deaf;
+//! - a writer stays for a moment after its last sample ([`writer`]), since rustdds' readers forget it too early;
 //! - the participant goes last, after its readers and writers, or the others never hear that it left.
 
 mod answers;
@@ -54,7 +55,10 @@ use reader::DdsReader;
 use reconcile::{OwnEndpoints, Suspects};
 use rustdds::{DomainParticipant, RTPSEntity as _};
 use shared::{Shared, follow, is_foreign};
-use std::sync::{Arc, Mutex, OnceLock};
+use std::{
+    sync::{Arc, Mutex, OnceLock},
+    time::Instant,
+};
 use tokio::{runtime::Handle, sync::watch};
 use writer::DdsWriter;
 
@@ -98,6 +102,7 @@ impl Dds {
             is_alone: environment.is_alone(),
             largest_answer: datagram::largest_answer(),
             changes: watch::Sender::new(0),
+            staying: Mutex::default(),
         });
         // the first endpoint of all: who knows a topic's readers knows how they take large messages
         let parts = shared.parts_reader(&subscriber, &id)?;
@@ -138,8 +143,7 @@ impl Dds {
         if endpoint.channel != Channel::Topic {
             return;
         }
-        let (package, name) = (&endpoint.type_name.package, &endpoint.type_name.name);
-        let own_type = format!("{package}/msg/{name}");
+        let own_type = endpoint.type_name.to_string();
         let others = self.seen().into_iter().filter(|seen| {
             !seen.is_own
                 && seen.channel == endpoint.channel
@@ -293,6 +297,13 @@ impl Backend for Dds {
             .map(DomainParticipant::assert_liveliness);
         let has_ended = asserted.is_some_and(|asserted| asserted.is_err());
         has_ended.then_some(Error::MiddlewareEnded)
+    }
+
+    fn settle(&self) {
+        let staying = lock(&self.shared.staying).take();
+        if let Some(until) = staying {
+            std::thread::sleep(until.saturating_duration_since(Instant::now()));
+        }
     }
 
     fn close(&self) {

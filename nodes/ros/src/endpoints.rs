@@ -1,8 +1,8 @@
-//! Topics and services that are declared once: name, type, QoS and a sentence stand in one table, from which come the
+//! Topics, services and actions that are declared once: name, type, QoS and a sentence stand in one table, from which come the
 //! endpoints themselves and what `wm NODE --help` says of them.
 
-use crate::{Error, Node, Publisher, Qos, Service, Subscription};
-use wm_msgs::Message;
+use crate::{ActionServer, Error, Node, Publisher, Qos, Service, Subscription};
+use wm_msgs::{Action, Message};
 
 /// Which way an endpoint goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -13,18 +13,20 @@ pub enum Direction {
     Published,
     /// A service that the node has.
     Served,
+    /// An action that the node has.
+    Performed,
 }
 
-/// A topic or service as it is declared, without a node.
+/// A topic, service or action as it is declared, without a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EndpointSpec {
     /// Which way it goes.
     pub direction: Direction,
     /// The name before namespace and remapping.
     pub name: String,
-    /// `package/msg/Type` or `package/srv/Type`.
+    /// `package/msg/Type`, `package/srv/Type` or `package/action/Type`.
     pub type_name: String,
-    /// None for a service.
+    /// Of a topic.
     pub qos: Option<Qos>,
     /// What it carries.
     pub text: String,
@@ -110,6 +112,22 @@ impl<S: wm_msgs::Service> Endpoint for Service<S> {
 
     fn make(node: &Node, name: &str, _: Qos) -> Result<Self, Error> {
         node.service(name)
+    }
+}
+
+impl<A: Action> Endpoint for ActionServer<A> {
+    fn specs(name: &str, _: Qos, text: &str) -> Vec<EndpointSpec> {
+        vec![EndpointSpec {
+            direction: Direction::Performed,
+            name: name.to_owned(),
+            type_name: A::ros_name(),
+            qos: None,
+            text: text.trim().to_owned(),
+        }]
+    }
+
+    fn make(node: &Node, name: &str, _: Qos) -> Result<Self, Error> {
+        node.action_server(name)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What can go wrong. Each error says what was expected and what came.
 
-use crate::{args::ArgsError, parameters::ParameterError};
+use crate::{GoalId, args::ArgsError, parameters::ParameterError};
 use wm_msgs::cdr::CdrError;
 
 /// An error of the runtime.
@@ -114,6 +114,16 @@ pub enum Error {
     /// The context was closed, or the process is being shut down.
     #[error("{0} is over: the context is shut down")]
     ShutDown(String),
+    /// A goal of an action that is not taken on, or not known.
+    #[error("the goal {id} of {action}: {reason}")]
+    Goal {
+        /// The action.
+        action: String,
+        /// The goal.
+        id: GoalId,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
     /// The operating system.
     #[error("cannot {action}: {source}")]
     Io {

@@ -1,4 +1,5 @@
-//! The ROS 2 runtime that the nodes share: command line, parameters, topics, services, clock, logs, diagnostics.
+//! The ROS 2 runtime that the nodes share: command line, parameters, topics, services, actions, clock, logs,
+//! diagnostics.
 //!
 //! A node written with it is an ordinary ROS 2 node to every other: it takes `--ros-args`, shows up in `ros2 node
 //! list`, answers `ros2 param`, follows `/clock`, and publishes on `/rosout` and `/diagnostics`.
@@ -24,8 +25,9 @@
 //!
 //! # Concepts
 //! - [`Context`]: the process's place in the graph, with one thread that receives for all its nodes.
-//! - [`Node`]: a name in the graph, which makes publishers, subscriptions, services and parameters.
-//! - [`parameters!`] and [`endpoints!`]: the parameters, topics and services of a node, each declared once.
+//! - [`Node`]: a name in the graph, which makes publishers, subscriptions, services, actions and parameters.
+//! - [`ActionServer`] and [`ActionClient`]: the two ends of an action; a [`ServerGoal`] is a goal under way.
+//! - [`parameters!`] and [`endpoints!`]: the parameters, topics, services and actions of a node, each declared once.
 //! - [`NodeDefinition`]: a node as data, from which come its command, its help and its parameter file.
 //! - [`Lifecycle`]: makes a node a managed one, which is configured and activated when it is asked to.
 //! - [`Shutdown`]: ends every `recv` on SIGINT and SIGTERM.
@@ -40,8 +42,9 @@
 //!
 //! # Not here
 //! What the nodes compute; bags. The middleware's own types (ros2-client, rustdds) stay inside: another one slots
-//! in behind the private module `backend`. Actions are not written yet.
+//! in behind the private module `backend`.
 
+mod action;
 mod args;
 mod backend;
 pub mod calls;
@@ -73,6 +76,9 @@ mod subscription;
 mod type_description_interfaces;
 mod value;
 
+pub use action::{
+    ActionClient, ActionServer, ClientGoal, GoalId, GoalRequest, GoalStatus, ServerGoal,
+};
 pub use args::{ArgsError, LogLevels, NodeArgs};
 pub use clock::Clock;
 pub use context::Context;

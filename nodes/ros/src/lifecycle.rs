@@ -41,7 +41,7 @@ pub trait Managed {
 
     /// Loads what the work takes, and makes the endpoints. Those that are made by this handle of the node are silent
     /// while the node is not active: publishers send nothing, subscriptions skip what arrives (a latched message is
-    /// delivered on activation), services made by [`Node::service_or_refuse`] refuse.
+    /// delivered on activation), services made by [`Node::service_or_refuse`] refuse, action servers reject.
     ///
     /// # Errors
     /// Whatever keeps it from that; the node stays unconfigured.

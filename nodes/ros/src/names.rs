@@ -6,6 +6,8 @@ use crate::{
     Error,
     args::{NodeArgs, Remap, Target},
 };
+use std::fmt;
+use wm_msgs::Action;
 
 /// A node's name and namespace after remapping, and the rules that hold for its topics and services.
 #[derive(Clone, Debug)]
@@ -151,40 +153,93 @@ fn invalid(name: &str, kind: &'static str, reason: &str) -> Error {
     }
 }
 
-/// A type's ROS name, `package/msg/Type` or `package/srv/Type`, taken apart.
+/// A type's ROS name, `package/kind/Type`, taken apart.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct TypeName {
     pub(crate) package: String,
+    pub(crate) kind: TypeKind,
     pub(crate) name: String,
 }
 
+/// What the type's definition is of. The types that rosidl makes of an action are the action's: the message
+/// `package/action/Type_FeedbackMessage`, the services `package/action/Type_SendGoal` and `_GetResult`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TypeKind {
+    Message,
+    Service,
+    Action,
+}
+
+impl TypeKind {
+    const ALL: [Self; 3] = [Self::Message, Self::Service, Self::Action];
+
+    /// As names of types and of files have it.
+    pub(crate) const fn text(self) -> &'static str {
+        match self {
+            Self::Message => "msg",
+            Self::Service => "srv",
+            Self::Action => "action",
+        }
+    }
+
+    pub(crate) fn parse(text: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.text() == text)
+    }
+}
+
+impl fmt::Display for TypeName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}/{}", self.package, self.kind.text(), self.name)
+    }
+}
+
 impl TypeName {
-    /// Parses `package/msg/Type`; `package/Type` is taken too.
+    pub(crate) fn message(package: &str, name: &str) -> Self {
+        Self::new(package, TypeKind::Message, name)
+    }
+
+    pub(crate) fn service(package: &str, name: &str) -> Self {
+        Self::new(package, TypeKind::Service, name)
+    }
+
+    /// A type that rosidl makes of an action, `SendGoal` for example.
+    pub(crate) fn of_action<A: Action>(part: &str) -> Self {
+        Self::new(A::PACKAGE, TypeKind::Action, &format!("{}_{part}", A::NAME))
+    }
+
+    fn new(package: &str, kind: TypeKind, name: &str) -> Self {
+        Self {
+            package: package.to_owned(),
+            kind,
+            name: name.to_owned(),
+        }
+    }
+
+    /// Parses the type of a topic, `package/msg/Type` or one of an action; `package/Type` is taken too.
     pub(crate) fn parse_message(text: &str) -> Result<Self, Error> {
-        Self::parse(text, "msg")
+        Self::parse(text, TypeKind::Message)
     }
 
-    /// Parses `package/srv/Type`; `package/Type` is taken too.
+    /// Parses the type of a service, `package/srv/Type` or one of an action; `package/Type` is taken too.
     pub(crate) fn parse_service(text: &str) -> Result<Self, Error> {
-        Self::parse(text, "srv")
+        Self::parse(text, TypeKind::Service)
     }
 
-    fn parse(text: &str, expected: &str) -> Result<Self, Error> {
+    fn parse(text: &str, expected: TypeKind) -> Result<Self, Error> {
         let parts: Vec<_> = text.split('/').collect();
-        let (package, name) = match parts[..] {
-            [package, name] => (package, name),
-            [package, kind, name] if kind == expected => (package, name),
-            _ => {
-                let reason = format!("expected package/{expected}/Type");
-                return Err(invalid(text, "type", &reason));
-            }
+        let (package, kind, name) = match parts[..] {
+            [package, name] => (package, Some(expected), name),
+            [package, kind, name] => (package, TypeKind::parse(kind), name),
+            _ => ("", None, ""),
         };
+        let kind = kind.filter(|kind| *kind == expected || *kind == TypeKind::Action);
+        let kind = kind.ok_or_else(|| {
+            let reason = format!("expected package/{}/Type", expected.text());
+            invalid(text, "type", &reason)
+        })?;
         check_part(package, "type", text)?;
         check_part(name, "type", text)?;
-        Ok(Self {
-            package: package.to_owned(),
-            name: name.to_owned(),
-        })
+        Ok(Self::new(package, kind, name))
     }
 }
 
@@ -274,10 +329,7 @@ mod tests {
 
     #[test]
     fn types_come_in_both_spellings() {
-        let string = TypeName {
-            package: "std_msgs".into(),
-            name: "String".into(),
-        };
+        let string = TypeName::message("std_msgs", "String");
         assert_eq!(
             TypeName::parse_message("std_msgs/msg/String").unwrap(),
             string
@@ -287,6 +339,12 @@ mod tests {
         assert!(TypeName::parse_message("std_msgs/srv/String").is_err());
         assert!(TypeName::parse_service("std_msgs/srv/String").is_ok());
         assert!(TypeName::parse_service("std_msgs/msg/String").is_err());
+        let feedback = TypeName::of_action::<wm_msgs::wm_msgs::action::Plan>("FeedbackMessage");
+        let name = "wm_msgs/action/Plan_FeedbackMessage";
+        assert_eq!(feedback.to_string(), name);
+        assert_eq!(TypeName::parse_message(name).unwrap(), feedback);
+        assert!(TypeName::parse_service("wm_msgs/action/Plan_SendGoal").is_ok());
+        assert!(TypeName::parse_service("wm_msgs/act/Plan_SendGoal").is_err());
     }
 
     proptest! {

@@ -1,9 +1,11 @@
 //! A node: its name in the graph, and everything that it makes there.
 
+mod actions;
 mod builtin;
 mod graph;
 mod interfaces;
 mod overrides;
+mod services;
 
 pub use graph::{RemoteEndpoint, Role, TopicInfo};
 
@@ -11,23 +13,18 @@ use interfaces::Interfaces;
 
 use crate::{
     Clock, Context, Descriptor, Diagnostics, Durability, Error, NodeArgs, Parameter, Publisher,
-    Qos, RawPublisher, RawSubscription, Service, Shutdown, Subscription,
+    Qos, RawPublisher, RawSubscription, Shutdown, Subscription,
     backend::{Backend, Channel, Endpoint, Reader, Writer},
     lifecycle::Gate,
     logging,
-    mailbox::Mailbox,
     names::{NodeName, TypeName},
     parameters::Parameters,
-    service::{self, Client, RawClient, RawService, Refusals, Refuse, WAITING_CALLS},
     subscription::{CatchUp, Intake},
     value::{ParameterType, Value},
 };
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::task::AbortHandle;
-use wm_msgs::{Message, builtin_interfaces::Time, cdr};
-
-/// QoS of a service's two topics, as rclcpp has it.
-const SERVICE_QOS: Qos = Qos::reliable(10);
+use wm_msgs::{Message, builtin_interfaces::Time};
 
 /// A ROS 2 node. Clones are handles on the same node, which leaves the graph with the last of them.
 #[derive(Clone)]
@@ -93,6 +90,14 @@ impl Node {
         Self {
             inner: Arc::clone(&self.inner),
             gate: Some(gate.clone()),
+        }
+    }
+
+    /// The same node; the endpoints that this handle makes heed no gate.
+    fn ungated(&self) -> Self {
+        Self {
+            inner: Arc::clone(&self.inner),
+            gate: None,
         }
     }
 
@@ -416,83 +421,6 @@ impl Default for Hears {
     }
 }
 
-/// Services.
-impl Node {
-    /// Serves `S`; calls are read from what this returns.
-    ///
-    /// # Errors
-    /// A name that ROS does not allow, or the middleware failed.
-    pub fn service<S: wm_msgs::Service>(&self, name: &str) -> Result<Service<S>, Error> {
-        self.inner.interfaces.service::<S>();
-        let raw = self
-            .inner
-            .service(name, type_of_service::<S>(), true, None)?;
-        Ok(Service::new(raw))
-    }
-
-    /// As [`service`](Self::service), for a managed node: while it is not active, and where a call is dropped without an
-    /// answer, the client gets what `refuse` makes of the reason.
-    ///
-    /// # Errors
-    /// A name that ROS does not allow, or the middleware failed.
-    pub fn service_or_refuse<S: wm_msgs::Service>(
-        &self,
-        name: &str,
-        refuse: impl Fn(&str) -> S::Response + Send + Sync + 'static,
-    ) -> Result<Service<S>, Error> {
-        self.inner.interfaces.service::<S>();
-        let refuse: Refuse = Box::new(move |reason| cdr::to_bytes(&refuse(reason)));
-        let refusing = self.gate.clone().map(|gate| (gate, refuse));
-        let raw = self
-            .inner
-            .service(name, type_of_service::<S>(), true, refusing)?;
-        Ok(Service::new(raw))
-    }
-
-    /// Serves a service of any type, `package/srv/Type`, in CDR bytes, for other participants: it does not hear the
-    /// clients of this context.
-    ///
-    /// # Errors
-    /// A name that ROS does not allow, or the middleware failed.
-    pub fn raw_service_for_others(&self, name: &str, type_name: &str) -> Result<RawService, Error> {
-        self.inner
-            .service(name, TypeName::parse_service(type_name)?, false, None)
-    }
-
-    /// Serves `S` with a handler for as long as the node lives. The handler runs on the thread that receives for
-    /// the whole context, so it must be quick; for more, read the calls of [`service`](Self::service).
-    ///
-    /// # Errors
-    /// A name that ROS does not allow, or the middleware failed.
-    pub fn serve<S: wm_msgs::Service>(
-        &self,
-        name: &str,
-        handler: impl Fn(S::Request) -> S::Response + Send + 'static,
-    ) -> Result<(), Error> {
-        self.inner.interfaces.service::<S>();
-        let answer = move |request: &[u8]| cdr::to_bytes(&handler(cdr::from_bytes(request)?));
-        self.inner.serve_bytes(name, type_of_service::<S>(), answer)
-    }
-
-    /// Calls the service `S` of this name.
-    ///
-    /// # Errors
-    /// A name that ROS does not allow, or the middleware failed.
-    pub fn client<S: wm_msgs::Service>(&self, name: &str) -> Result<Client<S>, Error> {
-        self.inner.interfaces.service::<S>();
-        let raw = self.inner.client(name, type_of_service::<S>())?;
-        Ok(Client::new(raw))
-    }
-
-    /// Calls the service of this name and of any type, `package/srv/Type`, in CDR bytes.
-    ///
-    /// # Errors
-    /// A name that ROS does not allow, or the middleware failed.
-    pub fn raw_client(&self, name: &str, type_name: &str) -> Result<RawClient, Error> {
-        self.inner.client(name, TypeName::parse_service(type_name)?)
-    }
-}
-
 impl Inner {
     fn backend(&self) -> &Arc<dyn Backend> {
         self.context.backend()
@@ -513,99 +441,6 @@ impl Inner {
             hears_own: true,
         };
         self.backend().writer(&self.name.fully_qualified, &endpoint)
-    }
-
-    fn service(
-        &self,
-        name: &str,
-        type_name: TypeName,
-        hears_own: bool,
-        refusing: Option<(Gate, Refuse)>,
-    ) -> Result<RawService, Error> {
-        let name = self.name.resolve(name, "service")?;
-        let calls = Arc::new(Mailbox::new(WAITING_CALLS));
-        let writer = self.writer(Channel::Response, &name, type_name.clone(), SERVICE_QOS)?;
-        let writer: Arc<dyn Writer> = Arc::from(writer);
-        let refusals = refusing.map(|(gate, refuse)| {
-            let (calls, writer) = (Arc::clone(&calls), Arc::clone(&writer));
-            Refusals::new(name.clone(), gate, calls, writer, refuse)
-        });
-        let sink = match &refusals {
-            Some(refusals) => service::refusing_sink(refusals),
-            None => service::call_sink(name.clone(), Arc::clone(&calls)),
-        };
-        let endpoint = Endpoint {
-            channel: Channel::Request,
-            name,
-            type_name,
-            qos: SERVICE_QOS,
-            hears_own,
-        };
-        let reader = self
-            .backend()
-            .reader(&self.name.fully_qualified, &endpoint, sink)?;
-        Ok(RawService::new(
-            endpoint.name,
-            calls,
-            writer,
-            reader,
-            self.context.shutdown(),
-            refusals,
-        ))
-    }
-
-    fn client(&self, name: &str, type_name: TypeName) -> Result<RawClient, Error> {
-        let name = self.name.resolve(name, "service")?;
-        let writer = self.writer(Channel::Request, &name, type_name.clone(), SERVICE_QOS)?;
-        let pending = service::Pending::default();
-        let sink = service::answer_sink(writer.id(), Arc::clone(&pending));
-        let endpoint = Endpoint {
-            channel: Channel::Response,
-            name,
-            type_name,
-            qos: SERVICE_QOS,
-            hears_own: true,
-        };
-        let reader = self
-            .backend()
-            .reader(&self.name.fully_qualified, &endpoint, sink)?;
-        let backend = Arc::clone(self.backend());
-        Ok(RawClient::new(
-            endpoint.name,
-            writer,
-            reader,
-            pending,
-            backend,
-            self.context.shutdown(),
-        ))
-    }
-
-    /// Serves a service in bytes for as long as the node lives.
-    fn serve_bytes(
-        &self,
-        name: &str,
-        type_name: TypeName,
-        answer: impl Fn(&[u8]) -> Result<Vec<u8>, cdr::CdrError> + Send + 'static,
-    ) -> Result<(), Error> {
-        let name = self.name.resolve(name, "service")?;
-        let writer =
-            Arc::from(self.writer(Channel::Response, &name, type_name.clone(), SERVICE_QOS)?);
-        let sink = service::answering_sink(name.clone(), writer, answer);
-        let endpoint = Endpoint {
-            channel: Channel::Request,
-            name,
-            type_name,
-            qos: SERVICE_QOS,
-            hears_own: true,
-        };
-        let reader = self
-            .backend()
-            .reader(&self.name.fully_qualified, &endpoint, sink)?;
-        self.kept
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .push(reader);
-        Ok(())
     }
 }
 
@@ -633,15 +468,5 @@ impl Drop for Inner {
 }
 
 fn type_of<M: Message>() -> TypeName {
-    TypeName {
-        package: M::PACKAGE.to_owned(),
-        name: M::NAME.to_owned(),
-    }
-}
-
-fn type_of_service<S: wm_msgs::Service>() -> TypeName {
-    TypeName {
-        package: S::PACKAGE.to_owned(),
-        name: S::NAME.to_owned(),
-    }
+    TypeName::message(M::PACKAGE, M::NAME)
 }

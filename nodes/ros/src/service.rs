@@ -191,7 +191,12 @@ pub(crate) fn answering_sink(
     })
 }
 
-fn send(writer: &dyn Writer, name: &str, answer: Bytes, id: RequestId) -> Result<(), Error> {
+pub(crate) fn send(
+    writer: &dyn Writer,
+    name: &str,
+    answer: Bytes,
+    id: RequestId,
+) -> Result<(), Error> {
     match writer.write(&Payload::Cdr(answer), Some(id), WhenFull::DropOldest)? {
         Written::Sent { .. } | Written::Held => Ok(()),
         Written::WindowFull => Err(Error::middleware(

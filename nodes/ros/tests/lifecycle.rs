@@ -102,6 +102,15 @@ async fn a_managed_node_does_what_it_is_told() {
         change.wait_for_service().await;
         state.wait_for_service().await;
         events.wait_for_publishers(1).await;
+        // what is published before the publisher knows of the subscription is lost, as any volatile topic's
+        let mut changes = managed.graph_changes();
+        while managed
+            .count_subscribers("managed/transition_event")
+            .unwrap()
+            == 0
+        {
+            changes.changed().await.unwrap();
+        }
         for (label, success, after) in [
             ("activate", false, "unconfigured"),
             ("configure", false, "unconfigured"),

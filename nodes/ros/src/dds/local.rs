@@ -170,10 +170,7 @@ mod tests {
     use bytes::Bytes;
 
     fn endpoint(name: &str, qos: Qos) -> Endpoint {
-        let type_name = TypeName {
-            package: "std_msgs".into(),
-            name: "Bool".into(),
-        };
+        let type_name = TypeName::message("std_msgs", "Bool");
         Endpoint {
             channel: Channel::Topic,
             name: name.into(),

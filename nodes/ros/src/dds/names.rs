@@ -1,7 +1,9 @@
 //! ROS' names and types in DDS, and back.
 
-use crate::backend::{Channel, Endpoint};
-use ros2_client::MessageTypeName;
+use crate::{
+    backend::{Channel, Endpoint},
+    names::TypeKind,
+};
 
 /// ROS 2's spelling of a name in DDS: <https://design.ros2.org/articles/topic_and_service_names.html>.
 pub(super) fn dds_name(endpoint: &Endpoint) -> String {
@@ -13,42 +15,45 @@ pub(super) fn dds_name(endpoint: &Endpoint) -> String {
 }
 
 pub(super) fn dds_type(endpoint: &Endpoint) -> String {
-    let (package, name) = (&endpoint.type_name.package, &endpoint.type_name.name);
-    match endpoint.channel {
-        Channel::Topic => MessageTypeName::new(package, name).dds_msg_type(),
-        Channel::Request => format!("{package}::srv::dds_::{name}_Request_"),
-        Channel::Response => format!("{package}::srv::dds_::{name}_Response_"),
-    }
+    let type_name = &endpoint.type_name;
+    let (package, kind, name) = (&type_name.package, type_name.kind.text(), &type_name.name);
+    let suffix = match endpoint.channel {
+        Channel::Topic => "_",
+        Channel::Request => "_Request_",
+        Channel::Response => "_Response_",
+    };
+    format!("{package}::{kind}::dds_::{name}{suffix}")
 }
 
 /// What a DDS topic is to ROS, its ROS name and its type; `None` for what is not ROS'.
 pub(super) fn ros_names(dds_name: &str, dds_type: &str) -> Option<(Channel, String, String)> {
     let (prefix, rest) = dds_name.split_at_checked(2)?;
     let (channel, name, kind, suffix) = match prefix {
-        "rt" => (Channel::Topic, rest, "msg", "_"),
+        "rt" => (Channel::Topic, rest, TypeKind::Message, "_"),
         "rq" => (
             Channel::Request,
             rest.strip_suffix("Request")?,
-            "srv",
+            TypeKind::Service,
             "_Request_",
         ),
         "rr" => (
             Channel::Response,
             rest.strip_suffix("Reply")?,
-            "srv",
+            TypeKind::Service,
             "_Response_",
         ),
         _ => return None,
     };
-    let (package, type_name) = dds_type
-        .strip_suffix(suffix)?
-        .split_once(&format!("::{kind}::dds_::"))?;
+    let (scope, type_name) = dds_type.strip_suffix(suffix)?.split_once("::dds_::")?;
+    let (package, found) = scope.rsplit_once("::")?;
+    let found = TypeKind::parse(found)?;
+    // those of an action are of either kind
+    if found != kind && found != TypeKind::Action {
+        return None;
+    }
     (name.starts_with('/') && name.len() > 1).then(|| {
-        (
-            channel,
-            name.to_owned(),
-            format!("{package}/{kind}/{type_name}"),
-        )
+        let type_name = format!("{package}/{}/{type_name}", found.text());
+        (channel, name.to_owned(), type_name)
     })
 }
 
@@ -56,14 +61,15 @@ pub(super) fn ros_names(dds_name: &str, dds_type: &str) -> Option<(Channel, Stri
 pub(super) mod tests {
     use super::*;
     use crate::{Qos, names::TypeName};
+    use wm_msgs::wm_msgs::action::Plan;
 
     pub(in crate::dds) fn endpoint(channel: Channel) -> Endpoint {
         Endpoint {
             channel,
             name: "/wm/predictor/reset".into(),
-            type_name: TypeName {
-                package: "wm_msgs".into(),
-                name: "Reset".into(),
+            type_name: match channel {
+                Channel::Topic => TypeName::message("wm_msgs", "Reset"),
+                Channel::Request | Channel::Response => TypeName::service("wm_msgs", "Reset"),
             },
             qos: Qos::reliable(10),
             hears_own: true,
@@ -89,23 +95,31 @@ pub(super) mod tests {
             dds_type(&endpoint(Channel::Response)),
             "wm_msgs::srv::dds_::Reset_Response_"
         );
+        let feedback = Endpoint {
+            name: "/wm/plan/_action/feedback".into(),
+            type_name: TypeName::of_action::<Plan>("FeedbackMessage"),
+            ..endpoint(Channel::Topic)
+        };
+        assert_eq!(
+            dds_type(&feedback),
+            "wm_msgs::action::dds_::Plan_FeedbackMessage_"
+        );
     }
 
     #[test]
     fn names_are_read_back_and_what_is_not_ros_is_not() {
         for channel in [Channel::Topic, Channel::Request, Channel::Response] {
-            let endpoint = endpoint(channel);
-            let kind = match channel {
-                Channel::Topic => "msg",
-                Channel::Request | Channel::Response => "srv",
+            let of_action = Endpoint {
+                name: "/wm/plan/_action/send_goal".into(),
+                type_name: TypeName::of_action::<Plan>("SendGoal"),
+                ..endpoint(channel)
             };
-            let expected = (
-                channel,
-                endpoint.name.clone(),
-                format!("wm_msgs/{kind}/Reset"),
-            );
-            let read = ros_names(&dds_name(&endpoint), &dds_type(&endpoint));
-            assert_eq!(read, Some(expected));
+            for endpoint in [endpoint(channel), of_action] {
+                let type_name = endpoint.type_name.to_string();
+                let expected = (channel, endpoint.name.clone(), type_name);
+                let read = ros_names(&dds_name(&endpoint), &dds_type(&endpoint));
+                assert_eq!(read, Some(expected));
+            }
         }
         assert_eq!(ros_names("rq/a/b", "x::srv::dds_::B_Request_"), None);
         assert_eq!(
@@ -115,6 +129,7 @@ pub(super) mod tests {
             ),
             None
         );
+        assert_eq!(ros_names("rt/a", "x::srv::dds_::B_"), None);
         assert_eq!(ros_names("rt", "a::msg::dds_::B_"), None);
     }
 }

@@ -21,6 +21,7 @@ use rustdds::{
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::{Arc, Mutex, OnceLock},
+    time::Instant,
 };
 use tokio::sync::watch;
 
@@ -60,11 +61,19 @@ pub(super) struct Shared {
     /// The largest answer to a client that is not on loopback \[byte\].
     pub(super) largest_answer: usize,
     pub(super) changes: watch::Sender<u64>,
+    /// Until when writers stay that are to leave; see [`super::writer::HAND_OVER`].
+    pub(super) staying: Mutex<Option<Instant>>,
 }
 
 impl Shared {
     pub(super) fn changed(&self) {
         self.changes.send_modify(|count| *count += 1);
+    }
+
+    /// Notes that a writer stays until then.
+    pub(super) fn stay_until(&self, until: Instant) {
+        let mut staying = lock(&self.staying);
+        *staying = (*staying).max(Some(until));
     }
 
     /// Endpoints of others that this one is connected to.

@@ -126,3 +126,62 @@ async fn a_subscription_that_panics_is_a_failure_of_the_participant() {
     let failed = tokio::time::timeout(std::time::Duration::from_secs(20), failed).await;
     assert!(failed.unwrap().contains("on purpose"));
 }
+
+/// A receiver that is short of time: its reader has acknowledged a sample, and is asked for it only after the writer was
+/// dropped. rustdds forgets such a sample when the writer leaves.
+#[test]
+fn the_last_sample_of_a_writer_reaches_a_reader_that_is_slow_to_take_it() {
+    const PATIENCE: std::time::Duration = std::time::Duration::from_secs(20);
+    let environment = Environment {
+        domain_id: 60 + (std::process::id() % 20) as u16,
+        reach: crate::Reach::Localhost,
+    };
+    let runtime = |threads| {
+        let mut builder = tokio::runtime::Builder::new_multi_thread();
+        let builder = builder.worker_threads(threads).enable_all();
+        builder.build().unwrap()
+    };
+    let (busy, free) = (runtime(1), runtime(1));
+    let there = Dds::join(&environment, busy.handle().clone()).unwrap();
+    let here = Dds::join(&environment, free.handle().clone()).unwrap();
+    let (heard, hears) = std::sync::mpsc::channel();
+    let sink = move |sample: Result<crate::backend::Sample, String>| {
+        heard.send(sample.unwrap().payload.cdr().unwrap()).unwrap();
+    };
+    let reader = there.reader("/there", &endpoint(Channel::Topic), Box::new(sink));
+    let reader = reader.unwrap();
+    let writer = here.writer("/here", &endpoint(Channel::Topic)).unwrap();
+    free.block_on(async {
+        let (mut changes, mut others) = (here.changes(), there.changes());
+        while here.matched(&writer.id()) == 0 {
+            let changed = tokio::time::timeout(PATIENCE, changes.changed());
+            changed.await.unwrap().unwrap();
+        }
+        while there.matched(&reader.id()) == 0 {
+            let changed = tokio::time::timeout(PATIENCE, others.changed());
+            changed.await.unwrap().unwrap();
+        }
+    });
+
+    // the only thread of the receiver's runtime has something else to do
+    let (go_on, goes_on) = std::sync::mpsc::channel::<()>();
+    let (is_busy, got_busy) = std::sync::mpsc::channel();
+    busy.spawn(async move {
+        is_busy.send(()).unwrap();
+        goes_on.recv().ok();
+    });
+    got_busy.recv_timeout(PATIENCE).unwrap();
+    let sample = bytes::Bytes::from_static(&[0, 1, 0, 0, 7, 0, 0, 0]);
+    writer
+        .write(&Payload::Cdr(sample.clone()), None, WhenFull::DropOldest)
+        .unwrap();
+    free.block_on(async {
+        let acknowledged = tokio::time::timeout(PATIENCE, writer.acknowledged());
+        acknowledged.await.unwrap().unwrap();
+    });
+    drop(writer);
+    // Nothing tells when the news of a writer's end would have come: on loopback it takes a few milliseconds.
+    std::thread::sleep(writer::HAND_OVER / 5);
+    go_on.send(()).unwrap();
+    assert_eq!(hears.recv_timeout(PATIENCE).unwrap(), sample);
+}

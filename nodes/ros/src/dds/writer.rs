@@ -6,7 +6,7 @@ use super::{
     lock::lock,
     parts::{Keep, LARGEST, Offered, peer_of},
     rtps::LARGEST_ANSWER,
-    shared::Shared,
+    shared::{Shared, is_foreign},
     window::{Release, Window},
     wire::Answer,
 };
@@ -24,12 +24,17 @@ use rustdds::{
 };
 use std::{
     sync::{Arc, Mutex},
-    time::Duration,
+    time::{Duration, Instant},
 };
 use tokio::runtime::Handle;
 
 /// How long to wait before an answer that is not acknowledged is sent again \[ms\].
 const REPEAT_ANSWER: [u64; 5] = [50, 100, 200, 400, 800];
+
+/// How long a writer stays after its last sample: rustdds 0.15.1 forgets what its reader has acknowledged, and not handed
+/// over yet, when the writer leaves (`TopicCache::forget_reliable_writer`). The last answer of a service, and the last
+/// messages of a node, would be lost where their receiver is short of time.
+pub(super) const HAND_OVER: Duration = Duration::from_millis(250);
 
 pub(super) struct DdsWriter {
     core: Arc<WriterCore>,
@@ -57,6 +62,8 @@ struct Sent {
     window: Window,
     /// To readers of this participant: those elsewhere may miss what nobody there heard, these do not.
     here: i64,
+    /// When the last sample went out to readers elsewhere.
+    last: Option<Instant>,
 }
 
 impl WriterCore {
@@ -81,6 +88,7 @@ impl WriterCore {
         // calls are known by their number on the wire
         let written = if !self.is_topic || self.is_heard_elsewhere() {
             let sample = payload.cdr()?;
+            sent.last = Some(Instant::now());
             self.send_elsewhere(&sample, answers, when_full, &mut sent.window)?
         } else {
             Written::Sent {
@@ -320,6 +328,7 @@ impl DdsWriter {
                 sent: Mutex::new(Sent {
                     window: Window::new(qos.depth),
                     here: 0,
+                    last: None,
                 }),
                 shared: Arc::clone(shared),
                 runtime: runtime.clone(),
@@ -358,6 +367,27 @@ impl DdsWriter {
             }
         });
         true
+    }
+}
+
+impl DdsWriter {
+    /// Keeps what is on the wire until the readers have had time to hand the last sample over.
+    fn stay(&self) {
+        let Some(last) = lock(&self.core.sent).last else {
+            return;
+        };
+        let until = last + HAND_OVER;
+        if until <= Instant::now() {
+            return;
+        }
+        let (core, shared) = (Arc::clone(&self.core), &self.core.shared);
+        shared.stay_until(until);
+        shared
+            .failure
+            .watch(&self.core.runtime, "leaving writers", async move {
+                tokio::time::sleep_until(until.into()).await;
+                drop(core);
+            });
     }
 }
 
@@ -408,6 +438,11 @@ impl Writer for DdsWriter {
 
 impl Drop for DdsWriter {
     fn drop(&mut self) {
+        let readers = self.core.shared.matched(&self.id());
         self.core.shared.forget(&self.id());
+        // other implementations keep what they have acknowledged
+        if self.core.is_reliable && !readers.iter().all(|reader| is_foreign(&self.id(), reader)) {
+            self.stay();
+        }
     }
 }

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 const WIDTH: usize = 100;
 
 impl<E> NodeDefinition<E> {
-    /// Topics, services and parameters, for people.
+    /// Topics, services, actions and parameters, for people.
     #[must_use]
     pub fn help(&self) -> String {
         let mut text = String::new();
@@ -16,6 +16,7 @@ impl<E> NodeDefinition<E> {
             ("Subscribes to", Direction::Subscribed),
             ("Publishes", Direction::Published),
             ("Services", Direction::Served),
+            ("Actions", Direction::Performed),
         ] {
             let specs = self.endpoints_of(direction);
             if !specs.is_empty() {
@@ -56,6 +57,7 @@ impl<E> NodeDefinition<E> {
             let (direction, qos) = match (spec.direction, spec.qos) {
                 (Direction::Subscribed, Some(qos)) => ("subscribes", qos.to_string()),
                 (Direction::Published, Some(qos)) => ("publishes", qos.to_string()),
+                (Direction::Performed, _) => ("performs", String::new()),
                 _ => ("serves", String::new()),
             };
             let (name, type_name, text_) = (spec.name, spec.type_name, spec.text);

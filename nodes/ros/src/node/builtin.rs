@@ -48,19 +48,19 @@ pub(super) fn start(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     diagnostics(node)
 }
 
-fn rcl_interfaces(name: &str) -> TypeName {
-    TypeName {
-        package: "rcl_interfaces".to_owned(),
-        name: name.to_owned(),
-    }
-}
+const RCL_INTERFACES: &str = "rcl_interfaces";
 
 fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
     let inner = &node.inner;
     let writer = match args.rosout {
         true => Some({
             inner.interfaces.rcl("msg/Log");
-            inner.writer(Channel::Topic, "/rosout", rcl_interfaces("Log"), ROSOUT_QOS)?
+            inner.writer(
+                Channel::Topic,
+                "/rosout",
+                TypeName::message(RCL_INTERFACES, "Log"),
+                ROSOUT_QOS,
+            )?
         }),
         false => None,
     };
@@ -72,7 +72,7 @@ fn rosout(node: &Node, args: &NodeArgs) -> Result<(), Error> {
 fn parameter_events(node: &Node) -> Result<(), Error> {
     let inner = &node.inner;
     inner.interfaces.rcl("msg/ParameterEvent");
-    let type_name = rcl_interfaces("ParameterEvent");
+    let type_name = TypeName::message(RCL_INTERFACES, "ParameterEvent");
     let writer = inner.writer(
         Channel::Topic,
         "/parameter_events",
@@ -120,10 +120,7 @@ fn follow_clock(node: &Node) {
             clock.set_simulated(is_simulated);
             *reader = None;
             if is_simulated {
-                let type_name = TypeName {
-                    package: "rosgraph_msgs".to_owned(),
-                    name: "Clock".to_owned(),
-                };
+                let type_name = TypeName::message("rosgraph_msgs", "Clock");
                 let endpoint = Endpoint {
                     channel: Channel::Topic,
                     name: "/clock".to_owned(),
@@ -196,8 +193,11 @@ fn serve<Request: DeserializeOwned + 'static, Response: Serialize + 'static>(
     let answer = move |request: &[u8]| -> Result<Vec<u8>, CdrError> {
         cdr::to_bytes(&handler(&parameters, cdr::from_bytes(request)?))
     };
-    node.inner
-        .serve_bytes(&format!("~/{name}"), rcl_interfaces(type_name), answer)
+    node.inner.serve_bytes(
+        &format!("~/{name}"),
+        TypeName::service(RCL_INTERFACES, type_name),
+        answer,
+    )
 }
 
 /// The services that rclcpp has behind `enable_logger_service`: here always, since they cost nothing.
@@ -227,10 +227,7 @@ fn type_service(node: &Node) -> Result<(), Error> {
         return Ok(());
     }
     let interfaces = Arc::clone(&node.inner.interfaces);
-    let type_name = TypeName {
-        package: "type_description_interfaces".to_owned(),
-        name: "GetTypeDescription".to_owned(),
-    };
+    let type_name = TypeName::service("type_description_interfaces", "GetTypeDescription");
     let answer = move |request: &[u8]| -> Result<Vec<u8>, CdrError> {
         cdr::to_bytes(&interfaces.answer(&cdr::from_bytes(request)?))
     };

@@ -9,13 +9,17 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 use wm_msgs::{
-    DescriptionError, IndividualType, Message, Service, TypeDescription, builtin_interfaces::Time,
+    Action, DescriptionError, IndividualType, Message, Service, TypeDescription,
+    action_msgs::{CancelGoal, GoalStatusArray},
+    builtin_interfaces::Time,
     rcl_interfaces,
 };
 
 /// The text of a type, and those of the types that it names.
 #[derive(Clone)]
 struct Interface {
+    /// The type whose text it is: where rosidl makes the one in use of another, that other.
+    defined: String,
     text: &'static str,
     dependencies: Vec<(&'static str, &'static str)>,
 }
@@ -28,11 +32,24 @@ pub(super) struct Interfaces {
 
 impl Interfaces {
     pub(super) fn message<M: Message>(&self) {
-        self.add(M::ros_name(), M::DEFINITION, M::dependencies);
+        let name = M::ros_name();
+        self.add(name.clone(), name, M::DEFINITION, M::dependencies);
     }
 
     pub(super) fn service<S: Service>(&self) {
-        self.add(S::ros_name(), S::DEFINITION, S::dependencies);
+        let name = S::ros_name();
+        self.add(name.clone(), name, S::DEFINITION, S::dependencies);
+    }
+
+    /// An action, and what its server and its clients use of what rosidl makes of it.
+    pub(super) fn action<A: Action>(&self) {
+        let action = A::ros_name();
+        for made in ["", "_SendGoal", "_GetResult", "_FeedbackMessage"] {
+            let name = format!("{action}{made}");
+            self.add(name, action.clone(), A::DEFINITION, A::dependencies);
+        }
+        self.service::<CancelGoal>();
+        self.message::<GoalStatusArray>();
     }
 
     /// A type of `rcl_interfaces`, `msg/Log` for example, which every node speaks without a Rust type of `wm_msgs`.
@@ -46,18 +63,20 @@ impl Interfaces {
                 let time = ("builtin_interfaces/msg/Time", Time::DEFINITION);
                 rcl_interfaces::MESSAGES.into_iter().chain([time]).collect()
             };
-            self.add(name.clone(), text, dependencies);
+            self.add(name.clone(), name, text, dependencies);
         }
     }
 
     fn add(
         &self,
         name: String,
+        defined: String,
         text: &'static str,
         dependencies: impl FnOnce() -> Vec<(&'static str, &'static str)>,
     ) {
         let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
         used.entry(name).or_insert_with(|| Interface {
+            defined,
             text,
             dependencies: dependencies(),
         });
@@ -121,6 +140,8 @@ impl Interface {
         let dependencies = self.dependencies.iter().copied();
         if name.contains("/srv/") {
             TypeDescription::service(name, self.text, dependencies)
+        } else if name.contains("/action/") {
+            TypeDescription::action(name, self.text, dependencies)
         } else {
             TypeDescription::message(name, self.text, dependencies)
         }
@@ -128,9 +149,8 @@ impl Interface {
 
     /// The text of the type and of each that it names; `implicit` where rosidl makes the type of another's text.
     fn sources(&self, description: &TypeDescription) -> Vec<TypeSource> {
-        let described = &description.described.name;
         let source = |part: &IndividualType| {
-            let is_own = part.name == *described;
+            let is_own = part.name == self.defined;
             let given = self
                 .dependencies
                 .iter()
@@ -142,6 +162,7 @@ impl Interface {
             };
             let encoding = match text {
                 Some(_) if part.name.contains("/srv/") => "srv",
+                Some(_) if part.name.contains("/action/") => "action",
                 Some(_) => "msg",
                 None => "implicit",
             };
@@ -179,12 +200,16 @@ fn individual(part: IndividualType) -> IndividualTypeDescription {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wm_msgs::{std_msgs::Header, wm_msgs::Reset};
+    use wm_msgs::{
+        std_msgs::Header,
+        wm_msgs::{Reset, action::Plan},
+    };
 
     fn ask(name: &str, type_hash: String) -> GetTypeDescriptionResponse {
         let interfaces = Interfaces::default();
         interfaces.message::<Header>();
         interfaces.service::<Reset>();
+        interfaces.action::<Plan>();
         interfaces.rcl("msg/Log");
         interfaces.rcl("srv/SetParameters");
         interfaces.answer(&GetTypeDescriptionRequest {
@@ -236,6 +261,30 @@ mod tests {
             let hash = hash.split(' ').next().unwrap();
             let answer = ask(name, hash.to_owned());
             assert!(answer.successful, "{name}: {}", answer.failure_reason);
+        }
+    }
+
+    #[test]
+    fn an_action_is_described_with_what_is_made_of_it() {
+        let (text, given) = (Plan::DEFINITION, Plan::dependencies());
+        for made in ["", "_SendGoal", "_GetResult", "_FeedbackMessage"] {
+            let name = format!("wm_msgs/action/Plan{made}");
+            let description = TypeDescription::action(&name, text, given.iter().copied()).unwrap();
+            let answer = ask(&name, description.hash().to_string());
+            assert!(answer.successful, "{name}: {}", answer.failure_reason);
+            let sources = answer.type_sources.iter();
+            let of_action = sources.filter(|source| source.encoding == "action").count();
+            // rosidl gives no text for what it makes of another
+            assert_eq!(of_action, usize::from(made.is_empty()), "{name}");
+        }
+        for name in [
+            "action_msgs/srv/CancelGoal",
+            "action_msgs/msg/GoalStatusArray",
+        ] {
+            assert!(
+                ask(name, String::new()).failure_reason.contains("hash"),
+                "{name}"
+            );
         }
     }
 }

@@ -1,0 +1,313 @@
+//! The end of an action that sets goals.
+
+use super::{GoalId, GoalStatus};
+use crate::{
+    Client, Diagnostics, Error, Shutdown,
+    backend::{Backend, Reader, Sample, Sink},
+    mailbox::Mailbox,
+    service::RawClient,
+};
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+use tokio::sync::watch;
+use wm_msgs::{
+    Action,
+    action::{
+        FeedbackMessage, GetResultRequest, GetResultResponse, SendGoalRequest, SendGoalResponse,
+    },
+    action_msgs::{CancelGoal, CancelGoalRequest, CancelGoalResponse, GoalInfo, GoalStatusArray},
+    builtin_interfaces::Time,
+    cdr,
+};
+
+/// The calling end of an action `A`.
+pub struct ActionClient<A: Action> {
+    parts: Arc<Parts<A>>,
+}
+
+/// A goal that a server has accepted. Dropping it does not cancel the goal, but nothing more is heard of it.
+pub struct ClientGoal<A: Action> {
+    id: GoalId,
+    accepted: Time,
+    followed: Arc<Followed<A>>,
+    parts: Arc<Parts<A>>,
+}
+
+/// The parts of a client that its node makes.
+pub(crate) struct Parts<A: Action> {
+    pub(crate) name: String,
+    pub(crate) send_goal: RawClient,
+    pub(crate) cancel_goal: Client<CancelGoal>,
+    pub(crate) get_result: RawClient,
+    pub(crate) goals: Arc<Goals<A>>,
+    /// What hears feedback and status.
+    pub(crate) readers: [Box<dyn Reader>; 2],
+    pub(crate) backend: Arc<dyn Backend>,
+    pub(crate) shutdown: Shutdown,
+}
+
+/// The goals of a client that somebody follows.
+pub(crate) struct Goals<A: Action> {
+    followed: Mutex<BTreeMap<GoalId, Arc<Followed<A>>>>,
+    diagnostics: Diagnostics,
+}
+
+/// What is heard of a goal.
+struct Followed<A: Action> {
+    feedback: Mailbox<A::Feedback>,
+    status: watch::Sender<Option<GoalStatus>>,
+}
+
+impl<A: Action> Goals<A> {
+    pub(crate) fn new(diagnostics: Diagnostics) -> Arc<Self> {
+        Arc::new(Self {
+            followed: Mutex::default(),
+            diagnostics,
+        })
+    }
+
+    /// No invariant spans the lock.
+    fn followed(&self) -> MutexGuard<'_, BTreeMap<GoalId, Arc<Followed<A>>>> {
+        self.followed.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn get(&self, id: GoalId) -> Option<Arc<Followed<A>>> {
+        self.followed().get(&id).cloned()
+    }
+
+    /// What hands feedback to the goals; that of other clients' goals comes along and is none of ours.
+    pub(crate) fn feedback_sink(self: &Arc<Self>, topic: String) -> Sink {
+        let goals = Arc::clone(self);
+        Box::new(move |sample| {
+            let message = sample.and_then(|Sample { payload, .. }| {
+                let bytes = payload.into_cdr().map_err(|error| error.to_string())?;
+                cdr::from_bytes(&bytes).map_err(|error| error.to_string())
+            });
+            match message {
+                Ok(FeedbackMessage { goal_id, feedback }) => {
+                    let followed = goals.get(goal_id.into());
+                    if followed.is_some_and(|followed| !followed.feedback.push(feedback)) {
+                        goals
+                            .diagnostics
+                            .count_drop(&format!("{topic}: queue full"));
+                    }
+                }
+                Err(reason) => goals.refuse(&topic, &reason),
+            }
+        })
+    }
+
+    pub(crate) fn status_sink(self: &Arc<Self>, topic: String) -> Sink {
+        let goals = Arc::clone(self);
+        Box::new(move |sample| {
+            let message = sample.and_then(|Sample { payload, .. }| {
+                let message = payload.into_message::<GoalStatusArray>();
+                message.map_err(|error| error.to_string())
+            });
+            match message {
+                Ok(message) => {
+                    for news in &message.status_list {
+                        if let Some(followed) = goals.get(news.goal_info.goal_id.into()) {
+                            followed.hear(GoalStatus::from_number(news.status));
+                        }
+                    }
+                }
+                Err(reason) => goals.refuse(&topic, &reason),
+            }
+        })
+    }
+
+    fn refuse(&self, topic: &str, reason: &str) {
+        tracing::warn!("{topic}: a sample is skipped: {reason}");
+        self.diagnostics
+            .count_drop(&format!("{topic}: undecodable"));
+    }
+}
+
+impl<A: Action> Followed<A> {
+    fn hear(&self, status: Option<GoalStatus>) {
+        self.status.send_if_modified(|known| {
+            let is_news = *known != status && !known.is_some_and(GoalStatus::is_end);
+            if is_news {
+                *known = status;
+            }
+            is_news
+        });
+    }
+}
+
+/// Takes a goal off the list where nobody follows it any more.
+struct Following<'a, A: Action> {
+    goals: &'a Goals<A>,
+    id: Option<GoalId>,
+}
+
+impl<A: Action> Drop for Following<'_, A> {
+    fn drop(&mut self) {
+        if let Some(id) = self.id {
+            self.goals.followed().remove(&id);
+        }
+    }
+}
+
+impl<A: Action> ActionClient<A> {
+    pub(crate) fn new(parts: Parts<A>) -> Self {
+        Self {
+            parts: Arc::new(parts),
+        }
+    }
+
+    /// Waits until a server is connected.
+    pub async fn wait_for_server(&self) {
+        let Parts {
+            send_goal,
+            cancel_goal,
+            get_result,
+            readers,
+            backend,
+            ..
+        } = &*self.parts;
+        send_goal.wait_for_service().await;
+        cancel_goal.wait_for_service().await;
+        get_result.wait_for_service().await;
+        let mut changes = backend.changes();
+        while !readers
+            .iter()
+            .all(|reader| backend.matched(&reader.id()) > 0)
+        {
+            if changes.changed().await.is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Requests a goal, and waits for as long as it takes until the server accepts it: bring a timeout. None where the
+    /// server rejects it.
+    ///
+    /// # Errors
+    /// The goal has no CDR form, the middleware failed, the answer is not of the type, or the context is shut down.
+    pub async fn send(&self, goal: &A::Goal) -> Result<Option<ClientGoal<A>>, Error> {
+        let Parts {
+            send_goal, goals, ..
+        } = &*self.parts;
+        let id = GoalId::new();
+        let request = cdr::to_bytes(&SendGoalRequest {
+            goal_id: id.into(),
+            goal,
+        })?;
+        let followed = Arc::new(Followed {
+            feedback: Mailbox::new(super::FEEDBACK_QOS.depth),
+            status: watch::Sender::new(None),
+        });
+        // Before the request, so that nothing is missed.
+        goals.followed().insert(id, Arc::clone(&followed));
+        let mut following = Following {
+            goals,
+            id: Some(id),
+        };
+        let answer = send_goal.call(request.into()).await?;
+        let SendGoalResponse { accepted, stamp } = cdr::from_bytes(&answer)?;
+        if !accepted {
+            return Ok(None);
+        }
+        following.id = None;
+        Ok(Some(ClientGoal {
+            id,
+            accepted: stamp,
+            followed,
+            parts: Arc::clone(&self.parts),
+        }))
+    }
+
+    /// Requests that goals be canceled, those of other clients too: the one with this id, and those that were accepted at
+    /// this time or before; with neither (the default), all of them.
+    ///
+    /// # Errors
+    /// The middleware failed, the answer is not of the type, or the context is shut down.
+    pub async fn cancel(&self, which: GoalInfo) -> Result<CancelGoalResponse, Error> {
+        let request = CancelGoalRequest { goal_info: which };
+        self.parts.cancel_goal.call(&request).await
+    }
+
+    /// The action's absolute name.
+    pub fn name(&self) -> &str {
+        &self.parts.name
+    }
+}
+
+impl<A: Action> ClientGoal<A> {
+    /// The goal's identity.
+    pub fn id(&self) -> GoalId {
+        self.id
+    }
+
+    /// When the server accepted it (clock of the server).
+    pub fn accepted(&self) -> Time {
+        self.accepted
+    }
+
+    /// Waits for feedback; `None` once the context is shut down. Cancel safe. At most 10 wait; policy DropOldest, and each
+    /// that is dropped is counted.
+    pub async fn feedback(&self) -> Option<A::Feedback> {
+        tokio::select! {
+            biased;
+            () = self.parts.shutdown.wait() => None,
+            feedback = self.followed.feedback.pop() => feedback,
+        }
+    }
+
+    /// Feedback that was dropped so far because it was not read in time.
+    pub fn dropped(&self) -> u64 {
+        self.followed.feedback.dropped()
+    }
+
+    /// The newest status that was heard; changes wake who waits for them.
+    pub fn status(&self) -> watch::Receiver<Option<GoalStatus>> {
+        self.followed.status.subscribe()
+    }
+
+    /// Requests that the goal be canceled; whether the server does so. It does not where the goal has ended, or is being
+    /// canceled already.
+    ///
+    /// # Errors
+    /// As [`ActionClient::cancel`].
+    pub async fn cancel(&self) -> Result<bool, Error> {
+        let which = GoalInfo {
+            goal_id: self.id.into(),
+            stamp: Time::default(),
+        };
+        let request = CancelGoalRequest { goal_info: which };
+        let response = self.parts.cancel_goal.call(&request).await?;
+        Ok(response.return_code == CancelGoalResponse::ERROR_NONE)
+    }
+
+    /// Waits until the goal has ended, for as long as it takes: bring a timeout. How it ended, and with what.
+    ///
+    /// # Errors
+    /// The server does not know the goal (any more), the middleware failed, the answer is not of the type, or the context
+    /// is shut down.
+    pub async fn result(&self) -> Result<(GoalStatus, A::Result), Error> {
+        let Parts {
+            name, get_result, ..
+        } = &*self.parts;
+        let request = GetResultRequest {
+            goal_id: self.id.into(),
+        };
+        let answer = get_result.call(cdr::to_bytes(&request)?.into()).await?;
+        let GetResultResponse { status, result } = cdr::from_bytes(&answer)?;
+        let status = GoalStatus::from_number(status).ok_or_else(|| Error::Goal {
+            action: name.clone(),
+            id: self.id,
+            reason: "the server does not know it, or no longer",
+        })?;
+        Ok((status, result))
+    }
+}
+
+impl<A: Action> Drop for ClientGoal<A> {
+    fn drop(&mut self) {
+        self.parts.goals.followed().remove(&self.id);
+    }
+}
