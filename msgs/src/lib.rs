@@ -25,7 +25,8 @@ mod type_description;
 pub use message::{Message, Service};
 pub use packages::{
     builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rcl_interfaces,
-    rosbag2_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, vision_msgs, wm_msgs,
+    rosbag2_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, tf2_msgs, trajectory_msgs,
+    vision_msgs, wm_msgs,
 };
 pub use type_description::{
     DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash,

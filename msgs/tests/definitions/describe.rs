@@ -12,6 +12,7 @@ pub enum Shape {
     Primitive(String),
     Bytes,
     Sequence(Box<Shape>),
+    Array(Box<Shape>, usize),
     Struct {
         name: String,
         fields: Vec<(String, Shape)>,
@@ -79,6 +80,23 @@ impl<'de> Deserializer<'de> for Recorder<'_> {
         Ok(value)
     }
 
+    fn deserialize_tuple<V: Visitor<'de>>(
+        self,
+        length: usize,
+        visitor: V,
+    ) -> Result<V::Value, ValueError> {
+        let mut elements = Elements {
+            left: length,
+            shape: None,
+        };
+        let value = visitor.visit_seq(&mut elements)?;
+        let shape = elements
+            .shape
+            .ok_or_else(|| de::Error::custom("an array took no element"))?;
+        *self.0 = Some(Shape::Array(Box::new(shape), length));
+        Ok(value)
+    }
+
     fn deserialize_struct<V: Visitor<'de>>(
         self,
         name: &'static str,
@@ -102,7 +120,7 @@ impl<'de> Deserializer<'de> for Recorder<'_> {
     }
 
     serde::forward_to_deserialize_any! {
-        i128 u128 char option unit unit_struct newtype_struct tuple tuple_struct map enum identifier ignored_any
+        i128 u128 char option unit unit_struct newtype_struct tuple_struct map enum identifier ignored_any
     }
 }
 
@@ -127,5 +145,26 @@ impl<'de> SeqAccess<'de> for &mut Parts {
         let shape = shape.ok_or_else(|| de::Error::custom("a field asked for nothing"))?;
         self.shapes.push(((*name).to_owned(), shape));
         Ok(Some(value))
+    }
+}
+
+/// The elements still to be asked for, and what was answered for the last one.
+struct Elements {
+    left: usize,
+    shape: Option<Shape>,
+}
+
+impl<'de> SeqAccess<'de> for &mut Elements {
+    type Error = ValueError;
+
+    fn next_element_seed<S: DeserializeSeed<'de>>(
+        &mut self,
+        seed: S,
+    ) -> Result<Option<S::Value>, ValueError> {
+        if self.left == 0 {
+            return Ok(None);
+        }
+        self.left -= 1;
+        seed.deserialize(Recorder(&mut self.shape)).map(Some)
     }
 }

@@ -1,10 +1,20 @@
 //! A reader of `.msg` text: as much of the grammar as the suite's definitions use.
 
-/// One field: its type (`pkg/msg/Type` or a primitive as the wire has it), whether it is a sequence, its name.
+/// How often a field has its type.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Count {
+    One,
+    /// As often as it says itself.
+    Sequence,
+    /// So many times.
+    Array(usize),
+}
+
+/// One field: its type (`pkg/msg/Type` or a primitive as the wire has it), how often it has it, its name.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Field {
     pub type_name: String,
-    pub sequence: bool,
+    pub count: Count,
     pub name: String,
 }
 
@@ -38,8 +48,13 @@ pub fn parse(package: &str, text: &str) -> Interface {
                 .push((name.trim().to_owned(), value.trim().to_owned()));
             continue;
         }
-        let sequence = type_name.ends_with("[]");
-        let type_name = type_name.trim_end_matches("[]");
+        let (type_name, count) = match type_name.strip_suffix(']').map(|text| text.split_once('['))
+        {
+            None => (type_name, Count::One),
+            Some(Some((element, ""))) => (element, Count::Sequence),
+            Some(Some((element, length))) => (element, Count::Array(length.parse().unwrap())),
+            Some(None) => panic!("expected a type, got `{type_name}`"),
+        };
         let type_name = match type_name {
             "byte" | "char" => "uint8".to_owned(),
             primitive if PRIMITIVES.contains(&primitive) => primitive.to_owned(),
@@ -53,7 +68,7 @@ pub fn parse(package: &str, text: &str) -> Interface {
         let name = rest.split_whitespace().next().unwrap().to_owned();
         interface.fields.push(Field {
             type_name,
-            sequence,
+            count,
             name,
         });
     }

@@ -11,7 +11,7 @@ mod interface;
 
 use describe::{Shape, describe};
 use installation::Installation;
-use interface::{Interface, parse};
+use interface::{Count, Interface, parse};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use wm_msgs::{Message, Service, diagnostic_msgs, wm_msgs as wm};
@@ -28,23 +28,26 @@ fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String,
     let expected_names: Vec<_> = expected.iter().map(|field| field.name.as_str()).collect();
     assert_eq!(names, expected_names, "fields of {name}");
     for ((field, shape), expected) in fields.iter().zip(&expected) {
-        let element = match (shape, expected.sequence) {
-            (Shape::Bytes, true) => {
+        let element = match (shape, expected.count) {
+            (Shape::Bytes, Count::Sequence) => {
                 assert_eq!(
                     expected.type_name, "uint8",
                     "{name}.{field} is a byte sequence"
                 );
                 continue;
             }
-            (Shape::Sequence(element), true) => {
+            (Shape::Sequence(element), Count::Sequence) => {
                 assert_ne!(
                     expected.type_name, "uint8",
                     "{name}.{field} wants serde_bytes: 40 times faster"
                 );
                 element
             }
-            (shape, false) => shape,
-            (shape, true) => panic!("{name}.{field}: expected a sequence, got {shape:?}"),
+            (Shape::Array(element, length), Count::Array(expected)) if *length == expected => {
+                element
+            }
+            (shape, Count::One) => shape,
+            (shape, count) => panic!("{name}.{field}: expected {count:?}, got {shape:?}"),
         };
         match element {
             Shape::Primitive(primitive) => {
