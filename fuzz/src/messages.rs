@@ -3,7 +3,7 @@
 use serde::{Serialize, de::DeserializeOwned};
 use wm_msgs::{
     builtin_interfaces, cdr, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rosbag2_interfaces,
-    rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, wm_msgs as wm,
+    rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, tf2_msgs, wm_msgs as wm,
 };
 
 /// Decodes an input as each type in turn.
@@ -23,6 +23,7 @@ pub fn message(data: &[u8]) {
             builtin_interfaces::Duration,
             diagnostic_msgs::DiagnosticArray,
             geometry_msgs::PoseStamped,
+            geometry_msgs::TwistStamped,
             lifecycle_msgs::TransitionEvent,
             lifecycle_msgs::ChangeStateRequest,
             rosbag2_interfaces::BurstRequest,
@@ -39,6 +40,7 @@ pub fn message(data: &[u8]) {
             std_msgs::String,
             std_srvs::SetBoolRequest,
             std_srvs::TriggerRequest,
+            tf2_msgs::TFMessage,
             wm::Action,
             wm::ActionCandidates,
             wm::ActionChunk,

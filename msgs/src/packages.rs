@@ -91,6 +91,8 @@ pub mod sensor_msgs;
 pub(crate) mod service_msgs;
 pub mod std_msgs;
 pub mod std_srvs;
+pub mod tf2_msgs;
+pub mod trajectory_msgs;
 pub mod unique_identifier_msgs;
 pub mod vision_msgs;
 pub mod wm_msgs;

@@ -22,7 +22,7 @@ use crate::arm;
 use crate::error::Error;
 use crate::gripper::HALF_OPENING_M;
 use crate::layout;
-use crate::render::Renderer;
+use crate::render::{Camera, Renderer, Surroundings};
 use crate::room;
 use crate::scene::Scene;
 use crate::teleop::{LARGEST_STEP_M, LARGEST_TURN_RAD, Task};
@@ -90,6 +90,8 @@ pub struct Environment {
     task: Task,
     solution: Solution,
     scene: Scene,
+    surroundings: Surroundings,
+    camera: Camera,
     renderer: Renderer,
 }
 
@@ -108,7 +110,7 @@ impl Environment {
         let viewer = camera.viewer_axes().map(|axis| axis.cast());
         let mut goals = ChaCha8Rng::seed_from_u64(seed);
         goals.set_stream(FIRST_STREAM + kind as u64);
-        let mut renderer = Renderer::new(&surroundings, camera);
+        let mut renderer = Renderer::new(&surroundings, camera.clone());
         let found = (0..TABLES).find_map(|_| {
             let world = layout::world(variety, &mut rng);
             let scene = Scene::new(&world);
@@ -145,6 +147,8 @@ impl Environment {
             world,
             solution,
             scene,
+            surroundings,
+            camera,
             renderer,
         })
     }
@@ -239,6 +243,21 @@ impl Environment {
     /// What the camera would see of a state of this table, 256 by 256.
     pub fn picture_of(&mut self, world: &World) -> RgbImage {
         self.renderer.render(&self.scene.parts(world), false).rgb
+    }
+
+    /// The camera that the pictures are of.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// What draws this room as another camera sees it, for [`Environment::picture_by`].
+    pub fn renderer(&self, camera: Camera) -> Renderer {
+        Renderer::new(&self.surroundings, camera)
+    }
+
+    /// What another camera sees now, 256 by 256.
+    pub fn picture_by(&self, renderer: &mut Renderer) -> RgbImage {
+        renderer.render(&self.scene.parts(&self.world), false).rgb
     }
 
     /// What would come of `actions` from now on, taken as [`Environment::step`] takes them: the state and the

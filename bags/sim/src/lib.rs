@@ -45,6 +45,7 @@ pub mod render;
 mod room;
 mod scene;
 mod teleop;
+mod urdf;
 mod variety;
 mod world;
 
@@ -63,5 +64,6 @@ pub use episode::{Episode, EpisodeOptions, FRAMES, Frame};
 pub use error::Error;
 pub use scene::{FIRST_OBJECT_MASK, GRIPPER_MASK, Scene};
 pub use teleop::{Failure, LARGEST_STEP_M, LARGEST_TURN_RAD, Relation, Task};
+pub use urdf::urdf;
 pub use variety::{Span, Variety};
 pub use world::{EndEffectorAction, LARGEST_RPY, STEP_S, WORKSPACE_M, World};

@@ -12,7 +12,7 @@ use crate::gripper::{FINGER_LENGTH_M, FINGER_THICKNESS_M, FINGER_WIDTH_M};
 use crate::render::Mesh;
 
 /// What a part moves with.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Link {
     Base,
     Waist,
@@ -25,24 +25,75 @@ pub enum Link {
     Finger(usize),
 }
 
-/// A mesh in its link's frame, and its surface.
+/// An axis of a link's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Axis {
+    X,
+    Y,
+    Z,
+}
+
+/// The form of a part in its link's frame, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Form {
+    Cuboid {
+        low: [f32; 3],
+        high: [f32; 3],
+    },
+    Cylinder {
+        axis: Axis,
+        radius: f32,
+        /// Where it begins on the axis.
+        from: f32,
+        length: f32,
+    },
+}
+
+impl Form {
+    fn mesh(self) -> Mesh {
+        match self {
+            Self::Cuboid { low, high } => Mesh::cuboid(low, high),
+            Self::Cylinder {
+                axis,
+                radius,
+                from,
+                length,
+            } => {
+                let upright = Mesh::cylinder(radius, length);
+                match axis {
+                    Axis::X => upright.lying_along_x().shifted(from, 0.0, 0.0),
+                    Axis::Y => upright.lying_along_y().shifted(0.0, from, 0.0),
+                    Axis::Z => upright.shifted(0.0, 0.0, from),
+                }
+            }
+        }
+    }
+}
+
+/// A form in its link's frame, its mesh, and its surface.
 #[derive(Clone)]
 pub struct LinkPart {
     pub link: Link,
+    pub form: Form,
     pub mesh: Arc<Mesh>,
     pub srgb: [f32; 3],
     pub gloss: f32,
 }
 
 impl LinkPart {
-    fn new(link: Link, mesh: Mesh, srgb: [f32; 3], gloss: f32) -> Self {
+    fn new(link: Link, form: Form, srgb: [f32; 3], gloss: f32) -> Self {
         Self {
             link,
-            mesh: Arc::new(mesh),
+            form,
+            mesh: Arc::new(form.mesh()),
             srgb,
             gloss,
         }
     }
+}
+
+fn cuboid(low: [f32; 3], high: [f32; 3]) -> Form {
+    Form::Cuboid { low, high }
 }
 
 /// Depth of the palm, metres.
@@ -63,12 +114,13 @@ pub fn arm_parts() -> Vec<LinkPart> {
     let [upper, offset, forearm] =
         [UPPER_ARM_M, ELBOW_OFFSET_M, FOREARM_M].map(|length| length as f32);
     let shoulder = SHOULDER_HEIGHT_M as f32;
-    let across = |radius: f32, length: f32| {
-        Mesh::cylinder(radius, length)
-            .lying_along_y()
-            .shifted(0.0, -length / 2.0, 0.0)
+    let cylinder = |axis: Axis, radius: f32, from: f32, length: f32| Form::Cylinder {
+        axis,
+        radius,
+        from,
+        length,
     };
-    let cuboid = Mesh::cuboid;
+    let across = |radius: f32, length: f32| cylinder(Axis::Y, radius, -length / 2.0, length);
     let part = LinkPart::new;
     let mut parts = vec![
         part(
@@ -79,7 +131,7 @@ pub fn arm_parts() -> Vec<LinkPart> {
         ),
         part(
             Link::Base,
-            Mesh::cylinder(0.052, shoulder - 0.035),
+            cylinder(Axis::Z, 0.052, 0.0, shoulder - 0.035),
             DARK,
             0.1,
         ),
@@ -111,18 +163,14 @@ pub fn arm_parts() -> Vec<LinkPart> {
         ),
         part(
             Link::ForearmRoll,
-            Mesh::cylinder(0.021, 0.07)
-                .lying_along_x()
-                .shifted(0.170 - forearm, 0.0, 0.0),
+            cylinder(Axis::X, 0.021, 0.170 - forearm, 0.07),
             JOINT,
             0.2,
         ),
         part(Link::ForearmRoll, across(0.024, 0.050), DARK, 0.2),
         part(
             Link::Wrist,
-            Mesh::cylinder(0.021, 0.045)
-                .lying_along_x()
-                .shifted(0.012, 0.0, 0.0),
+            cylinder(Axis::X, 0.021, 0.012, 0.045),
             JOINT,
             0.2,
         ),
@@ -139,26 +187,26 @@ fn palm_parts() -> Vec<LinkPart> {
     let hand = HAND_M as f32;
     // The side of the palm that the fingers slide on, and its side towards the wrist.
     let (near, far) = (-FINGER_LENGTH_M as f32, -FINGER_LENGTH_M as f32 - PALM_M);
-    let part = |mesh, srgb, gloss| LinkPart::new(Link::Hand, mesh, srgb, gloss);
+    let part = |form, srgb, gloss| LinkPart::new(Link::Hand, form, srgb, gloss);
     let mut parts = vec![
         part(
-            Mesh::cuboid([0.050 - hand, -0.024, -0.020], [far, 0.024, 0.020]),
+            cuboid([0.050 - hand, -0.024, -0.020], [far, 0.024, 0.020]),
             JOINT,
             0.2,
         ),
         part(
-            Mesh::cuboid([far, -0.068, -0.024], [near, 0.0, 0.024]),
+            cuboid([far, -0.068, -0.024], [near, 0.0, 0.024]),
             LIGHT,
             0.25,
         ),
         // Only on the viewer's side at zero yaw: front and back differ.
         part(
-            Mesh::cuboid([far + 0.005, -0.044, 0.024], [near - 0.005, -0.020, 0.029]),
+            cuboid([far + 0.005, -0.044, 0.024], [near - 0.005, -0.020, 0.029]),
             BLACK,
             0.1,
         ),
         part(
-            Mesh::cuboid([far - 0.030, 0.052, -0.020], [far, 0.068, 0.020]),
+            cuboid([far - 0.030, 0.052, -0.020], [far, 0.068, 0.020]),
             FIN,
             0.1,
         ),
@@ -169,7 +217,7 @@ fn palm_parts() -> Vec<LinkPart> {
         let from = width * stripe as f32;
         let srgb = if stripe % 2 == 0 { BLACK } else { LIGHT };
         parts.push(part(
-            Mesh::cuboid([far, from, -0.024], [near, from + width, 0.024]),
+            cuboid([far, from, -0.024], [near, from + width, 0.024]),
             srgb,
             0.15,
         ));
@@ -189,10 +237,10 @@ fn finger_parts(side: usize) -> Vec<LinkPart> {
     // Between two distances from the inner face.
     let slab = |from_x: f32, to_x: f32, from: f32, to: f32| {
         let (low, high) = if sign < 0.0 { (-to, -from) } else { (from, to) };
-        Mesh::cuboid([from_x, low, -wide], [to_x, high, wide])
+        cuboid([from_x, low, -wide], [to_x, high, wide])
     };
     let pick = |colours: &[[f32; 3]; 2]| colours.get(side).copied().unwrap_or(LIGHT);
-    let part = |mesh, srgb| LinkPart::new(Link::Finger(side), mesh, srgb, 0.15);
+    let part = |form, srgb| LinkPart::new(Link::Finger(side), form, srgb, 0.15);
     // What it slides on goes around the palm, so that the opening shows from above as well.
     let (inside, outside) = if sign < 0.0 {
         (-thick, 0.0)
@@ -200,7 +248,7 @@ fn finger_parts(side: usize) -> Vec<LinkPart> {
         (0.0, thick)
     };
     let carriage = part(
-        Mesh::cuboid(
+        cuboid(
             [-length - PALM_M - 0.008, inside, -0.031],
             [-length + 0.002, outside, 0.031],
         ),

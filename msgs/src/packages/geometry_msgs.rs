@@ -86,6 +86,35 @@ pub struct TwistStamped {
     pub twist: Twist,
 }
 
+/// Poses in one frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseArray {
+    /// `stamp`: when the poses were measured; `frame_id`: the frame they are expressed in.
+    pub header: Header,
+    /// The poses.
+    pub poses: Vec<Pose>,
+}
+
+/// What takes coordinates of one frame to those of another.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Transform {
+    /// Where the other frame is \[m\].
+    pub translation: Vector3,
+    /// Which way it is turned.
+    pub rotation: Quaternion,
+}
+
+/// Where a frame is in another one, at a time.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TransformStamped {
+    /// `stamp`: when that holds; `frame_id`: the frame it is expressed in.
+    pub header: Header,
+    /// The frame that it tells of.
+    pub child_frame_id: String,
+    /// Where that frame is.
+    pub transform: Transform,
+}
+
 message!(
     Point,
     "geometry_msgs",
@@ -127,4 +156,22 @@ message!(
     "geometry_msgs",
     "std_msgs/Header header\nTwist twist\n",
     [Header, Twist]
+);
+message!(
+    PoseArray,
+    "geometry_msgs",
+    "std_msgs/Header header\nPose[] poses\n",
+    [Header, Pose]
+);
+message!(
+    Transform,
+    "geometry_msgs",
+    "Vector3 translation\nQuaternion rotation\n",
+    [Vector3, Quaternion]
+);
+message!(
+    TransformStamped,
+    "geometry_msgs",
+    "std_msgs/Header header\nstring child_frame_id\nTransform transform\n",
+    [Header, Transform]
 );

@@ -1,4 +1,4 @@
-//! Package `sensor_msgs`: camera images, joints.
+//! Package `sensor_msgs`: cameras and their images, joints.
 
 use super::std_msgs::Header;
 use serde::{Deserialize, Serialize};
@@ -50,6 +50,48 @@ pub struct JointState {
     pub effort: Vec<f64>,
 }
 
+/// A part of an image; all zero: the whole of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RegionOfInterest {
+    /// Its first column \[pixel\].
+    pub x_offset: u32,
+    /// Its first row \[pixel\].
+    pub y_offset: u32,
+    /// Rows \[pixel\].
+    pub height: u32,
+    /// Columns \[pixel\].
+    pub width: u32,
+    /// Whether it is to be rectified.
+    pub do_rectify: bool,
+}
+
+/// How a camera sees.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CameraInfo {
+    /// As the image that it belongs to.
+    pub header: Header,
+    /// Rows \[pixel\].
+    pub height: u32,
+    /// Columns \[pixel\].
+    pub width: u32,
+    /// What `d` is about, for example `plumb_bob`.
+    pub distortion_model: String,
+    /// Distortion.
+    pub d: Vec<f64>,
+    /// Row-major 3 x 3 matrix: focal lengths and principal point \[pixel\]; the middle of the first pixel is at 0, 0.
+    pub k: [f64; 9],
+    /// Row-major 3 x 3 matrix: rectification.
+    pub r: [f64; 9],
+    /// Row-major 3 x 4 matrix: projection of the rectified image \[pixel\].
+    pub p: [f64; 12],
+    /// Columns of the sensor in one of the image; 0 and 1: one.
+    pub binning_x: u32,
+    /// Rows of the sensor in one of the image.
+    pub binning_y: u32,
+    /// The part of the sensor that the image shows.
+    pub roi: RegionOfInterest,
+}
+
 message!(
     Image,
     "sensor_msgs",
@@ -67,4 +109,17 @@ message!(
     "sensor_msgs",
     "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
     [Header]
+);
+message!(
+    RegionOfInterest,
+    "sensor_msgs",
+    "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
+    []
+);
+message!(
+    CameraInfo,
+    "sensor_msgs",
+    "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n\
+     float64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nRegionOfInterest roi\n",
+    [Header, RegionOfInterest]
 );

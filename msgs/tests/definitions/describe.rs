@@ -151,3 +151,24 @@ impl<'de> SeqAccess<'de> for &mut Parts {
         Ok(Some(value))
     }
 }
+
+/// The elements still to be asked for, and what was answered for the last one.
+struct Elements {
+    left: usize,
+    shape: Option<Shape>,
+}
+
+impl<'de> SeqAccess<'de> for &mut Elements {
+    type Error = ValueError;
+
+    fn next_element_seed<S: DeserializeSeed<'de>>(
+        &mut self,
+        seed: S,
+    ) -> Result<Option<S::Value>, ValueError> {
+        if self.left == 0 {
+            return Ok(None);
+        }
+        self.left -= 1;
+        seed.deserialize(Recorder(&mut self.shape)).map(Some)
+    }
+}

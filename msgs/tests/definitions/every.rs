@@ -11,6 +11,9 @@ macro_rules! every_message {
             geometry_msgs::Vector3 geometry_msgs::Twist geometry_msgs::TwistStamped diagnostic_msgs::KeyValue
             diagnostic_msgs::DiagnosticStatus diagnostic_msgs::DiagnosticArray rosgraph_msgs::Clock
             vision_msgs::VisionClass vision_msgs::LabelInfo
+            geometry_msgs::PoseArray geometry_msgs::Transform geometry_msgs::TransformStamped
+            sensor_msgs::RegionOfInterest sensor_msgs::CameraInfo tf2_msgs::TFMessage
+            trajectory_msgs::JointTrajectoryPoint trajectory_msgs::JointTrajectory
             lifecycle_msgs::State lifecycle_msgs::Transition lifecycle_msgs::TransitionDescription
             lifecycle_msgs::TransitionEvent wm_msgs::LatentSpace wm_msgs::Latent wm_msgs::Action wm_msgs::ActionChunk
             wm_msgs::Prediction wm_msgs::PredictionError wm_msgs::Plan wm_msgs::Timing wm_msgs::ActionCandidates

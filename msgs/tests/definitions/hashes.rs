@@ -87,6 +87,27 @@ fn known_hashes_are_ours() {
             "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
         ),
         (
+            "geometry_msgs/msg/TransformStamped",
+            "RIHS01_0a241f87d04668d94099cbb5ba11691d5ad32c2f29682e4eb5653424bd275206",
+        ),
+        (
+            "geometry_msgs/msg/PoseArray",
+            "RIHS01_af0cc36d190e104d546d168d6b39df04fa4b4ccecf59cb4c9ed328d3d5004aa0",
+        ),
+        (
+            "sensor_msgs/msg/CameraInfo",
+            "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275",
+        ),
+        (
+            "trajectory_msgs/msg/JointTrajectory",
+            "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e",
+        ),
+        (
+            // From the code that rosidl generated of tf2_msgs.
+            "tf2_msgs/msg/TFMessage",
+            "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+        ),
+        (
             "geometry_msgs/msg/TwistStamped",
             "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
         ),

@@ -17,10 +17,12 @@ mod camera;
 mod command;
 mod message;
 mod node;
+mod outlets;
 mod parameters;
 mod step;
+mod time;
 
-pub use camera::{CameraSettings, Frame};
+pub use camera::{CameraSettings, Frame, View};
 pub use command::CommandError;
 pub use node::{NODE, body};
 pub use step::{Done, Problem, Settings, SimArmStep, Tick};

@@ -8,10 +8,13 @@ use std::{thread::JoinHandle, time::Duration};
 use wm_arm_nodes::{executor, sim_arm};
 use wm_msgs::{
     builtin_interfaces::Duration as RosDuration,
-    geometry_msgs::{PoseStamped, Twist, TwistStamped, Vector3},
-    sensor_msgs::{CompressedImage, Image, JointState},
+    geometry_msgs::{PoseArray, PoseStamped, Twist, TwistStamped, Vector3},
+    rosgraph_msgs::Clock,
+    sensor_msgs::{CameraInfo, CompressedImage, Image, JointState},
     std_msgs::{Bool, Float64, Header, String as Text},
     std_srvs::{SetBool, SetBoolRequest},
+    tf2_msgs::TFMessage,
+    vision_msgs::LabelInfo,
     wm_msgs::{Action, ActionChunk, Reset, ResetRequest},
 };
 use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
@@ -240,4 +243,199 @@ async fn executed(here: &Context, command: &str) -> f64 {
         }
         before = now;
     }
+}
+
+/// What a person or another node wants to know of an arm: how its cameras see, where things are, and what it is made of.
+#[tokio::test(flavor = "current_thread")]
+async fn it_tells_what_its_cameras_see_and_where_things_are() {
+    let running = context(2);
+    let words = format!(
+        "--ros-args -p task:=push -p seed:={SEED} -p front_camera:=true -p image_transport:=raw -p real_time_factor:=4.0"
+    );
+    let thread = start(&running, "sim_arm", words, sim_arm::body);
+    let here = context(2);
+    tokio::time::timeout(PATIENCE, told(&here))
+        .await
+        .expect("a message that should come does not");
+    running.shutdown().trigger();
+    thread.join().unwrap().unwrap();
+    running.close();
+    here.close();
+}
+
+async fn told(here: &Context) {
+    let table = wm_sim::Environment::new(GoalKind::Push, SEED, &Variety::default()).unwrap();
+    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
+    let node = Node::new(here, "observer", wm_ros::NAMESPACE, &args).unwrap();
+    let (latched, depth) = (Qos::latched(1), Qos::reliable(100));
+    let mut infos: Subscription<CameraInfo> =
+        node.subscription("/camera/camera_info", depth).unwrap();
+    let mut images: Subscription<Image> = node.subscription("/camera/image_raw", depth).unwrap();
+    let mut front_infos: Subscription<CameraInfo> = node
+        .subscription("/front_camera/camera_info", depth)
+        .unwrap();
+    let mut front: Subscription<Image> =
+        node.subscription("/front_camera/image_raw", depth).unwrap();
+    let mut frames: Subscription<TFMessage> = node.subscription("/tf", depth).unwrap();
+    let mut statics: Subscription<TFMessage> = node.subscription("/tf_static", latched).unwrap();
+    let mut poses: Subscription<PoseStamped> = node.subscription("ee_pose", depth).unwrap();
+    let mut arms: Subscription<Text> = node.subscription("robot_description", latched).unwrap();
+    let mut objects: Subscription<PoseArray> = node.subscription("sim_arm/objects", depth).unwrap();
+    let mut names: Subscription<LabelInfo> =
+        node.subscription("sim_arm/object_names", latched).unwrap();
+    let mut clock: Subscription<Clock> = node.subscription("/clock", depth).unwrap();
+
+    let info = infos.recv().await.unwrap().message;
+    while images.recv().await.unwrap().message.header != info.header {}
+    assert_eq!(info.header.frame_id, "camera_optical_frame");
+    assert_eq!((info.width, info.height, info.d), (256, 256, vec![0.0; 5]));
+    let front_info = front_infos.recv().await.unwrap().message;
+    assert_eq!(front_info.header.frame_id, "front_camera_optical_frame");
+    while front.recv().await.unwrap().message.header != front_info.header {}
+
+    let cameras = statics.recv().await.unwrap().message.transforms;
+    let children: Vec<_> = cameras
+        .iter()
+        .map(|camera| &*camera.child_frame_id)
+        .collect();
+    assert_eq!(
+        children,
+        ["camera_optical_frame", "front_camera_optical_frame"]
+    );
+    // By the transform and the matrix an object is where the simulator's own camera has it: half a pixel off, since ROS
+    // counts from the middle of the first pixel.
+    let there = objects.recv().await.unwrap().message;
+    assert_eq!(there.header.frame_id, "base_link");
+    let place = there.poses[0].position;
+    let place = nalgebra::Point3::new(place.x, place.y, place.z);
+    let transform = cameras[0].transform;
+    let (at, turn) = (transform.translation, transform.rotation);
+    let optical = nalgebra::Isometry3::from_parts(
+        nalgebra::Translation3::new(at.x, at.y, at.z),
+        nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(
+            turn.w, turn.x, turn.y, turn.z,
+        )),
+    )
+    .inverse_transform_point(&place);
+    let [fx, _, cx, _, fy, cy, ..] = info.k;
+    let seen = [
+        fx * optical.x / optical.z + cx,
+        fy * optical.y / optical.z + cy,
+    ];
+    let expected = table.camera().pixel(&place).unwrap();
+    for (seen, expected) in seen.into_iter().zip(expected) {
+        assert!(
+            (seen + 0.5 - f64::from(expected)).abs() < 1e-3,
+            "{seen} {expected}"
+        );
+    }
+    let named = names.recv().await.unwrap().message.class_map;
+    let named: Vec<_> = named.into_iter().map(|class| class.class_name).collect();
+    let all: Vec<_> = table
+        .world()
+        .objects()
+        .iter()
+        .map(|object| object.name())
+        .collect();
+    assert_eq!((named, there.poses.len()), (all.clone(), all.len()));
+
+    let tool = frames.recv().await.unwrap().message.transforms[0].clone();
+    assert_eq!(
+        (&*tool.header.frame_id, &*tool.child_frame_id),
+        ("base_link", "tool")
+    );
+    let pose = loop {
+        let pose = poses.recv().await.unwrap().message;
+        if pose.header.stamp == tool.header.stamp {
+            break pose.pose;
+        }
+    };
+    assert_eq!(pose.orientation, tool.transform.rotation);
+    assert_eq!(pose.position.x, tool.transform.translation.x);
+    let arm = arms.recv().await.unwrap().message.data;
+    assert!(arm.contains("<joint name=\"wrist_rotate\""), "{arm}");
+
+    // It makes the time, and tells it more often than it shows pictures.
+    let first = clock.recv().await.unwrap().message.clock.to_nanos();
+    let mut before = first;
+    while before < first + 400_000_000 {
+        let now = clock.recv().await.unwrap().message.clock.to_nanos();
+        assert!(
+            now > before && now <= before + 20_000_000,
+            "{}",
+            now - before
+        );
+        before = now;
+    }
+}
+
+/// A policy that answers each picture with an action is waited for, and the steps are those of a simulator that is
+/// called, however long it takes.
+#[tokio::test(flavor = "current_thread")]
+async fn as_fast_as_it_is_answered_it_does_what_the_environment_does() {
+    let running = context(3);
+    let words = format!(
+        "--ros-args -p task:=reach -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p \
+         command_timeout:=60.0"
+    );
+    let thread = start(&running, "sim_arm", words, sim_arm::body);
+    let here = context(3);
+    tokio::time::timeout(PATIENCE, answered(&here))
+        .await
+        .expect("a message that should come does not");
+    running.shutdown().trigger();
+    thread.join().unwrap().unwrap();
+    running.close();
+    here.close();
+}
+
+async fn answered(here: &Context) {
+    let mut table = wm_sim::Environment::new(GoalKind::Reach, SEED, &Variety::default()).unwrap();
+    let args = NodeArgs::parse(std::iter::empty::<&str>()).unwrap();
+    let node = Node::new(here, "policy", wm_ros::NAMESPACE, &args).unwrap();
+    let mut images: Subscription<Image> = node
+        .subscription("/camera/image_raw", Qos::reliable(10))
+        .unwrap();
+    let mut clock: Subscription<Clock> = node.subscription("/clock", Qos::reliable(10)).unwrap();
+    let motions: Publisher<Action> = node.publisher("command/action", Qos::reliable(10)).unwrap();
+    motions.wait_for_subscribers(1).await;
+    images.wait_for_publishers(1).await;
+    clock.wait_for_publishers(1).await;
+    // The first picture may have gone out before anyone listened; a motion of nothing asks for the next one.
+    let still = wm_sim::EndEffectorAction::still(table.world().opening());
+    let mut next = still;
+    let mut stamp_ns = None;
+    for count in 0..6 {
+        motions
+            .publish(&Action {
+                header: Header::default(),
+                values: next.values().to_vec(),
+            })
+            .unwrap();
+        table.step(&next).unwrap();
+        let image = loop {
+            let image = images.recv().await.unwrap().message;
+            let is_next = stamp_ns.is_none_or(|before| image.header.stamp.to_nanos() > before);
+            if is_next && image.data == *table.picture().as_raw() {
+                break image;
+            }
+        };
+        let now_ns = image.header.stamp.to_nanos();
+        // The first two may have been done in one step, before anyone waited for an answer.
+        if let Some(before) = stamp_ns.replace(now_ns).filter(|_| count > 1) {
+            assert_eq!(now_ns, before + 200_000_000);
+        }
+        while clock.recv().await.unwrap().message.clock.to_nanos() < now_ns {}
+        next = table.oracle();
+    }
+}
+
+#[test]
+fn it_does_not_make_the_time_that_it_follows() {
+    let running = context(4);
+    let words = "--ros-args -p use_sim_time:=true -p real_time_factor:=0.0".to_owned();
+    let thread = start(&running, "sim_arm", words, sim_arm::body);
+    let error = thread.join().unwrap().unwrap_err().to_string();
+    assert!(error.contains("use_sim_time"), "{error}");
+    running.close();
 }

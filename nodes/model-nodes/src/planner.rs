@@ -4,13 +4,16 @@
 //! and says when and from what to plan ([`PlanRequest`]). [`PlannerModel::plan`] computes a request by one
 //! of the planners of `wm_planner` over the transition model, which this node holds itself: candidates never cross a topic.
 
+mod action;
 mod error;
 mod goal;
 mod model;
 mod node;
+mod parameters;
 mod setup;
 mod step;
 
+pub use action::{ActionRun, Course, End, Heard};
 pub use error::PlannerError;
 pub use goal::{Goal, GoalError, GoalReader};
 pub use model::{Planned, PlannerModel, PlannerParts};

@@ -1,6 +1,6 @@
 //! The fixed camera, and the light's parallel projection.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 /// Width and height of the pictures, pixels.
 pub const IMAGE_SIZE: u32 = 256;
@@ -33,6 +33,13 @@ impl Camera {
         Self::looking(eye, target, 0.0)
     }
 
+    /// A second camera: in front of the arm, looking back at it and down at the workspace.
+    pub fn facing_the_arm() -> Self {
+        let eye = Vector3::new(0.84, 0.0, 0.38);
+        let target = Vector3::new(0.24, 0.0, 0.06);
+        Self::looking(eye, target, 0.0)
+    }
+
     /// A camera at `eye` that looks at `target` (metres), turned about its view axis by `roll` radians.
     fn looking(eye: Vector3<f32>, target: Vector3<f32>, roll: f32) -> Self {
         let ahead = (target - eye).normalize();
@@ -58,6 +65,21 @@ impl Camera {
     /// Where the camera is, metres.
     pub fn eye(&self) -> Vector3<f32> {
         self.eye
+    }
+
+    /// Focal length, pixels of a picture of [`IMAGE_SIZE`]. The principal point is the picture's middle, and nothing is
+    /// distorted.
+    pub fn focal_px(&self) -> f64 {
+        f64::from(self.focal_px)
+    }
+
+    /// The optical frame in the base frame: x to the right of the picture, y down it, z ahead (REP 103).
+    pub fn base_from_optical(&self) -> Isometry3<f64> {
+        let axes = Matrix3::from_columns(&[self.right, self.down, self.ahead]);
+        // Orthogonal but for the rounding of single precision.
+        let turn = Rotation3::from_matrix(&axes.cast::<f64>());
+        let turn = UnitQuaternion::from_rotation_matrix(&turn);
+        Isometry3::from_parts(self.eye.cast::<f64>().into(), turn)
     }
 
     /// To the right and away from the viewer over the table: horizontal unit vectors by which
@@ -152,21 +174,42 @@ mod tests {
 
     #[test]
     fn the_whole_workspace_is_in_view() {
-        let camera = Camera::beside_the_arm();
         let [low, high] = WORKSPACE_M;
-        for corner in 0..8 {
-            let at = |axis: usize| {
-                if corner >> axis & 1 == 0 {
-                    low[axis]
-                } else {
-                    high[axis]
-                }
-            };
-            let [x, y] = camera
-                .pixel(&Point3::new(at(0), at(1), at(2)))
-                .expect("in front");
-            let inside = 0.0..f32::from(256_u16);
-            assert!(inside.contains(&x) && inside.contains(&y), "{x} {y}");
+        for camera in [Camera::beside_the_arm(), Camera::facing_the_arm()] {
+            for corner in 0..8 {
+                let at = |axis: usize| {
+                    if corner >> axis & 1 == 0 {
+                        low[axis]
+                    } else {
+                        high[axis]
+                    }
+                };
+                let [x, y] = camera
+                    .pixel(&Point3::new(at(0), at(1), at(2)))
+                    .expect("in front");
+                let inside = 0.0..f32::from(256_u16);
+                assert!(inside.contains(&x) && inside.contains(&y), "{x} {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn focal_length_and_frame_say_where_a_point_is_seen() {
+        let camera = Camera::beside_the_arm().moved(
+            Vector3::new(0.01, -0.02, 0.015),
+            Vector3::new(-0.01, 0.01, 0.0),
+            0.03,
+        );
+        let point = Point3::new(0.3, -0.05, 0.1);
+        let seen = camera.pixel(&point).expect("in front");
+        let optical = camera.base_from_optical().inverse() * point;
+        let middle = f64::from(IMAGE_SIZE) / 2.0;
+        let project = |along: f64| middle + camera.focal_px() * along / optical.z;
+        for (found, expected) in [project(optical.x), project(optical.y)].iter().zip(seen) {
+            assert!(
+                (found - f64::from(expected)).abs() < 1e-3,
+                "{found} {expected}"
+            );
         }
     }
 }

@@ -70,6 +70,11 @@ impl Layout {
         &self.space
     }
 
+    /// Whether actions say where a gripper is to go.
+    pub fn has_gripper(&self) -> bool {
+        self.gripper.is_some()
+    }
+
     /// The velocity at which the whole motion of an action is done after `seconds`. A rotation is one about a fixed axis.
     pub fn velocity(&self, values: &[f32], seconds: f64) -> Velocity {
         let at = |index: usize| values.get(index).copied().map_or(0.0, f64::from);

@@ -20,10 +20,12 @@ use wm_msgs::{
 };
 use wm_ros::{
     Call, Component, Diagnostics, EndpointSet as _, Error, Level, NAMESPACE, Node, NodeArgs,
-    NodeDefinition, ParameterSet as _, Publisher, Qos, Received, Service, Subscription,
+    NodeDefinition, ParameterSet as _, Publisher, Qos, Service, Subscription,
     calls::{Calls, answer},
     complaints::Complaints,
 };
+
+use crate::hear::next;
 
 use super::{
     Cause, Command, ExecutorStep, Now, Output, Refusal, Source, State, Status, Taken, message,
@@ -130,14 +132,6 @@ fn heard<M: Message>(
     (wanted == source || wanted == "both")
         .then(|| node.subscription(name, qos))
         .transpose()
-}
-
-/// The next message of a subscription that there may not be.
-async fn next<M: Message>(subscription: &mut Option<Subscription<M>>) -> Option<Received<M>> {
-    match subscription {
-        Some(subscription) => subscription.recv().await,
-        None => std::future::pending().await,
-    }
 }
 
 /// A call.

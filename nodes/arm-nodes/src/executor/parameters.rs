@@ -2,8 +2,9 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use anyhow::{Context as _, Result, bail, ensure};
-use wm_motion::actions::ActionSpace;
+use anyhow::{Result, bail, ensure};
+
+use crate::space::action_space;
 
 use super::{Begin, Bounds, Deadman, Layout, Limits, Settings, VetoSettings, Workspace};
 
@@ -124,7 +125,7 @@ impl Parameters {
             self.min_period.as_secs_f64(),
             self.max_period.as_secs_f64()
         );
-        let layout = Layout::new(self.space()?)?;
+        let layout = Layout::new(action_space(&self.action_space)?)?;
         Ok(Settings {
             base_frame: self.base_frame.clone(),
             period,
@@ -155,17 +156,6 @@ impl Parameters {
                 error_window: self.veto_error_window,
             },
         })
-    }
-
-    fn space(&self) -> Result<ActionSpace> {
-        let path = &self.action_space;
-        if path.as_os_str().is_empty() {
-            return Ok(ActionSpace::bridge());
-        }
-        let named = || format!("parameter action_space is {}", path.display());
-        let text = std::fs::read_to_string(path).with_context(named)?;
-        // JSON is YAML.
-        serde_yaml_ng::from_str(&text).with_context(named)
     }
 
     fn workspace(&self, limits: &Limits, period: Duration) -> Result<Option<Workspace>> {

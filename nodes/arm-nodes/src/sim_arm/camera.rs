@@ -7,10 +7,28 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// Streams of a seed: what is lost does not depend on the noise, nor either on the table. The simulator has those from
-/// 0 on.
-const NOISE: u64 = 1 << 32;
-const LOSS: u64 = NOISE + 1;
+/// Streams of a seed, two a camera: what is lost does not depend on the noise, nor either on the table. The simulator has
+/// those from 0 on.
+const FIRST_STREAM: u64 = 1 << 32;
+
+/// Which camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// The one that recordings are of, beside the arm.
+    Side,
+    /// The second one, in front of the arm.
+    Front,
+}
+
+impl View {
+    /// The optical frame of its pictures.
+    pub fn frame_id(self) -> &'static str {
+        match self {
+            Self::Side => wm_sim::CAMERA_FRAME,
+            Self::Front => "front_camera_optical_frame",
+        }
+    }
+}
 
 /// How good the camera is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -26,6 +44,8 @@ pub struct CameraSettings {
 /// A picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
+    /// Which camera took it.
+    pub view: View,
     /// When it was taken \[ns\].
     pub stamp_ns: i64,
     /// What it shows, 256 by 256.
@@ -34,6 +54,7 @@ pub struct Frame {
 
 /// The camera, and the pictures that are on their way.
 pub(super) struct Camera {
+    view: View,
     settings: CameraSettings,
     noise: ChaCha8Rng,
     loss: ChaCha8Rng,
@@ -42,16 +63,22 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    pub(super) fn new(settings: CameraSettings, seed: u64) -> Self {
+    pub(super) fn new(view: View, settings: CameraSettings, seed: u64) -> Self {
+        let first = FIRST_STREAM
+            + match view {
+                View::Side => 0,
+                View::Front => 2,
+            };
         let stream = |number| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(number);
             rng
         };
         Self {
+            view,
             settings,
-            noise: stream(NOISE),
-            loss: stream(LOSS),
+            noise: stream(first),
+            loss: stream(first + 1),
             waiting: VecDeque::new(),
         }
     }
@@ -70,7 +97,11 @@ impl Camera {
             }
         }
         if !is_lost {
-            self.waiting.push_back(Frame { stamp_ns, picture });
+            self.waiting.push_back(Frame {
+                view: self.view,
+                stamp_ns,
+                picture,
+            });
         }
         !is_lost
     }
@@ -113,7 +144,7 @@ mod tests {
             latency: Duration::from_nanos(30),
             ..CameraSettings::default()
         };
-        let mut camera = Camera::new(settings, 1);
+        let mut camera = Camera::new(View::Side, settings, 1);
         assert_eq!(camera.next_ns(), None);
         assert!(camera.take(grey(), 100) && camera.take(grey(), 120));
         assert_eq!(camera.next_ns(), Some(130));
@@ -132,7 +163,7 @@ mod tests {
             ..CameraSettings::default()
         };
         let series = |seed| {
-            let mut camera = Camera::new(settings, seed);
+            let mut camera = Camera::new(View::Side, settings, seed);
             let taken: Vec<_> = (0..400).map(|at| camera.take(grey(), at)).collect();
             (taken, camera.arrived(400))
         };
@@ -149,7 +180,7 @@ mod tests {
 
     #[test]
     fn a_good_camera_shows_every_picture_as_it_is() {
-        let mut camera = Camera::new(CameraSettings::default(), 1);
+        let mut camera = Camera::new(View::Side, CameraSettings::default(), 1);
         for at in 0..50 {
             assert!(camera.take(grey(), at));
             assert_eq!(camera.arrived(at)[0].picture, grey());
@@ -158,7 +189,7 @@ mod tests {
             drop: 1.0,
             ..CameraSettings::default()
         };
-        let mut camera = Camera::new(settings, 1);
+        let mut camera = Camera::new(View::Side, settings, 1);
         assert!((0..50).all(|at| !camera.take(grey(), at)));
     }
 }

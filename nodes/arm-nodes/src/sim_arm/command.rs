@@ -8,7 +8,7 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use crate::executor::Velocity;
+use crate::{displacement::Displacement, executor::Velocity};
 
 /// Why a command is not obeyed.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -46,39 +46,6 @@ impl CommandError {
             Self::Length { .. } => "wrong_length",
             Self::Frame { .. } => "wrong_frame",
         }
-    }
-}
-
-/// A displacement of the tool.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Delta {
-    /// In the base frame \[m\].
-    pub(super) translation: Vector3<f64>,
-    /// Of roll, pitch and yaw, as a turn.
-    pub(super) turn: UnitQuaternion<f64>,
-}
-
-impl Delta {
-    /// What a velocity leads to in `seconds`.
-    pub(super) fn of_velocity(velocity: Velocity, seconds: f64) -> Self {
-        Self {
-            translation: Vector3::from(velocity.linear) * seconds,
-            turn: UnitQuaternion::from_scaled_axis(Vector3::from(velocity.angular) * seconds),
-        }
-    }
-
-    /// This one, and then `next`.
-    pub(super) fn then(self, next: Self) -> Self {
-        Self {
-            translation: self.translation + next.translation,
-            turn: next.turn * self.turn,
-        }
-    }
-
-    /// Changes of roll, pitch and yaw \[rad\].
-    pub(super) fn rotation(&self) -> Vector3<f64> {
-        let (roll, pitch, yaw) = self.turn.euler_angles();
-        Vector3::new(roll, pitch, yaw)
     }
 }
 
@@ -140,7 +107,7 @@ pub(super) enum Motion {
     /// From now on, until something else is said.
     Velocity(Held),
     /// Once.
-    Delta(Delta),
+    Delta(Displacement),
 }
 
 pub(super) fn of_twist(twist: &TwistStamped, base_frame: &str) -> Result<Velocity, CommandError> {
@@ -160,7 +127,10 @@ pub(super) fn of_array(array: &Float64MultiArray) -> Result<Velocity, CommandErr
 }
 
 /// The motion and the gripper's opening.
-pub(super) fn of_action(action: &Action, base_frame: &str) -> Result<(Delta, f64), CommandError> {
+pub(super) fn of_action(
+    action: &Action,
+    base_frame: &str,
+) -> Result<(Displacement, f64), CommandError> {
     check_frame(&action.header.frame_id, base_frame)?;
     let values = <[f32; 7]>::try_from(action.values.as_slice());
     let values = values.map_err(|_| CommandError::Length {
@@ -170,7 +140,7 @@ pub(super) fn of_action(action: &Action, base_frame: &str) -> Result<(Delta, f64
     let values = values.map(f64::from);
     check_finite(&values)?;
     let [x, y, z, roll, pitch, yaw, gripper] = values;
-    let delta = Delta {
+    let delta = Displacement {
         translation: Vector3::new(x, y, z),
         turn: UnitQuaternion::from_euler_angles(roll, pitch, yaw),
     };

@@ -38,15 +38,24 @@ wm_ros::parameters! {
         seed: u64 = 0;
         /// The goal is told by pictures so far apart on the way there [s], one after the other; 0: by the last one alone.
         goal_period: f64 = 0.0, in 0.0..=60.0;
-        /// For how long after its reception a command holds [s]. Then the arm stands still.
+        /// How fast time goes: 1 is real time, by the node's clock. Otherwise the node makes the time and tells it on
+        /// /clock, for nodes with use_sim_time: 0.5 is half as fast, and 0 as fast as the commands come, one step for each
+        /// twist, velocity or action.
+        pub(super) real_time_factor: f64 = 1.0, in 0.0..=100.0;
+        /// For how long after its reception a command holds [s]. Then the arm stands still. With real_time_factor 0 also
+        /// for how long, in real time, a step waits for its command.
         command_timeout: Duration = 0.5, in 0.001..=60.0;
         /// Publish what was done in each step on action.
         _publish_action as "publish_action": bool = true;
         /// Frame of what is published, and the only one that commands may name; empty: they may name any.
         base_frame: String = wm_sim::BASE_FRAME;
-        /// Image transport of the camera and of the goal.
+        /// Frame of the tool on /tf.
+        pub(super) tool_frame: String = "tool";
+        /// A second camera, in front of the arm, on /front_camera/image_raw.
+        front_camera: bool = false;
+        /// Image transport of the cameras and of the goal.
         pub(super) image_transport: Transports = "both";
-        /// Standard deviation of the camera's noise [grey level].
+        /// Standard deviation of the cameras' noise [grey level].
         noise: f64 = 0.0, in 0.0..=255.0;
         /// Time from a picture's stamp to its publication [s].
         latency: Duration = 0.0, in 0.0..=5.0;
@@ -70,6 +79,7 @@ impl Parameters {
                 latency: self.latency,
                 drop: self.drop,
             },
+            has_front_camera: self.front_camera,
         }
     }
 

@@ -12,14 +12,14 @@ use wm_msgs::{
 };
 use wm_sim::{
     EndEffectorAction, Environment, GoalKind, LARGEST_STEP_M, LARGEST_TURN_RAD, STEP_S, Variety,
-    arm::ToolPose,
+    World, arm::ToolPose, render,
 };
 
-use crate::executor::Velocity;
+use crate::{displacement::Displacement, executor::Velocity};
 
 use super::{
-    camera::{Camera, CameraSettings, Frame},
-    command::{self, CommandError, Delta, Held, Motion},
+    camera::{Camera, CameraSettings, Frame, View},
+    command::{self, CommandError, Held, Motion},
 };
 
 /// Rounding of what is exactly the largest motion of a step, in the single precision of actions \[m or rad\].
@@ -38,8 +38,10 @@ pub struct Settings {
     pub base_frame: String,
     /// The goal is told by a picture after each so many steps of the solution; `None`: by the last one alone.
     pub goal_every: Option<NonZeroUsize>,
-    /// How good the camera is.
+    /// How good the cameras are.
     pub camera: CameraSettings,
+    /// Whether there is a second camera.
+    pub has_front_camera: bool,
 }
 
 /// Why the arm does not do all that it is told.
@@ -113,17 +115,25 @@ pub struct Tick {
     pub problem: Option<Problem>,
     /// The pictures that have arrived.
     pub frames: Vec<Frame>,
-    /// Whether the picture of this moment is lost.
-    pub is_picture_lost: bool,
+    /// How many pictures of this moment are lost.
+    pub lost_pictures: u64,
 }
 
-/// A simulated arm on a table, with a camera.
+/// The second camera: what it sees, and what becomes of it.
+struct Front {
+    eye: render::Camera,
+    renderer: render::Renderer,
+    camera: Camera,
+}
+
+/// A simulated arm on a table, with cameras.
 pub struct SimArmStep {
     settings: Settings,
     environment: Environment,
     /// The way to the goal, and the goal.
     goals: Vec<RgbImage>,
     camera: Camera,
+    front: Option<Box<Front>>,
     /// How the arm is to move, and when that was said last \[ns\].
     motion: Option<(Motion, i64)>,
     /// Where the gripper is to go.
@@ -148,9 +158,19 @@ impl SimArmStep {
             }
             None => vec![environment.goal().picture.clone()],
         };
+        let camera = |view| Camera::new(view, settings.camera, settings.seed);
+        let front = settings.has_front_camera.then(|| {
+            let eye = render::Camera::facing_the_arm();
+            Box::new(Front {
+                renderer: environment.renderer(eye.clone()),
+                eye,
+                camera: camera(View::Front),
+            })
+        });
         Ok(Self {
             goals,
-            camera: Camera::new(settings.camera, settings.seed),
+            camera: camera(View::Side),
+            front,
             motion: None,
             gripper: environment.world().opening(),
             last_ns: None,
@@ -178,6 +198,17 @@ impl SimArmStep {
     /// What it would see on the way there, one picture after the other; the last one is the goal's.
     pub fn goals(&self) -> &[RgbImage] {
         &self.goals
+    }
+
+    /// The cameras that there are: how they see, and where from.
+    pub fn eyes(&self) -> impl Iterator<Item = (View, &render::Camera)> {
+        let front = self.front.as_ref().map(|front| (View::Front, &front.eye));
+        std::iter::once((View::Side, self.environment.camera())).chain(front)
+    }
+
+    /// The state of the table.
+    pub fn world(&self) -> &World {
+        self.environment.world()
     }
 
     /// Back to the start of a task, which is that of [`Self::new`] with this seed. Commands are forgotten.
@@ -269,10 +300,15 @@ impl SimArmStep {
             *held = held.from(now_ns);
         }
         let picture = self.environment.picture();
-        let is_picture_lost = !self.camera.take(picture, now_ns);
+        let mut lost_pictures = u64::from(!self.camera.take(picture, now_ns));
+        if let Some(front) = &mut self.front {
+            let picture = self.environment.picture_by(&mut front.renderer);
+            lost_pictures += u64::from(!front.camera.take(picture, now_ns));
+        }
         let is_solved = self.environment.solved();
         let success = (self.told != Some(is_solved)).then_some(is_solved);
         self.told = Some(is_solved);
+        let frames = self.frames(now_ns);
         let world = self.environment.world();
         Tick {
             stamp_ns: now_ns,
@@ -283,26 +319,32 @@ impl SimArmStep {
             success,
             done,
             problem,
-            frames: self.camera.arrived(now_ns),
-            is_picture_lost,
+            frames,
+            lost_pictures,
         }
     }
 
     /// When the next picture arrives \[ns\], where one is on its way.
     pub fn next_frame_ns(&self) -> Option<i64> {
-        self.camera.next_ns()
+        let front = self.front.as_ref().and_then(|front| front.camera.next_ns());
+        self.camera.next_ns().into_iter().chain(front).min()
     }
 
     /// The pictures that have arrived by `now_ns`.
     pub fn frames(&mut self, now_ns: i64) -> Vec<Frame> {
-        self.camera.arrived(now_ns)
+        let mut frames = self.camera.arrived(now_ns);
+        if let Some(front) = &mut self.front {
+            frames.extend(front.camera.arrived(now_ns));
+        }
+        frames
     }
 
     /// The clock has jumped: what was told and taken by the old time is forgotten. How many pictures that were.
     pub fn forget(&mut self) -> usize {
         self.motion = None;
         self.last_ns = None;
-        self.camera.forget()
+        let front = self.front.as_mut().map_or(0, |front| front.camera.forget());
+        self.camera.forget() + front
     }
 
     /// What the step since `start_ns` is to do.
@@ -324,7 +366,9 @@ impl SimArmStep {
                 return (still, Some(Problem::Stale { waited_s }));
             }
             // A step is 0.2 s, whatever the clock says of a tick that is a little late.
-            Motion::Velocity(held) => Delta::of_velocity(held.mean(start_ns, now_ns), STEP_S),
+            Motion::Velocity(held) => {
+                Displacement::of_velocity(held.mean(start_ns, now_ns), STEP_S)
+            }
             Motion::Delta(delta) => delta,
         };
         let (translation, rotation) = (delta.translation, delta.rotation());

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use wm_bag::{Schema, SchemaEncoding, type_schema};
 use wm_msgs::{
     Message, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rcl_interfaces,
-    rosgraph_msgs, sensor_msgs, std_msgs,
+    rosgraph_msgs, sensor_msgs, std_msgs, tf2_msgs, trajectory_msgs, vision_msgs,
     wm_msgs::{
         Action, ActionChunk, ExecutorStatus, Latent, LatentSpace, Plan, Prediction, PredictionError,
     },
@@ -56,11 +56,17 @@ fn own(type_name: &str) -> Option<Schema> {
         of::<std_msgs::Float64MultiArray>,
         of::<sensor_msgs::Image>,
         of::<sensor_msgs::CompressedImage>,
+        of::<sensor_msgs::CameraInfo>,
+        of::<sensor_msgs::JointState>,
         of::<geometry_msgs::Pose>,
         of::<geometry_msgs::PoseStamped>,
         of::<geometry_msgs::TwistStamped>,
+        of::<geometry_msgs::PoseArray>,
         of::<diagnostic_msgs::DiagnosticArray>,
         of::<rosgraph_msgs::Clock>,
+        of::<tf2_msgs::TFMessage>,
+        of::<trajectory_msgs::JointTrajectory>,
+        of::<vision_msgs::LabelInfo>,
         of::<lifecycle_msgs::TransitionEvent>,
         of::<LatentSpace>,
         of::<Latent>,

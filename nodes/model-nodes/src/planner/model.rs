@@ -151,6 +151,16 @@ impl PlannerModel {
         self.choice
     }
 
+    /// Names of the terms of a request's cost.
+    ///
+    /// # Errors
+    /// As [`Self::plan`].
+    pub fn terms(&self, request: &PlanRequest) -> Result<Vec<String>, PlannerError> {
+        let goals = self.course(request)?.goals;
+        let objective = self.objective(request, &goals)?;
+        Ok(objective.names().map(str::to_owned).collect())
+    }
+
     /// Searches for the plan of a request; `watch` hears of every batch, and ends the search by `true`.
     ///
     /// # Errors

@@ -73,6 +73,8 @@ pub struct PlanRequest {
     pub seed: u64,
     /// Whether a picture of what the plan leads to is wanted.
     pub is_shown: bool,
+    /// Whether somebody wants to hear how the search goes.
+    pub is_followed: bool,
 }
 
 impl PlanRequest {
@@ -270,6 +272,7 @@ impl PlannerStep {
             start: None,
             seed: self.seed,
             is_shown: false,
+            is_followed: false,
         };
         request.start = self.last.as_ref().and_then(|last| {
             let step_ns = request.moment.timing.step_ns();
@@ -280,6 +283,12 @@ impl PlannerStep {
         self.requested_ns = Some(observed_ns);
         self.seed = self.seed.wrapping_add(1);
         Ok(request)
+    }
+
+    /// Forgets the goal: there is nothing to plan until the next one.
+    pub fn clear_goal(&mut self) {
+        self.goal = None;
+        self.forget_plans();
     }
 
     /// Whether the newest frame is so much newer than that of the last request that it is to be planned from.

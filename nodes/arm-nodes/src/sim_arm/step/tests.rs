@@ -16,6 +16,7 @@ fn settings(task: GoalKind, seed: u64) -> Settings {
         base_frame: "base_link".into(),
         goal_every: None,
         camera: CameraSettings::default(),
+        has_front_camera: false,
     }
 }
 
@@ -256,4 +257,41 @@ fn a_jump_of_the_clock_ends_what_was_told() {
     let done = arm.tick(STEP_NS).done.unwrap();
     assert_eq!(done.action.translation.norm(), 0.0);
     assert_eq!(arm.frames(5 * STEP_NS).len(), 1);
+}
+
+#[test]
+fn a_second_camera_sees_the_same_table_and_fails_on_its_own() {
+    let mut settings = Settings {
+        has_front_camera: true,
+        ..settings(GoalKind::Push, 5)
+    };
+    let views = |tick: &Tick| {
+        tick.frames
+            .iter()
+            .map(|frame| frame.view)
+            .collect::<Vec<_>>()
+    };
+    let mut both = SimArmStep::new(settings.clone()).unwrap();
+    let first = both.tick(0);
+    assert_eq!(views(&first), [View::Side, View::Front]);
+    // The first camera is what it is without the second.
+    assert!(arm(GoalKind::Push, 5).tick(0).frames[0] == first.frames[0]);
+    assert!(first.frames[0].picture != first.frames[1].picture);
+    let velocity = inwards(&both);
+    both.twist(&twist_of(velocity), 0).unwrap();
+    assert!(both.tick(STEP_NS).frames[1].picture != first.frames[1].picture);
+    assert_eq!(both.eyes().count(), 2);
+
+    settings.camera = CameraSettings {
+        latency: Duration::from_millis(100),
+        drop: 0.5,
+        ..CameraSettings::default()
+    };
+    let mut faulty = SimArmStep::new(settings).unwrap();
+    let lost: Vec<_> = (0..40)
+        .map(|count| faulty.tick(count * STEP_NS).lost_pictures)
+        .collect();
+    assert!(lost.contains(&1), "{lost:?}");
+    let on_their_way = 2 - lost[39] as usize;
+    assert_eq!(faulty.forget(), on_their_way);
 }

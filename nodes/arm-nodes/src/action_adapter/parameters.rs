@@ -1,0 +1,94 @@
+//! The adapter's parameters, checked.
+
+use std::{path::PathBuf, time::Duration};
+
+use anyhow::{Result, ensure};
+
+use super::{GripperSource, MotionSource, Settings};
+use crate::{executor::Layout, space::action_space};
+
+/// Closed and open have to be further apart \[rad or m\].
+const LEAST_TRAVEL: f64 = 1e-6;
+
+wm_ros::parameters! {
+    /// The node's parameters.
+    pub(super) struct Parameters {
+        /// Where motions come from: velocities (twist), poses (ee_pose), or the transform from base_frame to tool_frame
+        /// (tf).
+        source: &'static str = "pose", one_of { "twist" => "twist", "pose" => "pose", "tf" => "tf" };
+        /// Action space of the actions: a YAML or JSON file; empty: that of Bridge V2.
+        action_space: PathBuf = "";
+        /// Frame that twists and poses must have, and that actions get; empty: any. With source tf: the robot's base.
+        pub(super) base_frame: String = "";
+        /// With source tf: the end effector's frame.
+        tool_frame: String = "";
+        /// Time from one action to the next [s].
+        frame_period: Duration = 0.2, in 0.005..=10.0;
+        /// Longest time from one pose or transform to the next [s]: across a longer one there is no action. A twist holds
+        /// for so long.
+        timeout: Duration = 0.5, in 0.01..=60.0;
+        /// Where the gripper's opening comes from: the topic gripper, a joint of joint_states, or nowhere, and it counts
+        /// as open.
+        gripper: &'static str = "none", one_of { "none" => "none", "topic" => "topic", "joint" => "joint" };
+        /// With gripper joint: the joint's name.
+        gripper_joint: String = "";
+        /// With gripper joint: where it is when the gripper is closed [rad or m].
+        gripper_closed: f64 = 0.0;
+        /// With gripper joint: where it is when the gripper is open [rad or m].
+        gripper_open: f64 = 1.0;
+    }
+}
+
+impl Parameters {
+    /// What they say.
+    ///
+    /// # Errors
+    /// Names those that contradict each other, or the file that cannot be read.
+    pub(super) fn settings(&self) -> Result<Settings> {
+        let gripper = match self.gripper {
+            "topic" => GripperSource::Topic,
+            "joint" => self.joint()?,
+            _ => GripperSource::Open,
+        };
+        let source = match self.source {
+            "twist" => MotionSource::Twist,
+            "tf" => {
+                let (base, tool) = (&self.base_frame, &self.tool_frame);
+                ensure!(
+                    !base.is_empty() && !tool.is_empty() && base != tool,
+                    "source is tf, base_frame is {base:?} and tool_frame is {tool:?}: expected two frames"
+                );
+                MotionSource::Frames {
+                    base: base.clone(),
+                    tool: tool.clone(),
+                }
+            }
+            _ => MotionSource::Pose,
+        };
+        Ok(Settings {
+            layout: Layout::new(action_space(&self.action_space)?)?,
+            base_frame: self.base_frame.clone(),
+            period: self.frame_period,
+            timeout: self.timeout,
+            source,
+            gripper,
+        })
+    }
+
+    fn joint(&self) -> Result<GripperSource> {
+        let (name, closed, open) = (&self.gripper_joint, self.gripper_closed, self.gripper_open);
+        ensure!(
+            !name.is_empty(),
+            "gripper is joint, but gripper_joint is empty: expected the joint's name"
+        );
+        ensure!(
+            closed.is_finite() && open.is_finite() && (open - closed).abs() > LEAST_TRAVEL,
+            "gripper_closed is {closed} and gripper_open is {open}: expected two places of the joint"
+        );
+        Ok(GripperSource::Joint {
+            name: name.clone(),
+            closed,
+            open,
+        })
+    }
+}

@@ -1,0 +1,107 @@
+//! What cannot become an action, and why.
+
+use thiserror::Error;
+use wm_motion::actions::ActionError;
+
+/// What cannot become an action, and why.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum Problem {
+    /// A value that is no number, or infinite.
+    #[error("{what} has {value}; expected finite numbers")]
+    NotFinite {
+        /// The message.
+        what: &'static str,
+        /// What came.
+        value: f64,
+    },
+    /// Four numbers that are no orientation.
+    #[error("the quaternion of {what} has the norm {norm}; expected 1")]
+    NotUnit {
+        /// The message.
+        what: &'static str,
+        /// What came.
+        norm: f64,
+    },
+    /// Motions in another frame.
+    #[error("the frame of {what} is {actual:?}; expected base_frame, {expected:?}")]
+    Frame {
+        /// The message.
+        what: &'static str,
+        /// The parameter.
+        expected: String,
+        /// What came.
+        actual: String,
+    },
+    /// A stamp that is none.
+    #[error("the stamp of {what} is {sec} s and {nanosec} ns")]
+    Stamp {
+        /// The message.
+        what: &'static str,
+        /// Its seconds.
+        sec: i32,
+        /// Its nanoseconds.
+        nanosec: u32,
+    },
+    /// Something that is older than what came before, or as old.
+    #[error("{what} is stamped {before_s:.3} s before the one that came before it")]
+    Older {
+        /// The message.
+        what: &'static str,
+        /// By how much \[s\].
+        before_s: f64,
+    },
+    /// Stamps went back: a bag begins again, or a clock was set.
+    #[error("stamps of {what} went back by {by_s:.3} s: begun anew")]
+    Jump {
+        /// The message.
+        what: &'static str,
+        /// By how much \[s\].
+        by_s: f64,
+    },
+    /// Nothing came for a while.
+    #[error("nothing is known of {periods} periods: {what} was silent for {silent_s:.3} s")]
+    Gap {
+        /// The message.
+        what: &'static str,
+        /// How many.
+        periods: u64,
+        /// For how long \[s\].
+        silent_s: f64,
+    },
+    /// Nothing is known of the gripper.
+    #[error("nothing is known of the gripper yet")]
+    NoGripper,
+    /// A motion that no robot makes.
+    #[error(transparent)]
+    Action(#[from] ActionError),
+    /// More frames than are kept.
+    #[error("the frame {0:?} is one too many: more are not kept")]
+    Frames(String),
+}
+
+impl Problem {
+    /// One word for the drop counters.
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::NotFinite { .. } => "not_finite",
+            Self::NotUnit { .. } => "not_unit",
+            Self::Frame { .. } => "wrong_frame",
+            Self::Stamp { .. } => "bad_stamp",
+            Self::Older { .. } => "older",
+            Self::Jump { .. } => "clock_jumped",
+            Self::Gap { .. } => "gap",
+            Self::NoGripper => "no_gripper",
+            Self::Action(_) => "out_of_bounds",
+            Self::Frames(_) => "too_many_frames",
+        }
+    }
+
+    /// How many things were left out.
+    pub fn count(&self) -> u64 {
+        match self {
+            Self::Gap { periods, .. } => *periods,
+            _ => 1,
+        }
+    }
+}

@@ -1,0 +1,14 @@
+//! Subscriptions that there may not be.
+
+use wm_msgs::Message;
+use wm_ros::{Received, Subscription};
+
+/// The next message; where there is no subscription, none ever comes.
+pub(crate) async fn next<M: Message>(
+    subscription: &mut Option<Subscription<M>>,
+) -> Option<Received<M>> {
+    match subscription {
+        Some(subscription) => subscription.recv().await,
+        None => std::future::pending().await,
+    }
+}

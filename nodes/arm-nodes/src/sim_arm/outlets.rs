@@ -1,0 +1,243 @@
+//! The simulated arm's topics and services, and what goes out on them.
+
+use std::time::Duration;
+
+use anyhow::Result;
+use wm_msgs::{
+    builtin_interfaces::Time,
+    geometry_msgs::{PoseArray, PoseStamped, TwistStamped},
+    rosgraph_msgs::Clock,
+    sensor_msgs::{CameraInfo, JointState},
+    std_msgs::{Bool, Float64, Float64MultiArray, String as Text},
+    tf2_msgs::TFMessage,
+    vision_msgs::LabelInfo,
+    wm_msgs::{Action, Goal, Reset},
+};
+use wm_ros::{Endpoint as _, Publisher, Qos, Subscription};
+use wm_sim::{BASE_FRAME, INSTRUCTION_TOPIC, SUCCESS_TOPIC};
+use wm_wire::transport::{ImagePublisher, Pictures, Transports};
+
+use super::{Frame, SimArmStep, Tick, View, message};
+
+/// How long the last messages may take to arrive.
+const FAREWELL: Duration = Duration::from_millis(300);
+
+wm_ros::endpoints! {
+    /// Topics and services.
+    pub(super) struct Endpoints {
+        /// What the arm is told.
+        pub(super) inlets: Inlets;
+        /// What the arm tells.
+        pub(super) outlets: Outlets;
+        /// Begins the task anew, with the seed and the parameter task.
+        pub(super) reset: wm_ros::Service<Reset> = "~/reset";
+    }
+}
+
+wm_ros::endpoints! {
+    /// What the arm is told.
+    pub(super) struct Inlets {
+        /// Velocities of the tool in the base frame. The newest one counts.
+        pub(super) twists: Subscription<TwistStamped> = "command/twist", qos(Qos::best_effort(1));
+        /// The same as vx, vy, vz [m/s], wx, wy, wz [rad/s].
+        pub(super) velocities: Subscription<Float64MultiArray> = "command/velocity", qos(Qos::best_effort(1));
+        /// Motions, each to be done once. What comes within a step adds up.
+        pub(super) motions: Subscription<Action> = "command/action", qos(Qos::reliable(100));
+        /// The gripper's opening, 0 closed to 1 open.
+        pub(super) openings: Subscription<Float64> = "command/gripper";
+    }
+}
+
+wm_ros::endpoints! {
+    /// What the arm tells.
+    pub(super) struct Outlets {
+        /// What the camera sees, 256 by 256, after each step.
+        pub(super) pictures: ImagePublisher = "/camera/image_raw";
+        /// How the camera sees, with each picture.
+        pub(super) camera_infos: Publisher<CameraInfo> = "/camera/camera_info";
+        /// What the second camera sees, with front_camera.
+        pub(super) front_pictures: Option<ImagePublisher> = "/front_camera/image_raw", made(|node, name, qos| {
+            let is_wanted: bool = node.parameter("front_camera")?;
+            is_wanted.then(|| ImagePublisher::make(node, name, qos)).transpose()
+        });
+        /// How it sees.
+        pub(super) front_infos: Option<Publisher<CameraInfo>> = "/front_camera/camera_info", made(|node, name, qos| {
+            let is_wanted: bool = node.parameter("front_camera")?;
+            is_wanted.then(|| node.publisher(name, qos)).transpose()
+        });
+        /// What it would see once the task is done.
+        pub(super) goals: ImagePublisher = "goal/image", qos(Qos::latched(1));
+        /// The same as a goal of one or several pictures, as goal_period has it.
+        pub(super) ways: Publisher<Goal> = "goal", qos(Qos::latched(1));
+        /// The task in words.
+        pub(super) instructions: Publisher<Text> = INSTRUCTION_TOPIC, qos(Qos::latched(1));
+        /// Whether the task is done: at the start, after a reset, and when that changes.
+        pub(super) successes: Publisher<Bool> = SUCCESS_TOPIC, qos(Qos::latched(1));
+        /// Where the tool is.
+        pub(super) poses: Publisher<PoseStamped> = "ee_pose";
+        /// How far the gripper is open, 0 closed to 1 open.
+        pub(super) grippers: Publisher<Float64> = "gripper";
+        /// The arm's joints and fingers [rad, m].
+        pub(super) joints: Publisher<JointState> = "joint_states";
+        /// The arm as a URDF.
+        pub(super) descriptions: Publisher<Text> = "robot_description", qos(Qos::latched(1));
+        /// The tool's frame.
+        pub(super) transforms: Publisher<TFMessage> = "/tf", qos(Qos::reliable(100));
+        /// The cameras' optical frames; each seed has them a little elsewhere.
+        pub(super) static_transforms: Publisher<TFMessage> = "/tf_static", qos(Qos::latched(1));
+        /// Where the objects really are.
+        pub(super) objects: Publisher<PoseArray> = "~/objects";
+        /// Their names: a class_id is the place in objects.
+        pub(super) object_names: Publisher<LabelInfo> = "~/object_names", qos(Qos::latched(1));
+        /// The time, with a real_time_factor other than 1.
+        pub(super) clock: Option<Publisher<Clock>> = "/clock", qos(Qos::reliable(1)), made(|node, name, qos| {
+            let factor: f64 = node.parameter("real_time_factor")?;
+            (factor != 1.0).then(|| node.publisher(name, qos)).transpose()
+        });
+        /// What was done in each step, with publish_action; its stamp is that of the picture before.
+        pub(super) actions: Option<Publisher<Action>> = "action", made(|node, name, qos| {
+            let is_wanted: bool = node.parameter("publish_action")?;
+            is_wanted.then(|| node.publisher(name, qos)).transpose()
+        });
+        /// What is missing to the goal [m].
+        pub(super) distances: Publisher<Float64> = "~/distance";
+    }
+}
+
+/// A picture as messages, and how its camera sees.
+pub(super) struct Shown {
+    view: View,
+    pictures: Pictures,
+    info: CameraInfo,
+}
+
+/// The pictures as messages.
+///
+/// # Errors
+/// One that cannot be compressed.
+pub(super) fn shown(
+    step: &SimArmStep,
+    frames: &[Frame],
+    transports: Transports,
+) -> Result<Vec<Shown>> {
+    let mut all = Vec::with_capacity(frames.len());
+    for Frame {
+        view,
+        stamp_ns,
+        picture,
+    } in frames
+    {
+        let Some((_, eye)) = step.eyes().find(|(other, _)| other == view) else {
+            continue;
+        };
+        all.push(Shown {
+            view: *view,
+            pictures: message::pictures(picture, *view, *stamp_ns, transports)?,
+            info: message::camera_info(eye, *view, *stamp_ns),
+        });
+    }
+    Ok(all)
+}
+
+/// Frames by their names.
+pub(super) struct Names {
+    /// Of what is published; empty: left open.
+    pub(super) base: String,
+    /// Of the tool.
+    pub(super) tool: String,
+}
+
+impl Names {
+    /// The base, which a transform cannot leave open.
+    fn root(&self) -> &str {
+        match self.base.as_str() {
+            "" => BASE_FRAME,
+            base => base,
+        }
+    }
+}
+
+impl Outlets {
+    /// Says what does not change until a reset: the task, its goal, the arm, and where the cameras are.
+    pub(super) fn announce(
+        &self,
+        step: &SimArmStep,
+        now_ns: i64,
+        names: &Names,
+        transports: Transports,
+    ) -> Result<()> {
+        let goal = message::pictures(step.goal_picture(), View::Side, now_ns, transports)?;
+        self.goals.publish(&goal)?;
+        self.ways.publish(&message::goal(step.goals(), now_ns))?;
+        let data = step.instruction().to_owned();
+        self.instructions.publish(&Text { data })?;
+        let data = wm_sim::urdf(names.root());
+        self.descriptions.publish(&Text { data })?;
+        let cameras = message::camera_transforms(step, now_ns, names.root());
+        self.static_transforms.publish(&cameras)?;
+        let objects = message::object_names(step.world(), now_ns, &names.base);
+        self.object_names.publish(&objects)?;
+        Ok(())
+    }
+
+    /// Tells the time, where the arm makes it.
+    pub(super) fn tell_time(&self, now_ns: i64) -> Result<()> {
+        if let Some(clock) = &self.clock {
+            clock.publish(&Clock {
+                clock: Time::from_nanos(now_ns),
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Tells what came of a step.
+    pub(super) fn publish(&self, step: &SimArmStep, tick: &Tick, names: &Names) -> Result<()> {
+        if let (Some(actions), Some(done)) = (&self.actions, &tick.done) {
+            actions.publish(&message::action(done, &names.base))?;
+        }
+        self.poses.publish(&message::pose(tick, &names.base))?;
+        let tool = message::tool_transform(tick, names.root(), &names.tool);
+        self.transforms.publish(&tool)?;
+        self.grippers.publish(&Float64 { data: tick.opening })?;
+        if let Some(positions) = tick.joints {
+            let joints = message::joints(positions, tick.stamp_ns);
+            self.joints.publish(&joints)?;
+        }
+        let objects = message::objects(step.world(), tick.stamp_ns, &names.base);
+        self.objects.publish(&objects)?;
+        let data = tick.distance_m;
+        self.distances.publish(&Float64 { data })?;
+        if let Some(data) = tick.success {
+            self.successes.publish(&Bool { data })?;
+        }
+        Ok(())
+    }
+
+    /// Shows pictures.
+    pub(super) fn show(&self, shown: &[Shown]) -> Result<()> {
+        for Shown {
+            view,
+            pictures,
+            info,
+        } in shown
+        {
+            let (images, infos) = match view {
+                View::Side => (Some(&self.pictures), Some(&self.camera_infos)),
+                View::Front => (self.front_pictures.as_ref(), self.front_infos.as_ref()),
+            };
+            if let Some(infos) = infos {
+                infos.publish(info)?;
+            }
+            if let Some(images) = images {
+                images.publish(pictures)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits, but not for long, until the outcome has arrived: a recorder writes it down last.
+    pub(super) async fn settle(&self) -> Result<()> {
+        self.successes.wait_for_acknowledgments(FAREWELL).await?;
+        Ok(())
+    }
+}
