@@ -197,6 +197,16 @@ impl ImageSubscription {
             .collect()
     }
 
+    /// The next frame that is there already, by either transport.
+    pub fn try_recv(&mut self) -> Option<Received<CameraFrame>> {
+        let raw = self.raw.as_mut().and_then(Subscription::try_recv);
+        if let Some(received) = raw {
+            return Some(received.map(CameraFrame::Raw));
+        }
+        let compressed = self.compressed.as_mut().and_then(Subscription::try_recv);
+        compressed.map(|received| received.map(CameraFrame::Compressed))
+    }
+
     /// The next frame by either transport; `None` after shutdown. Cancel safe.
     pub async fn recv(&mut self) -> Option<Received<CameraFrame>> {
         tokio::select! {

@@ -47,7 +47,7 @@ impl Shots {
         seen: impl FnOnce() -> Option<RgbImage>,
         imagined: Option<&Arc<RgbImage>>,
     ) {
-        let is_due = self.frames % self.stride == 0;
+        let is_due = self.frames.is_multiple_of(self.stride);
         self.frames += 1;
         if !is_due {
             return;
