@@ -10,53 +10,54 @@ use crate::PlanError;
 pub struct Arrival {
     /// A goal is reached when its mean squared latent distance is below this share of that to the goal after it.
     pub share: f32,
-    /// Plans made for a goal at most; the next one is tried then.
-    pub plans: usize,
+    /// Model steps after which the next one is tried all the same.
+    pub steps: f32,
 }
 
 impl Default for Arrival {
     fn default() -> Self {
         Self {
             share: 0.3,
-            plans: 4,
+            steps: 4.0,
         }
     }
 }
 
 /// How far one has come along several goals.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Waypoint {
     /// The goal to reach next.
     pub index: usize,
-    /// Plans that were made for it.
-    pub plans: usize,
+    /// For how many model steps it was tried.
+    pub steps: f32,
 }
 
 impl Waypoint {
-    /// Where one is when `observed` (h, w, C) is seen and another plan is to be made: past all goals that are reached or
-    /// were tried often enough, but never past the last of `goals`, (h, w, C) each.
+    /// Where one is `passed` model steps later, in `latent` (h, w, C): past all goals that are reached or were tried for
+    /// too long, but never past the last of `goals`, (h, w, C) each.
     ///
     /// # Errors
     /// Where shapes differ.
     pub fn advance(
         self,
+        passed: f32,
         goals: &[Tensor],
-        observed: &Tensor,
+        latent: &Tensor,
         arrival: Arrival,
     ) -> Result<Self, PlanError> {
         let mut at = Self {
-            plans: self.plans + 1,
+            steps: self.steps + passed,
             ..self
         };
         while let (Some(goal), Some(next)) = (goals.get(at.index), goals.get(at.index + 1)) {
-            let is_near =
-                latent_distance(observed, goal)? < arrival.share * latent_distance(goal, next)?;
-            if !is_near && at.plans <= arrival.plans {
+            let apart = latent_distance(goal, next)?;
+            let is_near = latent_distance(latent, goal)? < arrival.share * apart;
+            if !is_near && at.steps <= arrival.steps {
                 break;
             }
             at = Self {
                 index: at.index + 1,
-                plans: 0,
+                steps: 0.0,
             };
         }
         Ok(at)
@@ -99,27 +100,28 @@ mod tests {
         let goals = [latent(1.0), latent(2.0), latent(3.0)];
         let arrival = Arrival {
             share: 0.3,
-            plans: 2,
+            steps: 2.0,
         };
-        let advance = |at: Waypoint, seen| at.advance(&goals, &latent(seen), arrival).unwrap();
+        let advance = |at: Waypoint, seen| at.advance(1.0, &goals, &latent(seen), arrival).unwrap();
+        let at = |index, steps| Waypoint { index, steps };
         let far = advance(Waypoint::default(), 0.0);
-        assert_eq!(far, Waypoint { index: 0, plans: 1 });
+        assert_eq!(far, at(0, 1.0));
         let near = advance(far, 0.9);
-        assert_eq!(near, Waypoint { index: 1, plans: 0 });
-        // In vain, twice; then the last goal, which stays.
-        let mut at = near;
-        for plans in 1..=2 {
-            at = advance(at, 0.9);
-            assert_eq!(at, Waypoint { index: 1, plans });
+        assert_eq!(near, at(1, 0.0));
+        // In vain, for two steps; then the last goal, which stays.
+        let mut now = near;
+        for steps in [1.0, 2.0] {
+            now = advance(now, 0.9);
+            assert_eq!(now, at(1, steps));
         }
-        at = advance(at, 0.9);
-        assert_eq!(at.index, 2);
+        now = advance(now, 0.9);
+        assert_eq!(now.index, 2);
         for _ in 0..5 {
-            at = advance(at, 3.0);
+            now = advance(now, 3.0);
         }
-        assert_eq!(at.index, 2);
+        assert_eq!(now.index, 2);
         let other = Tensor::from_vec(vec![0.0_f32; 3], (1, 1, 3), &Device::Cpu).unwrap();
-        let refused = Waypoint::default().advance(&goals, &other, arrival);
+        let refused = Waypoint::default().advance(1.0, &goals, &other, arrival);
         assert!(refused.is_err());
     }
 

@@ -139,11 +139,11 @@ pub struct Heard(PlanFeedback);
 
 impl Heard {
     /// Of a search with these `terms`; none before there is a best candidate.
-    pub fn of(progress: &Progress<'_>, terms: &[String]) -> Option<Self> {
+    pub fn of(progress: &Progress<'_>, terms: &[&str]) -> Option<Self> {
         Some(Self(PlanFeedback {
             iteration: u32::try_from(progress.iteration.saturating_sub(1)).unwrap_or(u32::MAX),
             best_cost: progress.best?,
-            terms: terms.to_vec(),
+            terms: terms.iter().map(|&term| term.to_owned()).collect(),
             term_costs: progress.terms.to_vec(),
             candidates: u32::try_from(progress.candidates).unwrap_or(u32::MAX),
             ..PlanFeedback::default()
@@ -295,7 +295,7 @@ mod tests {
             terms: &[0.5],
             deviation: 0.0,
         };
-        let heard = Heard::of(&progress, &["goal".to_owned()]).unwrap();
+        let heard = Heard::of(&progress, &["goal"]).unwrap();
         let feedback = course.feedback(heard);
         assert_eq!(
             (feedback.plan, feedback.iteration, feedback.distance),

@@ -18,9 +18,9 @@ use wm_msgs::{
     wm_msgs::{Action, Plan},
 };
 use wm_planner::{
-    Coordinate, Objective, PlannedActions, PlannerChoice, PlannerSettings, Problem, SearchSpace,
-    Success, TransitionDynamics, Watch, Waypoint, WorkspaceMargin, latent_distance, one_a_step,
-    spread, timed,
+    Coordinate, Dynamics as _, Objective, PlannedActions, PlannerChoice, PlannerSettings, Problem,
+    Progress, SearchSpace, Success, TransitionDynamics, Waypoint, WorkspaceMargin, latent_distance,
+    one_a_step, spread, timed,
 };
 use wm_zoo::{idm::TrainedIdm, success_probe::SuccessClassifier};
 
@@ -151,23 +151,18 @@ impl PlannerModel {
         self.choice
     }
 
-    /// Names of the terms of a request's cost.
-    ///
-    /// # Errors
-    /// As [`Self::plan`].
-    pub fn terms(&self, request: &PlanRequest) -> Result<Vec<String>, PlannerError> {
-        let goals = self.course(request)?.goals;
-        let objective = self.objective(request, &goals)?;
-        Ok(objective.names().map(str::to_owned).collect())
-    }
-
-    /// Searches for the plan of a request; `watch` hears of every batch, and ends the search by `true`.
+    /// Searches for the plan of a request; `watch` hears of every batch, with the names of the cost's terms, and ends the
+    /// search by `true`.
     ///
     /// # Errors
     /// [`PlannerError`] where the request does not fit the model, or nothing finite is found.
-    pub fn plan(&self, request: &PlanRequest, watch: Watch<'_>) -> Result<Planned, PlannerError> {
-        let course = self.course(request)?;
+    pub fn plan(
+        &self,
+        request: &PlanRequest,
+        watch: &mut dyn FnMut(&Progress<'_>, &[&str]) -> bool,
+    ) -> Result<Planned, PlannerError> {
         let mut dynamics = self.dynamics(request)?;
+        let course = self.course(request, &dynamics.start()?)?;
         let space = self.space(request)?;
         let objective = self.objective(request, &course.goals)?;
         let choice = match course.goals.is_empty() {
@@ -190,6 +185,8 @@ impl PlannerModel {
             batch: self.setup.batch,
             proposals: start.into_iter().cloned().collect(),
         };
+        let terms: Vec<&str> = objective.names().collect();
+        let watch = &mut |progress: &Progress<'_>| watch(progress, &terms);
         let found = planner.plan(&mut problem, request.seed, watch)?;
         let outcome = match request.is_shown {
             true => self.outcome(&problem.imagine(&found.actions)?)?,
@@ -214,7 +211,7 @@ impl PlannerModel {
             // At most as many as a goal may have.
             goal_index: course.waypoint.index as u32,
             distance: course.distance,
-            terms: objective.names().map(str::to_owned).collect(),
+            terms: terms.iter().map(|&term| term.to_owned()).collect(),
             spread_costs,
             ..self.message(request, &found, actions)
         };
@@ -267,8 +264,8 @@ impl PlannerModel {
         Ok(space)
     }
 
-    /// Which latents to be at.
-    fn course(&self, request: &PlanRequest) -> Result<Course, PlannerError> {
+    /// Which latents to be at, from where the plan begins: the latent `start` (h, w, C).
+    fn course(&self, request: &PlanRequest, start: &Tensor) -> Result<Course, PlannerError> {
         let shape = self.parts.model.space.shape();
         let latent = |values: &Arc<[f32]>| Tensor::from_slice(values, shape, &Device::Cpu);
         let goal = &request.goal;
@@ -284,9 +281,12 @@ impl PlannerModel {
         let distance = latent_distance(&observed, last)?;
         let horizon = self.setup.horizon;
         let (goals, waypoint) = if goal.times_ns.is_empty() {
-            let waypoint = request
-                .waypoint
-                .advance(&latents, &observed, self.setup.arrival)?;
+            let waypoint = request.waypoint.advance(
+                request.passed_steps,
+                &latents,
+                start,
+                self.setup.arrival,
+            )?;
             let left = latents.get(waypoint.index..).unwrap_or_default();
             (one_a_step(left, horizon), waypoint)
         } else {
@@ -295,7 +295,7 @@ impl PlannerModel {
             let indices = timed(&goal.times_ns, begin_ns, step_ns, horizon);
             let waypoint = Waypoint {
                 index: indices.first().copied().unwrap_or_default(),
-                plans: 0,
+                steps: 0.0,
             };
             let of_step = |index: &usize| latents.get(*index).cloned();
             (indices.iter().filter_map(of_step).collect(), waypoint)

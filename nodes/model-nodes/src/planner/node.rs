@@ -127,7 +127,7 @@ impl ModelNode for Planner {
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
         let name = model.name.clone();
-        let setup = parameters.setup()?;
+        let setup = parameters.setup(history.timing.step_ns() as f64 / 1e9)?;
         let probe = match setup.success > 0.0 {
             true => folder.probe()?.map(Arc::new),
             false => None,
@@ -164,13 +164,9 @@ impl ModelNode for Planner {
             let started = Instant::now();
             let is_late = || !deadline.is_zero() && started.elapsed() >= deadline;
             // What is wrong with the request, the search says itself.
-            let terms = match request.is_followed {
-                true => planner.terms(&request).unwrap_or_default(),
-                false => Vec::new(),
-            };
             let mut told = None;
-            let planned = planner.plan(&request, &mut |progress| {
-                let heard = Heard::of(progress, &terms).filter(|_| request.is_followed);
+            let planned = planner.plan(&request, &mut |progress, terms| {
+                let heard = Heard::of(progress, terms).filter(|_| request.is_followed);
                 if let Some(heard) = heard
                     && told.replace(heard.iteration()) != Some(heard.iteration())
                 {

@@ -74,8 +74,8 @@ wm_ros::parameters! {
         success_weight: f64 = 0.0, in 0.0..=1e6;
         /// Of several goals, one is reached when its distance is below this share of that to the next one.
         goal_arrival: f64 = 0.3, in 0.0..=1.0;
-        /// Of several goals, how many plans are made for one before the next one is tried.
-        goal_plans: usize = 4, in 1..=MANY;
+        /// Of several goals, for how long one is tried before the next one is [s].
+        goal_patience: f64 = 1.6, in 0.0..=3600.0;
         /// Number of other noise seeds that the plan's cost is predicted with, for its spread.
         spread_seeds: usize = 0, in 0..=64;
         /// Number of observed frames that a plan starts from, one model step apart; at most 64.
@@ -123,8 +123,8 @@ wm_ros::parameters! {
 }
 
 impl Parameters {
-    /// How to plan.
-    pub(super) fn setup(&self) -> Result<PlannerSetup> {
+    /// How to plan, where a model step takes `step_s`.
+    pub(super) fn setup(&self, step_s: f64) -> Result<PlannerSetup> {
         let (population, iterations, elites) = (self.population, self.iterations, self.elites);
         let (initial_std, std_floor) = (self.initial_std as f32, self.std_floor as f32);
         Ok(PlannerSetup {
@@ -170,7 +170,7 @@ impl Parameters {
             spread_seeds: self.spread_seeds,
             arrival: Arrival {
                 share: self.goal_arrival as f32,
-                plans: self.goal_plans,
+                steps: (self.goal_patience / step_s) as f32,
             },
             integration_steps: Some(self.integration_steps).filter(|steps| *steps > 0),
             search: self.search.clone(),

@@ -65,6 +65,8 @@ pub struct PlanRequest {
     pub goal_set_ns: i64,
     /// How far along the goal's latents the plans before this one came.
     pub waypoint: Waypoint,
+    /// Model steps between the observation of the plan before and this one; 0 for the first one.
+    pub passed_steps: f32,
     /// Where the end effector is when the plan begins \[m\], if the step was told where it is.
     pub position: Option<[f64; 3]>,
     /// First mean of the search: the last plan for this goal, without what has passed of it.
@@ -262,7 +264,12 @@ impl PlannerStep {
             return Err(PlanWait::Recent);
         }
         let until = self.history.future(self.lead_steps(&moment, now) + 1)?;
+        let passed_ns = self
+            .requested_ns
+            .map_or(0, |before_ns| observed_ns - before_ns);
         let mut request = PlanRequest {
+            // A ratio of seconds.
+            passed_steps: passed_ns as f32 / moment.timing.step_ns() as f32,
             position: self.position_after(&until, now)?,
             moment,
             until,

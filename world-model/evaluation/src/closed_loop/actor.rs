@@ -256,9 +256,10 @@ impl Planning<'_> {
     ) -> Result<Vec<Tensor>> {
         let arrival = Arrival {
             share: settings.arrival,
-            plans: settings.wait,
+            steps: settings.wait as f32,
         };
-        self.at = self.at.advance(&self.goals, observed, arrival)?;
+        let passed = if self.plans.is_empty() { 0.0 } else { 1.0 };
+        self.at = self.at.advance(passed, &self.goals, observed, arrival)?;
         Ok(self.goals.get(self.at.index..).unwrap_or_default().to_vec())
     }
 

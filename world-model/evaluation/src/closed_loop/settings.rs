@@ -33,7 +33,7 @@ pub struct ClosedLoopSettings {
     pub goals: Goals,
     /// A subgoal is reached when its latent is nearer than this share of its distance from the next one.
     pub arrival: f32,
-    /// Plans that are made for a subgoal at most before the next one is tried.
+    /// Model steps after which the next subgoal is tried all the same.
     pub wait: usize,
     /// Whether the gripper is searched; it keeps its state otherwise.
     pub gripper: bool,

@@ -187,7 +187,7 @@ fn a_plan_says_what_it_was_computed_from_and_keeps_the_bounds() {
     step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
     let request = step.request(at(2)).unwrap();
-    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_, _| false).unwrap();
     let plan = &found.message;
     assert_eq!(
         plan.header,
@@ -245,9 +245,9 @@ fn a_plan_says_what_it_was_computed_from_and_keeps_the_bounds() {
         (Some(1), Some("beef"))
     );
 
-    let again = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let again = model(settings()).plan(&request, &mut |_, _| false).unwrap();
     assert_eq!(found.actions, again.actions);
-    let cut = model(settings()).plan(&request, &mut |_| true).unwrap();
+    let cut = model(settings()).plan(&request, &mut |_, _| true).unwrap();
     let cut = cut.message;
     assert!(cut.deadline_cut && cut.iteration_costs.len() == 1);
 }
@@ -264,7 +264,7 @@ fn plans_are_a_period_apart_and_start_from_the_rest_of_the_last_one() {
     feed(&mut step, 0..=2);
     let request = step.request(at(2)).unwrap();
     assert_eq!((request.seed, &request.start), (5, &None));
-    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_, _| false).unwrap();
     let taken = Duration::from_millis(100);
     assert_eq!(step.planned(&request, &found, taken, at(2) + taken), Ok(()));
     feed(&mut step, 3..=3);
@@ -299,7 +299,7 @@ fn a_search_slower_than_the_plan_period_still_starts_the_next_one() {
     let second = step.request(at(4)).unwrap();
     assert_eq!(second.start, None);
     feed(&mut step, 5..=7);
-    let found = model.plan(&first, &mut |_| false).unwrap();
+    let found = model.plan(&first, &mut |_, _| false).unwrap();
     let taken = Duration::from_secs(1);
     assert_eq!(step.planned(&first, &found, taken, at(7)), Ok(()));
     feed(&mut step, 8..=8);
@@ -323,7 +323,7 @@ fn a_plan_begins_where_the_robot_will_be_when_it_is_ready() {
     let request = step.request(at(2) + Duration::from_millis(100)).unwrap();
     assert_eq!((request.lead_steps(), request.until.len()), (3, 4));
     assert_eq!(request.begin_ns(), stamp(8).to_nanos());
-    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_, _| false).unwrap();
     let plan = &found.message;
     assert_eq!((plan.lead_steps, plan.header.stamp), (3, stamp(2)));
     let stamps = plan.actions.iter().map(|action| action.header.stamp);
@@ -371,7 +371,7 @@ fn plan_of(moving: &[f32; 7], searched: &[&str]) -> Plan {
     feed_moving(&mut step, 0..=2, moving);
     let request = step.request(at(2)).unwrap();
     let model = searching(settings(), searched).unwrap();
-    model.plan(&request, &mut |_| false).unwrap().message
+    model.plan(&request, &mut |_, _| false).unwrap().message
 }
 
 #[test]
@@ -437,7 +437,7 @@ fn goals_are_reached_one_after_the_other() {
     feed(&mut step, 0..=2);
     let model = model(settings());
     let request = step.request(at(2)).unwrap();
-    let found = model.plan(&request, &mut |_| false).unwrap();
+    let found = model.plan(&request, &mut |_, _| false).unwrap();
     assert_eq!(found.message.goal_index, 1, "the first one is reached");
     assert!(
         (found.message.distance - 4.0).abs() < 1e-3,
@@ -451,7 +451,7 @@ fn goals_are_reached_one_after_the_other() {
         feed(&mut step, 3 + 2 * index..=4 + 2 * index);
         let now = at(4 + 2 * index);
         let request = step.request(now).unwrap();
-        let found = model.plan(&request, &mut |_| false).unwrap();
+        let found = model.plan(&request, &mut |_, _| false).unwrap();
         step.planned(&request, &found, taken, now).unwrap();
         indices.push(found.message.goal_index);
     }
@@ -472,7 +472,7 @@ fn goals_with_times_are_reached_at_their_times() {
     let model = model(settings());
     let index = |request: &PlanRequest| {
         model
-            .plan(request, &mut |_| false)
+            .plan(request, &mut |_, _| false)
             .unwrap()
             .message
             .goal_index
@@ -491,20 +491,20 @@ fn a_mask_leaves_out_what_it_does_not_mark() {
     step.set_goal(whole.clone(), Time::default());
     feed(&mut step, 0..=2);
     let request = step.request(at(2)).unwrap();
-    let all = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let all = model(settings()).plan(&request, &mut |_, _| false).unwrap();
     whole.mask = Some((0..16).map(|cell| f32::from(u8::from(cell == 3))).collect());
     let part = PlanRequest {
         goal: Arc::new(whole.clone()),
         ..request.clone()
     };
-    let part = model(settings()).plan(&part, &mut |_| false).unwrap();
+    let part = model(settings()).plan(&part, &mut |_, _| false).unwrap();
     assert_ne!(all.message.cost, part.message.cost);
     whole.mask = Some([1.0; 9].into());
     let wrong = PlanRequest {
         goal: Arc::new(whole),
         ..request
     };
-    assert!(model(settings()).plan(&wrong, &mut |_| false).is_err());
+    assert!(model(settings()).plan(&wrong, &mut |_, _| false).is_err());
 }
 
 #[test]
@@ -536,7 +536,7 @@ fn a_box_needs_a_pose_and_keeps_the_end_effector_within() {
     };
     let end = |workspace| {
         let planned = model(setup(workspace))
-            .plan(&request, &mut |_| false)
+            .plan(&request, &mut |_, _| false)
             .unwrap();
         let actions = planned.message.actions;
         let x: f64 = actions
@@ -577,7 +577,7 @@ fn words_alone_need_a_planner_that_searches() {
     // Nothing reads them here: only the actions cost.
     let mut setup = settings();
     setup.weights.action = 1.0;
-    let found = model(setup).plan(&request, &mut |_| false).unwrap();
+    let found = model(setup).plan(&request, &mut |_, _| false).unwrap();
     assert_eq!(found.message.terms, ["action"]);
     assert!(found.message.distance.is_nan());
 }
@@ -596,7 +596,7 @@ fn nothing_is_planned_or_sent_from_a_frame_that_is_too_old() {
     );
 
     let request = step.request(at(2) + MAX_AGE).unwrap();
-    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_, _| false).unwrap();
     let taken = Duration::from_millis(1);
     let unsent = step.planned(&request, &found, taken, late).unwrap_err();
     assert_eq!(unsent.reason(), "stale_frame");
@@ -612,7 +612,7 @@ fn a_plan_whose_actions_are_over_is_not_sent() {
     step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);
     let request = step.request(at(2)).unwrap();
-    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_, _| false).unwrap();
     feed(&mut step, 3..=7);
     // Two steps of 0.4 s from frame 2 on end with frame 6.
     let taken = Duration::from_secs(1);
@@ -627,7 +627,7 @@ fn a_jump_and_a_reset_forget_the_history_but_not_the_goal() {
     step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=20);
     let request = step.request(at(20)).unwrap();
-    let found = model(settings()).plan(&request, &mut |_| false).unwrap();
+    let found = model(settings()).plan(&request, &mut |_, _| false).unwrap();
     feed(&mut step, 0..=2);
     let unsent = step.planned(&request, &found, Duration::ZERO, at(20));
     assert_eq!(unsent, Err(Unsent::Superseded));
