@@ -9,7 +9,10 @@ use crate::{
 };
 use std::{
     collections::BTreeMap,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 use tokio::sync::watch;
 use wm_msgs::{
@@ -23,6 +26,30 @@ use wm_msgs::{
 };
 
 /// The calling end of an action `A`.
+///
+/// ```no_run
+/// use wm_msgs::wm_msgs::action::{Plan, PlanGoal};
+///
+/// # async fn go(node: wm_ros::Node) -> Result<(), wm_ros::Error> {
+/// let client = node.action_client::<Plan>("plan_to")?;
+/// client.wait_for_server().await;
+/// let Some(goal) = client.send(&PlanGoal::default()).await? else {
+///     println!("rejected");
+///     return Ok(());
+/// };
+/// let mut ended = std::pin::pin!(goal.result());
+/// loop {
+///     tokio::select! {
+///         Some(feedback) = goal.feedback() => println!("{}", feedback.best_cost),
+///         result = &mut ended => {
+///             let (status, result) = result?;
+///             println!("{status}: {}", result.message);
+///             return Ok(());
+///         }
+///     }
+/// }
+/// # }
+/// ```
 pub struct ActionClient<A: Action> {
     parts: Arc<Parts<A>>,
 }
@@ -51,6 +78,8 @@ pub(crate) struct Parts<A: Action> {
 /// The goals of a client that somebody follows.
 pub(crate) struct Goals<A: Action> {
     followed: Mutex<BTreeMap<GoalId, Arc<Followed<A>>>>,
+    /// Whether a sample was skipped, which is told once and counted from then on.
+    has_refused: AtomicBool,
     diagnostics: Diagnostics,
 }
 
@@ -64,6 +93,7 @@ impl<A: Action> Goals<A> {
     pub(crate) fn new(diagnostics: Diagnostics) -> Arc<Self> {
         Arc::new(Self {
             followed: Mutex::default(),
+            has_refused: AtomicBool::new(false),
             diagnostics,
         })
     }
@@ -120,7 +150,9 @@ impl<A: Action> Goals<A> {
     }
 
     fn refuse(&self, topic: &str, reason: &str) {
-        tracing::warn!("{topic}: a sample is skipped: {reason}");
+        if !self.has_refused.swap(true, Ordering::Relaxed) {
+            tracing::warn!("{topic}: a sample is skipped, as will be others like it: {reason}");
+        }
         self.diagnostics
             .count_drop(&format!("{topic}: undecodable"));
     }
@@ -138,17 +170,10 @@ impl<A: Action> Followed<A> {
     }
 }
 
-/// Takes a goal off the list where nobody follows it any more.
-struct Following<'a, A: Action> {
-    goals: &'a Goals<A>,
-    id: Option<GoalId>,
-}
-
-impl<A: Action> Drop for Following<'_, A> {
-    fn drop(&mut self) {
-        if let Some(id) = self.id {
-            self.goals.followed().remove(&id);
-        }
+impl<A: Action> Parts<A> {
+    async fn cancel(&self, which: GoalInfo) -> Result<CancelGoalResponse, Error> {
+        let request = CancelGoalRequest { goal_info: which };
+        self.cancel_goal.call(&request).await
     }
 }
 
@@ -201,24 +226,18 @@ impl<A: Action> ActionClient<A> {
             feedback: Mailbox::new(super::FEEDBACK_QOS.depth),
             status: watch::Sender::new(None),
         });
-        // Before the request, so that nothing is missed.
+        // Before the request, so that nothing is missed; dropped, and no longer followed, where the goal is not accepted.
         goals.followed().insert(id, Arc::clone(&followed));
-        let mut following = Following {
-            goals,
-            id: Some(id),
+        let mut goal = ClientGoal {
+            id,
+            accepted: Time::default(),
+            followed,
+            parts: Arc::clone(&self.parts),
         };
         let answer = send_goal.call(request.into()).await?;
         let SendGoalResponse { accepted, stamp } = cdr::from_bytes(&answer)?;
-        if !accepted {
-            return Ok(None);
-        }
-        following.id = None;
-        Ok(Some(ClientGoal {
-            id,
-            accepted: stamp,
-            followed,
-            parts: Arc::clone(&self.parts),
-        }))
+        goal.accepted = stamp;
+        Ok(accepted.then_some(goal))
     }
 
     /// Requests that goals be canceled, those of other clients too: the one with this id, and those that were accepted at
@@ -227,8 +246,7 @@ impl<A: Action> ActionClient<A> {
     /// # Errors
     /// The middleware failed, the answer is not of the type, or the context is shut down.
     pub async fn cancel(&self, which: GoalInfo) -> Result<CancelGoalResponse, Error> {
-        let request = CancelGoalRequest { goal_info: which };
-        self.parts.cancel_goal.call(&request).await
+        self.parts.cancel(which).await
     }
 
     /// The action's absolute name.
@@ -278,8 +296,7 @@ impl<A: Action> ClientGoal<A> {
             goal_id: self.id.into(),
             stamp: Time::default(),
         };
-        let request = CancelGoalRequest { goal_info: which };
-        let response = self.parts.cancel_goal.call(&request).await?;
+        let response = self.parts.cancel(which).await?;
         Ok(response.return_code == CancelGoalResponse::ERROR_NONE)
     }
 

@@ -27,7 +27,34 @@ use wm_msgs::{
 
 /// The serving end of an action `A`. Requests to cancel goals and for their results are answered as long as it lives.
 ///
-/// At most 64 goals are under way at once, and more are rejected; 64 results are kept, for 15 minutes each.
+/// At most 64 goals are under way at once, and more are rejected; 64 results are kept, for 15 minutes each. Every request to
+/// cancel a goal is accepted: the goal hears of it ([`ServerGoal::canceling`]), and its node ends it when it can.
+///
+/// ```no_run
+/// use wm_msgs::wm_msgs::action::{Plan, PlanFeedback, PlanResult};
+/// use wm_ros::{Error, ServerGoal};
+///
+/// async fn plan(goal: &ServerGoal<Plan>) -> Result<PlanResult, Error> {
+///     goal.publish_feedback(&PlanFeedback { best_cost: 0.5, ..PlanFeedback::default() })?;
+///     Ok(PlanResult { plans: 1, ..PlanResult::default() })
+/// }
+///
+/// # async fn serve(node: wm_ros::Node) -> Result<(), Error> {
+/// let mut server = node.action_server::<Plan>("plan_to")?;
+/// while let Some(request) = server.recv().await {
+///     if request.goal.goal.images.is_empty() {
+///         request.reject();
+///         continue;
+///     }
+///     let goal = request.accept()?;
+///     tokio::select! {
+///         () = goal.canceling() => goal.cancel(PlanResult::default())?,
+///         result = plan(&goal) => goal.succeed(result?)?,
+///     }
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct ActionServer<A> {
     core: Arc<Core>,
     requests: RawService,
