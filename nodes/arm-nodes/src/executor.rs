@@ -3,7 +3,8 @@
 //! [`ExecutorStep`] is the node's whole behaviour without DDS and without a clock. It takes an offer (a chunk or a plan)
 //! only if it passes every check ([`Refusal`]), and at each [`ExecutorStep::tick`] says what to send ([`Output`]): the
 //! motion that the newest offer tells for the next command period, within limits of velocity and acceleration
-//! ([`Limits`]), of the workspace ([`Workspace`]) and of the deadman switch ([`Deadman`]).
+//! ([`Limits`]), of the workspace ([`Workspace`]) or the joints ([`Joints`]), and of the deadman switch ([`Deadman`]).
+//! What moves is an end effector or joints, by the [`Layout`] of the actions; the step knows only axes ([`Rates`]).
 //!
 //! Promises, each with a test:
 //! - Nothing is sent on the command topics before the node is armed, or after an emergency stop but zeros.
@@ -16,12 +17,14 @@
 mod bounds;
 mod cause;
 mod deadman;
+mod joints;
 mod layout;
 mod limits;
 mod message;
 mod node;
 mod offer;
 mod parameters;
+mod rates;
 mod refusal;
 mod schedule;
 mod step;
@@ -32,10 +35,12 @@ mod workspace;
 pub use bounds::Bounds;
 pub use cause::{Cause, Hold};
 pub use deadman::Deadman;
+pub use joints::{JointError, Joints};
 pub use layout::{Layout, LayoutError};
-pub use limits::Limits;
+pub use limits::{Group, Limits};
 pub use node::{NODE, body};
 pub use offer::{Begin, Offer, Source};
+pub use rates::Rates;
 pub use refusal::Refusal;
 pub use step::{
     ArmError, Command, Counts, ExecutorStep, Now, Output, Settings, State, Status, Taken, Tick,

@@ -62,6 +62,7 @@ pub async fn body(node: Node) -> Result<()> {
     let mut adapter = Adapter {
         step,
         base_frame: parameters.base_frame.clone(),
+        is_lost: false,
         actions,
         states,
         grippers,
@@ -103,7 +104,7 @@ pub async fn body(node: Node) -> Result<()> {
             _ = looks.tick() => {
                 let is_silent = adapter.step.tick(clock.now().to_nanos());
                 adapter.publish()?;
-                if is_silent {
+                if is_silent && !adapter.is_lost {
                     adapter.complaints.waiting("motion", true, &"motions of the arm");
                 }
             }
@@ -114,6 +115,8 @@ pub async fn body(node: Node) -> Result<()> {
 struct Adapter {
     step: AdapterStep,
     base_frame: String,
+    /// Whether transforms are missing, which then is what it waits for.
+    is_lost: bool,
     actions: Publisher<Action>,
     states: Option<Publisher<PoseStamped>>,
     grippers: Option<Publisher<Float64>>,
@@ -150,7 +153,9 @@ impl Adapter {
     }
 
     fn follow(&mut self) -> Result<()> {
-        match self.step.follow() {
+        let followed = self.step.follow();
+        self.is_lost = followed.is_err();
+        match followed {
             Ok(Some((stamp_ns, pose))) => {
                 if let Some(states) = &self.states {
                     states.publish(&PoseStamped {

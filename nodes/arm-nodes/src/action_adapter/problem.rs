@@ -51,6 +51,14 @@ pub enum Problem {
         /// By how much \[s\].
         before_s: f64,
     },
+    /// Something that came when its time had been closed: what it says of that time is lost.
+    #[error("{what} came when {late_s:.3} s of its time were over already: do the clocks agree?")]
+    Late {
+        /// The message.
+        what: &'static str,
+        /// How much of its time \[s\].
+        late_s: f64,
+    },
     /// Stamps went back: a bag begins again, or a clock was set.
     #[error("stamps of {what} went back by {by_s:.3} s: begun anew")]
     Jump {
@@ -89,6 +97,7 @@ impl Problem {
             Self::Frame { .. } => "wrong_frame",
             Self::Stamp { .. } => "bad_stamp",
             Self::Older { .. } => "older",
+            Self::Late { .. } => "late",
             Self::Jump { .. } => "clock_jumped",
             Self::Gap { .. } => "gap",
             Self::NoGripper => "no_gripper",

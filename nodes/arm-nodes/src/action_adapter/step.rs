@@ -324,7 +324,7 @@ impl AdapterStep {
         };
         let seconds = self.period.as_secs_f64();
         let velocity = period.displacement.velocity(seconds);
-        let values = self.layout.action(velocity, gripper, seconds);
+        let values = self.layout.action(velocity.into(), gripper, seconds, &[]);
         self.layout.space().check(&values)?;
         Ok(Done {
             stamp_ns: period.start_ns,

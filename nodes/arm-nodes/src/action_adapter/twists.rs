@@ -66,14 +66,19 @@ impl Twists {
             return Err(Problem::Jump { what, by_s });
         }
         let over = self.advance(stamp_ns);
-        match &mut self.state {
-            Some(state) => {
-                // What is closed already stays as it is.
-                (state.velocity, state.told_ns) = (velocity, stamp_ns);
-            }
-            None => self.begin(stamp_ns, velocity),
+        let Some(state) = &mut self.state else {
+            self.begin(stamp_ns, velocity);
+            return Ok(over);
+        };
+        (state.velocity, state.told_ns) = (velocity, stamp_ns);
+        match state.until_ns.saturating_sub(stamp_ns) {
+            // No period is over then that was not before.
+            late_ns if late_ns > 0 => Err(Problem::Late {
+                what,
+                late_s: late_ns as f64 / 1e9,
+            }),
+            _ => Ok(over),
         }
-        Ok(over)
     }
 
     fn begin(&mut self, stamp_ns: i64, velocity: Velocity) {

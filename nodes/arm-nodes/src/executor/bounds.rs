@@ -4,7 +4,7 @@ use std::{ops::RangeInclusive, time::Duration};
 
 use wm_motion::{actions::Kind, motion::MAX_CHUNK};
 
-use super::{Layout, Offer, Refusal};
+use super::{Joints, Layout, Offer, Refusal};
 
 /// How far beyond 0 and 1 the opening of a gripper may lie: policies regress it.
 const GRIPPER_SLACK: f32 = 0.1;
@@ -16,18 +16,26 @@ pub struct Bounds {
     pub translation: f64,
     /// Greatest rotation about an axis in an [`Self::interval`] \[rad\].
     pub rotation: f64,
-    /// What these two are about. An action that takes longer, as a planner's does, may move further.
+    /// Greatest motion of a joint in an [`Self::interval`], one a joint \[rad or m\].
+    pub joints: Vec<f64>,
+    /// What these are about. An action that takes longer, as a planner's does, may move further.
     pub interval: Duration,
     /// How long it may take.
     pub periods: RangeInclusive<Duration>,
 }
 
 impl Bounds {
-    /// Checks all actions of an offer.
+    /// Checks all actions of an offer. Positions of joints are motions from those before, the first ones from `places`,
+    /// and lie within `limits` \[rad or m\].
     ///
     /// # Errors
     /// [`Refusal`] names the first that is at fault.
-    pub fn check(&self, offer: &Offer, layout: &Layout) -> Result<(), Refusal> {
+    pub fn check(
+        &self,
+        offer: &Offer,
+        layout: &Layout,
+        joints: Option<&Joints>,
+    ) -> Result<(), Refusal> {
         let count = offer.actions.len();
         if !(1..=MAX_CHUNK).contains(&count) {
             return Err(Refusal::Count(count));
@@ -43,7 +51,55 @@ impl Bounds {
             });
         }
         let mut actions = offer.actions.iter().enumerate();
-        actions.try_for_each(|(index, values)| self.check_action(index, values, period_s, layout))
+        actions
+            .try_for_each(|(index, values)| self.check_action(index, values, period_s, layout))?;
+        match joints {
+            None => Ok(()),
+            Some(joints) => self.check_places(offer, period_s, layout, joints),
+        }
+    }
+
+    /// What only the actions before tell.
+    fn check_places(
+        &self,
+        offer: &Offer,
+        period_s: f64,
+        layout: &Layout,
+        joints: &Joints,
+    ) -> Result<(), Refusal> {
+        let intervals = period_s / self.interval.as_secs_f64();
+        let mut before = joints.places();
+        for (index, values) in offer.actions.iter().enumerate() {
+            let Some(places) = layout.positions(values) else {
+                return Ok(());
+            };
+            let each = places.as_slice().iter().zip(joints.names());
+            for (axis, ((place, name), (least, most))) in each.zip(joints.limits()).enumerate() {
+                if !(*least..=*most).contains(place) {
+                    return Err(Refusal::Place {
+                        index,
+                        name: name.clone(),
+                        place: *place,
+                        least: *least,
+                        most: *most,
+                    });
+                }
+                let from = before.and_then(|before| before.as_slice().get(axis).copied());
+                let way = place - from.unwrap_or(*place);
+                let limit = self.joints.get(axis).copied().unwrap_or(0.0) * intervals;
+                if way.abs() > limit * (1.0 + f64::from(f32::EPSILON)) {
+                    return Err(Refusal::Way {
+                        index,
+                        name: name.clone(),
+                        way,
+                        limit,
+                        period_s,
+                    });
+                }
+            }
+            before = Some(places);
+        }
+        Ok(())
     }
 
     fn check_action(
@@ -58,11 +114,14 @@ impl Bounds {
         space
             .check(values)
             .map_err(|error| Refusal::Action { index, error })?;
+        let mut joints = self.joints.iter();
         for (value, dimension) in values.iter().zip(space.dimensions()) {
             let name = || dimension.name.clone();
             let limit = match dimension.kind {
                 Kind::TranslationDelta => self.translation * intervals,
                 Kind::RotationDelta => self.rotation * intervals,
+                Kind::JointDelta => joints.next().copied().unwrap_or(0.0) * intervals,
+                Kind::JointPosition => continue,
                 _ if (-GRIPPER_SLACK..=1.0 + GRIPPER_SLACK).contains(value) => continue,
                 _ => {
                     return Err(Refusal::Gripper {

@@ -23,6 +23,29 @@ pub enum Hold {
     /// No pose of the end effector has come.
     #[error("no message on ee_pose yet; expected one, since a workspace box is set")]
     NoPose,
+    /// Nothing is known of the joints.
+    #[error(
+        "no message on joint_states yet with all joints; expected one, since command_type is joint_trajectory"
+    )]
+    NoJoints,
+    /// Where the joints are was told too long ago.
+    #[error("no message on joint_states for more than {timeout_s} s (pose_timeout)")]
+    JointsSilent {
+        /// The parameter \[s\].
+        timeout_s: f64,
+    },
+    /// The arm does not go where it is told to.
+    #[error(
+        "joint {axis} is {by:.3} from where it is told to be; at most {most} is allowed (max_joint_error)"
+    )]
+    Apart {
+        /// Which joint, from 0.
+        axis: usize,
+        /// How far \[rad or m\].
+        by: f64,
+        /// The parameter \[rad or m\].
+        most: f64,
+    },
     /// The pose of the end effector is old.
     #[error("no message on ee_pose for more than {timeout_s} s (pose_timeout)")]
     PoseSilent {
@@ -37,6 +60,8 @@ impl Hold {
         match self {
             Self::NoDeadman | Self::DeadmanReleased | Self::DeadmanSilent { .. } => "deadman",
             Self::NoPose | Self::PoseSilent { .. } => "no_pose",
+            Self::NoJoints | Self::JointsSilent { .. } => "no_joints",
+            Self::Apart { .. } => "not_following",
         }
     }
 }
@@ -64,6 +89,8 @@ pub enum Cause {
     Emergency(&'static str),
     /// It moves, but not along these axes (x, y, z): the workspace box ends there.
     Cut([bool; 3]),
+    /// It moves, but not all joints: some are at their limits.
+    CutJoints,
     /// It moves, but slower than it was told.
     Slowed,
 }
@@ -89,6 +116,7 @@ impl fmt::Display for Cause {
                 }
                 Ok(())
             }
+            Self::CutJoints => f.write_str("joints are at their limits"),
             Self::Slowed => f.write_str("slowed down to the velocity limits"),
         }
     }

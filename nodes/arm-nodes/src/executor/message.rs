@@ -1,13 +1,14 @@
 //! Commands and status as messages.
 
 use wm_msgs::{
-    builtin_interfaces::Time,
+    builtin_interfaces::{Duration, Time},
     geometry_msgs::{Twist, TwistStamped, Vector3},
     std_msgs::{Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout},
+    trajectory_msgs::{JointTrajectory, JointTrajectoryPoint},
     wm_msgs::{ActionChunk, ExecutorStatus, Plan, Timing},
 };
 
-use super::{State, Status, Velocity};
+use super::{Command, State, Status, Velocity};
 
 /// vx, vy, vz, wx, wy, wz.
 const AXES: u32 = 6;
@@ -56,6 +57,30 @@ pub(super) fn array(velocity: Velocity) -> Float64MultiArray {
             .into_iter()
             .chain(velocity.angular)
             .collect(),
+    }
+}
+
+/// One point: where the joints are to be at the end of the command period, and how fast they are then. It begins at once,
+/// whatever the clock of the arm says.
+pub(super) fn trajectory(
+    frame_id: String,
+    joint_names: &[String],
+    command: &Command,
+    period_ns: i64,
+) -> JointTrajectory {
+    let places = command.places.map(|places| places.as_slice().to_vec());
+    JointTrajectory {
+        header: Header {
+            stamp: Time::default(),
+            frame_id,
+        },
+        joint_names: joint_names.to_vec(),
+        points: vec![JointTrajectoryPoint {
+            positions: places.unwrap_or_default(),
+            velocities: command.velocity.as_slice().to_vec(),
+            time_from_start: Duration::from_nanos(period_ns),
+            ..JointTrajectoryPoint::default()
+        }],
     }
 }
 

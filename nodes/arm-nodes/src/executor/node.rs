@@ -12,8 +12,10 @@ use wm_msgs::{
     Message,
     builtin_interfaces::Time,
     geometry_msgs::{PoseStamped, TwistStamped},
+    sensor_msgs::JointState,
     std_msgs::{Bool, Float64, Float64MultiArray, Header},
     std_srvs::{Outcome, SetBool, Trigger},
+    trajectory_msgs::JointTrajectory,
     wm_msgs::{
         Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Plan, PredictionError,
     },
@@ -59,6 +61,12 @@ wm_ros::endpoints! {
         plans: Option<Subscription<Plan>> = "plan", made(|node, name, qos| heard(node, name, qos, "plan"));
         /// Where the end effector is, for the workspace box.
         poses: Subscription<PoseStamped> = "ee_pose", qos(Qos::best_effort(1));
+        /// Where the joints are, with command_type joint_trajectory.
+        joints: Option<Subscription<JointState>> = "joint_states", qos(Qos::best_effort(10)), made(|node, name, qos| {
+            is_chosen(node, "joint_trajectory")?
+                .then(|| node.subscription(name, qos))
+                .transpose()
+        });
         /// True while a person allows motion, with require_deadman.
         deadman: Subscription<Bool> = "deadman", qos(Qos::best_effort(1));
         /// True: emergency stop. Volatile or latched.
@@ -83,10 +91,20 @@ wm_ros::endpoints! {
         motions: Option<Publisher<Action>> = "command/action", qos(COMMANDS), made(|node, name, qos| {
             chosen(node, name, qos, "action")
         });
+        /// Where the joints are to be at the end of each command period, one point, with command_type joint_trajectory.
+        trajectories: Option<Publisher<JointTrajectory>> = "command/joint_trajectory", qos(COMMANDS), made(|node, name, qos| {
+            chosen(node, name, qos, "joint_trajectory")
+        });
         /// The gripper's opening, 0 closed to 1 open.
         gripper: Publisher<Float64> = "command/gripper", qos(COMMANDS);
         /// While not armed: the velocities that would be sent.
-        previews: Publisher<TwistStamped> = "~/command_preview", qos(COMMANDS);
+        previews: Option<Publisher<TwistStamped>> = "~/command_preview", qos(COMMANDS), made(|node, name, qos| {
+            let is_wanted = !is_chosen(node, "joint_trajectory")?;
+            is_wanted.then(|| node.publisher(name, qos)).transpose()
+        });
+        /// The same of joints.
+        joint_previews: Option<Publisher<JointTrajectory>> = "~/joint_trajectory_preview", qos(COMMANDS),
+            made(|node, name, qos| chosen(node, name, qos, "joint_trajectory"));
         /// What was done in each command period, with publish_action.
         actions: Option<Publisher<Action>> = "action", made(|node, name, qos| {
             let is_wanted: bool = node.parameter("publish_action")?;
@@ -115,10 +133,14 @@ fn chosen<M: Message>(
     qos: Qos,
     command_type: &str,
 ) -> Result<Option<Publisher<M>>, Error> {
-    let wanted: String = node.parameter("command_type")?;
-    (wanted == command_type)
+    is_chosen(node, command_type)?
         .then(|| node.publisher(name, qos))
         .transpose()
+}
+
+fn is_chosen(node: &Node, command_type: &str) -> Result<bool, Error> {
+    let wanted: String = node.parameter("command_type")?;
+    Ok(wanted == command_type)
 }
 
 /// The subscription to offers of a kind, where they are executed.
@@ -158,6 +180,7 @@ pub async fn body(node: Node) -> Result<()> {
         mut chunks,
         mut plans,
         mut poses,
+        mut joints,
         mut deadman,
         mut emergency,
         mut candidates,
@@ -166,8 +189,10 @@ pub async fn body(node: Node) -> Result<()> {
         twists,
         velocities,
         motions,
+        trajectories,
         gripper,
         previews,
+        joint_previews,
         actions,
         announcements,
         status,
@@ -190,8 +215,10 @@ pub async fn body(node: Node) -> Result<()> {
             twists,
             velocities,
             motions,
+            trajectories,
             gripper,
             previews,
+            joint_previews,
             actions,
             announcements,
             status,
@@ -223,6 +250,7 @@ pub async fn body(node: Node) -> Result<()> {
             }
             Some(received) = deadman.recv() => executor.step.deadman(received.message.data, received.at),
             Some(received) = poses.recv() => executor.pose(&received.message, received.at),
+            Some(received) = next(&mut joints) => executor.joints(&received.message, received.at),
             _ = ticks.tick() => {
                 let is_moving = executor.tick()?;
                 if is_ending && !is_moving {
@@ -255,8 +283,10 @@ struct Outlets {
     twists: Option<Publisher<TwistStamped>>,
     velocities: Option<Publisher<Float64MultiArray>>,
     motions: Option<Publisher<Action>>,
+    trajectories: Option<Publisher<JointTrajectory>>,
     gripper: Publisher<Float64>,
-    previews: Publisher<TwistStamped>,
+    previews: Option<Publisher<TwistStamped>>,
+    joint_previews: Option<Publisher<JointTrajectory>>,
     actions: Option<Publisher<Action>>,
     announcements: Option<Publisher<ActionChunk>>,
     status: Publisher<ExecutorStatus>,
@@ -273,6 +303,9 @@ impl Outlets {
         }
         if let Some(motions) = &self.motions {
             motions.wait_for_acknowledgments(FAREWELL).await?;
+        }
+        if let Some(trajectories) = &self.trajectories {
+            trajectories.wait_for_acknowledgments(FAREWELL).await?;
         }
         Ok(())
     }
@@ -320,8 +353,12 @@ impl Executor {
         match tick.output {
             Output::Silent => {}
             Output::Preview(command) => {
-                let preview = message::twist(header, command.velocity);
-                self.outlets.previews.publish(&preview)?;
+                if let Some(previews) = &self.outlets.previews {
+                    previews.publish(&message::twist(header, command.velocity.velocity()))?;
+                }
+                if let Some(previews) = &self.outlets.joint_previews {
+                    previews.publish(&self.trajectory(&command))?;
+                }
             }
             Output::Send(command) => {
                 is_moving = !command.velocity.is_zero();
@@ -335,10 +372,13 @@ impl Executor {
     fn send(&self, header: &Header, command: Command) -> Result<()> {
         let outlets = &self.outlets;
         if let Some(twists) = &outlets.twists {
-            twists.publish(&message::twist(header.clone(), command.velocity))?;
+            twists.publish(&message::twist(header.clone(), command.velocity.velocity()))?;
         }
         if let Some(velocities) = &outlets.velocities {
-            velocities.publish(&message::array(command.velocity))?;
+            velocities.publish(&message::array(command.velocity.velocity()))?;
+        }
+        if let Some(trajectories) = &outlets.trajectories {
+            trajectories.publish(&self.trajectory(&command))?;
         }
         let settings = self.step.settings();
         let action = || Action {
@@ -347,6 +387,10 @@ impl Executor {
                 command.velocity,
                 command.gripper,
                 settings.period.as_secs_f64(),
+                command
+                    .places
+                    .as_ref()
+                    .map_or(&[], |places| places.as_slice()),
             ),
         };
         if let Some(motions) = &outlets.motions {
@@ -359,6 +403,16 @@ impl Executor {
             actions.publish(&action())?;
         }
         Ok(())
+    }
+
+    fn trajectory(&self, command: &Command) -> JointTrajectory {
+        let settings = self.step.settings();
+        let names = settings
+            .joints
+            .as_ref()
+            .map_or(&[][..], |joints| joints.names());
+        let period_ns = i64::try_from(settings.period.as_nanos()).unwrap_or(i64::MAX);
+        message::trajectory(self.step.frame_id().to_owned(), names, command, period_ns)
     }
 
     /// Publishes the status where it has changed, or some time has passed.
@@ -418,6 +472,12 @@ impl Executor {
 
     fn pose(&mut self, pose: &PoseStamped, at: Instant) {
         if let Err(problem) = self.step.pose(pose, at) {
+            self.complaints.left_out(problem.reason(), &problem);
+        }
+    }
+
+    fn joints(&mut self, joints: &JointState, at: Instant) {
+        if let Err(problem) = self.step.joints(joints, at) {
             self.complaints.left_out(problem.reason(), &problem);
         }
     }

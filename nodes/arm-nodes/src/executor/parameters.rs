@@ -6,7 +6,9 @@ use anyhow::{Result, bail, ensure};
 
 use crate::space::action_space;
 
-use super::{Begin, Bounds, Deadman, Layout, Limits, Settings, VetoSettings, Workspace};
+use super::{
+    Begin, Bounds, Deadman, Group, Joints, Layout, Limits, Settings, VetoSettings, Workspace,
+};
 
 /// Rounding of sums of seconds \[s\].
 const ROUNDING_S: f64 = 1e-9;
@@ -20,9 +22,10 @@ wm_ros::parameters! {
         /// plan.
         base_frame: String = "";
         /// What is sent to the arm: velocities as twist (command/twist) or as six numbers (command/velocity), or the
-        /// motion of each command period as an action (command/action).
-        _command_type as "command_type": &'static str = "twist", one_of {
-            "twist" => "twist", "velocity" => "velocity", "action" => "action",
+        /// motion of each command period as an action (command/action). For actions of joints: where they are to be, as
+        /// joint_trajectory (command/joint_trajectory).
+        command_type: &'static str = "twist", one_of {
+            "twist" => "twist", "velocity" => "velocity", "action" => "action", "joint_trajectory" => "joint_trajectory",
         };
         /// What is executed: a policy's chunks (action_chunk), a planner's plans (plan), or whichever is the newer.
         _source as "source": &'static str = "both", one_of {
@@ -58,6 +61,22 @@ wm_ros::parameters! {
         max_linear_acceleration: f64 = 2.0, in 1e-6..=1000.0;
         /// Greatest angular acceleration [rad/s^2].
         max_angular_acceleration: f64 = 10.0, in 1e-6..=1000.0;
+        /// With command_type joint_trajectory, the joints' names in joint_states and commands, in the order of the action
+        /// space; empty: those of its dimensions.
+        joint_names: Vec<String> = Vec::<String>::new();
+        /// Greatest motion of a joint in one interval of the action space's rate [rad or m], likewise: one number for all
+        /// joints, or one a joint.
+        max_joint_motion: Vec<f64> = vec![0.4];
+        /// Greatest velocity of a joint [rad/s or m/s]. What is faster is slowed down. One number, or one a joint.
+        max_joint_velocity: Vec<f64> = vec![1.0];
+        /// Greatest acceleration of a joint [rad/s^2 or m/s^2]. One number, or one a joint.
+        max_joint_acceleration: Vec<f64> = vec![8.0];
+        /// Least position of each joint [rad or m]. Empty: no limits.
+        joint_min: Vec<f64> = Vec::<f64>::new();
+        /// Greatest position of each joint [rad or m].
+        joint_max: Vec<f64> = Vec::<f64>::new();
+        /// How far a joint may be from where it is told to be [rad or m]. Beyond, the arm stops.
+        max_joint_error: f64 = 0.2, in 1e-6..=100.0;
         /// Time within which the arm stands still once there is nothing to execute [s]. Velocities, accelerations and the
         /// rate must allow it.
         stop_within: Duration = 0.2, in 0.001..=60.0;
@@ -72,9 +91,9 @@ wm_ros::parameters! {
         workspace_min: Vec<f64> = Vec::<f64>::new();
         /// Upper corner of that box [m]: x, y, z.
         workspace_max: Vec<f64> = Vec::<f64>::new();
-        /// No motion may leave the box within this time [s].
+        /// No motion may leave the box, or a joint its limits, within this time [s].
         workspace_lookahead: Duration = 0.3, in 0.001..=10.0;
-        /// With a box: the arm stops when ee_pose has been silent for this long [s].
+        /// With a box: the arm stops when ee_pose has been silent for this long [s]. With joints: when joint_states has.
         pose_timeout: Duration = 0.2, in 0.001..=60.0;
         /// Move only while the topic deadman says true.
         require_deadman: bool = false;
@@ -105,11 +124,18 @@ impl Parameters {
     /// # Errors
     /// Names those that contradict each other, or the file that cannot be read.
     pub(super) fn settings(&self) -> Result<Settings> {
-        let limits = Limits {
-            linear_velocity: self.max_linear_velocity,
-            angular_velocity: self.max_angular_velocity,
-            linear_acceleration: self.max_linear_acceleration,
-            angular_acceleration: self.max_angular_acceleration,
+        let space = action_space(&self.action_space)?;
+        let moves_joints = self.command_type == "joint_trajectory";
+        let layout = match moves_joints {
+            true => Layout::of_joints(space)?,
+            false => Layout::new(space)?,
+        };
+        let limits = match moves_joints {
+            true => self.joint_limits(layout.axes())?,
+            false => Limits::end_effector(
+                (self.max_linear_velocity, self.max_linear_acceleration),
+                (self.max_angular_velocity, self.max_angular_acceleration),
+            ),
         };
         let period = Duration::from_secs_f64(self.rate.recip());
         let stop_s = limits.stopping_time() + period.as_secs_f64();
@@ -125,17 +151,22 @@ impl Parameters {
             self.min_period.as_secs_f64(),
             self.max_period.as_secs_f64()
         );
-        let layout = Layout::new(action_space(&self.action_space)?)?;
         Ok(Settings {
             base_frame: self.base_frame.clone(),
             period,
             bounds: Bounds {
                 translation: self.max_translation,
                 rotation: self.max_rotation,
+                joints: match moves_joints {
+                    true => per_joint("max_joint_motion", &self.max_joint_motion, layout.axes())?,
+                    false => Vec::new(),
+                },
                 // Rates are 0.01 Hz to 1 kHz.
                 interval: Duration::from_secs_f64(layout.space().rate().recip()),
                 periods: self.min_period..=self.max_period,
             },
+            workspace: self.workspace(moves_joints, period)?,
+            joints: self.joints(&layout, &limits, period)?,
             layout,
             limits,
             max_age: self.max_age,
@@ -143,7 +174,6 @@ impl Parameters {
             max_lead: self.max_lead,
             zero_for: self.zero_for,
             dry_run: self.dry_run,
-            workspace: self.workspace(&limits, period)?,
             deadman: self
                 .require_deadman
                 .then(|| Deadman::new(self.deadman_timeout)),
@@ -158,7 +188,78 @@ impl Parameters {
         })
     }
 
-    fn workspace(&self, limits: &Limits, period: Duration) -> Result<Option<Workspace>> {
+    fn joint_limits(&self, joints: usize) -> Result<Limits> {
+        let velocities = per_joint("max_joint_velocity", &self.max_joint_velocity, joints)?;
+        let accelerations = per_joint(
+            "max_joint_acceleration",
+            &self.max_joint_acceleration,
+            joints,
+        )?;
+        let both = velocities.into_iter().zip(accelerations);
+        let groups = both.map(|(velocity, acceleration)| Group {
+            axes: 1,
+            velocity,
+            acceleration,
+        });
+        Ok(Limits::new(groups.collect()))
+    }
+
+    fn joints(&self, layout: &Layout, limits: &Limits, period: Duration) -> Result<Option<Joints>> {
+        let Some(dimensions) = layout.joint_names() else {
+            return Ok(None);
+        };
+        let count = dimensions.len();
+        let names = match self.joint_names.as_slice() {
+            [] => dimensions,
+            names => names.to_vec(),
+        };
+        ensure!(
+            names.len() == count,
+            "joint_names has {} names; expected {count}, as the action space has joints",
+            names.len()
+        );
+        let (least, most) = (&self.joint_min, &self.joint_max);
+        let places = match (least.is_empty(), most.is_empty()) {
+            (true, true) => vec![(f64::NEG_INFINITY, f64::INFINITY); count],
+            _ => {
+                ensure!(
+                    least.len() == count && most.len() == count,
+                    "joint_min has {} numbers and joint_max has {}; expected {count} in both, or none",
+                    least.len(),
+                    most.len()
+                );
+                least.iter().copied().zip(most.iter().copied()).collect()
+            }
+        };
+        for (name, (least, most)) in names.iter().zip(&places) {
+            ensure!(
+                least < most,
+                "{name} may be from {least} to {most}: expected numbers, the lower one first"
+            );
+        }
+        self.expect_lookahead(limits.stopping_time(), period)?;
+        Ok(Some(Joints::new(
+            names,
+            places,
+            self.workspace_lookahead,
+            self.pose_timeout,
+            self.max_joint_error,
+        )))
+    }
+
+    /// Whether what slows down within `workspace_lookahead` of a limit stops there.
+    fn expect_lookahead(&self, stopping_s: f64, period: Duration) -> Result<()> {
+        let stop_s = stopping_s + period.as_secs_f64();
+        let lookahead_s = self.workspace_lookahead.as_secs_f64();
+        ensure!(
+            lookahead_s + ROUNDING_S >= stop_s,
+            "workspace_lookahead is {lookahead_s} s, but the arm takes {stop_s:.3} s to stop (the greatest velocity / \
+             acceleration + 1 / rate)"
+        );
+        Ok(())
+    }
+
+    fn workspace(&self, moves_joints: bool, period: Duration) -> Result<Option<Workspace>> {
         let (least, most) = (&self.workspace_min[..], &self.workspace_max[..]);
         let (least, most) = match (least, most) {
             ([], []) => return Ok(None),
@@ -170,6 +271,10 @@ impl Parameters {
             ),
         };
         ensure!(
+            !moves_joints,
+            "a workspace box is set, but command_type is joint_trajectory: expected joint_min and joint_max"
+        );
+        ensure!(
             !self.base_frame.is_empty(),
             "a workspace box is set, but base_frame is empty: expected the frame of the box and of ee_pose"
         );
@@ -180,18 +285,30 @@ impl Parameters {
                 "the workspace box goes from {least} to {most} along {axis}: expected finite numbers, the lower one first"
             );
         }
-        let stop_s = limits.linear_velocity / limits.linear_acceleration + period.as_secs_f64();
-        let lookahead_s = self.workspace_lookahead.as_secs_f64();
-        ensure!(
-            lookahead_s + ROUNDING_S >= stop_s,
-            "workspace_lookahead is {lookahead_s} s, but the arm takes {stop_s:.3} s to stop (max_linear_velocity / \
-             max_linear_acceleration + 1 / rate)"
-        );
+        self.expect_lookahead(
+            self.max_linear_velocity / self.max_linear_acceleration,
+            period,
+        )?;
         Ok(Some(Workspace::new(
             least,
             most,
             self.workspace_lookahead,
             self.pose_timeout,
         )))
+    }
+}
+
+/// One number a joint, above zero: one for all, or one for each.
+fn per_joint(name: &str, numbers: &[f64], joints: usize) -> Result<Vec<f64>> {
+    ensure!(
+        numbers
+            .iter()
+            .all(|number| number.is_finite() && *number > 0.0),
+        "{name} is {numbers:?}: expected finite numbers above zero"
+    );
+    match numbers {
+        [one] => Ok(vec![*one; joints]),
+        each if each.len() == joints => Ok(each.to_vec()),
+        each => bail!("{name} has {} numbers; expected 1 or {joints}", each.len()),
     }
 }

@@ -44,6 +44,38 @@ pub enum Refusal {
         /// How long the action takes \[s\].
         period_s: f64,
     },
+    /// A place where a joint may not be.
+    #[error(
+        "action {index}: {name} is to be at {place:.4}; expected {least} to {most} (joint_min, joint_max)"
+    )]
+    Place {
+        /// Which action.
+        index: usize,
+        /// The joint.
+        name: String,
+        /// Where it is to be \[rad or m\].
+        place: f64,
+        /// Its least position \[rad or m\].
+        least: f64,
+        /// Its greatest position \[rad or m\].
+        most: f64,
+    },
+    /// A place too far from the one before.
+    #[error(
+        "action {index}: {name} is to move by {way:.4}; at most {limit:.4} is allowed in {period_s} s"
+    )]
+    Way {
+        /// Which action.
+        index: usize,
+        /// The joint.
+        name: String,
+        /// By how much \[rad or m\].
+        way: f64,
+        /// Greatest magnitude \[rad or m\].
+        limit: f64,
+        /// How long the action takes \[s\].
+        period_s: f64,
+    },
     /// A gripper's opening that is none.
     #[error("action {index}: {name} is {value}; expected 0 (closed) to 1 (open)")]
     Gripper {
@@ -146,7 +178,9 @@ impl Refusal {
                 ActionError::Implausible { .. } => "out_of_bounds",
                 _ => "wrong_length",
             },
-            Self::Bounds { .. } | Self::Gripper { .. } => "out_of_bounds",
+            Self::Bounds { .. } | Self::Place { .. } | Self::Way { .. } | Self::Gripper { .. } => {
+                "out_of_bounds"
+            }
             Self::Period { .. } => "period",
             Self::Frame { .. } => "wrong_frame",
             Self::Epoch { .. } => "old_epoch",

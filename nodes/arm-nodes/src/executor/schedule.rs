@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Layout, Offer, Refusal, Velocity, Veto};
+use super::{Layout, Offer, Rates, Refusal, Veto};
 
 /// Offers that may have yet to begin: more than come within the time that they may lie ahead.
 const MOST_NEXT: usize = 128;
@@ -21,7 +21,7 @@ struct Accepted {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Told {
     /// Mean velocity over the period.
-    pub velocity: Velocity,
+    pub velocity: Rates,
     /// The gripper's opening at its beginning.
     pub gripper: Option<f64>,
 }
@@ -115,9 +115,10 @@ impl Schedule {
         Some(change)
     }
 
-    /// What is told for the time from `from_ns` on, for `span_ns`. An action is a motion over an interval: one that
-    /// lies in that time in part counts in part.
-    pub fn told(&self, from_ns: i64, span_ns: i64, layout: &Layout) -> Option<Told> {
+    /// What is told for the time from `from_ns` on, for `span_ns`, at whose beginning joints are at `places`. An action is a
+    /// motion over an interval: one that lies in that time in part counts in part.
+    pub fn told(&self, from_ns: i64, span_ns: i64, layout: &Layout, places: Rates) -> Option<Told> {
+        let mut places = places;
         let to_ns = from_ns.saturating_add(span_ns);
         let mut told: Option<Told> = None;
         let mut offers = self.current.iter().chain(&self.next).peekable();
@@ -140,9 +141,13 @@ impl Schedule {
                     continue;
                 }
                 let share = (end_ns - start_ns) as f64 / span_ns.max(1) as f64;
-                let velocity = layout.velocity(values, period_s);
+                // At least a nanosecond: an action that is over is left out above.
+                let left_ns = offer.start_ns(index + 1).saturating_sub(start_ns).max(1);
+                let left_s = left_ns as f64 / 1e9;
+                let velocity = layout.rates(values, period_s, left_s, places.as_slice());
+                places = places.plus(velocity, (end_ns - start_ns) as f64 / 1e9);
                 let told = told.get_or_insert_with(|| Told {
-                    velocity: Velocity::ZERO,
+                    velocity: Rates::zero(layout.axes()),
                     gripper: layout.gripper(values),
                 });
                 told.velocity = told.velocity.plus(velocity, share);
@@ -176,8 +181,8 @@ mod tests {
 
     fn forward(schedule: &Schedule, from_ms: i64, span_ms: i64) -> Option<f64> {
         let layout = Layout::new(ActionSpace::bridge()).unwrap();
-        let told = schedule.told(from_ms * MS, span_ms * MS, &layout);
-        told.map(|told| told.velocity.linear[0])
+        let told = schedule.told(from_ms * MS, span_ms * MS, &layout, Rates::zero(0));
+        told.map(|told| told.velocity.velocity().linear[0])
     }
 
     #[test]

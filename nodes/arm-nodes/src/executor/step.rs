@@ -10,12 +10,13 @@ use std::{
 use thiserror::Error;
 use wm_msgs::{
     geometry_msgs::PoseStamped,
+    sensor_msgs::JointState,
     wm_msgs::{ActionCandidates, ActionChunk, Assessment, Plan, PredictionError},
 };
 
 use super::{
-    Begin, Bounds, Cause, Deadman, Hold, Layout, Limits, Offer, PoseError, Refusal, Velocity,
-    VetoSettings, Workspace,
+    Begin, Bounds, Cause, Deadman, Hold, JointError, Joints, Layout, Limits, Offer, PoseError,
+    Rates, Refusal, VetoSettings, Workspace,
     schedule::Schedule,
     veto::{Verdict, Vetoes},
 };
@@ -50,6 +51,8 @@ pub struct Settings {
     pub dry_run: bool,
     /// The box that the end effector has to stay in.
     pub workspace: Option<Workspace>,
+    /// The joints, where it is joints that move.
+    pub joints: Option<Joints>,
     /// The switch that has to be held.
     pub deadman: Option<Deadman>,
     /// Rules about predictions.
@@ -68,8 +71,10 @@ pub struct Now {
 /// What is to be done in a command period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
-    /// Velocity for the whole period.
-    pub velocity: Velocity,
+    /// Velocity along each axis for the whole period.
+    pub velocity: Rates,
+    /// Where the joints are at its end, where it is joints that move \[rad or m\].
+    pub places: Option<Rates>,
     /// The gripper's opening, 0 closed to 1 open; none where none was told yet.
     pub gripper: Option<f64>,
 }
@@ -185,7 +190,7 @@ pub struct ExecutorStep {
     /// The newest of all plans' epochs.
     epoch: Option<u64>,
     /// Of the last command.
-    velocity: Velocity,
+    velocity: Rates,
     gripper: Option<f64>,
     /// Of the last offer that was begun.
     frame_id: String,
@@ -207,12 +212,12 @@ impl ExecutorStep {
         let settings_frame = settings.base_frame.clone();
         Self {
             vetoes: Vetoes::new(settings.veto),
+            velocity: Rates::zero(settings.layout.axes()),
             settings,
             phase: Phase::DryRun,
             schedule: Schedule::default(),
             waiting: VecDeque::new(),
             epoch: None,
-            velocity: Velocity::ZERO,
             gripper: None,
             frame_id: settings_frame,
             last: None,
@@ -281,7 +286,12 @@ impl ExecutorStep {
             Phase::Stopped(_) => return Err(Refusal::Stopped),
         }
         let settings = &self.settings;
-        settings.bounds.check(&offer, &settings.layout)?;
+        // Without joints no motion is free, and where they set out from is not known.
+        if let Some(joints) = &settings.joints {
+            joints.check(now.at)?;
+        }
+        let joints = settings.joints.as_ref();
+        settings.bounds.check(&offer, &settings.layout, joints)?;
         if !settings.base_frame.is_empty() && settings.base_frame != offer.frame_id {
             return Err(Refusal::Frame {
                 expected: settings.base_frame.clone(),
@@ -364,6 +374,13 @@ impl ExecutorStep {
         if let Some(workspace) = &self.settings.workspace {
             workspace.check(now)?;
         }
+        if let Some(joints) = &self.settings.joints {
+            joints.check(now)?;
+            // What is only tried out moves nothing.
+            if self.phase != Phase::DryRun {
+                joints.check_following()?;
+            }
+        }
         Ok(())
     }
 
@@ -431,6 +448,22 @@ impl ExecutorStep {
         }
     }
 
+    /// Takes where the joints are; it came at `at`.
+    ///
+    /// # Errors
+    /// [`JointError`]: it is left out.
+    pub fn joints(&mut self, joints: &JointState, at: Instant) -> Result<(), JointError> {
+        match &mut self.settings.joints {
+            Some(known) => known.measure(joints, at),
+            None => Ok(()),
+        }
+    }
+
+    /// No velocity along any axis.
+    fn still(&self) -> Rates {
+        Rates::zero(self.settings.layout.axes())
+    }
+
     /// Takes what the deadman switch says; it came at `at`.
     pub fn deadman(&mut self, is_held: bool, at: Instant) {
         if let Some(deadman) = &mut self.settings.deadman {
@@ -454,7 +487,11 @@ impl ExecutorStep {
         }
         self.is_busy = self.phase != Phase::DryRun;
         self.rest = None;
-        self.velocity = Velocity::ZERO;
+        self.velocity = self.still();
+        if let Some(joints) = &mut self.settings.joints {
+            // Where they are, not where they were told to go.
+            joints.settle();
+        }
         self.gripper = None;
         self.forget();
         self.phase = Phase::Stopped(Cause::Emergency(by));
@@ -495,7 +532,10 @@ impl ExecutorStep {
             Phase::DryRun => {}
         }
         self.forget();
-        self.velocity = Velocity::ZERO;
+        self.velocity = self.still();
+        if let Some(joints) = &mut self.settings.joints {
+            joints.settle();
+        }
         self.gripper = None;
         self.is_busy = false;
         self.cause = Some(Cause::Nothing);

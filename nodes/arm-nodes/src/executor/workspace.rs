@@ -4,7 +4,10 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use super::{Hold, velocity::Axes};
+use super::Hold;
+
+/// Three numbers along the axes of the robot's base.
+type Axes = [f64; 3];
 
 /// Why a measured pose is left out.
 #[derive(Clone, Debug, Error, PartialEq)]

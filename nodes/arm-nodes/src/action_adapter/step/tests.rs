@@ -171,6 +171,13 @@ fn after_the_last_twist_the_arm_comes_to_a_stop_and_then_nothing_is_published() 
     adapter.twist(&twist(9_100, 0.1), 0).unwrap();
     adapter.twist(&twist(9_300, 0.1), 0).unwrap();
     assert_eq!(actions(&mut adapter)[0].0, 9_100);
+    // A clock that is ahead has closed what comes now.
+    adapter.tick(START + 9_950 * MS);
+    let late = adapter.twist(&twist(9_400, 0.1), 0).unwrap_err();
+    assert!(
+        late.reason() == "late" && late.to_string().contains("0.050 s"),
+        "{late}"
+    );
 }
 
 #[test]

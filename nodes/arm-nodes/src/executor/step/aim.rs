@@ -6,7 +6,7 @@ use super::{
     Cause, Command, ExecutorStep, JUMP_NS, Now, Output, Phase, Refusal, State, Status, Tick,
 };
 use crate::executor::{
-    Velocity,
+    Rates,
     schedule::{Change, Told},
 };
 
@@ -29,7 +29,7 @@ impl ExecutorStep {
         let mut refused = self.expire(now);
         if matches!(self.phase, Phase::Stopped(_)) {
             // All at once: an emergency stop is the one step that no limit smooths.
-            self.velocity = Velocity::ZERO;
+            self.velocity = self.still();
         } else {
             let (told, cause) = self.told(now, &mut refused);
             let target = self.settings.limits.within(told.velocity);
@@ -38,6 +38,7 @@ impl ExecutorStep {
             self.velocity = self.settings.limits.toward(self.velocity, target, seconds);
         }
         self.rest(now);
+        self.go();
         Tick {
             output: self.output(),
             refused,
@@ -47,7 +48,7 @@ impl ExecutorStep {
     /// What is told for this period, and why it is not all that an offer tells.
     fn told(&mut self, now: Now, refused: &mut Vec<Refusal>) -> (Told, Option<Cause>) {
         let nothing = Told {
-            velocity: Velocity::ZERO,
+            velocity: self.still(),
             gripper: None,
         };
         if let Phase::Disarming(cause) = &self.phase {
@@ -84,21 +85,46 @@ impl ExecutorStep {
         };
         let span_ns = i64::try_from(self.settings.period.as_nanos()).unwrap_or(i64::MAX);
         let layout = &self.settings.layout;
-        let Some(mut told) = self.schedule.told(now.stamp_ns, span_ns, layout) else {
+        let places = self
+            .settings
+            .joints
+            .as_ref()
+            .and_then(|joints| joints.places());
+        let places = places.unwrap_or(Rates::zero(0));
+        let told = self.schedule.told(now.stamp_ns, span_ns, layout, places);
+        let Some(mut told) = told else {
             return (nothing, Some(cause.unwrap_or(Cause::Nothing)));
         };
         let mut cause = None;
         if let Some(workspace) = &self.settings.workspace {
-            match workspace.cut(told.velocity.linear, now.at) {
+            let mut velocity = told.velocity.velocity();
+            match workspace.cut(velocity.linear, now.at) {
                 Ok((linear, is_cut)) => {
-                    told.velocity.linear = linear;
+                    velocity.linear = linear;
+                    told.velocity = velocity.into();
                     cause = is_cut.contains(&true).then_some(Cause::Cut(is_cut));
                 }
                 // What `expect_free` has ruled out.
                 Err(hold) => return (nothing, Some(Cause::Held(hold))),
             }
         }
+        if let Some(joints) = &self.settings.joints {
+            let is_cut;
+            (told.velocity, is_cut) = joints.cut(told.velocity);
+            cause = is_cut.then_some(Cause::CutJoints);
+        }
         (told, cause)
+    }
+
+    /// The joints go on by the command, or rest where they are.
+    fn go(&mut self) {
+        let seconds = self.settings.period.as_secs_f64();
+        if let Some(joints) = &mut self.settings.joints {
+            match self.is_busy {
+                true => joints.go(self.velocity, seconds),
+                false => joints.settle(),
+            }
+        }
     }
 
     /// Time has gone back: a bag begins again, or the clock was set. Nothing of before holds.
@@ -154,6 +180,11 @@ impl ExecutorStep {
         }
         let command = Command {
             velocity: self.velocity,
+            places: self
+                .settings
+                .joints
+                .as_ref()
+                .and_then(|joints| joints.places()),
             gripper: self.gripper,
         };
         match self.phase {

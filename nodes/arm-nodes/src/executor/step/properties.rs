@@ -3,7 +3,14 @@
 use proptest::prelude::*;
 
 use super::{tests::*, *};
-use crate::executor::velocity::{norm, plus};
+use crate::executor::{
+    Velocity,
+    rates::{norm, plus},
+};
+
+/// The limits of the tests' settings.
+const LINEAR: (f64, f64) = (0.25, 2.0);
+const ANGULAR: (f64, f64) = (1.25, 10.0);
 
 /// What may happen between two commands.
 #[derive(Clone, Debug)]
@@ -52,10 +59,9 @@ proptest! {
         needs_deadman in any::<bool>(),
     ) {
         let deadman = needs_deadman.then(|| Deadman::new(Duration::from_millis(500)));
-        let limits = settings().limits;
         let mut bench = Bench::new(Settings { deadman, ..settings() });
         let mut ms = 0;
-        let mut before = Velocity::ZERO;
+        let mut before = Rates::zero(6);
         let mut is_sent_before = false;
         let (mut was_armed, mut is_stopped) = (false, false);
         for (event, wait_ms) in events {
@@ -89,27 +95,27 @@ proptest! {
             if bench.step.status().state == State::DryRun {
                 prop_assert!(!is_sent, "sent in a dry run");
             }
-            let velocity = command.map_or(Velocity::ZERO, |command| command.velocity);
-            let numbers = velocity.linear.into_iter().chain(velocity.angular);
+            let velocity = command.map_or(Rates::zero(6), |command| command.velocity);
+            let numbers = velocity.as_slice().iter().copied();
             prop_assert!(numbers.chain(command.and_then(|command| command.gripper)).all(f64::is_finite));
-            prop_assert!(norm(velocity.linear) <= limits.linear_velocity + 1e-9);
-            prop_assert!(norm(velocity.angular) <= limits.angular_velocity + 1e-9);
+            prop_assert!(norm(&velocity.velocity().linear) <= LINEAR.0 + 1e-9);
+            prop_assert!(norm(&velocity.velocity().angular) <= ANGULAR.0 + 1e-9);
             if is_stopped {
                 prop_assert!(velocity.is_zero(), "moves after an emergency stop");
             } else if is_sent || is_sent_before {
                 // Nothing that goes out, or ceases to, is a jump.
                 let seconds = if is_sent_before { wait_ms as f64 / 1e3 } else { 0.05_f64.max(wait_ms as f64 / 1e3) };
-                let start = if is_sent_before { before } else { Velocity::ZERO };
-                let change = velocity.plus(start, -1.0);
-                prop_assert!(norm(change.linear) <= limits.linear_acceleration * seconds + 1e-9);
-                prop_assert!(norm(change.angular) <= limits.angular_acceleration * seconds + 1e-9);
+                let start = if is_sent_before { before } else { Rates::zero(6) };
+                let change = velocity.plus(start, -1.0).velocity();
+                prop_assert!(norm(&change.linear) <= LINEAR.1 * seconds + 1e-9);
+                prop_assert!(norm(&change.angular) <= ANGULAR.1 * seconds + 1e-9);
             }
             before = velocity;
             is_sent_before = is_sent;
         }
         // Whatever happened: with nothing more to do, it stands still.
         bench.step.disarm(Cause::Disarmed);
-        let mut last = Velocity::ZERO;
+        let mut last = Rates::zero(6);
         for _ in 0..4 {
             ms += 50;
             if let Output::Send(command) = bench.tick(ms) {
@@ -130,14 +136,14 @@ proptest! {
         let workspace = Some(Workspace::new(least, most, lookahead, timeout));
         let mut bench = Bench::new(Settings { workspace, ..settings() });
         bench.step.arm().unwrap();
-        let mut position = [0.0, 0.0, 0.1];
+        let mut position = Rates::of([0.0, 0.0, 0.1]);
         let mut silence = silences.iter().cycle();
         let (mut ms, mut wait) = (0, 0);
         for (motion, ticks) in motions {
             for tick in 0..ticks {
                 if wait == 0 {
                     let mut pose = PoseStamped::default();
-                    let [x, y, z] = position;
+                    let [x, y, z] = position.velocity().linear;
                     pose.pose.position = wm_msgs::geometry_msgs::Point { x, y, z };
                     bench.step.pose(&pose, bench.at(ms).at).unwrap();
                     wait = *silence.next().unwrap();
@@ -151,11 +157,11 @@ proptest! {
                     bench.offer(ms, &message).unwrap();
                 }
                 if let Output::Send(command) = bench.tick(ms) {
-                    position = plus(position, command.velocity.linear, 0.05);
+                    position = position.plus(command.velocity, 0.05);
                 }
                 ms += 50;
-                for ((at, least), most) in position.into_iter().zip(least).zip(most) {
-                    prop_assert!((least - 1e-9..=most + 1e-9).contains(&at), "{at} of {least} to {most}");
+                for ((at, least), most) in position.as_slice().iter().zip(least).zip(most) {
+                    prop_assert!((least - 1e-9..=most + 1e-9).contains(at), "{at} of {least} to {most}");
                 }
             }
         }
@@ -164,16 +170,17 @@ proptest! {
     #[test]
     fn a_change_of_velocity_is_bounded(from in prop::array::uniform3(-1.0_f64..1.0), to in prop::array::uniform3(-1.0_f64..1.0)) {
         let limits = settings().limits;
-        let of = |linear| limits.within(Velocity { linear, angular: linear });
+        let of = |linear| limits.within(Velocity { linear, angular: linear }.into());
         let (from, to) = (of(from), of(to));
+        let linear = |rates: Rates| rates.velocity().linear;
         let next = limits.toward(from, to, 0.05);
-        prop_assert!(norm(plus(next.linear, from.linear, -1.0)) <= 0.1 + 1e-12);
-        prop_assert!(norm(next.linear) <= limits.linear_velocity + 1e-12);
+        prop_assert!(norm(plus(&linear(next), &linear(from), -1.0).as_slice()) <= 0.1 + 1e-12);
+        prop_assert!(norm(&linear(next)) <= LINEAR.0 + 1e-12);
         // It gets there, and with no axis further off than before.
         let is_between = |((next, from), to): ((&f64, f64), f64)| {
             (from.min(to) - 1e-12..=from.max(to) + 1e-12).contains(next)
         };
-        prop_assert!(next.linear.iter().zip(from.linear).zip(to.linear).all(is_between));
+        prop_assert!(linear(next).iter().zip(linear(from)).zip(linear(to)).all(is_between));
         let mut velocity = from;
         for _ in 0..10 {
             velocity = limits.toward(velocity, to, 0.05);

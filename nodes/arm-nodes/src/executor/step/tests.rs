@@ -1,3 +1,4 @@
+mod joints;
 mod vetoes;
 
 use super::*;
@@ -23,21 +24,18 @@ pub(super) fn settings() -> Settings {
         bounds: Bounds {
             translation: 0.1,
             rotation: 0.5,
+            joints: Vec::new(),
             interval: Duration::from_millis(200),
             periods: Duration::from_millis(5)..=Duration::from_secs(2),
         },
-        limits: Limits {
-            linear_velocity: 0.25,
-            angular_velocity: 1.25,
-            linear_acceleration: 2.0,
-            angular_acceleration: 10.0,
-        },
+        limits: Limits::end_effector((0.25, 2.0), (1.25, 10.0)),
         max_age: Duration::from_secs(2),
         begin: Begin::Stamp,
         max_lead: Duration::from_secs(5),
         zero_for: Duration::from_millis(500),
         dry_run: true,
         workspace: None,
+        joints: None,
         deadman: None,
         veto: VetoSettings {
             cost_rise: 0.0,
@@ -178,7 +176,7 @@ impl Bench {
 
 fn sent(output: Output) -> Option<f64> {
     match output {
-        Output::Send(command) => Some(command.velocity.linear[0]),
+        Output::Send(command) => Some(command.velocity.as_slice()[0]),
         Output::Silent | Output::Preview(_) => None,
     }
 }
@@ -189,7 +187,7 @@ fn a_chunk_is_executed_as_velocity_and_gripper() {
     let Output::Send(command) = bench.tick(450) else {
         panic!("nothing is sent")
     };
-    assert!((command.velocity.angular[2] - 0.5).abs() < 1e-6);
+    assert!((command.velocity.as_slice()[5] - 0.5).abs() < 1e-6);
     assert_eq!(command.gripper, Some(1.0));
     let status = bench.step.status();
     assert_eq!((status.reason.as_str(), status.counts.begun), ("", 1));
@@ -204,7 +202,7 @@ fn before_it_is_armed_commands_are_only_shown() {
     let mut is_shown = false;
     for tick in 0..10 {
         match bench.tick(tick * PERIOD_MS) {
-            Output::Preview(command) => is_shown |= command.velocity.linear[0] > 0.09,
+            Output::Preview(command) => is_shown |= command.velocity.as_slice()[0] > 0.09,
             Output::Silent => {}
             Output::Send(command) => panic!("{command:?} is sent"),
         }
