@@ -134,7 +134,16 @@ impl Planner for Icem {
             known = scored.iter().take(kept).map(keep).collect();
             population /= settings.decay;
         }
-        search.finish(None)
+        let found = search.finish(None)?;
+        let elites = known.iter().map(|elite| {
+            let actions = elite.chunks_exact(space.len());
+            actions.map(<[f32]>::to_vec).collect()
+        });
+        let others = elites.filter(|elite| *elite != found.actions);
+        Ok(PlannedActions {
+            elites: others.collect(),
+            ..found
+        })
     }
 }
 
@@ -234,6 +243,19 @@ mod tests {
             .plan(&mut problem, 3, &mut |_| false)
             .unwrap();
         assert!(found.cost < 1e-10, "{found:?}");
+    }
+
+    #[test]
+    fn elites_are_kept_for_the_next_plan_and_move_on_with_it() {
+        let found = plan(IcemSettings::default(), &[0.6, 0.3], 2);
+        // Three tenths of six elites, of which the best is the plan itself.
+        assert!(!found.elites.is_empty() && found.elites.len() <= 2);
+        assert!(found.elites.iter().all(|elite| *elite != found.actions));
+        let next = found.without(1).unwrap();
+        for (before, after) in found.proposals().iter().zip(next.proposals()) {
+            assert_eq!(after, [&before[1..], &before[2..]].concat());
+        }
+        assert_eq!(next.proposals().len(), found.elites.len() + 1);
     }
 
     #[test]

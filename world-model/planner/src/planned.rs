@@ -11,6 +11,8 @@ pub struct PlannedActions {
     pub terms: Vec<f32>,
     /// Least cost among the candidates of each iteration.
     pub iteration_costs: Vec<f32>,
+    /// Other good plans, the best first, for the next search to begin from as well; iCEM alone keeps some.
+    pub elites: Vec<Vec<Vec<f32>>>,
     /// How many candidates were rolled out.
     pub candidates: usize,
     /// How many of those had no finite cost and were left out.
@@ -20,16 +22,27 @@ pub struct PlannedActions {
 }
 
 impl PlannedActions {
-    /// What is left of the plan when its first `passed` steps are over, going on with the last one: the proposal to start
-    /// the next search from. None where nothing is left.
+    /// What is left of the plan, and of its elites, when the first `passed` steps are over, going on with the last one: what
+    /// the next search begins from. None where nothing is left.
     pub fn without(&self, passed: usize) -> Option<Self> {
-        let left = self.actions.get(passed..)?;
-        let last = left.last()?;
-        let going_on = std::iter::repeat_n(last, passed);
-        let actions = left.iter().chain(going_on).cloned().collect();
+        let left = |actions: &Vec<Vec<f32>>| -> Option<Vec<Vec<f32>>> {
+            let left = actions.get(passed..)?;
+            let last = left.last()?;
+            let going_on = std::iter::repeat_n(last, passed);
+            Some(left.iter().chain(going_on).cloned().collect())
+        };
         Some(Self {
-            actions,
+            actions: left(&self.actions)?,
+            elites: self.elites.iter().filter_map(left).collect(),
             ..self.clone()
         })
+    }
+
+    /// Plans to begin from, this one first.
+    pub fn proposals(&self) -> Vec<Vec<Vec<f32>>> {
+        std::iter::once(&self.actions)
+            .chain(&self.elites)
+            .cloned()
+            .collect()
     }
 }

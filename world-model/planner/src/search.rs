@@ -131,6 +131,7 @@ impl<'s, 'p> Search<'s, 'p> {
             cost,
             terms,
             iteration_costs: self.iteration_costs,
+            elites: Vec::new(),
             candidates: self.candidates,
             rejected: self.rejected,
             deadline_cut: self.is_cut,

@@ -172,18 +172,19 @@ impl PlannerModel {
         };
         let planner = choice.build(&self.setup.settings, self.parts.idm.as_ref(), &course.goals)?;
         // A plan of another horizon, from before a parameter changed, is no start.
-        let start = request
+        let mut starts = request
             .start
             .as_ref()
-            .map(|start| &start.actions)
-            .filter(|start| start.len() == self.setup.horizon);
+            .map(PlannedActions::proposals)
+            .unwrap_or_default();
+        starts.retain(|start| start.len() == self.setup.horizon);
         let mut problem = Problem {
             space: &space,
             dynamics: &mut dynamics,
             objective: &objective,
             horizon: self.setup.horizon,
             batch: self.setup.batch,
-            proposals: start.into_iter().cloned().collect(),
+            proposals: starts,
         };
         let terms: Vec<&str> = objective.names().collect();
         let watch = &mut |progress: &Progress<'_>| watch(progress, &terms);

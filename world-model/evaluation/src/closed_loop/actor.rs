@@ -236,9 +236,8 @@ impl Planning<'_> {
             proposals: self
                 .last
                 .take()
-                .map(|last| last.actions)
-                .into_iter()
-                .collect(),
+                .map(|last| last.proposals())
+                .unwrap_or_default(),
         };
         let deadline = u128::from(settings.deadline_ms);
         let found = planner.plan(&mut problem, self.seed, &mut |_| {
