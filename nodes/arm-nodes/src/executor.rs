@@ -14,6 +14,7 @@
 //! It is no safety function: it runs on an ordinary computer and network. The arm's controller has to stop by itself
 //! where commands stay out.
 
+mod beat;
 mod bounds;
 mod cause;
 mod deadman;

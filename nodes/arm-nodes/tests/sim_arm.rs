@@ -15,7 +15,7 @@ use wm_msgs::{
     std_srvs::{SetBool, SetBoolRequest},
     tf2_msgs::TFMessage,
     vision_msgs::LabelInfo,
-    wm_msgs::{Action, ActionChunk, Reset, ResetRequest},
+    wm_msgs::{Action, ActionChunk, ExecutorStatus, Reset, ResetRequest},
 };
 use wm_ros::{Client, Context, Environment, Node, NodeArgs, Publisher, Qos, Reach, Subscription};
 use wm_sim::{GoalKind, Target, Variety};
@@ -438,4 +438,78 @@ fn it_does_not_make_the_time_that_it_follows() {
     let error = thread.join().unwrap().unwrap_err().to_string();
     assert!(error.contains("use_sim_time"), "{error}");
     running.close();
+}
+
+/// By the arm's own clock, the executor does exactly what a chunk says, however fast time goes.
+#[tokio::test(flavor = "current_thread")]
+async fn the_executor_keeps_to_the_time_that_the_arm_makes() {
+    let (arm_side, executor_side, here) = (context(4), context(4), context(4));
+    let words = format!(
+        "--ros-args -p seed:={SEED} -p image_transport:=raw -p real_time_factor:=0.0 -p command_timeout:=1.0"
+    );
+    let arm = start(&arm_side, "sim_arm", words, sim_arm::body);
+    let words = "--ros-args -p use_sim_time:=true -p command_clock:=ros -p rate:=5.0 -p stop_within:=0.4 -p \
+                 base_frame:=base_link -p begin:=reception -p arm_on_start:=true";
+    let executor = start(&executor_side, "executor", words.to_owned(), executor::body);
+    tokio::time::timeout(PATIENCE, kept(&here))
+        .await
+        .expect("a message that should come does not");
+    for (context, thread) in [(arm_side, arm), (executor_side, executor)] {
+        context.shutdown().trigger();
+        thread.join().unwrap().unwrap();
+        context.close();
+    }
+    here.close();
+}
+
+async fn kept(here: &Context) {
+    let args = "--ros-args -p use_sim_time:=true";
+    let args = NodeArgs::parse(args.split_whitespace()).unwrap();
+    let node = Node::new(here, "policy", wm_ros::NAMESPACE, &args).unwrap();
+    let chunks: Publisher<ActionChunk> = node.publisher("action_chunk", Qos::reliable(10)).unwrap();
+    let mut actions: Subscription<Action> =
+        node.subscription("action", Qos::reliable(100)).unwrap();
+    let mut poses: Subscription<PoseStamped> =
+        node.subscription("ee_pose", Qos::reliable(100)).unwrap();
+    let mut status: Subscription<ExecutorStatus> = node
+        .subscription("executor/status", Qos::latched(1))
+        .unwrap();
+    chunks.wait_for_subscribers(1).await;
+    actions.wait_for_publishers(1).await;
+    // The executor has heard what time it is.
+    while status.recv().await.unwrap().message.header.stamp.to_nanos() == 0 {}
+    while node.count_subscribers("command/twist").unwrap() < 1
+        || node.count_publishers("command/twist").unwrap() < 1
+    {
+        poses.recv().await.unwrap();
+    }
+    let start = poses.recv().await.unwrap().message;
+    let [least, most] = wm_sim::WORKSPACE_M;
+    let sign = ((least[1] + most[1]) / 2.0 - start.pose.position.y).signum();
+    let action = Action {
+        header: start.header.clone(),
+        values: vec![0.0, (0.01 * sign) as f32, 0.0, 0.0, 0.0, 0.0, 1.0],
+    };
+    let period = RosDuration::from_nanos(200_000_000);
+    chunks
+        .publish(&ActionChunk {
+            header: start.header,
+            period,
+            actions: vec![action; 8],
+            ..ActionChunk::default()
+        })
+        .unwrap();
+    let mut moved = 0;
+    loop {
+        let step = f64::from(actions.recv().await.unwrap().message.values[1]) * sign;
+        // A command holds for its step, whole.
+        let is_whole = (step - 0.01).abs() < 1e-6;
+        assert!(is_whole || step.abs() < 1e-6, "{step} after {moved} steps");
+        moved += i32::from(is_whole);
+        if moved > 0 && !is_whole {
+            break;
+        }
+    }
+    // Of the first ones, time may have been over when they came; and on a busy machine a step may go on by the last command.
+    assert!((3..=12).contains(&moved), "{moved}");
 }

@@ -6,7 +6,6 @@ use std::{
 };
 
 use anyhow::Result;
-use tokio::time::MissedTickBehavior;
 use tracing::{error, info, warn};
 use wm_msgs::{
     Message,
@@ -30,8 +29,8 @@ use wm_ros::{
 use crate::hear::next;
 
 use super::{
-    Cause, Command, ExecutorStep, Now, Output, Refusal, Source, State, Status, Taken, message,
-    parameters::Parameters,
+    Cause, Command, ExecutorStep, Now, Output, Refusal, Source, State, Status, Taken, beat::Beat,
+    message, parameters::Parameters,
 };
 
 const NAME: &str = "executor";
@@ -205,8 +204,7 @@ pub async fn body(node: Node) -> Result<()> {
     calls.add(arm, Request::Arm);
     calls.add(stop, Request::Stop);
     calls.add(reset, Request::Reset);
-    let mut ticks = tokio::time::interval(settings.period);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let mut beat = Beat::new(parameters.is_clocked, settings.period, node.clock());
     let mut executor = Executor {
         step: ExecutorStep::new(settings),
         complaints: Complaints::new(node.diagnostics()),
@@ -224,7 +222,6 @@ pub async fn body(node: Node) -> Result<()> {
             status,
         },
         told: None,
-        node: node.clone(),
     };
     let name = node.fully_qualified_name();
     if parameters.arm_on_start {
@@ -242,32 +239,36 @@ pub async fn body(node: Node) -> Result<()> {
         // What stops the arm goes first; commands go before what leads to further ones.
         tokio::select! {
             biased;
-            Some(received) = emergency.recv() => executor.emergency(received.message.data)?,
-            call = calls.next() => executor.obey(call)?,
+            Some(received) = emergency.recv() => executor.emergency(received.message.data, beat.now())?,
+            call = calls.next() => executor.obey(call, beat.now())?,
             () = shutdown.wait(), if !is_ending => {
                 is_ending = true;
+                if beat.is_clock() {
+                    // Its clock may stand still for ever.
+                    executor.step.stop("shutdown");
+                    executor.tick(beat.now())?;
+                    return executor.outlets.settle().await;
+                }
                 executor.step.disarm(Cause::Shutdown);
             }
-            Some(received) = deadman.recv() => executor.step.deadman(received.message.data, received.at),
-            Some(received) = poses.recv() => executor.pose(&received.message, received.at),
-            Some(received) = next(&mut joints) => executor.joints(&received.message, received.at),
-            _ = ticks.tick() => {
-                let is_moving = executor.tick()?;
+            Some(received) = deadman.recv() => executor.step.deadman(received.message.data, beat.of(&received)),
+            Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received)),
+            Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received)),
+            () = beat.tick() => {
+                let is_moving = executor.tick(beat.now())?;
                 if is_ending && !is_moving {
                     return executor.outlets.settle().await;
                 }
             }
             Some(received) = errors.recv() => executor.step.prediction_error(&received.message),
             Some(received) = candidates.recv() => executor.step.candidates(&received.message),
-            Some(received) = assessments.recv() => executor.assessment(&received.message),
+            Some(received) = assessments.recv() => executor.assessment(&received.message, beat.now()),
             Some(received) = next(&mut chunks) => {
-                let now = executor.now();
-                let taken = executor.step.chunk(&received.message, received.at, now);
+                let taken = executor.step.chunk(&received.message, beat.of(&received), beat.now());
                 executor.take(Source::Chunk, taken);
             }
             Some(received) = next(&mut plans) => {
-                let now = executor.now();
-                let taken = executor.step.plan(&received.message, received.at, now);
+                let taken = executor.step.plan(&received.message, beat.of(&received), beat.now());
                 let is_accepted = matches!(taken, Ok(Taken::Accepted));
                 executor.take(Source::Plan, taken);
                 if is_accepted {
@@ -312,7 +313,6 @@ impl Outlets {
 }
 
 struct Executor {
-    node: Node,
     step: ExecutorStep,
     outlets: Outlets,
     complaints: Complaints,
@@ -327,13 +327,6 @@ const STATUS_PERIOD: Duration = Duration::from_secs(1);
 const FAREWELL: Duration = Duration::from_millis(300);
 
 impl Executor {
-    fn now(&self) -> Now {
-        Now {
-            at: Instant::now(),
-            stamp_ns: self.node.now().to_nanos(),
-        }
-    }
-
     fn header(&self, stamp_ns: i64) -> Header {
         Header {
             stamp: Time::from_nanos(stamp_ns),
@@ -342,8 +335,7 @@ impl Executor {
     }
 
     /// Sends the command of this period; whether the arm moves.
-    fn tick(&mut self) -> Result<bool> {
-        let now = self.now();
+    fn tick(&mut self, now: Now) -> Result<bool> {
         let tick = self.step.tick(now);
         for refusal in &tick.refused {
             self.complaints.left_out(refusal.reason(), refusal);
@@ -463,8 +455,7 @@ impl Executor {
         Ok(())
     }
 
-    fn assessment(&mut self, assessment: &Assessment) {
-        let now = self.now();
+    fn assessment(&mut self, assessment: &Assessment, now: Now) {
         for refusal in self.step.assessment(assessment, now) {
             self.complaints.left_out(refusal.reason(), &refusal);
         }
@@ -482,16 +473,16 @@ impl Executor {
         }
     }
 
-    fn emergency(&mut self, is_pressed: bool) -> Result<()> {
+    fn emergency(&mut self, is_pressed: bool, now: Now) -> Result<()> {
         self.step.emergency(is_pressed);
         if is_pressed {
             // The arm does not wait for the next period.
-            self.tick()?;
+            self.tick(now)?;
         }
         Ok(())
     }
 
-    fn obey(&mut self, request: Request) -> Result<()> {
+    fn obey(&mut self, request: Request, now: Now) -> Result<()> {
         let outcome = |done: Result<(), super::ArmError>, what: &str| match done {
             Ok(()) => Outcome {
                 success: true,
@@ -515,7 +506,7 @@ impl Executor {
             }
             Request::Stop(call) => {
                 self.step.stop("~/stop");
-                self.tick()?;
+                self.tick(now)?;
                 answer(call, &outcome(Ok(()), "stopped"));
                 return Ok(());
             }
@@ -524,7 +515,7 @@ impl Executor {
                 answer(call, &outcome(reset, "reset: not armed"));
             }
         }
-        self.tell(self.now())
+        self.tell(now)
     }
 }
 

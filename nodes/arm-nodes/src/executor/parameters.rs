@@ -39,6 +39,9 @@ wm_ros::parameters! {
         begin: Begin = "stamp", one_of { "stamp" => Begin::Stamp, "reception" => Begin::Reception };
         /// Commands per second [Hz].
         rate: f64 = 20.0, in 1.0..=500.0;
+        /// What the commands, limits and timeouts go by: real time, or the node's clock (use_sim_time), for a simulated arm
+        /// that makes its own time. Where that clock stops, nothing is sent.
+        pub(super) is_clocked as "command_clock": bool = "real", one_of { "real" => false, "ros" => true };
         /// For how long after its reception a chunk or plan is executed [s]. With begin reception, its stamp may not be
         /// older either.
         max_age: Duration = 2.0, in 0.01..=60.0;

@@ -15,6 +15,9 @@ pub enum Refusal {
     /// An emergency stop is latched.
     #[error("emergency stop: expected a call of ~/reset")]
     Stopped,
+    /// Nobody knows what time it is: with `use_sim_time`, nothing has come on `/clock`.
+    #[error("no message on /clock yet; expected one, since use_sim_time is set")]
+    NoClock,
     /// No action, or more than a chunk has.
     #[error("it has {0} actions; expected 1 to {MAX_CHUNK}")]
     Count(usize),
@@ -172,6 +175,7 @@ impl Refusal {
         match self {
             Self::NotArmed => "not_armed",
             Self::Stopped => "stopped",
+            Self::NoClock => "no_clock",
             Self::Count(_) => "action_count",
             Self::Action { error, .. } => match error {
                 ActionError::NotFinite { .. } => "not_finite",

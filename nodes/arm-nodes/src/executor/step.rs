@@ -286,6 +286,10 @@ impl ExecutorStep {
             Phase::Stopped(_) => return Err(Refusal::Stopped),
         }
         let settings = &self.settings;
+        // What begins before all time would be over with the first message on /clock.
+        if now.stamp_ns == 0 {
+            return Err(Refusal::NoClock);
+        }
         // Without joints no motion is free, and where they set out from is not known.
         if let Some(joints) = &settings.joints {
             joints.check(now.at)?;

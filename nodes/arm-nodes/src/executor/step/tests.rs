@@ -340,6 +340,9 @@ fn what_comes_at_the_wrong_time_is_refused() {
     let received = bench.at(7_900).at;
     let stale = bench.step.chunk(&chunk(10_000, 0.02, 4), received, now);
     assert_eq!(stale.unwrap_err().reason(), "stale");
+    let unknown = Now { stamp_ns: 0, ..now };
+    let early = bench.step.chunk(&chunk(0, 0.02, 4), now.at, unknown);
+    assert_eq!(early, Err(Refusal::NoClock));
     assert_eq!(bench.refused(10_000, &chunk(9_600, 0.02, 2)).0, "late");
     assert_eq!(bench.refused(10_000, &chunk(15_001, 0.02, 2)).0, "early");
     bench.offer(10_000, &chunk(10_000, 0.02, 4)).unwrap();
