@@ -239,6 +239,7 @@ impl Planning<'_> {
                 .map(|last| last.actions)
                 .into_iter()
                 .collect(),
+            workers: None,
         };
         let deadline = u128::from(settings.deadline_ms);
         let found = planner.plan(&mut problem, self.seed, &mut |_| {
