@@ -1,12 +1,11 @@
 //! The command line.
 
-use crate::{
-    network::NetworkArguments,
-    settings::{Options, Settings, SettingsError},
-};
-use anyhow::Result;
+use crate::settings::{Options, Section, Settings, SettingsError};
+use anyhow::{Context as _, Result};
 use clap::Parser;
+use serde_json::Value;
 use wm_ros::{ArgsError, NodeArgs};
+use wm_zenoh::NetworkArguments;
 
 /// Carry topics and services between DDS and a Zenoh network, as zenoh-bridge-ros2dds does
 #[derive(Debug, Parser)]
@@ -56,7 +55,8 @@ pub fn parse() -> Result<Arguments> {
     let node = NodeArgs::parse(std::env::args().skip(1))?;
     let words = std::iter::once("wm bridge").chain(node.rest().iter().map(String::as_str));
     let cli = Cli::parse_from(words);
-    let (config, section) = cli.network.resolve()?;
+    let config = cli.network.resolve()?;
+    let section = section(&config)?;
     let options = Options {
         namespace: cli.namespace,
         allow: cli.allow,
@@ -70,6 +70,15 @@ pub fn parse() -> Result<Arguments> {
         settings: Settings::new(section, options)?,
         node,
     })
+}
+
+/// What the configuration file says of what is carried.
+fn section(config: &zenoh::Config) -> Result<Section> {
+    match serde_json::to_value(config)?.pointer("/plugins/ros2dds") {
+        None | Some(Value::Null) => Ok(Section::default()),
+        Some(section) => serde_json::from_value(section.clone())
+            .context("plugins/ros2dds in the configuration file"),
+    }
 }
 
 /// Whether what the user gave is wrong, as opposed to what then failed.
@@ -87,5 +96,20 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn the_section_of_the_configuration_is_found_and_a_wrong_one_named() {
+        let config = |text: &str| zenoh::Config::from_json5(text).unwrap();
+        let sound = config(r#"{ plugins: { ros2dds: { namespace: "/robot1" } } }"#);
+        let settings = Settings::new(section(&sound).unwrap(), Options::default()).unwrap();
+        assert_eq!(settings.namespace, "/robot1".parse().unwrap());
+        assert!(section(&config("{}")).is_ok());
+        let wrong = config("{ plugins: { ros2dds: { topics: [] } } }");
+        let error = format!("{:#}", section(&wrong).unwrap_err());
+        assert!(
+            error.contains("plugins/ros2dds") && error.contains("topics"),
+            "{error}"
+        );
     }
 }

@@ -15,7 +15,6 @@ mod arguments;
 mod bridge;
 mod key;
 mod limiter;
-mod network;
 mod others;
 mod plan;
 mod request_header;

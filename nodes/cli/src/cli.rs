@@ -50,6 +50,9 @@ enum Subcommands {
     /// Carry topics and services to other machines over Zenoh (runs wm-bridge)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bridge(external::Arguments),
+    /// Cost candidates for planners on other machines (runs wm-planner-worker)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    PlannerWorker(external::Arguments),
     #[command(flatten)]
     Node(node::NodeCommand),
 }
@@ -132,6 +135,7 @@ impl Command {
             Subcommands::Model(command) => command.run(),
             Subcommands::Report(command) => command.run(),
             Subcommands::Bridge(own) => own.exec("wm-bridge", [], self.ros_args),
+            Subcommands::PlannerWorker(own) => own.exec("wm-planner-worker", [], Vec::new()),
             Subcommands::Node(command) => command.run(self.ros_args),
         }
     }

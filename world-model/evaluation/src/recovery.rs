@@ -166,6 +166,7 @@ fn plan(
         horizon: 1,
         batch: 100,
         proposals: Vec::new(),
+        workers: None,
     };
     let plan = cem.plan(&mut problem, SEED, &mut |_| false)?;
     let planned = plan.actions.into_iter().next();

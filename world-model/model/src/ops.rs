@@ -48,4 +48,5 @@ pub use linear::linear;
 pub use packed_linear::PackedLinear;
 pub use rms_norm_modulate::rms_norm_modulate;
 pub use rotary::{RopeLayout, RotaryTable};
+pub use simd::instruction_set;
 pub use swiglu::swiglu;

@@ -26,6 +26,7 @@
 //! # }
 //! ```
 
+mod position;
 pub(crate) mod settings;
 mod window;
 
@@ -38,6 +39,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::transition::PackedTransition;
 use crate::{Error, Result};
+pub use position::Position;
 pub use settings::{Sampler, shift_time};
 use window::{Batched, Window};
 
@@ -189,6 +191,11 @@ impl<'m> Rollout<'m> {
             return Err(Error::config("candidates", reason));
         }
         Ok(Tensor::from_slice(&last.values, shape, &Device::Cpu)?)
+    }
+
+    /// How frames are integrated.
+    pub fn sampler(&self) -> &Sampler {
+        &self.sampler
     }
 
     /// Length A of a model action.

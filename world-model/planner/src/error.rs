@@ -9,6 +9,12 @@ pub enum PlanError {
     /// A setting, a bound or a proposal that cannot serve.
     #[error("planner: {0}")]
     Setting(String),
+    /// A term of the cost that no other process can work out.
+    #[error("planner: the term {term} of the cost needs more than the transition model")]
+    NotPortable {
+        /// Its name.
+        term: &'static str,
+    },
     /// The model, or the goal's latent, does not fit.
     #[error(transparent)]
     Model(#[from] wm_model::Error),

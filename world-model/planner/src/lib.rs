@@ -6,13 +6,17 @@
 //! robot; one seed gives one plan, whatever the size of the batches and the number of threads.
 //!
 //! The transition model serves as the dynamics by [`TransitionDynamics`], which shares one cached context and one noise
-//! among all candidates. Everything here is in model units; `wm_motion::actions::ActionEncoding` turns a plan into metres
+//! among all candidates. [`Workers`], processes with the same model, may cost some of the batches; a [`CostFunction`] is all
+//! that they need for it. Everything here is in model units; `wm_motion::actions::ActionEncoding` turns a plan into metres
 //! and radians.
 
+mod array;
 mod cem;
 mod choice;
+mod cost_function;
 mod dynamics;
 mod error;
+mod fingerprint;
 mod icem;
 mod inverse;
 mod mppi;
@@ -28,20 +32,25 @@ mod spread;
 mod transition_dynamics;
 mod waypoint;
 mod weights;
+mod workers;
 mod workspace;
 
 #[cfg(test)]
 mod testing;
 
+pub use array::Array;
 pub use cem::{Cem, CemSettings, Returned};
 pub use choice::{PlannerChoice, PlannerSettings};
+pub use cost_function::{CostFunction, Evaluator};
 pub use dynamics::Dynamics;
 pub use error::PlanError;
+pub use fingerprint::fingerprint;
 pub use icem::{Icem, IcemSettings};
 pub use inverse::{Inverse, InverseSettings, Path};
 pub use mppi::{Mppi, MppiSettings};
 pub use objective::{
-    ActionSize, Costs, GoalDistance, Objective, Smoothness, Success, Target, Term, WorkspaceMargin,
+    ActionSize, Costs, GoalDistance, Objective, PortableTerm, Smoothness, Success, Target, Term,
+    WorkspaceMargin,
 };
 pub use planned::PlannedActions;
 pub use planner::Planner;
@@ -52,4 +61,5 @@ pub use spread::spread;
 pub use transition_dynamics::TransitionDynamics;
 pub use waypoint::{Arrival, Waypoint, latent_distance, timed};
 pub use weights::{Weights, one_a_step};
+pub use workers::{Batch, Turn, WorkerCounts, WorkerPool, Workers};
 pub use workspace::{Workspace, WorkspaceAxis};

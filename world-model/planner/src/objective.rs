@@ -2,6 +2,7 @@
 
 mod action_size;
 mod goal_distance;
+mod portable_term;
 mod smoothness;
 mod success;
 mod workspace_margin;
@@ -12,6 +13,7 @@ use candle_core::Tensor;
 
 pub use action_size::ActionSize;
 pub use goal_distance::{GoalDistance, Target};
+pub use portable_term::PortableTerm;
 pub use smoothness::Smoothness;
 pub use success::Success;
 pub use workspace_margin::WorkspaceMargin;
@@ -34,6 +36,14 @@ pub trait Term: Debug + Send + Sync {
         candidates: &[Vec<f32>],
         latents: &Tensor,
     ) -> Result<Vec<f32>, PlanError>;
+
+    /// It as data, which another process makes the same term of; `None` where it needs more than the transition model.
+    ///
+    /// # Errors
+    /// Where its tensors cannot be read.
+    fn portable(&self) -> wm_model::Result<Option<PortableTerm>> {
+        Ok(None)
+    }
 }
 
 /// A weighted sum of terms.
@@ -49,6 +59,14 @@ pub struct Costs {
     pub total: Vec<f32>,
     /// Of each candidate: its terms, weighted, in the objective's order.
     pub terms: Vec<Vec<f32>>,
+}
+
+impl Costs {
+    /// Costs whose `terms`, weighted, are these.
+    pub fn of_terms(terms: Vec<Vec<f32>>) -> Self {
+        let total = terms.iter().map(|terms| terms.iter().sum()).collect();
+        Self { total, terms }
+    }
 }
 
 impl Objective {
@@ -69,6 +87,37 @@ impl Objective {
     /// Names of its terms.
     pub fn names(&self) -> impl Iterator<Item = &'static str> {
         self.terms.iter().map(|(_, term)| term.name())
+    }
+
+    /// Its terms as data, with their weights.
+    ///
+    /// # Errors
+    /// [`PlanError::NotPortable`] names a term that has no such form.
+    pub fn portable(&self) -> Result<Vec<(f32, PortableTerm)>, PlanError> {
+        let portable = |(weight, term): &(f32, Box<dyn Term>)| {
+            let portable = term.portable()?;
+            let portable = portable.ok_or(PlanError::NotPortable { term: term.name() })?;
+            Ok((*weight, portable))
+        };
+        self.terms.iter().map(portable).collect()
+    }
+
+    /// The objective of such terms. Names are those that terms have by themselves.
+    ///
+    /// # Errors
+    /// [`PlanError::Setting`] names a number that cannot serve.
+    pub fn of_portable(terms: &[(f32, PortableTerm)]) -> Result<Self, PlanError> {
+        let weighted = |(weight, term): &(f32, PortableTerm)| {
+            if !weight.is_finite() {
+                let name = term.name();
+                return Err(PlanError::Setting(format!(
+                    "the weight of {name} must be finite, not {weight}"
+                )));
+            }
+            Ok((*weight, term.build()?))
+        };
+        let terms = terms.iter().map(weighted).collect::<Result<_, _>>()?;
+        Ok(Self { terms })
     }
 
     /// Costs of candidates; see [`Term::costs`].
@@ -101,8 +150,7 @@ impl Objective {
                 terms.push(weight * cost);
             }
         }
-        let total = terms.iter().map(|terms| terms.iter().sum()).collect();
-        Ok(Costs { total, terms })
+        Ok(Costs::of_terms(terms))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use candle_core::{Device, Tensor};
 
-use crate::{Costs, Dynamics, Objective, PlanError, SearchSpace};
+use crate::{Costs, Dynamics, Objective, PlanError, SearchSpace, Workers};
 
 /// What is to be planned.
 pub struct Problem<'a> {
@@ -14,11 +14,13 @@ pub struct Problem<'a> {
     pub objective: &'a Objective,
     /// Model steps k of a plan, at least 1.
     pub horizon: usize,
-    /// Most candidates rolled out at once: bounds memory, and is how often [`Watch`] is asked.
+    /// Most candidates rolled out at once: bounds memory, is how often [`Watch`] is asked, and what a worker is given.
     pub batch: usize,
     /// Plans to begin from, the most promising first: one searched action a step, (k, values) each. Usually what is left
     /// of the last plan.
     pub proposals: Vec<Vec<Vec<f32>>>,
+    /// Others who cost batches of candidates too. The plan is the same without them.
+    pub workers: Option<&'a mut dyn Workers>,
 }
 
 /// How far a search is.

@@ -1,6 +1,11 @@
 //! What all searches have in common: rolling candidates out, and keeping the best.
 
-use crate::{PlanError, PlannedActions, Problem, Progress, Watch};
+use std::sync::Arc;
+
+use crate::{
+    Batch, Costs, PlanError, PlannedActions, Problem, Progress, Turn, Watch, Workers,
+    workers::Alone,
+};
 
 /// A search that goes on.
 pub(crate) struct Search<'s, 'p> {
@@ -104,7 +109,9 @@ impl<'s, 'p> Search<'s, 'p> {
 
     /// Rolls one more candidate out, whatever the time: it may be what is returned. `None` where its cost is not finite.
     pub(crate) fn try_one(&mut self, candidate: Vec<f32>) -> Result<Option<Scored>, PlanError> {
-        Ok(self.batch(&[candidate])?.pop())
+        let batch = vec![self.problem.space.limit(candidate)];
+        let costs = self.problem.costs(&batch)?;
+        Ok(self.scored(&batch, costs).pop())
     }
 
     /// Cost of the best candidate seen.
@@ -140,40 +147,79 @@ impl<'s, 'p> Search<'s, 'p> {
 
     /// Those of a population with a finite cost, in order, and how many were tried before the search was ended.
     fn score(&mut self, population: Vec<Vec<f32>>) -> Result<(Vec<Scored>, usize), PlanError> {
-        let (mut scored, mut tried) = (Vec::with_capacity(population.len()), 0);
-        for (index, batch) in population.chunks(self.problem.batch).enumerate() {
-            if index > 0 && self.is_over() {
+        let space = self.problem.space;
+        let limited: Vec<Vec<f32>> = population
+            .into_iter()
+            .map(|candidate| space.limit(candidate))
+            .collect();
+        let batches = limited.chunks(self.problem.batch).map(<[_]>::to_vec);
+        let batches: Arc<[Batch]> = batches.collect();
+        let mut alone = Alone::default();
+        let mut workers = self.problem.workers.take();
+        let costed = match &mut workers {
+            Some(workers) => self.cost(&batches, &mut **workers),
+            None => self.cost(&batches, &mut alone),
+        };
+        self.problem.workers = workers;
+        let costed = costed?;
+        let tried = batches.iter().zip(&costed);
+        let tried = tried.filter_map(|(batch, scored)| scored.as_ref().map(|_| batch.len()));
+        let tried = tried.sum();
+        Ok((costed.into_iter().flatten().flatten().collect(), tried))
+    }
+
+    /// The candidates of each batch that have a finite cost; `None` for a batch before which the search was ended. Which
+    /// batches are costed here makes no difference but for the time.
+    fn cost(
+        &mut self,
+        batches: &Arc<[Batch]>,
+        workers: &mut dyn Workers,
+    ) -> Result<Vec<Option<Vec<Scored>>>, PlanError> {
+        let mut costed: Vec<Option<Vec<Scored>>> = vec![None; batches.len()];
+        let mut left = batches.len();
+        workers.offer(batches);
+        while left > 0 {
+            if left < batches.len() && self.is_over() {
                 self.is_cut = true;
                 break;
             }
-            tried += batch.len();
-            scored.append(&mut self.batch(batch)?);
+            let (index, answer) = match workers.next() {
+                Some(Turn::Here(index)) => (index, None),
+                Some(Turn::Answered(index, costs)) => (index, Some(costs)),
+                None => break,
+            };
+            let (Some(slot @ None), Some(batch)) = (costed.get_mut(index), batches.get(index))
+            else {
+                continue;
+            };
+            let costs = match answer {
+                Some(costs) => costs,
+                None => self.problem.costs(batch)?,
+            };
+            *slot = Some(self.scored(batch, costs));
+            left -= 1;
         }
-        Ok((scored, tried))
+        workers.withdraw();
+        Ok(costed)
     }
 
-    fn batch(&mut self, candidates: &[Vec<f32>]) -> Result<Vec<Scored>, PlanError> {
-        let space = self.problem.space;
-        let limited: Vec<Vec<f32>> = candidates
+    /// Those of a batch with a finite cost.
+    fn scored(&mut self, batch: &[Vec<f32>], costs: Costs) -> Vec<Scored> {
+        let scored: Vec<Scored> = batch
             .iter()
-            .map(|candidate| space.limit(candidate.clone()))
-            .collect();
-        let costs = self.problem.costs(&limited)?;
-        self.candidates += limited.len();
-        let scored: Vec<Scored> = limited
-            .into_iter()
             .zip(costs.total)
             .zip(costs.terms)
             .filter(|((_, cost), _)| cost.is_finite())
             .map(|((actions, cost), terms)| Scored {
                 cost,
                 terms,
-                actions,
+                actions: actions.clone(),
             })
             .collect();
-        self.rejected += candidates.len() - scored.len();
+        self.candidates += batch.len();
+        self.rejected += batch.len() - scored.len();
         self.deviation = deviation(&scored);
-        Ok(scored)
+        scored
     }
 
     fn is_over(&mut self) -> bool {

@@ -1,9 +1,12 @@
 //! What a search may choose.
 
+use serde::{Deserialize, Serialize};
+
 use crate::{PlanError, Workspace};
 
 /// What a search may choose: some values of each model action, and the limits that hold for them.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Parts")]
 pub struct SearchSpace {
     /// A model action (A); what is not searched is as in it.
     base: Vec<f32>,
@@ -13,8 +16,41 @@ pub struct SearchSpace {
     workspace: Option<Workspace>,
 }
 
+/// What others send.
+#[derive(Deserialize)]
+struct Parts {
+    base: Vec<f32>,
+    coordinates: Vec<Coordinate>,
+    previous: Option<Vec<f32>>,
+    workspace: Option<Workspace>,
+}
+
+impl TryFrom<Parts> for SearchSpace {
+    type Error = PlanError;
+
+    fn try_from(parts: Parts) -> Result<Self, PlanError> {
+        let mut space = Self::new(parts.base, parts.coordinates)?;
+        if let Some(workspace) = parts.workspace {
+            space = space.within(workspace)?;
+        }
+        if let Some(previous) = &parts.previous
+            && previous.len() != space.len()
+        {
+            return Err(PlanError::Setting(format!(
+                "{} values before the plan, expected {}",
+                previous.len(),
+                space.len()
+            )));
+        }
+        Ok(Self {
+            previous: parts.previous,
+            ..space
+        })
+    }
+}
+
 /// A searched value.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Coordinate {
     /// Its place in a model action.
     pub index: usize,
@@ -25,7 +61,7 @@ pub struct Coordinate {
 }
 
 /// What a searched value may be, in model units.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Range {
     /// Anything from the first to the second.
     Between(f32, f32),

@@ -85,5 +85,6 @@ pub(crate) fn problem<'a>(
         horizon: 3,
         batch: 64,
         proposals: Vec::new(),
+        workers: None,
     }
 }

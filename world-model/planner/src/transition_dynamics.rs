@@ -68,6 +68,16 @@ impl<'m> TransitionDynamics<'m> {
             ..self
         })
     }
+
+    /// The rollout that all candidates go on from.
+    pub(crate) fn rollout_from(&self) -> &Rollout<'m> {
+        &self.start
+    }
+
+    /// The action (1, A) that was given to [`Self::ending_with`].
+    pub(crate) fn last_action(&self) -> Option<&Tensor> {
+        self.last.as_ref()
+    }
 }
 
 impl TransitionDynamics<'_> {
@@ -214,6 +224,7 @@ mod tests {
             horizon: 1,
             batch: 20,
             proposals: Vec::new(),
+            workers: None,
         };
         let plan = cem.plan(&mut problem, 1, &mut |_| false).unwrap();
         assert!(

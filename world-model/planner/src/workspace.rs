@@ -1,14 +1,16 @@
 //! Where the end effector may be.
 
+use serde::{Deserialize, Serialize};
+
 /// A box that planned motion stays within. Translations are taken along the axes of the frame of the actions.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Workspace {
     /// One for each axis that a searched value moves along.
     pub axes: Vec<WorkspaceAxis>,
 }
 
 /// An axis of the box.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WorkspaceAxis {
     /// Index of the searched value that moves along it.
     pub coordinate: usize,

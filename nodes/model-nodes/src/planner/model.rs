@@ -185,6 +185,7 @@ impl PlannerModel {
             horizon: self.setup.horizon,
             batch: self.setup.batch,
             proposals: starts,
+            workers: None,
         };
         let terms: Vec<&str> = objective.names().collect();
         let watch = &mut |progress: &Progress<'_>| watch(progress, &terms);

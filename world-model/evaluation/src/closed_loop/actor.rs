@@ -238,6 +238,7 @@ impl Planning<'_> {
                 .take()
                 .map(|last| last.proposals())
                 .unwrap_or_default(),
+            workers: None,
         };
         let deadline = u128::from(settings.deadline_ms);
         let found = planner.plan(&mut problem, self.seed, &mut |_| {

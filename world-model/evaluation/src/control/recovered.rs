@@ -103,6 +103,7 @@ pub(super) fn measure(
                 Start::Truth => vec![truth.clone()],
                 Start::Zero => Vec::new(),
             },
+            workers: None,
         };
         let plan = cem.plan(&mut problem, seed, &mut |_| false)?;
         searches.push(Search {

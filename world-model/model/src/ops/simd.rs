@@ -65,6 +65,17 @@ impl InstructionSet {
     }
 }
 
+/// Which kernels this machine computes with: `avx512`, `avx2` or `portable`. Under another set sums are rounded otherwise.
+pub fn instruction_set() -> &'static str {
+    match InstructionSet::detect() {
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx512 => "avx512",
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx2 => "avx2",
+        InstructionSet::Portable => "portable",
+    }
+}
+
 /// No panel is wider, under any instruction set.
 const MOST_VECTORS: usize = 4;
 

@@ -249,3 +249,32 @@ fn rows_of_a_batch_are_computed_as_if_alone() {
         );
     }
 }
+
+/// Under both alignments of actions, before and after the window slides.
+#[test]
+fn a_rollout_goes_on_from_the_position_of_another_bit_for_bit() {
+    for (_, model) in [&*PLAIN, &*TINY] {
+        let sampler = &model.config().sampler;
+        let context = random(&[1, 2, 4, 4, 4], 1);
+        let past = random(&[1, 7], 2);
+        let actions = random(&[6, 1, 7], 3);
+        let mut rollout = Rollout::new(model, sampler, &context, Some(&past), 4).unwrap();
+        for step in 0..6 {
+            let position = rollout.position().unwrap();
+            let mut resumed = Rollout::resume(model, sampler, &position).unwrap();
+            // What the other has prepared makes no difference.
+            rollout.prepare().unwrap();
+            let action = actions.get(step).unwrap();
+            let own = actions.get((step + 1) % 6).unwrap();
+            let given = Given {
+                own_action: Some(&own),
+                ..Given::default()
+            };
+            let goes_on = rollout.next_given(&action, given).unwrap();
+            let again = resumed.next_given(&action, given).unwrap();
+            assert_eq!(most(&goes_on, &again), 0.0, "step {step}");
+        }
+        let several = rollout.candidates(2).unwrap().position().unwrap_err();
+        assert!(several.to_string().contains("position of 2"), "{several}");
+    }
+}

@@ -179,6 +179,20 @@ impl Window {
         })
     }
 
+    /// Values of all frames, and of the actions between them, where one candidate has them.
+    pub(super) fn values(&self) -> Result<(Vec<f32>, Vec<f32>)> {
+        let mut of_all = self.frames.iter().chain(&self.actions);
+        if let Some(several) = of_all.find(|each| each.batch != 1) {
+            let reason = format!("the frames of {} were asked for", several.batch);
+            return Err(Error::config("candidates", reason));
+        }
+        let values = |all: &VecDeque<Batched>| {
+            let each = all.iter().flat_map(|each| each.values.iter().copied());
+            each.collect()
+        };
+        Ok((values(&self.frames), values(&self.actions)))
+    }
+
     /// What is fed with the frame to be predicted, to which the action that was pushed last leads; `own` is the one that
     /// leads on from it, if it is known. Otherwise the last one goes on: no frame that a model was trained on had none.
     pub(super) fn action_of_new_frame(

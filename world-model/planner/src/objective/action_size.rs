@@ -2,7 +2,7 @@
 
 use candle_core::Tensor;
 
-use super::Term;
+use super::{PortableTerm, Term};
 use crate::{PlanError, Range, SearchSpace};
 
 /// Mean squared size of the actions, each value as a part of its range: 0 for no motion, 1 at the bounds. Values that are
@@ -13,6 +13,10 @@ pub struct ActionSize;
 impl Term for ActionSize {
     fn name(&self) -> &'static str {
         "action"
+    }
+
+    fn portable(&self) -> wm_model::Result<Option<PortableTerm>> {
+        Ok(Some(PortableTerm::ActionSize))
     }
 
     fn costs(

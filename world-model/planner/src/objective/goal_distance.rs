@@ -1,23 +1,41 @@
 //! How far predicted latents are from those of a goal.
 
 use candle_core::{D, Tensor};
+use serde::{Deserialize, Serialize};
 use wm_model::Error;
 
-use super::Term;
-use crate::{PlanError, SearchSpace};
+use super::{PortableTerm, Term};
+use crate::{Array, PlanError, SearchSpace};
 
 /// The latents that the predicted ones are compared with.
-#[derive(Clone, Debug)]
-pub enum Target {
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Target<L = Tensor> {
     /// One latent a step (k, h, w, C): the cost is the mean over all k steps. The objective of the controllability metric.
-    EachStep(Tensor),
+    EachStep(L),
     /// One latent (h, w, C) for the last step; how the plan comes there is free.
-    LastStep(Tensor),
+    LastStep(L),
     /// One latent (h, w, C) for all steps: the cost is the mean over them, so that what comes there sooner costs less.
-    AllSteps(Tensor),
+    AllSteps(L),
     /// Latents (h, w, C), each for the step of its index from 0; one that is beyond the plan's last step is for that.
     /// The cost is the mean over them.
-    At(Vec<(usize, Tensor)>),
+    At(Vec<(usize, L)>),
+}
+
+impl<L> Target<L> {
+    /// The same of other latents.
+    fn try_map<M, E>(&self, of: impl Fn(&L) -> Result<M, E>) -> Result<Target<M>, E> {
+        Ok(match self {
+            Self::EachStep(latents) => Target::EachStep(of(latents)?),
+            Self::LastStep(latent) => Target::LastStep(of(latent)?),
+            Self::AllSteps(latent) => Target::AllSteps(of(latent)?),
+            Self::At(latents) => {
+                let each = latents
+                    .iter()
+                    .map(|(step, latent)| Ok((*step, of(latent)?)));
+                Target::At(each.collect::<Result<_, E>>()?)
+            }
+        })
+    }
 }
 
 impl Target {
@@ -133,9 +151,29 @@ impl GoalDistance {
     }
 }
 
+impl GoalDistance {
+    /// What [`Term::portable`] made of one.
+    pub(super) fn of_portable(
+        target: &Target<Array>,
+        mask: Option<&Array>,
+    ) -> wm_model::Result<Self> {
+        Ok(Self {
+            mask: mask.map(Array::tensor).transpose()?,
+            ..Self::new(target.try_map(Array::tensor)?)
+        })
+    }
+}
+
 impl Term for GoalDistance {
     fn name(&self) -> &'static str {
         self.name
+    }
+
+    fn portable(&self) -> wm_model::Result<Option<PortableTerm>> {
+        Ok(Some(PortableTerm::GoalDistance {
+            target: self.target.try_map(Array::of)?,
+            mask: self.mask.as_ref().map(Array::of).transpose()?,
+        }))
     }
 
     fn costs(

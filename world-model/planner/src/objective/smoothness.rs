@@ -3,7 +3,7 @@
 use candle_core::Tensor;
 
 use super::{
-    Term,
+    PortableTerm, Term,
     action_size::{half_ranges, mean},
 };
 use crate::{PlanError, SearchSpace};
@@ -16,6 +16,10 @@ pub struct Smoothness;
 impl Term for Smoothness {
     fn name(&self) -> &'static str {
         "smoothness"
+    }
+
+    fn portable(&self) -> wm_model::Result<Option<PortableTerm>> {
+        Ok(Some(PortableTerm::Smoothness))
     }
 
     fn costs(

@@ -2,7 +2,7 @@
 
 use candle_core::Tensor;
 
-use super::{Term, action_size::mean};
+use super::{PortableTerm, Term, action_size::mean};
 use crate::{PlanError, SearchSpace};
 
 /// Mean square of how far the end effector is within a margin of the workspace's limits, as a part of the margin: 0
@@ -16,6 +16,12 @@ pub struct WorkspaceMargin {
 impl Term for WorkspaceMargin {
     fn name(&self) -> &'static str {
         "workspace"
+    }
+
+    fn portable(&self) -> wm_model::Result<Option<PortableTerm>> {
+        Ok(Some(PortableTerm::WorkspaceMargin {
+            margin: self.margin,
+        }))
     }
 
     fn costs(

@@ -1,11 +1,10 @@
-//! The Zenoh side: the configuration and the session.
+//! The configuration and the session.
 //!
-//! Unlike Zenoh's own defaults, the bridge connects to nobody and admits nobody that the user has not named: without
+//! Unlike Zenoh's own defaults, a program connects to nobody and admits nobody that the user has not named: without
 //! `--listen` it listens on this host only, or not at all if it connects somewhere. It neither scouts by
 //! multicast nor connects to addresses that others announce. Settings in the configuration file are kept.
 
-use crate::settings::Section;
-use anyhow::{Context as _, Result, anyhow};
+use anyhow::{Result, anyhow};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -31,7 +30,7 @@ const SAMPLE_QUEUES: [&str; 7] = [
     "transport/link/tx/queue/size/background",
 ];
 
-/// The bridge's role in the Zenoh network.
+/// The role in the Zenoh network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Mode {
     /// Forwards what others exchange; the others connect to it
@@ -52,52 +51,45 @@ impl Mode {
     }
 }
 
-/// Where the bridge connects and listens.
+/// Where a program connects and listens.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct NetworkArguments {
-    /// Zenoh's configuration file (JSON5): TLS, access control, endpoints, and the section plugins/ros2dds
+    /// Zenoh's configuration file (JSON5): TLS, access control, endpoints; for the bridge also the section plugins/ros2dds
     #[arg(short, long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    pub config: Option<PathBuf>,
     /// Role in the Zenoh network [default: router]
     #[arg(short, long)]
-    mode: Option<Mode>,
+    pub mode: Option<Mode>,
     /// Connect here, for example tcp/robot.local:7447 or tls/10.0.0.7:7447 (repeatable)
     #[arg(short = 'e', long, value_name = "ENDPOINT")]
-    connect: Vec<String>,
+    pub connect: Vec<String>,
     /// Let others connect here, for example tcp/0.0.0.0:7447 (repeatable) [default: tcp/127.0.0.1:7447, or none with
     /// --connect]
     #[arg(short, long, value_name = "ENDPOINT")]
-    listen: Vec<String>,
+    pub listen: Vec<String>,
     /// Discover other Zenoh nodes by multicast, and be discovered
     #[arg(long)]
-    scout: bool,
+    pub scout: bool,
 }
 
 impl NetworkArguments {
-    /// The configuration of the session, and what the file says of what is carried.
+    /// The configuration of the session.
     ///
     /// # Errors
     /// The file cannot be read or is not of its form, or an option is not.
-    pub fn resolve(&self) -> Result<(zenoh::Config, Section)> {
+    pub fn resolve(&self) -> Result<zenoh::Config> {
         let mut config = match &self.config {
             None => zenoh::Config::default(),
             Some(file) => zenoh::Config::from_file(file)
                 .map_err(|error| anyhow!("{}: {error}", file.display()))?,
         };
         let given = serde_json::to_value(&config)?;
-        let section = match given.pointer("/plugins/ros2dds") {
-            None | Some(Value::Null) => Section::default(),
-            Some(section) => {
-                let section = serde_json::from_value(section.clone());
-                section.context("plugins/ros2dds in the configuration file")?
-            }
-        };
         for (key, value) in self.values(&given)? {
             config
                 .insert_json5(key, &value.to_string())
                 .map_err(|error| anyhow!("{key} = {value}: {error}"))?;
         }
-        Ok((config, section))
+        Ok(config)
     }
 
     /// What the options, and the cautious defaults, set in a configuration.
@@ -172,7 +164,7 @@ mod tests {
     use std::io::Write as _;
 
     fn resolved(arguments: &NetworkArguments) -> Value {
-        let (config, _) = arguments.resolve().unwrap();
+        let config = arguments.resolve().unwrap();
         serde_json::to_value(&config).unwrap()
     }
 
@@ -234,8 +226,7 @@ mod tests {
             .tempfile()
             .unwrap();
         let text = r#"{ mode: "peer", listen: { endpoints: ["tls/0.0.0.0:7447"] },
-            access_control: { enabled: true, default_permission: "deny" },
-            plugins: { ros2dds: { namespace: "/robot1", allow: { publishers: ["/wm/.*"] } } } }"#;
+            access_control: { enabled: true, default_permission: "deny" } }"#;
         file.write_all(text.as_bytes()).unwrap();
         let mut arguments = NetworkArguments {
             config: Some(file.path().to_owned()),

@@ -1,0 +1,261 @@
+//! Which batch is where: the bookkeeping, without network and clock.
+
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
+
+use wm_planner::{Costs, Turn, WorkerCounts};
+
+/// How many times as long as the search itself a worker may take for a batch before the search costs it too.
+const HEDGE: u32 = 2;
+/// How many times as long before the worker is left out for a while.
+const LOST: u32 = 8;
+/// No worker is left out sooner: networks have hiccups.
+const LEAST_PATIENCE: Duration = Duration::from_secs(1);
+/// How long is waited for a worker while it is not known how long the search itself takes.
+const FIRST_PATIENCE: Duration = Duration::from_secs(10);
+
+/// A batch that a worker has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Job {
+    round: u64,
+    /// Of the batch.
+    pub(crate) index: usize,
+}
+
+/// Why a worker has a batch no more that it did not answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Returned {
+    TimedOut,
+    Failed,
+    Gone,
+}
+
+/// What the search does next.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Next {
+    Turn(Turn),
+    /// Waits, at most so long.
+    Wait(Duration),
+    /// Everything is costed.
+    Over,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    /// Nobody has it.
+    Open,
+    /// A worker has it, since then.
+    Out(Instant),
+    /// The search has it, or has costed it; an answer that comes all the same is late.
+    Here,
+    /// A worker has costed it.
+    Answered,
+}
+
+/// The batches of one population after the other.
+#[derive(Debug, Default)]
+pub(crate) struct Dispatch {
+    round: u64,
+    batches: Vec<Place>,
+    answers: VecDeque<(usize, Costs)>,
+    /// Since when the search costs a batch itself.
+    busy_since: Option<Instant>,
+    /// How long it took for the last one.
+    own: Option<Duration>,
+    pub(crate) counts: WorkerCounts,
+}
+
+impl Dispatch {
+    /// A population of so many batches.
+    pub(crate) fn begin(&mut self, batches: usize) {
+        self.end();
+        self.batches = vec![Place::Open; batches];
+    }
+
+    /// Nothing is to be costed any more.
+    pub(crate) fn end(&mut self) {
+        self.round += 1;
+        self.batches.clear();
+        self.answers.clear();
+        self.busy_since = None;
+    }
+
+    /// A batch for a worker that has none: the last one that nobody has, while the search begins with the first. That one
+    /// is the search's own, so that it is known how long it takes.
+    pub(crate) fn take(&mut self, now: Instant) -> Option<Job> {
+        let open = self.batches.iter().rposition(|place| *place == Place::Open);
+        let index = open.filter(|index| *index > 0)?;
+        *self.batches.get_mut(index)? = Place::Out(now);
+        let round = self.round;
+        Some(Job { round, index })
+    }
+
+    /// What the search does at `now`.
+    pub(crate) fn next(&mut self, now: Instant) -> Next {
+        if let Some(since) = self.busy_since.take() {
+            self.own = Some(now.saturating_duration_since(since));
+        }
+        if let Some((index, costs)) = self.answers.pop_front() {
+            return Next::Turn(Turn::Answered(index, costs));
+        }
+        let places = || self.batches.iter().enumerate();
+        if let Some((index, _)) = places().find(|(_, place)| **place == Place::Open) {
+            return self.here(index, now);
+        }
+        let oldest = places().filter_map(|(index, place)| match place {
+            Place::Out(since) => Some((*since, index)),
+            _ => None,
+        });
+        let Some((since, index)) = oldest.min() else {
+            return Next::Over;
+        };
+        let due = since + self.own.unwrap_or_default() * HEDGE;
+        match due.checked_duration_since(now) {
+            Some(left) if !left.is_zero() => Next::Wait(left),
+            _ => self.here(index, now),
+        }
+    }
+
+    fn here(&mut self, index: usize, now: Instant) -> Next {
+        if let Some(place) = self.batches.get_mut(index) {
+            *place = Place::Here;
+        }
+        self.busy_since = Some(now);
+        Next::Turn(Turn::Here(index))
+    }
+
+    /// How long a worker is waited for.
+    pub(crate) fn patience(&self) -> Duration {
+        self.own
+            .map_or(FIRST_PATIENCE, |own| (own * LOST).max(LEAST_PATIENCE))
+    }
+
+    /// A worker has costed its batch.
+    pub(crate) fn answered(&mut self, job: Job, costs: Costs) {
+        match self.place(job) {
+            Some(place @ Place::Out(_)) => {
+                *place = Place::Answered;
+                self.answers.push_back((job.index, costs));
+                self.counts.answered += 1;
+            }
+            _ => self.counts.late += 1,
+        }
+    }
+
+    /// A worker will not cost its batch.
+    pub(crate) fn returned(&mut self, job: Job, why: Returned) {
+        match why {
+            Returned::TimedOut => self.counts.timed_out += 1,
+            Returned::Failed => self.counts.failed += 1,
+            // The worker is counted itself.
+            Returned::Gone => {}
+        }
+        if let Some(place @ Place::Out(_)) = self.place(job) {
+            *place = Place::Open;
+        }
+    }
+
+    /// Where the batch of a job is, if it is of this population.
+    fn place(&mut self, job: Job) -> Option<&mut Place> {
+        let is_current = job.round == self.round;
+        self.batches.get_mut(job.index).filter(|_| is_current)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OWN: Duration = Duration::from_millis(100);
+
+    fn costs(cost: f32) -> Costs {
+        Costs::of_terms(vec![vec![cost]])
+    }
+
+    fn here(index: usize) -> Next {
+        Next::Turn(Turn::Here(index))
+    }
+
+    #[test]
+    fn the_search_takes_from_the_front_and_workers_from_the_back() {
+        let now = Instant::now();
+        let mut dispatch = Dispatch::default();
+        assert_eq!(dispatch.take(now), None);
+        dispatch.begin(4);
+        let last = dispatch.take(now).unwrap();
+        assert_eq!(last.index, 3);
+        assert_eq!(dispatch.next(now), here(0));
+        assert_eq!(dispatch.take(now).unwrap().index, 2);
+        dispatch.answered(last, costs(3.0));
+        let answered = Next::Turn(Turn::Answered(3, costs(3.0)));
+        assert_eq!(dispatch.next(now + OWN), answered);
+        assert_eq!(dispatch.next(now + OWN), here(1));
+        assert_eq!(dispatch.counts.answered, 1);
+    }
+
+    #[test]
+    fn the_first_batch_is_the_searchs_own() {
+        let now = Instant::now();
+        let mut dispatch = Dispatch::default();
+        dispatch.begin(2);
+        assert!(dispatch.take(now).is_some() && dispatch.take(now).is_none());
+        assert_eq!(dispatch.next(now), here(0));
+    }
+
+    #[test]
+    fn a_slow_workers_batch_is_costed_here_and_counted_once() {
+        let start = Instant::now();
+        let mut dispatch = Dispatch::default();
+        dispatch.begin(2);
+        let job = dispatch.take(start).unwrap();
+        assert_eq!(dispatch.next(start), here(0));
+        assert_eq!(dispatch.patience(), FIRST_PATIENCE);
+        // It is waited for about as long as it would take here, since by then it would be there.
+        assert_eq!(dispatch.next(start + OWN), Next::Wait(OWN));
+        assert_eq!(dispatch.patience(), LEAST_PATIENCE);
+        assert_eq!(dispatch.next(start + 2 * OWN), here(1));
+        dispatch.answered(job, costs(1.0));
+        assert_eq!(dispatch.next(start + 3 * OWN), Next::Over);
+        assert_eq!((dispatch.counts.answered, dispatch.counts.late), (0, 1));
+    }
+
+    #[test]
+    fn the_batch_of_a_worker_that_fails_is_there_for_others() {
+        let now = Instant::now();
+        for why in [Returned::Failed, Returned::TimedOut, Returned::Gone] {
+            let mut dispatch = Dispatch::default();
+            dispatch.begin(2);
+            let job = dispatch.take(now).unwrap();
+            assert_eq!(dispatch.next(now), here(0));
+            dispatch.returned(job, why);
+            assert_eq!(dispatch.take(now), Some(job));
+            dispatch.returned(job, why);
+            assert_eq!(dispatch.next(now + OWN), here(1));
+        }
+    }
+
+    #[test]
+    fn what_comes_after_its_population_is_late() {
+        let now = Instant::now();
+        let mut dispatch = Dispatch::default();
+        dispatch.begin(2);
+        let job = dispatch.take(now).unwrap();
+        dispatch.begin(2);
+        let other = dispatch.take(now).unwrap();
+        dispatch.answered(job, costs(1.0));
+        dispatch.returned(job, Returned::TimedOut);
+        assert_eq!(dispatch.next(now), here(0));
+        dispatch.answered(other, costs(2.0));
+        let answered = Next::Turn(Turn::Answered(1, costs(2.0)));
+        assert_eq!(dispatch.next(now + OWN), answered);
+        let WorkerCounts {
+            answered,
+            late,
+            timed_out,
+            ..
+        } = dispatch.counts;
+        assert_eq!((answered, late, timed_out), (1, 1, 1));
+    }
+}

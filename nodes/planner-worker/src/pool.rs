@@ -1,0 +1,398 @@
+//! The workers of a planner.
+
+use std::{
+    collections::BTreeMap,
+    fmt,
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, anyhow};
+use tokio::{
+    runtime::{Builder, Runtime},
+    sync::watch,
+    task::AbortHandle,
+};
+use wm_planner::{
+    Batch, CostFunction, Objective, SearchSpace, TransitionDynamics, Turn, WorkerCounts,
+    WorkerPool, Workers,
+};
+use wm_zenoh::NetworkArguments;
+use zenoh::{
+    Session,
+    pubsub::Subscriber,
+    sample::{Sample, SampleKind},
+};
+
+use crate::{
+    Identity, WORKERS,
+    dispatch::{Dispatch, Job, Next, Returned},
+    member,
+    message::EncodedFunction,
+};
+
+/// Workers that are heeded at once; bounds what strangers can make this process open.
+const MOST_WORKERS: usize = 256;
+/// Messages are small and few: the work is elsewhere.
+const THREADS: usize = 1;
+/// How long what runs on threads of its own may take to end.
+const GRACE: Duration = Duration::from_millis(200);
+
+/// The planner workers on a Zenoh network, as they come and go.
+pub struct PlannerWorkers {
+    table: Arc<Table>,
+    /// `None` once it is closed.
+    connection: Option<Connection>,
+}
+
+struct Connection {
+    runtime: Runtime,
+    session: Session,
+    subscriber: Subscriber<()>,
+}
+
+impl fmt::Debug for PlannerWorkers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("PlannerWorkers")
+            .field("counts", &self.table.lock().dispatch.counts)
+            .finish_non_exhaustive()
+    }
+}
+
+/// What the search and the members of the pool share.
+pub(crate) struct Table {
+    state: Mutex<State>,
+    /// The state has changed.
+    changed: Condvar,
+    /// There is something to take.
+    open: watch::Sender<()>,
+}
+
+#[derive(Default)]
+struct State {
+    dispatch: Dispatch,
+    /// What is costed now.
+    round: Option<Arc<Round>>,
+    /// A plan has the workers.
+    is_lent: bool,
+    /// Which workers there are, by their keys.
+    members: BTreeMap<String, AbortHandle>,
+}
+
+/// A population, and by which function it is costed.
+pub(crate) struct Round {
+    pub(crate) function: Arc<EncodedFunction>,
+    pub(crate) batches: Arc<[Batch]>,
+}
+
+impl Table {
+    fn new() -> Self {
+        Self {
+            state: Mutex::default(),
+            changed: Condvar::new(),
+            open: watch::Sender::new(()),
+        }
+    }
+
+    /// Nothing in the state has an invariant that a panic elsewhere could break.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes what is counted.
+    pub(crate) fn count(&self, change: impl FnOnce(&mut WorkerCounts)) {
+        change(&mut self.lock().dispatch.counts);
+        self.changed.notify_all();
+    }
+
+    /// Waits for a batch to cost. Cancel safe.
+    pub(crate) async fn take(self: &Arc<Self>) -> Lease {
+        let mut open = self.open.subscribe();
+        loop {
+            open.borrow_and_update();
+            if let Some(lease) = self.try_take() {
+                return lease;
+            }
+            // The sender lives as long as this table.
+            let _ = open.changed().await;
+        }
+    }
+
+    fn try_take(self: &Arc<Self>) -> Option<Lease> {
+        let mut state = self.lock();
+        let round = Arc::clone(state.round.as_ref()?);
+        let job = state.dispatch.take(Instant::now())?;
+        Some(Lease {
+            patience: state.dispatch.patience(),
+            table: Arc::clone(self),
+            round,
+            job: Some(job),
+        })
+    }
+
+    fn settle(&self, change: impl FnOnce(&mut Dispatch)) {
+        change(&mut self.lock().dispatch);
+        self.changed.notify_all();
+        self.open.send_replace(());
+    }
+}
+
+/// A batch that a worker has, until it is answered or given back; dropped, it is given back.
+pub(crate) struct Lease {
+    pub(crate) round: Arc<Round>,
+    /// How long the worker is waited for.
+    pub(crate) patience: Duration,
+    table: Arc<Table>,
+    job: Option<Job>,
+}
+
+impl Lease {
+    /// The candidates to cost.
+    pub(crate) fn batch(&self) -> &[Vec<f32>] {
+        let index = self.job.map(|job| job.index);
+        let batch = index.and_then(|index| self.round.batches.get(index));
+        batch.map_or(&[], Vec::as_slice)
+    }
+
+    pub(crate) fn answered(mut self, costs: wm_planner::Costs) {
+        if let Some(job) = self.job.take() {
+            self.table.settle(|dispatch| dispatch.answered(job, costs));
+        }
+    }
+
+    pub(crate) fn returned(mut self, why: Returned) {
+        self.give_back(why);
+    }
+
+    fn give_back(&mut self, why: Returned) {
+        if let Some(job) = self.job.take() {
+            self.table.settle(|dispatch| dispatch.returned(job, why));
+        }
+    }
+}
+
+impl Drop for Lease {
+    fn drop(&mut self) {
+        self.give_back(Returned::Gone);
+    }
+}
+
+impl PlannerWorkers {
+    /// Joins the network that `network` names, and from now on finds the workers on it that have the planner's own
+    /// `identity`.
+    ///
+    /// # Errors
+    /// The configuration is wrong, or an endpoint cannot be listened on.
+    pub fn connect(network: &NetworkArguments, identity: Identity) -> Result<Self> {
+        let config = network.resolve()?;
+        let table = Arc::new(Table::new());
+        let found = Arc::clone(&table);
+        // Zenoh waits within some of its calls, and a runtime within another is an error: the caller may have one.
+        let connection = apart(move || {
+            let runtime = Builder::new_multi_thread()
+                .worker_threads(THREADS)
+                .thread_name("planner-workers")
+                .enable_all()
+                .build()?;
+            let handle = runtime.handle().clone();
+            let (session, subscriber) = runtime.block_on(async {
+                let session = wm_zenoh::open(config).await?;
+                let identity = Arc::new(identity);
+                let own = session.clone();
+                let subscriber = session
+                    .liveliness()
+                    .declare_subscriber(format!("{WORKERS}/*"))
+                    .history(true)
+                    .callback(move |sample| follow(&found, &own, &identity, &handle, &sample))
+                    .await
+                    .map_err(|error| anyhow!("cannot look for workers: {error}"))?;
+                anyhow::Ok((session, subscriber))
+            })?;
+            anyhow::Ok(Connection {
+                runtime,
+                session,
+                subscriber,
+            })
+        })?;
+        Ok(Self {
+            table,
+            connection: Some(connection),
+        })
+    }
+
+    /// Waits until the counts are so, at most for `limit`; the counts then.
+    pub fn wait_until(
+        &self,
+        limit: Duration,
+        mut is_so: impl FnMut(&WorkerCounts) -> bool,
+    ) -> WorkerCounts {
+        let state = self.table.lock();
+        let waited = self
+            .table
+            .changed
+            .wait_timeout_while(state, limit, |state| !is_so(&state.dispatch.counts));
+        let (state, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        state.dispatch.counts
+    }
+}
+
+/// Follows a worker's token.
+fn follow(
+    table: &Arc<Table>,
+    session: &Session,
+    identity: &Arc<Identity>,
+    runtime: &tokio::runtime::Handle,
+    sample: &Sample,
+) {
+    let key = sample.key_expr().as_str();
+    let mut state = table.lock();
+    match sample.kind() {
+        SampleKind::Put if state.members.contains_key(key) => {}
+        SampleKind::Put if state.members.len() >= MOST_WORKERS => {
+            tracing::warn!("planner workers beyond {MOST_WORKERS} are ignored: {key}");
+        }
+        SampleKind::Put => {
+            let (table, session) = (Arc::clone(table), session.clone());
+            let member = member::run(table, session, key.to_owned(), Arc::clone(identity));
+            let task = runtime.spawn(member).abort_handle();
+            state.members.insert(key.to_owned(), task);
+        }
+        SampleKind::Delete => {
+            if let Some(member) = state.members.remove(key) {
+                tracing::info!("the planner worker {key} is gone");
+                member.abort();
+                state.dispatch.counts.gone += 1;
+            }
+        }
+    }
+    drop(state);
+    table.changed.notify_all();
+}
+
+/// On a thread of its own.
+fn apart<T: Send>(work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
+    std::thread::scope(|scope| {
+        let joined = scope.spawn(work).join();
+        joined.map_err(|_| anyhow!("a thread of the planner workers failed"))?
+    })
+    .context("planner workers")
+}
+
+impl Drop for PlannerWorkers {
+    fn drop(&mut self) {
+        let members = std::mem::take(&mut self.table.lock().members);
+        for member in members.values() {
+            member.abort();
+        }
+        let Some(connection) = self.connection.take() else {
+            return;
+        };
+        let Connection {
+            runtime,
+            session,
+            subscriber,
+        } = connection;
+        let closed = apart(move || {
+            let closed = runtime.block_on(async {
+                drop(subscriber);
+                session.close().await
+            });
+            runtime.shutdown_timeout(GRACE);
+            closed.map_err(|error| anyhow!("{error}"))
+        });
+        if let Err(error) = closed {
+            tracing::debug!("the Zenoh session did not close: {error:#}");
+        }
+    }
+}
+
+impl WorkerPool for PlannerWorkers {
+    fn share(
+        &self,
+        dynamics: &TransitionDynamics<'_>,
+        objective: &Objective,
+        space: &SearchSpace,
+        horizon: usize,
+    ) -> Option<Box<dyn Workers>> {
+        {
+            let mut state = self.table.lock();
+            if state.is_lent || state.dispatch.counts.taking_part == 0 {
+                return None;
+            }
+            state.is_lent = true;
+        }
+        // From here on dropping it gives the workers back.
+        let mut lent = Lent {
+            table: Arc::clone(&self.table),
+            function: None,
+        };
+        let function = CostFunction::of(dynamics, objective, space, horizon)
+            .map_err(anyhow::Error::from)
+            .and_then(|function| Ok(EncodedFunction::of(&function)?));
+        match function {
+            Ok(function) => lent.function = Some(Arc::new(function)),
+            Err(error) => {
+                let mut is_first = false;
+                self.table.count(|counts| {
+                    is_first = counts.unshared == 0;
+                    counts.unshared += 1;
+                });
+                if is_first {
+                    tracing::warn!("planning without the workers: {error:#}");
+                }
+                return None;
+            }
+        }
+        Some(Box::new(lent))
+    }
+
+    fn counts(&self) -> WorkerCounts {
+        self.table.lock().dispatch.counts
+    }
+}
+
+/// The workers, while a plan has them.
+struct Lent {
+    table: Arc<Table>,
+    function: Option<Arc<EncodedFunction>>,
+}
+
+impl Workers for Lent {
+    fn offer(&mut self, batches: &Arc<[Batch]>) {
+        let round = self.function.as_ref().map(|function| Round {
+            function: Arc::clone(function),
+            batches: Arc::clone(batches),
+        });
+        let mut state = self.table.lock();
+        state.dispatch.begin(batches.len());
+        state.round = round.map(Arc::new);
+        drop(state);
+        self.table.open.send_replace(());
+    }
+
+    fn next(&mut self) -> Option<Turn> {
+        let mut state = self.table.lock();
+        loop {
+            let limit = match state.dispatch.next(Instant::now()) {
+                Next::Turn(turn) => return Some(turn),
+                Next::Over => return None,
+                Next::Wait(limit) => limit,
+            };
+            let waited = self.table.changed.wait_timeout(state, limit);
+            (state, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn withdraw(&mut self) {
+        let mut state = self.table.lock();
+        state.dispatch.end();
+        state.round = None;
+    }
+}
+
+impl Drop for Lent {
+    fn drop(&mut self) {
+        self.withdraw();
+        self.table.lock().is_lent = false;
+    }
+}

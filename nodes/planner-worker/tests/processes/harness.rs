@@ -1,0 +1,174 @@
+//! Workers as processes, and a problem that they can help with.
+
+use std::{
+    net::TcpListener,
+    os::unix::process::CommandExt as _,
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::LazyLock,
+    time::{Duration, Instant},
+};
+
+use candle_core::{Device, Tensor};
+use rustix::process::{Pid, Signal};
+use wm_model::WorldModel;
+use wm_planner::{
+    ActionSize, Cem, CemSettings, Objective, PlannedActions, Planner as _, Problem, SearchSpace,
+    Target, TransitionDynamics, WorkerPool, Workers,
+};
+use wm_planner_worker::{Identity, PlannerWorkers};
+use wm_zenoh::{Mode, NetworkArguments};
+use wm_zoo::ModelFolder;
+
+/// Far above anything that happens on one host; it only ends a test that hangs.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+const MODEL: &str = "tiny";
+
+/// The embedded default.
+pub fn model() -> &'static WorldModel {
+    static LOADED: LazyLock<WorldModel> =
+        LazyLock::new(|| ModelFolder::open(MODEL).unwrap().world_model().unwrap());
+    &LOADED
+}
+
+/// A worker, which ends with the test.
+pub struct Process {
+    child: Child,
+    endpoint: String,
+}
+
+/// A worker on a port of its own.
+pub fn worker() -> Process {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
+    drop(listener);
+    let child = Command::new(env!("CARGO_BIN_EXE_wm-planner-worker"))
+        .args(["--model", MODEL, "--listen", &endpoint])
+        // On machines with few cores, so that none waits for the others.
+        .env("RAYON_NUM_THREADS", "1")
+        .stdin(Stdio::null())
+        .process_group(0)
+        .spawn()
+        .unwrap();
+    Process { child, endpoint }
+}
+
+impl Process {
+    pub fn signal(&self, signal: Signal) {
+        rustix::process::kill_process(Pid::from_child(&self.child), signal).unwrap();
+    }
+
+    /// Ends it as a machine that loses its power does.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// Waits for its end.
+    pub fn finish(mut self) -> ExitStatus {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(start.elapsed() < PATIENCE, "it does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if matches!(self.child.try_wait(), Ok(None)) {
+            self.child.kill().ok();
+            self.child.wait().ok();
+        }
+    }
+}
+
+/// The pool of a planner that knows these workers.
+pub fn pool(workers: &[&Process], identity: Identity) -> PlannerWorkers {
+    let network = NetworkArguments {
+        mode: Some(Mode::Peer),
+        connect: workers
+            .iter()
+            .map(|worker| worker.endpoint.clone())
+            .collect(),
+        ..NetworkArguments::default()
+    };
+    PlannerWorkers::connect(&network, identity).unwrap()
+}
+
+/// A goal, an observation, and what may be chosen.
+pub struct Scene {
+    dynamics: TransitionDynamics<'static>,
+    objective: Objective,
+    space: SearchSpace,
+}
+
+/// Steps of a plan.
+const HORIZON: usize = 2;
+
+impl Scene {
+    pub fn new() -> Self {
+        let model = model();
+        let (height, width, channels) = model.space.shape();
+        let values = model.encoding.action_dim();
+        let context = waves(&[1, 2, height, width, channels], 0.3);
+        let past = waves(&[1, values], 0.9);
+        let sampler = &model.transition.config().sampler;
+        let dynamics =
+            TransitionDynamics::new(&model.transition, sampler, &context, Some(&past), 5).unwrap();
+        let goal = waves(&[height, width, channels], 0.2);
+        Self {
+            dynamics,
+            objective: Objective::of(Target::AllSteps(goal)).and(0.1, ActionSize),
+            space: SearchSpace::bounded(&[(-1.0, 1.0); 3], values).unwrap(),
+        }
+    }
+
+    pub fn share(&self, pool: &PlannerWorkers) -> Option<Box<dyn Workers>> {
+        pool.share(&self.dynamics, &self.objective, &self.space, HORIZON)
+    }
+
+    /// Plans, by 16 batches an iteration; `midway` is called after each.
+    pub fn plan(
+        &self,
+        seed: u64,
+        pool: Option<&PlannerWorkers>,
+        midway: &mut dyn FnMut(),
+    ) -> PlannedActions {
+        let settings = CemSettings {
+            population: 48,
+            iterations: 2,
+            elites: 6,
+            ..CemSettings::default()
+        };
+        let mut dynamics = self.dynamics.clone();
+        let mut lent = pool.and_then(|pool| self.share(pool));
+        let mut problem = Problem {
+            space: &self.space,
+            dynamics: &mut dynamics,
+            objective: &self.objective,
+            horizon: HORIZON,
+            batch: 3,
+            proposals: Vec::new(),
+            workers: match &mut lent {
+                Some(workers) => Some(workers.as_mut()),
+                None => None,
+            },
+        };
+        let cem = Cem::new(settings).unwrap();
+        let planned = cem.plan(&mut problem, seed, &mut |_| {
+            midway();
+            false
+        });
+        planned.unwrap()
+    }
+}
+
+fn waves(shape: &[usize], pitch: f32) -> Tensor {
+    let count = shape.iter().product::<usize>();
+    let values: Vec<f32> = (0..count).map(|i| (i as f32 * pitch).sin()).collect();
+    Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+}
