@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result};
 use wm_camera::camera_frame::CameraFrame;
 use wm_msgs::{builtin_interfaces::Time, wm_msgs::Goal as GoalMessage};
-use wm_ros::{Node, Received, Subscription, complaints::Complaints};
+use wm_ros::{Node, Qos, Received, Subscription, complaints::Complaints};
 use wm_wire::transport::ImageSubscription;
 
 use crate::{
@@ -20,7 +20,7 @@ wm_ros::endpoints! {
         images: ImageSubscription = "goal/image", made(ImageSubscription::catching_up);
         /// Goals of other kinds: several images or latents, a region, words. The newest message of both topics counts; of
         /// two with one stamp, this one.
-        messages: Subscription<GoalMessage> = "goal", made(Node::subscription_catching_up);
+        messages: Subscription<GoalMessage> = "goal", qos(Qos::reliable(2)), made(Node::subscription_catching_up);
     }
 }
 

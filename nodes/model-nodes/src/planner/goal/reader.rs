@@ -140,3 +140,174 @@ fn times(message: &GoalMessage, goals: usize) -> Result<Vec<i64>, GoalError> {
         goals,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
+
+    use candle_core::Tensor;
+    use wm_camera::image_message::encode_image;
+    use wm_model::{Encoder, LatentSpace};
+    use wm_msgs::{
+        builtin_interfaces::{Duration, Time},
+        std_msgs::Header,
+        wm_msgs::Latent,
+    };
+    use wm_wire::latent_message::{LatentDtype, encode_latent};
+
+    use super::*;
+
+    /// The brightness of a picture in each of four quarters.
+    struct Quarters(LatentSpace);
+
+    impl Encoder for Quarters {
+        fn space(&self) -> &LatentSpace {
+            &self.0
+        }
+
+        fn input_size(&self) -> (usize, usize) {
+            (8, 8)
+        }
+
+        fn encode(&self, images: &Tensor) -> wm_model::Result<Tensor> {
+            let quarters = images.reshape(&[1, 2, 4, 2, 4, 3][..])?;
+            let bright = quarters.mean(5)?.mean(4)?.mean(2)?;
+            Ok(bright.reshape((1, 2, 2, 1))?)
+        }
+    }
+
+    fn space() -> LatentSpace {
+        LatentSpace {
+            name: "quarters".into(),
+            hash: "02".into(),
+            height: 2,
+            width: 2,
+            channels: 1,
+        }
+    }
+
+    fn reader() -> GoalReader {
+        let encoder = EncoderStep::new(Box::new(Quarters(space())), LatentDtype::F32);
+        GoalReader::new(&Arc::new(Mutex::new(encoder)))
+    }
+
+    fn header() -> Header {
+        Header {
+            stamp: Time { sec: 7, nanosec: 5 },
+            frame_id: "camera".into(),
+        }
+    }
+
+    /// White where `is_white`, else black; 8x8.
+    fn image(is_white: impl Fn(u32, u32) -> bool) -> Image {
+        let level = |x, y| if is_white(x, y) { 255 } else { 0 };
+        let picture = RgbImage::from_fn(8, 8, |x, y| image::Rgb([level(x, y); 3]));
+        encode_image(&picture, header())
+    }
+
+    fn latent(values: &[f32]) -> Latent {
+        encode_latent(values, &space(), LatentDtype::F32, header()).unwrap()
+    }
+
+    fn refused(message: &GoalMessage) -> String {
+        reader().of_message(message).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn pictures_and_latents_come_in_their_order_with_their_times() {
+        let pictures = GoalMessage {
+            header: header(),
+            images: vec![image(|x, _| x < 4), image(|_, y| y >= 4)],
+            times: vec![Duration::from_nanos(5), Duration::from_nanos(9)],
+            ..GoalMessage::default()
+        };
+        let goal = reader().of_message(&pictures).unwrap();
+        assert_eq!(goal.stamp, header().stamp);
+        let latents: Vec<&[f32]> = goal.latents.iter().map(|latent| &**latent).collect();
+        assert_eq!(latents, [[1.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 1.0]]);
+        assert_eq!(goal.times_ns, [5, 9]);
+        assert!(goal.mask.is_none() && goal.instruction.is_none());
+        let told = GoalMessage {
+            latents: vec![latent(&[0.5; 4])],
+            ..GoalMessage::default()
+        };
+        assert_eq!(*reader().of_message(&told).unwrap().latents[0], [0.5; 4]);
+    }
+
+    #[test]
+    fn a_mask_of_any_size_counts_its_pixels_in_each_cell() {
+        let mut mask = Image {
+            height: 4,
+            width: 6,
+            step: 6,
+            encoding: "mono8".into(),
+            data: vec![0; 24],
+            ..Image::default()
+        };
+        let masked = |mask: &Image| GoalMessage {
+            latents: vec![latent(&[0.0; 4])],
+            mask: mask.clone(),
+            ..GoalMessage::default()
+        };
+        assert!(refused(&masked(&mask)).contains("0 everywhere"));
+        // One faint pixel in the upper right cell, and the lower left one whole.
+        mask.data[5] = 1;
+        for row in 2..4 {
+            mask.data[row * 6..row * 6 + 3].fill(200);
+        }
+        let goal = reader().of_message(&masked(&mask)).unwrap();
+        assert_eq!(*goal.mask.unwrap(), [0.0, 1.0, 6.0, 0.0]);
+        mask.step = 2;
+        assert!(refused(&masked(&mask)).starts_with("mask:"));
+    }
+
+    #[test]
+    fn what_is_no_goal_is_refused_by_what_is_wrong() {
+        let good = GoalMessage {
+            images: vec![image(|_, _| true)],
+            ..GoalMessage::default()
+        };
+        assert!(refused(&GoalMessage::default()).contains("no images"));
+        let both = GoalMessage {
+            latents: vec![latent(&[0.0; 4])],
+            ..good.clone()
+        };
+        assert!(refused(&both).contains("1 images and 1 latents"));
+        let many = GoalMessage {
+            images: vec![Image::default(); MOST_LATENTS + 1],
+            ..GoalMessage::default()
+        };
+        assert!(refused(&many).contains("257"));
+        let timed = |times: &[i64]| GoalMessage {
+            times: times.iter().map(|ns| Duration::from_nanos(*ns)).collect(),
+            ..good.clone()
+        };
+        assert!(refused(&timed(&[1, 2])).contains("2 times for 1"));
+        assert!(refused(&timed(&[-1])).contains("ascending from 0"));
+        let broken = GoalMessage {
+            images: vec![image(|_, _| true), Image::default()],
+            ..GoalMessage::default()
+        };
+        assert!(refused(&broken).starts_with("picture 1:"));
+        let elsewhere = LatentSpace {
+            hash: "03".into(),
+            ..space()
+        };
+        let foreign = GoalMessage {
+            latents: vec![
+                encode_latent(&[0.0; 4], &elsewhere, LatentDtype::F32, header()).unwrap(),
+            ],
+            ..GoalMessage::default()
+        };
+        let text = refused(&foreign);
+        assert!(
+            text.starts_with("latent 0:") && text.contains("03"),
+            "{text}"
+        );
+        let words = GoalMessage {
+            instruction: "push the cup".into(),
+            ..good
+        };
+        assert!(refused(&words).contains("success_weight"));
+    }
+}
