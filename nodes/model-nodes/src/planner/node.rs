@@ -163,7 +163,6 @@ impl ModelNode for Planner {
         let searches = Work::new(1, move |request: PlanRequest, stop: &Stop| {
             let started = Instant::now();
             let is_late = || !deadline.is_zero() && started.elapsed() >= deadline;
-            // What is wrong with the request, the search says itself.
             let mut told = None;
             let planned = planner.plan(&request, &mut |progress, terms| {
                 let heard = Heard::of(progress, terms).filter(|_| request.is_followed);
@@ -254,8 +253,7 @@ impl ModelNode for Planner {
                     self.plan(outcomes);
                 }
                 Some(pose) = poses.recv() => {
-                    let at = pose.message.pose.position;
-                    if !self.step.pose([at.x, at.y, at.z], Instant::now()) {
+                    if !self.step.pose(&pose.message, pose.at) {
                         self.complaints.left_out("bad_pose", &"ee_pose: a position that is not finite");
                     }
                 }
@@ -316,7 +314,9 @@ impl Planner {
             }
             Err(PlanWait::Recent) => self.complaints.working("planning"),
             Err(wait @ PlanWait::NoGoal) => self.complaints.waiting("goal", true, &wait),
-            Err(wait @ PlanWait::NoPose { .. }) => self.complaints.waiting("pose", false, &wait),
+            Err(wait @ (PlanWait::NoPose { .. } | PlanWait::PoseFrame { .. })) => {
+                self.complaints.waiting("pose", false, &wait);
+            }
             Err(PlanWait::History(wait @ Wait::NoFrame)) => {
                 self.complaints.waiting(
                     "frame",
@@ -347,7 +347,10 @@ impl Planner {
             Ok(planned) => planned,
             Err(error) => {
                 self.complaints.left_out(error.reason(), &error);
-                return self.end(End::Aborted(error.to_string()));
+                return match self.step.is_current(&request) {
+                    true => self.end(End::Aborted(error.to_string())),
+                    false => Ok(()),
+                };
             }
         };
         self.diagnostics.latency("plan").record(taken);
@@ -392,9 +395,14 @@ impl Planner {
         // Nothing is planned for the goal before while this one is read.
         self.step.clear_goal();
         let unread = (request.id(), request.goal.goal.clone());
-        self.action = Some(ActionRun::new(request.accept()?, course));
-        // One that is given back belongs to an action that has ended.
-        let _ = self.read.submit(unread);
+        match request.accept() {
+            Ok(goal) => {
+                self.action = Some(ActionRun::new(goal, course));
+                // One that is given back belongs to an action that has ended.
+                let _ = self.read.submit(unread);
+            }
+            Err(error) => self.complaints.left_out("bad_goal", &error),
+        }
         Ok(())
     }
 

@@ -10,6 +10,7 @@ use thiserror::Error;
 use wm_motion::{actions::Kind, motion::StepAction};
 use wm_msgs::{
     builtin_interfaces::Time,
+    geometry_msgs::{Point, PoseStamped},
     wm_msgs::{Action, ActionChunk, Latent},
 };
 use wm_planner::{PlannedActions, Waypoint};
@@ -126,7 +127,7 @@ impl Unsent {
 }
 
 /// Why there is nothing to plan.
-#[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum PlanWait {
     /// No goal is set.
@@ -142,6 +143,14 @@ pub enum PlanWait {
     NoPose {
         /// `max_age` \[s\].
         max_s: f64,
+    },
+    /// A pose whose axes are not those of the actions.
+    #[error("the frame of ee_pose is {actual:?}; expected that of the actions, {expected:?}")]
+    PoseFrame {
+        /// Of the actions.
+        expected: String,
+        /// Of the pose.
+        actual: String,
     },
     /// The last plan is younger than the plan period.
     #[error("the last plan is still recent")]
@@ -161,13 +170,21 @@ struct SetGoal {
     waypoint: Waypoint,
 }
 
+/// Where the end effector is.
+struct Pose {
+    frame_id: String,
+    /// \[m\].
+    position: [f64; 3],
+    /// When that was received.
+    at: Instant,
+}
+
 /// The planner node's state: messages in, plan requests out.
 pub struct PlannerStep {
     settings: PlannerSettings,
     history: History,
     goal: Option<SetGoal>,
-    /// Where the end effector is \[m\], and when that was received.
-    pose: Option<([f64; 3], Instant)>,
+    pose: Option<Pose>,
     /// Observation of the newest request for the goal \[ns\].
     requested_ns: Option<i64>,
     last: Option<LastPlan>,
@@ -231,12 +248,18 @@ impl PlannerStep {
         self.history.chunk(chunk, now)
     }
 
-    /// Takes where the end effector is, in the frame of the actions; it came at `at`.
-    /// One that is not finite is left out, and the answer is false.
-    pub fn pose(&mut self, position: [f64; 3], at: Instant) -> bool {
+    /// Takes where the end effector is; it came at `at`. A position that is not finite is left out, and the answer is
+    /// false.
+    pub fn pose(&mut self, pose: &PoseStamped, at: Instant) -> bool {
+        let Point { x, y, z } = pose.pose.position;
+        let position = [x, y, z];
         let is_finite = position.iter().all(|value| value.is_finite());
         if is_finite {
-            self.pose = Some((position, at));
+            self.pose = Some(Pose {
+                frame_id: pose.header.frame_id.clone(),
+                position,
+                at,
+            });
         }
         is_finite
     }
@@ -270,7 +293,7 @@ impl PlannerStep {
         let mut request = PlanRequest {
             // A ratio of seconds.
             passed_steps: passed_ns as f32 / moment.timing.step_ns() as f32,
-            position: self.position_after(&until, now)?,
+            position: self.position_after(&until, &moment.base_frame, now)?,
             moment,
             until,
             goal: Arc::clone(&set.goal),
@@ -298,6 +321,12 @@ impl PlannerStep {
         self.forget_plans();
     }
 
+    /// Whether the goal of a request is still the goal.
+    pub fn is_current(&self, request: &PlanRequest) -> bool {
+        let goal = self.goal.as_ref();
+        goal.is_some_and(|set| Arc::ptr_eq(&set.goal, &request.goal))
+    }
+
     /// Whether the newest frame is so much newer than that of the last request that it is to be planned from.
     pub fn is_due(&self) -> bool {
         let (Some(requested_ns), Some(newest)) = (self.requested_ns, self.history.newest()) else {
@@ -312,19 +341,25 @@ impl PlannerStep {
     fn position_after(
         &self,
         until: &[StepAction],
+        frame_id: &str,
         now: Instant,
     ) -> Result<Option<[f64; 3]>, PlanWait> {
         if !self.settings.needs_pose {
             return Ok(None);
         }
         let max_age = self.settings.max_age;
-        let fresh = self
-            .pose
-            .filter(|(_, at)| now.saturating_duration_since(*at) <= max_age);
-        let Some((mut position, _)) = fresh else {
+        let age = |pose: &Pose| now.saturating_duration_since(pose.at);
+        let Some(pose) = self.pose.as_ref().filter(|pose| age(pose) <= max_age) else {
             let max_s = max_age.as_secs_f64();
             return Err(PlanWait::NoPose { max_s });
         };
+        if pose.frame_id != frame_id {
+            return Err(PlanWait::PoseFrame {
+                expected: frame_id.to_owned(),
+                actual: pose.frame_id.clone(),
+            });
+        }
+        let mut position = pose.position;
         let kinds = || self.history.encoding().space().dimensions();
         let before = until.split_last().map_or(&[][..], |(_, before)| before);
         for interval in before.iter().flat_map(|step| &step.intervals) {

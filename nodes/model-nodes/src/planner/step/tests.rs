@@ -520,8 +520,20 @@ fn a_box_needs_a_pose_and_keeps_the_end_effector_within() {
     feed_moving(&mut step, 0..=2, &moving);
     let wait = step.request(at(2)).unwrap_err();
     assert!(wait.to_string().contains("ee_pose"), "{wait}");
-    assert!(!step.pose([f64::NAN, 0.0, 0.0], at(2)));
-    assert!(step.pose([0.3, 0.0, 0.1], at(2)));
+    let pose = |frame_id: &str, x| {
+        let mut pose = PoseStamped::default();
+        pose.header.frame_id = frame_id.into();
+        pose.pose.position = Point { x, y: 0.0, z: 0.1 };
+        pose
+    };
+    assert!(!step.pose(&pose("base", f64::NAN), at(2)));
+    assert!(step.pose(&pose("world", 0.3), at(2)));
+    let wait = step.request(at(2)).unwrap_err().to_string();
+    assert!(
+        wait.contains("\"world\"") && wait.contains("\"base\""),
+        "{wait}"
+    );
+    assert!(step.pose(&pose("base", 0.3), at(2)));
     let request = step.request(at(2)).unwrap();
     // One model step of two frames of 0.01 m until the plan begins.
     let position = request.position.unwrap();
