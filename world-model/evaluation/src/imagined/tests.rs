@@ -76,7 +76,7 @@ fn a_policy_is_judged_alike_whoever_else_is_there() {
     let probe = folder.probe().unwrap().unwrap();
     let run = |policies: &[ScriptedPolicy]| {
         let setup = Setup {
-            task: GoalKind::Push,
+            task: GoalKind::Reach,
             policies,
             model: &model,
             probe: &probe,
