@@ -5,6 +5,8 @@ use thiserror::Error;
 use wm_model::{WorldModel, ops::instruction_set};
 use wm_planner::{PlanError, fingerprint};
 
+use crate::message::quoted;
+
 /// What two processes must have in common to find the same costs, bit for bit.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
@@ -70,7 +72,7 @@ impl Identity {
     /// # Errors
     /// [`IdentityError`] says how it differs.
     pub fn require(&self, other: &Self) -> Result<(), IdentityError> {
-        let pair = |expected: &str, found: &str| (expected.to_owned(), found.to_owned());
+        let pair = |expected: &str, found: &str| (expected.to_owned(), quoted(found));
         if other.version != self.version {
             let (expected, found) = pair(&self.version, &other.version);
             return Err(IdentityError::Version { expected, found });

@@ -21,7 +21,7 @@ mod worker;
 
 pub use identity::{Identity, IdentityError};
 pub use message::{Answer, FunctionId, MessageError, Request};
-pub use pool::PlannerWorkers;
+pub use pool::{PlannerWorkers, connect};
 pub use serving::{Served, serve};
 pub use worker::Worker;
 

@@ -11,7 +11,7 @@ use zenoh::{Session, query::Querier, sample::Locality};
 use crate::{
     Answer, FunctionId, Identity, MessageError, Request,
     dispatch::Returned,
-    message::{costs, decode, encode},
+    message::{costs, decode, encode, quoted},
     pool::{Lease, Table},
 };
 
@@ -143,7 +143,7 @@ impl Member {
         };
         match member.query(&Request::Identity).await? {
             Answer::Identity(identity) => Ok((member, identity)),
-            Answer::Refused(reason) => Err(AskError::Refused(reason)),
+            Answer::Refused(reason) => Err(AskError::Refused(quoted(&reason))),
             _ => Err(AskError::Unasked),
         }
     }
@@ -154,8 +154,8 @@ impl Member {
         match reply.result() {
             Ok(sample) => Ok(decode(&sample.payload().to_bytes())?),
             Err(error) => {
-                let reason = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-                Err(AskError::Refused(reason))
+                let reason = error.payload().to_bytes();
+                Err(AskError::Refused(quoted(&String::from_utf8_lossy(&reason))))
             }
         }
     }
@@ -180,7 +180,7 @@ impl Member {
                 }
                 // It has forgotten it meanwhile, or is another process by now.
                 Answer::UnknownFunction if !is_defined => is_told = false,
-                Answer::Refused(reason) => return Err(AskError::Refused(reason)),
+                Answer::Refused(reason) => return Err(AskError::Refused(quoted(&reason))),
                 _ => return Err(AskError::Unasked),
             }
         }

@@ -15,6 +15,8 @@ use crate::Identity;
 const LONGEST: usize = 64 << 20;
 /// The most candidates that are costed at once for others: far more than fit into memory with large latents.
 const MOST_CANDIDATES: usize = 4096;
+/// Characters of others' text that are logged.
+const LONGEST_QUOTE: usize = 200;
 
 /// SHA-256 of a cost function's message.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -98,6 +100,12 @@ pub enum MessageError {
         /// Costs that came.
         found: usize,
     },
+}
+
+/// Text of others, for a log: escaped, and not all of it.
+pub(crate) fn quoted(text: &str) -> String {
+    let start = text.chars().take(LONGEST_QUOTE);
+    start.flat_map(char::escape_debug).collect()
 }
 
 /// A message as bytes.

@@ -3,6 +3,7 @@
 use std::{
     collections::BTreeMap,
     fmt,
+    path::Path,
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
@@ -13,11 +14,12 @@ use tokio::{
     sync::watch,
     task::AbortHandle,
 };
+use wm_model::WorldModel;
 use wm_planner::{
     Batch, CostFunction, Objective, SearchSpace, TransitionDynamics, Turn, WorkerCounts,
     WorkerPool, Workers,
 };
-use wm_zenoh::NetworkArguments;
+use wm_zenoh::{Mode, NetworkArguments};
 use zenoh::{
     Session,
     pubsub::Subscriber,
@@ -37,6 +39,27 @@ const MOST_WORKERS: usize = 256;
 const THREADS: usize = 1;
 /// How long what runs on threads of its own may take to end.
 const GRACE: Duration = Duration::from_millis(200);
+
+/// The workers that a planner with this model finds at Zenoh endpoints, by a configuration file of Zenoh's if there is
+/// one.
+///
+/// # Errors
+/// As [`PlannerWorkers::connect`], and where the model fails.
+pub fn connect(
+    model: &WorldModel,
+    endpoints: &[String],
+    config: Option<&Path>,
+) -> Result<Arc<dyn WorkerPool>> {
+    let network = NetworkArguments {
+        config: config.map(Path::to_path_buf),
+        // It forwards nothing.
+        mode: Some(Mode::Peer),
+        connect: endpoints.to_vec(),
+        ..NetworkArguments::default()
+    };
+    let workers = PlannerWorkers::connect(&network, Identity::of(model)?)?;
+    Ok(Arc::new(workers))
+}
 
 /// The planner workers on a Zenoh network, as they come and go.
 pub struct PlannerWorkers {

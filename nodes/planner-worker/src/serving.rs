@@ -57,7 +57,7 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<Served> {
             .callback(move |query: Query| {
                 if let Err(TrySendError::Full(query)) = queries.try_send(query) {
                     let refused = Answer::Refused(format!("{QUEUED} queries wait already"));
-                    tracing::warn!("{}: {refused:?}", query.key_expr());
+                    tracing::debug!("{}: {refused:?}", query.key_expr());
                     if let Ok(bytes) = encode(&refused) {
                         query.reply(query.key_expr().clone(), bytes).wait().ok();
                     }
@@ -85,7 +85,11 @@ pub fn serve(model: &WorldModel, network: &NetworkArguments) -> Result<Served> {
                 Answer::Costs(_) => served.answered += 1,
                 Answer::Refused(reason) => {
                     served.refused += 1;
-                    tracing::warn!("refused: {reason}");
+                    // One that asks nonsense again and again does not fill the log.
+                    match served.refused {
+                        1 => tracing::warn!("refused: {reason}; further ones are only counted"),
+                        _ => tracing::debug!("refused: {reason}"),
+                    }
                 }
                 Answer::Identity(_) | Answer::UnknownFunction => {}
             }

@@ -20,7 +20,7 @@ pub struct Problem<'a> {
     /// of the last plan.
     pub proposals: Vec<Vec<Vec<f32>>>,
     /// Others who cost batches of candidates too. The plan is the same without them.
-    pub workers: Option<&'a mut dyn Workers>,
+    pub workers: Option<&'a mut (dyn Workers + 'static)>,
 }
 
 /// How far a search is.

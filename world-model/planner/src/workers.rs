@@ -91,7 +91,7 @@ impl Workers for Alone {
 mod tests {
     use super::*;
     use crate::{
-        Cem, CemSettings, Planner as _, Problem,
+        Cem, CemSettings, PlannedActions, Planner as _, Problem,
         testing::{Point, bounds, objective, problem},
     };
 
@@ -150,9 +150,11 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_plan_does_not_depend_on_who_costs_what_and_in_which_order() {
-        let (space, objective) = (bounds(), objective(GOAL));
+    fn plan(workers: Option<&mut (dyn Workers + 'static)>) -> PlannedActions {
+        let (space, objective, mut point) = (bounds(), objective(GOAL), cliff());
+        let mut problem = problem(&space, &mut point, &objective);
+        problem.batch = 7;
+        problem.workers = workers;
         let settings = CemSettings {
             population: 61,
             iterations: 3,
@@ -160,15 +162,11 @@ mod tests {
             ..CemSettings::default()
         };
         let cem = Cem::new(settings).unwrap();
-        let plan = |workers: Option<&mut dyn Workers>| {
-            let mut point = cliff();
-            let mut problem = Problem {
-                batch: 7,
-                workers,
-                ..problem(&space, &mut point, &objective)
-            };
-            cem.plan(&mut problem, 3, &mut |_| false).unwrap()
-        };
+        cem.plan(&mut problem, 3, &mut |_| false).unwrap()
+    }
+
+    #[test]
+    fn a_plan_does_not_depend_on_who_costs_what_and_in_which_order() {
         let alone = plan(None);
         assert!(alone.rejected > 0);
         let mut workers = from_the_end();

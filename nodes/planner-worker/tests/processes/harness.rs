@@ -153,10 +153,7 @@ impl Scene {
             horizon: HORIZON,
             batch: 3,
             proposals: Vec::new(),
-            workers: match &mut lent {
-                Some(workers) => Some(workers.as_mut()),
-                None => None,
-            },
+            workers: lent.as_deref_mut(),
         };
         let cem = Cem::new(settings).unwrap();
         let planned = cem.plan(&mut problem, seed, &mut |_| {
