@@ -44,6 +44,8 @@ fn keep_candle_to_one_thread() {
 fn main() -> ExitCode {
     keep_candle_to_one_thread();
     keep_freed_memory();
+    #[cfg(feature = "workers")]
+    wm_model_nodes::planner::connect_workers_by(wm_planner_worker::connect);
     let command = cli::parse();
     match command.run() {
         Ok(code) => code,

@@ -12,6 +12,7 @@ mod node;
 mod parameters;
 mod setup;
 mod step;
+mod workers;
 
 pub use action::{ActionRun, Course, End, Heard};
 pub use error::PlannerError;
@@ -20,3 +21,4 @@ pub use model::{Planned, PlannerModel, PlannerParts};
 pub use node::{NODE, body};
 pub use setup::{MotionLimits, PlannerSetup, WorkspaceBox};
 pub use step::{Lead, PlanRequest, PlanWait, PlannerSettings, PlannerStep, Unsent};
+pub use workers::{ConnectWorkers, connect_workers_by};

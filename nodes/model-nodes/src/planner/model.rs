@@ -19,8 +19,8 @@ use wm_msgs::{
 };
 use wm_planner::{
     Coordinate, Dynamics as _, Objective, PlannedActions, PlannerChoice, PlannerSettings, Problem,
-    Progress, SearchSpace, Success, TransitionDynamics, Waypoint, WorkspaceMargin, latent_distance,
-    one_a_step, spread, timed,
+    Progress, SearchSpace, Success, TransitionDynamics, Waypoint, WorkerCounts, WorkerPool,
+    WorkspaceMargin, latent_distance, one_a_step, spread, timed,
 };
 use wm_zoo::{idm::TrainedIdm, success_probe::SuccessClassifier};
 
@@ -38,6 +38,8 @@ pub struct PlannerParts {
     pub probe: Option<Arc<SuccessClassifier>>,
     /// For pictures of what plans lead to.
     pub decoder: Option<Arc<Mutex<Box<dyn Decoder>>>>,
+    /// Other processes that cost candidates too.
+    pub workers: Option<Arc<dyn WorkerPool>>,
 }
 
 /// The search and the model that it searches with.
@@ -151,6 +153,11 @@ impl PlannerModel {
         self.choice
     }
 
+    /// How its workers do; `None` where it has none.
+    pub fn worker_counts(&self) -> Option<WorkerCounts> {
+        self.parts.workers.as_ref().map(|pool| pool.counts())
+    }
+
     /// Searches for the plan of a request; `watch` hears of every batch, with the names of the cost's terms, and ends the
     /// search by `true`.
     ///
@@ -178,14 +185,18 @@ impl PlannerModel {
             .map(PlannedActions::proposals)
             .unwrap_or_default();
         starts.retain(|start| start.len() == self.setup.horizon);
+        let horizon = self.setup.horizon;
+        let workers = self.parts.workers.as_ref();
+        let mut workers =
+            workers.and_then(|pool| pool.share(&dynamics, &objective, &space, horizon));
         let mut problem = Problem {
             space: &space,
             dynamics: &mut dynamics,
             objective: &objective,
-            horizon: self.setup.horizon,
+            horizon,
             batch: self.setup.batch,
             proposals: starts,
-            workers: None,
+            workers: workers.as_deref_mut(),
         };
         let terms: Vec<&str> = objective.names().collect();
         let watch = &mut |progress: &Progress<'_>| watch(progress, &terms);

@@ -22,7 +22,7 @@ use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
 use super::{
     ActionRun, Course, End, Goal, GoalError, GoalReader, Heard, PlanRequest, PlanWait, Planned,
-    PlannerError, PlannerModel, PlannerParts, PlannerStep, parameters::Parameters,
+    PlannerError, PlannerModel, PlannerParts, PlannerStep, parameters::Parameters, workers,
 };
 use crate::{
     encoder::EncoderStep,
@@ -91,6 +91,7 @@ struct Finished {
 const MOST_HEARD: usize = 64;
 
 struct Planner {
+    planner: Arc<PlannerModel>,
     follower: Follower,
     step: PlannerStep,
     goals: Goals,
@@ -132,6 +133,7 @@ impl ModelNode for Planner {
             true => folder.probe()?.map(Arc::new),
             false => None,
         };
+        let workers = workers::connect(&model, &parameters.workers, &parameters.workers_config)?;
         let parts = PlannerParts {
             model,
             idm: folder.idm()?.map(Arc::new),
@@ -139,6 +141,7 @@ impl ModelNode for Planner {
             decoder: folder
                 .decoder()?
                 .map(|decoder| Arc::new(Mutex::new(decoder))),
+            workers,
         };
         let planner = PlannerModel::new(parts, setup)?;
         let choice = planner.choice();
@@ -195,6 +198,7 @@ impl ModelNode for Planner {
             (id, of_actions.of_message(&message))
         };
         Ok(Self {
+            planner: Arc::clone(&model.planner),
             follower: Follower::new(node, &at.endpoints.inputs, "start the encoder"),
             step: PlannerStep::new(at.parameters.settings(), history),
             goals: Goals::new(reader, &model.pool),
@@ -354,6 +358,9 @@ impl Planner {
             }
         };
         self.diagnostics.latency("plan").record(taken);
+        if let Some(counts) = self.planner.worker_counts() {
+            workers::report(&self.diagnostics, counts);
+        }
         if let Err(unsent) = self.step.planned(&request, &planned, taken, Instant::now()) {
             let stamp = seconds(planned.message.header.stamp);
             let text = format_args!("the plan from the frame of {stamp} is not sent: {unsent}");

@@ -116,6 +116,11 @@ wm_ros::parameters! {
         pub(super) frame_period: f64 = 0.2, in 1e-3..=60.0;
         /// Maximum duration of a search [s]; 0: no limit.
         pub(super) deadline: Duration = 1.5, in 0.0..=3600.0;
+        /// Zenoh endpoints of planner workers, such as tcp/desk.local:7447, which cost candidates too; empty: none. They
+        /// can help where population is more than batch. Needs a program built with the feature workers.
+        pub(super) workers: Vec<String> = Vec::<String>::new();
+        /// Zenoh configuration file for reaching them (TLS, access control); empty: none.
+        pub(super) workers_config: String = "";
         /// Added to the nice value of the computing threads, as with nice(1). Above 0, other nodes and programs go
         /// first: a plan may be later than a prediction.
         pub(super) nice: i32 = 15, in 0..=19;

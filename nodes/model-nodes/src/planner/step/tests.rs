@@ -82,6 +82,7 @@ fn searching(setup: PlannerSetup, searched: &[&str]) -> Result<PlannerModel, Pla
         idm: None,
         probe: None,
         decoder: None,
+        workers: None,
     };
     let setup = PlannerSetup {
         search: searched,
