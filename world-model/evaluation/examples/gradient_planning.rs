@@ -41,6 +41,9 @@ const DESCENTS: [(usize, f64); 4] = [(5, 0.3), (5, 0.1), (20, 0.3), (20, 0.1)];
 /// How far the two models may differ, of latents of variance 1: rounding.
 const AGREE: f32 = 1e-3;
 
+/// A plan, (k, searched values), and its cost.
+type Found = (Vec<Vec<f32>>, f32);
+
 struct Models {
     encoder: Box<dyn Encoder>,
     world: WorldModel,
@@ -213,12 +216,12 @@ impl Models {
         situation: &Situation,
         plan: &[Vec<f32>],
         (steps, rate): (usize, f64),
-    ) -> Result<(Vec<Vec<f32>>, f32)> {
+    ) -> Result<Found> {
         let space = self.space(situation)?;
         let mut plan = plan.to_vec();
         let count = plan.len() * space.len();
         let (mut first, mut second) = (vec![0.0_f64; count], vec![0.0_f64; count]);
-        let mut best: Option<(Vec<Vec<f32>>, f32)> = None;
+        let mut best: Option<Found> = None;
         for step in 0..=steps {
             let whole: Vec<f32> = plan.iter().flat_map(|action| space.whole(action)).collect();
             let shape = (1, plan.len(), space.action_dim());
@@ -261,7 +264,7 @@ impl Models {
         choice: PlannerChoice,
         settings: &PlannerSettings,
         horizon: usize,
-    ) -> Result<(Vec<Vec<f32>>, f32)> {
+    ) -> Result<Found> {
         let goals = [situation.goal.clone()];
         let planner = choice.build(settings, self.idm.as_ref(), &goals)?;
         let objective = Objective::of(Target::LastStep(situation.goal.clone()));
@@ -373,7 +376,7 @@ fn compare(models: &Models, situations: &[Situation], horizon: usize) -> Result<
             median(&mut score.ms)
         );
     };
-    let run = |method: &dyn Fn(&Situation) -> Result<(Vec<Vec<f32>>, f32)>| -> Result<Score> {
+    let run = |method: &dyn Fn(&Situation) -> Result<Found>| -> Result<Score> {
         let mut score = Score::default();
         for situation in situations {
             let values = models.space(situation)?.len();
