@@ -82,7 +82,7 @@ fn our_launch_files_have_the_types_of_ros() {
             checked += 1;
         }
     }
-    assert_eq!(checked, 2);
+    assert_eq!(checked, 3);
 }
 
 #[test]

@@ -276,6 +276,7 @@ impl Models {
             horizon,
             batch: 16,
             proposals: Vec::new(),
+            workers: None,
         };
         let found = planner.plan(&mut problem, SEED, &mut |_| false)?;
         Ok((found.actions, found.cost))
