@@ -37,11 +37,25 @@ pub struct Process {
     endpoint: String,
 }
 
+/// Where a worker was.
+pub struct Place(String);
+
+impl Place {
+    /// Starts another one there.
+    pub fn worker(self) -> Process {
+        worker_at(self.0)
+    }
+}
+
 /// A worker on a port of its own.
 pub fn worker() -> Process {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
     drop(listener);
+    worker_at(endpoint)
+}
+
+fn worker_at(endpoint: String) -> Process {
     let child = Command::new(env!("CARGO_BIN_EXE_wm-planner-worker"))
         .args(["--model", MODEL, "--listen", &endpoint])
         // On machines with few cores, so that none waits for the others.
@@ -58,10 +72,11 @@ impl Process {
         rustix::process::kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
-    /// Ends it as a machine that loses its power does.
-    pub fn kill(mut self) {
+    /// Ends it as a machine that loses its power does; where it was.
+    pub fn kill(mut self) -> Place {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
+        Place(self.endpoint.clone())
     }
 
     /// Waits for its end.

@@ -20,17 +20,24 @@ fn two() -> ([Process; 2], PlannerWorkers) {
     ([first, second], pool)
 }
 
+/// Plans, alone and with the workers, until these have had a part in one.
+fn until_answered(pool: &PlannerWorkers, scene: &Scene) {
+    let before = pool.counts().answered;
+    for seed in 0.. {
+        let alone = scene.plan(seed, None, &mut || {});
+        assert_eq!(scene.plan(seed, Some(pool), &mut || {}), alone);
+        if pool.counts().answered > before {
+            return;
+        }
+    }
+}
+
 #[test]
 fn with_two_workers_a_plan_is_the_same_to_the_bit() {
     let (_workers, pool) = two();
     let scene = Scene::new();
-    for seed in 0..3 {
-        let alone = scene.plan(seed, None, &mut || {});
-        let shared = scene.plan(seed, Some(&pool), &mut || {});
-        assert_eq!(shared, alone);
-    }
+    until_answered(&pool, &scene);
     let counts = pool.counts();
-    assert!(counts.answered > 0, "{counts:?}");
     assert_eq!((counts.failed, counts.gone, counts.unshared), (0, 0, 0));
 }
 
@@ -39,10 +46,10 @@ fn a_worker_that_dies_midway_is_done_without() {
     let ([first, second], pool) = two();
     let scene = Scene::new();
     let alone = scene.plan(1, None, &mut || {});
-    let mut victim = Some(first);
+    let (mut victim, mut place) = (Some(first), None);
     let shared = scene.plan(1, Some(&pool), &mut || {
         if let Some(victim) = victim.take() {
-            victim.kill();
+            place = Some(victim.kill());
         }
     });
     assert_eq!(shared, alone);
@@ -66,6 +73,12 @@ fn a_worker_that_dies_midway_is_done_without() {
         scene.plan(2, Some(&pool), &mut || {}),
         scene.plan(2, None, &mut || {})
     );
+
+    // One that is started in the place of another is found by itself.
+    let _third = place.unwrap().worker();
+    let counts = pool.wait_until(PATIENCE, |counts| counts.taking_part == 1);
+    assert_eq!(counts.taking_part, 1, "{counts:?}");
+    until_answered(&pool, &scene);
 }
 
 #[test]
