@@ -5,7 +5,7 @@
 //! use wm_model_nodes::harness::{self, Configured, ModelNode};
 //! use wm_msgs::{std_msgs::String as Text, wm_msgs::Latent};
 //! use wm_ros::{NodeDefinition, Publisher, Qos, Subscription};
-//! use wm_zoo::ModelFolder;
+//! use wm_zoo::PlacedModel;
 //!
 //! wm_ros::parameters! {
 //!     /// Its parameters.
@@ -36,7 +36,7 @@
 //!     type Endpoints = Endpoints;
 //!     type Model = ();
 //!
-//!     fn load(_: ModelFolder, _: &Parameters) -> anyhow::Result<()> {
+//!     fn load(_: PlacedModel, _: &Parameters) -> anyhow::Result<()> {
 //!         Ok(())
 //!     }
 //!
@@ -75,7 +75,7 @@ use wm_ros::{
     Component, EndpointSet, Lifecycle, Managed, NAMESPACE, Node, NodeArgs, NodeDefinition,
     ParameterSet, ParameterSpec,
 };
-use wm_zoo::ModelFolder;
+use wm_zoo::{DeviceName, ModelFolder, PlacedModel, Placement};
 
 /// A node that computes with the world model. The type itself is what the node holds while it is active.
 pub trait ModelNode: Sized + 'static {
@@ -83,7 +83,7 @@ pub trait ModelNode: Sized + 'static {
     const NAME: &'static str;
     /// What it does, in one line.
     const ABOUT: &'static str;
-    /// Its parameters, without `model` and those that every node has. Made by [`wm_ros::parameters!`].
+    /// Its parameters, without `model`, `device`, `cuda_graphs` and those that every node has. Made by [`wm_ros::parameters!`].
     type Parameters: ParameterSet + Send + Sync + 'static;
     /// Its topics and services. Made by [`wm_ros::endpoints!`].
     type Endpoints: EndpointSet;
@@ -102,7 +102,7 @@ pub trait ModelNode: Sized + 'static {
     ///
     /// # Errors
     /// Names what is missing or wrong.
-    fn load(model: ModelFolder, parameters: &Self::Parameters) -> Result<Self::Model>;
+    fn load(model: PlacedModel, parameters: &Self::Parameters) -> Result<Self::Model>;
 
     /// Starts with an empty history.
     ///
@@ -130,10 +130,16 @@ pub struct Configured<N: ModelNode> {
 }
 
 wm_ros::parameters! {
-    /// The parameter that every node of this kind has.
+    /// The parameters that every node of this kind has.
     struct Common {
         /// World model: tiny (embedded), or the path of a model folder.
         model: String = EMBEDDED;
+        /// What computes the model: cpu, or an NVIDIA GPU, cuda (the first one) or cuda:N. A GPU needs a program built with
+        /// the feature cuda.
+        device: String = "cpu";
+        /// Whether a GPU records the launches of an Euler step and repeats them as one (CUDA graphs). Of no effect on the
+        /// CPU, in the encoder and in the decoder.
+        cuda_graphs: bool = false;
     }
 }
 
@@ -176,13 +182,20 @@ pub async fn body<N: ModelNode>(node: Node) -> Result<()> {
     let parameters = Arc::new(N::Parameters::declare(&node)?);
     node.seal_parameters()?;
     N::check(&parameters)?;
-    let model = common.model;
-    lifecycle.run(Harness::<N> { model, parameters }).await
+    let device: DeviceName = common.device.parse().context("parameter device")?;
+    let harness = Harness::<N> {
+        model: common.model,
+        placement: Placement::on(device, common.cuda_graphs),
+        parameters,
+    };
+    lifecycle.run(harness).await
 }
 
 struct Harness<N: ModelNode> {
     /// What the parameter `model` says.
     model: String,
+    /// What `device` and `cuda_graphs` say.
+    placement: Placement,
     parameters: Arc<N::Parameters>,
 }
 
@@ -193,9 +206,12 @@ impl<N: ModelNode> Managed for Harness<N> {
 
     async fn configure(&self, node: &Node) -> Result<Configured<N>> {
         let (name, parameters) = (self.model.clone(), Arc::clone(&self.parameters));
-        let span = tracing::Span::current();
+        let (placement, span) = (self.placement, tracing::Span::current());
         let load = move || {
-            let load = || N::load(ModelFolder::open(&name)?, &parameters);
+            let load = || {
+                let folder = ModelFolder::open(&name)?;
+                N::load(PlacedModel::new(folder, placement), &parameters)
+            };
             span.in_scope(load)
                 .with_context(|| format!("parameter model is \"{name}\""))
         };

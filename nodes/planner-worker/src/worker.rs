@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use serde_bytes::ByteBuf;
 use thiserror::Error;
-use wm_model::transition::PackedTransition;
+use wm_model::transition::LoadedTransition;
 use wm_planner::{Evaluator, PlanError};
 
 use crate::{
@@ -19,7 +19,7 @@ const KEPT: usize = 8;
 /// A worker: the model, and the newest cost functions that it was told.
 #[derive(Debug)]
 pub struct Worker<'m> {
-    model: &'m PackedTransition,
+    model: &'m LoadedTransition,
     identity: Identity,
     /// The one used last is the last.
     functions: VecDeque<Known<'m>>,
@@ -44,7 +44,7 @@ enum Refusal {
 
 impl<'m> Worker<'m> {
     /// A worker with a model, which is said to be `identity`.
-    pub fn new(model: &'m PackedTransition, identity: Identity) -> Self {
+    pub fn new(model: &'m LoadedTransition, identity: Identity) -> Self {
         Self {
             model,
             identity,
@@ -114,7 +114,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::message::{EncodedFunction, encode};
 
-    static MODEL: LazyLock<PackedTransition> = LazyLock::new(|| {
+    static MODEL: LazyLock<LoadedTransition> = LazyLock::new(|| {
         let config = TransitionConfig {
             hidden: 32,
             depth: 1,

@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use rayon::prelude::*;
 use wm_dataset::{ClipSource, Latents};
 use wm_metrics::correlation::pearson;
-use wm_model::transition::PackedTransition;
+use wm_model::transition::LoadedTransition;
 use wm_motion::actions::{ActionSpace, Kind};
 use wm_zoo::idm::TrainedIdm;
 
@@ -151,7 +151,7 @@ pub fn on_clips(
 /// If the two models do not step alike, or the latents are of another space.
 pub fn on_predicted(
     model: &TrainedIdm,
-    transition: &PackedTransition,
+    transition: &LoadedTransition,
     windows: &Windows,
 ) -> Result<Correlation> {
     let encoding = model.encoding();

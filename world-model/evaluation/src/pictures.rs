@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result};
 use candle_core::Tensor;
 use rayon::prelude::*;
 use wm_dataset::Dataset;
-use wm_model::{Decoder, transition::PackedTransition};
+use wm_model::{Decoder, transition::LoadedTransition};
 
 use crate::{ActionChange, CONTEXT, SquaredError, Windows};
 
@@ -34,7 +34,7 @@ impl PictureErrors {
     /// When model, decoder and dataset do not fit one another.
     pub fn measure(
         windows: &Windows,
-        model: &PackedTransition,
+        model: &LoadedTransition,
         decoder: &dyn Decoder,
         dataset: &Dataset,
     ) -> Result<Self> {

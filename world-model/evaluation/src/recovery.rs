@@ -5,7 +5,7 @@ use std::fmt;
 use anyhow::{Context as _, Result};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use wm_model::transition::PackedTransition;
+use wm_model::transition::LoadedTransition;
 use wm_motion::actions::ActionEncoding;
 use wm_planner::{
     Cem, CemSettings, Objective, Planner as _, Problem, Returned, SearchSpace, Target,
@@ -72,7 +72,7 @@ const GRIPPER: usize = 6;
 /// # Errors
 /// When the model does not fit the latents.
 pub fn recover_actions(
-    model: &PackedTransition,
+    model: &LoadedTransition,
     encoding: &ActionEncoding,
     windows: &Windows,
     plans: usize,
@@ -148,7 +148,7 @@ fn moves(cases: &[Window]) -> Result<Vec<(&Window, usize)>> {
 
 /// The action planned from the frames up to `step` of a window towards the next one, and the true one.
 fn plan(
-    model: &PackedTransition,
+    model: &LoadedTransition,
     (cem, space): (&Cem, &SearchSpace),
     case: &Window,
     step: usize,

@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result};
 use candle_core::Tensor;
 use image::RgbImage;
 use wm_dataset::Dataset;
-use wm_model::{Decoder, image::to_rgb, transition::PackedTransition};
+use wm_model::{Decoder, image::to_rgb, transition::LoadedTransition};
 
 use crate::{ActionChange, CONTEXT, Windows, grid};
 
@@ -17,7 +17,7 @@ const WINDOWS: usize = 3;
 /// If model, decoder and dataset do not fit.
 pub fn strip(
     windows: &Windows,
-    model: &PackedTransition,
+    model: &LoadedTransition,
     decoder: &dyn Decoder,
     dataset: &Dataset,
 ) -> Result<RgbImage> {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use wm_dataset::{ClipSource, Latents};
 use wm_model::{
     sampler::{Given, Rollout, Sampler},
-    transition::PackedTransition,
+    transition::LoadedTransition,
 };
 use wm_motion::actions::{ActionEncoding, ActionSpace};
 
@@ -134,7 +134,7 @@ impl Windows {
     ///
     /// # Errors
     /// When the model does not fit the latents.
-    pub fn ratios(&self, model: &PackedTransition, change: ActionChange) -> Result<Vec<f64>> {
+    pub fn ratios(&self, model: &LoadedTransition, change: ActionChange) -> Result<Vec<f64>> {
         self.ratios_with(model, &model.config().sampler, change)
     }
 
@@ -145,7 +145,7 @@ impl Windows {
     /// When the model does not fit the latents.
     pub fn ratios_with(
         &self,
-        model: &PackedTransition,
+        model: &LoadedTransition,
         sampler: &Sampler,
         change: ActionChange,
     ) -> Result<Vec<f64>> {
@@ -169,7 +169,7 @@ impl Windows {
     fn errors(
         &self,
         index: usize,
-        model: &PackedTransition,
+        model: &LoadedTransition,
         sampler: &Sampler,
         change: ActionChange,
     ) -> Result<Vec<(f64, f64)>> {
@@ -193,7 +193,7 @@ impl Windows {
     pub fn predict(
         &self,
         index: usize,
-        model: &PackedTransition,
+        model: &LoadedTransition,
         sampler: &Sampler,
         change: ActionChange,
     ) -> Result<Vec<Tensor>> {

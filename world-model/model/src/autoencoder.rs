@@ -4,11 +4,13 @@ mod config;
 mod network;
 mod normalisation;
 mod tape;
+mod tensors;
 
 pub use config::AutoencoderConfig;
 pub use network::{Conv, Network};
 pub use normalisation::{MEAN, Normalisation, STD};
 pub use tape::{NetworkGradient, Tape};
+pub use tensors::TensorAutoencoder;
 
 use std::path::Path;
 

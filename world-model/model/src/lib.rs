@@ -10,6 +10,7 @@ mod decoder;
 mod encoder;
 mod error;
 mod latent_space;
+mod place;
 mod world_model;
 
 pub mod autoencoder;
@@ -25,5 +26,8 @@ pub use decoder::Decoder;
 pub use encoder::Encoder;
 pub use error::{Error, Result};
 pub use latent_space::LatentSpace;
+pub use place::Place;
 pub use weights::Weights;
+#[cfg(feature = "cuda")]
+pub use wm_cuda::load as load_cuda;
 pub use world_model::WorldModel;

@@ -47,6 +47,7 @@ pub use layer_norm::layer_norm;
 pub use linear::linear;
 pub use packed_linear::PackedLinear;
 pub use rms_norm_modulate::rms_norm_modulate;
+pub(crate) use rotary::normalise_and_rotate_plain;
 pub use rotary::{RopeLayout, RotaryTable};
 pub use simd::instruction_set;
 pub use swiglu::swiglu;

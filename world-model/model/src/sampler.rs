@@ -32,16 +32,16 @@ mod window;
 
 use std::sync::Arc;
 
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::transition::PackedTransition;
+use crate::transition::{Batched, LoadedTransition};
 use crate::{Error, Result};
 pub use position::Position;
 pub use settings::{Sampler, shift_time};
-use window::{Batched, Window};
+use window::Window;
 
 /// What [`Rollout::next_given`] takes instead of what a prediction has by itself; by default nothing.
 #[derive(Clone, Copy, Debug, Default)]
@@ -71,7 +71,7 @@ pub struct Noise {
 /// Equal seeds and inputs give equal bytes: the noise of step k depends on the seed and k only.
 #[derive(Clone, Debug)]
 pub struct Rollout<'m> {
-    model: &'m PackedTransition,
+    model: &'m LoadedTransition,
     sampler: Sampler,
     window: Window,
     /// Of all candidates, or of each row of a batch.
@@ -92,7 +92,7 @@ impl<'m> Rollout<'m> {
     /// # Errors
     /// If shapes do not fit the model, or a value is not finite.
     pub fn new(
-        model: &'m PackedTransition,
+        model: &'m LoadedTransition,
         sampler: &Sampler,
         context: &Tensor,
         actions: Option<&Tensor>,
@@ -119,14 +119,14 @@ impl<'m> Rollout<'m> {
     /// # Errors
     /// If shapes do not fit the model or the number of `noise`s, or a value is not finite.
     pub fn batch(
-        model: &'m PackedTransition,
+        model: &'m LoadedTransition,
         sampler: &Sampler,
         context: &Tensor,
         actions: Option<&Tensor>,
         noise: &[Noise],
     ) -> Result<Self> {
         sampler.validate()?;
-        let window = Window::new(model.config(), context, actions, sampler.context_tau)?;
+        let window = Window::new(model, context, actions, sampler.context_tau)?;
         let candidates = context.dim(0)?;
         if noise.len() != candidates {
             let reason = format!("{} for a batch of {candidates}", noise.len());
@@ -184,13 +184,13 @@ impl<'m> Rollout<'m> {
     /// If this is several candidates.
     pub fn newest(&self) -> Result<Tensor> {
         let c = self.model.config();
-        let shape = (c.latent_height, c.latent_width, c.channels);
+        let shape = [c.latent_height, c.latent_width, c.channels];
         let last = self.window.last_frame()?;
-        if last.batch != 1 {
-            let reason = format!("the newest latent of {} was asked for", last.batch);
+        if last.batch() != 1 {
+            let reason = format!("the newest latent of {} was asked for", last.batch());
             return Err(Error::config("candidates", reason));
         }
-        Ok(Tensor::from_slice(&last.values, shape, &Device::Cpu)?)
+        LoadedTransition::tensor_here(&last, &shape)
     }
 
     /// How frames are integrated.
@@ -231,7 +231,7 @@ impl<'m> Rollout<'m> {
         let action = self.read("the action", action, &actions, false)?;
         let noise = match given.noise {
             Some(noise) => self.read("the noise", noise, &grid, true)?,
-            None => self.noise(),
+            None => self.noise()?,
         };
         let own = given
             .own_action
@@ -240,8 +240,8 @@ impl<'m> Rollout<'m> {
         self.window.push_action(action);
         self.window.make_room(c.max_frames);
         let clean = self.integrate(noise, own)?;
-        let shape = (self.candidates, grid[0], grid[1], grid[2]);
-        let tensor = Tensor::from_slice(&clean.values, shape, &Device::Cpu)?;
+        let shape = [self.candidates, grid[0], grid[1], grid[2]];
+        let tensor = LoadedTransition::tensor_here(&clean, &shape)?;
         self.window.push_frame(clean);
         self.steps_taken += 1;
         Ok(tensor)
@@ -257,7 +257,7 @@ impl<'m> Rollout<'m> {
     ) -> Result<Batched> {
         match tensor.dims() {
             [n, found @ ..] if found == rest && (*n == self.candidates || (shared && *n == 1)) => {
-                Batched::read(what, tensor)
+                self.model.hold_finite(what, tensor)
             }
             found => Err(Error::Shape {
                 what,
@@ -274,10 +274,11 @@ impl<'m> Rollout<'m> {
     /// Euler steps of the new frame from `noise`.
     fn integrate(&mut self, noise: Batched, own: Option<Batched>) -> Result<Batched> {
         let n = self.candidates;
-        let mut x = noise.expanded(n).to_vec();
-        let previous = self.window.last_frame()?.expanded(n);
-        let action = self.window.action_of_new_frame(self.model.config(), own);
-        let action = action.expanded(n);
+        let mut x = noise.expanded(n)?;
+        drop(noise);
+        let previous = self.window.last_frame()?.expanded(n)?;
+        let action = self.window.action_of_new_frame(self.model, own)?;
+        let action = action.expanded(n)?;
         let levels = self.sampler.levels();
         let taus: Vec<Vec<f32>> = levels.iter().map(|tau| vec![*tau as f32; n]).collect();
         // The last level is the clean frame's, which nothing is computed at.
@@ -285,17 +286,14 @@ impl<'m> Rollout<'m> {
         let mut passes = self.window.passes(self.model, steps, &action)?;
         for (from, to) in levels.iter().zip(levels.iter().skip(1)) {
             let output = passes.next(&x)?;
-            let parametrisation = self.model.config().parametrisation;
-            parametrisation.euler_step(&mut x, &output, &previous, (*from, *to));
+            self.model
+                .euler_step(&mut x, &output, &previous, (*from, *to))?;
         }
-        Ok(Batched {
-            batch: n,
-            values: x.into(),
-        })
+        Ok(x)
     }
 
     /// Noise of this step: the same for all candidates, or that of each row.
-    fn noise(&self) -> Batched {
+    fn noise(&self) -> Result<Batched> {
         let c = self.model.config();
         let len = c.latent_height * c.latent_width * c.channels;
         let mut values = Vec::with_capacity(self.noise.len() * len);
@@ -304,10 +302,7 @@ impl<'m> Rollout<'m> {
             rng.set_stream((noise.first_step + self.steps_taken) as u64);
             values.extend((0..len).map(|_| -> f32 { StandardNormal.sample(&mut rng) }));
         }
-        Batched {
-            batch: self.noise.len(),
-            values: values.into(),
-        }
+        self.model.hold("the noise", self.noise.len(), values)
     }
 }
 

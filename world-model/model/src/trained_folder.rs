@@ -7,7 +7,8 @@
 use std::path::PathBuf;
 
 use crate::{
-    Autoencoder, Error, LatentSpace, Result, Weights, WorldModel,
+    Autoencoder, Error, LatentSpace, Place, Result, Weights, WorldModel,
+    ops::PackedFormat,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition},
 };
 use wm_motion::actions::ActionEncoding;
@@ -116,6 +117,14 @@ impl TrainedFolder {
     /// # Errors
     /// As [`Self::autoencoder`]; and when the model was trained in another latent space.
     pub fn world_model(&self) -> Result<WorldModel> {
+        self.world_model_on(&Place::default())
+    }
+
+    /// As [`Self::world_model`], for another place than the CPU's kernels.
+    ///
+    /// # Errors
+    /// As [`Self::world_model`]; and when the device has no memory for it.
+    pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
         let weights = self.transition()?;
         let space = self.autoencoder()?.space().clone();
         let trained_on: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
@@ -130,7 +139,8 @@ impl TrainedFolder {
         let encoding: ActionEncoding = weights.json(ACTIONS_KEY)?;
         let hash = weights.identity(&[CONFIG_KEY, ACTIONS_KEY, LATENT_SPACE_KEY])?;
         let file = weights.file().to_owned();
-        let model = Transition::from_weights(weights)?.pack()?;
+        let model = Transition::from_weights_on(weights, place)?;
+        let model = place.load(model, PackedFormat::F32)?;
         let config = model.config();
         let disagrees = |key: &str, reason: String| Error::Metadata {
             file: file.clone(),

@@ -22,34 +22,40 @@
 //! ```
 //!
 //! [`Transition`] is made of tensors, for training (`wm_training`, through [`Transition::build`] and
-//! [`Transition::output`]), for other devices than the CPU, and as the reference
-//! ([`Transition::plain`]); [`PackedTransition`] is the same model for inference on the CPU.
+//! [`Transition::output`]) and as the reference ([`Transition::plain`]); [`LoadedTransition`] is the same model for
+//! inference, on kernels of the CPU ([`PackedTransition`]) or where its tensors are ([`TensorTransition`]).
 //! Sampling is not done here ([`crate::sampler`] does it).
 
 mod block;
 mod config;
 mod embedding;
 mod head;
+mod loaded;
 mod packed;
 mod parameters;
 mod parametrisation;
 mod pattern;
+mod tensors;
 mod trunk;
+mod values;
 
 use std::sync::Arc;
 
-use candle_core::{Device, Tensor};
+use candle_core::{DType, Device, Tensor};
 
 pub use config::{ActionAlignment, TransitionConfig, published_shift};
-pub(crate) use packed::Modulation;
-pub use packed::{FrameContext, NewFrame, PackedTransition, PassOutput};
+pub(crate) use loaded::Modulation;
+pub use loaded::{FrameContext, LoadedTransition, PassOutput};
+pub use packed::{NewFrame, PackedTransition};
 pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
+pub use tensors::TensorTransition;
 pub use trunk::WeightGradients;
+pub(crate) use values::Batched;
 
 use crate::ops::{AttentionPattern, Axis, Engine, PackedFormat};
-use crate::{Error, Result, Weights};
+use crate::{Error, Place, Result, Weights};
 use block::Block;
 use embedding::{Embedding, Patches};
 use head::Head;
@@ -135,8 +141,18 @@ impl Transition {
     /// # Errors
     /// If the configuration or a tensor is missing or malformed, or there are tensors too many.
     pub fn from_weights(weights: Weights) -> Result<Self> {
+        Self::from_weights_on(weights, &Place::default())
+    }
+
+    /// As [`Self::from_weights`], with its tensors in `place`, in f32.
+    ///
+    /// # Errors
+    /// As [`Self::from_weights`]; and if the device has no memory for them.
+    pub fn from_weights_on(weights: Weights, place: &Place) -> Result<Self> {
         let config: TransitionConfig = weights.json(CONFIG_KEY)?;
-        let model = Self::build(config, &mut |p| weights.tensor(&p.name, &p.shape))?;
+        let model = Self::build(config, &mut |p| {
+            place.tensor(&weights.tensor(&p.name, &p.shape)?, DType::F32)
+        })?;
         weights.finish()?;
         Ok(model)
     }
@@ -245,8 +261,8 @@ impl Transition {
     ///
     /// # Errors
     /// If its tensors cannot be read.
-    pub fn pack(&self) -> Result<PackedTransition> {
-        PackedTransition::new(self, PackedFormat::F32)
+    pub fn pack(&self) -> Result<LoadedTransition> {
+        Ok(PackedTransition::new(self, PackedFormat::F32)?.into())
     }
 }
 

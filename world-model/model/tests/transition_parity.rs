@@ -9,7 +9,7 @@ use candle_core::{Device, Tensor};
 use serde_json::Value;
 use wm_model::Weights;
 use wm_model::ops::{PackedFormat, RopeLayout};
-use wm_model::transition::{PackedTransition, Transition, TransitionConfig};
+use wm_model::transition::{PackedTransition, TensorTransition, Transition, TransitionConfig};
 
 /// Difference allowed, as a part of the largest velocity.
 const TOLERANCE: f32 = 1e-4;
@@ -97,6 +97,13 @@ fn velocities_are_those_of_pytorch() {
             (
                 "plain tensors",
                 model.clone().plain().forward(inputs.0, inputs.1, inputs.2),
+                TOLERANCE,
+            ),
+            (
+                "tensors for inference",
+                TensorTransition::new(model.clone(), true)
+                    .unwrap()
+                    .forward(inputs.0, inputs.1, inputs.2),
                 TOLERANCE,
             ),
             (

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use wm_model::{
     sampler::{Noise, Position, Rollout, Sampler},
-    transition::PackedTransition,
+    transition::LoadedTransition,
 };
 
 use crate::{
@@ -77,7 +77,7 @@ impl CostFunction {
     ///
     /// # Errors
     /// [`PlanError`] names what does not fit the model or cannot serve.
-    pub fn with<'m>(&self, model: &'m PackedTransition) -> Result<Evaluator<'m>, PlanError> {
+    pub fn with<'m>(&self, model: &'m LoadedTransition) -> Result<Evaluator<'m>, PlanError> {
         let complain = |text: String| Err(PlanError::Setting(text));
         if !(1..=MOST_STEPS).contains(&self.horizon) {
             return complain(format!(
@@ -170,7 +170,7 @@ mod tests {
         WorkspaceMargin,
     };
 
-    fn model(action_alignment: ActionAlignment) -> PackedTransition {
+    fn model(action_alignment: ActionAlignment) -> LoadedTransition {
         let config = TransitionConfig {
             hidden: 64,
             depth: 2,

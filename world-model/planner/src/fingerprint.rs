@@ -2,7 +2,7 @@
 
 use candle_core::{Device, Tensor};
 use sha2::{Digest as _, Sha256};
-use wm_model::{sampler::Sampler, transition::PackedTransition};
+use wm_model::{sampler::Sampler, transition::LoadedTransition};
 
 use crate::{Dynamics as _, PlanError, Target, TransitionDynamics};
 
@@ -17,7 +17,7 @@ const STEPS: usize = 2;
 ///
 /// # Errors
 /// Where the model fails.
-pub fn fingerprint(model: &PackedTransition) -> Result<[u8; 32], PlanError> {
+pub fn fingerprint(model: &LoadedTransition) -> Result<[u8; 32], PlanError> {
     let c = model.config();
     let (height, width, channels) = (c.latent_height, c.latent_width, c.channels);
     let context = numbers(&[1, 2, height, width, channels])?;

@@ -5,7 +5,7 @@ use candle_core::Tensor;
 use wm_model::{
     Error, Result,
     sampler::{Given, Noise, Rollout, Sampler},
-    transition::PackedTransition,
+    transition::LoadedTransition,
 };
 
 use crate::Dynamics;
@@ -27,7 +27,7 @@ impl<'m> TransitionDynamics<'m> {
     /// # Errors
     /// Where shapes do not fit the model, or a value is not finite.
     pub fn new(
-        model: &'m PackedTransition,
+        model: &'m LoadedTransition,
         sampler: &Sampler,
         context: &Tensor,
         actions: Option<&Tensor>,
@@ -141,7 +141,7 @@ mod tests {
     use crate::{Cem, CemSettings, Objective, Planner as _, Problem, SearchSpace, Target, spread};
     use wm_model::transition::{ActionAlignment, Transition, TransitionConfig};
 
-    fn model() -> PackedTransition {
+    fn model() -> LoadedTransition {
         let config = TransitionConfig {
             hidden: 64,
             depth: 2,

@@ -2,6 +2,8 @@
 
 use candle_core::{DType, Device, DeviceLocation};
 
+use wm_model::Place;
+
 use crate::{Engine, Error, Result};
 
 /// What computes a model, where, and in which format its weights are.
@@ -33,6 +35,23 @@ impl Compute {
             engine,
             device: Device::Cpu,
             precision,
+        }
+    }
+
+    /// As a loaded model's `place` says it.
+    pub fn at(place: &Place, precision: DType) -> Self {
+        Self {
+            engine: place.engine(),
+            device: place.device().clone(),
+            precision,
+        }
+    }
+
+    /// The place of a model that is loaded for it.
+    pub fn place(&self) -> Place {
+        match self.engine {
+            Engine::Cpu => Place::default(),
+            Engine::Candle => Place::tensors(self.device.clone(), false),
         }
     }
 

@@ -1,5 +1,21 @@
 //! Where a model computes.
 
+#[cfg(feature = "cuda")]
+mod cuda;
+#[cfg(not(feature = "cuda"))]
+mod cuda {
+    //! No GPU was built for.
+
+    use candle_core::Device;
+
+    pub(super) use shared as apart;
+
+    pub(super) fn shared(_: usize) -> Result<Device, String> {
+        let reason = "this was built without the cargo feature `cuda` (cargo build --release --features cuda)";
+        Err(reason.to_owned())
+    }
+}
+
 use std::fmt;
 use std::str::FromStr;
 
@@ -18,46 +34,36 @@ pub enum DeviceName {
 }
 
 impl DeviceName {
-    /// Opens the device.
+    /// Opens the device, the same one each time.
     ///
     /// # Errors
-    /// [`Error::Device`] if the library was built without the feature `cuda`, or there is no such device.
+    /// [`Error::Device`] if the library was built without the feature `cuda`, a library of CUDA is missing, or there is
+    /// no such device.
     pub fn open(self) -> Result<Device> {
         match self {
             Self::Cpu => Ok(Device::Cpu),
-            Self::Cuda(number) => cuda(number).map_err(|reason| Error::Device {
-                device: self,
-                reason,
-            }),
+            Self::Cuda(number) => cuda::shared(number).map_err(|reason| self.error(reason)),
         }
     }
-}
 
-/// Opens each GPU once: candle takes what is opened twice for two devices, and refuses operations between them.
-#[cfg(feature = "cuda")]
-fn cuda(number: usize) -> Result<Device, String> {
-    use std::{
-        collections::BTreeMap,
-        sync::{Mutex, PoisonError},
-    };
-
-    static OPEN: Mutex<BTreeMap<usize, Device>> = Mutex::new(BTreeMap::new());
-    let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(device) = open.get(&number) {
-        return Ok(device.clone());
+    /// Opens the device with a stream of its own: what is computed there waits for nothing that is computed by other
+    /// openings, and takes no tensor of theirs.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_apart(self) -> Result<Device> {
+        match self {
+            Self::Cpu => Ok(Device::Cpu),
+            Self::Cuda(number) => cuda::apart(number).map_err(|reason| self.error(reason)),
+        }
     }
-    let device = Device::new_cuda(number)
-        .map_err(|error| format!("no NVIDIA GPU of this number can be used: {error}"))?;
-    open.insert(number, device.clone());
-    Ok(device)
-}
 
-#[cfg(not(feature = "cuda"))]
-fn cuda(_number: usize) -> Result<Device, String> {
-    Err(
-        "this was built without the cargo feature `cuda` (cargo build --release --features cuda)"
-            .to_owned(),
-    )
+    fn error(self, reason: String) -> Error {
+        Error::Device {
+            device: self,
+            reason,
+        }
+    }
 }
 
 impl fmt::Display for DeviceName {

@@ -30,7 +30,7 @@
 //! read. The hash of the latent space is over encoder and adapter (kind, configuration, every tensor that they ask for,
 //! as f32), normalisation, picture size, views and number format: not over file formats, nor what else a file holds.
 //!
-//! Computes on the CPU, with the engine [`Cpu`](crate::Engine::Cpu).
+//! Encoder, decoder and transition model compute where a [`Place`] says, everything else on the CPU.
 
 mod decoder;
 mod description;
@@ -51,8 +51,8 @@ use sha2::{Digest as _, Sha256};
 use wm_model::WorldModel;
 use wm_model::autoencoder::{MEAN, Normalisation, STD};
 use wm_model::trained_folder::TRANSITION_FILE;
-use wm_model::transition::{PackedTransition, Transition, TransitionConfig};
-use wm_model::{Decoder, Encoder, LatentSpace};
+use wm_model::transition::{Transition, TransitionConfig};
+use wm_model::{Decoder, Encoder, LatentSpace, Place};
 use wm_motion::actions::ActionEncoding;
 
 pub use description::{
@@ -68,7 +68,7 @@ use crate::layers::packed_format;
 use crate::loader::Requested;
 use crate::success_probe::SuccessClassifier;
 use crate::svae::{Svae, SvaeConfig};
-use crate::{Checkpoint, Error, Result, TransitionTensors};
+use crate::{Checkpoint, Compute, Error, Result, TransitionTensors};
 use decoder::{DecoderConfig, FolderDecoder};
 use encoder::{EncoderConfig, FolderEncoder, canonical};
 use fit::{check_decoder, check_transition, latent};
@@ -245,13 +245,22 @@ impl DescribedFolder {
     /// # Errors
     /// If a value is not finite.
     pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
-        let dtype = self.description.dtype.dtype();
+        self.encoder_on(&Place::default())
+    }
+
+    /// As [`Self::encoder`], to compute at `place`.
+    ///
+    /// # Errors
+    /// If a value is not finite, or the device has no memory for it.
+    pub fn encoder_on(&self, place: &Place) -> Result<Box<dyn Encoder>> {
+        let compute = self.compute(place);
         Ok(Box::new(FolderEncoder {
             network: self
                 .encoder
                 .source
-                .load(dtype, |loader| self.encoder.config.load(loader))?,
-            adapter: self.load_adapter(self.adapter.as_ref())?,
+                .load_at(&compute, |loader| self.encoder.config.load(loader))?,
+            device: place.device().clone(),
+            adapter: load_adapter(self.adapter.as_ref(), &compute)?,
             normalisation: self.normalisation.clone(),
             image: self.description.image,
             views: self.views,
@@ -264,15 +273,24 @@ impl DescribedFolder {
     /// # Errors
     /// If a value is not finite.
     pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
+        self.decoder_on(&Place::default())
+    }
+
+    /// As [`Self::decoder`], to compute at `place`.
+    ///
+    /// # Errors
+    /// If a value is not finite, or the device has no memory for it.
+    pub fn decoder_on(&self, place: &Place) -> Result<Option<Box<dyn Decoder>>> {
         let Some(Pictures { decoder, adapter }) = &self.pictures else {
             return Ok(None);
         };
-        let dtype = self.description.dtype.dtype();
+        let compute = self.compute(place);
         Ok(Some(Box::new(FolderDecoder {
             network: decoder
                 .source
-                .load(dtype, |loader| decoder.config.load(loader))?,
-            adapter: self.load_adapter(adapter.as_ref())?,
+                .load_at(&compute, |loader| decoder.config.load(loader))?,
+            device: place.device().clone(),
+            adapter: load_adapter(adapter.as_ref(), &compute)?,
             normalisation: self.normalisation.clone(),
             upsampling: decoder.config.upsampling()?,
             views: self.views,
@@ -324,6 +342,14 @@ impl DescribedFolder {
     /// # Errors
     /// If there is none, a value is not finite, or it was trained on latents of another space.
     pub fn world_model(&self) -> Result<WorldModel> {
+        self.world_model_on(&Place::default())
+    }
+
+    /// As [`Self::world_model`], to compute at `place`.
+    ///
+    /// # Errors
+    /// As [`Self::world_model`]; or that the device has no memory for it.
+    pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
         let transition = self.described_transition()?;
         let Dynamics {
             config, encoding, ..
@@ -332,17 +358,17 @@ impl DescribedFolder {
         if let Some(trained_on) = &self.trained_on {
             trained_on.require(&space)?;
         }
-        let dtype = self.description.dtype.dtype();
+        let compute = self.compute(place);
         let model = transition
             .source
-            .load(dtype, |loader| build_transition(config.clone(), loader))?;
+            .load_at(&compute, |loader| build_transition(config.clone(), loader))?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
         hash.update(format!("{}\n", canonical(&settings)?));
         transition.source.hash(&transition.tensors, &mut hash)?;
         Ok(WorldModel {
             name: self.name.clone(),
-            transition: PackedTransition::new(&model, packed_format(dtype))?,
+            transition: place.load(model, packed_format(compute.precision()))?,
             hash: format!("{:x}", hash.finalize()),
             space,
             encoding: encoding.clone(),
@@ -359,15 +385,17 @@ impl DescribedFolder {
         self.probe.as_ref().map(load).transpose()
     }
 
-    fn load_adapter(&self, adapter: Option<&Opened<SvaeConfig>>) -> Result<Option<Svae>> {
-        let Some(Opened { source, config, .. }) = adapter else {
-            return Ok(None);
-        };
-        let dtype = self.description.dtype.dtype();
-        source
-            .load(dtype, |loader| Svae::load(config, loader))
-            .map(Some)
+    /// In the number format of the model.
+    fn compute(&self, place: &Place) -> Compute {
+        Compute::at(place, self.description.dtype.dtype())
     }
+}
+
+fn load_adapter(adapter: Option<&Opened<SvaeConfig>>, compute: &Compute) -> Result<Option<Svae>> {
+    let load = |Opened { source, config, .. }: &Opened<SvaeConfig>| {
+        source.load_at(compute, |loader| Svae::load(config, loader))
+    };
+    adapter.map(load).transpose()
 }
 
 fn open_encoder(description: &Description, folder: &Path) -> Result<Opened<EncoderConfig>> {

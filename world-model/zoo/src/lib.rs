@@ -34,6 +34,8 @@
 
 mod error;
 mod model_folder;
+mod placed_model;
+mod placement;
 mod sizes;
 
 pub mod checkpoint;
@@ -60,5 +62,7 @@ pub use device::DeviceName;
 pub use error::{Error, Misshapen, Result};
 pub use loader::{Loader, Supply};
 pub use model_folder::{ModelFolder, TransitionTensors};
+pub use placed_model::PlacedModel;
+pub use placement::Placement;
 pub use wm_model::ops::Engine;
 pub use wm_model::trained_folder::{IDM_FILE, PROBE_FILE};

@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::Tensor;
+use wm_model::autoencoder::TensorAutoencoder;
 use wm_model::trained_folder::{EMBEDDED, IDM_FILE, PROBE_FILE, TrainedFolder};
 use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, Transition, TransitionConfig};
-use wm_model::{Decoder, Encoder, LatentSpace, Weights, WorldModel};
+use wm_model::{Decoder, Encoder, LatentSpace, Place, Weights, WorldModel};
 use wm_motion::actions::ActionEncoding;
 
-use crate::Result;
 use crate::folder::{DescribedFolder, NativeDecoder};
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
+use crate::{Engine, Result};
 
 /// The tensors of a transition model, and what it is.
 #[derive(Clone, Debug)]
@@ -71,9 +72,20 @@ impl ModelFolder {
     /// # Errors
     /// Names what is missing or wrong in the weights.
     pub fn encoder(&self) -> Result<Box<dyn Encoder>> {
+        self.encoder_on(&Place::default())
+    }
+
+    /// As [`Self::encoder`], to compute at `place`.
+    ///
+    /// # Errors
+    /// As [`Self::encoder`]; or that the device has no memory for it.
+    pub fn encoder_on(&self, place: &Place) -> Result<Box<dyn Encoder>> {
         match self {
-            Self::Trained(folder) => Ok(Box::new(folder.autoencoder()?)),
-            Self::Described(folder) => folder.encoder(),
+            Self::Trained(folder) => match place.engine() {
+                Engine::Cpu => Ok(Box::new(folder.autoencoder()?)),
+                Engine::Candle => Ok(Box::new(on_tensors(folder, place)?)),
+            },
+            Self::Described(folder) => folder.encoder_on(place),
         }
     }
 
@@ -82,9 +94,20 @@ impl ModelFolder {
     /// # Errors
     /// Names what is missing or wrong in the weights.
     pub fn decoder(&self) -> Result<Option<Box<dyn Decoder>>> {
+        self.decoder_on(&Place::default())
+    }
+
+    /// As [`Self::decoder`], to compute at `place`.
+    ///
+    /// # Errors
+    /// As [`Self::decoder`]; or that the device has no memory for it.
+    pub fn decoder_on(&self, place: &Place) -> Result<Option<Box<dyn Decoder>>> {
         match self {
-            Self::Trained(folder) => Ok(Some(Box::new(folder.autoencoder()?))),
-            Self::Described(folder) => folder.decoder(),
+            Self::Trained(folder) => match place.engine() {
+                Engine::Cpu => Ok(Some(Box::new(folder.autoencoder()?))),
+                Engine::Candle => Ok(Some(Box::new(on_tensors(folder, place)?))),
+            },
+            Self::Described(folder) => folder.decoder_on(place),
         }
     }
 
@@ -101,9 +124,17 @@ impl ModelFolder {
     /// # Errors
     /// Names what is missing or wrong in the weights.
     pub fn world_model(&self) -> Result<WorldModel> {
+        self.world_model_on(&Place::default())
+    }
+
+    /// As [`Self::world_model`], to compute at `place`.
+    ///
+    /// # Errors
+    /// As [`Self::world_model`]; or that the device has no memory for it.
+    pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
         match self {
-            Self::Trained(folder) => Ok(folder.world_model()?),
-            Self::Described(folder) => folder.world_model(),
+            Self::Trained(folder) => Ok(folder.world_model_on(place)?),
+            Self::Described(folder) => folder.world_model_on(place),
         }
     }
 
@@ -184,4 +215,9 @@ impl ModelFolder {
             Self::Described(folder) => TrainedFolder::Folder(folder.name().into()).weights(file)?,
         })
     }
+}
+
+fn on_tensors(folder: &TrainedFolder, place: &Place) -> Result<TensorAutoencoder> {
+    let autoencoder = folder.autoencoder()?;
+    Ok(TensorAutoencoder::new(&autoencoder, place.device())?)
 }

@@ -10,7 +10,7 @@ use wm_msgs::wm_msgs::Prediction;
 use wm_ros::{
     Input, Level, Node, NodeDefinition, Parameter, Qos, Subscription, complaints::Complaints,
 };
-use wm_zoo::ModelFolder;
+use wm_zoo::PlacedModel;
 
 use super::{
     DecoderError, DecoderStep, jpeg_message, raw_message,
@@ -131,7 +131,7 @@ impl ModelNode for Decoder {
     type Endpoints = Endpoints;
     type Model = Model;
 
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Model> {
+    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Model> {
         let step = folder.decoder()?.map(DecoderStep::new);
         if let Some(step) = &step
             && parameters.image_transport.raw

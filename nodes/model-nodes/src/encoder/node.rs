@@ -11,7 +11,7 @@ use wm_msgs::wm_msgs::Latent;
 use wm_ros::{
     Clock, Diagnostics, Input, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
 };
-use wm_zoo::ModelFolder;
+use wm_zoo::PlacedModel;
 
 use super::{
     EncoderError, EncoderStep,
@@ -92,7 +92,7 @@ impl ModelNode for Encoder {
     type Endpoints = Endpoints;
     type Model = Arc<Mutex<EncoderStep>>;
 
-    fn load(folder: ModelFolder, parameters: &Parameters) -> Result<Self::Model> {
+    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
         let step = EncoderStep::new(folder.encoder()?, parameters.dtype);
         tracing::info!("encoding to latent space {}", step.space());
         Ok(Arc::new(Mutex::new(step)))

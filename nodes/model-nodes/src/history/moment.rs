@@ -6,7 +6,7 @@ use candle_core::{Device, Tensor};
 use wm_model::{
     LatentSpace,
     sampler::{Rollout, Sampler},
-    transition::PackedTransition,
+    transition::LoadedTransition,
 };
 use wm_motion::motion::StepAction;
 use wm_msgs::{
@@ -65,7 +65,7 @@ impl Moment {
     /// Where the model does not take the context.
     pub fn rollout<'m>(
         &self,
-        model: &'m PackedTransition,
+        model: &'m LoadedTransition,
         space: &LatentSpace,
         sampler: &Sampler,
         seed: u64,

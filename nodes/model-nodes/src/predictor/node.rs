@@ -12,7 +12,7 @@ use wm_ros::{
     Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
     complaints::Complaints,
 };
-use wm_zoo::ModelFolder;
+use wm_zoo::PlacedModel;
 
 use super::{Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen};
 use crate::{
@@ -104,7 +104,7 @@ impl ModelNode for Predictor {
     type Endpoints = Endpoints;
     type Model = Arc<WorldModel>;
 
-    fn load(folder: ModelFolder, _: &Parameters) -> Result<Self::Model> {
+    fn load(folder: PlacedModel, _: &Parameters) -> Result<Self::Model> {
         let model = folder.world_model()?;
         tracing::info!(
             "predicting with {} in latent space {}",

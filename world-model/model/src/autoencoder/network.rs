@@ -1,5 +1,7 @@
 //! One half of an autoencoder: a chain of convolutions and residual blocks.
 
+mod tensors;
+
 use std::sync::OnceLock;
 
 use rand::Rng;
@@ -8,6 +10,7 @@ use sha2::{Digest, Sha256};
 use crate::ops::{Activation, ConvShape, Epilogue, GridSize, PackedConv, group_norm};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
+pub(super) use tensors::TensorNetwork;
 
 /// Groups of the branch's normalisation.
 const BRANCH_GROUPS: usize = 4;

@@ -3,7 +3,7 @@
 use candle_core::{Device, Tensor};
 
 use super::{Noise, Rollout, Sampler};
-use crate::transition::PackedTransition;
+use crate::transition::LoadedTransition;
 use crate::{Error, Result};
 
 /// Where a rollout is. One that begins there goes on as this one would, bit for bit.
@@ -23,7 +23,7 @@ impl<'m> Rollout<'m> {
     /// # Errors
     /// As [`Self::new`].
     pub fn resume(
-        model: &'m PackedTransition,
+        model: &'m LoadedTransition,
         sampler: &Sampler,
         position: &Position,
     ) -> Result<Self> {

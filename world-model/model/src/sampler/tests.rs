@@ -3,13 +3,15 @@ use std::sync::LazyLock;
 use candle_core::{D, Device, Tensor};
 
 use super::*;
-use crate::transition::{ActionAlignment, Parametrisation, Transition, TransitionConfig};
+use crate::transition::{
+    ActionAlignment, Parametrisation, TensorTransition, Transition, TransitionConfig,
+};
 
 /// A small model whose window is full after two predictions from two frames.
 fn model(
     parametrisation: Parametrisation,
     action_alignment: ActionAlignment,
-) -> (Transition, PackedTransition) {
+) -> (Transition, LoadedTransition) {
     let config = TransitionConfig {
         hidden: 64,
         depth: 2,
@@ -24,10 +26,20 @@ fn model(
     (model, packed)
 }
 
-static PLAIN: LazyLock<(Transition, PackedTransition)> =
+static PLAIN: LazyLock<(Transition, LoadedTransition)> =
     LazyLock::new(|| model(Parametrisation::Velocity, ActionAlignment::WithFrame));
-static TINY: LazyLock<(Transition, PackedTransition)> =
+static TINY: LazyLock<(Transition, LoadedTransition)> =
     LazyLock::new(|| model(Parametrisation::Residual, ActionAlignment::WithResult));
+
+/// The model on kernels, on tensor operations, and on these as a device computes that records.
+fn every_form((model, packed): &(Transition, LoadedTransition)) -> [LoadedTransition; 3] {
+    let on_tensors = |recorded| TensorTransition::new(model.clone(), recorded).unwrap();
+    [
+        packed.clone(),
+        on_tensors(false).into(),
+        on_tensors(true).into(),
+    ]
+}
 
 fn random(shape: &[usize], seed: u64) -> Tensor {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -99,7 +111,8 @@ fn uncached(
 
 #[test]
 fn cached_rollouts_equal_uncached_ones_also_when_the_window_slides() {
-    for ((model, packed), given) in [(&*PLAIN, 2), (&*TINY, 2), (&*TINY, 1), (&*PLAIN, 6)] {
+    for (both, given) in [(&*PLAIN, 2), (&*TINY, 2), (&*TINY, 1), (&*PLAIN, 6)] {
+        let model = &both.0;
         let sampler = Sampler {
             // More than are modulated together, too.
             steps: if given == 1 { 18 } else { 2 },
@@ -111,22 +124,25 @@ fn cached_rollouts_equal_uncached_ones_also_when_the_window_slides() {
         let actions = random(&[given - 1 + steps, 7], 2);
         let expected = uncached(model, &sampler, &context, &actions, steps, 9);
         let past = (given > 1).then(|| actions.narrow(0, 0, given - 1).unwrap());
-        let mut rollout = Rollout::new(packed, &sampler, &context, past.as_ref(), 9).unwrap();
-        for (k, expected) in expected.iter().enumerate() {
-            let action = actions.narrow(0, given - 1 + k, 1).unwrap();
-            let got = rollout.next(&action).unwrap();
-            let size = expected.abs().unwrap().max_all().unwrap();
-            let size = size.to_scalar::<f32>().unwrap();
-            let difference = most(&got, expected) / size.max(1.0);
-            assert!(difference < 1e-5, "step {k} differs by {difference}");
+        for form in every_form(both) {
+            let mut rollout = Rollout::new(&form, &sampler, &context, past.as_ref(), 9).unwrap();
+            for (k, expected) in expected.iter().enumerate() {
+                let action = actions.narrow(0, given - 1 + k, 1).unwrap();
+                let got = rollout.next(&action).unwrap();
+                let size = expected.abs().unwrap().max_all().unwrap();
+                let size = size.to_scalar::<f32>().unwrap();
+                let difference = most(&got, expected) / size.max(1.0);
+                assert!(difference < 1e-5, "step {k} differs by {difference}");
+            }
+            assert_eq!(rollout.steps_taken(), steps);
         }
-        assert_eq!(rollout.steps_taken(), steps);
     }
 }
 
 #[test]
 fn candidates_are_what_they_would_be_alone() {
-    for (_, model) in [&*PLAIN, &*TINY] {
+    for model in [&*PLAIN, &*TINY].into_iter().flat_map(every_form) {
+        let model = &model;
         let sampler = model.config().sampler.clone();
         let context = random(&[1, 2, 4, 4, 4], 1);
         let past = random(&[1, 7], 2);

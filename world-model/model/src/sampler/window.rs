@@ -1,13 +1,10 @@
 //! The frames that the next prediction sees, and what is already computed of them.
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 use candle_core::Tensor;
 
-use crate::transition::{
-    ActionAlignment, FrameContext, Modulation, PackedTransition, TransitionConfig,
-};
+use crate::transition::{ActionAlignment, Batched, FrameContext, LoadedTransition, Modulation};
 use crate::{Error, Result};
 
 /// Euler steps whose modulation is computed together at most: it is larger than a frame's latent.
@@ -15,38 +12,6 @@ const STEPS_TOGETHER: usize = 16;
 
 /// Frames that are computed together at most: more would only make the working set larger.
 const TOGETHER: usize = 3;
-
-/// Values for a batch of candidates, or for a batch of 1, which all of them share. Clones share
-/// the values.
-#[derive(Clone, Debug)]
-pub(super) struct Batched {
-    pub(super) batch: usize,
-    /// (batch, ..).
-    pub(super) values: Arc<[f32]>,
-}
-
-impl Batched {
-    /// The values of `tensor` (batch, ..), which must be finite.
-    pub(super) fn read(what: &'static str, tensor: &Tensor) -> Result<Self> {
-        let values: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
-        if values.iter().all(|v| v.is_finite()) {
-            Ok(Self {
-                batch: tensor.dim(0)?,
-                values: values.into(),
-            })
-        } else {
-            Err(Error::NotFinite { what })
-        }
-    }
-
-    /// The values for a batch of `n`.
-    pub(super) fn expanded(&self, n: usize) -> Arc<[f32]> {
-        if self.batch == n {
-            return self.values.clone();
-        }
-        self.values.repeat(n).into()
-    }
-}
 
 /// Frames in order, the actions between them, and the contexts of the first so many of them.
 #[derive(Clone, Debug)]
@@ -64,11 +29,12 @@ pub(super) struct Window {
 impl Window {
     /// Observed latents `context` (B, T, H, W, C) and the `actions` (B, T - 1, A) between them.
     pub(super) fn new(
-        c: &TransitionConfig,
+        model: &LoadedTransition,
         context: &Tensor,
         actions: Option<&Tensor>,
         tau: f64,
     ) -> Result<Self> {
+        let c = model.config();
         let grid = [c.latent_height, c.latent_width, c.channels];
         let (b, t) = match context.dims() {
             [b, t, rest @ ..] if *b > 0 && *t > 0 && rest == grid => (*b, *t),
@@ -99,12 +65,12 @@ impl Window {
             let frame = context.narrow(1, i, 1)?.squeeze(1)?;
             window
                 .frames
-                .push_back(Batched::read("the context", &frame)?);
+                .push_back(model.hold_finite("the context", &frame)?);
         }
         if let Some(actions) = actions {
             for i in first..t - 1 {
                 let action = actions.narrow(1, i, 1)?.squeeze(1)?;
-                let action = Batched::read("the actions of the context", &action)?;
+                let action = model.hold_finite("the actions of the context", &action)?;
                 window.actions.push_back(action);
             }
         }
@@ -132,19 +98,19 @@ impl Window {
     }
 
     /// Computes the contexts of all frames whose action is known.
-    pub(super) fn prepare(&mut self, model: &PackedTransition) -> Result<()> {
+    pub(super) fn prepare(&mut self, model: &LoadedTransition) -> Result<()> {
         self.prepare_but(model, 0)
     }
 
     /// Computes contexts until at most `rest` are missing, [`TOGETHER`] frames a pass.
-    fn prepare_but(&mut self, model: &PackedTransition, rest: usize) -> Result<()> {
+    fn prepare_but(&mut self, model: &LoadedTransition, rest: usize) -> Result<()> {
         loop {
-            let mut pending = self.pending(model.config());
+            let mut pending = self.pending(model)?;
             if pending.len() <= rest {
                 return Ok(());
             }
             pending.truncate(TOGETHER);
-            let mut passes = Passes::new(self, model, pending, &[], &[])?;
+            let mut passes = Passes::new(self, model, pending, &[], None)?;
             passes.contexts_only()?;
         }
     }
@@ -153,21 +119,24 @@ impl Window {
     /// one action (B, A). Contexts that are still missing are computed in the first of them.
     pub(super) fn passes<'w>(
         &'w mut self,
-        model: &'w PackedTransition,
+        model: &'w LoadedTransition,
         taus: &'w [Vec<f32>],
-        action: &'w [f32],
+        action: &'w Batched,
     ) -> Result<Passes<'w>> {
         self.prepare_but(model, TOGETHER - 1)?;
-        let pending = self.pending(model.config());
-        Passes::new(self, model, pending, taus, action)
+        let pending = self.pending(model)?;
+        Passes::new(self, model, pending, taus, Some(action))
     }
 
     /// The frames whose contexts are missing and can be computed, with what is fed with each.
-    fn pending(&self, c: &TransitionConfig) -> Vec<(Batched, Batched)> {
+    fn pending(&self, model: &LoadedTransition) -> Result<Vec<(Batched, Batched)>> {
         let first = self.contexts.len();
         (first..)
             .zip(self.frames.iter().skip(first))
-            .map_while(|(i, frame)| Some((frame.clone(), self.action_fed_with(i, c)?)))
+            .map_while(|(i, frame)| {
+                let action = self.action_fed_with(i, model).transpose()?;
+                Some(action.map(|action| (frame.clone(), action)))
+            })
             .collect()
     }
 
@@ -182,89 +151,90 @@ impl Window {
     /// Values of all frames, and of the actions between them, where one candidate has them.
     pub(super) fn values(&self) -> Result<(Vec<f32>, Vec<f32>)> {
         let mut of_all = self.frames.iter().chain(&self.actions);
-        if let Some(several) = of_all.find(|each| each.batch != 1) {
-            let reason = format!("the frames of {} were asked for", several.batch);
+        if let Some(several) = of_all.find(|each| each.batch() != 1) {
+            let reason = format!("the frames of {} were asked for", several.batch());
             return Err(Error::config("candidates", reason));
         }
-        let values = |all: &VecDeque<Batched>| {
-            let each = all.iter().flat_map(|each| each.values.iter().copied());
-            each.collect()
+        let values = |all: &VecDeque<Batched>| -> Result<Vec<f32>> {
+            let each = all.iter().map(Batched::to_vec);
+            Ok(each.collect::<Result<Vec<_>>>()?.concat())
         };
-        Ok((values(&self.frames), values(&self.actions)))
+        Ok((values(&self.frames)?, values(&self.actions)?))
     }
 
     /// What is fed with the frame to be predicted, to which the action that was pushed last leads; `own` is the one that
     /// leads on from it, if it is known. Otherwise the last one goes on: no frame that a model was trained on had none.
     pub(super) fn action_of_new_frame(
         &self,
-        c: &TransitionConfig,
+        model: &LoadedTransition,
         own: Option<Batched>,
-    ) -> Batched {
-        let own = own.filter(|_| c.action_alignment == ActionAlignment::WithFrame);
-        own.or_else(|| self.actions.back().cloned())
-            .unwrap_or_else(|| no_action(c))
+    ) -> Result<Batched> {
+        let alignment = model.config().action_alignment;
+        let own = own.filter(|_| alignment == ActionAlignment::WithFrame);
+        let known = own.or_else(|| self.actions.back().cloned());
+        known.map_or_else(|| no_action(model), Ok)
     }
 
     /// What is fed with frame `i`, if it is known by now.
-    fn action_fed_with(&self, i: usize, c: &TransitionConfig) -> Option<Batched> {
-        match c.action_alignment {
+    fn action_fed_with(&self, i: usize, model: &LoadedTransition) -> Result<Option<Batched>> {
+        Ok(match model.config().action_alignment {
             ActionAlignment::WithFrame => self.actions.get(i).cloned(),
             ActionAlignment::WithResult => match i.checked_sub(1) {
-                None => Some(no_action(c)),
+                None => Some(no_action(model)?),
                 Some(before) => self.actions.get(before).cloned(),
             },
-        }
+        })
     }
 }
 
 /// Zeros, (1, A).
-fn no_action(c: &TransitionConfig) -> Batched {
-    Batched {
-        batch: 1,
-        values: vec![0.0; c.action_dim].into(),
-    }
+fn no_action(model: &LoadedTransition) -> Result<Batched> {
+    model.hold("no action", 1, vec![0.0; model.config().action_dim])
 }
 
 /// Passes that share what modulates their layers.
 pub(super) struct Passes<'w> {
     window: &'w mut Window,
-    model: &'w PackedTransition,
+    model: &'w LoadedTransition,
     modulation: Modulation,
     /// Latents of the frames whose contexts are missing; theirs are the first entries of the modulation.
-    pending: Vec<Arc<[f32]>>,
+    pending: Vec<Batched>,
     /// Entry of the next Euler step.
     entry: usize,
     /// Noise levels of the Euler steps that the modulation does not have yet.
     taus: &'w [Vec<f32>],
-    action: &'w [f32],
+    /// What is fed with the new frame; none where there is none.
+    action: Option<&'w Batched>,
 }
 
 impl<'w> Passes<'w> {
     fn new(
         window: &'w mut Window,
-        model: &'w PackedTransition,
+        model: &'w LoadedTransition,
         pending: Vec<(Batched, Batched)>,
         taus: &'w [Vec<f32>],
-        action: &'w [f32],
+        action: Option<&'w Batched>,
     ) -> Result<Self> {
         let batch = pending
             .iter()
-            .flat_map(|(x, action)| [x.batch, action.batch])
+            .flat_map(|(x, action)| [x.batch(), action.batch()])
             .chain(window.contexts.iter().map(FrameContext::batch))
             .chain(taus.iter().map(Vec::len))
             .fold(1, usize::max);
         let tau = vec![window.tau; batch];
-        let actions: Vec<_> = pending.iter().map(|(_, a)| a.expanded(batch)).collect();
-        let mut entries: Vec<(&[f32], &[f32])> = actions
+        let actions = pending.iter().map(|(_, action)| action.expanded(batch));
+        let actions = actions.collect::<Result<Vec<_>>>()?;
+        let mut entries: Vec<(&[f32], &Batched)> = actions
             .iter()
-            .map(|action| (tau.as_slice(), &**action))
+            .map(|action| (tau.as_slice(), action))
             .collect();
         let (now, later) = taus.split_at(taus.len().min(STEPS_TOGETHER));
-        entries.extend(now.iter().map(|tau| (tau.as_slice(), action)));
+        entries.extend(steps(now, action));
+        let latents = pending.iter().map(|(x, _)| x.expanded(batch));
         Ok(Self {
             modulation: model.modulate(&entries)?,
             entry: pending.len(),
-            pending: pending.iter().map(|(x, _)| x.expanded(batch)).collect(),
+            pending: latents.collect::<Result<_>>()?,
             window,
             model,
             taus: later,
@@ -278,13 +248,10 @@ impl<'w> Passes<'w> {
     }
 
     /// The network's output at the new frame `x` (B, H, W, C) in the next Euler step.
-    pub(super) fn next(&mut self, x: &[f32]) -> Result<Vec<f32>> {
+    pub(super) fn next(&mut self, x: &Batched) -> Result<Batched> {
         if self.entry == self.modulation.entries() {
             let (now, later) = self.taus.split_at(self.taus.len().min(STEPS_TOGETHER));
-            let steps: Vec<_> = now
-                .iter()
-                .map(|tau| (tau.as_slice(), self.action))
-                .collect();
+            let steps: Vec<_> = steps(now, self.action).collect();
             self.modulation = self.model.modulate(&steps)?;
             (self.entry, self.taus) = (0, later);
         }
@@ -292,10 +259,10 @@ impl<'w> Passes<'w> {
             .ok_or_else(|| Error::config("steps", "no frame was computed"))
     }
 
-    fn pass(&mut self, x: Option<&[f32]>) -> Result<Option<Vec<f32>>> {
+    fn pass(&mut self, x: Option<&Batched>) -> Result<Option<Batched>> {
         let pending = std::mem::take(&mut self.pending);
-        let mut frames: Vec<(&[f32], usize)> =
-            pending.iter().enumerate().map(|(i, x)| (&**x, i)).collect();
+        let mut frames: Vec<(&Batched, usize)> =
+            pending.iter().enumerate().map(|(i, x)| (x, i)).collect();
         frames.extend(x.map(|x| (x, self.entry)));
         self.entry += 1;
         let earlier: Vec<&FrameContext> = self.window.contexts.iter().collect();
@@ -306,4 +273,13 @@ impl<'w> Passes<'w> {
         self.window.contexts.append(&mut output.contexts);
         Ok(output.outputs.pop())
     }
+}
+
+/// The entries of Euler steps at these noise levels, which all have one action.
+fn steps<'a>(
+    taus: &'a [Vec<f32>],
+    action: Option<&'a Batched>,
+) -> impl Iterator<Item = (&'a [f32], &'a Batched)> {
+    let entry = move |tau: &'a Vec<f32>| Some((tau.as_slice(), action?));
+    taus.iter().filter_map(entry)
 }

@@ -11,8 +11,8 @@ use crate::ops::{self, AttentionPattern, Engine, gated_residual, rms_norm_modula
 
 /// Order of a sub-block's modulation: shift, scale and gate of the attention, then of the
 /// feed-forward network.
-const ATTENTION: [usize; 3] = [0, 1, 2];
-const FEED_FORWARD: [usize; 3] = [3, 4, 5];
+pub(super) const ATTENTION: [usize; 3] = [0, 1, 2];
+pub(super) const FEED_FORWARD: [usize; 3] = [3, 4, 5];
 
 /// A spatial and a temporal sub-block.
 #[derive(Clone, Debug)]

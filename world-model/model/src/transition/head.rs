@@ -5,8 +5,8 @@ use candle_core::Tensor;
 use super::TransitionConfig;
 use super::embedding::Condition;
 use super::parameters::{Linear, Tensors};
-use crate::Result;
 use crate::ops::{Engine, rms_norm_modulate};
+use crate::{Error, Result};
 
 /// The last layers.
 #[derive(Clone, Debug)]
@@ -37,20 +37,44 @@ impl Head {
         tokens: &Tensor,
         condition: &Condition,
     ) -> Result<Tensor> {
+        let modulation = self.plain_modulation(engine, &condition.activated)?;
+        self.forward_modulated(engine, tokens, modulation.as_ref(), &condition.time)
+    }
+
+    /// What modulates the plain head, for `activated` (rows, d); the wide one makes its own of the tokens.
+    pub(super) fn plain_modulation(
+        &self,
+        engine: Engine,
+        activated: &Tensor,
+    ) -> Result<Option<Tensor>> {
+        match &self.wide {
+            None => self.modulation.forward(engine, activated).map(Some),
+            Some(_) => Ok(None),
+        }
+    }
+
+    /// As [`Self::forward`], given [`Self::plain_modulation`] and the time embedding (frames, d).
+    pub(super) fn forward_modulated(
+        &self,
+        engine: Engine,
+        tokens: &Tensor,
+        modulation: Option<&Tensor>,
+        time: &Tensor,
+    ) -> Result<Tensor> {
         let (b, t, n, d) = tokens.dims4()?;
-        let (tokens, activated) = match &self.wide {
-            None => (tokens.clone(), condition.activated.clone()),
-            Some(project) => {
+        let (tokens, modulation) = match (&self.wide, modulation) {
+            (None, Some(modulation)) => (tokens.clone(), modulation.clone()),
+            (None, None) => return Err(Error::config("head", "its modulation is missing")),
+            (Some(project), _) => {
                 // The wide head is conditioned on the noise level here, and from then on only on
                 // what it made of the frame.
                 let frames = tokens.reshape((b * t, n, d))?;
-                let timed = frames.broadcast_add(&condition.time.unsqueeze(1)?)?;
+                let timed = frames.broadcast_add(&time.unsqueeze(1)?)?;
                 let wide = project.forward(engine, &timed.silu()?)?;
-                let mean = wide.mean(1)?;
-                (wide, mean.silu()?)
+                let activated = wide.mean(1)?.silu()?;
+                (wide, self.modulation.forward(engine, &activated)?)
             }
         };
-        let modulation = self.modulation.forward(engine, &activated)?;
         let normed = rms_norm_modulate(engine, &tokens, &modulation, 0, 1)?;
         Ok(self
             .linear

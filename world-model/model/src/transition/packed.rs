@@ -29,10 +29,11 @@ use crate::Result;
 use crate::ops::block_attention::TokenBlocks;
 use crate::ops::{PackedFormat, PackedLinear, RotaryTable};
 use condition::Condition;
-pub use frame_context::FrameContext;
+pub(crate) use frame_context::FrameContext;
 use head::Head;
 pub(crate) use modulation::Modulation;
-pub use pass::{NewFrame, PassOutput};
+pub use pass::NewFrame;
+pub(crate) use pass::PassOutput;
 use sub_block::SubBlock;
 
 /// The transition model, ready for inference. Clones share everything.
@@ -141,6 +142,3 @@ fn packed(linear: &super::parameters::Linear, format: PackedFormat) -> Result<Pa
     let shape = linear.weight.dims2()?;
     PackedLinear::new(&numbers(&linear.weight)?, bias.as_deref(), shape, format)
 }
-
-#[cfg(test)]
-mod tests;

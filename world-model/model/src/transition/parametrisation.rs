@@ -79,4 +79,22 @@ impl Parametrisation {
             }
         }
     }
+
+    /// As [`Self::euler_step`], of tensors of one shape: gives the new `x`.
+    pub(super) fn euler_step_of_tensors(
+        self,
+        x: &Tensor,
+        output: &Tensor,
+        previous: &Tensor,
+        (from, to): (f64, f64),
+    ) -> Result<Tensor> {
+        let step = from - to;
+        Ok(match self {
+            Self::Velocity => (x - (output * step)?)?,
+            Self::Residual => {
+                let ahead = (x - (previous + output)?)?;
+                (x - (ahead * (step / from.max(SMALLEST_TAU)))?)?
+            }
+        })
+    }
 }

@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use rayon::prelude::*;
 use serde::Serialize;
 use wm_evaluation::{ActionChange, Windows, on_predicted, recover_actions, squared};
-use wm_model::transition::PackedTransition;
+use wm_model::transition::LoadedTransition;
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::idm::TrainedIdm;
 
@@ -37,7 +37,7 @@ pub(super) struct Measurement<'a> {
 }
 
 impl Measurement<'_> {
-    pub(super) fn of(&self, model: &PackedTransition) -> Result<Figures> {
+    pub(super) fn of(&self, model: &LoadedTransition) -> Result<Figures> {
         let windows = (0..self.evaluation.len())
             .into_par_iter()
             .map(|window| self.errors(window, model))
@@ -82,7 +82,7 @@ impl Measurement<'_> {
 
     /// For each predicted step of a window the squared errors of prediction and persistence, and how far prediction and
     /// truth moved since the step before, squared.
-    fn errors(&self, window: usize, model: &PackedTransition) -> Result<Vec<[f64; 4]>> {
+    fn errors(&self, window: usize, model: &LoadedTransition) -> Result<Vec<[f64; 4]>> {
         let sampler = &model.config().sampler;
         let predicted = (self.evaluation).predict(window, model, sampler, ActionChange::None)?;
         let coming = self.evaluation.coming(window)?;

@@ -10,7 +10,7 @@ use wm_model::{
     Error, LatentSpace, Weights,
     sampler::Sampler,
     transition::{
-        ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, PackedTransition, Transition, TransitionConfig,
+        ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, LoadedTransition, Transition, TransitionConfig,
     },
 };
 use wm_motion::actions::ActionEncoding;
@@ -112,12 +112,12 @@ impl Teacher {
     }
 
     /// Itself for inference.
-    pub(super) fn pack(&self) -> Result<PackedTransition> {
+    pub(super) fn pack(&self) -> Result<LoadedTransition> {
         self.hurried(self.sampler().steps)
     }
 
     /// The same, sampled with `steps` steps.
-    pub(super) fn hurried(&self, steps: usize) -> Result<PackedTransition> {
+    pub(super) fn hurried(&self, steps: usize) -> Result<LoadedTransition> {
         let config = with_steps(self.model.config().clone(), steps);
         let model = Transition::build(config, &mut |parameter| {
             named(&self.tensors, &parameter.name)

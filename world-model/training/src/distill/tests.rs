@@ -90,7 +90,7 @@ fn measured(model: &Transition, teacher: &Teacher, evaluation: &Windows) -> (Vec
     let taught = teacher.model.pack().unwrap();
     let mut distance = 0.0;
     for window in 0..evaluation.len() {
-        let predicted = |model: &wm_model::transition::PackedTransition| {
+        let predicted = |model: &wm_model::transition::LoadedTransition| {
             let sampler = &model.config().sampler;
             let all = evaluation.predict(window, model, sampler, ActionChange::None);
             all.unwrap().remove(0)

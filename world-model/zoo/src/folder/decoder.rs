@@ -86,6 +86,8 @@ impl DecoderConfig {
 /// Normalisation, adapter and decoder together.
 pub(super) struct FolderDecoder {
     pub(super) network: Apply,
+    /// Where the network computes.
+    pub(super) device: Device,
     /// Through which latents go first.
     pub(super) adapter: Option<Svae>,
     pub(super) normalisation: Normalisation,
@@ -109,12 +111,13 @@ impl FolderDecoder {
             .flatten_all()?
             .to_vec1::<f32>()?;
         self.normalisation.undo(&mut values);
-        let latents = Tensor::from_vec(values, latents.dims(), &Device::Cpu)?;
+        let latents = Tensor::from_vec(values, latents.dims(), &self.device)?;
         let mut latents = views::apart(&latents, self.views)?;
         if let Some(adapter) = &self.adapter {
             latents = adapter.encode(&latents)?;
         }
-        views::beside(&(self.network)(&latents)?, self.views)
+        let images = views::beside(&(self.network)(&latents)?, self.views)?;
+        Ok(images.to_device(&Device::Cpu)?.to_dtype(DType::F32)?)
     }
 }
 

@@ -124,6 +124,8 @@ pub(super) fn apply<M: Send + Sync + 'static>(
 /// Encoder, adapter and normalisation together.
 pub(super) struct FolderEncoder {
     pub(super) network: Apply,
+    /// Where the network computes.
+    pub(super) device: Device,
     pub(super) adapter: Option<Svae>,
     pub(super) normalisation: Normalisation,
     /// Height and width of one view's picture.
@@ -142,7 +144,8 @@ impl FolderEncoder {
                 return Err(crate::sizes::shape_error("the image", expected, images));
             }
         }
-        let mut latents = (self.network)(&views::apart(images, self.views)?)?;
+        let images = images.to_device(&self.device)?;
+        let mut latents = (self.network)(&views::apart(&images, self.views)?)?;
         if let Some(adapter) = &self.adapter {
             latents = adapter.encode(&latents)?;
         }

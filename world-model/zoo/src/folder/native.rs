@@ -2,11 +2,11 @@
 
 use candle_core::{DType, Device, Tensor};
 use sha2::{Digest as _, Sha256};
-use wm_model::LatentSpace;
 use wm_model::autoencoder::Normalisation;
+use wm_model::{LatentSpace, Place};
 
 use super::encoder::canonical;
-use super::{DescribedFolder, Opened, views};
+use super::{DescribedFolder, Opened, load_adapter, views};
 use crate::sizes::shape_error;
 use crate::svae::{Svae, SvaeConfig};
 use crate::{Error, Result};
@@ -67,7 +67,8 @@ impl DescribedFolder {
     /// # Errors
     /// If a value is not finite.
     pub fn native_decoder(&self) -> Result<Option<NativeDecoder>> {
-        let Some(adapter) = self.load_adapter(self.adapter.as_ref())? else {
+        let Some(adapter) = load_adapter(self.adapter.as_ref(), &self.compute(&Place::default()))?
+        else {
             return Ok(None);
         };
         let [rows, columns, _] = self.latent;

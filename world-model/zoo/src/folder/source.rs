@@ -9,7 +9,7 @@ use super::Part;
 use crate::checkpoint::Average;
 use crate::kinds::Kind;
 use crate::loader::Requested;
-use crate::{Checkpoint, Engine, Loader, Result};
+use crate::{Checkpoint, Compute, Engine, Loader, Result};
 
 /// A part's files, open; its values are still to be read.
 #[derive(Clone, Debug)]
@@ -46,13 +46,22 @@ impl Source {
         Ok(loader.requested())
     }
 
-    /// Has a model built from its values, rounded to `precision`.
+    /// Has a model built from its values, rounded to `precision`, for the CPU's kernels.
     pub(super) fn load<M>(
         &self,
         precision: DType,
         load: impl FnOnce(&Loader<'_>) -> Result<M>,
     ) -> Result<M> {
-        let loader = Loader::new(&self.checkpoint, Engine::Cpu, precision);
+        self.load_at(&Compute::on_cpu(Engine::Cpu, precision), load)
+    }
+
+    /// As [`Self::load`], for what computes it.
+    pub(super) fn load_at<M>(
+        &self,
+        compute: &Compute,
+        load: impl FnOnce(&Loader<'_>) -> Result<M>,
+    ) -> Result<M> {
+        let loader = Loader::on(&self.checkpoint, compute);
         let model = load(&loader)?;
         loader.finish()?;
         Ok(model)

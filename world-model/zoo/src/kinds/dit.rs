@@ -1,18 +1,19 @@
 //! The transition model from its published checkpoints.
 
-use candle_core::{DType, Tensor};
+use candle_core::DType;
 use serde::{Deserialize, Serialize};
+use wm_model::Place;
 use wm_model::ops::RopeLayout;
 use wm_model::sampler::Sampler;
 use wm_model::transition::{
-    ActionAlignment, PackedTransition, Parametrisation, Transition, TransitionConfig,
+    ActionAlignment, LoadedTransition, Parametrisation, Transition, TransitionConfig,
     published_shift,
 };
 
 use super::Kind;
 use crate::checkpoint::Average;
 use crate::layers::packed_format;
-use crate::{Checkpoint, Compute, Engine, Loader, Result};
+use crate::{Checkpoint, Compute, Loader, Result};
 
 /// Width of the wide head of all published models that have one (the paper, appendix B, table
 /// "Architecture size and compute").
@@ -139,54 +140,26 @@ impl DitConfig {
     ///
     /// # Errors
     /// If a model of these sizes cannot be built, or the checkpoint's tensors are not the model's.
-    pub fn load(&self, checkpoint: &Checkpoint, dtype: DType) -> Result<PackedTransition> {
+    pub fn load(&self, checkpoint: &Checkpoint, dtype: DType) -> Result<LoadedTransition> {
+        self.load_at(checkpoint, &Place::default(), dtype)
+    }
+
+    /// As [`Self::load`], to compute at `place`.
+    ///
+    /// # Errors
+    /// As [`Self::load`]; or that the device has no memory for it.
+    pub fn load_at(
+        &self,
+        checkpoint: &Checkpoint,
+        place: &Place,
+        dtype: DType,
+    ) -> Result<LoadedTransition> {
         let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
-        let loader = Loader::new(&checkpoint, Engine::Cpu, dtype);
+        let loader = Loader::on(&checkpoint, &Compute::at(place, dtype));
         let model = build(self, &loader)?;
         loader.finish()?;
-        Ok(PackedTransition::new(&model, packed_format(dtype))?)
+        Ok(place.load(model, packed_format(dtype))?)
     }
-}
-
-/// The model on the engine that computes it.
-pub(super) enum Model {
-    /// On stock operations and any device, the reference.
-    Candle(Transition),
-    /// On packed weights.
-    Cpu(PackedTransition),
-}
-
-impl Model {
-    pub(super) fn config(&self) -> &TransitionConfig {
-        match self {
-            Self::Candle(model) => model.config(),
-            Self::Cpu(model) => model.config(),
-        }
-    }
-
-    /// The velocity at every frame, [`Transition::forward`].
-    pub(super) fn velocity(&self, x: &Tensor, tau: &Tensor, action: &Tensor) -> Result<Tensor> {
-        Ok(match self {
-            Self::Candle(model) => model.forward(x, tau, action)?,
-            Self::Cpu(model) => model.forward(x, tau, action)?,
-        })
-    }
-}
-
-/// Loads the model.
-pub(super) fn load(
-    config: &DitConfig,
-    checkpoint: &Checkpoint,
-    compute: &Compute,
-) -> Result<Model> {
-    if compute.engine() == Engine::Cpu {
-        return config.load(checkpoint, compute.precision()).map(Model::Cpu);
-    }
-    let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
-    let loader = Loader::on(&checkpoint, compute);
-    let model = build(config, &loader)?;
-    loader.finish()?;
-    Ok(Model::Candle(model.plain()))
 }
 
 /// Builds the model from the tensors of `loader`.

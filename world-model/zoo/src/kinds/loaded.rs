@@ -4,7 +4,7 @@ use candle_core::{Device, Tensor};
 use serde::de::DeserializeOwned;
 
 use super::inputs::Inputs;
-use super::{DitConfig, Kind, Tensors, dit, finite, owned, parse};
+use super::{DitConfig, Kind, Tensors, finite, owned, parse};
 use crate::checkpoint::Average;
 use crate::efficientnet_lite0::{EfficientNetLite0, EfficientNetLite0Config};
 use crate::idm::Idm;
@@ -51,10 +51,11 @@ impl Loaded {
         let run = match kind {
             Kind::Dit => {
                 let config: DitConfig = parse(config)?;
-                let model = dit::load(&config, &checkpoint, compute)?;
+                let (place, precision) = (compute.place(), compute.precision());
+                let model = config.load_at(&checkpoint, &place, precision)?;
                 Box::new(move |inputs: &Inputs<'_>| {
                     let (x, tau) = (inputs.float("x")?, inputs.unit("tau")?);
-                    let velocity = model.velocity(&x, &tau, &inputs.float("action")?)?;
+                    let velocity = model.forward(&x, &tau, &inputs.float("action")?)?;
                     Ok(owned(vec![("velocity", velocity)]))
                 })
             }

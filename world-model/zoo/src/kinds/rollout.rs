@@ -1,12 +1,11 @@
 //! Predicts many frames, one after the other.
 
-use candle_core::Tensor;
+use candle_core::{Device, Tensor};
 use wm_model::sampler::{Given, Rollout, Sampler};
-use wm_model::transition::PackedTransition;
+use wm_model::transition::LoadedTransition;
 
-use super::dit::Model;
 use super::inputs::Inputs;
-use super::{DitConfig, Tensors, dit, finite, owned, parse};
+use super::{DitConfig, Tensors, finite, owned, parse};
 use crate::sizes::shape_error;
 use crate::{Checkpoint, Compute, Result};
 
@@ -16,8 +15,7 @@ pub struct RolloutOptions {
     /// Euler steps a frame, time shift, and noise level that context frames are said to have.
     pub sampler: Sampler,
     /// Whether what clean frames contribute to later ones is computed once. Without it every Euler step computes the
-    /// whole window again, as the reference implementation does, and always with the engine `candle`: slower, and the
-    /// same to rounding.
+    /// whole window again, as the reference implementation does: slower, and the same to rounding.
     pub cache: bool,
 }
 
@@ -37,11 +35,11 @@ pub fn rollout(
 ) -> Result<Tensors> {
     options.sampler.validate()?;
     let config: DitConfig = parse(config)?;
-    let model = dit::load(&config, checkpoint, compute)?;
-    let inputs = Clips::new(&model, &Inputs::new("dit", inputs, compute.device()))?;
-    let predicted = match &model {
-        Model::Cpu(model) if options.cache => inputs.predict_cached(model, &options.sampler)?,
-        _ => inputs.predict_plainly(&model, &options.sampler)?,
+    let model = config.load_at(checkpoint, &compute.place(), compute.precision())?;
+    let inputs = Clips::new(&model, &Inputs::new("dit", inputs, &Device::Cpu))?;
+    let predicted = match options.cache {
+        true => inputs.predict_cached(&model, &options.sampler)?,
+        false => inputs.predict_plainly(&model, &options.sampler)?,
     };
     finite(owned(vec![("predicted", predicted)]))
 }
@@ -60,7 +58,7 @@ struct Clips {
 }
 
 impl Clips {
-    fn new(model: &Model, inputs: &Inputs<'_>) -> Result<Self> {
+    fn new(model: &LoadedTransition, inputs: &Inputs<'_>) -> Result<Self> {
         let c = model.config();
         let (context, actions) = (inputs.float("context")?, inputs.float("actions")?);
         let noise = inputs.float("noise")?;
@@ -97,7 +95,7 @@ impl Clips {
     }
 
     /// With the sampler's cache, one clip after the other.
-    fn predict_cached(&self, model: &PackedTransition, sampler: &Sampler) -> Result<Tensor> {
+    fn predict_cached(&self, model: &LoadedTransition, sampler: &Sampler) -> Result<Tensor> {
         let clips: Vec<Tensor> = (0..self.batch)
             .map(|clip| {
                 let actions = self.actions.get(clip)?;
@@ -126,7 +124,7 @@ impl Clips {
     }
 
     /// As it is defined: every Euler step computes the whole window.
-    fn predict_plainly(&self, model: &Model, sampler: &Sampler) -> Result<Tensor> {
+    fn predict_plainly(&self, model: &LoadedTransition, sampler: &Sampler) -> Result<Tensor> {
         let levels = sampler.levels();
         let mut frames = self.context.clone();
         for k in 0..self.predicted {
@@ -143,7 +141,7 @@ impl Clips {
                 }
                 let tau = Tensor::from_vec(tau, (1, end - start), x.device())?;
                 let tau = tau.broadcast_as((self.batch, end - start))?.contiguous()?;
-                let velocity = model.velocity(&window, &tau, &actions)?;
+                let velocity = model.forward(&window, &tau, &actions)?;
                 let velocity = velocity.narrow(1, end - 1 - start, 1)?;
                 x = (x - (velocity * (from - to))?)?;
             }

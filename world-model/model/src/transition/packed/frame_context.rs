@@ -8,7 +8,7 @@ use crate::ops::temporal_attention::FrameRows;
 
 /// One frame as the temporal attention of later frames sees it: its keys and values in every block.
 #[derive(Clone, Debug)]
-pub struct FrameContext {
+pub(crate) struct FrameContext {
     pub(super) kept: Arc<Kept>,
     /// Which of the frames that were computed together.
     pub(super) index: usize,
@@ -16,7 +16,7 @@ pub struct FrameContext {
 
 impl FrameContext {
     /// Number of candidates that it was computed for.
-    pub fn batch(&self) -> usize {
+    pub(crate) fn batch(&self) -> usize {
         self.kept.batch
     }
 }

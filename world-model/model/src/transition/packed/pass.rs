@@ -31,46 +31,17 @@ pub struct NewFrame<'a> {
 }
 
 /// What a pass gives.
-#[derive(Clone, Debug)]
-pub struct PassOutput {
+#[derive(Debug)]
+pub(crate) struct PassOutput {
     /// The first frames' contexts, as many as were asked for.
-    pub contexts: Vec<FrameContext>,
+    pub(crate) contexts: Vec<FrameContext>,
     /// The network's output at the frames that it was asked for, (B, H, W, C) each.
-    pub outputs: Vec<Vec<f32>>,
+    pub(crate) outputs: Vec<Vec<f32>>,
 }
 
 impl PackedTransition {
-    /// Computes `frames`, in order, after the `earlier` ones, which are at positions 0, 1, ..; each
-    /// frame sees itself and all before it. Contexts are given of the first `keep` frames, the
-    /// network's output of those from `first_output` on.
-    ///
-    /// An earlier frame was computed for the same batch, or for a batch of 1, which is then shared.
-    ///
-    /// # Errors
-    /// If sizes do not fit the model or each other, or there are more frames than a window has.
-    pub fn pass(
-        &self,
-        earlier: &[&FrameContext],
-        frames: &[NewFrame<'_>],
-        keep: usize,
-        first_output: usize,
-    ) -> Result<PassOutput> {
-        let places = self.config.max_frames.saturating_sub(earlier.len());
-        if frames.is_empty() || frames.len() > places {
-            return Err(Error::Shape {
-                what: "the new frames",
-                expected: format!(
-                    "1 to {places} after {} of {}",
-                    earlier.len(),
-                    self.config.max_frames
-                ),
-                found: vec![frames.len()],
-            });
-        }
-        self.pass_of_any_length(earlier, frames, keep, first_output)
-    }
-
-    /// As [`Self::pass`], also beyond the window that the model was trained for.
+    /// As [`LoadedTransition::pass`](super::super::LoadedTransition::pass), also beyond the window that the model was
+    /// trained for.
     pub(super) fn pass_of_any_length(
         &self,
         earlier: &[&FrameContext],
@@ -87,9 +58,9 @@ impl PackedTransition {
         self.pass_modulated(earlier, &latents, &modulation, keep, first_output)
     }
 
-    /// As [`Self::pass`], of at least one frame and without a limit to how many: for the latents of frames and the
-    /// entries of `modulation`, this model's, that are theirs. A modulation can serve several passes, the Euler steps of
-    /// a frame above all.
+    /// As [`Self::pass_of_any_length`], of at least one frame: for the latents of frames and the entries of
+    /// `modulation`, this model's, that are theirs. A modulation can serve several passes, the Euler steps of a frame
+    /// above all.
     pub(crate) fn pass_modulated(
         &self,
         earlier: &[&FrameContext],
