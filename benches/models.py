@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The models' engine against PyTorch on the same machine, with the same weights and inputs.
 
-usage: benches/models.py [--rounds N] [--seconds S] [--no-compile] [CASE ...]
+usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--no-compile] [CASE ...]
 
 Builds `world-model/zoo/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
 folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
@@ -13,11 +13,18 @@ Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine fr
 cached, by both. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
 reference's loop without. plan-dit-s: the same for 64 candidates after two frames; the peers compute two of them, and
 their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Last, load: time and memory to load a model of 300 M parameters.
+
+With --device cuda, all on an NVIDIA GPU: cargo needs nvcc then (tests/setup_cuda has one), and PyTorch its own CUDA. Ours
+repeats recorded passes (CUDA graphs) where few tokens are computed, unless --no-graphs is given. TensorRT is one more peer
+where torch_tensorrt is installed. Memory is what the card has less while it runs, at most. There is one more case,
+step-dit-l, and no load: one velocity of 64 candidates of DiT-L in one batch, without a peer, with the share of the card's
+peak that its operations are. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
 """
 
 import argparse
 import copy
 import datetime
+import importlib.util
 import json
 import os
 import pathlib
@@ -25,6 +32,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 
 import torch
@@ -52,6 +60,8 @@ class Case:
     formats = tuple(FORMATS)
     # How much more of the same ours computes than the peers, whose times count as often.
     share = 1
+    # Of ours in a run, where a share of the card's peak is asked for.
+    operations = None
 
     def __init__(self):
         torch.manual_seed(1)
@@ -60,8 +70,10 @@ class Case:
     def at(self, dtype):
         """A copy of the case in another number format."""
         other = copy.copy(self)
-        other.model = copy.deepcopy(self.model).to(dtype)
-        other.inputs = {name: value.to(dtype) for name, value in self.inputs.items()}
+        # The default device: that of the run.
+        device = torch.get_default_device()
+        other.model = copy.deepcopy(self.model).to(device, dtype)
+        other.inputs = {name: value.to(device, dtype) for name, value in self.inputs.items()}
         other.ready()
         return other
 
@@ -75,6 +87,12 @@ class Case:
     def compiled(self):
         other = copy.copy(self)
         other.step = torch.compile(self.step)
+        return other
+
+
+    def tensor_rt(self):
+        other = copy.copy(self)
+        other.step = torch.compile(self.step, backend="torch_tensorrt")
         return other
 
 
@@ -164,6 +182,22 @@ class Velocity(Case):
         other = copy.copy(self)
         other.spatial, other.temporal = torch.compile(self.spatial_block), torch.compile(self.temporal_block)
         return other
+
+
+class Step(Case):
+    """One Euler step of a plan: the new frame of many candidates, after frames of their own."""
+
+    ours, output, formats, candidates, cached = "velocity", "velocity", ("bf16",), 64, 2
+
+    def build(self):
+        config = dit.DIT_L_SD3
+        d, h = config["hidden"], 2 * (4 * config["hidden"] // 3)
+        tokens = config["grid"][0] * config["grid"][1] // config["patch"] ** 2
+        # A multiplication and an addition are two; of the attention that within frames.
+        of_token = 2 * (4 * d * d + 3 * d * h) + 2 * tokens * d
+        self.operations = 2 * self.candidates * tokens * config["depth"] * of_token
+        model = generate.randomised(dit.dit(**config))
+        return config, model, generate.dit_input(config, self.candidates, self.cached + 1)
 
 
 class Frame(Case):
@@ -294,6 +328,7 @@ CASES = {
     "sd3-decode": Sd3Decoder,
     "pixel": Pixel,
 }
+ON_CUDA = CASES | {"step-dit-l": Step}
 
 
 def write(case, folder):
@@ -302,10 +337,10 @@ def write(case, folder):
         save_file({key: value.contiguous() for key, value in tensors.items()}, folder / f"{name}.safetensors")
 
 
-def ours(what, folder, number_format, runs, warm=1):
+def ours(what, folder, number_format, runs, warm=1, place=()):
     """The lines of model_speed, by their names; its first run fills caches and is left out, unless `warm` is 0."""
     binary = ROOT / "target/release/examples/model_speed"
-    arguments = [binary, what, folder, number_format, str(runs + warm if runs else 0)]
+    arguments = [binary, what, folder, number_format, str(runs + warm if runs else 0), *place]
     # As the program `wm` sets them for itself.
     environment = os.environ | dict(CANDLE_NUM_THREADS="1", MIMALLOC_PURGE_DELAY="1000")
     result = subprocess.run(arguments, check=True, capture_output=True, text=True, env=environment)
@@ -321,6 +356,8 @@ def timed(step, runs):
     for _ in range(runs):
         start = time.perf_counter()
         step()
+        if torch.cuda.is_initialized():
+            torch.cuda.synchronize()
         times.append((time.perf_counter() - start) * 1e3)
     return times
 
@@ -331,13 +368,59 @@ def first_run(case):
     return output, timed(case.step, 1)[0]
 
 
-def compare(name, case, folder, arguments):
+class CardMemory:
+    """How much less memory the card has at some time than at the beginning, at most, in MiB."""
+
+    def __enter__(self):
+        self.least = self.before = torch.cuda.mem_get_info()[0]
+        self.is_done = threading.Event()
+        self.thread = threading.Thread(target=self.watch)
+        self.thread.start()
+        return self
+
+    def watch(self):
+        while not self.is_done.wait(0.01):
+            self.least = min(self.least, torch.cuda.mem_get_info()[0])
+
+    def __exit__(self, *_):
+        self.is_done.set()
+        self.thread.join()
+
+    def most(self):
+        return (self.before - self.least) / 2**20
+
+
+def card_peak():
+    """Operations a second of a large product, in bf16."""
+    n = 8192
+    a, b = (torch.randn(n, n, dtype=torch.bfloat16, device="cuda") for _ in range(2))
+    timed(lambda: a @ b, 5)
+    return 2 * n**3 / (statistics.median(timed(lambda: a @ b, 20)) / 1e3)
+
+
+def step_on_card(name, case, folder, place, runs=10):
+    """A row of its own: nothing to compare with, but the card."""
+    with CardMemory() as memory:
+        ms = statistics.median(ours(case.ours, folder, "bf16", runs, warm=3, place=place)["run_ms"])
+    rate, peak = case.operations / (ms / 1e3), card_peak()
+    print(
+        f"\n{name}, {case.candidates} candidates in bf16: p50 {ms:.1f} ms of {runs} runs, {rate / 1e12:.0f} TFLOP/s, "
+        f"{rate / peak:.2f} of {peak / 1e12:.0f} TFLOP/s; {memory.most():.0f} MiB on the card at most\n",
+        flush=True,
+    )
+
+
+def compare(name, case, folder, arguments, place):
     reference = None
     for number_format in case.formats:
         at = case.at(FORMATS[number_format])
         peers = dict(eager=at)
         if not arguments.no_compile:
             peers["compile"] = at.compiled()
+        if place and importlib.util.find_spec("torch_tensorrt"):
+            import torch_tensorrt  # noqa: F401, registers the backend
+
+            peers["tensorrt"] = at.tensor_rt()
         firsts = {peer: first_run(of) for peer, of in peers.items()}
         if reference is None:
             reference = firsts["eager"][0].float()
@@ -346,15 +429,18 @@ def compare(name, case, folder, arguments):
         rounds = 1 if slowest > arguments.seconds else arguments.rounds
         all_ours, theirs, ratios = [], {peer: [] for peer in peers}, []
         for _ in range(rounds):
-            a = ours(case.ours, folder, number_format, runs)["run_ms"]
+            # Of recorded passes, the first two are not repeated ones.
+            a = ours(case.ours, folder, number_format, runs, warm=3 if place else 1, place=place)["run_ms"]
             b = {peer: [ms * case.share for ms in timed(of.step, runs)] for peer, of in peers.items()}
             all_ours += a
             for peer, times in b.items():
                 theirs[peer] += times
             ratios.append(statistics.median(a) / min(map(statistics.median, b.values())))
         output = load_file(folder / "output.safetensors")[case.output].float()[: len(reference)]
+        output = output.to(reference.device)
         difference = ((output - reference).norm() / reference.norm()).item()
-        medians = [statistics.median(theirs[peer]) if peer in theirs else None for peer in ("eager", "compile")]
+        columns = ("eager", "compile", *(["tensorrt"] if place else []))
+        medians = [statistics.median(theirs[peer]) if peer in theirs else None for peer in columns]
         cells = [f"{m:.1f}" if m else "-" for m in (statistics.median(all_ours), *medians)]
         ratio = f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
         row = [name, number_format, *cells, ratio, f"{difference:.1e}", f"{rounds} x {runs}"]
@@ -398,30 +484,45 @@ def load(folder, rounds):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", metavar="CASE", default=[*CASES, "load"])
+    parser.add_argument("cases", nargs="*", metavar="CASE")
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
+    parser.add_argument("--no-graphs", action="store_true", help="with --device cuda: record no passes")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=15, help="how long one peer's runs of a round may take, about")
     parser.add_argument("--no-compile", action="store_true", help="leave torch.compile out")
     arguments = parser.parse_args()
-    if unknown := set(arguments.cases) - {*CASES, "load"}:
-        parser.error(f"no such case: {', '.join(sorted(unknown))}; there are: {', '.join([*CASES, 'load'])}")
+    on_cuda = arguments.device == "cuda"
+    known = [*ON_CUDA] if on_cuda else [*CASES, "load"]
+    if unknown := set(arguments.cases) - set(known):
+        parser.error(f"no such case: {', '.join(sorted(unknown))}; there are: {', '.join(known)}")
+    if on_cuda and not torch.cuda.is_available():
+        parser.error("--device cuda: PyTorch sees no GPU")
     build = ["cargo", "build", "--release", "-p", "wm_zoo", "--example", "model_speed"]
+    build += ["--features", "cuda"] if on_cuda else []
     subprocess.run(build, cwd=ROOT, check=True)
     cores = len(os.sched_getaffinity(0))
     torch.set_num_threads(cores)
     torch.set_grad_enabled(False)
     flags = "AVX-512" if torch.cpu._is_avx512_supported() else "AVX2" if torch.cpu._is_avx2_supported() else "baseline"
-    print(f"{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}\n")
-    print("| case | format | ours p50 ms | eager p50 ms | compile p50 ms | ratio to the faster | difference | runs |")
-    print("|---|---|---|---|---|---|---|---|")
-    for name in arguments.cases:
+    card = f"{torch.cuda.get_device_name()}, CUDA {torch.version.cuda}, " if on_cuda else ""
+    print(f"{card}{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}\n")
+    more = " TensorRT p50 ms |" if on_cuda else ""
+    print(f"| case | format | ours p50 ms | eager p50 ms | compile p50 ms |{more} ratio to the fastest | difference | runs |")
+    print("|---" * (9 if on_cuda else 8) + "|")
+    place = () if not on_cuda else ("cuda",) if arguments.no_graphs else ("cuda", "recorded")
+    cases = arguments.cases or known
+    for name in cases:
         if name == "load":
             continue
         with tempfile.TemporaryDirectory() as folder:
-            folder, case = pathlib.Path(folder), CASES[name]()
+            folder, case = pathlib.Path(folder), ON_CUDA[name]()
             write(case, folder)
-            compare(name, case, folder, arguments)
-    if "load" in arguments.cases:
+            if case.operations:
+                step_on_card(name, case, folder, place)
+                continue
+            with torch.device(arguments.device):
+                compare(name, case, folder, arguments, place)
+    if "load" in cases:
         with tempfile.TemporaryDirectory() as folder:
             load(pathlib.Path(folder), arguments.rounds)
 

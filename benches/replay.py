@@ -2,7 +2,7 @@
 """The end-to-end benchmark: the four nodes idle, then the main job at the bag's real rate, by turns with a process for
 each node and with one for all four.
 
-usage: benches/replay.py [--runs N] [--idle-seconds S] [--domain D] [--wm PATH]
+usage: benches/replay.py [--device cuda] [--runs N] [--idle-seconds S] [--domain D] [--wm PATH]
 
 Prints Markdown tables: machine, date, n; camera stamp to prediction per step (p50/p95/p99), drops by reason; CPU and
 resident memory of each process, idle and at work. Needs `cargo build --release` and Linux's /proc, nothing else.
@@ -66,11 +66,11 @@ def usage(pids, seconds):
     }
 
 
-def idle(wm, env, seconds):
-    found = {}
+def idle(wm, env, seconds, device):
+    found, place = {}, ["--ros-args", "-p", f"device:={device}"]
     for commands in ({name: [name] for name in NODES}, {TOGETHER: [TOGETHER, *NODES]}):
         started = {
-            name: subprocess.Popen([wm, *command], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            name: subprocess.Popen([wm, *command, *place], env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             for name, command in commands.items()
         }
         time.sleep(5)  # loading the weights and discovery are not idling
@@ -84,13 +84,14 @@ def idle(wm, env, seconds):
     return found
 
 
-def replay(wm, env, out, one_process):
+def replay(wm, env, out, one_process, device):
     launch = subprocess.Popen(
         [
             wm,
             "launch",
             str(ROOT / "launch-configs/replay.launch.yaml"),
             f"output:={out}",
+            f"device:={device}",
             f"one_process:={str(one_process).lower()}",
         ],
         cwd=ROOT,
@@ -120,6 +121,7 @@ def print_latencies(reports):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--device", default="cpu", help="what computes the model: cpu, cuda or cuda:N")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--idle-seconds", type=float, default=20)
     parser.add_argument("--domain", type=int, default=99)
@@ -127,14 +129,14 @@ def main():
     arguments = parser.parse_args()
     env = dict(os.environ, ROS_DOMAIN_ID=str(arguments.domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
 
-    print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {arguments.runs} runs of the bundled bag\n")
-    resting = idle(arguments.wm, env, arguments.idle_seconds)
+    print(f"{processor()}, {os.cpu_count()} cores, {datetime.date.today()}, {arguments.runs} runs of the bundled bag, device {arguments.device}\n")
+    resting = idle(arguments.wm, env, arguments.idle_seconds, arguments.device)
     reports, work = {False: [], True: []}, {}
     with tempfile.TemporaryDirectory() as directory:
         for run in range(arguments.runs):
             for one_process, of_kind in reports.items():
                 out = pathlib.Path(directory) / f"{run}-{one_process}"
-                report, usages = replay(arguments.wm, env, out, one_process)
+                report, usages = replay(arguments.wm, env, out, one_process, arguments.device)
                 of_kind.append(report)
                 work |= usages
 

@@ -34,6 +34,34 @@ fn a_replay_of_no_bag_says_so_once_and_leaves_no_report() {
     assert!(!out.path().join("report.json").exists());
 }
 
+/// A device that does not exist, and one that this program was not built for: neither is replaced by another.
+#[test]
+#[cfg(not(feature = "cuda"))]
+fn a_device_that_cannot_be_used_is_named_with_what_is_missing() {
+    let _alone = whole_suite();
+    for node in [
+        "encoder",
+        "predictor",
+        "decoder",
+        "planner",
+        "evaluator",
+        "env",
+    ] {
+        let (code, _, stderr) = run(&[node, "--ros-args", "-p", "device:=gpu"]);
+        assert_eq!(code, Some(1), "{node}: {stderr}");
+        assert!(
+            stderr.contains("expected cpu, cuda or cuda:N"),
+            "{node}: {stderr}"
+        );
+        let (code, _, stderr) = run(&[node, "--ros-args", "-p", "device:=cuda:1"]);
+        assert_eq!(code, Some(1), "{node}: {stderr}");
+        assert!(
+            stderr.contains("device cuda:1") && stderr.contains("feature `cuda`"),
+            "{node}: {stderr}"
+        );
+    }
+}
+
 /// What is in a folder, by path from there, with each file's bytes.
 fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();

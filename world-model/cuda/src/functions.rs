@@ -1,10 +1,8 @@
 //! The functions that candle calls.
 
-use crate::library::Library;
-
-/// Defines functions that go on to those of the same names in libraries, and a table of these.
+/// Defines functions that go on to those of the same names in libraries, and a function that gives a table of these.
 macro_rules! forwarded {
-    ($visibility:vis static $table:ident; $(
+    ($visibility:vis fn $table:ident; $(
         [$($file:literal),+] of $part_of:literal { $($function:ident),* $(,)? }
     )*) => {
         #[allow(non_upper_case_globals)] // the functions' names
@@ -31,18 +29,21 @@ macro_rules! forwarded {
                 }
             )*)*
 
-            /// Named, so that whoever takes the table takes the functions too, with every linker.
-            #[used]
-            static ALL: &[extern "C" fn()] = &[$($($function),*),*];
+            pub(super) static ALL: &[extern "C" fn()] = &[$($($function),*),*];
         }
 
-        $visibility static $table: &[$crate::library::Library] = &[$(
-            $crate::library::Library {
-                files: &[$($file),+],
-                part_of: $part_of,
-                functions: &[$((stringify!($function), &slots::$function)),*],
-            }
-        ),*];
+        $visibility fn $table() -> &'static [$crate::library::Library] {
+            // Named, so that linkers take the functions where they take the table.
+            ::std::hint::black_box(entries::ALL);
+            static TABLE: &[$crate::library::Library] = &[$(
+                $crate::library::Library {
+                    files: &[$($file),+],
+                    part_of: $part_of,
+                    functions: &[$((stringify!($function), &slots::$function)),*],
+                }
+            ),*];
+            TABLE
+        }
     };
 }
 
@@ -50,8 +51,24 @@ macro_rules! forwarded {
 pub(crate) use forwarded;
 
 forwarded! {
-    pub(crate) static LIBRARIES;
+    pub(crate) fn libraries;
     ["libcuda.so.1"] of "the NVIDIA driver; a machine without it has no GPU that can be used" {
-        cuInit
+        cuCtxDestroy_v2, cuCtxGetCurrent, cuCtxSetCurrent, cuCtxSynchronize, cuDeviceGet, cuDeviceGetAttribute,
+        cuDeviceGetCount, cuDeviceGetName, cuDevicePrimaryCtxRelease_v2, cuDevicePrimaryCtxRetain, cuDeviceTotalMem_v2,
+        cuDriverGetVersion, cuEventCreate, cuEventDestroy_v2, cuEventRecord, cuEventSynchronize, cuGetErrorName,
+        cuGetErrorString, cuGraphDestroy, cuGraphExecDestroy, cuGraphInstantiateWithFlags, cuGraphLaunch, cuGraphUpload,
+        cuInit, cuLaunchKernel, cuMemAllocAsync, cuMemAlloc_v2, cuMemFreeAsync, cuMemFree_v2, cuMemGetInfo_v2,
+        cuMemcpyDtoDAsync_v2, cuMemcpyDtoHAsync_v2, cuMemcpyHtoDAsync_v2, cuMemcpyPeerAsync, cuMemsetD8Async,
+        cuModuleGetFunction, cuModuleLoad, cuModuleLoadData, cuModuleUnload, cuStreamBeginCapture_v2, cuStreamCreate,
+        cuStreamDestroy_v2, cuStreamEndCapture, cuStreamIsCapturing, cuStreamSynchronize, cuStreamWaitEvent,
+    }
+    ["libcublas.so.13", "libcublas.so.12"] of "the CUDA toolkit; `pip install nvidia-cublas` has it too, and \
+        LD_LIBRARY_PATH says where" {
+        cublasCreate_v2, cublasDestroy_v2, cublasDgemmStridedBatched, cublasGemmEx, cublasGemmStridedBatchedEx,
+        cublasSetStream_v2,
+    }
+    ["libcurand.so.10"] of "the CUDA toolkit; `pip install nvidia-curand` has it too, and LD_LIBRARY_PATH says where" {
+        curandCreateGenerator, curandDestroyGenerator, curandGenerateNormal, curandGenerateNormalDouble,
+        curandGenerateUniform, curandGenerateUniformDouble, curandSetPseudoRandomGeneratorSeed, curandSetStream,
     }
 }

@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn what_is_missing_is_said() {
         let folder = tempfile::tempdir().unwrap();
-        let none = load(crate::functions::LIBRARIES, Some(folder.path())).unwrap_err();
+        let none = load(crate::functions::libraries(), Some(folder.path())).unwrap_err();
         let message = none.to_string();
         let expected = [
             "libcuda.so.1 cannot be loaded",
@@ -153,7 +153,7 @@ mod tests {
 
     // Two functions, of which no library of CUDA is the owner.
     crate::functions::forwarded! {
-        static TESTED;
+        fn tested;
         ["libtested.so.2", "libtested.so.1"] of "the tests" {
             wm_cuda_test_sum, wm_cuda_test_name
         }
@@ -177,7 +177,7 @@ mod tests {
     fn functions_go_on_to_those_of_the_library_with_all_that_they_are_given() {
         let folder = tempfile::tempdir().unwrap();
         built(folder.path(), "libtested.so.1", SOURCE);
-        let message = load(TESTED, Some(folder.path())).unwrap_err().to_string();
+        let message = load(tested(), Some(folder.path())).unwrap_err().to_string();
         assert!(
             message.contains("libtested.so.1 has no function wm_cuda_test_name"),
             "{message}"
@@ -185,7 +185,7 @@ mod tests {
         let named =
             format!("{SOURCE}\nconst char *wm_cuda_test_name(void) {{ return \"second\"; }}");
         built(folder.path(), "libtested.so.2", &named);
-        load(TESTED, Some(folder.path())).unwrap();
+        load(tested(), Some(folder.path())).unwrap();
         // SAFETY: the types are those of the source, and the library has been loaded.
         let (sum, name) = unsafe { (sum(1, 2.0, 3, 4.0, 5, 6, 7, 8, 9), name()) };
         assert_eq!(sum, 987_654_321.0);

@@ -2,15 +2,16 @@
 //!
 //! ```text
 //! cargo run --release -p wm_zoo --example model_speed -- pixel FOLDER bf16 5
+//! cargo run --release -p wm_zoo --features cuda --example model_speed -- velocity FOLDER bf16 5 cuda recorded
 //! ```
 //!
-//! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32 or bf16, and how many
-//! runs. Prints the time of loading, the memory that it took at most, and the time of each run, a line each
+//! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32 or bf16, how many runs,
+//! and maybe a device, and whether passes are recorded and repeated there. Prints the time of loading, the memory that it took at most, and the time of each run, a line each
 //! (`load_ms`, `peak_mib`, `run_ms`), and writes `output.safetensors` of the last run into the folder. What is timed is
 //! any kind of `wm model forward`, or of the transition model
 //!
-//! - `velocity`: `x` (1,T,H,W,C), `tau` (1,T), `action` (1,T,A) as for `dit`, but only the last frame, after T - 1 of which
-//!   keys and values are cached; gives its `velocity` (1,1,H,W,C);
+//! - `velocity`: `x` (B,T,H,W,C), `tau` (B,T), `action` (B,T,A) as for `dit`, but only the last frame, after T - 1 of which
+//!   keys and values are cached; gives its `velocity` (B,1,H,W,C);
 //! - `frame`: a predicted frame of n candidates after a `context` (1,T,H,W,C) that is computed, too: `actions` (n,T+1,A),
 //!   of which the first T - 1 of the first candidate are everyone's, `noise` (1,1,H,W,C); gives `predicted` (n,1,H,W,C).
 
@@ -21,9 +22,9 @@ use std::time::Instant;
 
 use candle_core::{DType, Device, Tensor};
 use wm_model::sampler::{Given, Rollout};
-use wm_model::transition::{NewFrame, PackedTransition};
+use wm_model::transition::{LoadedTransition, NewFrame};
 use wm_zoo::kinds::{DitConfig, Kind, Loaded, Tensors};
-use wm_zoo::{Checkpoint, Compute, Engine};
+use wm_zoo::{Checkpoint, Compute, DeviceName, Placement};
 
 /// As in the program `wm`: large buffers are used again rather than given back to the system.
 #[global_allocator]
@@ -34,9 +35,14 @@ type Run<'a> = Box<dyn FnMut() -> Result<Tensors> + 'a>;
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [what, folder, format, runs] = arguments.as_slice() else {
-        return Err("expected KIND FOLDER f32|bf16 RUNS".into());
+    let [what, folder, format, runs, place @ ..] = arguments.as_slice() else {
+        return Err("expected KIND FOLDER f32|bf16 RUNS [DEVICE [recorded]]".into());
     };
+    let device = place
+        .first()
+        .map_or(Ok(DeviceName::Cpu), |name| name.parse())?;
+    let is_recorded = place.get(1).is_some_and(|word| word == "recorded");
+    let place = Placement::on(device, is_recorded).open()?;
     let dtype = match format.as_str() {
         "f32" => DType::F32,
         "bf16" => DType::BF16,
@@ -53,7 +59,8 @@ fn main() -> Result<()> {
     let checkpoint = Checkpoint::open(folder.join("weights.safetensors"))?;
     let (packed, loaded);
     let mut run: Run<'_> = if ["velocity", "frame"].contains(&what.as_str()) {
-        packed = serde_json::from_str::<DitConfig>(&config)?.load(&checkpoint, dtype)?;
+        let config = serde_json::from_str::<DitConfig>(&config)?;
+        packed = config.load_at(&checkpoint, &place, dtype)?;
         if what == "velocity" {
             velocity(&packed, &inputs)?
         } else {
@@ -61,12 +68,7 @@ fn main() -> Result<()> {
         }
     } else {
         let kind: Kind = what.parse()?;
-        loaded = Loaded::new(
-            kind,
-            &config,
-            &checkpoint,
-            &Compute::on_cpu(Engine::Cpu, dtype),
-        )?;
+        loaded = Loaded::new(kind, &config, &checkpoint, &Compute::at(&place, dtype))?;
         Box::new(|| Ok(loaded.run(&inputs)?))
     };
     println!("load_ms {:.1}", start.elapsed().as_secs_f64() * 1e3);
@@ -93,7 +95,7 @@ fn values(tensor: &Tensor, t: usize) -> Result<Vec<f32>> {
     Ok(tensor.narrow(1, t, 1)?.flatten_all()?.to_vec1()?)
 }
 
-fn velocity<'a>(model: &'a PackedTransition, inputs: &Tensors) -> Result<Run<'a>> {
+fn velocity<'a>(model: &'a LoadedTransition, inputs: &Tensors) -> Result<Run<'a>> {
     let (x, tau) = (input(inputs, "x")?, input(inputs, "tau")?);
     let action = input(inputs, "action")?;
     let last = tau.dim(1)? - 1;
@@ -124,7 +126,7 @@ fn new_frame((latents, tau, action): &(Vec<f32>, Vec<f32>, Vec<f32>)) -> NewFram
     }
 }
 
-fn frame(model: &PackedTransition, inputs: &Tensors) -> Result<Tensors> {
+fn frame(model: &LoadedTransition, inputs: &Tensors) -> Result<Tensors> {
     let (context, actions) = (input(inputs, "context")?, input(inputs, "actions")?);
     let noise = input(inputs, "noise")?.squeeze(1)?;
     let observed = context.dim(1)?;

@@ -1,4 +1,5 @@
-//! Every kind of model against PyTorch: the fixtures of fixtures/generate.py, with both engines.
+//! Every kind of model against PyTorch: the fixtures of fixtures/generate.py, with both engines, and on a GPU in a build for
+//! it.
 
 #![allow(clippy::unwrap_used)] // the helpers of tests too, not only what is marked #[test]
 
@@ -69,17 +70,16 @@ impl Fixture {
         Checkpoint::open(path).map(Some).map_err(text)
     }
 
-    /// What `engine` makes of the input, by each way that has to give the same.
-    fn outputs(&self, engine: Engine, dtype: DType) -> Outcome<Vec<Tensors>> {
+    /// What `compute` makes of the input, by each way that has to give the same.
+    fn outputs(&self, compute: &Compute) -> Outcome<Vec<Tensors>> {
         let Some(checkpoint) = self.checkpoint()? else {
             return Ok(Vec::new());
         };
         let config = self.text("config.json").ok_or("no config.json")?;
         let inputs = self.tensors("input.safetensors")?;
-        let compute = Compute::on_cpu(engine, dtype);
         let Some(options) = self.text("options.json") else {
             let kind: Kind = self.kind().parse().map_err(text)?;
-            let outputs = forward(kind, &config, &checkpoint, &inputs, &compute);
+            let outputs = forward(kind, &config, &checkpoint, &inputs, compute);
             return Ok(vec![outputs.map_err(text)?]);
         };
         let sampler: Sampler = serde_json::from_str(&options).map_err(text)?;
@@ -88,7 +88,7 @@ impl Fixture {
             .map(|cache| {
                 let sampler = sampler.clone();
                 let options = RolloutOptions { sampler, cache };
-                rollout(&config, &checkpoint, &inputs, &options, &compute).map_err(text)
+                rollout(&config, &checkpoint, &inputs, &options, compute).map_err(text)
             })
             .collect()
     }
@@ -96,13 +96,14 @@ impl Fixture {
     /// Everything that differs from PyTorch, one line each; empty if nothing does.
     fn faults(&self, (dtype, tolerance): (DType, f64)) -> Vec<String> {
         let mut faults = Vec::new();
-        for engine in [Engine::Candle, Engine::Cpu] {
-            let compared = self.outputs(engine, dtype).and_then(|all| {
+        for compute in computes(dtype) {
+            let compared = self.outputs(&compute).and_then(|all| {
                 let expected = self.tensors("output.safetensors")?;
                 let found = all.iter().map(|found| compare(found, &expected));
                 found.collect::<Outcome<Vec<_>>>()
             });
-            let label = format!("{} with {engine} in {dtype:?}", self.name());
+            let (engine, device) = (compute.engine(), compute.device().location());
+            let label = format!("{} with {engine} on {device:?} in {dtype:?}", self.name());
             match compared {
                 Ok(errors) => {
                     for (output, error) in errors.iter().flatten() {
@@ -117,6 +118,22 @@ impl Fixture {
         }
         faults
     }
+}
+
+/// Every engine on the CPU and, in a build for it, the first GPU.
+fn computes(dtype: DType) -> Vec<Compute> {
+    let on_cpu = [Engine::Candle, Engine::Cpu].map(|engine| Compute::on_cpu(engine, dtype));
+    #[cfg(not(feature = "cuda"))]
+    let on_gpu = None;
+    #[cfg(feature = "cuda")]
+    let on_gpu = match wm_zoo::DeviceName::Cuda(0).open() {
+        Ok(device) => Some(Compute::new(Engine::Candle, device, dtype).unwrap()),
+        Err(missing) => {
+            eprintln!("GPU: skipped, {missing}");
+            None
+        }
+    };
+    on_cpu.into_iter().chain(on_gpu).collect()
 }
 
 fn text(error: impl std::fmt::Display) -> String {

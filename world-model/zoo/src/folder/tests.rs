@@ -7,7 +7,7 @@ use wm_model::weights::{Precision as Stored, WeightsBuilder};
 use wm_motion::actions::Accumulation;
 
 use super::*;
-use crate::ModelFolder;
+use crate::{ModelFolder, PlacedModel, Placement};
 
 /// Web-DINO of one layer on 28x28, an S-VAE, a pixel decoder and a DiT: latents of 4x4x6.
 pub(super) fn adapted() -> Value {
@@ -103,6 +103,86 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
         assert_eq!(decoder.space(), encoder.space());
         assert_eq!(decoder.output_size(), (8, 8));
         assert_eq!(decoder.decode(&next).unwrap().dims(), [1, 8, 8, 3]);
+    }
+}
+
+/// What `model` makes of two pictures: their latents, what three candidates predict after them, and its pictures.
+fn through(model: &PlacedModel) -> [Tensor; 3] {
+    let encoder = model.encoder().unwrap();
+    let (height, width) = encoder.input_size();
+    let wave = |count: usize| (0..count).map(|i| (i as f32 * 0.37).sin() / 2.0 + 0.5);
+    let tensor = |shape: &[usize]| {
+        let values: Vec<f32> = wave(shape.iter().product()).collect();
+        Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
+    };
+    let latents = encoder.encode(&tensor(&[2, height, width, 3])).unwrap();
+    let WorldModel { transition, .. } = &model.world_model().unwrap();
+    let (sampler, actions) = (&transition.config().sampler, transition.config().action_dim);
+    let context = latents.unsqueeze(0).unwrap();
+    let between = tensor(&[1, actions]);
+    let rollout = Rollout::new(transition, sampler, &context, Some(&between), 1).unwrap();
+    let mut candidates = rollout.candidates(3).unwrap();
+    for _ in 0..3 {
+        candidates.next(&tensor(&[3, actions])).unwrap();
+    }
+    let predicted = candidates.next(&tensor(&[3, actions])).unwrap();
+    let decoder = model.decoder().unwrap().unwrap();
+    let pictures = decoder.decode(&predicted).unwrap();
+    [latents, predicted, pictures]
+}
+
+/// The first GPU, with recorded passes and without, in a build for it.
+fn gpus() -> Vec<Placement> {
+    let on = |recorded| Placement::on(crate::DeviceName::Cuda(0), recorded);
+    match on(false).open() {
+        Ok(_) => vec![on(false), on(true)],
+        Err(missing) => {
+            eprintln!("GPU: skipped, {missing}");
+            vec![]
+        }
+    }
+}
+
+/// Of the embedded model and of folders with and without an adapter, in both number formats.
+#[test]
+fn what_a_gpu_would_compute_is_what_the_kernels_do() {
+    let mut folders = vec![];
+    for dtype in ["f32", "bf16"] {
+        for mut model in [adapted(), native()] {
+            model["dtype"] = dtype.into();
+            folders.push(folder(&model));
+        }
+    }
+    let names = folders
+        .iter()
+        .map(|f| f.path().to_string_lossy().into_owned());
+    for name in names.chain(["tiny".to_owned()]) {
+        let on = |placement| {
+            let model = ModelFolder::open(&name).unwrap();
+            through(&PlacedModel::new(model, placement))
+        };
+        let kernels = on(Placement::default());
+        for (tensors, place) in gpus()
+            .iter()
+            .chain([&Placement::rehearsed()])
+            .map(|p| (on(*p), p))
+        {
+            for ((what, found), expected) in ["latents", "predicted", "pictures"]
+                .into_iter()
+                .zip(&tensors)
+                .zip(&kernels)
+            {
+                assert_eq!((found.dims(), found.dtype()), (expected.dims(), DType::F32));
+                let norm = |x: &Tensor| -> f32 {
+                    let squares = x.sqr().unwrap().sum_all().unwrap();
+                    squares.to_scalar::<f32>().unwrap().sqrt()
+                };
+                let difference = norm(&(found - expected).unwrap()) / norm(expected);
+                // Both have bf16 weights as f32 here; kernels round activations to them where the processor has such products.
+                assert!(difference < 2e-2, "{name}, {what}, {place:?}: {difference}");
+                println!("{name}, {what}, {place:?}: {difference:.1e}");
+            }
+        }
     }
 }
 
