@@ -182,7 +182,7 @@ pub async fn body<N: ModelNode>(node: Node) -> Result<()> {
     let parameters = Arc::new(N::Parameters::declare(&node)?);
     node.seal_parameters()?;
     N::check(&parameters)?;
-    let device: DeviceName = common.device.parse().context("parameter device")?;
+    let device: DeviceName = common.device.parse()?;
     let harness = Harness::<N> {
         model: common.model,
         placement: Placement::on(device, common.cuda_graphs),

@@ -191,6 +191,40 @@ mod tests {
         assert!(new().ending_with(&short).is_err());
     }
 
+    /// More candidates than are recorded, and few enough; over a window that fills up.
+    #[test]
+    fn candidates_on_tensor_operations_go_where_those_on_kernels_go() {
+        let config = TransitionConfig {
+            max_frames: 4,
+            ..model().config().clone()
+        };
+        let transition = Transition::random(config, 3).unwrap();
+        let place = wm_model::Place::tensors(Device::Cpu, true);
+        let on_tensors = place.load(transition.clone(), wm_model::ops::PackedFormat::F32);
+        let models = [transition.pack().unwrap(), on_tensors.unwrap()];
+        let past = Tensor::zeros((1, 10), DType::F32, &Device::Cpu).unwrap();
+        for candidates in [3, 2049] {
+            let values: Vec<f32> = (0..candidates * 30)
+                .map(|i| (i as f32 * 0.7).sin())
+                .collect();
+            let actions = Tensor::from_vec(values, (candidates, 3, 10), &Device::Cpu).unwrap();
+            let [kernels, tensors] = [0, 1].map(|index| {
+                let model: &LoadedTransition = &models[index];
+                let sampler = Sampler {
+                    steps: 2,
+                    ..model.config().sampler.clone()
+                };
+                let context = context();
+                let start = TransitionDynamics::new(model, &sampler, &context, Some(&past), 5);
+                start.unwrap().rollout(&actions).unwrap()
+            });
+            assert_eq!(kernels.dims(), [candidates, 3, 4, 4, 4]);
+            let difference = (kernels - tensors).unwrap().abs().unwrap();
+            let most: f32 = difference.max_all().unwrap().to_scalar().unwrap();
+            assert!(most < 1e-4, "{candidates} candidates: {most}");
+        }
+    }
+
     #[test]
     fn the_cost_of_a_plan_is_that_of_its_own_rollout() {
         let (model, context) = (model(), context());

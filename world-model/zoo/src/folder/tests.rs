@@ -7,7 +7,7 @@ use wm_model::weights::{Precision as Stored, WeightsBuilder};
 use wm_motion::actions::Accumulation;
 
 use super::*;
-use crate::{ModelFolder, PlacedModel, Placement};
+use crate::{Engine, ModelFolder, PlacedModel, Placement};
 
 /// Web-DINO of one layer on 28x28, an S-VAE, a pixel decoder and a DiT: latents of 4x4x6.
 pub(super) fn adapted() -> Value {
@@ -196,8 +196,8 @@ fn an_adapter_decodes_to_the_space_of_its_encoder_alone() {
     let features = adapter.decode(&latents).unwrap();
     assert_eq!(features.dims(), [2, 4, 4, 48]);
     // By the adapter's own round trip of the encoder's features.
-    let svae = open()
-        .load_adapter(open().adapter.as_ref())
+    let compute = Compute::on_cpu(Engine::Cpu, DType::F32);
+    let svae = load_adapter(open().adapter.as_ref(), &compute)
         .unwrap()
         .unwrap();
 
