@@ -16,9 +16,9 @@ their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of
 
 With --device cuda, all on an NVIDIA GPU: cargo needs nvcc then (tests/setup_cuda has one), and PyTorch its own CUDA. Ours
 repeats recorded passes (CUDA graphs) where few tokens are computed, unless --no-graphs is given. TensorRT is one more peer
-where torch_tensorrt is installed. Memory is what the card has less while it runs, at most. There is one more case,
-step-dit-l, and no load: one velocity of 64 candidates of DiT-L in one batch, without a peer, with the share of the card's
-peak that its operations are. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
+where torch_tensorrt is installed. There is one more case, step-dit-l, and no load: one velocity of 64 candidates of DiT-L
+in one batch, without a peer, with the share of the card's peak that its operations are, and by how much the card's free
+memory shrinks meanwhile. The peak is that of a product of 8192 x 8192 matrices in PyTorch, bf16, in the same run.
 """
 
 import argparse
