@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::packed_linear::product;
+use super::panel_product::PanelProduct;
 use super::panels::Panels;
 use super::softmax::softmax_rows;
 
@@ -98,11 +98,17 @@ pub fn dense_attention(
             let (entry, head) = (number / heads, number % heads);
             let part = |values: &'_ [f32], at: usize| values.get(at).copied().unwrap_or_default();
             let first = number * keys * dim;
-            let across: Panels = Panels::pack(dim, keys, None, |c, key| {
-                part(k, first + key * dim + c) * scale
+            let across: Panels = Panels::pack_rows(dim, keys, None, |c, key, row| {
+                for (key, value) in (key..).zip(row) {
+                    *value = part(k, first + key * dim + c) * scale;
+                }
             });
-            let along: Panels =
-                Panels::pack(keys, dim, None, |key, c| part(v, first + key * dim + c));
+            let along: Panels = Panels::pack_rows(keys, dim, None, |key, c, row| {
+                let from = first + key * dim + c;
+                if let Some(values) = v.get(from..from + row.len()) {
+                    row.copy_from_slice(values);
+                }
+            });
             out.par_chunks_mut(QUERIES * dim).enumerate().for_each_init(
                 Vec::new,
                 |scores: &mut Vec<f32>, (block, out)| {
@@ -110,7 +116,7 @@ pub fn dense_attention(
                     let start = number * queries + block * QUERIES;
                     scores.resize(rows * keys, 0.0);
                     if let Some(q) = q.get(start * dim..(start + rows) * dim) {
-                        product(&across, q, scores);
+                        f32::product(&across, q, scores);
                     }
                     if let Some(mask) = &mask {
                         for (row, scores) in scores.chunks_exact_mut(keys).enumerate() {
@@ -121,7 +127,7 @@ pub fn dense_attention(
                         }
                     }
                     softmax_rows(scores, keys, keys);
-                    product(&along, scores, out);
+                    f32::product(&along, scores, out);
                 },
             );
         });

@@ -5,10 +5,9 @@ use std::sync::Arc;
 use half::bf16;
 use rayon::prelude::*;
 
-use super::element::{Element, PackedFormat};
-use super::kernel::Row;
+use super::element::PackedFormat;
+use super::panel_product::PanelProduct;
 use super::panels::Panels;
-use super::simd::{LANES, prefetch};
 use crate::{Error, Result};
 
 /// Rows that one task handles at most: enough for a panel to be used often once it is there, few enough for them to stay
@@ -53,11 +52,11 @@ impl PackedLinear {
         }
         Ok(Self(match format {
             PackedFormat::F32 => {
-                let panels = Panels::pack_transposed(inputs, outputs, bias, &[weight]);
+                let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
                 Format::F32(Arc::new(panels))
             }
             PackedFormat::Bf16 => {
-                let panels = Panels::pack_transposed(inputs, outputs, bias, &[weight]);
+                let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
                 Format::Bf16(Arc::new(panels))
             }
         }))
@@ -102,88 +101,15 @@ impl PackedLinear {
     /// If `x` is not whole rows, or `y` has another number of them.
     pub fn forward(&self, x: &[f32], y: &mut [f32]) {
         match &self.0 {
-            Format::F32(panels) => product(panels, x, y),
-            Format::Bf16(panels) => product(panels, x, y),
+            Format::F32(panels) => f32::product(panels, x, y),
+            Format::Bf16(panels) => bf16::product(panels, x, y),
         }
-    }
-}
-
-/// `y` (rows, outputs) = `x` (rows, depth) times a packed matrix, plus its bias.
-pub(super) fn product<T: Element>(panels: &Panels<T>, x: &[f32], y: &mut [f32]) {
-    let (inputs, outputs) = (panels.depth, panels.outputs);
-    let rows = x.len() / inputs.max(1);
-    // The kernel trusts these.
-    assert_eq!(x.len(), rows * inputs, "input of a product");
-    assert_eq!(y.len(), rows * outputs, "output of a product");
-    for (vectors, panel, first) in panels.iter() {
-        // All weights of a model do not fit into the caches that are near: the next panel comes
-        // while this one is computed with.
-        let next = panel + inputs * vectors * LANES;
-        let next = next..next + inputs * vectors * LANES;
-        if let Some(next) = panels.values.get(next) {
-            prefetch(next);
-        }
-        let row = Row {
-            input: x.as_ptr(),
-            input_step: inputs,
-            tap_pitch: 0,
-            tap_rows: 1,
-            run: inputs,
-            panel: panels.values.as_ptr().wrapping_add(panel),
-            vectors,
-            bias: panels.bias.as_ptr().wrapping_add(first),
-            pixels: rows,
-            output: y.as_mut_ptr().wrapping_add(first),
-            residual: std::ptr::null(),
-            mask: std::ptr::null(),
-            output_step: outputs,
-            channels: (outputs - first).min(vectors * LANES),
-            relu: false,
-        };
-        // SAFETY: the lengths were checked above, and those of the panels hold by construction; the
-        // panels were cut for an instruction set that was detected.
-        unsafe { row.run(panels.set) };
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn products_are_those_of_the_definition() {
-        for (rows, inputs, outputs) in [(1, 5, 3), (7, 16, 64), (64, 33, 100), (19, 128, 48)] {
-            let numbers = |count: usize, seed: usize| -> Vec<f32> {
-                (0..count)
-                    .map(|i| ((i * 7919 + seed) % 2003) as f32 / 1001.0 - 1.0)
-                    .collect()
-            };
-            let (x, w) = (numbers(rows * inputs, 1), numbers(outputs * inputs, 2));
-            let bias = numbers(outputs, 3);
-            for format in [PackedFormat::F32, PackedFormat::Bf16] {
-                let shape = (outputs, inputs);
-                let packed = PackedLinear::new(&w, Some(&bias), shape, format).unwrap();
-                let mut y = vec![f32::NAN; rows * outputs];
-                packed.forward(&x, &mut y);
-                // What the weights are as packed.
-                let w: Vec<f32> = w
-                    .iter()
-                    .map(|w| match format {
-                        PackedFormat::F32 => *w,
-                        PackedFormat::Bf16 => bf16::from_f32(*w).to_f32(),
-                    })
-                    .collect();
-                for (row, y) in y.chunks_exact(outputs).enumerate() {
-                    for (n, y) in y.iter().enumerate() {
-                        let sum: f32 = (0..inputs)
-                            .map(|k| x[row * inputs + k] * w[n * inputs + k])
-                            .sum();
-                        assert!((sum + bias[n] - y).abs() < 1e-4, "{format:?}");
-                    }
-                }
-            }
-        }
-    }
 
     #[test]
     fn a_weight_of_another_size_is_refused() {

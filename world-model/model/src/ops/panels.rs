@@ -13,6 +13,9 @@ const BLOCK: usize = 16;
 const ROWS: usize = 64;
 
 /// A matrix (inputs x outputs), cut into panels of a few vectors of outputs, each panel contiguous.
+///
+/// In a panel the inputs of a group ([`Element::GROUP`]) lie side by side for each output: (group, output, input of the
+/// group). The last group is filled up with zeros.
 #[derive(Clone, Debug)]
 pub(crate) struct Panels<T = f32> {
     /// Instruction set that the panels are cut for.
@@ -44,9 +47,14 @@ impl<T: Element> Panels<T> {
             widths,
             depth,
             outputs,
-            values: vec![T::ZERO; depth * vectors * LANES],
+            values: vec![T::ZERO; depth.next_multiple_of(T::GROUP) * vectors * LANES],
             bias: vec![0.0; vectors * LANES],
         }
+    }
+
+    /// Rows of the matrix with those that fill up the last group.
+    pub(crate) fn whole_depth(&self) -> usize {
+        self.depth.next_multiple_of(T::GROUP)
     }
 
     /// Zeros for a matrix (depth x outputs), with `bias` (or zeros).
@@ -58,23 +66,27 @@ impl<T: Element> Panels<T> {
         panels
     }
 
-    /// Packs the transposes of `matrices` (each outputs x depth) one below the other, with `bias` (or zeros), on all
-    /// threads of the pool.
+    /// Packs the transpose of `matrix` (outputs x depth), with `bias` (or zeros), on all threads of the pool.
     pub(crate) fn pack_transposed(
         depth: usize,
         outputs: usize,
         bias: Option<&[f32]>,
-        matrices: &[&[f32]],
+        matrix: &[f32],
     ) -> Self {
-        let mut panels = Self::with_bias(depth * matrices.len(), outputs, bias);
-        let places: Vec<(usize, usize, usize)> = panels.iter().collect();
-        let mut rest = panels.values.as_mut_slice();
+        Self::with_bias(depth, outputs, bias).filled(depth, &[matrix])
+    }
+
+    /// With the transposes of `matrices` (each outputs x `depth`) one below the other.
+    fn filled(mut self, depth: usize, matrices: &[&[f32]]) -> Self {
+        let outputs = self.outputs;
+        let places: Vec<(usize, usize, usize)> = self.iter().collect();
+        let mut rest = self.values.as_mut_slice();
         let mut parts = Vec::with_capacity(places.len() * matrices.len());
         for (vectors, _, first) in places {
             let width = vectors * LANES;
             let end = outputs.min(first + width);
             for matrix in matrices {
-                let (panel, after) = rest.split_at_mut(depth * width);
+                let (panel, after) = rest.split_at_mut(depth.next_multiple_of(T::GROUP) * width);
                 rest = after;
                 let rows = matrix.get(first * depth..end * depth).unwrap_or_default();
                 parts.push((width, panel, rows));
@@ -83,71 +95,9 @@ impl<T: Element> Panels<T> {
         parts
             .into_par_iter()
             .for_each(|(width, panel, rows)| transpose(depth, width, panel, rows));
-        panels
+        self
     }
 
-    /// Packs the matrix whose values `value(k, output)` gives, with `bias` (or zeros).
-    pub(crate) fn pack(
-        depth: usize,
-        outputs: usize,
-        bias: Option<&[f32]>,
-        mut value: impl FnMut(usize, usize) -> f32,
-    ) -> Self {
-        let mut panels = Self::with_bias(depth, outputs, bias);
-        let mut start = 0;
-        let mut first = 0;
-        for vectors in panels.widths.clone() {
-            let width = vectors * LANES;
-            let panel = panels.values.get_mut(start..start + depth * width);
-            for (k, row) in panel
-                .unwrap_or_default()
-                .chunks_exact_mut(width)
-                .enumerate()
-            {
-                for (j, v) in row.iter_mut().enumerate().take(outputs - first) {
-                    *v = T::from_f32(value(k, first + j));
-                }
-            }
-            start += depth * width;
-            first += width;
-        }
-        panels
-    }
-
-    /// Writes the matrix back in row-major order.
-    pub(crate) fn unpack(&self, matrix: &mut [f32]) {
-        let mut start = 0;
-        let mut first = 0;
-        for vectors in &self.widths {
-            let width = vectors * LANES;
-            let panel = self.values.get(start..start + self.depth * width);
-            let count = width.min(self.outputs - first);
-            for (source, target) in panel
-                .unwrap_or_default()
-                .chunks_exact(width)
-                .zip(matrix.chunks_exact_mut(self.outputs))
-            {
-                for (t, s) in target.iter_mut().skip(first).zip(source).take(count) {
-                    *t = s.to_f32();
-                }
-            }
-            start += self.depth * width;
-            first += width;
-        }
-    }
-
-    /// For each panel: its vectors, its first value and its first output.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, usize, usize)> {
-        self.widths.iter().scan((0, 0), |(start, first), &vectors| {
-            let item = (vectors, *start, *first);
-            *start += self.depth * vectors * LANES;
-            *first += vectors * LANES;
-            Some(item)
-        })
-    }
-}
-
-impl Panels<f32> {
     /// Packs the matrix to whose row `k`, from output `first` on, `add(k, first, row)` adds its values to zeros, with `bias`
     /// (or zeros), on all threads of the pool.
     pub(crate) fn pack_rows(
@@ -158,18 +108,63 @@ impl Panels<f32> {
     ) -> Self {
         let mut panels = Self::with_bias(depth, outputs, bias);
         let places: Vec<(usize, usize, usize)> = panels.iter().collect();
+        let whole = panels.whole_depth();
         for (vectors, start, first) in places {
             let width = vectors * LANES;
             let count = width.min(outputs - first);
-            let panel = panels.values.get_mut(start..start + depth * width);
+            let panel = panels.values.get_mut(start..start + whole * width);
             let blocks = panel.unwrap_or_default().par_chunks_mut(ROWS * width);
             blocks.enumerate().for_each(|(block, rows)| {
-                for (k, row) in (block * ROWS..).zip(rows.chunks_exact_mut(width)) {
-                    add(k, first, row.get_mut(..count).unwrap_or_default());
+                let mut row = vec![0.0; count];
+                for (group, values) in rows.chunks_exact_mut(T::GROUP * width).enumerate() {
+                    let k = block * ROWS + group * T::GROUP;
+                    for (place, k) in (k..depth.min(k + T::GROUP)).enumerate() {
+                        row.fill(0.0);
+                        add(k, first, &mut row);
+                        let targets = values.iter_mut().skip(place).step_by(T::GROUP);
+                        for (target, value) in targets.zip(&row) {
+                            *target = T::from_f32(*value);
+                        }
+                    }
                 }
             });
         }
         panels
+    }
+
+    /// For each panel: its vectors, its first value and its first output.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, usize, usize)> {
+        self.widths.iter().scan((0, 0), |(start, first), &vectors| {
+            let item = (vectors, *start, *first);
+            *start += self.whole_depth() * vectors * LANES;
+            *first += vectors * LANES;
+            Some(item)
+        })
+    }
+}
+
+impl Panels<f32> {
+    /// Packs the transposes of `matrices` (each outputs x depth) one below the other, on all threads of the pool.
+    pub(crate) fn pack_all_transposed(depth: usize, outputs: usize, matrices: &[&[f32]]) -> Self {
+        Self::zeros(depth * matrices.len(), outputs).filled(depth, matrices)
+    }
+
+    /// Writes the matrix back in row-major order.
+    pub(crate) fn unpack(&self, matrix: &mut [f32]) {
+        for (vectors, start, first) in self.iter() {
+            let width = vectors * LANES;
+            let panel = self.values.get(start..start + self.depth * width);
+            let count = width.min(self.outputs - first);
+            for (source, target) in panel
+                .unwrap_or_default()
+                .chunks_exact(width)
+                .zip(matrix.chunks_exact_mut(self.outputs))
+            {
+                for (t, s) in target.iter_mut().skip(first).zip(source).take(count) {
+                    *t = *s;
+                }
+            }
+        }
     }
 }
 
@@ -178,8 +173,12 @@ fn transpose<T: Element>(depth: usize, width: usize, panel: &mut [T], rows: &[f3
     for (block, panel) in panel.chunks_mut(BLOCK * width).enumerate() {
         for (j, row) in rows.chunks_exact(depth.max(1)).enumerate() {
             let row = row.get(block * BLOCK..).unwrap_or_default();
-            for (target, value) in panel.iter_mut().skip(j).step_by(width).zip(row) {
-                *target = T::from_f32(*value);
+            let groups = panel.chunks_exact_mut(T::GROUP * width);
+            for (group, values) in groups.zip(row.chunks(T::GROUP)) {
+                let targets = group.iter_mut().skip(j * T::GROUP);
+                for (target, value) in targets.zip(values) {
+                    *target = T::from_f32(*value);
+                }
             }
         }
     }
@@ -187,27 +186,64 @@ fn transpose<T: Element>(depth: usize, width: usize, panel: &mut [T], rows: &[f3
 
 #[cfg(test)]
 mod tests {
+    use half::bf16;
+
     use super::*;
 
-    #[test]
-    fn a_packed_transpose_is_the_transpose_packed() {
-        for (depth, outputs) in [(1, 1), (5, 3), (16, 64), (33, 100), (40, 49)] {
-            let matrix: Vec<f32> = (0..outputs * depth).map(|i| i as f32 + 1.0).collect();
-            let bias: Vec<f32> = (0..outputs).map(|i| -(i as f32)).collect();
-            let value = |k: usize, n: usize| matrix[n * depth + k];
-            let expected = Panels::<f32>::pack(depth, outputs, Some(&bias), value);
-            let packed = Panels::<f32>::pack_transposed(depth, outputs, Some(&bias), &[&matrix]);
-            assert_eq!(packed.values, expected.values, "{depth} x {outputs}");
-            assert_eq!(packed.bias, expected.bias);
-            let packed = Panels::pack_rows(depth, outputs, Some(&bias), |k, first, row| {
-                for (n, v) in (first..).zip(row) {
-                    *v += value(k, n);
+    fn check<T: Element + Into<f32>>(depth: usize, outputs: usize) {
+        // Whole numbers that bf16 has.
+        let matrix: Vec<f32> = (0..outputs * depth)
+            .map(|i| (i % 251) as f32 + 1.0)
+            .collect();
+        let bias: Vec<f32> = (0..outputs).map(|i| -(i as f32)).collect();
+        let what = format!("{depth} x {outputs} in groups of {}", T::GROUP);
+        let transposed = Panels::<T>::pack_transposed(depth, outputs, Some(&bias), &matrix);
+        let rows = Panels::<T>::pack_rows(depth, outputs, Some(&bias), |k, first, row| {
+            for (n, v) in (first..).zip(row) {
+                *v += matrix[n * depth + k];
+            }
+        });
+        for packed in [transposed, rows] {
+            assert_eq!(packed.bias[..outputs], bias, "{what}");
+            let mut filled = 0;
+            for (vectors, start, first) in packed.iter() {
+                let width = vectors * LANES;
+                for k in 0..packed.whole_depth() {
+                    for j in 0..width {
+                        let at = (k / T::GROUP * width + j) * T::GROUP + k % T::GROUP;
+                        let expected = match (k < depth, first + j < outputs) {
+                            (true, true) => matrix[(first + j) * depth + k],
+                            _ => 0.0,
+                        };
+                        assert_eq!(packed.values[start + at].into(), expected, "{what}");
+                        filled += 1;
+                    }
                 }
-            });
-            assert_eq!(
-                packed.values, expected.values,
-                "rows of {depth} x {outputs}"
-            );
+            }
+            assert_eq!(filled, packed.values.len(), "{what}");
+        }
+    }
+
+    #[test]
+    fn every_weight_is_in_its_place() {
+        for (depth, outputs) in [(1, 1), (5, 3), (16, 64), (33, 100), (40, 49), (130, 70)] {
+            check::<f32>(depth, outputs);
+            check::<bf16>(depth, outputs);
+        }
+    }
+
+    #[test]
+    fn what_was_packed_is_unpacked() {
+        let (depth, outputs) = (5, 70);
+        let matrices = [1, 2]
+            .map(|seed| -> Vec<f32> { (0..outputs * depth).map(|i| (i * seed) as f32).collect() });
+        let packed = Panels::pack_all_transposed(depth, outputs, &[&matrices[0], &matrices[1]]);
+        let mut found = vec![0.0; 2 * depth * outputs];
+        packed.unpack(&mut found);
+        for (k, row) in found.chunks_exact(outputs).enumerate() {
+            for (n, value) in row.iter().enumerate() {
+                assert_eq!(*value, matrices[k / depth][n * depth + k % depth]);
+            }
         }
     }
 }

@@ -61,12 +61,12 @@ impl ResBlock {
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let hidden = self.conv1.forward(&self.norm1.forward_silu(x)?)?;
-        let hidden = self.norm2.forward_silu(&hidden)?;
-        match &self.shortcut {
-            Some(shortcut) => self.conv2.forward_adding(&hidden, &shortcut.forward(x)?),
-            None => self.conv2.forward_adding(&hidden, x),
-        }
+        let hidden = self.conv1.forward_normed(x, &self.norm1, None)?;
+        let shortcut = self.shortcut.as_ref().map(|shortcut| shortcut.forward(x));
+        let residual = shortcut.transpose()?;
+        let residual = residual.as_ref().unwrap_or(x);
+        self.conv2
+            .forward_normed(&hidden, &self.norm2, Some(residual))
     }
 }
 
@@ -278,7 +278,7 @@ impl Output {
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.conv.forward(&self.norm.forward_silu(x)?)
+        self.conv.forward_normed(x, &self.norm, None)
     }
 }
 

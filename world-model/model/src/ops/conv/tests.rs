@@ -3,6 +3,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::ops::PackedFormat;
 
 fn random(count: usize, seed: u64) -> Vec<f32> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -15,10 +16,10 @@ fn conv2d(
     (weight, bias): (&[f32], Option<&[f32]>),
     input: &[f32],
     grid: GridSize,
-    epilogue: Epilogue<'_>,
+    epilogue: Fused<'_>,
     output: &mut Vec<f32>,
 ) -> Result<GridSize> {
-    PackedConv::new(shape, weight, bias)?.run(input, grid, epilogue, output)
+    PackedConv::new(shape, weight, bias, PackedFormat::F32)?.run(input, grid, epilogue, output)
 }
 
 fn cases() -> Vec<(ConvShape, GridSize)> {
@@ -80,7 +81,7 @@ impl Case {
             (weight, Some(bias)),
             input,
             self.grid,
-            Epilogue::default(),
+            Fused::default(),
             &mut output,
         )
         .unwrap();
@@ -156,7 +157,8 @@ fn residual_and_relu_come_after_the_sum() {
         let plain = case.forward(&case.input, &case.weight, &case.bias);
         let residual = random(plain.len(), 77);
         let mut output = Vec::new();
-        let epilogue = Epilogue {
+        let epilogue = Fused {
+            normalisations: None,
             residual: Some(&residual),
             relu: true,
         };
@@ -323,7 +325,7 @@ fn a_slice_of_the_wrong_length_is_named() {
         (&weight, None),
         &[0.0; 31],
         grid,
-        Epilogue::default(),
+        Fused::default(),
         &mut Vec::new(),
     )
     .unwrap_err();
