@@ -121,7 +121,7 @@ fn convolution((channels, side): (usize, usize)) -> Result<Vec<Case>> {
     let weight = vec![0.1; shape.weights()];
     let mut cases = Vec::new();
     for (format, packed) in FORMATS {
-        let packed = PackedConv::new(&shape, &weight, None, packed)?;
+        let packed = PackedConv::for_inference(&shape, &weight, None, packed)?;
         let (input, mut output) = (vec![0.5; grid.pixels() * channels], Vec::new());
         let name = format!("3x3 convolution {channels} at {side} x {side}");
         cases.push(Case::new(name, format, shape.flops(grid), move || {

@@ -40,7 +40,7 @@ pub use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
 pub use conv::{
     ConvShape, Fused, GridSize, PackedConv, conv2d, conv2d_input_gradient, conv2d_weight_gradient,
 };
-pub use dense_attention::{AttentionShape, ScoreMask, dense_attention};
+pub use dense_attention::{AttentionShape, HeadRows, ScoreMask, dense_attention};
 pub use element::PackedFormat;
 pub use engine::Engine;
 pub use gated_residual::gated_residual;
@@ -48,7 +48,7 @@ pub use group_norm::{
     Activation, Normalisation, differentiable_group_norm, group_norm, group_normalisations,
 };
 pub use layer_norm::layer_norm;
-pub use linear::linear;
+pub use linear::{linear, scale_and_add_rows};
 pub use packed_linear::PackedLinear;
 pub use peak::peak_rate;
 pub use rms_norm_modulate::rms_norm_modulate;

@@ -403,7 +403,7 @@ impl Conv {
         let packed = match self.packed.get() {
             Some(packed) => packed,
             None => {
-                let packed = PackedConv::new(
+                let packed = PackedConv::for_inference(
                     &self.shape,
                     &self.weight,
                     self.bias.as_deref(),

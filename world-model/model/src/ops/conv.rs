@@ -13,6 +13,7 @@ mod phase;
 mod sweep;
 mod taps;
 mod tile;
+mod winograd;
 
 pub use differentiable::conv2d;
 pub use gradient::{conv2d_input_gradient, conv2d_weight_gradient};

@@ -62,6 +62,14 @@ impl PackedLinear {
         }))
     }
 
+    /// What the weights are kept in.
+    pub fn format(&self) -> PackedFormat {
+        match &self.0 {
+            Format::F32(_) => PackedFormat::F32,
+            Format::Bf16(_) => PackedFormat::Bf16,
+        }
+    }
+
     /// Values of a row of the input.
     pub fn inputs(&self) -> usize {
         match &self.0 {
@@ -83,6 +91,20 @@ impl PackedLinear {
     /// # Panics
     /// As [`Self::forward`].
     pub fn forward_on_pool(&self, x: &[f32], y: &mut [f32]) {
+        self.forward_on_pool_then(x, y, |_, _| {});
+    }
+
+    /// As [`Self::forward_on_pool`], and `then` of every few rows while they are in a near cache, with the number of the
+    /// first of them.
+    ///
+    /// # Panics
+    /// As [`Self::forward`].
+    pub fn forward_on_pool_then(
+        &self,
+        x: &[f32],
+        y: &mut [f32],
+        then: impl Fn(&mut [f32], usize) + Sync,
+    ) {
         let (inputs, outputs) = (self.inputs().max(1), self.outputs().max(1));
         assert_eq!(x.len() / inputs, y.len() / outputs, "rows of a product");
         // Equal shares: one task of a few rows more would read all weights for these alone.
@@ -92,7 +114,11 @@ impl PackedLinear {
         let share = rows.div_ceil(tasks.max(1)).max(1);
         y.par_chunks_mut(share * outputs)
             .zip(x.par_chunks(share * inputs))
-            .for_each(|(y, x)| self.forward(x, y));
+            .enumerate()
+            .for_each(|(task, (y, x))| {
+                self.forward(x, y);
+                then(y, task * share);
+            });
     }
 
     /// Writes the product of `x` (rows, inputs) to `y` (rows, outputs), on the calling thread.

@@ -143,6 +143,62 @@ impl<T: Element> Panels<T> {
     }
 }
 
+impl<T: Element> Panels<T> {
+    /// Packs the matrix whose column `n` is `column(n)` times `factor`, on the calling thread.
+    pub(crate) fn pack_columns<'a>(
+        depth: usize,
+        outputs: usize,
+        factor: f32,
+        column: impl Fn(usize) -> &'a [f32],
+    ) -> Self {
+        let mut panels = Self::zeros(depth, outputs);
+        let places: Vec<(usize, usize, usize)> = panels.iter().collect();
+        let whole = panels.whole_depth();
+        for (vectors, start, first) in places {
+            let width = vectors * LANES;
+            let panel = panels.values.get_mut(start..start + whole * width);
+            let panel = panel.unwrap_or_default();
+            for (j, n) in (first..outputs.min(first + width)).enumerate() {
+                let groups = panel.chunks_exact_mut(T::GROUP * width);
+                for (group, values) in groups.zip(column(n).chunks(T::GROUP)) {
+                    for (target, value) in group.iter_mut().skip(j * T::GROUP).zip(values) {
+                        *target = T::from_f32(value * factor);
+                    }
+                }
+            }
+        }
+        panels
+    }
+
+    /// Packs the matrix whose row `k` is `row(k)`, on the calling thread.
+    pub(crate) fn pack_plain_rows<'a>(
+        depth: usize,
+        outputs: usize,
+        row: impl Fn(usize) -> &'a [f32],
+    ) -> Self {
+        let mut panels = Self::zeros(depth, outputs);
+        let places: Vec<(usize, usize, usize)> = panels.iter().collect();
+        let whole = panels.whole_depth();
+        for (vectors, start, first) in places {
+            let width = vectors * LANES;
+            let count = width.min(outputs - first);
+            let panel = panels.values.get_mut(start..start + whole * width);
+            let groups = panel.unwrap_or_default().chunks_exact_mut(T::GROUP * width);
+            for (group, values) in groups.enumerate() {
+                let rows = group * T::GROUP..depth.min((group + 1) * T::GROUP);
+                for (place, k) in rows.enumerate() {
+                    let row = row(k).get(first..first + count).unwrap_or_default();
+                    let targets = values.iter_mut().skip(place).step_by(T::GROUP);
+                    for (target, value) in targets.zip(row) {
+                        *target = T::from_f32(*value);
+                    }
+                }
+            }
+        }
+        panels
+    }
+}
+
 impl Panels<f32> {
     /// Packs the transposes of `matrices` (each outputs x depth) one below the other, on all threads of the pool.
     pub(crate) fn pack_all_transposed(depth: usize, outputs: usize, matrices: &[&[f32]]) -> Self {
@@ -203,7 +259,24 @@ mod tests {
                 *v += matrix[n * depth + k];
             }
         });
-        for packed in [transposed, rows] {
+        let columns =
+            Panels::<T>::pack_columns(depth, outputs, 2.0, |n| &matrix[n * depth..(n + 1) * depth]);
+        let by_row: Vec<f32> = (0..depth * outputs)
+            .map(|i| matrix[i % outputs * depth + i / outputs])
+            .collect();
+        let plain = Panels::<T>::pack_plain_rows(depth, outputs, |k| {
+            &by_row[k * outputs..(k + 1) * outputs]
+        });
+        let without = |mut packed: Panels<T>| {
+            packed.bias[..outputs].copy_from_slice(&bias);
+            packed
+        };
+        for (packed, factor) in [
+            (transposed, 1.0),
+            (rows, 1.0),
+            (without(columns), 2.0),
+            (without(plain), 1.0),
+        ] {
             assert_eq!(packed.bias[..outputs], bias, "{what}");
             let mut filled = 0;
             for (vectors, start, first) in packed.iter() {
@@ -212,7 +285,7 @@ mod tests {
                     for j in 0..width {
                         let at = (k / T::GROUP * width + j) * T::GROUP + k % T::GROUP;
                         let expected = match (k < depth, first + j < outputs) {
-                            (true, true) => matrix[(first + j) * depth + k],
+                            (true, true) => matrix[(first + j) * depth + k] * factor,
                             _ => 0.0,
                         };
                         assert_eq!(packed.values[start + at].into(), expected, "{what}");

@@ -205,7 +205,7 @@ impl Conv2d {
                 let shape = spec.shape(doubles);
                 let bias: Vec<f32> = bias.to_vec1()?;
                 let pack = match plan {
-                    Plan::Direct => PackedConv::new,
+                    Plan::Direct => PackedConv::for_inference,
                     Plan::LowerRight => PackedConv::halving_lower_right,
                 };
                 let packed = host::with_values(&weight.permute((2, 3, 1, 0))?, |weight| {

@@ -4,6 +4,7 @@
 //! diffusion and diffusers' `resnet.py`, which agree. Activations are (N, H, W, C).
 
 use candle_core::Tensor;
+use wm_model::ops::PackedFormat;
 
 use super::naming::Naming;
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, Linear, Padding, attention};
@@ -127,12 +128,13 @@ impl AttentionBlock {
             Ok(projection
                 .forward(&normed)?
                 .reshape((images, height * width, self.heads, head_dim))?
-                .transpose(1, 2)?
-                .contiguous()?)
+                .transpose(1, 2)?)
         };
         let (query, key, value) = (heads(&self.query)?, heads(&self.key)?, heads(&self.value)?);
         let scale = (head_dim as f64).sqrt().recip();
-        let mixed = attention(self.engine, &query, &key, &value, scale, None)?
+        // In f32: a softmax over a whole picture adds up the rounding of many, and it is a hundredth of the work.
+        let compute = (self.engine, PackedFormat::F32);
+        let mixed = attention(compute, [&query, &key, &value], scale, None)?
             .transpose(1, 2)?
             .contiguous()?
             .reshape((images, height, width, channels))?;

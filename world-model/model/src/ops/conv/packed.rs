@@ -5,6 +5,7 @@ use half::bf16;
 use super::band::Banded;
 use super::phase::Phase;
 use super::sweep::{Output, Sweep, whole_channels};
+use super::winograd::Winograd;
 use super::{ConvShape, Fused, GridSize, check_length};
 use crate::ops::element::{Element, PackedFormat};
 use crate::ops::panels::Panels;
@@ -25,6 +26,7 @@ pub struct PackedConv {
 enum Parts {
     F32(Vec<Part<f32>>),
     Bf16(Bf16Unit, Vec<Part<bf16>>),
+    Winograd(Winograd),
 }
 
 /// A convolution of the input as it is in memory that gives some of the outputs.
@@ -74,11 +76,7 @@ impl PackedConv {
         bias: Option<&[f32]>,
         format: PackedFormat,
     ) -> Result<Self> {
-        shape.check()?;
-        check_length("convolution weights", weight, shape.weights())?;
-        if let Some(bias) = bias {
-            check_length("convolution bias", bias, shape.outputs)?;
-        }
+        check_weights(shape, weight, bias)?;
         let parts = match (format, Bf16Unit::detect()) {
             (PackedFormat::Bf16, Some(unit)) => Parts::Bf16(unit, Part::all(shape, weight, bias)),
             _ => Parts::F32(Part::all(shape, weight, bias)),
@@ -86,6 +84,29 @@ impl PackedConv {
         Ok(Self {
             shape: *shape,
             parts,
+            borders_lower_right: false,
+        })
+    }
+
+    /// As [`PackedConv::new`], for weights that do not change: where it is faster, they are transformed, to 16/9 of their
+    /// size.
+    ///
+    /// # Errors
+    /// As [`PackedConv::new`].
+    pub fn for_inference(
+        shape: &ConvShape,
+        weight: &[f32],
+        bias: Option<&[f32]>,
+        format: PackedFormat,
+    ) -> Result<Self> {
+        let has_bf16 = format == PackedFormat::Bf16 && Bf16Unit::detect().is_some();
+        if has_bf16 || !Winograd::suits(shape) {
+            return Self::new(shape, weight, bias, format);
+        }
+        check_weights(shape, weight, bias)?;
+        Ok(Self {
+            shape: *shape,
+            parts: Parts::Winograd(Winograd::new(shape, weight, bias)),
             borders_lower_right: false,
         })
     }
@@ -109,6 +130,8 @@ impl PackedConv {
         match &mut packed.parts {
             Parts::F32(parts) => parts.iter_mut().for_each(|part| part.phase.pad = (0, 0)),
             Parts::Bf16(_, parts) => parts.iter_mut().for_each(|part| part.phase.pad = (0, 0)),
+            // Of stride 1 only.
+            Parts::Winograd(_) => {}
         }
         packed.borders_lower_right = true;
         Ok(packed)
@@ -170,11 +193,22 @@ impl PackedConv {
             match &self.parts {
                 Parts::F32(parts) => run.all::<F32>(parts, InstructionSet::detect()),
                 Parts::Bf16(unit, parts) => run.all::<Bf16>(parts, *unit),
+                Parts::Winograd(winograd) => {
+                    winograd.run(input, grid, fused, output.as_mut_ptr(), length);
+                }
             }
             output.set_len(length);
         }
         Ok(target)
     }
+}
+
+fn check_weights(shape: &ConvShape, weight: &[f32], bias: Option<&[f32]>) -> Result<()> {
+    shape.check()?;
+    check_length("convolution weights", weight, shape.weights())?;
+    bias.map_or(Ok(()), |bias| {
+        check_length("convolution bias", bias, shape.outputs)
+    })
 }
 
 /// One run of a convolution.

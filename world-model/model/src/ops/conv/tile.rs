@@ -50,6 +50,14 @@ impl Tile {
         }
     }
 
+    /// Squares of `side` outputs.
+    pub(super) fn square(side: usize) -> Self {
+        Self {
+            height: side.max(1),
+            width: side.max(1),
+        }
+    }
+
     /// Cut further, where there are few images, so that there are tiles for several threads.
     pub(super) fn for_images(self, images: usize, height: usize) -> Self {
         if images >= 4 {
