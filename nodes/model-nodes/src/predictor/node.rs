@@ -10,7 +10,7 @@ use wm_model::WorldModel;
 use wm_msgs::wm_msgs::{Prediction, PredictionError};
 use wm_ros::{
     Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
-    complaints::Complaints,
+    complaints::Complaints, frame_trace,
 };
 use wm_zoo::ModelFolder;
 
@@ -256,9 +256,19 @@ impl Shared {
     /// active.
     fn roll_out(&self, request: RolloutRequest, received: Instant, stop: &Stop) -> Result<()> {
         let started = Instant::now();
+        let observed = request.moment.header_after(0).stamp;
+        frame_trace::passed_at(
+            "observation received",
+            observed,
+            request.moment.observed.reception.at,
+        );
+        frame_trace::passed_at("observation taken", observed, received);
+        frame_trace::passed("rollout begun", observed);
         let rollout = RunningRollout::new(&self.model, request)?;
         for (index, predicted) in rollout.enumerate() {
             let mut predicted = predicted?;
+            let step = predicted.prediction.step;
+            frame_trace::step_passed("step computed", observed, step);
             if stop.is_asked() || predicted.prediction.epoch != self.step().epoch() {
                 return Ok(());
             }
@@ -266,6 +276,7 @@ impl Shared {
             let (late, clipped) = (self.step().predicted(&predicted), predicted.clipped);
             let prediction = Arc::new(predicted.prediction);
             self.predictions.publish_shared(prediction)?;
+            frame_trace::step_passed("step published", observed, step);
             if index == 0 {
                 self.diagnostics
                     .latency("latent to first step")

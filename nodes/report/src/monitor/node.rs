@@ -17,7 +17,7 @@ use wm_msgs::{
 };
 use wm_ros::{
     Diagnostics, EndpointSet as _, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
-    Received, Subscription,
+    Received, Subscription, frame_trace,
 };
 use wm_wire::transport::{ImageSubscription, Transports};
 
@@ -247,8 +247,13 @@ impl Monitor {
 
     fn prediction(&mut self, received: &Received<Prediction>) {
         let Received {
-            message, received, ..
+            message,
+            received,
+            at,
+            ..
         } = received;
+        let (observed, step) = (message.observed_stamp, message.step);
+        frame_trace::step_passed_at("step received", observed, step, *at);
         let arrived_ns = received.to_nanos();
         let latency_ns = arrived_ns.saturating_sub(message.observed_stamp.to_nanos());
         self.line
