@@ -22,6 +22,7 @@ use crate::{
     camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, Configured, ModelNode},
     history::{Reception, epoch_after, seconds},
+    pool::Pool,
     work::Work,
 };
 use wm_camera::camera_frame::CameraFrame;
@@ -111,7 +112,8 @@ impl ModelNode for Encoder {
                 let latent = step.encode(&frame).map(|latent| Latent { epoch, ..latent });
                 (latent, is_raw, started.elapsed(), received)
             },
-        );
+        )
+        .on(&Pool::new(Self::NAME, 0)?);
         let diagnostics = at.node.diagnostics();
         let images = at.endpoints.images.topics();
         diagnostics.expect_input(Input::new("camera images", images, NO_CAMERA));
