@@ -540,11 +540,18 @@ async fn tick(ticks: &mut Option<Interval>) {
     }
 }
 
+/// tokio's timers count whole milliseconds and end after the moment: the thread itself sleeps the last ones, so that a
+/// frame leaves at the time of its stamp.
+const TIMER_STEPS: Duration = Duration::from_millis(2);
+
 async fn sleep_until(moment: Option<Instant>) {
-    match moment {
-        Some(moment) => tokio::time::sleep_until(moment).await,
-        None => std::future::pending().await,
+    let Some(moment) = moment else {
+        return std::future::pending().await;
+    };
+    if let Some(early) = moment.checked_sub(TIMER_STEPS) {
+        tokio::time::sleep_until(early).await;
     }
+    std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
 fn open_source(
