@@ -41,7 +41,7 @@ def record(wm, env, out, data):
     )
     time.sleep(2)  # the processes start at once, and load the model before the first frame
     pids = nodes_of(launch.pid)
-    command = ["perf", "record", "--quiet", "--event", "cpu-clock", "--freq", str(RATE), "--call-graph", "dwarf,16384"]
+    command = ["perf", "record", "--quiet", "--event", "cpu-clock", "--freq", str(RATE), "--call-graph", "dwarf,40960"]
     command += ["--output", str(data), "--pid", ",".join(str(pid) for pid in pids)]
     perf = subprocess.Popen(command)
     if launch.wait(timeout=120) != 0:
@@ -94,18 +94,20 @@ def readable(symbol):
 
 def outermost_first(frames):
     """Without what only carries a job to its thread, and without repetitions."""
-    carriers = ("std::", "core::", "rayon", "tokio::", "alloc::", "<core::", "<alloc::", "<rayon", "__rust", "[unknown]")
-    carriers += ("start_thread", "__clone", "clone3", "thread_start", "_start", "__libc_start", "main", "<std::", "<tokio::")
+    carriers = ("std::", "core::", "rayon", "tokio::", "tracing::", "alloc::", "<core::", "<alloc::", "<rayon", "<std::")
+    carriers += ("<tokio::", "__rust", "[unknown]", "start_thread", "__clone", "clone3", "_start", "__libc_start", "main")
     kept = []
     for frame in reversed(frames):
-        if not frame.startswith(carriers) and (not kept or kept[-1] != frame):
+        # A node's jobs are closures of its `activate`.
+        is_carrier = frame.startswith(carriers) or frame.endswith("::activate")
+        if not is_carrier and (not kept or kept[-1] != frame):
             kept.append(frame)
     return kept or [frames[0]]
 
 
 def colour(name):
     kinds = [
-        ("model", "wm_model|wm_planner|wm_zoo|candle|rand"),
+        ("model", "wm_model::|wm_planner|wm_zoo|candle|rand"),
         ("image", "image|zune|jpeg|fast_image|wm_camera"),
         ("dds", "rustdds|cdr|speedy|wm_msgs"),
         ("nodes", "wm_|encoder|predictor|planner"),
@@ -170,7 +172,7 @@ def main():
         report = json.loads((out / "report.json").read_text())
         found = stacks(data, pids)
     machine = f"{processor()}, {datetime.date.today()}"
-    frames, plans = report["frames"], report["plans"]["count"]
+    frames, plans = report["frames"], report["plans"]["plans"]
     for name, nodes, what, number in [
         ("frame", ("encoder", "predictor"), "a frame: encoder and predictor", frames),
         ("plan", ("planner",), "a plan: planner", plans),

@@ -39,9 +39,9 @@ TO_THE_ROLLOUT = [
     ("rollout begun", "predictor: hand-over to its thread"),
 ]
 OF_A_STEP = [
-    ("step computed", "predictor: step {}"),
-    ("step published", "predictor: f16, CDR, DDS write"),
-    ("step received", "DDS: predictor to monitor"),
+    ("step computed", "predictor: {}"),
+    ("step published", "predictor: f16, CDR, DDS write of {}"),
+    ("step received", "DDS: {} to monitor"),
 ]
 
 
@@ -73,27 +73,30 @@ def trace(wm, env, one_process):
 
 
 def print_table(frames):
-    """Frames that led to a whole rollout; each stage's time counts from the end of the one before."""
+    """Of frames that led to a whole rollout: how long each stage took, from the end of the one before, and when it was
+    over; of the steps after the first how long each took, and when the last was over."""
     horizon = max((step for stamps in frames.values() for _, step in stamps), default=0)
-    whole = [(frame, stamps) for frame, stamps in frames.items() if ("step received", horizon) in stamps]
+    whole = {frame: stamps for frame, stamps in frames.items() if ("step received", horizon) in stamps}
     stages = [(stage, 0, text) for stage, text in TO_THE_ROLLOUT]
     for step in range(1, horizon + 1):
-        stages += [(stage, step, text.format(step)) for stage, text in OF_A_STEP]
-    before = {frame: frame for frame, _ in whole}
+        which = "step 1" if step == 1 else f"each of steps 2 to {horizon}"
+        stages += [(stage, step, text.format(which)) for stage, text in OF_A_STEP]
+    before = {frame: frame for frame in whole}
+    took, since = collections.defaultdict(list), {}
+    for stage, step, text in stages:
+        passed = {frame: stamps[(stage, step)] for frame, stamps in whole.items() if (stage, step) in stamps}
+        took[text] += [(at - before[frame]) / 1e6 for frame, at in passed.items()]
+        since[text] = [(at - frame) / 1e6 for frame, at in passed.items()]
+        # The next step does not wait until this one has arrived.
+        if stage != "step received":
+            before |= passed
     print(f"n = {len(whole)} frames\n")
     print("| stage | p50 ms | p95 ms | since the capture: p50 ms | p95 ms |")
     print("|---|---|---|---|---|")
-    for stage, step, text in stages:
-        passed = [(frame, stamps[(stage, step)]) for frame, stamps in whole if (stage, step) in stamps]
-        if len(passed) < 2:
-            continue
-        took = [(at - before[frame]) / 1e6 for frame, at in passed]
-        since = [(at - frame) / 1e6 for frame, at in passed]
-        cells = [value for times in (took, since) for value in (statistics.median(times), p95(times))]
-        print(f"| {text} | " + " | ".join(f"{cell:.2f}" for cell in cells) + " |")
-        # The next step does not wait until this one has arrived.
-        if stage != "step received":
-            before |= dict(passed)
+    for text, times in took.items():
+        if len(times) > 1:
+            cells = [value for column in (times, since[text]) for value in (statistics.median(column), p95(column))]
+            print(f"| {text} | " + " | ".join(f"{cell:.2f}" for cell in cells) + " |")
     print()
 
 

@@ -48,3 +48,55 @@ fn is_on() -> bool {
 fn note(stage: &str, frame: Time, step: u32, at: i64) {
     tracing::debug!(frame = frame.to_nanos(), step, at, "{stage}");
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::{
+        fmt::{Debug, Write as _},
+        sync::{Arc, Mutex},
+    };
+    use tracing::{Event, Level, Subscriber, field::Field};
+    use tracing_subscriber::{
+        Layer,
+        filter::Targets,
+        layer::{Context, SubscriberExt as _},
+    };
+
+    /// The texts of all records.
+    #[derive(Clone, Default)]
+    struct Kept(Arc<Mutex<String>>);
+
+    impl<S: Subscriber> Layer<S> for Kept {
+        fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+            let mut text = self.0.lock().unwrap();
+            event.record(&mut |field: &Field, value: &dyn Debug| {
+                write!(text, "{}={value:?} ", field.name()).unwrap();
+            });
+        }
+    }
+
+    #[test]
+    fn stages_are_told_with_their_frame_and_moment_to_who_asks() {
+        let frame = Time::from_nanos(1_700_000_000_000_000_042);
+        let told = |level: Level| {
+            let kept = Kept::default();
+            let filter = Targets::new()
+                .with_default(Level::INFO)
+                .with_target(TARGET, level);
+            let subscriber = tracing_subscriber::registry().with(kept.clone().with_filter(filter));
+            let before = system_nanos();
+            tracing::subscriber::with_default(subscriber, || {
+                step_passed_at("step received", frame, 3, Instant::now());
+            });
+            (before, kept.0.lock().unwrap().clone(), system_nanos())
+        };
+        assert_eq!(told(Level::INFO).1, "");
+        let (before, text, after) = told(Level::DEBUG);
+        let (rest, at) = text.trim_end().rsplit_once(" at=").unwrap();
+        let expected = "message=step received frame=1700000000000000042 step=3";
+        assert_eq!(rest, expected);
+        let at: i64 = at.parse().unwrap();
+        assert!((before..=after).contains(&at), "{before} {at} {after}");
+    }
+}
