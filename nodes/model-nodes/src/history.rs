@@ -9,6 +9,7 @@
 //! that restarts, a camera that was away), and where somebody asks for it, a new epoch begins and all frames are
 //! forgotten. One odd stamp is no jump: time has jumped when two frames in a row say so.
 
+mod ahead;
 mod error;
 mod frames;
 mod held_back;
@@ -32,6 +33,7 @@ use wm_msgs::{
 use wm_wire::latent_message::decode_latent;
 
 pub use crate::{camera::WrongCamera, reception::Reception};
+pub use ahead::Ahead;
 pub use error::HistoryError;
 pub use frames::Frame;
 pub use moment::Moment;

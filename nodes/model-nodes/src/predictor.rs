@@ -6,6 +6,7 @@
 //! while the last is still to come. Both are deterministic: the same messages with the same stamps give the same
 //! predictions.
 
+mod ahead;
 mod error;
 mod node;
 mod rollout;

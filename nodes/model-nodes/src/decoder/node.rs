@@ -13,7 +13,9 @@ use wm_ros::{
 use wm_zoo::ModelFolder;
 
 use super::{
-    DecoderError, DecoderStep, jpeg_message, raw_message,
+    DecoderError, DecoderStep,
+    held::Held,
+    jpeg_message, raw_message,
     rollouts::{Choice, Rollouts},
 };
 use crate::{
@@ -27,7 +29,7 @@ use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Decoder>();
 
 /// Predictions that may wait: two rollouts of eight, since they come faster than one by one.
-const WAITING: usize = 16;
+pub(super) const WAITING: usize = 16;
 /// Pictures of the rollout before that may wait when a new one begins: a hiccup is no reason to leave it out.
 const UNFINISHED: usize = WAITING / 4;
 const OVERLOAD: &str = "decoding is slower than the predictions arrive; decode fewer steps (steps) or rollouts (decode_period)";
@@ -58,7 +60,7 @@ wm_ros::parameters! {
         steps: Parameter<Vec<i64>> = Vec::<i64>::new();
         /// Added to the nice value of the computing threads, as with nice(1). Above 0, other nodes and programs go
         /// first: a picture may be late, a prediction may not.
-        nice: i32 = 5, in 0..=19;
+        nice: i32 = 10, in 0..=19;
     }
 }
 
@@ -91,6 +93,7 @@ struct Decoder {
 struct Decoding {
     work: Work<(Arc<Prediction>, u8), Decoded>,
     rollouts: Rollouts,
+    held: Held<(Arc<Prediction>, u8)>,
     complaints: Complaints,
 }
 
@@ -166,6 +169,7 @@ impl ModelNode for Decoder {
                 work: work(Arc::clone(step), parameters.image_transport, &at.model.pool),
                 // The range keeps it within an hour.
                 rollouts: Rollouts::every((parameters.decode_period * 1e9) as i64),
+                held: Held::new(),
                 complaints: Complaints::new(diagnostics),
             }),
         })
@@ -186,6 +190,7 @@ impl ModelNode for Decoder {
         };
         let latency = at.node.diagnostics().latency("decode");
         loop {
+            let due = decoding.held.due();
             tokio::select! {
                 biased;
                 finished = decoding.work.finished() => {
@@ -204,26 +209,55 @@ impl ModelNode for Decoder {
                     if steps.is_empty() || steps.contains(&i64::from(received.message.step)) {
                         // The range keeps it within 1 to 100.
                         let quality = u8::try_from(at.parameters.jpeg_quality.get()).unwrap_or(100);
-                        decoding.prediction(received.message, quality);
+                        decoding.prediction(received.message, quality, received.at);
+                    } else if is_last(&received.message) {
+                        decoding.release();
                     }
                 }
+                () = until(due) => decoding.release(),
             }
         }
     }
 }
 
+/// Never, where nothing is due.
+async fn until(due: Option<Instant>) {
+    match due {
+        Some(due) => tokio::time::sleep_until(due.into()).await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Whether it is the last step of its rollout.
+fn is_last(prediction: &Prediction) -> bool {
+    prediction.step >= prediction.horizon
+}
+
 impl Decoding {
-    fn prediction(&mut self, prediction: Arc<Prediction>, quality: u8) {
+    fn prediction(&mut self, prediction: Arc<Prediction>, quality: u8, now: Instant) {
         let observed_ns = prediction.observed_stamp.to_nanos();
         let is_behind = self.work.waiting() > UNFINISHED;
         match self.rollouts.choose(observed_ns, is_behind) {
             Choice::Decode => {
-                if self.work.submit((prediction, quality)).is_some() {
-                    self.complaints.left_out("overload", &OVERLOAD);
-                }
+                let rollout = (observed_ns, is_last(&prediction));
+                let ready = self.held.add((prediction, quality), rollout, now);
+                self.submit(ready);
             }
             Choice::Skip => {}
             Choice::Overload => self.complaints.left_out("overload", &OVERLOAD),
+        }
+    }
+
+    fn release(&mut self) {
+        let held = self.held.release();
+        self.submit(held);
+    }
+
+    fn submit(&mut self, predictions: Vec<(Arc<Prediction>, u8)>) {
+        for job in predictions {
+            if self.work.submit(job).is_some() {
+                self.complaints.left_out("overload", &OVERLOAD);
+            }
         }
     }
 }

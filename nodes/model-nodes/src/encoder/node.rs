@@ -10,6 +10,7 @@ use tokio::sync::watch;
 use wm_msgs::wm_msgs::Latent;
 use wm_ros::{
     Clock, Diagnostics, Input, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
+    frame_trace,
 };
 use wm_zoo::ModelFolder;
 
@@ -21,6 +22,7 @@ use crate::{
     camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, Configured, ModelNode},
     history::{Reception, epoch_after, seconds},
+    pool::Pool,
     work::Work,
 };
 use wm_camera::camera_frame::CameraFrame;
@@ -105,11 +107,13 @@ impl ModelNode for Encoder {
             move |(frame, received, epoch): (CameraFrame, Instant, u64), _| {
                 let step = step.lock().unwrap_or_else(PoisonError::into_inner);
                 let started = Instant::now();
+                frame_trace::passed("encoding begun", frame.header().stamp);
                 let is_raw = matches!(frame, CameraFrame::Raw(_));
                 let latent = step.encode(&frame).map(|latent| Latent { epoch, ..latent });
                 (latent, is_raw, started.elapsed(), received)
             },
-        );
+        )
+        .on(&Pool::new(Self::NAME, 0)?);
         let diagnostics = at.node.diagnostics();
         let images = at.endpoints.images.topics();
         diagnostics.expect_input(Input::new("camera images", images, NO_CAMERA));
@@ -151,7 +155,10 @@ impl Encoder {
     ) -> Result<()> {
         match latent {
             Ok(latent) => {
+                let stamp = latent.header.stamp;
+                frame_trace::passed("latent taken", stamp);
                 latents.publish_shared(Arc::new(latent))?;
+                frame_trace::passed("latent published", stamp);
                 self.diagnostics.latency("encode").record(taken);
                 let whole = self.diagnostics.latency("image to latent");
                 whole.record(received.elapsed());
@@ -173,6 +180,8 @@ impl Encoder {
         let (stamp, is_raw) = (frame.header().stamp, matches!(frame, CameraFrame::Raw(_)));
         match self.repeats.arrive(stamp, is_raw) {
             Arrival::New => {
+                frame_trace::passed_at("image received", stamp, reception.at);
+                frame_trace::passed("image taken", stamp);
                 let job = (frame, Instant::now(), self.epoch);
                 if let Some((late, ..)) = self.work.submit(job) {
                     self.complaints.left_out("overload", &format_args!(

@@ -10,15 +10,19 @@ use wm_model::WorldModel;
 use wm_msgs::wm_msgs::{Prediction, PredictionError};
 use wm_ros::{
     Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
-    complaints::Complaints,
+    complaints::Complaints, frame_trace,
 };
 use wm_zoo::ModelFolder;
 
-use super::{Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen};
+use super::{
+    Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen,
+    ahead::Preparation,
+};
 use crate::{
     chunk_merging::Merging,
     harness::{self, Configured, Follower, Inputs, ModelNode, Told},
     history::{History, HistorySettings, Timing, seconds},
+    pool::Pool,
     work::{Stop, Work},
 };
 use wm_wire::latent_message::LatentDtype;
@@ -78,6 +82,7 @@ wm_ros::endpoints! {
 struct Shared {
     step: Arc<Mutex<PredictorStep>>,
     model: Arc<WorldModel>,
+    preparation: Arc<Preparation>,
     predictions: Publisher<Prediction>,
     errors: Publisher<PredictionError>,
     diagnostics: Diagnostics,
@@ -134,6 +139,7 @@ impl ModelNode for Predictor {
         let shared = Shared {
             step: Arc::new(Mutex::new(step)),
             model: Arc::clone(model),
+            preparation: Arc::default(),
             predictions: at.endpoints.predictions.clone(),
             errors: at.endpoints.errors.clone(),
             diagnostics: node.diagnostics(),
@@ -141,9 +147,9 @@ impl ModelNode for Predictor {
             // The range keeps it positive and within a minute.
             frame_period: Duration::from_secs_f64(parameters.frame_period),
         };
-        let runner = shared.clone();
+        let (runner, pool) = (shared.clone(), Pool::new(Self::NAME, 0)?);
         let work = Work::new(WAITING, move |(request, received), stop: &Stop| {
-            runner.roll_out(request, received, stop)
+            pool.run(|| runner.roll_out(request, received, stop))
         });
         let inputs = &at.endpoints.inputs;
         let follower = Follower::new(node, inputs, NO_ENCODER);
@@ -196,9 +202,6 @@ impl ModelNode for Predictor {
 impl Predictor {
     /// What a latent has led to: errors of predictions of its moment, and a rollout, or what that waits for.
     fn seen(&mut self, (errors, rollout): Seen) -> Result<()> {
-        for error in &errors {
-            self.shared.errors.publish(error)?;
-        }
         let (doubt, unscored) = {
             let step = self.shared.step();
             (step.doubt(), step.unscored())
@@ -216,6 +219,10 @@ impl Predictor {
             None => {}
             Some(Ok(request)) => self.submit(request),
             Some(Err(wait)) => self.complaints.waiting(wait.kind(), wait.is_usual(), &wait),
+        }
+        // The rollout does not wait for them.
+        for error in &errors {
+            self.shared.errors.publish(error)?;
         }
         Ok(())
     }
@@ -256,9 +263,20 @@ impl Shared {
     /// active.
     fn roll_out(&self, request: RolloutRequest, received: Instant, stop: &Stop) -> Result<()> {
         let started = Instant::now();
-        let rollout = RunningRollout::new(&self.model, request)?;
+        let observed = request.moment.header_after(0).stamp;
+        frame_trace::passed_at(
+            "observation received",
+            observed,
+            request.moment.observed.reception.at,
+        );
+        frame_trace::passed_at("observation taken", observed, received);
+        frame_trace::passed("rollout begun", observed);
+        let (prepared, next_ns) = self.preparation.take(request.moment.observed.stamp_ns);
+        let rollout = RunningRollout::new(&self.model, request)?.taking_over(prepared.as_ref());
         for (index, predicted) in rollout.enumerate() {
             let mut predicted = predicted?;
+            let step = predicted.prediction.step;
+            frame_trace::step_passed("step computed", observed, step);
             if stop.is_asked() || predicted.prediction.epoch != self.step().epoch() {
                 return Ok(());
             }
@@ -266,6 +284,7 @@ impl Shared {
             let (late, clipped) = (self.step().predicted(&predicted), predicted.clipped);
             let prediction = Arc::new(predicted.prediction);
             self.predictions.publish_shared(prediction)?;
+            frame_trace::step_passed("step published", observed, step);
             if index == 0 {
                 self.diagnostics
                     .latency("latent to first step")
@@ -287,6 +306,10 @@ impl Shared {
             advice: SLOW,
         };
         self.diagnostics.took(deadline, taken);
+        let ahead = next_ns.and_then(|next_ns| self.step().ahead(next_ns));
+        if let Some(ahead) = ahead.filter(|_| !stop.is_asked()) {
+            self.preparation.prepare(&self.model, &ahead)?;
+        }
         Ok(())
     }
 }

@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     harness::follows,
-    history::{Arrival, History, HistoryError, Reception, Wait},
+    history::{Ahead, Arrival, History, HistoryError, Reception, Wait},
 };
 
 /// What can be chosen of a rollout.
@@ -147,6 +147,11 @@ impl PredictorStep {
         let error = self.scoring.add(pending, self.history.near(due_ns));
         error.iter().for_each(|error| self.trust.scored(error));
         error
+    }
+
+    /// What is known of an observation that is still to come at `stamp_ns`.
+    pub fn ahead(&self, stamp_ns: i64) -> Option<Ahead> {
+        self.history.ahead(stamp_ns)
     }
 
     /// Forgets all history and takes a new seed where one is given; says what was done.

@@ -18,7 +18,7 @@ const TOGETHER: usize = 3;
 
 /// Values for a batch of candidates, or for a batch of 1, which all of them share. Clones share
 /// the values.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Batched {
     pub(super) batch: usize,
     /// (batch, ..).
@@ -109,6 +109,25 @@ impl Window {
             }
         }
         Ok(window)
+    }
+
+    /// Takes the contexts that `other` has of the same frames under the same actions; how many.
+    pub(super) fn take_over(&mut self, other: &Self, c: &TransitionConfig) -> usize {
+        if self.tau.to_bits() != other.tau.to_bits() {
+            return 0;
+        }
+        let is_same = |i: usize| -> Option<bool> {
+            let frames = (self.frames.get(i)?, other.frames.get(i)?);
+            let actions = (self.action_fed_with(i, c)?, other.action_fed_with(i, c)?);
+            Some(frames.0 == frames.1 && actions.0 == actions.1)
+        };
+        let first = self.contexts.len();
+        let contexts = (first..).zip(other.contexts.iter().skip(first));
+        let same = contexts.take_while(|(i, _)| is_same(*i) == Some(true));
+        let same: Vec<_> = same.map(|(_, context)| context.clone()).collect();
+        let taken = same.len();
+        self.contexts.extend(same);
+        taken
     }
 
     /// Adds the action that leads from the last frame to the one to be predicted.
