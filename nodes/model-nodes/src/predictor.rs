@@ -12,6 +12,7 @@ mod node;
 mod rollout;
 mod scoring;
 mod step;
+mod trial;
 mod trust;
 
 pub use error::PredictorError;

@@ -285,6 +285,12 @@ impl DescribedFolder {
         self.transition.is_some()
     }
 
+    /// Camera frames of a model step; `None` where there is no transition model.
+    pub fn frame_skip(&self) -> Option<usize> {
+        let transition = self.transition.as_ref()?;
+        Some(transition.config.encoding.frame_skip())
+    }
+
     fn described_transition(&self) -> Result<&Opened<Dynamics>> {
         self.transition.as_ref().ok_or_else(|| Error::ConfigFile {
             file: Path::new(&self.name).join(FILE).display().to_string(),

@@ -92,6 +92,17 @@ impl EncoderStep {
         Ok(latent.flatten_all()?.to_vec1::<f32>()?)
     }
 
+    /// Encodes a grey picture, to see that it works and how long that takes.
+    ///
+    /// # Errors
+    /// Those of the encoder.
+    pub fn try_out(&self) -> Result<(), EncoderError> {
+        let (height, width) = self.encoder.input_size();
+        let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
+        let grey = RgbImage::from_pixel(side(width), side(height), image::Rgb([128; 3]));
+        self.encode_values(&grey).map(|_| ())
+    }
+
     /// The space of its latents.
     pub fn space(&self) -> &wm_model::LatentSpace {
         self.encoder.space()

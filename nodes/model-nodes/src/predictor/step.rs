@@ -97,8 +97,13 @@ impl PredictorStep {
         }
         errors.iter().for_each(|error| self.trust.scored(error));
         let is_due = arrival.is_due && !arrival.held_back;
+        let rollout = match is_due.then(|| self.request()) {
+            // The next frames make it whole: nothing to speak of.
+            Some(Err(_)) if self.history.is_between_contexts() => None,
+            rollout => rollout,
+        };
         Ok(Outcome {
-            rollout: is_due.then(|| self.request()),
+            rollout,
             arrival,
             errors,
         })

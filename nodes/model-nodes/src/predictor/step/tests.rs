@@ -1,5 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+mod speeds;
+
 use std::time::Instant;
 
 use wm_model::WorldModel;
