@@ -22,6 +22,7 @@ mod kernel;
 mod layer_norm;
 pub(crate) mod linear;
 mod packed_linear;
+mod panel_values;
 mod panels;
 mod reduction;
 pub(crate) mod rms_norm_modulate;

@@ -158,25 +158,28 @@ impl Checkpoint {
     /// If there is no such tensor, it holds other numbers or one that is not finite, its bytes in a torch file are not
     /// those of the archive's CRC-32, or `dtype` is none of f32, f16 and bf16.
     pub fn tensor(&self, name: &str, dtype: DType) -> Result<Tensor> {
-        let entry = self.entry(name)?;
-        if !entry.element.is_float() {
-            return Err(wm_model::Error::TensorType {
-                file: self.file.clone(),
-                name: name.to_owned(),
-                found: entry.element.name().to_owned(),
-            }
-            .into());
-        }
-        self.verify(entry)?;
+        let entry = self.floats(name)?;
         let storage = values::read(&self.bytes, entry, dtype)?;
         if !values::are_finite(&storage) {
-            return Err(wm_model::Error::TensorNotFinite {
-                file: self.file.clone(),
-                name: name.to_owned(),
-            }
-            .into());
+            return Err(self.not_finite(name));
         }
         values::into_tensor(storage, &entry.shape, &Device::Cpu)
+    }
+
+    /// What `read` makes of the values of the tensor `name`, which must be floating-point numbers, in row-major order:
+    /// without a copy if they are f32 in the file. Beyond what [`Checkpoint::tensor`] refuses, those that bf16 cannot hold
+    /// are refused if they are to be rounded to it.
+    pub(crate) fn with_values<R>(
+        &self,
+        name: &str,
+        is_rounded: bool,
+        read: impl FnOnce(&[f32]) -> R,
+    ) -> Result<R> {
+        let entry = self.floats(name)?;
+        let made = values::with_f32(&self.bytes, entry, |values| {
+            values::stay_finite(values, is_rounded).then(|| read(values))
+        });
+        made.ok_or_else(|| self.not_finite(name))
     }
 
     /// The tensors whose names start with `name` and a dot, by what follows; `None` if there are none.
@@ -254,6 +257,28 @@ impl Checkpoint {
                 file: self.file.clone(),
                 reason,
             })
+    }
+
+    /// The entry of floating-point numbers `name`, of which the file's checksum is right if it states one.
+    fn floats(&self, name: &str) -> Result<&Entry> {
+        let entry = self.entry(name)?;
+        if !entry.element.is_float() {
+            return Err(wm_model::Error::TensorType {
+                file: self.file.clone(),
+                name: name.to_owned(),
+                found: entry.element.name().to_owned(),
+            }
+            .into());
+        }
+        self.verify(entry)?;
+        Ok(entry)
+    }
+
+    fn not_finite(&self, name: &str) -> Error {
+        Error::Model(wm_model::Error::TensorNotFinite {
+            file: self.file.clone(),
+            name: name.to_owned(),
+        })
     }
 
     fn entry(&self, name: &str) -> Result<&Entry> {

@@ -1,5 +1,6 @@
 //! Number formats that packed weights are kept in. Sums are always of f32.
 
+use bytemuck::Pod;
 use half::bf16;
 
 use super::simd::Lanes;
@@ -16,9 +17,7 @@ pub enum PackedFormat {
 }
 
 /// A packed weight.
-pub(crate) trait Element: Copy + Send + Sync + std::fmt::Debug + 'static {
-    const ZERO: Self;
-
+pub(crate) trait Element: Pod + Send + Sync + std::fmt::Debug {
     fn from_f32(value: f32) -> Self;
 
     fn to_f32(self) -> f32;
@@ -29,8 +28,6 @@ pub(crate) trait Element: Copy + Send + Sync + std::fmt::Debug + 'static {
 }
 
 impl Element for f32 {
-    const ZERO: Self = 0.0;
-
     fn from_f32(value: f32) -> Self {
         value
     }
@@ -47,8 +44,6 @@ impl Element for f32 {
 }
 
 impl Element for bf16 {
-    const ZERO: Self = bf16::ZERO;
-
     fn from_f32(value: f32) -> Self {
         bf16::from_f32(value)
     }

@@ -1,8 +1,10 @@
 //! Weights in the order in which the kernels read them.
 
+use bytemuck::Pod;
 use rayon::prelude::*;
 
 use crate::ops::element::Element;
+use crate::ops::panel_values::PanelValues;
 use crate::ops::simd::{InstructionSet, LANES};
 
 /// Inputs that a block of a transposition takes from each output: a cache line of f32, so that the lines that it reads
@@ -14,7 +16,7 @@ const ROWS: usize = 64;
 
 /// A matrix (inputs x outputs), cut into panels of a few vectors of outputs, each panel contiguous.
 #[derive(Clone, Debug)]
-pub(crate) struct Panels<T = f32> {
+pub(crate) struct Panels<T: Pod = f32> {
     /// Instruction set that the panels are cut for.
     pub set: InstructionSet,
     /// Vectors in each panel.
@@ -24,7 +26,7 @@ pub(crate) struct Panels<T = f32> {
     /// Outputs of the matrix.
     pub outputs: usize,
     /// The panels one after the other, padded with zeros to whole vectors.
-    pub values: Vec<T>,
+    pub values: PanelValues<T>,
     /// One value an output, padded with zeros.
     pub bias: Vec<f32>,
 }
@@ -44,7 +46,7 @@ impl<T: Element> Panels<T> {
             widths,
             depth,
             outputs,
-            values: vec![T::ZERO; depth * vectors * LANES],
+            values: PanelValues::zeros(depth * vectors * LANES),
             bias: vec![0.0; vectors * LANES],
         }
     }
@@ -68,7 +70,7 @@ impl<T: Element> Panels<T> {
     ) -> Self {
         let mut panels = Self::with_bias(depth * matrices.len(), outputs, bias);
         let places: Vec<(usize, usize, usize)> = panels.iter().collect();
-        let mut rest = panels.values.as_mut_slice();
+        let mut rest = &mut *panels.values;
         let mut parts = Vec::with_capacity(places.len() * matrices.len());
         for (vectors, _, first) in places {
             let width = vectors * LANES;
@@ -197,7 +199,7 @@ mod tests {
             let value = |k: usize, n: usize| matrix[n * depth + k];
             let expected = Panels::<f32>::pack(depth, outputs, Some(&bias), value);
             let packed = Panels::<f32>::pack_transposed(depth, outputs, Some(&bias), &[&matrix]);
-            assert_eq!(packed.values, expected.values, "{depth} x {outputs}");
+            assert_eq!(*packed.values, *expected.values, "{depth} x {outputs}");
             assert_eq!(packed.bias, expected.bias);
             let packed = Panels::pack_rows(depth, outputs, Some(&bias), |k, first, row| {
                 for (n, v) in (first..).zip(row) {
@@ -205,7 +207,7 @@ mod tests {
                 }
             });
             assert_eq!(
-                packed.values, expected.values,
+                *packed.values, *expected.values,
                 "rows of {depth} x {outputs}"
             );
         }

@@ -61,6 +61,15 @@ impl Linear {
         })
     }
 
+    /// Of weights that are packed already.
+    pub(crate) fn packed(packed: PackedLinear) -> Self {
+        Self {
+            outputs: packed.outputs(),
+            weights: Weights::Packed(packed),
+            engine: Engine::Cpu,
+        }
+    }
+
     /// What computes it.
     pub(crate) fn engine(&self) -> Engine {
         self.engine
