@@ -41,6 +41,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use candle_core::{DType, Device, Tensor};
+use sha2::{Digest as _, Sha256};
 
 pub use convert::{Conversion, convert};
 pub use element::Element;
@@ -48,6 +49,7 @@ pub use element::Element;
 use bytes::Bytes;
 use entry::Entry;
 
+use crate::packed_cache::Stamp;
 use crate::{Error, Result};
 
 /// Which of a training's weights to take where a checkpoint has both.
@@ -63,6 +65,9 @@ pub enum Average {
 /// Names of the parts that may be wrapped around a network's tensors, in the order in which they are looked for.
 const WRAPPERS_EMA: [&str; 5] = ["ema", "model_ema", "ema_model", "state_dict", "model"];
 const WRAPPERS_RAW: [&str; 2] = ["state_dict", "model"];
+
+/// Places in a file that a fingerprint samples, and bytes of each.
+const SAMPLES: (usize, usize) = (64, 4096);
 
 /// Wrappers within wrappers, as deep as this, are taken off.
 const MAX_WRAPPERS: usize = 4;
@@ -244,6 +249,37 @@ impl Checkpoint {
             }
         }
         weights
+    }
+
+    /// Which state of which file it is, if it was opened as one.
+    pub(crate) fn stamp(&self) -> Option<&Stamp> {
+        self.bytes.stamp()
+    }
+
+    /// SHA-256 (hexadecimal) over the table of the tensors, with the checksums that the file states, and samples of the
+    /// whole file: without reading all of it.
+    pub(crate) fn fingerprint(&self) -> String {
+        let mut hash = Sha256::new();
+        for (name, entry) in &self.entries {
+            let Entry {
+                element,
+                shape,
+                strides,
+                start,
+                storage,
+            } = entry;
+            let checksum = storage.as_ref().and_then(|storage| storage.crc32());
+            let element = element.name();
+            hash.update(format!(
+                "{name} {element} {shape:?} {strides:?} {start} {checksum:?}\n"
+            ));
+        }
+        let bytes = self.bytes.as_slice();
+        let (count, length) = SAMPLES;
+        for sample in bytes.chunks(bytes.len().div_ceil(count).max(length)) {
+            hash.update(sample.get(..length).unwrap_or(sample));
+        }
+        format!("{:x}", hash.finalize())
     }
 
     /// Checks the values of `entry` against the checksum that the file states of them, if it states one.

@@ -332,16 +332,16 @@ impl DescribedFolder {
             trained_on.require(&space)?;
         }
         let dtype = self.description.dtype.dtype();
-        let transition_model = transition
-            .source
-            .load(dtype, |loader| Ok(PackedTransition::build(config.clone(), loader)?))?;
+        let packed = transition.source.load(dtype, |loader| {
+            Ok(PackedTransition::build(config.clone(), loader)?)
+        })?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
         hash.update(format!("{}\n", canonical(&settings)?));
         transition.source.hash(&transition.tensors, &mut hash)?;
         Ok(WorldModel {
             name: self.name.clone(),
-            transition: transition_model,
+            transition: packed,
             hash: format!("{:x}", hash.finalize()),
             space,
             encoding: encoding.clone(),

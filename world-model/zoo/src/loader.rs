@@ -11,6 +11,7 @@ use wm_model::ops::{PackedFormat, PackedLinear};
 use wm_model::transition::PackedSource;
 
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear, packed_format};
+use crate::packed_cache::{PackedCache, Session};
 use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Result};
 
 /// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
@@ -34,6 +35,8 @@ pub struct Loader<'a> {
     device: Device,
     /// Whether values are read from `source`, or only names and shapes.
     reads: bool,
+    /// Where packed weights are looked up and kept.
+    session: Option<Rc<RefCell<Session>>>,
     account: Rc<RefCell<Account>>,
 }
 
@@ -141,14 +144,33 @@ impl<'a> Loader<'a> {
 
     /// Gives `source`'s tensors on the device of `compute`, rounded to its precision.
     pub fn on(source: &'a Checkpoint, compute: &Compute) -> Self {
-        Self {
+        let loader = Self {
             source: Source::Checkpoint(source),
             prefix: String::new(),
             engine: compute.engine(),
             precision: compute.precision(),
             device: compute.device().clone(),
             reads: true,
+            session: None,
             account: Rc::default(),
+        };
+        match PackedCache::of_process() {
+            Some(cache) => loader.cached(cache),
+            None => loader,
+        }
+    }
+
+    /// The same, with packed weights from `cache`, and kept there.
+    pub(crate) fn cached(self, cache: PackedCache) -> Self {
+        let session = match self.source {
+            Source::Checkpoint(source) if self.engine == Engine::Cpu && self.device.is_cpu() => {
+                Session::new(cache, source, self.precision)
+            }
+            _ => None,
+        };
+        Self {
+            session: session.map(|session| Rc::new(RefCell::new(session))),
+            ..self
         }
     }
 
@@ -170,6 +192,7 @@ impl<'a> Loader<'a> {
             precision: DType::F32,
             device: Device::Cpu,
             reads: false,
+            session: None,
             account: Rc::default(),
         }
     }
@@ -296,7 +319,9 @@ impl<'a> Loader<'a> {
         let weight = format!("{name}.weight");
         let weight_shape = [shape.0, shape.1];
         if let Some(source) = self.packs(&weight, &weight_shape) {
-            return self.pack(source, name, shape, is_biased).map(Linear::packed);
+            return self
+                .pack(source, name, shape, is_biased)
+                .map(Linear::packed);
         }
         let weight = self.tensor(&weight, &weight_shape)?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias"), &[shape.0]));
@@ -345,15 +370,24 @@ impl<'a> Loader<'a> {
         is_biased: bool,
     ) -> Result<PackedLinear> {
         let weight = self.path(&format!("{name}.weight"));
-        self.account
-            .borrow_mut()
-            .note(&weight, &[shape.0, shape.1]);
+        self.account.borrow_mut().note(&weight, &[shape.0, shape.1]);
         let bias = is_biased.then(|| self.values(&format!("{name}.bias"), &[shape.0]));
         let bias = bias.transpose()?;
+        let mut session = self.session.as_ref().map(|session| session.borrow_mut());
+        let (format, bias) = (self.format(), bias.as_deref());
+        if let Some(session) = &mut session
+            && let Some(packed) = session.linear(&weight, shape, format, bias)
+        {
+            return Ok(packed);
+        }
         let is_rounded = self.precision == DType::BF16;
-        Ok(source.with_values(&weight, is_rounded, |weight| {
-            PackedLinear::new(weight, bias.as_deref(), shape, self.format())
-        })??)
+        let packed = source.with_values(&weight, is_rounded, |weight| {
+            PackedLinear::new(weight, bias, shape, format)
+        })??;
+        if let Some(session) = &mut session {
+            session.note(&weight, &packed);
+        }
+        Ok(packed)
     }
 
     /// The values of tensor `name`.
@@ -437,6 +471,9 @@ impl<'a> Loader<'a> {
             .collect();
         let (missing, misshapen) = (account.missing.clone(), account.misshapen.clone());
         if missing.is_empty() && misshapen.is_empty() && unexpected.is_empty() {
+            if let Some(session) = &self.session {
+                session.borrow_mut().finish();
+            }
             return Ok(());
         }
         Err(Error::Tensors {

@@ -6,7 +6,8 @@ use half::bf16;
 use super::simd::Lanes;
 
 /// The number format of packed weights.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum PackedFormat {
     /// 32-bit floats.
     #[default]

@@ -3,12 +3,34 @@
 use std::fmt;
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut, Range};
+use std::sync::Arc;
 
 use bytemuck::Pod;
-use memmap2::{MmapMut, MmapOptions};
+use memmap2::{Mmap, MmapMut, MmapOptions};
 
 /// Size of a large page of the system, on every processor with 4 KiB pages.
 const LARGE_PAGE: usize = 2 << 20;
+
+/// Bytes of a file that is mapped for reading. Clones share the map.
+#[derive(Clone, Debug)]
+pub struct MappedBytes {
+    map: Arc<Mmap>,
+    range: Range<usize>,
+}
+
+impl MappedBytes {
+    /// The bytes `range` of `map`; `None` if it has not that many.
+    pub fn new(map: &Arc<Mmap>, range: Range<usize>) -> Option<Self> {
+        map.get(range.clone())?;
+        let map = Arc::clone(map);
+        Some(Self { map, range })
+    }
+
+    /// The bytes.
+    pub fn as_slice(&self) -> &[u8] {
+        self.map.get(self.range.clone()).unwrap_or_default()
+    }
+}
 
 /// Values of packed weights.
 ///
@@ -23,6 +45,8 @@ enum Memory<T> {
     Heap(Vec<T>),
     /// The bytes `range` of pages of their own.
     Pages(Pages<T>),
+    /// What was packed before, and lies in a file.
+    File(MappedBytes),
 }
 
 struct Pages<T> {
@@ -40,6 +64,23 @@ impl<T: Pod> PanelValues<T> {
             None => Memory::Heap(vec![T::zeroed(); count]),
         };
         Self { memory }
+    }
+
+    /// The values in `bytes`; `None` if they are not `count`, or not aligned.
+    pub(crate) fn mapped(bytes: MappedBytes, count: usize) -> Option<Self> {
+        let values: &[T] = bytemuck::try_cast_slice(bytes.as_slice()).ok()?;
+        (values.len() == count).then_some(Self {
+            memory: Memory::File(bytes),
+        })
+    }
+}
+
+impl<T: Pod> PanelValues<T> {
+    /// A copy in memory of its own.
+    fn copied(&self) -> Self {
+        let mut copy = Self::zeros(self.len());
+        copy.copy_from_slice(self);
+        copy
     }
 }
 
@@ -87,27 +128,36 @@ impl<T: Pod> Deref for PanelValues<T> {
         match &self.memory {
             Memory::Heap(values) => values,
             Memory::Pages(pages) => pages,
+            Memory::File(bytes) => bytemuck::try_cast_slice(bytes.as_slice()).unwrap_or_default(),
         }
     }
 }
 
 impl<T: Pod> DerefMut for PanelValues<T> {
     fn deref_mut(&mut self) -> &mut [T] {
+        if let Memory::File(_) = self.memory {
+            // The file stays as it is.
+            *self = self.copied();
+        }
         match &mut self.memory {
             Memory::Heap(values) => values,
             Memory::Pages(Pages { map, range, .. }) => {
                 let bytes = map.get_mut(range.clone()).unwrap_or_default();
                 bytemuck::try_cast_slice_mut(bytes).unwrap_or_default()
             }
+            Memory::File(_) => &mut [],
         }
     }
 }
 
 impl<T: Pod> Clone for PanelValues<T> {
     fn clone(&self) -> Self {
-        let mut copy = Self::zeros(self.len());
-        copy.copy_from_slice(self);
-        copy
+        match &self.memory {
+            Memory::File(bytes) => Self {
+                memory: Memory::File(bytes.clone()),
+            },
+            _ => self.copied(),
+        }
     }
 }
 
@@ -149,5 +199,26 @@ mod tests {
         }
         let values = PanelValues::<f32>::zeros(large - 1);
         assert!(matches!(values.memory, Memory::Heap(_)));
+    }
+
+    #[test]
+    fn a_files_values_are_shared_until_they_are_written() {
+        use std::io::Write as _;
+        let numbers: Vec<f32> = (0..1024).map(|i| i as f32).collect();
+        let mut file = tempfile::tempfile().unwrap();
+        file.write_all(bytemuck::cast_slice(&numbers)).unwrap();
+        // SAFETY: nobody else has the file.
+        let map = Arc::new(unsafe { Mmap::map(&file) }.unwrap());
+        let bytes = |range| MappedBytes::new(&map, range);
+        assert!(bytes(0..4097).is_none() && bytes(4096..4100).is_none());
+        let values = |range, count| PanelValues::<f32>::mapped(bytes(range).unwrap(), count);
+        assert!(values(0..256, 63).is_none() && values(0..255, 64).is_none());
+        assert!(values(2..258, 64).is_none(), "not aligned");
+        let mut values = values(64..4096, 1008).unwrap();
+        assert_eq!(*values, numbers[16..]);
+        assert_eq!(values.clone().as_ptr(), values.as_ptr());
+        values[0] = -1.0;
+        assert_eq!((values[0], values[1]), (-1.0, 17.0));
+        assert_eq!(bytes(64..68).unwrap().as_slice(), 16f32.to_ne_bytes());
     }
 }

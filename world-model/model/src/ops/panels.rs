@@ -4,12 +4,16 @@ use bytemuck::Pod;
 use rayon::prelude::*;
 
 use crate::ops::element::Element;
-use crate::ops::panel_values::PanelValues;
+use crate::ops::panel_values::{MappedBytes, PanelValues};
 use crate::ops::simd::{InstructionSet, LANES};
 
 /// Inputs that a block of a transposition takes from each output: a cache line of f32, so that the lines that it reads
 /// and writes stay in a first-level cache.
 const BLOCK: usize = 16;
+
+/// Number of the order in which a matrix is packed: to be raised with every change to it, so that what was packed before
+/// is not taken for it.
+pub(super) const LAYOUT: u32 = 1;
 
 /// Rows of a panel that one task fills.
 const ROWS: usize = 64;
@@ -49,6 +53,20 @@ impl<T: Element> Panels<T> {
             values: PanelValues::zeros(depth * vectors * LANES),
             bias: vec![0.0; vectors * LANES],
         }
+    }
+
+    /// Panels that were packed before and lie in a file, with `bias` (or zeros); `None` if they are those of another matrix.
+    pub(crate) fn mapped(
+        depth: usize,
+        outputs: usize,
+        bias: Option<&[f32]>,
+        values: MappedBytes,
+    ) -> Option<Self> {
+        let mut panels = Self::with_bias(0, outputs, bias);
+        panels.depth = depth;
+        let count = panels.bias.len().checked_mul(depth)?;
+        panels.values = PanelValues::mapped(values, count)?;
+        Some(panels)
     }
 
     /// Zeros for a matrix (depth x outputs), with `bias` (or zeros).
@@ -210,6 +228,61 @@ mod tests {
                 *packed.values, *expected.values,
                 "rows of {depth} x {outputs}"
             );
+        }
+    }
+
+    #[test]
+    fn the_layout_is_the_one_of_its_number() {
+        let (depth, outputs) = (7, 150);
+        let matrix: Vec<f32> = (0..outputs * depth).map(|i| i as f32).collect();
+        let panels = Panels::<f32>::pack_transposed(depth, outputs, None, &[&matrix]);
+        let widths = match panels.set.tile_vectors() {
+            1 => vec![1; 10],
+            most => vec![3, 3, 4]
+                .into_iter()
+                .map(|w: usize| w.min(most))
+                .collect(),
+        };
+        assert_eq!(panels.widths, widths);
+        let mut expected = Vec::new();
+        let mut first = 0;
+        for vectors in widths {
+            for k in 0..depth {
+                let places = first..first + vectors * LANES;
+                expected.extend(places.map(|n| matrix.get(n * depth + k).map_or(0.0, |v| *v)));
+            }
+            first += vectors * LANES;
+        }
+        assert_eq!(
+            *panels.values, *expected,
+            "raise LAYOUT, then mend this test"
+        );
+        assert_eq!(LAYOUT, 1, "mend the order that this test expects");
+    }
+
+    #[test]
+    fn mapped_panels_are_the_packed_ones() {
+        use std::io::Write as _;
+        use std::sync::Arc;
+        let (depth, outputs) = (33, 100);
+        let matrix: Vec<f32> = (0..outputs * depth).map(|i| i as f32).collect();
+        let bias: Vec<f32> = (0..outputs).map(|i| i as f32).collect();
+        let packed = Panels::<f32>::pack_transposed(depth, outputs, Some(&bias), &[&matrix]);
+        let mut file = tempfile::tempfile().unwrap();
+        file.write_all(bytemuck::cast_slice(&packed.values))
+            .unwrap();
+        // SAFETY: nobody else has the file.
+        let map = Arc::new(unsafe { memmap2::Mmap::map(&file) }.unwrap());
+        let mapped = |depth, outputs| {
+            let values = MappedBytes::new(&map, 0..map.len()).unwrap();
+            Panels::<f32>::mapped(depth, outputs, Some(&bias), values)
+        };
+        let same = mapped(depth, outputs).unwrap();
+        assert_eq!(*same.values, *packed.values);
+        assert_eq!((same.widths, same.bias), (packed.widths, packed.bias));
+        assert_eq!((same.depth, same.outputs), (depth, outputs));
+        for (depth, outputs) in [(32, 100), (33, 120), (0, 0), (usize::MAX, 100)] {
+            assert!(mapped(depth, outputs).is_none(), "{depth} x {outputs}");
         }
     }
 }

@@ -35,7 +35,7 @@ use head::Head;
 pub(crate) use modulation::Modulation;
 pub use pass::{NewFrame, PassOutput};
 pub use source::PackedSource;
-use source::{Layers as Named, OfTransition, numbers};
+use source::{NamedLayers, OfTransition, numbers};
 use sub_block::SubBlock;
 
 /// The transition model, ready for inference. Clones share everything.
@@ -75,7 +75,7 @@ impl PackedTransition {
     /// If the configuration cannot be built, `source` fails, or it gives weights of another shape.
     pub fn build(config: TransitionConfig, source: &dyn PackedSource) -> Result<Self> {
         config.validate()?;
-        let named = Named::new(&config, source);
+        let named = NamedLayers::new(&config, source);
         let (rows, columns) = config.grid();
         let mut sub_blocks = Vec::with_capacity(2 * config.depth);
         for block in 0..config.depth {

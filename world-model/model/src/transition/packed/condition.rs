@@ -1,6 +1,6 @@
 //! From noise levels and actions to what modulates the layers.
 
-use super::source::Layers;
+use super::source::NamedLayers;
 use crate::Result;
 use crate::ops::PackedLinear;
 use crate::ops::activation::silu_chunk as silu;
@@ -23,7 +23,7 @@ pub(super) struct Conditions {
 }
 
 impl Condition {
-    pub(super) fn new(layers: &Layers<'_>) -> Result<Self> {
+    pub(super) fn new(layers: &NamedLayers<'_>) -> Result<Self> {
         Ok(Self {
             frequencies: frequencies(),
             time: [

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::condition::product;
 use super::modulation::Modulation;
-use super::source::Layers;
+use super::source::NamedLayers;
 use super::sub_block::part;
 use super::tasks::Tasks;
 use crate::Result;
@@ -22,7 +22,7 @@ pub(super) struct Head {
 }
 
 impl Head {
-    pub(super) fn new(layers: &Layers<'_>) -> Result<Self> {
+    pub(super) fn new(layers: &NamedLayers<'_>) -> Result<Self> {
         let name = head::name(layers.config());
         let wide = layers.config().wide_head;
         Ok(Self {

@@ -15,12 +15,7 @@ pub trait PackedSource {
     ///
     /// # Errors
     /// Whatever keeps it from that.
-    fn linear(
-        &self,
-        name: &str,
-        shape: (usize, usize),
-        is_biased: bool,
-    ) -> Result<PackedLinear>;
+    fn linear(&self, name: &str, shape: (usize, usize), is_biased: bool) -> Result<PackedLinear>;
 
     /// The values of parameter `name` in row-major order.
     ///
@@ -46,12 +41,7 @@ impl OfTransition<'_> {
 }
 
 impl PackedSource for OfTransition<'_> {
-    fn linear(
-        &self,
-        name: &str,
-        shape: (usize, usize),
-        is_biased: bool,
-    ) -> Result<PackedLinear> {
+    fn linear(&self, name: &str, shape: (usize, usize), is_biased: bool) -> Result<PackedLinear> {
         let weight = self.tensor(&format!("{name}.weight"))?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias")));
         PackedLinear::new(&weight, bias.transpose()?.as_deref(), shape, self.format)
@@ -67,14 +57,14 @@ impl PackedSource for OfTransition<'_> {
 }
 
 /// The layers of a configuration, from a source.
-pub(super) struct Layers<'a> {
+pub(super) struct NamedLayers<'a> {
     config: &'a TransitionConfig,
     /// Shapes of all parameters.
     shapes: BTreeMap<String, Vec<usize>>,
     source: &'a dyn PackedSource,
 }
 
-impl<'a> Layers<'a> {
+impl<'a> NamedLayers<'a> {
     pub(super) fn new(config: &'a TransitionConfig, source: &'a dyn PackedSource) -> Self {
         let parameters = parameters::all(config).into_iter();
         Self {
@@ -109,9 +99,7 @@ impl<'a> Layers<'a> {
     /// What makes tokens of patches, whose values are in the order row, column, channel.
     pub(super) fn patches(&self) -> Result<PackedLinear> {
         let (d, p, channels) = (self.config.hidden, self.config.patch, self.config.channels);
-        let weight = self
-            .source
-            .values("x_proj.weight", &[d, channels, p, p])?;
+        let weight = self.source.values("x_proj.weight", &[d, channels, p, p])?;
         let bias = self.source.values("x_proj.bias", &[d])?;
         // (d, C, p, p) to (d, p * p * C).
         let weight = Tensor::from_vec(weight, (d, channels, p, p), &Device::Cpu)?;

@@ -1,6 +1,6 @@
 //! The two halves of a transformer block, on the rows of one task.
 
-use super::source::Layers;
+use super::source::NamedLayers;
 use crate::Result;
 use crate::ops::{PackedLinear, gated_residual, rms_norm_modulate, swiglu};
 
@@ -35,7 +35,7 @@ pub(super) struct Scratch {
 
 impl SubBlock {
     /// That whose names start with `name`.
-    pub(super) fn new(name: &str, layers: &Layers<'_>) -> Result<Self> {
+    pub(super) fn new(name: &str, layers: &NamedLayers<'_>) -> Result<Self> {
         let linear = |part: &str| layers.linear(&format!("{name}.{part}"));
         Ok(Self {
             modulation: linear("adaLN_modulation.1")?,
