@@ -23,6 +23,7 @@ mod layer_norm;
 pub(crate) mod linear;
 mod packed_linear;
 mod panel_product;
+mod panel_values;
 mod panels;
 mod peak;
 mod product;
@@ -49,7 +50,8 @@ pub use group_norm::{
 };
 pub use layer_norm::layer_norm;
 pub use linear::{linear, scale_and_add_rows};
-pub use packed_linear::PackedLinear;
+pub use packed_linear::{PackedLinear, packed_layout};
+pub use panel_values::MappedBytes;
 pub use peak::peak_rate;
 pub use rms_norm_modulate::rms_norm_modulate;
 pub use rotary::{RopeLayout, RotaryTable};

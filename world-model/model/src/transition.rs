@@ -36,13 +36,14 @@ mod parametrisation;
 mod pattern;
 mod trunk;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 
 pub use config::{ActionAlignment, TransitionConfig, published_shift};
 pub(crate) use packed::Modulation;
-pub use packed::{FrameContext, NewFrame, PackedTransition, PassOutput};
+pub use packed::{FrameContext, NewFrame, PackedSource, PackedTransition, PassOutput};
 pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
@@ -70,6 +71,8 @@ pub struct Transition {
     head: Head,
     spatial: Arc<AttentionPattern>,
     engine: Engine,
+    /// All tensors by their names, to be packed; layers share them.
+    parameters: Arc<BTreeMap<String, Tensor>>,
     /// Where the gradients by the blocks' weights go, if not to candle.
     gradients: Option<WeightGradients>,
 }
@@ -87,6 +90,7 @@ impl Transition {
     ) -> Result<Self> {
         config.validate()?;
         let mut tensors = parameters::Tensors::collect(&config, source)?;
+        let parameters = Arc::new(tensors.rest().clone());
         let spatial =
             AttentionPattern::new(Axis::Space, config.heads, config.rotary(), |_, _| true)?;
         let embedding = Embedding::new(&mut tensors)?;
@@ -101,6 +105,7 @@ impl Transition {
             head,
             spatial: Arc::new(spatial),
             engine: Engine::default(),
+            parameters,
             gradients: None,
         })
     }

@@ -4,9 +4,9 @@
 //! cargo run --release -p wm_zoo --example model_speed -- pixel FOLDER bf16 5
 //! ```
 //!
-//! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32 or bf16, and how many
-//! runs. Prints the time of loading, the memory that it took at most, and the time of each run, a line each
-//! (`load_ms`, `peak_mib`, `run_ms`), and writes `output.safetensors` of the last run into the folder. What is timed is
+//! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32 or bf16, how many
+//! runs, and if packed weights are to be kept and found again, a folder for them. Prints the time of loading, the memory
+//! that it took at most, and the time of each run, a line each (`load_ms`, `peak_mib`, `run_ms`), and writes `output.safetensors` of the last run into the folder. What is timed is
 //! any kind of `wm model forward`, or of the transition model
 //!
 //! - `velocity`: `x` (1,T,H,W,C), `tau` (1,T), `action` (1,T,A) as for `dit`, but only the last frame, after T - 1 of which
@@ -23,7 +23,8 @@ use candle_core::{DType, Device, Tensor};
 use wm_model::sampler::{Given, Rollout};
 use wm_model::transition::{NewFrame, PackedTransition};
 use wm_zoo::kinds::{DitConfig, Kind, Loaded, Tensors};
-use wm_zoo::{Checkpoint, Compute, Engine};
+use wm_zoo::packed_cache::CacheLimits;
+use wm_zoo::{Checkpoint, Compute, Engine, PackedCache};
 
 /// As in the program `wm`: large buffers are used again rather than given back to the system.
 #[global_allocator]
@@ -34,8 +35,10 @@ type Run<'a> = Box<dyn FnMut() -> Result<Tensors> + 'a>;
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [what, folder, format, runs] = arguments.as_slice() else {
-        return Err("expected KIND FOLDER f32|bf16 RUNS".into());
+    let (what, folder, format, runs, cache) = match arguments.as_slice() {
+        [what, folder, format, runs] => (what, folder, format, runs, None),
+        [what, folder, format, runs, cache] => (what, folder, format, runs, Some(cache)),
+        _ => return Err("expected KIND FOLDER f32|bf16 RUNS [CACHE]".into()),
     };
     let dtype = match format.as_str() {
         "f32" => DType::F32,
@@ -48,6 +51,10 @@ fn main() -> Result<()> {
     let input = candle_core::safetensors::load(folder.join("input.safetensors"), &Device::Cpu)?;
     let inputs: Tensors = input.into_iter().collect();
 
+    let cache = cache.map(|folder| PackedCache::new(folder, CacheLimits::default()));
+    if let Some(cache) = cache.clone() {
+        cache.use_in_process();
+    }
     let before = peak_mib()?;
     let start = Instant::now();
     let checkpoint = Checkpoint::open(folder.join("weights.safetensors"))?;
@@ -71,6 +78,9 @@ fn main() -> Result<()> {
     };
     println!("load_ms {:.1}", start.elapsed().as_secs_f64() * 1e3);
     println!("peak_mib {:.0}", peak_mib()? - before);
+    if let Some(cache) = cache {
+        cache.wait();
+    }
     for left in (0..runs).rev() {
         let start = Instant::now();
         let output = run()?;

@@ -64,7 +64,6 @@ pub use random::write_random_weights;
 pub use summary::{PartSummary, Stepping, Summary};
 
 use crate::kinds::{DitConfig, Kind, build_transition, parse};
-use crate::layers::packed_format;
 use crate::loader::Requested;
 use crate::success_probe::SuccessClassifier;
 use crate::svae::{Svae, SvaeConfig};
@@ -339,16 +338,16 @@ impl DescribedFolder {
             trained_on.require(&space)?;
         }
         let dtype = self.description.dtype.dtype();
-        let model = transition
-            .source
-            .load(dtype, |loader| build_transition(config.clone(), loader))?;
+        let packed = transition.source.load(dtype, |loader| {
+            Ok(PackedTransition::build(config.clone(), loader)?)
+        })?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
         hash.update(format!("{}\n", canonical(&settings)?));
         transition.source.hash(&transition.tensors, &mut hash)?;
         Ok(WorldModel {
             name: self.name.clone(),
-            transition: PackedTransition::new(&model, packed_format(dtype))?,
+            transition: packed,
             hash: format!("{:x}", hash.finalize()),
             space,
             encoding: encoding.clone(),

@@ -44,6 +44,7 @@ pub mod folder;
 pub mod kinds;
 pub mod layers;
 pub mod loader;
+pub mod packed_cache;
 
 pub mod efficientnet_lite0;
 pub mod idm;
@@ -60,5 +61,6 @@ pub use device::DeviceName;
 pub use error::{Error, Misshapen, Result};
 pub use loader::{Loader, Supply};
 pub use model_folder::{ModelFolder, TransitionTensors};
+pub use packed_cache::PackedCache;
 pub use wm_model::ops::Engine;
 pub use wm_model::trained_folder::{IDM_FILE, PROBE_FILE};

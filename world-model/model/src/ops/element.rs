@@ -1,11 +1,13 @@
 //! Number formats that packed weights are kept in. Sums are always of f32.
 
+use bytemuck::Pod;
 use half::bf16;
 
 use super::vectorised::vectorised;
 
 /// The number format of packed weights.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum PackedFormat {
     /// 32-bit floats.
     #[default]
@@ -18,7 +20,7 @@ pub enum PackedFormat {
 }
 
 /// A packed weight, or an input that is multiplied with it.
-pub(crate) trait Element: Copy + Send + Sync + std::fmt::Debug + 'static {
+pub(crate) trait Element: Pod + Send + Sync + std::fmt::Debug {
     const ZERO: Self;
 
     /// Neighbouring inputs of one output that lie side by side in a panel, because one instruction multiplies them all.

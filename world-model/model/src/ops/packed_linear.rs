@@ -7,12 +7,20 @@ use rayon::prelude::*;
 
 use super::element::PackedFormat;
 use super::panel_product::PanelProduct;
-use super::panels::Panels;
+use super::panel_values::MappedBytes;
+use super::panels::{LAYOUT, Panels};
+use super::simd::instruction_set;
 use crate::{Error, Result};
 
 /// Rows that one task handles at most: enough for a panel to be used often once it is there, few enough for them to stay
 /// in a second-level cache.
 const ROWS: usize = 160;
+
+/// In which order matrices are packed here. Packed values that were kept are of use where it is the same.
+pub fn packed_layout() -> String {
+    let architecture = std::env::consts::ARCH;
+    format!("{LAYOUT} {architecture} {}", instruction_set())
+}
 
 /// A matrix and a bias in the order in which the kernel reads them. Clones share them.
 #[derive(Clone, Debug)]
@@ -35,16 +43,6 @@ impl PackedLinear {
         (outputs, inputs): (usize, usize),
         format: PackedFormat,
     ) -> Result<Self> {
-        let check = |what, slice: &[f32], expected: usize| {
-            if slice.len() == expected {
-                return Ok(());
-            }
-            Err(Error::Shape {
-                what,
-                expected: format!("[{expected}]"),
-                found: vec![slice.len()],
-            })
-        };
         let count = outputs.saturating_mul(inputs);
         check("the weight to be packed", weight, count)?;
         if let Some(bias) = bias {
@@ -60,6 +58,40 @@ impl PackedLinear {
                 Format::Bf16(Arc::new(panels))
             }
         }))
+    }
+
+    /// A matrix (outputs, inputs) whose packed values ([`PackedLinear::packed_bytes`]) lie in a file, and `bias` (outputs).
+    ///
+    /// # Errors
+    /// If there are not as many values as that matrix has packed, they are not aligned, or the bias has another length.
+    pub fn from_mapped(
+        values: MappedBytes,
+        bias: Option<&[f32]>,
+        (outputs, inputs): (usize, usize),
+        format: PackedFormat,
+    ) -> Result<Self> {
+        if let Some(bias) = bias {
+            check("the bias of packed weights", bias, outputs)?;
+        }
+        let found = values.as_slice().len();
+        let packed = match format {
+            PackedFormat::F32 => Panels::mapped(inputs, outputs, bias, values)
+                .map(|panels| Format::F32(Arc::new(panels))),
+            PackedFormat::Bf16 => Panels::mapped(inputs, outputs, bias, values)
+                .map(|panels| Format::Bf16(Arc::new(panels))),
+        };
+        packed.map(Self).ok_or_else(|| {
+            let reason = format!("{found} bytes, not those of ({outputs}, {inputs}) in {format:?}");
+            Error::config("packed weights", reason)
+        })
+    }
+
+    /// The weights as they are packed, without the bias: of use in the same [`packed_layout`].
+    pub fn packed_bytes(&self) -> &[u8] {
+        match &self.0 {
+            Format::F32(panels) => bytemuck::cast_slice(&panels.values),
+            Format::Bf16(panels) => bytemuck::cast_slice(&panels.values),
+        }
     }
 
     /// What the weights are kept in.
@@ -131,6 +163,17 @@ impl PackedLinear {
             Format::Bf16(panels) => bf16::product(panels, x, y),
         }
     }
+}
+
+fn check(what: &'static str, slice: &[f32], expected: usize) -> Result<()> {
+    if slice.len() == expected {
+        return Ok(());
+    }
+    Err(Error::Shape {
+        what,
+        expected: format!("[{expected}]"),
+        found: vec![slice.len()],
+    })
 }
 
 #[cfg(test)]

@@ -3,11 +3,16 @@
 use rayon::prelude::*;
 
 use crate::ops::element::Element;
+use crate::ops::panel_values::{MappedBytes, PanelValues};
 use crate::ops::simd::{InstructionSet, LANES};
 
 /// Inputs that a block of a transposition takes from each output: a cache line of f32, so that the lines that it reads
 /// and writes stay in a first-level cache.
 const BLOCK: usize = 16;
+
+/// Number of the order in which a matrix is packed: to be raised with every change to it, so that what was packed before
+/// is not taken for it.
+pub(super) const LAYOUT: u32 = 2;
 
 /// Rows of a panel that one task fills.
 const ROWS: usize = 64;
@@ -17,7 +22,7 @@ const ROWS: usize = 64;
 /// In a panel the inputs of a group ([`Element::GROUP`]) lie side by side for each output: (group, output, input of the
 /// group). The last group is filled up with zeros.
 #[derive(Clone, Debug)]
-pub(crate) struct Panels<T = f32> {
+pub(crate) struct Panels<T: Element = f32> {
     /// Instruction set that the panels are cut for.
     pub set: InstructionSet,
     /// Vectors in each panel.
@@ -27,7 +32,7 @@ pub(crate) struct Panels<T = f32> {
     /// Outputs of the matrix.
     pub outputs: usize,
     /// The panels one after the other, padded with zeros to whole vectors.
-    pub values: Vec<T>,
+    pub values: PanelValues<T>,
     /// One value an output, padded with zeros.
     pub bias: Vec<f32>,
 }
@@ -47,7 +52,7 @@ impl<T: Element> Panels<T> {
             widths,
             depth,
             outputs,
-            values: vec![T::ZERO; depth.next_multiple_of(T::GROUP) * vectors * LANES],
+            values: PanelValues::zeros(depth.next_multiple_of(T::GROUP) * vectors * LANES),
             bias: vec![0.0; vectors * LANES],
         }
     }
@@ -55,6 +60,21 @@ impl<T: Element> Panels<T> {
     /// Rows of the matrix with those that fill up the last group.
     pub(crate) fn whole_depth(&self) -> usize {
         self.depth.next_multiple_of(T::GROUP)
+    }
+
+    /// Panels that were packed before and lie in a file, with `bias` (or zeros); `None` if they are those of another matrix.
+    pub(crate) fn mapped(
+        depth: usize,
+        outputs: usize,
+        bias: Option<&[f32]>,
+        values: MappedBytes,
+    ) -> Option<Self> {
+        let mut panels = Self::with_bias(0, outputs, bias);
+        panels.depth = depth;
+        let whole = depth.checked_next_multiple_of(T::GROUP)?;
+        let count = panels.bias.len().checked_mul(whole)?;
+        panels.values = PanelValues::mapped(values, count)?;
+        Some(panels)
     }
 
     /// Zeros for a matrix (depth x outputs), with `bias` (or zeros).
@@ -80,7 +100,7 @@ impl<T: Element> Panels<T> {
     fn filled(mut self, depth: usize, matrices: &[&[f32]]) -> Self {
         let outputs = self.outputs;
         let places: Vec<(usize, usize, usize)> = self.iter().collect();
-        let mut rest = self.values.as_mut_slice();
+        let mut rest = &mut *self.values;
         let mut parts = Vec::with_capacity(places.len() * matrices.len());
         for (vectors, _, first) in places {
             let width = vectors * LANES;
@@ -317,6 +337,64 @@ mod tests {
             for (n, value) in row.iter().enumerate() {
                 assert_eq!(*value, matrices[k / depth][n * depth + k % depth]);
             }
+        }
+    }
+
+    fn check_layout<T: Element + Into<f32>>(depth: usize, outputs: usize) {
+        let matrix: Vec<f32> = (0..outputs * depth).map(|i| (i % 251) as f32).collect();
+        let panels = Panels::<T>::pack_transposed(depth, outputs, None, &matrix);
+        let widths = match panels.set.tile_vectors() {
+            1 => vec![1; outputs.div_ceil(LANES)],
+            _ => vec![3, 3, 4],
+        };
+        assert_eq!(panels.widths, widths);
+        let mut expected = Vec::new();
+        let mut first = 0;
+        for vectors in widths {
+            for group in 0..depth.div_ceil(T::GROUP) {
+                for n in first..first + vectors * LANES {
+                    for k in group * T::GROUP..(group + 1) * T::GROUP {
+                        let exists = k < depth && n < outputs;
+                        expected.push(if exists { matrix[n * depth + k] } else { 0.0 });
+                    }
+                }
+            }
+            first += vectors * LANES;
+        }
+        let found: Vec<f32> = panels.values.iter().map(|v| (*v).into()).collect();
+        assert_eq!(found, expected, "raise LAYOUT, then mend this test");
+    }
+
+    #[test]
+    fn the_layout_is_the_one_of_its_number() {
+        check_layout::<f32>(7, 150);
+        check_layout::<bf16>(7, 150);
+        assert_eq!(LAYOUT, 2, "mend the order that this test expects");
+    }
+
+    #[test]
+    fn mapped_panels_are_the_packed_ones() {
+        use std::io::Write as _;
+        use std::sync::Arc;
+        let (depth, outputs) = (33, 100);
+        let matrix: Vec<f32> = (0..outputs * depth).map(|i| i as f32).collect();
+        let bias: Vec<f32> = (0..outputs).map(|i| i as f32).collect();
+        let packed = Panels::<f32>::pack_transposed(depth, outputs, Some(&bias), &matrix);
+        let mut file = tempfile::tempfile().unwrap();
+        file.write_all(bytemuck::cast_slice(&packed.values))
+            .unwrap();
+        // SAFETY: nobody else has the file.
+        let map = Arc::new(unsafe { memmap2::Mmap::map(&file) }.unwrap());
+        let mapped = |depth, outputs| {
+            let values = MappedBytes::new(&map, 0..map.len()).unwrap();
+            Panels::<f32>::mapped(depth, outputs, Some(&bias), values)
+        };
+        let same = mapped(depth, outputs).unwrap();
+        assert_eq!(*same.values, *packed.values);
+        assert_eq!((same.widths, same.bias), (packed.widths, packed.bias));
+        assert_eq!((same.depth, same.outputs), (depth, outputs));
+        for (depth, outputs) in [(32, 100), (33, 120), (0, 0), (usize::MAX, 100)] {
+            assert!(mapped(depth, outputs).is_none(), "{depth} x {outputs}");
         }
     }
 }

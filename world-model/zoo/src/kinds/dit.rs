@@ -11,7 +11,6 @@ use wm_model::transition::{
 
 use super::Kind;
 use crate::checkpoint::Average;
-use crate::layers::packed_format;
 use crate::{Checkpoint, Compute, Engine, Loader, Result};
 
 /// Width of the wide head of all published models that have one (the paper, appendix B, table
@@ -142,9 +141,9 @@ impl DitConfig {
     pub fn load(&self, checkpoint: &Checkpoint, dtype: DType) -> Result<PackedTransition> {
         let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
         let loader = Loader::new(&checkpoint, Engine::Cpu, dtype);
-        let model = build(self, &loader)?;
+        let model = PackedTransition::build(self.transition()?, &loader)?;
         loader.finish()?;
-        Ok(PackedTransition::new(&model, packed_format(dtype))?)
+        Ok(model)
     }
 }
 

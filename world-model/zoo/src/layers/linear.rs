@@ -61,6 +61,15 @@ impl Linear {
         })
     }
 
+    /// Of weights that are packed already.
+    pub(crate) fn packed(packed: PackedLinear) -> Self {
+        Self {
+            outputs: packed.outputs(),
+            weights: Weights::Packed(packed),
+            engine: Engine::Cpu,
+        }
+    }
+
     /// What its weights are packed in for the kernels.
     pub(crate) fn format(&self) -> PackedFormat {
         match &self.weights {

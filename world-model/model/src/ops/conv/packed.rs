@@ -31,7 +31,7 @@ enum Parts {
 
 /// A convolution of the input as it is in memory that gives some of the outputs.
 #[derive(Clone, Debug)]
-struct Part<T> {
+struct Part<T: Element> {
     panels: Panels<T>,
     phase: Phase,
 }
