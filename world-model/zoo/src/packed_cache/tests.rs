@@ -262,7 +262,8 @@ fn what_is_of_another_program_is_refused_and_mended() {
         bytes
     };
     let layout = Header::decode(&whole).unwrap().layout;
-    let other = layout.replacen('1', "7", 1);
+    let (_, processor) = layout.split_once(' ').unwrap();
+    let other = format!("7 {processor}");
     let mut version = whole.clone();
     version[8] = 9;
     let cases = [
