@@ -50,6 +50,50 @@ fn four_nodes_of_one_process_do_the_same() {
     }
 }
 
+/// The stages of a frame that `benches/frame.py` makes its table of.
+fn stages() -> Vec<String> {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../benches/frame.py");
+    let source = std::fs::read_to_string(source).expect("the benchmark's source");
+    let rows = source
+        .lines()
+        .filter_map(|line| line.strip_prefix("    (\""));
+    let names = rows.filter_map(|row| row.split_once('"'));
+    names.map(|(name, _)| name.to_owned()).collect()
+}
+
+#[test]
+fn every_stage_of_a_frame_is_told_to_who_asks() {
+    let _alone = whole_suite();
+    let out = tempfile::tempdir().expect("a temporary directory");
+    let output = format!("output:={}", out.path().display());
+    let arguments = [
+        "launch",
+        "launch-configs/replay.launch.yaml",
+        &output,
+        "one_process:=true",
+        "log_level:=wm_ros.frame_trace:=debug",
+    ];
+    let run = wm(fresh_domain(), &arguments).output().expect("wm runs");
+    assert!(run.status.success(), "the launch ended with {}", run.status);
+    let told = [run.stdout, run.stderr].concat();
+    let told = String::from_utf8_lossy(&told);
+    let stages = stages();
+    assert!(stages.len() > 10, "{stages:?}");
+    for stage in stages {
+        let count = told.matches(&format!("]: {stage} frame=")).count();
+        assert!(count > 0, "{stage}");
+    }
+    // On /rosout, they would take part of the time that they tell.
+    let bag = BagReader::open(out.path().join("bag")).expect("the recorded bag is read");
+    for message in bag.messages() {
+        let message = message.expect("a whole message");
+        if &*message.topic == "/rosout" {
+            let text = String::from_utf8_lossy(&message.data);
+            assert!(!text.contains(" frame="), "{text}");
+        }
+    }
+}
+
 /// The bundled bag as another robot would have recorded it.
 fn renamed_bag(path: &Path) {
     let reader = BagReader::open(bundled_bag()).expect("the bundled bag");

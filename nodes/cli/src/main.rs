@@ -44,6 +44,9 @@ fn keep_candle_to_one_thread() {
 fn main() -> ExitCode {
     keep_candle_to_one_thread();
     keep_freed_memory();
+    if let Some(cache) = wm_zoo::PackedCache::of_environment() {
+        cache.use_in_process();
+    }
     #[cfg(feature = "workers")]
     wm_model_nodes::planner::connect_workers_by(wm_planner_worker::connect);
     let command = cli::parse();

@@ -6,14 +6,19 @@
 //! topic: the same messages give the same moments.
 //!
 //! A history belongs to one camera, one latent space and one *epoch*. Where time jumps (a bag that loops, a simulation
-//! that restarts, a camera that was away), and where somebody asks for it, a new epoch begins and all frames are
-//! forgotten. One odd stamp is no jump: time has jumped when two frames in a row say so.
+//! that restarts), and where somebody asks for it, a new epoch begins and all frames are forgotten. One odd stamp is no
+//! jump: time has jumped when two frames in a row say so. Nor is a gap that lasted as long as it is wide: the camera was
+//! away, or the encoder takes that long.
 
+mod ahead;
+mod arrival;
 mod error;
 mod frames;
 mod held_back;
 mod moment;
 mod note;
+mod rhythm;
+mod stamp;
 mod timing;
 mod wait;
 
@@ -32,11 +37,14 @@ use wm_msgs::{
 use wm_wire::latent_message::decode_latent;
 
 pub use crate::{camera::WrongCamera, reception::Reception};
+pub use ahead::Ahead;
+pub use arrival::{Arrival, LateChunk};
 pub use error::HistoryError;
 pub use frames::Frame;
 pub use moment::Moment;
 pub(crate) use moment::stack;
 pub(crate) use note::note;
+pub use stamp::seconds;
 pub use timing::Timing;
 pub use wait::Wait;
 pub use wm_motion::motion::{ChunkMerging, MAX_CHUNK};
@@ -44,14 +52,18 @@ pub use wm_motion::motion::{ChunkMerging, MAX_CHUNK};
 use crate::camera::{Admission, Camera, Source};
 use frames::Frames;
 use held_back::HeldBack;
+use rhythm::Rhythm;
+use stamp::{seconds_of, stamp_of};
 
 /// A policy answers a frame before it has passed the encoder, and may be slow, but not by this much \[ns\]: its clock is
 /// not the frames'.
 const FAR_AHEAD_NS: i64 = 60_000_000_000;
-/// Clocks of machines that are not synchronised well differ by less \[ns\].
-const CLOCKS_DIFFER_NS: i64 = 10_000_000_000;
 /// A camera that is silent for this many frame periods, and at least a second, may be replaced by another.
 const SILENT_FRAMES: u32 = 5;
+/// Until a frame has said how late it comes, actions are kept for so long \[ns\].
+const KEPT_AT_FIRST_NS: i64 = 60_000_000_000;
+/// Actions are kept for this many times the age at which frames arrive: a slow encoder's contexts are that far apart.
+const KEPT_AGES: i64 = 3;
 
 /// What can be chosen of a history.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,49 +74,6 @@ pub struct HistorySettings {
     pub context_frames: usize,
     /// How overlapping chunks join.
     pub merging: ChunkMerging,
-}
-
-/// What an input did to the history.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Arrival {
-    /// A new epoch has begun, and what was observed before is forgotten.
-    pub flushed: bool,
-    /// It may be of a time that time is about to jump to: it waits for the next frame to say so.
-    /// [`History::moment`] is still that of the frame before.
-    pub held_back: bool,
-    /// Inputs that were held back for a jump of time that did not come.
-    pub untimely: u64,
-    /// Camera frames that are missing between this frame and the one before.
-    pub missed_frames: u64,
-    /// Whether a model step is due: frames faster than the model's are kept, but not each is worth a prediction. Of a
-    /// chunk: whether it answers the newest frame.
-    pub is_due: bool,
-    /// A chunk that has come since the frame before, and had ended by then already: it says nothing.
-    pub late_chunk: Option<LateChunk>,
-}
-
-/// A chunk that came after its end.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LateChunk {
-    /// Its stamp.
-    pub stamp_ns: i64,
-    /// When its last action ends.
-    pub end_ns: i64,
-    /// The newest frame when it came.
-    pub newest_ns: i64,
-}
-
-impl std::fmt::Display for LateChunk {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(
-            f,
-            "action chunk of {} had ended {:.1} s before the newest frame, that of {}, when it arrived: stamp it with \
-             the stamp of the image that it answers",
-            seconds_of(self.stamp_ns),
-            (self.newest_ns.saturating_sub(self.end_ns)) as f64 / 1e9,
-            seconds_of(self.newest_ns)
-        )
-    }
 }
 
 /// The last frames of one camera, and the robot's actions.
@@ -123,6 +92,9 @@ pub struct History {
     /// Which frames are worth a prediction.
     pace: Pace,
     late_chunk: Option<LateChunk>,
+    rhythm: Rhythm,
+    /// How far behind the newest action frames arrive at most \[ns\].
+    latest_ns: i64,
     epoch: u64,
 }
 
@@ -138,13 +110,13 @@ impl History {
         let timing = settings.timing;
         let span_ns = timing.step_at(0, settings.context_frames.max(1));
         let motion = MotionSettings {
-            keep_ns: span_ns.saturating_add(timing.jump_ns),
+            keep_ns: KEPT_AT_FIRST_NS,
             ..MotionSettings::of_period(timing.frame_period_ns)
         };
         Self {
             space,
             encoding,
-            frames: Frames::new(span_ns),
+            frames: Frames::new(span_ns, settings.context_frames),
             motion: Motion::new(motion).with_merging(settings.merging),
             camera: None,
             source_epoch: 0,
@@ -152,6 +124,8 @@ impl History {
             base_frame: "".into(),
             pace: Pace::new(timing.frame_period_ns, timing.frame_period_ns),
             late_chunk: None,
+            rhythm: Rhythm::default(),
+            latest_ns: 0,
             epoch: epoch_after(0, begin),
             settings,
         }
@@ -212,7 +186,11 @@ impl History {
             Some(camera) => {
                 let period =
                     Duration::from_nanos(self.settings.timing.frame_period_ns.unsigned_abs());
-                let silence = (period * SILENT_FRAMES).max(Duration::from_secs(1));
+                // A slow encoder is silent for longer.
+                let usual = Duration::from_nanos(self.rhythm.longest_ns().unsigned_abs());
+                let silence = (period * SILENT_FRAMES)
+                    .max(Duration::from_secs(1))
+                    .max(usual * 2);
                 let admission = camera.admit(frame_id, Source::Latents, &reception, silence)?;
                 if admission == Admission::Same && source_epoch < self.source_epoch {
                     return Err(HistoryError::OldEpoch {
@@ -244,7 +222,7 @@ impl History {
                 self.motion
                     .retain_around(stamp_ns, timing.jump_ns.max(FAR_AHEAD_NS));
             }
-            Some(newest_ns) if self.is_jump(stamp_ns, newest_ns) => {
+            Some(newest_ns) if self.is_jump(&frame, newest_ns) => {
                 match self.held_back.confirm(frame, timing.jump_ns) {
                     None => {
                         arrival.held_back = true;
@@ -271,16 +249,17 @@ impl History {
                 });
             }
             Some(newest_ns) => {
-                let period_ns = timing.frame_period_ns;
-                let periods = (stamp_ns - newest_ns + period_ns / 2) / period_ns;
-                arrival.missed_frames = u64::try_from(periods - 1).unwrap_or(0);
+                arrival.missed_frames = self.rhythm.missed(stamp_ns - newest_ns, &timing);
             }
         }
         arrival.untimely += self.held_back.discard();
         // Where time jumped back, the chunk was of the time that begins.
         let late_chunk = self.late_chunk.take();
         arrival.late_chunk = late_chunk.filter(|late| late.end_ns <= stamp_ns);
+        self.keep_actions(stamp_ns);
         self.frames.push(frame);
+        let is_whole = self.context(stamp_ns).is_ok();
+        self.rhythm.context(is_whole);
         let camera_ns = self.frames.period_ns().unwrap_or(timing.frame_period_ns);
         self.pace.set_gap(camera_ns);
         arrival.is_due = self.pace.is_due(stamp_ns);
@@ -405,12 +384,55 @@ impl History {
     /// # Errors
     /// [`Wait`] says what is missing.
     pub fn moment(&self) -> Result<Moment, Wait> {
+        self.moment_of(self.frames.newest().ok_or(Wait::NoFrame)?)
+    }
+
+    /// The newest frame that has a whole context; the newest one, where none has. A slow encoder's contexts come frame by
+    /// frame: until the next one is whole, this is of the one before.
+    pub fn latest(&self) -> Option<&Frame> {
+        let mut frames = self.frames.newest_first();
+        let whole = frames.find(|frame| self.context(frame.stamp_ns).is_ok());
+        whole.or(self.frames.newest())
+    }
+
+    /// The moment of that frame.
+    ///
+    /// # Errors
+    /// [`Wait`] says what is missing.
+    pub fn latest_moment(&self) -> Result<Moment, Wait> {
+        self.moment_of(self.latest().ok_or(Wait::NoFrame)?)
+    }
+
+    /// Whether the newest frame lacks a context, but one was whole not long ago: with a slow encoder, the frames that
+    /// follow will make the next one whole.
+    pub fn is_between_contexts(&self) -> bool {
+        self.rhythm.is_between(self.settings.context_frames)
+    }
+
+    fn moment_of(&self, observed: &Frame) -> Result<Moment, Wait> {
+        let frames = self.context(observed.stamp_ns)?;
+        let between = frames.iter().zip(frames.iter().skip(1));
+        let past = between.map(|(from, to)| self.step(from.stamp_ns, to.stamp_ns));
+        let past = past.collect::<Result<Vec<_>, _>>()?;
+        let earlier = frames.split_last().map_or(&[][..], |(_, earlier)| earlier);
+        Ok(Moment {
+            epoch: self.epoch,
+            source_epoch: self.source_epoch,
+            observed: observed.clone(),
+            earlier: earlier.iter().map(|frame| (*frame).clone()).collect(),
+            past,
+            base_frame: Arc::clone(&self.base_frame),
+            timing: self.timing(),
+        })
+    }
+
+    /// The frames of a context that ends with the frame of `stamp_ns`, oldest first.
+    fn context(&self, stamp_ns: i64) -> Result<Vec<&Frame>, Wait> {
         let timing = self.timing();
-        let observed = self.frames.newest().ok_or(Wait::NoFrame)?;
         let need = self.settings.context_frames.max(1);
-        let mut frames = vec![observed];
-        for back in 1..need {
-            let wanted_ns = observed.stamp_ns - timing.step_at(0, back);
+        let mut frames = Vec::with_capacity(need);
+        for back in 0..need {
+            let wanted_ns = stamp_ns - timing.step_at(0, back);
             match self.frames.near(wanted_ns, timing.tolerance_ns) {
                 Some(frame) => frames.push(frame),
                 None => {
@@ -428,19 +450,7 @@ impl History {
             }
         }
         frames.reverse();
-        let between = frames.iter().zip(frames.iter().skip(1));
-        let past = between.map(|(from, to)| self.step(from.stamp_ns, to.stamp_ns));
-        let past = past.collect::<Result<Vec<_>, _>>()?;
-        frames.pop();
-        Ok(Moment {
-            epoch: self.epoch,
-            source_epoch: self.source_epoch,
-            observed: observed.clone(),
-            earlier: frames.into_iter().cloned().collect(),
-            past,
-            base_frame: Arc::clone(&self.base_frame),
-            timing,
-        })
+        Ok(frames)
     }
 
     /// What happens in the model steps after the newest frame: what was taken or is announced, and beyond that the last
@@ -449,8 +459,16 @@ impl History {
     /// # Errors
     /// [`Wait`] says what is missing.
     pub fn future(&self, steps: usize) -> Result<Vec<StepAction>, Wait> {
-        let timing = self.timing();
         let start_ns = self.frames.newest().ok_or(Wait::NoFrame)?.stamp_ns;
+        self.future_from(start_ns, steps)
+    }
+
+    /// The same after the frame of `start_ns`.
+    ///
+    /// # Errors
+    /// [`Wait`] says what is missing.
+    pub fn future_from(&self, start_ns: i64, steps: usize) -> Result<Vec<StepAction>, Wait> {
+        let timing = self.timing();
         let begin = |step| timing.step_at(start_ns, step);
         (0..steps)
             .map(|step| self.step(begin(step), begin(step + 1)))
@@ -496,8 +514,32 @@ impl History {
         })
     }
 
-    fn is_jump(&self, stamp_ns: i64, newest_ns: i64) -> bool {
-        stamp_ns.saturating_sub(newest_ns).saturating_abs() > self.timing().jump_ns
+    /// Whether a frame's stamp says that time has jumped. Frames that are far apart because that much time has passed, as
+    /// those of a slow encoder, are of one time.
+    fn is_jump(&self, frame: &Frame, newest_ns: i64) -> bool {
+        let gap_ns = frame.stamp_ns.saturating_sub(newest_ns);
+        let passed_ns = match self.frames.newest() {
+            Some(newest) if gap_ns > 0 => rhythm::passed_ns(&newest.reception, &frame.reception),
+            _ => 0,
+        };
+        gap_ns
+            .saturating_sub(passed_ns)
+            .max(gap_ns.saturating_neg())
+            > self.timing().jump_ns
+    }
+
+    /// Keeps actions for as long as frames need them that arrive as late as this one.
+    fn keep_actions(&mut self, stamp_ns: i64) {
+        let late_ns = (self.motion.newest_taken_ns())
+            .map_or(0, |newest_ns| newest_ns.saturating_sub(stamp_ns));
+        self.latest_ns = self.latest_ns.max(late_ns);
+        let timing = self.timing();
+        let span_ns = timing.step_at(0, self.settings.context_frames.max(1));
+        let keep_ns = span_ns
+            .saturating_add(timing.jump_ns)
+            .saturating_add(self.latest_ns.saturating_mul(KEPT_AGES));
+        self.motion
+            .keep_for(keep_ns.min(KEPT_AT_FIRST_NS.max(span_ns)));
     }
 
     /// Whether what is stamped so lies so far back that it is of another time.
@@ -533,6 +575,8 @@ impl History {
 
     fn begin(&mut self, now: Time) {
         self.frames.clear();
+        self.rhythm = Rhythm::default();
+        self.latest_ns = 0;
         self.pace.restart();
         self.late_chunk = None;
         self.epoch = epoch_after(self.epoch, now);
@@ -544,33 +588,6 @@ impl History {
 pub(crate) fn epoch_after(last: u64, now: Time) -> u64 {
     let by_clock = u64::try_from(now.to_nanos()).unwrap_or(0);
     by_clock.max(last.saturating_add(1))
-}
-
-/// A message's stamp in nanoseconds.
-fn stamp_of(what: &'static str, stamp: Time, now: Time) -> Result<i64, HistoryError> {
-    if stamp.sec < 0 || stamp.nanosec >= 1_000_000_000 {
-        return Err(HistoryError::Stamp {
-            what,
-            sec: stamp.sec,
-            nanosec: stamp.nanosec,
-        });
-    }
-    let (stamp_ns, now_ns) = (stamp.to_nanos(), now.to_nanos());
-    // A node that waits for /clock has no time yet.
-    if now_ns > 0 && stamp_ns > now_ns.saturating_add(CLOCKS_DIFFER_NS) {
-        let ahead_s = (stamp_ns - now_ns) as f64 / 1e9;
-        return Err(HistoryError::Future { what, ahead_s });
-    }
-    Ok(stamp_ns)
-}
-
-/// A stamp as people read it.
-pub fn seconds(stamp: Time) -> String {
-    format!("{}.{:09} s", stamp.sec, stamp.nanosec)
-}
-
-fn seconds_of(stamp_ns: i64) -> String {
-    seconds(Time::from_nanos(stamp_ns))
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 //!
 //! Not here: the models (`wm_model`), the ROS runtime (`wm_ros`), bags (`wm_bag`).
 
+pub mod cadence;
 mod camera;
 mod chunk_merging;
 pub mod decoder;
@@ -15,6 +16,7 @@ pub mod env;
 pub mod evaluator;
 pub mod harness;
 pub mod history;
+mod paced_work;
 pub mod planner;
 pub mod pool;
 pub mod predictor;

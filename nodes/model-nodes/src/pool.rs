@@ -1,4 +1,5 @@
-//! Threads of lower priority, for work that may finish later than the work of other nodes in or outside this process.
+//! Threads of a node's own, so that its work waits for no other node of the process; of lower priority, where it may finish
+//! later than that of others in or outside the process.
 
 use std::sync::Arc;
 
@@ -9,7 +10,7 @@ use anyhow::{Context as _, Result};
 pub struct Pool(Arc<rayon::ThreadPool>);
 
 impl Pool {
-    /// As many threads as rayon has by default, named after the node and `nice` steps below this process.
+    /// As many threads as rayon has by default, named after the node and `nice` steps (0: none) below this process.
     ///
     /// # Errors
     /// No threads.
@@ -30,9 +31,10 @@ impl Pool {
         Ok(Self(Arc::new(pool)))
     }
 
-    /// Computes `job` there, with all that it spreads by rayon, and waits for it.
+    /// Computes `job` there, with all that it spreads by rayon, and waits for it. What it logs is still the node's.
     pub fn run<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {
-        self.0.install(job)
+        let span = tracing::Span::current();
+        self.0.install(|| span.in_scope(job))
     }
 }
 

@@ -6,11 +6,13 @@
 //! while the last is still to come. Both are deterministic: the same messages with the same stamps give the same
 //! predictions.
 
+mod ahead;
 mod error;
 mod node;
 mod rollout;
 mod scoring;
 mod step;
+mod trial;
 mod trust;
 
 pub use error::PredictorError;

@@ -68,13 +68,23 @@ impl<T: Send + 'static, R: Send + 'static> Work<T, R> {
             self.start(job);
             return None;
         }
-        let dropped = if self.waiting.len() == self.capacity {
+        let dropped = if self.waiting.len() >= self.capacity {
             self.waiting.pop_front()
         } else {
             None
         };
         self.waiting.push_back(job);
         dropped
+    }
+
+    /// From now on, at most so many jobs (at least 1) wait.
+    pub fn set_capacity(&mut self, capacity: usize) {
+        self.capacity = capacity.max(1);
+    }
+
+    /// Whether a job runs.
+    pub fn is_running(&self) -> bool {
+        self.running.is_some()
     }
 
     /// Jobs that wait.

@@ -40,6 +40,9 @@ fn main() -> ExitCode {
         .without_time()
         .with_target(false)
         .init();
+    if let Some(cache) = wm_zoo::PackedCache::of_environment() {
+        cache.use_in_process();
+    }
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

@@ -27,6 +27,9 @@ pub struct Report {
     pub plans: Option<PlanFigures>,
     /// What the nodes dropped, and why.
     pub drops: Vec<Drops>,
+    /// What the nodes left out by choice, being slower than their input, and why.
+    #[serde(default)]
+    pub skips: Vec<Drops>,
 }
 
 impl Report {
@@ -63,8 +66,8 @@ impl Report {
         } = self;
         match frame_rate_hz {
             rate if *rate > 0.0 => format!(
-                "{frames} frames arrived at {rate:.2} Hz; predictor and planner expect one every \"frame_period\" (0.2 \
-                 s by default): if the camera is slower, set that parameter of both to {:.3} s",
+                "{frames} frames arrived at {rate:.2} Hz; encoder, predictor and planner expect one every \"frame_period\" \
+                 (0.2 s by default): if the camera is slower, set that parameter of all three to {:.3} s",
                 1.0 / rate
             ),
             _ => format!("{frames} frame(s) arrived"),
@@ -130,7 +133,7 @@ pub struct Percentiles {
     pub max_ms: f64,
 }
 
-/// What a node dropped for one reason.
+/// What a node dropped, or left out by choice, for one reason.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Drops {
     /// The node.

@@ -75,7 +75,10 @@ pub struct Scorer {
     plan_times: Times,
     first_cost: f64,
     last_cost: f64,
+    /// By node and reason.
     drops: BTreeMap<(String, String), u64>,
+    /// What was left out by choice.
+    skips: BTreeMap<(String, String), u64>,
     last_error_ratio: Option<f32>,
 }
 
@@ -101,6 +104,7 @@ impl Default for Scorer {
             first_cost: 0.0,
             last_cost: 0.0,
             drops: BTreeMap::new(),
+            skips: BTreeMap::new(),
             last_error_ratio: None,
         }
     }
@@ -237,17 +241,22 @@ impl Scorer {
         self.last_cost = f64::from(plan.cost);
     }
 
-    /// The nodes' diagnostics: their counts of what they dropped.
+    /// The nodes' diagnostics: their counts of what they dropped and of what they left out by choice.
     pub fn diagnostics(&mut self, array: &DiagnosticArray) {
         for status in &array.status {
             for pair in &status.values {
-                let reason = pair
-                    .key
-                    .strip_prefix("dropped: ")
-                    .and_then(|key| key.strip_suffix(" [total]"));
-                if let (Some(reason), Ok(total)) = (reason, pair.value.parse()) {
-                    self.drops
-                        .insert((status.name.clone(), reason.to_owned()), total);
+                let Some((what, reason)) =
+                    (pair.key.strip_suffix(" [total]")).and_then(|key| key.split_once(": "))
+                else {
+                    continue;
+                };
+                let counts = match what {
+                    "dropped" => &mut self.drops,
+                    "skipped" => &mut self.skips,
+                    _ => continue,
+                };
+                if let Ok(total) = pair.value.parse() {
+                    counts.insert((status.name.clone(), reason.to_owned()), total);
                 }
             }
         }
@@ -301,7 +310,6 @@ impl Scorer {
             .steps
             .iter()
             .map(|(step, score)| score.figures(*step, observations));
-        let drops = self.drops.iter().filter(|(_, total)| **total > 0);
         Report {
             source: source.to_owned(),
             model: self.model.clone(),
@@ -319,13 +327,8 @@ impl Scorer {
                 first_cost: self.first_cost,
                 last_cost: self.last_cost,
             }),
-            drops: drops
-                .map(|((node, reason), total)| Drops {
-                    node: node.clone(),
-                    reason: reason.clone(),
-                    total: *total,
-                })
-                .collect(),
+            drops: counted(&self.drops),
+            skips: counted(&self.skips),
         }
     }
 
@@ -368,6 +371,16 @@ impl Scorer {
         self.pictured.clear();
         self.rollouts.flush();
     }
+}
+
+fn counted(counts: &BTreeMap<(String, String), u64>) -> Vec<Drops> {
+    let some = counts.iter().filter(|(_, total)| **total > 0);
+    some.map(|((node, reason), total)| Drops {
+        node: node.clone(),
+        reason: reason.clone(),
+        total: *total,
+    })
+    .collect()
 }
 
 #[cfg(test)]

@@ -149,6 +149,12 @@ fn remarks(report: &Report, bullet: &str) -> String {
             drops.node, drops.total, drops.reason
         ));
     }
+    for skips in &report.skips {
+        add(format!(
+            "left out by choice by {}: {} ({})",
+            skips.node, skips.total, skips.reason
+        ));
+    }
     text
 }
 
@@ -181,6 +187,11 @@ mod tests {
             source: "live".to_owned(),
             steps: vec![step],
             drops,
+            skips: vec![Drops {
+                node: "wm/predictor".to_owned(),
+                reason: "pace".to_owned(),
+                total: 35,
+            }],
             ..Report::default()
         }
     }
@@ -195,6 +206,7 @@ mod tests {
             "{table}"
         );
         assert!(table.contains("dropped by wm/encoder: 2 (late)"));
+        assert!(table.contains("left out by choice by wm/predictor: 35 (pace)"));
     }
 
     #[test]

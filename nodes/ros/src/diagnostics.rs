@@ -58,6 +58,8 @@ struct State {
     sent: BTreeMap<String, Rate>,
     /// Total, and how many of them since the last report.
     drops: BTreeMap<String, (u64, u64)>,
+    /// What was left out by choice.
+    skips: BTreeMap<String, u64>,
     latencies: BTreeMap<String, Latency>,
     values: BTreeMap<String, String>,
     watchdog: Watchdog,
@@ -92,6 +94,7 @@ impl Diagnostics {
             received: BTreeMap::new(),
             sent: BTreeMap::new(),
             drops: BTreeMap::new(),
+            skips: BTreeMap::new(),
             latencies: BTreeMap::new(),
             values: BTreeMap::new(),
             watchdog: Watchdog::default(),
@@ -135,6 +138,17 @@ impl Diagnostics {
             }
             None => {
                 state.drops.insert(reason.to_owned(), (number, number));
+            }
+        }
+    }
+
+    /// Counts what is left out by choice, as frames that a node does not need: nothing is lost, and the status stays.
+    pub fn count_skipped(&self, reason: &str, number: u64) {
+        let mut state = self.state();
+        match state.skips.get_mut(reason) {
+            Some(total) => *total += number,
+            None => {
+                state.skips.insert(reason.to_owned(), number);
             }
         }
     }
@@ -275,6 +289,9 @@ impl State {
                 *recent = 0;
             }
         }
+        for (reason, total) in &self.skips {
+            add(format!("skipped: {reason} [total]"), total.to_string());
+        }
         for (id, (topic, is_publisher)) in &self.endpoints {
             let others = if *is_publisher {
                 "subscribers"
@@ -410,6 +427,22 @@ mod tests {
         );
         assert_eq!(report.name, "wm/encoder");
         assert!(!report.hardware_id.is_empty());
+    }
+
+    #[test]
+    fn what_is_left_out_by_choice_is_counted_and_does_not_warn() {
+        let diagnostics = Diagnostics::new("/wm/encoder");
+        diagnostics.count_skipped("pace", 1);
+        diagnostics.count_skipped("pace", 2);
+        let report = status(&diagnostics, Instant::now());
+        assert_eq!(
+            (report.level, report.message.as_str()),
+            (DiagnosticStatus::OK, "running")
+        );
+        assert_eq!(
+            value(&report, "skipped: pace [total]").as_deref(),
+            Some("3")
+        );
     }
 
     #[test]

@@ -57,6 +57,7 @@ mod diagnostics;
 mod endpoints;
 mod environment;
 mod error;
+pub mod frame_trace;
 #[doc(hidden)]
 pub mod fuzzing;
 mod lifecycle;

@@ -15,6 +15,7 @@ use crate::{
     NodeArgs,
     backend::{WhenFull, Writer, Written},
     clock::system_nanos,
+    frame_trace,
     payload::Payload,
     rcl_interfaces::Log,
 };
@@ -163,10 +164,11 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for RosLayer {
         );
         // where stderr is gone there is nobody to tell
         STDERR.push(line.into_bytes()).ok();
-        if let Some(Rosout {
-            logger,
-            writer: Some(writer),
-        }) = rosout.as_deref()
+        if event.metadata().target() != frame_trace::TARGET
+            && let Some(Rosout {
+                logger,
+                writer: Some(writer),
+            }) = rosout.as_deref()
         {
             IS_WRITING.set(true);
             publish(&**writer, event, logger, text, stamp);

@@ -9,7 +9,8 @@ use std::time::Instant;
 
 use candle_core::{DType, Device, Tensor};
 use wm_model::ops::{
-    ConvShape, Epilogue, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
+    ConvShape, Fused, GridSize, PackedConv, PackedFormat, conv2d_input_gradient,
+    conv2d_weight_gradient,
 };
 use wm_model::{Autoencoder, AutoencoderConfig, Decoder as _, Encoder as _, Result};
 
@@ -35,11 +36,12 @@ fn convolution(name: &str, shape: ConvShape, size: usize) -> Result<()> {
     let weight = vec![0.1; shape.weights()];
     let mut by_weight = weight.clone();
     let (mut output, mut by_input) = (Vec::new(), vec![0.0; input.len()]);
-    let epilogue = Epilogue {
+    let epilogue = Fused {
+        normalisations: None,
         residual: None,
         relu: true,
     };
-    let packed = PackedConv::new(&shape, &weight, None)?;
+    let packed = PackedConv::new(&shape, &weight, None, PackedFormat::F32)?;
     let forward = best(|| packed.run(&input, grid, epilogue, &mut output).map(drop))?;
     let backward = best(|| {
         conv2d_input_gradient(

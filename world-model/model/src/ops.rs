@@ -22,7 +22,11 @@ mod kernel;
 mod layer_norm;
 pub(crate) mod linear;
 mod packed_linear;
+mod panel_product;
+mod panel_values;
 mod panels;
+mod peak;
+mod product;
 mod reduction;
 pub(crate) mod rms_norm_modulate;
 mod rotary;
@@ -35,17 +39,20 @@ pub(crate) mod vectorised;
 pub use activation::{gelu_exact, gelu_tanh, silu};
 pub use attention::{AttentionPattern, Axis, HEAD_DIM_MULTIPLE, attention};
 pub use conv::{
-    ConvShape, Epilogue, GridSize, PackedConv, conv2d, conv2d_input_gradient,
-    conv2d_weight_gradient,
+    ConvShape, Fused, GridSize, PackedConv, conv2d, conv2d_input_gradient, conv2d_weight_gradient,
 };
-pub use dense_attention::{AttentionShape, ScoreMask, dense_attention};
+pub use dense_attention::{AttentionShape, HeadRows, ScoreMask, dense_attention};
 pub use element::PackedFormat;
 pub use engine::Engine;
 pub use gated_residual::gated_residual;
-pub use group_norm::{Activation, differentiable_group_norm, group_norm};
+pub use group_norm::{
+    Activation, Normalisation, differentiable_group_norm, group_norm, group_normalisations,
+};
 pub use layer_norm::layer_norm;
-pub use linear::linear;
-pub use packed_linear::PackedLinear;
+pub use linear::{linear, scale_and_add_rows};
+pub use packed_linear::{PackedLinear, packed_layout};
+pub use panel_values::MappedBytes;
+pub use peak::peak_rate;
 pub use rms_norm_modulate::rms_norm_modulate;
 pub(crate) use rotary::normalise_and_rotate_plain;
 pub use rotary::{RopeLayout, RotaryTable};

@@ -27,6 +27,7 @@
 //! ```
 
 mod position;
+mod prepared;
 pub(crate) mod settings;
 mod window;
 
@@ -40,6 +41,7 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::transition::{Batched, LoadedTransition};
 use crate::{Error, Result};
 pub use position::Position;
+pub use prepared::Prepared;
 pub use settings::{Sampler, shift_time};
 use window::Window;
 

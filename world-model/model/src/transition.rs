@@ -39,6 +39,7 @@ mod tensors;
 mod trunk;
 mod values;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use candle_core::{DType, Device, Tensor};
@@ -46,7 +47,7 @@ use candle_core::{DType, Device, Tensor};
 pub use config::{ActionAlignment, TransitionConfig, published_shift};
 pub(crate) use loaded::Modulation;
 pub use loaded::{FrameContext, LoadedTransition, PassOutput};
-pub use packed::{NewFrame, PackedTransition};
+pub use packed::{NewFrame, PackedSource, PackedTransition};
 pub use parameters::{Initialisation, Parameter};
 pub use parametrisation::Parametrisation;
 pub use pattern::TemporalPattern;
@@ -76,6 +77,8 @@ pub struct Transition {
     head: Head,
     spatial: Arc<AttentionPattern>,
     engine: Engine,
+    /// All tensors by their names, to be packed; layers share them.
+    parameters: Arc<BTreeMap<String, Tensor>>,
     /// Where the gradients by the blocks' weights go, if not to candle.
     gradients: Option<WeightGradients>,
 }
@@ -93,6 +96,7 @@ impl Transition {
     ) -> Result<Self> {
         config.validate()?;
         let mut tensors = parameters::Tensors::collect(&config, source)?;
+        let parameters = Arc::new(tensors.rest().clone());
         let spatial =
             AttentionPattern::new(Axis::Space, config.heads, config.rotary(), |_, _| true)?;
         let embedding = Embedding::new(&mut tensors)?;
@@ -107,6 +111,7 @@ impl Transition {
             head,
             spatial: Arc::new(spatial),
             engine: Engine::default(),
+            parameters,
             gradients: None,
         })
     }

@@ -109,6 +109,12 @@ impl Motion {
         self
     }
 
+    /// From now on, keeps actions as far back as `keep_ns`.
+    pub fn keep_for(&mut self, keep_ns: i64) {
+        self.taken.keep_for(keep_ns);
+        self.announced.keep_for(keep_ns);
+    }
+
     /// Takes note of an action that the robot took. One of the same stamp replaces the one before.
     pub fn take(&mut self, stamp_ns: i64, values: Arc<[f32]>) {
         self.taken.insert(stamp_ns, values);

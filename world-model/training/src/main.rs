@@ -200,6 +200,9 @@ fn main() -> ExitCode {
         .without_time()
         .with_target(false)
         .init();
+    if let Some(cache) = wm_zoo::PackedCache::of_environment() {
+        cache.use_in_process();
+    }
     match Command::parse_from(with_task(std::env::args_os())).run() {
         Ok(code) => code,
         Err(error) => {

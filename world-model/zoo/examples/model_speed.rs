@@ -6,8 +6,10 @@
 //! ```
 //!
 //! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32 or bf16, how many runs,
-//! and maybe a device, and whether passes are recorded and repeated there. Prints the time of loading, the memory that it took at most, and the time of each run, a line each
-//! (`load_ms`, `peak_mib`, `run_ms`), and writes `output.safetensors` of the last run into the folder. What is timed is
+//! maybe a device, and whether passes are recorded and repeated there. With `--keep=FOLDER`, packed weights are kept in
+//! that folder and found again. Prints the time of loading, the memory that it took at most, and the time of each run, a
+//! line each (`load_ms`, `peak_mib`, `run_ms`), and writes `output.safetensors` of the last run into the folder. What is
+//! timed is
 //! any kind of `wm model forward`, or of the transition model
 //!
 //! - `velocity`: `x` (B,T,H,W,C), `tau` (B,T), `action` (B,T,A) as for `dit`, but only the last frame, after T - 1 of which
@@ -24,24 +26,34 @@ use candle_core::{DType, Device, Tensor};
 use wm_model::sampler::{Given, Rollout};
 use wm_model::transition::{LoadedTransition, NewFrame};
 use wm_zoo::kinds::{DitConfig, Kind, Loaded, Tensors};
-use wm_zoo::{Checkpoint, Compute, DeviceName, Placement};
+use wm_zoo::packed_cache::CacheLimits;
+use wm_zoo::{Checkpoint, Compute, DeviceName, PackedCache, Placement};
 
 /// As in the program `wm`: large buffers are used again rather than given back to the system.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// Before the folder of packed weights.
+const KEEP: &str = "--keep=";
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 type Run<'a> = Box<dyn FnMut() -> Result<Tensors> + 'a>;
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [what, folder, format, runs, place @ ..] = arguments.as_slice() else {
-        return Err("expected KIND FOLDER f32|bf16 RUNS [DEVICE [recorded]]".into());
+    let (kept, rest): (Vec<&String>, Vec<&String>) = arguments
+        .iter()
+        .partition(|argument| argument.starts_with(KEEP));
+    let cache = kept.first().and_then(|kept| kept.strip_prefix(KEEP));
+    let [what, folder, format, runs, place @ ..] = rest.as_slice() else {
+        return Err(
+            "expected KIND FOLDER f32|bf16 RUNS [DEVICE [recorded]] [--keep=FOLDER]".into(),
+        );
     };
     let device = place
         .first()
         .map_or(Ok(DeviceName::Cpu), |name| name.parse())?;
-    let is_recorded = place.get(1).is_some_and(|word| word == "recorded");
+    let is_recorded = place.get(1).is_some_and(|word| *word == "recorded");
     let place = Placement::on(device, is_recorded).open()?;
     let dtype = match format.as_str() {
         "f32" => DType::F32,
@@ -54,6 +66,10 @@ fn main() -> Result<()> {
     let input = candle_core::safetensors::load(folder.join("input.safetensors"), &Device::Cpu)?;
     let inputs: Tensors = input.into_iter().collect();
 
+    let cache = cache.map(|folder| PackedCache::new(folder, CacheLimits::default()));
+    if let Some(cache) = cache.clone() {
+        cache.use_in_process();
+    }
     let before = peak_mib()?;
     let start = Instant::now();
     let checkpoint = Checkpoint::open(folder.join("weights.safetensors"))?;
@@ -61,7 +77,7 @@ fn main() -> Result<()> {
     let mut run: Run<'_> = if ["velocity", "frame"].contains(&what.as_str()) {
         let config = serde_json::from_str::<DitConfig>(&config)?;
         packed = config.load_at(&checkpoint, &place, dtype)?;
-        if what == "velocity" {
+        if *what == "velocity" {
             velocity(&packed, &inputs)?
         } else {
             Box::new(|| frame(&packed, &inputs))
@@ -73,6 +89,9 @@ fn main() -> Result<()> {
     };
     println!("load_ms {:.1}", start.elapsed().as_secs_f64() * 1e3);
     println!("peak_mib {:.0}", peak_mib()? - before);
+    if let Some(cache) = cache {
+        cache.wait();
+    }
     for left in (0..runs).rev() {
         let start = Instant::now();
         let output = run()?;

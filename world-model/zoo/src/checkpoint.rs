@@ -41,6 +41,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use candle_core::{DType, Device, Tensor};
+use sha2::{Digest as _, Sha256};
 
 pub use convert::{Conversion, convert};
 pub use element::Element;
@@ -48,6 +49,7 @@ pub use element::Element;
 use bytes::Bytes;
 use entry::Entry;
 
+use crate::packed_cache::Stamp;
 use crate::{Error, Result};
 
 /// Which of a training's weights to take where a checkpoint has both.
@@ -63,6 +65,9 @@ pub enum Average {
 /// Names of the parts that may be wrapped around a network's tensors, in the order in which they are looked for.
 const WRAPPERS_EMA: [&str; 5] = ["ema", "model_ema", "ema_model", "state_dict", "model"];
 const WRAPPERS_RAW: [&str; 2] = ["state_dict", "model"];
+
+/// Places in a file that a fingerprint samples, and bytes of each.
+const SAMPLES: (usize, usize) = (64, 4096);
 
 /// Wrappers within wrappers, as deep as this, are taken off.
 const MAX_WRAPPERS: usize = 4;
@@ -158,25 +163,28 @@ impl Checkpoint {
     /// If there is no such tensor, it holds other numbers or one that is not finite, its bytes in a torch file are not
     /// those of the archive's CRC-32, or `dtype` is none of f32, f16 and bf16.
     pub fn tensor(&self, name: &str, dtype: DType) -> Result<Tensor> {
-        let entry = self.entry(name)?;
-        if !entry.element.is_float() {
-            return Err(wm_model::Error::TensorType {
-                file: self.file.clone(),
-                name: name.to_owned(),
-                found: entry.element.name().to_owned(),
-            }
-            .into());
-        }
-        self.verify(entry)?;
+        let entry = self.floats(name)?;
         let storage = values::read(&self.bytes, entry, dtype)?;
         if !values::are_finite(&storage) {
-            return Err(wm_model::Error::TensorNotFinite {
-                file: self.file.clone(),
-                name: name.to_owned(),
-            }
-            .into());
+            return Err(self.not_finite(name));
         }
         values::into_tensor(storage, &entry.shape, &Device::Cpu)
+    }
+
+    /// What `read` makes of the values of the tensor `name`, which must be floating-point numbers, in row-major order:
+    /// without a copy if they are f32 in the file. Beyond what [`Checkpoint::tensor`] refuses, those that bf16 cannot hold
+    /// are refused if they are to be rounded to it.
+    pub(crate) fn with_values<R>(
+        &self,
+        name: &str,
+        is_rounded: bool,
+        read: impl FnOnce(&[f32]) -> R,
+    ) -> Result<R> {
+        let entry = self.floats(name)?;
+        let made = values::with_f32(&self.bytes, entry, |values| {
+            values::stay_finite(values, is_rounded).then(|| read(values))
+        });
+        made.ok_or_else(|| self.not_finite(name))
     }
 
     /// The tensors whose names start with `name` and a dot, by what follows; `None` if there are none.
@@ -243,6 +251,37 @@ impl Checkpoint {
         weights
     }
 
+    /// Which state of which file it is, if it was opened as one.
+    pub(crate) fn stamp(&self) -> Option<&Stamp> {
+        self.bytes.stamp()
+    }
+
+    /// SHA-256 (hexadecimal) over the table of the tensors, with the checksums that the file states, and samples of the
+    /// whole file: without reading all of it.
+    pub(crate) fn fingerprint(&self) -> String {
+        let mut hash = Sha256::new();
+        for (name, entry) in &self.entries {
+            let Entry {
+                element,
+                shape,
+                strides,
+                start,
+                storage,
+            } = entry;
+            let checksum = storage.as_ref().and_then(|storage| storage.crc32());
+            let element = element.name();
+            hash.update(format!(
+                "{name} {element} {shape:?} {strides:?} {start} {checksum:?}\n"
+            ));
+        }
+        let bytes = self.bytes.as_slice();
+        let (count, length) = SAMPLES;
+        for sample in bytes.chunks(bytes.len().div_ceil(count).max(length)) {
+            hash.update(sample.get(..length).unwrap_or(sample));
+        }
+        format!("{:x}", hash.finalize())
+    }
+
     /// Checks the values of `entry` against the checksum that the file states of them, if it states one.
     fn verify(&self, entry: &Entry) -> Result<()> {
         let Some(storage) = &entry.storage else {
@@ -254,6 +293,28 @@ impl Checkpoint {
                 file: self.file.clone(),
                 reason,
             })
+    }
+
+    /// The entry of floating-point numbers `name`, of which the file's checksum is right if it states one.
+    fn floats(&self, name: &str) -> Result<&Entry> {
+        let entry = self.entry(name)?;
+        if !entry.element.is_float() {
+            return Err(wm_model::Error::TensorType {
+                file: self.file.clone(),
+                name: name.to_owned(),
+                found: entry.element.name().to_owned(),
+            }
+            .into());
+        }
+        self.verify(entry)?;
+        Ok(entry)
+    }
+
+    fn not_finite(&self, name: &str) -> Error {
+        Error::Model(wm_model::Error::TensorNotFinite {
+            file: self.file.clone(),
+            name: name.to_owned(),
+        })
     }
 
     fn entry(&self, name: &str) -> Result<&Entry> {

@@ -63,8 +63,7 @@ pub use native::NativeDecoder;
 pub use random::write_random_weights;
 pub use summary::{PartSummary, Stepping, Summary};
 
-use crate::kinds::{DitConfig, Kind, build_transition, parse};
-use crate::layers::packed_format;
+use crate::kinds::{DitConfig, Kind, build_transition, load_transition, parse};
 use crate::loader::Requested;
 use crate::success_probe::SuccessClassifier;
 use crate::svae::{Svae, SvaeConfig};
@@ -303,6 +302,12 @@ impl DescribedFolder {
         self.transition.is_some()
     }
 
+    /// Camera frames of a model step; `None` where there is no transition model.
+    pub fn frame_skip(&self) -> Option<usize> {
+        let transition = self.transition.as_ref()?;
+        Some(transition.config.encoding.frame_skip())
+    }
+
     fn described_transition(&self) -> Result<&Opened<Dynamics>> {
         self.transition.as_ref().ok_or_else(|| Error::ConfigFile {
             file: Path::new(&self.name).join(FILE).display().to_string(),
@@ -359,16 +364,16 @@ impl DescribedFolder {
             trained_on.require(&space)?;
         }
         let compute = self.compute(place);
-        let model = transition
-            .source
-            .load_at(&compute, |loader| build_transition(config.clone(), loader))?;
+        let model = transition.source.load_at(&compute, |loader| {
+            load_transition(config.clone(), loader, place, compute.precision())
+        })?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
         hash.update(format!("{}\n", canonical(&settings)?));
         transition.source.hash(&transition.tensors, &mut hash)?;
         Ok(WorldModel {
             name: self.name.clone(),
-            transition: place.load(model, packed_format(compute.precision()))?,
+            transition: model,
             hash: format!("{:x}", hash.finalize()),
             space,
             encoding: encoding.clone(),

@@ -26,10 +26,10 @@ use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::Result;
-use crate::layers::{Dropout, LayerNorm, Linear, rms_norm};
+use crate::layers::{Activation, Dropout, LayerNorm, Linear, rms_norm};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
-use crate::vit::{Activation, Block};
+use crate::vit::Block;
 pub use convolutional::{ConvolutionalIdm, ConvolutionalIdmConfig};
 use names::Names;
 pub use network::{IdmNetwork, IdmNetworkConfig};
@@ -235,7 +235,7 @@ impl Idm {
         }
         let answers = self.norm.forward(&x.narrow(1, 0, k)?.contiguous()?)?;
         let [first, second] = &self.head;
-        let hidden = Activation::GeluExact.apply(first.engine(), &first.forward(&answers)?)?;
+        let hidden = first.forward_activated(&answers, Activation::GeluExact)?;
         Ok(second.forward(&hidden)?.to_dtype(DType::F32)?)
     }
 

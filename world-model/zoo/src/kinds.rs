@@ -34,7 +34,7 @@ use candle_core::{Device, Tensor};
 use serde::de::DeserializeOwned;
 
 pub use dit::{DitConfig, Head};
-pub(crate) use dit::{build as build_dit, build_transition};
+pub(crate) use dit::{build as build_dit, build_transition, load_transition};
 pub use loaded::Loaded;
 pub use rollout::{RolloutOptions, rollout};
 

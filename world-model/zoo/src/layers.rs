@@ -15,7 +15,7 @@ mod linear;
 mod rms_norm;
 mod upsample;
 
-pub use activation::{gelu_exact, gelu_tanh, silu};
+pub use activation::{Activation, gelu_exact, gelu_tanh, silu};
 pub use attention::attention;
 pub use conv2d::{Conv2d, ConvSpec, Padding};
 pub use dropout::Dropout;

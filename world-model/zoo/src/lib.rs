@@ -46,6 +46,7 @@ pub mod folder;
 pub mod kinds;
 pub mod layers;
 pub mod loader;
+pub mod packed_cache;
 
 pub mod efficientnet_lite0;
 pub mod idm;
@@ -62,6 +63,7 @@ pub use device::DeviceName;
 pub use error::{Error, Misshapen, Result};
 pub use loader::{Loader, Supply};
 pub use model_folder::{ModelFolder, TransitionTensors};
+pub use packed_cache::PackedCache;
 pub use placed_model::PlacedModel;
 pub use placement::Placement;
 pub use wm_model::ops::Engine;

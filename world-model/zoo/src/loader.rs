@@ -7,9 +7,11 @@ use std::rc::Rc;
 
 use candle_core::{DType, Device, Tensor};
 use wm_model::Weights;
-use wm_model::ops::PackedFormat;
+use wm_model::ops::{PackedFormat, PackedLinear};
+use wm_model::transition::PackedSource;
 
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear, packed_format};
+use crate::packed_cache::{PackedCache, Session};
 use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Result};
 
 /// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
@@ -33,6 +35,8 @@ pub struct Loader<'a> {
     device: Device,
     /// Whether values are read from `source`, or only names and shapes.
     reads: bool,
+    /// Where packed weights are looked up and kept.
+    session: Option<Rc<RefCell<Session>>>,
     account: Rc<RefCell<Account>>,
 }
 
@@ -100,6 +104,38 @@ struct Account {
     misshapen: Vec<Misshapen>,
 }
 
+impl Account {
+    /// Notes that the tensor `path` was asked for.
+    fn note(&mut self, path: &str, shape: &[usize]) {
+        // Twice the same tensor counts once: networks may share weights.
+        if self.used.insert(path.to_owned()) {
+            self.requested.push(Requested {
+                name: path.to_owned(),
+                shape: shape.to_vec(),
+            });
+        }
+    }
+}
+
+impl PackedSource for Loader<'_> {
+    fn linear(
+        &self,
+        name: &str,
+        shape: (usize, usize),
+        is_biased: bool,
+    ) -> wm_model::Result<PackedLinear> {
+        Ok(self.packed_linear(name, shape, is_biased)?)
+    }
+
+    fn values(&self, name: &str, shape: &[usize]) -> wm_model::Result<Vec<f32>> {
+        Ok(self.values(name, shape)?)
+    }
+
+    fn format(&self) -> PackedFormat {
+        self.format()
+    }
+}
+
 impl<'a> Loader<'a> {
     /// Gives `source`'s tensors, on the CPU, rounded to `precision`.
     pub fn new(source: &'a Checkpoint, engine: Engine, precision: DType) -> Self {
@@ -108,14 +144,33 @@ impl<'a> Loader<'a> {
 
     /// Gives `source`'s tensors on the device of `compute`, rounded to its precision.
     pub fn on(source: &'a Checkpoint, compute: &Compute) -> Self {
-        Self {
+        let loader = Self {
             source: Source::Checkpoint(source),
             prefix: String::new(),
             engine: compute.engine(),
             precision: compute.precision(),
             device: compute.device().clone(),
             reads: true,
+            session: None,
             account: Rc::default(),
+        };
+        match PackedCache::of_process() {
+            Some(cache) => loader.cached(cache),
+            None => loader,
+        }
+    }
+
+    /// The same, with packed weights from `cache`, and kept there.
+    pub(crate) fn cached(self, cache: PackedCache) -> Self {
+        let session = match self.source {
+            Source::Checkpoint(source) if self.engine == Engine::Cpu && self.device.is_cpu() => {
+                Session::new(cache, source, self.precision)
+            }
+            _ => None,
+        };
+        Self {
+            session: session.map(|session| Rc::new(RefCell::new(session))),
+            ..self
         }
     }
 
@@ -137,6 +192,7 @@ impl<'a> Loader<'a> {
             precision: DType::F32,
             device: Device::Cpu,
             reads: false,
+            session: None,
             account: Rc::default(),
         }
     }
@@ -216,13 +272,7 @@ impl<'a> Loader<'a> {
     pub fn tensor(&self, name: &str, shape: &[usize]) -> Result<Tensor> {
         let path = self.path(name);
         let mut account = self.account.borrow_mut();
-        // Twice the same tensor counts once: networks may share weights.
-        if account.used.insert(path.clone()) {
-            account.requested.push(Requested {
-                name: path.clone(),
-                shape: shape.to_vec(),
-            });
-        }
+        account.note(&path, shape);
         let source = match self.source {
             Source::Checkpoint(source) => source,
             Source::Supply(supply) => return supply.supply(&path, shape),
@@ -254,9 +304,7 @@ impl<'a> Loader<'a> {
     /// # Errors
     /// As [`Loader::tensor`].
     pub fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
-        let weight = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
-        let bias = self.tensor(&format!("{name}.bias"), &[outputs])?;
-        Linear::new(weight, Some(bias), self.engine, self.format())
+        self.linear_with(name, (outputs, inputs), true)
     }
 
     /// The Linear `name` that has no bias.
@@ -264,8 +312,88 @@ impl<'a> Loader<'a> {
     /// # Errors
     /// As [`Loader::tensor`].
     pub fn linear_no_bias(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
-        let weight = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
-        Linear::new(weight, None, self.engine, self.format())
+        self.linear_with(name, (outputs, inputs), false)
+    }
+
+    fn linear_with(&self, name: &str, shape: (usize, usize), is_biased: bool) -> Result<Linear> {
+        let weight = format!("{name}.weight");
+        let weight_shape = [shape.0, shape.1];
+        if let Some(source) = self.packs(&weight, &weight_shape) {
+            return self
+                .pack(source, name, shape, is_biased)
+                .map(Linear::packed);
+        }
+        let weight = self.tensor(&weight, &weight_shape)?;
+        let bias = is_biased.then(|| self.tensor(&format!("{name}.bias"), &[shape.0]));
+        Linear::new(weight, bias.transpose()?, self.engine, self.format())
+    }
+
+    /// The Linear `name`, packed: `name.weight` of `shape` and, if `is_biased`, `name.bias`.
+    fn packed_linear(
+        &self,
+        name: &str,
+        shape: (usize, usize),
+        is_biased: bool,
+    ) -> Result<PackedLinear> {
+        let (weight, weight_shape) = (format!("{name}.weight"), [shape.0, shape.1]);
+        if let Some(source) = self.packs(&weight, &weight_shape) {
+            return self.pack(source, name, shape, is_biased);
+        }
+        let weight = self.values(&weight, &weight_shape)?;
+        let bias = is_biased.then(|| self.values(&format!("{name}.bias"), &[shape.0]));
+        let bias = bias.transpose()?;
+        Ok(PackedLinear::new(
+            &weight,
+            bias.as_deref(),
+            shape,
+            self.format(),
+        )?)
+    }
+
+    /// The checkpoint, if the matrix `name` of `shape` can be packed from where it lies there.
+    fn packs(&self, name: &str, shape: &[usize]) -> Option<&'a Checkpoint> {
+        let Source::Checkpoint(source) = self.source else {
+            return None;
+        };
+        let is_packed = self.reads && self.engine == Engine::Cpu && self.device.is_cpu();
+        let is_known = matches!(self.precision, DType::F32 | DType::BF16);
+        let fits = source.shape(&self.path(name)) == Some(shape);
+        (is_packed && is_known && fits).then_some(source)
+    }
+
+    /// Packs the Linear `name` from where its values lie in the file.
+    fn pack(
+        &self,
+        source: &Checkpoint,
+        name: &str,
+        shape: (usize, usize),
+        is_biased: bool,
+    ) -> Result<PackedLinear> {
+        let weight = self.path(&format!("{name}.weight"));
+        self.account.borrow_mut().note(&weight, &[shape.0, shape.1]);
+        let bias = is_biased.then(|| self.values(&format!("{name}.bias"), &[shape.0]));
+        let bias = bias.transpose()?;
+        let mut session = self.session.as_ref().map(|session| session.borrow_mut());
+        let (format, bias) = (self.format(), bias.as_deref());
+        if let Some(session) = &mut session
+            && let Some(packed) = session.linear(&weight, shape, format, bias)
+        {
+            return Ok(packed);
+        }
+        let is_rounded = self.precision == DType::BF16;
+        let packed = source.with_values(&weight, is_rounded, |weight| {
+            PackedLinear::new(weight, bias, shape, format)
+        })??;
+        if let Some(session) = &mut session {
+            session.note(&weight, &packed);
+        }
+        Ok(packed)
+    }
+
+    /// The values of tensor `name`.
+    fn values(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+        let tensor = self.tensor(name, shape)?.to_dtype(DType::F32)?;
+        Ok(tensor.flatten_all()?.to_vec1()?)
     }
 
     /// The layer normalisation `name`: `name.weight` and `name.bias` (width).
@@ -343,6 +471,9 @@ impl<'a> Loader<'a> {
             .collect();
         let (missing, misshapen) = (account.missing.clone(), account.misshapen.clone());
         if missing.is_empty() && misshapen.is_empty() && unexpected.is_empty() {
+            if let Some(session) = &self.session {
+                session.borrow_mut().finish();
+            }
             return Ok(());
         }
         Err(Error::Tensors {

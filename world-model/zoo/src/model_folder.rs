@@ -119,6 +119,21 @@ impl ModelFolder {
         }
     }
 
+    /// Camera frames of a model step, told without loading the transition model; `None` where there is none.
+    ///
+    /// # Errors
+    /// When its file is missing or corrupt.
+    pub fn frame_skip(&self) -> Result<Option<usize>> {
+        match self {
+            Self::Trained(folder) if folder.has_transition() => {
+                let encoding: ActionEncoding = folder.transition()?.json(ACTIONS_KEY)?;
+                Ok(Some(encoding.frame_skip()))
+            }
+            Self::Trained(_) => Ok(None),
+            Self::Described(folder) => Ok(folder.frame_skip()),
+        }
+    }
+
     /// Loads the transition model with what is needed to use it.
     ///
     /// # Errors

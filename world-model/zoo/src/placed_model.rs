@@ -26,6 +26,14 @@ impl PlacedModel {
         self.folder.name()
     }
 
+    /// As [`ModelFolder::frame_skip`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn frame_skip(&self) -> Result<Option<usize>> {
+        self.folder.frame_skip()
+    }
+
     /// As [`ModelFolder::encoder`].
     ///
     /// # Errors

@@ -20,10 +20,10 @@ use candle_core::{D, DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::Result;
-use crate::layers::{LayerNorm, Linear};
+use crate::layers::{Activation, LayerNorm, Linear};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
-use crate::vit::{Activation, Block, Mlp, Projections, SelfAttention};
+use crate::vit::{Block, Mlp, Projections, SelfAttention};
 
 /// Epsilon of the LayerNorms in the blocks.
 const BLOCK_EPS: f64 = 1e-12;

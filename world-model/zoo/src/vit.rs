@@ -23,7 +23,6 @@ pub mod vjepa;
 pub mod web_dino;
 
 pub(crate) use block::{Block, BlockNames};
-pub use mlp::Activation;
 pub(crate) use mlp::Mlp;
 pub(crate) use patch_embedding::PatchEmbedding;
 pub(crate) use rotary::Rotary;

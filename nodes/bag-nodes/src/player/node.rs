@@ -29,7 +29,7 @@ use wm_msgs::{
 use wm_ros::calls::Calls;
 use wm_ros::{
     Direction, EndpointSet as _, EndpointSpec, Node, NodeArgs, NodeDefinition, ParameterSet as _,
-    Publisher, Qos,
+    Publisher, Qos, frame_trace,
 };
 
 /// The node.
@@ -403,8 +403,14 @@ impl Player {
             return Ok(());
         };
         let mut data = message.data.clone();
+        let mut frame = None;
         if track.is_restamped {
-            match restamp(&data, |stamp_ns| self.stamp_ns(stamp_ns)) {
+            let moved = restamp(&data, |stamp_ns| {
+                let moved_ns = self.stamp_ns(stamp_ns);
+                frame = track.is_camera.then(|| Time::from_nanos(moved_ns));
+                moved_ns
+            });
+            match moved {
                 Ok(moved) => data = moved,
                 Err(problem) => {
                     let kept = self.kept_stamps.entry(message.topic.clone()).or_default();
@@ -419,7 +425,14 @@ impl Player {
         if is_clocked {
             self.publish_clock(message.log_time_ns)?;
         }
-        match publisher.publish(data) {
+        if let Some(frame) = frame {
+            frame_trace::passed("image due", frame);
+        }
+        let published = publisher.publish(data);
+        if let Some(frame) = frame {
+            frame_trace::passed("image published", frame);
+        }
+        match published {
             Ok(()) => self.published += 1,
             // one recorder's odd sample is no reason to stop the others
             Err(problem @ wm_ros::Error::Representation { .. }) => {
@@ -527,11 +540,18 @@ async fn tick(ticks: &mut Option<Interval>) {
     }
 }
 
+/// tokio's timers count whole milliseconds and end after the moment: the thread itself sleeps the last ones, so that a
+/// frame leaves at the time of its stamp.
+const TIMER_STEPS: Duration = Duration::from_millis(2);
+
 async fn sleep_until(moment: Option<Instant>) {
-    match moment {
-        Some(moment) => tokio::time::sleep_until(moment).await,
-        None => std::future::pending().await,
+    let Some(moment) = moment else {
+        return std::future::pending().await;
+    };
+    if let Some(early) = moment.checked_sub(TIMER_STEPS) {
+        tokio::time::sleep_until(early).await;
     }
+    std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
 fn open_source(

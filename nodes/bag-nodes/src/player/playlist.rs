@@ -8,7 +8,11 @@ use std::sync::Arc;
 use tracing::warn;
 use wm_bag::{BagReader, QosProfile};
 use wm_camera::goal::{camera_topic, last_frame};
-use wm_msgs::{Message as _, sensor_msgs::CompressedImage, wm_msgs::Action};
+use wm_msgs::{
+    Message as _,
+    sensor_msgs::{CompressedImage, Image},
+    wm_msgs::Action,
+};
 use wm_ros::{Durability, Node, Qos, RawPublisher, Reliability};
 
 /// A topic that is played.
@@ -16,6 +20,8 @@ pub(super) struct Track {
     pub publisher: RawPublisher,
     /// Whether its messages' stamps are moved.
     pub is_restamped: bool,
+    /// Whether its messages are pictures.
+    pub is_camera: bool,
     /// Whether its subscribers acknowledge what they receive.
     pub is_reliable: bool,
     /// Whether `/clock` is published before each of its messages.
@@ -74,6 +80,9 @@ impl Playlist {
             let track = Track {
                 publisher,
                 is_restamped: settings.parameters.is_restamping && has_header,
+                is_camera: [Image::ros_name(), CompressedImage::ros_name()]
+                    .iter()
+                    .any(|name| *name == *topic.type_name),
                 is_reliable: qos.reliability == Reliability::Reliable,
                 is_clocked: settings.clocks(&topic.name),
             };

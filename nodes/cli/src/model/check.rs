@@ -25,6 +25,17 @@ pub struct CheckCommand {
     /// A model folder, or `tiny`, as for the parameter `model` of a node
     #[arg(value_name = "DIR")]
     model: String,
+    /// Rate of the camera that the verdict is for
+    #[arg(long, value_name = "HZ", default_value_t = 5.0, value_parser = parse_rate)]
+    rate: f64,
+}
+
+/// Rates whose period the nodes take as `frame_period`.
+fn parse_rate(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(rate) if (1.0 / 60.0..=1000.0).contains(&rate) => Ok(rate),
+        _ => Err("expected a rate in Hz, from 1/60 to 1000".to_owned()),
+    }
 }
 
 impl CheckCommand {
@@ -44,7 +55,10 @@ impl CheckCommand {
             None => print("no transition: encoder and decoder only\n")?,
         }
         print(format_args!("loaded in {loading:.0} ms\n"))?;
-        print(format_args!("{}", run_once(&parts)?))
+        print(format_args!(
+            "{}",
+            run_once(&parts, Duration::from_secs_f64(1.0 / self.rate))?
+        ))
     }
 }
 
@@ -113,8 +127,9 @@ fn table(summary: &Summary) -> Result<String> {
     Ok(text)
 }
 
-/// One picture through all parts, how long each takes here, and whether that is fast enough.
-fn run_once(parts: &Parts) -> Result<String> {
+/// One picture through all parts, how long each takes here, and whether that is fast enough for a camera with
+/// `frame_period` between frames.
+fn run_once(parts: &Parts, frame_period: Duration) -> Result<String> {
     let mut text = String::new();
     let (height, width) = parts.encoder.input_size();
     let picture = Tensor::full(0.5f32, (1, height, width, 3), &Device::Cpu)?;
@@ -175,10 +190,13 @@ fn run_once(parts: &Parts) -> Result<String> {
             )?;
         }
     }
+    let transition = parts.transition.as_ref();
     let times = Times {
         encode,
         predict,
         decode,
+        frame_period,
+        frame_skip: transition.map_or(1, |model| model.encoding.frame_skip()),
     };
     writeln!(text, "{times}")?;
     Ok(text)
@@ -207,9 +225,20 @@ mod tests {
     #[test]
     fn the_embedded_default_runs() {
         let model = ModelFolder::open("tiny").unwrap();
-        let text = run_once(&Parts::load(&model).unwrap()).unwrap();
-        assert_eq!(text.lines().count(), 6, "{text}");
-        assert!(text.contains("5 Hz: "), "{text}");
+        let parts = Parts::load(&model).unwrap();
+        let text = run_once(&parts, Duration::from_secs(1)).unwrap();
+        assert_eq!(text.lines().count(), 9, "{text}");
+        for part in ["encoder: ", "predictor: ", "decoder: ", "for 1 Hz: "] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_rate_is_one_that_the_nodes_take() {
+        assert_eq!(parse_rate("2.5"), Ok(2.5));
+        for wrong in ["0", "-5", "1e9", "nan", "fast"] {
+            assert!(parse_rate(wrong).is_err(), "{wrong}");
+        }
     }
 
     #[test]
@@ -227,7 +256,7 @@ mod tests {
         let model = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
         let parts = Parts::load(&model).unwrap();
         assert!(parts.transition.is_none());
-        let text = run_once(&parts).unwrap();
+        let text = run_once(&parts, Duration::from_secs(1)).unwrap();
         assert!(text.contains("encoder and decoder only"), "{text}");
 
         // Where the transition is there and damaged, that is an error.

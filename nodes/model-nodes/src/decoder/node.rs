@@ -8,15 +8,19 @@ use std::{
 use anyhow::{Context as _, Result};
 use wm_msgs::wm_msgs::Prediction;
 use wm_ros::{
-    Input, Level, Node, NodeDefinition, Parameter, Qos, Subscription, complaints::Complaints,
+    Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Qos, Subscription,
+    complaints::Complaints,
 };
 use wm_zoo::PlacedModel;
 
 use super::{
-    DecoderError, DecoderStep, jpeg_message, raw_message,
+    DecoderError, DecoderStep,
+    held::Held,
+    jpeg_message, raw_message,
     rollouts::{Choice, Rollouts},
 };
 use crate::{
+    cadence::{PACE, SKIPPED, every_nth, measured, rough},
     harness::{self, Configured, ModelNode},
     pool::Pool,
     work::Work,
@@ -27,10 +31,14 @@ use wm_wire::transport::{ImagePublisher, Pictures, Transports};
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Decoder>();
 
 /// Predictions that may wait: two rollouts of eight, since they come faster than one by one.
-const WAITING: usize = 16;
+pub(super) const WAITING: usize = 16;
 /// Pictures of the rollout before that may wait when a new one begins: a hiccup is no reason to leave it out.
 const UNFINISHED: usize = WAITING / 4;
+/// Pictures of a rollout, until one has told: the predictor's default horizon.
+const USUAL_HORIZON: u32 = 8;
 const OVERLOAD: &str = "decoding is slower than the predictions arrive; decode fewer steps (steps) or rollouts (decode_period)";
+/// What raises the rate.
+const FASTER: &str = "for more: fewer steps, a smaller model, or a faster processor";
 const NO_PREDICTOR: &str =
     "start the predictor; it predicts once latents and an action have arrived";
 /// What a stock ROS 2 machine receives without a larger buffer \[byte\].
@@ -58,7 +66,7 @@ wm_ros::parameters! {
         steps: Parameter<Vec<i64>> = Vec::<i64>::new();
         /// Added to the nice value of the computing threads, as with nice(1). Above 0, other nodes and programs go
         /// first: a picture may be late, a prediction may not.
-        nice: i32 = 5, in 0..=19;
+        nice: i32 = 10, in 0..=19;
     }
 }
 
@@ -77,6 +85,8 @@ struct Model {
     name: String,
     /// `None` where the model has no decoder.
     step: Option<Arc<Mutex<DecoderStep>>>,
+    /// How long a picture took when one was tried out.
+    estimate: Option<Duration>,
     pool: Pool,
 }
 
@@ -91,7 +101,13 @@ struct Decoder {
 struct Decoding {
     work: Work<(Arc<Prediction>, u8), Decoded>,
     rollouts: Rollouts,
+    held: Held<(Arc<Prediction>, u8)>,
+    /// Pictures of a rollout.
+    pictures: u32,
+    /// Pictures that were made since the last time was taken, and how long they took together.
+    made: (u32, Duration),
     complaints: Complaints,
+    diagnostics: Diagnostics,
 }
 
 fn work(
@@ -143,10 +159,20 @@ impl ModelNode for Decoder {
                 step.raw_bytes(),
             );
         }
+        let pool = Pool::new(Self::NAME, parameters.nice)?;
+        let estimate = step.as_ref().and_then(|step| {
+            pool.run(|| measured(|| step.try_out()))
+                .inspect_err(|error| tracing::warn!("decoding was tried out, and failed: {error}"))
+                .ok()
+        });
+        if let Some(taken) = estimate {
+            tracing::info!("decoding a picture takes about {} here", rough(taken));
+        }
         let model = Model {
             name: folder.name(),
             step: step.map(|step| Arc::new(Mutex::new(step))),
-            pool: Pool::new(Self::NAME, parameters.nice)?,
+            estimate,
+            pool,
         };
         if model.step.is_none() {
             tracing::warn!("{}: no pictures will be published", model.idle());
@@ -165,8 +191,15 @@ impl ModelNode for Decoder {
             decoding: Some(Decoding {
                 work: work(Arc::clone(step), parameters.image_transport, &at.model.pool),
                 // The range keeps it within an hour.
-                rollouts: Rollouts::every((parameters.decode_period * 1e9) as i64),
-                complaints: Complaints::new(diagnostics),
+                rollouts: Rollouts::every(
+                    (parameters.decode_period * 1e9) as i64,
+                    at.model.estimate.map(|picture| picture * USUAL_HORIZON),
+                ),
+                held: Held::new(),
+                pictures: USUAL_HORIZON,
+                made: (0, Duration::ZERO),
+                complaints: Complaints::new(diagnostics.clone()),
+                diagnostics,
             }),
         })
     }
@@ -186,6 +219,7 @@ impl ModelNode for Decoder {
         };
         let latency = at.node.diagnostics().latency("decode");
         loop {
+            let due = decoding.held.due();
             tokio::select! {
                 biased;
                 finished = decoding.work.finished() => {
@@ -194,6 +228,7 @@ impl ModelNode for Decoder {
                         Ok(decoded) => {
                             pictures.publish(&decoded)?;
                             latency.record(taken);
+                            decoding.took(taken);
                         }
                         Err(error) => decoding.complaints.left_out("bad_prediction", &error),
                     }
@@ -201,29 +236,96 @@ impl ModelNode for Decoder {
                 received = predictions.recv_shared() => {
                     let Some(received) = received else { return Ok(()) };
                     let steps = at.parameters.steps.get();
+                    decoding.pictures = pictures_of(received.message.horizon, &steps);
                     if steps.is_empty() || steps.contains(&i64::from(received.message.step)) {
                         // The range keeps it within 1 to 100.
                         let quality = u8::try_from(at.parameters.jpeg_quality.get()).unwrap_or(100);
-                        decoding.prediction(received.message, quality);
+                        decoding.prediction(received.message, quality, received.at);
+                    } else if is_last(&received.message) {
+                        decoding.release();
                     }
                 }
+                () = until(due) => decoding.release(),
             }
         }
     }
 }
 
+/// Never, where nothing is due.
+async fn until(due: Option<Instant>) {
+    match due {
+        Some(due) => tokio::time::sleep_until(due.into()).await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Whether it is the last step of its rollout.
+fn is_last(prediction: &Prediction) -> bool {
+    prediction.step >= prediction.horizon
+}
+
 impl Decoding {
-    fn prediction(&mut self, prediction: Arc<Prediction>, quality: u8) {
+    fn prediction(&mut self, prediction: Arc<Prediction>, quality: u8, now: Instant) {
         let observed_ns = prediction.observed_stamp.to_nanos();
         let is_behind = self.work.waiting() > UNFINISHED;
-        match self.rollouts.choose(observed_ns, is_behind) {
+        match self.rollouts.choose(observed_ns, is_behind, now) {
             Choice::Decode => {
-                if self.work.submit((prediction, quality)).is_some() {
-                    self.complaints.left_out("overload", &OVERLOAD);
-                }
+                let rollout = (observed_ns, is_last(&prediction));
+                let ready = self.held.add((prediction, quality), rollout, now);
+                self.submit(ready);
             }
             Choice::Skip => {}
+            Choice::Pace => self.diagnostics.count_skipped(SKIPPED, 1),
             Choice::Overload => self.complaints.left_out("overload", &OVERLOAD),
         }
     }
+
+    fn release(&mut self) {
+        let held = self.held.release();
+        self.submit(held);
+    }
+
+    fn submit(&mut self, predictions: Vec<(Arc<Prediction>, u8)>) {
+        for job in predictions {
+            if self.work.submit(job).is_some() {
+                self.complaints.left_out("overload", &OVERLOAD);
+            }
+        }
+    }
+
+    /// Takes note of how long a picture took, and says if that changes which rollouts are decoded. A rollout's pictures
+    /// are judged together: alone, they are too many and too short.
+    fn took(&mut self, picture: Duration) {
+        self.made.0 += 1;
+        self.made.1 += picture;
+        if self.made.0 < self.pictures {
+            return;
+        }
+        let (_, taken) = std::mem::take(&mut self.made);
+        self.rollouts.took(taken);
+        let cadence = self.rollouts.cadence();
+        if let Some((taken, gap)) = cadence.change() {
+            let (nth, pictures) = (every_nth(cadence.nth(), "rollout"), self.pictures);
+            let text = format!(
+                "the {pictures} pictures of a rollout take about {} here: of one every {}, {nth} is decoded",
+                rough(taken),
+                rough(gap)
+            );
+            match cadence.nth() {
+                1 => tracing::info!("{text}"),
+                _ => tracing::warn!("{text}; {FASTER}"),
+            }
+            self.diagnostics.set_value(PACE, nth);
+        }
+    }
+}
+
+/// Pictures of a rollout of which `steps` are decoded; of none named, all.
+fn pictures_of(horizon: u32, steps: &[i64]) -> u32 {
+    if steps.is_empty() {
+        return horizon;
+    }
+    let within = |step: &&i64| (1..=i64::from(horizon)).contains(*step);
+    // At most the horizon.
+    steps.iter().filter(within).count() as u32
 }

@@ -1,6 +1,6 @@
 //! One prediction to one picture.
 
-use candle_core::{Device, Tensor};
+use candle_core::{DType, Device, Tensor};
 use image::RgbImage;
 use thiserror::Error;
 use wm_model::{Decoder, image::to_rgb};
@@ -68,6 +68,17 @@ impl DecoderStep {
             &Device::Cpu,
         )?;
         Ok(to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?)
+    }
+
+    /// Decodes an empty latent, to see that it works and how long that takes.
+    ///
+    /// # Errors
+    /// Those of the decoder.
+    pub fn try_out(&self) -> Result<(), DecoderError> {
+        let (height, width, channels) = self.decoder.space().shape();
+        let latent = Tensor::zeros((1, height, width, channels), DType::F32, &Device::Cpu)?;
+        to_rgb(&self.decoder.decode(&latent)?.squeeze(0)?)?;
+        Ok(())
     }
 
     /// Bytes of a raw picture's pixels.

@@ -10,17 +10,20 @@ use tokio::sync::watch;
 use wm_msgs::wm_msgs::Latent;
 use wm_ros::{
     Clock, Diagnostics, Input, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
+    frame_trace,
 };
 use wm_zoo::PlacedModel;
 
 use super::{
-    EncoderError, EncoderStep,
+    Choice, EncoderError, EncoderStep, Fate, Mode, Needs,
     repeats::{Arrival, Repeats},
 };
 use crate::{
+    cadence::{OPEN, PACE, SKIPPED, hertz, measured, rough},
     camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, Configured, ModelNode},
     history::{Reception, epoch_after, seconds},
+    pool::Pool,
     work::Work,
 };
 use wm_camera::camera_frame::CameraFrame;
@@ -32,10 +35,10 @@ use wm_wire::{
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>();
 
-/// Length of the queue of frames behind the one that is being encoded.
-const WAITING: usize = 1;
 /// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
 const SILENCE: Duration = Duration::from_secs(1);
+/// What raises the rate.
+const FASTER: &str = "for more: a smaller encoder, or a faster processor";
 /// Advice for a missing camera.
 const NO_CAMERA: &str = "start the camera's driver, or remap /camera/image_raw to its topic";
 
@@ -56,6 +59,11 @@ wm_ros::parameters! {
         };
         /// Image transport of the camera. With both, a frame that arrives twice counts once.
         image_transport: Transports = "both";
+        /// Time from one camera frame to the next [s], as in the model's training. With context_frames, it says which
+        /// frames are encoded where encoding is slower than the camera.
+        frame_period: f64 = 0.2, in 1e-3..=60.0;
+        /// Number of observed frames that predictions start from, one model step apart, as on the predictor.
+        context_frames: usize = 2, in 1..=64;
     }
 }
 
@@ -72,8 +80,19 @@ wm_ros::endpoints! {
 /// An encoded frame or why there is none, whether it came raw, how long it took, and when it came.
 type Encoded = (Result<Latent, EncoderError>, bool, Duration, Instant);
 
+/// What the node loads.
+struct Model {
+    step: Arc<Mutex<EncoderStep>>,
+    /// How long a frame took when it was tried out.
+    estimate: Option<Duration>,
+    needs: Needs,
+}
+
 struct Encoder {
     work: Work<(CameraFrame, Instant, u64), Encoded>,
+    /// Which frames are encoded.
+    choice: Choice,
+    needs: Needs,
     clock: Clock,
     jumps: watch::Receiver<u64>,
     /// The epoch of the frames.
@@ -90,32 +109,60 @@ impl ModelNode for Encoder {
     const ABOUT: &'static str = "Encodes camera frames to latents.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
-    type Model = Arc<Mutex<EncoderStep>>;
+    type Model = Model;
 
     fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
         let step = EncoderStep::new(folder.encoder()?, parameters.dtype);
         tracing::info!("encoding to latent space {}", step.space());
-        Ok(Arc::new(Mutex::new(step)))
+        let needs = Needs {
+            // The range keeps it positive and within a minute.
+            frame_period: Duration::from_secs_f64(parameters.frame_period),
+            // Without a transition model nothing is predicted.
+            frame_skip: folder.frame_skip()?.unwrap_or(1),
+            context_frames: parameters.context_frames,
+        };
+        let estimate = measured(|| step.try_out())
+            .inspect_err(|error| tracing::warn!("encoding was tried out, and failed: {error}"))
+            .ok();
+        if let Some(taken) = estimate {
+            say(&Choice::new(needs, estimate), taken, &needs);
+        }
+        Ok(Model {
+            step: Arc::new(Mutex::new(step)),
+            estimate,
+            needs,
+        })
     }
 
     fn activate(at: &Configured<Self>) -> Result<Self> {
-        let step = Arc::clone(&at.model);
+        let Model {
+            step,
+            estimate,
+            needs,
+        } = &at.model;
+        let step = Arc::clone(step);
+        let choice = Choice::new(*needs, *estimate);
         let work = Work::new(
-            WAITING,
+            choice.room(),
             move |(frame, received, epoch): (CameraFrame, Instant, u64), _| {
                 let step = step.lock().unwrap_or_else(PoisonError::into_inner);
                 let started = Instant::now();
+                frame_trace::passed("encoding begun", frame.header().stamp);
                 let is_raw = matches!(frame, CameraFrame::Raw(_));
                 let latent = step.encode(&frame).map(|latent| Latent { epoch, ..latent });
                 (latent, is_raw, started.elapsed(), received)
             },
-        );
+        )
+        .on(&Pool::new(Self::NAME, 0)?);
         let diagnostics = at.node.diagnostics();
+        diagnostics.set_value(PACE, choice.mode().in_words(needs));
         let images = at.endpoints.images.topics();
         diagnostics.expect_input(Input::new("camera images", images, NO_CAMERA));
         let clock = at.node.clock();
         Ok(Self {
             work,
+            choice,
+            needs: *needs,
             jumps: clock.jumps(),
             epoch: epoch_after(0, clock.now()),
             clock,
@@ -132,7 +179,10 @@ impl ModelNode for Encoder {
             tokio::select! {
                 biased;
                 finished = self.work.finished() => self.encoded(finished.context("the encoder's thread")?, latents)?,
-                Ok(()) = self.jumps.changed() => self.epoch = epoch_after(self.epoch, self.clock.now()),
+                Ok(()) = self.jumps.changed() => {
+                    self.epoch = epoch_after(self.epoch, self.clock.now());
+                    self.choice.restart();
+                }
                 received = images.recv() => {
                     let Some(received) = received else { return Ok(()) };
                     let reception = Reception::from(&received);
@@ -151,10 +201,14 @@ impl Encoder {
     ) -> Result<()> {
         match latent {
             Ok(latent) => {
+                let stamp = latent.header.stamp;
+                frame_trace::passed("latent taken", stamp);
                 latents.publish_shared(Arc::new(latent))?;
+                frame_trace::passed("latent published", stamp);
                 self.diagnostics.latency("encode").record(taken);
                 let whole = self.diagnostics.latency("image to latent");
                 whole.record(received.elapsed());
+                self.took(taken);
             }
             Err(error) => {
                 // the next frames may be good by the other transport
@@ -173,14 +227,9 @@ impl Encoder {
         let (stamp, is_raw) = (frame.header().stamp, matches!(frame, CameraFrame::Raw(_)));
         match self.repeats.arrive(stamp, is_raw) {
             Arrival::New => {
-                let job = (frame, Instant::now(), self.epoch);
-                if let Some((late, ..)) = self.work.submit(job) {
-                    self.complaints.left_out("overload", &format_args!(
-                        "dropped the waiting frame of {}, because a newer one arrived: encoding is slower than the \
-                         camera",
-                        seconds(late.header().stamp),
-                    ));
-                }
+                frame_trace::passed_at("image received", stamp, reception.at);
+                frame_trace::passed("image taken", stamp);
+                self.choose(frame, reception);
             }
             Arrival::OtherTransport => {}
             Arrival::Duplicate => self.complaints.left_out(
@@ -188,6 +237,39 @@ impl Encoder {
                 &format_args!("the frame of {} arrived twice", seconds(stamp)),
             ),
         }
+    }
+
+    /// Encodes a frame, or leaves it out, by choice or since encoding is behind.
+    fn choose(&mut self, frame: CameraFrame, reception: &Reception) {
+        let stamp = frame.header().stamp;
+        let waiting = self.work.waiting();
+        let late = match self.choice.arrived(stamp.to_nanos(), reception.at, waiting) {
+            Fate::Skip => return self.diagnostics.count_skipped(SKIPPED, 1),
+            Fate::Late => Some(stamp),
+            Fate::Encode => {
+                let job = (frame, Instant::now(), self.epoch);
+                let late = self.work.submit(job);
+                late.map(|(late, ..)| late.header().stamp)
+            }
+        };
+        if let Some(late) = late {
+            self.complaints.left_out("overload", &format_args!(
+                "the frame of {} is dropped, because encoding is slower than before or than the camera",
+                seconds(late),
+            ));
+        }
+    }
+
+    /// Takes note of how long a frame took, and says if that changes which frames are encoded.
+    fn took(&mut self, taken: Duration) {
+        self.choice.took(taken);
+        let Some(taken) = self.choice.change() else {
+            return;
+        };
+        self.work.set_capacity(self.choice.room());
+        say(&self.choice, taken, &self.needs);
+        let words = self.choice.mode().in_words(&self.needs);
+        self.diagnostics.set_value(PACE, words);
     }
 
     /// Follows the first camera that publishes. If another one takes over, a new epoch starts.
@@ -205,7 +287,24 @@ impl Encoder {
             tracing::info!("following another camera now: \"{frame_id}\"");
             self.epoch = epoch_after(self.epoch, self.clock.now());
             self.repeats = Repeats::default();
+            self.choice.restart();
         }
         Ok(())
+    }
+}
+
+/// Says which frames are encoded here.
+fn say(choice: &Choice, taken: Duration, needs: &Needs) {
+    let mode = choice.mode();
+    let (taken, rate, words) = (
+        rough(taken),
+        hertz(needs.frame_period),
+        mode.in_words(needs),
+    );
+    let text = format!("encoding a frame takes about {taken} here; at {rate}");
+    match mode {
+        _ if choice.is_open() => tracing::info!("{text}, {OPEN}"),
+        Mode::All => tracing::info!("{text}, {words}"),
+        Mode::Every(_) | Mode::Contexts(_) => tracing::warn!("{text}, {words}; {FASTER}"),
     }
 }

@@ -1,11 +1,13 @@
 //! One image to one latent.
 
+use candle_core::Tensor;
 use image::RgbImage;
 use thiserror::Error;
 use wm_model::{Encoder, image::preprocess};
 use wm_msgs::wm_msgs::Latent;
 
 use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
+use wm_ros::frame_trace;
 use wm_wire::latent_message::{LatentDtype, LatentError, encode_latent};
 
 /// Least side of a picture that says anything of a scene \[px\].
@@ -57,13 +59,15 @@ impl EncoderStep {
     /// # Errors
     /// [`EncoderError`] says whether the image, the model or the latent is at fault.
     pub fn encode(&self, frame: &CameraFrame) -> Result<Latent, EncoderError> {
-        let values = self.encode_values(&frame.decode()?)?;
-        Ok(encode_latent(
-            &values,
-            self.encoder.space(),
-            self.dtype,
-            frame.header().clone(),
-        )?)
+        let header = frame.header();
+        let rgb = frame.decode()?;
+        frame_trace::passed("picture decoded", header.stamp);
+        let pixels = self.pixels(&rgb)?;
+        frame_trace::passed("picture resized", header.stamp);
+        let values = self.values(&pixels)?;
+        frame_trace::passed("latent computed", header.stamp);
+        let space = self.encoder.space();
+        Ok(encode_latent(&values, space, self.dtype, header.clone())?)
     }
 
     /// The latent of an image, row-major, channels last.
@@ -71,16 +75,32 @@ impl EncoderStep {
     /// # Errors
     /// [`EncoderError::Small`], and those of the encoder.
     pub fn encode_values(&self, rgb: &RgbImage) -> Result<Vec<f32>, EncoderError> {
+        self.values(&self.pixels(rgb)?)
+    }
+
+    /// An image as the encoder takes it, (1, H, W, 3).
+    fn pixels(&self, rgb: &RgbImage) -> Result<Tensor, EncoderError> {
         let (width, height) = rgb.dimensions();
         if width.min(height) < LEAST_SIDE {
             return Err(EncoderError::Small { width, height });
         }
-        let pixels = preprocess(rgb, self.encoder.input_size())?;
-        Ok(self
-            .encoder
-            .encode(&pixels)?
-            .flatten_all()?
-            .to_vec1::<f32>()?)
+        Ok(preprocess(rgb, self.encoder.input_size())?)
+    }
+
+    fn values(&self, pixels: &Tensor) -> Result<Vec<f32>, EncoderError> {
+        let latent = self.encoder.encode(pixels)?;
+        Ok(latent.flatten_all()?.to_vec1::<f32>()?)
+    }
+
+    /// Encodes a grey picture, to see that it works and how long that takes.
+    ///
+    /// # Errors
+    /// Those of the encoder.
+    pub fn try_out(&self) -> Result<(), EncoderError> {
+        let (height, width) = self.encoder.input_size();
+        let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
+        let grey = RgbImage::from_pixel(side(width), side(height), image::Rgb([128; 3]));
+        self.encode_values(&grey).map(|_| ())
     }
 
     /// The space of its latents.

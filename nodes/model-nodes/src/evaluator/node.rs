@@ -28,6 +28,7 @@ use super::{
     EvaluatorStep, shown_steps, tile,
 };
 use crate::{
+    cadence::{Cadence, Load, SKIPPED, rough},
     chunk_merging::Merging,
     encoder::EncoderStep,
     env::INSTRUCTION,
@@ -132,6 +133,8 @@ struct Evaluator {
     goals: Goals,
     /// Of each the newest is enough: one may wait.
     evaluations: Work<(EvaluationRequest, TimingMessage), Evaluated>,
+    /// Whether candidates come faster than they can be evaluated.
+    cadence: Cadence,
     pictures: Option<Work<Evaluation, Result<Pictures>>>,
     /// None where there is no probe that they are read for.
     readings: Option<Work<String, Reading>>,
@@ -228,6 +231,8 @@ impl ModelNode for Evaluator {
             diagnostics: node.diagnostics(),
             goals: Goals::new(GoalReader::new(&model.encoder), &model.pool),
             evaluations,
+            // The range keeps it positive and within a minute.
+            cadence: Cadence::new(Duration::from_secs_f64(parameters.frame_period), None),
             pictures,
             readings,
         };
@@ -320,7 +325,15 @@ impl Evaluator {
             receive,
             ..TimingMessage::default()
         };
-        if let Some((left_out, _)) = self.evaluations.submit((request, timing)) {
+        // Somebody waits for each answer: any message is evaluated while there is nothing else to do, and the newest one
+        // waits. The cadence only tells whether those that it replaces are lost.
+        let (stamp_ns, now) = (request.candidates_stamp.to_nanos(), Instant::now());
+        self.cadence.arrived(stamp_ns, now, Load::Idle);
+        let left_out = self.evaluations.submit((request, timing));
+        if self.cadence.nth() > 1 {
+            let number = u64::from(left_out.is_some());
+            self.diagnostics.count_skipped(SKIPPED, number);
+        } else if let Some((left_out, _)) = left_out {
             let stamp = seconds(left_out.candidates_stamp);
             self.complaints.left_out(
                 "overload",
@@ -340,6 +353,7 @@ impl Evaluator {
         match evaluated {
             Ok(mut evaluation) => {
                 self.diagnostics.latency("evaluation").record(taken);
+                self.took(taken);
                 evaluation.assessment.timing = timing;
                 assessments.publish(&evaluation.assessment)?;
                 let pictures = self.pictures.as_mut();
@@ -353,6 +367,24 @@ impl Evaluator {
             Err(error) => self.complaints.left_out(error.reason(), &error),
         }
         Ok(())
+    }
+
+    /// Takes note of how long an evaluation took, and says if that is longer than candidates are apart.
+    fn took(&mut self, taken: Duration) {
+        self.cadence.took(taken);
+        let Some((taken, gap)) = self.cadence.change() else {
+            return;
+        };
+        let (taken, gap) = (rough(taken), rough(gap));
+        let text =
+            format!("an evaluation takes about {taken} here, and candidates come every {gap}");
+        match self.cadence.nth() {
+            1 => tracing::info!("{text}: all are evaluated"),
+            _ => tracing::warn!(
+                "{text}: the newest are evaluated; for more: fewer or shorter candidates, fewer integration_steps, a \
+                 smaller model, or a faster processor"
+            ),
+        }
     }
 
     fn told(&mut self, message: &Text) {

@@ -240,7 +240,7 @@ impl EvaluatorStep {
             return Err(EvaluatorError::Count { count, max });
         }
         let timing = self.history.timing();
-        let observed_ns = self.history.newest().ok_or(Wait::NoFrame)?.stamp_ns;
+        let observed_ns = self.history.latest().ok_or(Wait::NoFrame)?.stamp_ns;
         let mut horizon = self.settings.horizon;
         let beyond_ns = timing.step_at(observed_ns, horizon);
         let mut histories = Vec::with_capacity(count);
@@ -274,12 +274,13 @@ impl EvaluatorStep {
             histories.push(history);
         }
         // One more than is predicted: the last frame carries the action after it.
-        let candidates = histories.iter().map(|history| history.future(horizon + 1));
+        let future = |history: &History| history.future_from(observed_ns, horizon + 1);
+        let candidates = histories.iter().map(future);
         let candidates = candidates.collect::<Result<_, _>>()?;
         // A chunk may say what was done where an action itself is missing.
         let moment = match histories.first() {
-            Some(first) => first.moment()?,
-            None => self.history.moment()?,
+            Some(first) => first.latest_moment()?,
+            None => self.history.latest_moment()?,
         };
         moment.expect_fresh(now, self.settings.max_age)?;
         Ok(EvaluationRequest {

@@ -25,13 +25,17 @@ pub struct Frame {
 pub(super) struct Frames {
     frames: VecDeque<Frame>,
     span_ns: i64,
+    /// Frames that stay however old they are: two for the camera's period, and a whole context while the next one is
+    /// still coming from a slow encoder.
+    least: usize,
 }
 
 impl Frames {
-    pub(super) fn new(span_ns: i64) -> Self {
+    pub(super) fn new(span_ns: i64, context_frames: usize) -> Self {
         Self {
             frames: VecDeque::new(),
             span_ns,
+            least: context_frames.saturating_mul(2).max(3) - 1,
         }
     }
 
@@ -39,12 +43,16 @@ impl Frames {
         self.frames.back()
     }
 
+    /// The newest first.
+    pub(super) fn newest_first(&self) -> impl Iterator<Item = &Frame> {
+        self.frames.iter().rev()
+    }
+
     /// Adds a frame later than all others, forgets those beyond the span.
     pub(super) fn push(&mut self, frame: Frame) {
         let oldest_ns = frame.stamp_ns.saturating_sub(self.span_ns);
         self.frames.push_back(frame);
-        // Two stay for the camera's period.
-        while self.frames.len() > 2
+        while self.frames.len() > self.least
             && (self.frames.front()).is_some_and(|frame| frame.stamp_ns < oldest_ns)
         {
             self.frames.pop_front();

@@ -1,5 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+mod slow_encoder;
+
 use std::time::Instant;
 
 use wm_msgs::builtin_interfaces::Duration as Period;

@@ -25,6 +25,7 @@ use super::{
     PlannerError, PlannerModel, PlannerParts, PlannerStep, parameters::Parameters, workers,
 };
 use crate::{
+    cadence::{Cadence, SKIPPED, rough},
     encoder::EncoderStep,
     harness::{self, Configured, Follower, GoalInputs, Goals, Inputs, ModelNode, Told},
     history::{History, HistorySettings, Timing, Wait, seconds},
@@ -102,8 +103,12 @@ struct Planner {
     heard: mpsc::Receiver<Heard>,
     searches: Work<PlanRequest, Finished>,
     is_searching: bool,
-    /// Whether plans are to be made as often as can be.
-    is_eager: bool,
+    /// Whether a plan became due while another one was searched for.
+    is_behind: bool,
+    /// The least time between two plans; zero: they are made as often as can be.
+    period: Duration,
+    /// Whether searches take longer than that.
+    cadence: Cadence,
     complaints: Complaints,
     diagnostics: Diagnostics,
 }
@@ -192,6 +197,8 @@ impl ModelNode for Planner {
         .on(&model.pool);
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
         let history = History::new(model.history, space, encoding, node.now());
+        // The range keeps it within an hour.
+        let period = Duration::from_secs_f64(at.parameters.plan_period);
         let reader = GoalReader::new(&model.encoder).with_probe(model.probe.clone());
         let of_actions = reader.clone();
         let read = move |(id, message): (GoalId, GoalMessage), _: &Stop| {
@@ -207,7 +214,9 @@ impl ModelNode for Planner {
             heard,
             searches,
             is_searching: false,
-            is_eager: at.parameters.plan_period == 0.0,
+            is_behind: false,
+            period,
+            cadence: Cadence::new(period, None),
             complaints: Complaints::new(node.diagnostics()),
             diagnostics: node.diagnostics(),
         })
@@ -301,10 +310,7 @@ impl Planner {
     fn plan(&mut self, outcomes: &ImagePublisher) {
         if self.is_searching {
             // The next search starts from the newest frame when this one is over.
-            if !self.is_eager && self.step.is_due() {
-                self.complaints
-                    .left_out("overload", &"planning takes longer than plan_period");
-            }
+            self.is_behind |= !self.period.is_zero() && self.step.is_due();
             return;
         }
         match self.step.request(Instant::now()) {
@@ -312,6 +318,7 @@ impl Planner {
                 request.is_shown = outcomes.subscribers() > 0;
                 request.is_followed = self.action.is_some();
                 self.complaints.working("planning");
+                self.count_left_out(&request);
                 self.is_searching = true;
                 // None waits, so that none is given back.
                 let _ = self.searches.submit(request);
@@ -332,6 +339,42 @@ impl Planner {
                 self.complaints.waiting("context", true, &wait);
             }
             Err(wait) => self.complaints.waiting("history", false, &wait),
+        }
+    }
+
+    /// Counts the plans that were due while the last one was searched for: by choice where searches take that long.
+    fn count_left_out(&mut self, request: &PlanRequest) {
+        if !std::mem::take(&mut self.is_behind) {
+            return;
+        }
+        let step_s = request.moment.timing.step_ns() as f32 / 1e9;
+        let periods = request.passed_steps * step_s / self.period.as_secs_f32();
+        // A handful; a cast saturates.
+        let left_out = (periods.round() as u64).saturating_sub(1);
+        if self.cadence.nth() > 1 {
+            self.diagnostics.count_skipped(SKIPPED, left_out);
+        } else if left_out > 0 {
+            let text = "planning takes longer than before or than plan_period";
+            self.complaints.left_out_many("overload", left_out, &text);
+        }
+    }
+
+    /// Takes note of how long a search took, and says if that changes how often plans come.
+    fn took(&mut self, taken: Duration) {
+        if self.period.is_zero() {
+            return;
+        }
+        self.cadence.took(taken);
+        if let Some((taken, period)) = self.cadence.change() {
+            let (taken, period) = (rough(taken), rough(period));
+            let text = format!("a plan takes about {taken} here, of a plan_period of {period}");
+            match self.cadence.nth() {
+                1 => tracing::info!("{text}"),
+                _ => tracing::warn!(
+                    "{text}: each search begins when the one before is over; for more: a smaller population, horizon or \
+                     deadline, a smaller model, or a faster processor"
+                ),
+            }
         }
     }
 
@@ -358,6 +401,7 @@ impl Planner {
             }
         };
         self.diagnostics.latency("plan").record(taken);
+        self.took(taken);
         if let Some(counts) = self.planner.worker_counts() {
             workers::report(&self.diagnostics, counts);
         }

@@ -91,7 +91,7 @@ wm_ros::parameters! {
         /// Maximum time since the newest frame was received [s]. After that, no plan is made or sent.
         max_age: Duration = 2.0, in 0.01..=3600.0;
         /// Model steps from the observed frame to the first planned action. The robot's motion in between is predicted.
-        /// -1: as many as the last searches took.
+        /// -1: as many as the last searches took, to the nearest.
         lead_steps: i64 = -1, in -1..=16;
         /// How overlapping action chunks are merged; weighted: 0.3 of the older and 0.7 of the newer chunk.
         pub(super) chunk_merging: Merging = "latest";

@@ -280,13 +280,16 @@ impl PlannerStep {
     /// [`PlanWait`] says what is missing.
     pub fn request(&mut self, now: Instant) -> Result<PlanRequest, PlanWait> {
         let set = self.goal.as_ref().ok_or(PlanWait::NoGoal)?;
-        let moment = self.history.moment()?;
-        moment.expect_fresh(now, self.settings.max_age)?;
+        let moment = self.history.latest_moment()?;
         let observed_ns = moment.observed.stamp_ns;
-        if !self.is_due() {
+        let fresh = moment.expect_fresh(now, self.settings.max_age);
+        let is_said = fresh.is_err() && !self.history.is_between_contexts();
+        if !self.is_due_at(observed_ns) && !is_said {
             return Err(PlanWait::Recent);
         }
-        let until = self.history.future(self.lead_steps(&moment, now) + 1)?;
+        fresh?;
+        let lead_steps = self.lead_steps(&moment, now);
+        let until = self.history.future_from(observed_ns, lead_steps + 1)?;
         let passed_ns = self
             .requested_ns
             .map_or(0, |before_ns| observed_ns - before_ns);
@@ -329,12 +332,17 @@ impl PlannerStep {
 
     /// Whether the newest frame is so much newer than that of the last request that it is to be planned from.
     pub fn is_due(&self) -> bool {
-        let (Some(requested_ns), Some(newest)) = (self.requested_ns, self.history.newest()) else {
+        let newest = self.history.newest();
+        newest.is_none_or(|newest| self.is_due_at(newest.stamp_ns))
+    }
+
+    fn is_due_at(&self, stamp_ns: i64) -> bool {
+        let Some(requested_ns) = self.requested_ns else {
             return true;
         };
         // A stamp that is a jitter early is due all the same.
         let due_ns = self.settings.plan_period_ns - self.history.timing().tolerance_ns;
-        newest.stamp_ns - requested_ns >= due_ns.max(1)
+        stamp_ns - requested_ns >= due_ns.max(1)
     }
 
     /// Where the end effector is after all but the last of the steps `until` a plan begins.
@@ -381,8 +389,9 @@ impl PlannerStep {
         let age = now.saturating_duration_since(moment.observed.reception.at);
         let step = Duration::from_nanos(moment.timing.step_ns().unsigned_abs());
         let steps = (age + search).as_secs_f64() / step.as_secs_f64().max(1e-9);
-        // A handful; a cast saturates.
-        (steps.ceil() as usize).min(MOST_LEAD)
+        // The nearest one: a plan that begins a whole step late for a search of a moment is further from the truth than
+        // one whose first moment is over. A handful; a cast saturates.
+        (steps.round() as usize).min(MOST_LEAD)
     }
 
     /// Takes note of what a request led to, in `taken`: the start of the next search, and how far ahead it has to

@@ -10,30 +10,37 @@ use wm_model::WorldModel;
 use wm_msgs::wm_msgs::{Prediction, PredictionError};
 use wm_ros::{
     Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
-    complaints::Complaints,
+    complaints::Complaints, frame_trace,
 };
 use wm_zoo::PlacedModel;
 
-use super::{Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen};
+use super::{
+    Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen,
+    ahead::Preparation, trial::time_of_step,
+};
 use crate::{
+    cadence::{Cadence, OPEN, PACE, SKIPPED, every_nth, hertz, rough},
     chunk_merging::Merging,
     harness::{self, Configured, Follower, Inputs, ModelNode, Told},
     history::{History, HistorySettings, Timing, seconds},
-    work::{Stop, Work},
+    paced_work::{Offered, PacedWork},
+    pool::Pool,
+    work::Stop,
 };
 use wm_wire::latent_message::LatentDtype;
 
 /// The node.
 pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Predictor>();
 
-/// Length of the queue of observations behind the running rollout. A newer observation replaces the waiting one.
-const WAITING: usize = 1;
 /// Advice for missing inputs and for rollouts that take too long.
 const NO_ENCODER: &str = "start the encoder";
 const NO_ACTIONS: &str =
     "start the arm's driver, or remap /wm/action to its topic; until then the last action is held";
 const SLOW: &str = "observations are dropped; reduce the parameter horizon or integration_steps, or give the predictor \
                     more processor time";
+/// What raises the rate.
+const FASTER: &str =
+    "for more: a smaller horizon, fewer integration_steps, a smaller model, or a faster processor";
 
 /// The node itself, in a process that may run other nodes too.
 ///
@@ -78,18 +85,34 @@ wm_ros::endpoints! {
 struct Shared {
     step: Arc<Mutex<PredictorStep>>,
     model: Arc<WorldModel>,
+    preparation: Arc<Preparation>,
     predictions: Publisher<Prediction>,
     errors: Publisher<PredictionError>,
     diagnostics: Diagnostics,
     clock: Clock,
-    /// From one camera frame to the next: a rollout that takes longer keeps the next one waiting.
-    frame_period: Duration,
+}
+
+/// What the node loads.
+struct Model {
+    model: Arc<WorldModel>,
+    /// How long a predicted frame took when it was tried out.
+    estimate: Option<Duration>,
+}
+
+/// A rollout to make.
+struct Job {
+    request: RolloutRequest,
+    received: Instant,
+    /// Until the next one begins.
+    limit: Duration,
 }
 
 struct Predictor {
     follower: Follower,
     shared: Shared,
-    work: Work<(RolloutRequest, Instant), Result<()>>,
+    work: PacedWork<Job, Result<()>>,
+    /// Euler steps of a rollout: what its time is proportional to.
+    size: usize,
     /// Predictions given up that have been counted.
     unscored: u64,
     /// Whether the log has warned against trusting the predictions.
@@ -102,24 +125,42 @@ impl ModelNode for Predictor {
     const ABOUT: &'static str = "Predicts the next latents for the actions that the robot takes.";
     type Parameters = Parameters;
     type Endpoints = Endpoints;
-    type Model = Arc<WorldModel>;
+    type Model = Model;
 
-    fn load(folder: PlacedModel, _: &Parameters) -> Result<Self::Model> {
+    fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
         let model = folder.world_model()?;
         tracing::info!(
             "predicting with {} in latent space {}",
             model.name,
             model.space
         );
-        Ok(Arc::new(model))
+        let steps = integration_steps(&model, parameters);
+        let estimate = time_of_step(&model, parameters.context_frames, steps)
+            .inspect_err(|error| tracing::warn!("predicting was tried out, and failed: {error}"))
+            .ok();
+        if let Some(taken) = estimate {
+            let horizon = horizon(parameters);
+            let taken = rollout_time(taken, horizon);
+            say(
+                &Cadence::new(frame_period(parameters), Some(taken)),
+                taken,
+                frame_period(parameters),
+                horizon,
+            );
+        }
+        Ok(Model {
+            model: Arc::new(model),
+            estimate,
+        })
     }
 
     fn activate(at: &Configured<Self>) -> Result<Self> {
-        let (node, parameters, model) = (&at.node, &*at.parameters, &at.model);
+        let (node, parameters, model) = (&at.node, &*at.parameters, &at.model.model);
+        let horizon = horizon(parameters);
         let settings = PredictorSettings {
-            // The range keeps it within 1 to 64; any 64 bits are a seed.
-            horizon: parameters.horizon.get() as usize,
-            integration_steps: 1,
+            horizon,
+            integration_steps: integration_steps(model, parameters),
+            // Any 64 bits are a seed.
             seed: parameters.seed as u64,
             dtype: LatentDtype::F16,
         };
@@ -134,16 +175,23 @@ impl ModelNode for Predictor {
         let shared = Shared {
             step: Arc::new(Mutex::new(step)),
             model: Arc::clone(model),
+            preparation: Arc::default(),
             predictions: at.endpoints.predictions.clone(),
             errors: at.endpoints.errors.clone(),
             diagnostics: node.diagnostics(),
             clock: node.clock(),
-            // The range keeps it positive and within a minute.
-            frame_period: Duration::from_secs_f64(parameters.frame_period),
         };
-        let runner = shared.clone();
-        let work = Work::new(WAITING, move |(request, received), stop: &Stop| {
-            runner.roll_out(request, received, stop)
+        let estimate = at.model.estimate.map(|step| rollout_time(step, horizon));
+        let cadence = Cadence::new(frame_period(parameters), estimate);
+        shared
+            .diagnostics
+            .set_value(PACE, every_nth(cadence.nth(), "frame"));
+        let (runner, pool) = (shared.clone(), Pool::new(Self::NAME, 0)?);
+        let work = PacedWork::new(cadence, move |job, stop: &Stop| {
+            match pool.run(|| runner.roll_out(job, stop)) {
+                Ok(taken) => (Ok(()), taken),
+                Err(error) => (Err(error), None),
+            }
         });
         let inputs = &at.endpoints.inputs;
         let follower = Follower::new(node, inputs, NO_ENCODER);
@@ -153,6 +201,7 @@ impl ModelNode for Predictor {
             follower,
             shared,
             work,
+            size: horizon * settings.integration_steps,
             unscored: 0,
             is_doubtful: false,
             complaints: Complaints::new(node.diagnostics()),
@@ -168,23 +217,30 @@ impl ModelNode for Predictor {
                     if let Err(error) = finished.context("the rollout's thread")? {
                         self.complaints.left_out("rollout", &format_args!("{error:#}"));
                     }
+                    self.say_pace(&at.parameters);
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
                     let told = {
                         let mut step = self.shared.step();
-                        let horizon = at.parameters.horizon.get() as usize;
-                        let integration_steps = match at.parameters.integration_steps.get() {
-                            0 => self.shared.model.transition.config().sampler.steps,
-                            // The range keeps it positive.
-                            steps => steps as usize,
-                        };
+                        let horizon = horizon(&at.parameters);
+                        let integration_steps = integration_steps(&self.shared.model, &at.parameters);
                         step.set(horizon, integration_steps);
+                        let size = horizon * integration_steps;
+                        if size != self.size {
+                            // Counts of a handful.
+                            self.work.cadence.scale(size as f64 / self.size.max(1) as f64);
+                            self.size = size;
+                        }
                         self.follower.tell(event, &mut *step, &mut self.complaints)
                     };
                     match told {
                         Some(Told::Seen(seen)) => self.seen(seen)?,
-                        Some(Told::Due(request)) => self.submit(request),
+                        Some(Told::Due(request)) => {
+                            let job = self.job(request);
+                            let offered = self.work.offer_again(job);
+                            self.offered(offered);
+                        }
                         None => {}
                     }
                 }
@@ -196,9 +252,6 @@ impl ModelNode for Predictor {
 impl Predictor {
     /// What a latent has led to: errors of predictions of its moment, and a rollout, or what that waits for.
     fn seen(&mut self, (errors, rollout): Seen) -> Result<()> {
-        for error in &errors {
-            self.shared.errors.publish(error)?;
-        }
         let (doubt, unscored) = {
             let step = self.shared.step();
             (step.doubt(), step.unscored())
@@ -214,23 +267,56 @@ impl Predictor {
         self.say_doubt(doubt);
         match rollout {
             None => {}
-            Some(Ok(request)) => self.submit(request),
+            Some(Ok(request)) => {
+                let job = self.job(request);
+                let (stamp_ns, now) = (job.request.moment.observed.stamp_ns, job.received);
+                let offered = self.work.offer(job, stamp_ns, now);
+                self.offered(offered);
+            }
             Some(Err(wait)) => self.complaints.waiting(wait.kind(), wait.is_usual(), &wait),
+        }
+        // The rollout does not wait for them.
+        for error in &errors {
+            self.shared.errors.publish(error)?;
         }
         Ok(())
     }
 
-    fn submit(&mut self, request: RolloutRequest) {
-        self.complaints.working("predicting");
-        if let Some((left_out, _)) = self.work.submit((request, Instant::now())) {
-            let stamp = seconds(left_out.moment.header_after(0).stamp);
-            self.complaints.left_out(
-                "overload",
-                &format_args!(
-                    "a rollout takes longer than a camera period: the observation of {stamp} is dropped"
-                ),
-            );
+    fn job(&self, request: RolloutRequest) -> Job {
+        Job {
+            request,
+            received: Instant::now(),
+            limit: self.work.cadence.interval(),
         }
+    }
+
+    fn offered(&mut self, offered: Offered<Job>) {
+        self.complaints.working("predicting");
+        match offered {
+            Offered::Taken => {}
+            Offered::Skipped => self.shared.diagnostics.count_skipped(SKIPPED, 1),
+            Offered::Late(job) => {
+                let stamp = seconds(job.request.moment.header_after(0).stamp);
+                self.complaints.left_out(
+                    "overload",
+                    &format_args!(
+                        "a rollout takes longer than before or than a camera period: the observation of {stamp} is \
+                         dropped"
+                    ),
+                );
+            }
+        }
+    }
+
+    /// Says how often rollouts begin, if that has changed.
+    fn say_pace(&mut self, parameters: &Parameters) {
+        let cadence = &mut self.work.cadence;
+        let Some((taken, gap)) = cadence.change() else {
+            return;
+        };
+        say(cadence, taken, gap, horizon(parameters));
+        let nth = every_nth(cadence.nth(), "frame");
+        self.shared.diagnostics.set_value(PACE, nth);
     }
 
     /// On `/diagnostics` for as long as it lasts, and in the log when it begins.
@@ -253,19 +339,36 @@ impl Shared {
     }
 
     /// Computes one rollout and sends each step when it is ready; stops where time has jumped or the node is no longer
-    /// active.
-    fn roll_out(&self, request: RolloutRequest, received: Instant, stop: &Stop) -> Result<()> {
+    /// active. Gives how long it took, if it was made whole.
+    fn roll_out(&self, job: Job, stop: &Stop) -> Result<Option<Duration>> {
+        let Job {
+            request,
+            received,
+            limit,
+        } = job;
         let started = Instant::now();
-        let rollout = RunningRollout::new(&self.model, request)?;
+        let observed = request.moment.header_after(0).stamp;
+        frame_trace::passed_at(
+            "observation received",
+            observed,
+            request.moment.observed.reception.at,
+        );
+        frame_trace::passed_at("observation taken", observed, received);
+        frame_trace::passed("rollout begun", observed);
+        let (prepared, next_ns) = self.preparation.take(request.moment.observed.stamp_ns);
+        let rollout = RunningRollout::new(&self.model, request)?.taking_over(prepared.as_ref());
         for (index, predicted) in rollout.enumerate() {
             let mut predicted = predicted?;
+            let step = predicted.prediction.step;
+            frame_trace::step_passed("step computed", observed, step);
             if stop.is_asked() || predicted.prediction.epoch != self.step().epoch() {
-                return Ok(());
+                return Ok(None);
             }
             predicted.prediction.ready_stamp = self.clock.now();
             let (late, clipped) = (self.step().predicted(&predicted), predicted.clipped);
             let prediction = Arc::new(predicted.prediction);
             self.predictions.publish_shared(prediction)?;
+            frame_trace::step_passed("step published", observed, step);
             if index == 0 {
                 self.diagnostics
                     .latency("latent to first step")
@@ -279,7 +382,7 @@ impl Shared {
                 self.errors.publish(&error)?;
             }
         }
-        let (taken, limit) = (started.elapsed(), self.frame_period);
+        let taken = started.elapsed();
         self.diagnostics.latency("rollout").record(taken);
         let deadline = Deadline {
             stage: "rollout",
@@ -287,6 +390,47 @@ impl Shared {
             advice: SLOW,
         };
         self.diagnostics.took(deadline, taken);
-        Ok(())
+        let ahead = next_ns.and_then(|next_ns| self.step().ahead(next_ns));
+        if let Some(ahead) = ahead.filter(|_| !stop.is_asked()) {
+            self.preparation.prepare(&self.model, &ahead)?;
+        }
+        // With what was computed for the next one, which is as much less then.
+        Ok(Some(started.elapsed()))
+    }
+}
+
+fn frame_period(parameters: &Parameters) -> Duration {
+    // The range keeps it positive and within a minute.
+    Duration::from_secs_f64(parameters.frame_period)
+}
+
+fn horizon(parameters: &Parameters) -> usize {
+    // The range keeps it within 1 to 64.
+    parameters.horizon.get() as usize
+}
+
+fn integration_steps(model: &WorldModel, parameters: &Parameters) -> usize {
+    match parameters.integration_steps.get() {
+        0 => model.transition.config().sampler.steps,
+        // The range keeps it positive.
+        steps => steps as usize,
+    }
+}
+
+/// The time of a rollout of which a predicted frame takes `step`.
+fn rollout_time(step: Duration, horizon: usize) -> Duration {
+    // At most 64.
+    step * horizon as u32
+}
+
+/// Says how often rollouts begin here, where frames to predict from come `gap` apart.
+fn say(cadence: &Cadence, taken: Duration, gap: Duration, horizon: usize) {
+    let (nth, frames) = (cadence.nth(), every_nth(cadence.nth(), "frame"));
+    let (taken, rate) = (rough(taken), hertz(gap));
+    let text = format!("one prediction of {horizon} steps takes about {taken} here; at {rate}");
+    match nth {
+        _ if cadence.is_open() => tracing::info!("{text}, {OPEN}"),
+        1 => tracing::info!("{text}, {frames} is used"),
+        _ => tracing::warn!("{text}, {frames} is used; {FASTER}"),
     }
 }

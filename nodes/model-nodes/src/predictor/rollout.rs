@@ -5,7 +5,7 @@ use std::sync::Arc;
 use candle_core::Tensor;
 use wm_model::{
     WorldModel,
-    sampler::{Given, Rollout},
+    sampler::{Given, Prepared, Rollout},
 };
 use wm_motion::motion::StepAction;
 use wm_msgs::{
@@ -77,6 +77,15 @@ impl<'m> RunningRollout<'m> {
             step: 0,
             has_failed: false,
         })
+    }
+
+    /// Takes over what was computed before the observation came; see [`Rollout::take_over`].
+    #[must_use]
+    pub fn taking_over(mut self, prepared: Option<&Prepared>) -> Self {
+        if let Some(prepared) = prepared {
+            self.rollout.take_over(prepared);
+        }
+        self
     }
 
     fn advance(

@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     harness::follows,
-    history::{Arrival, History, HistoryError, Reception, Wait},
+    history::{Ahead, Arrival, History, HistoryError, Reception, Wait},
 };
 
 /// What can be chosen of a rollout.
@@ -97,8 +97,13 @@ impl PredictorStep {
         }
         errors.iter().for_each(|error| self.trust.scored(error));
         let is_due = arrival.is_due && !arrival.held_back;
+        let rollout = match is_due.then(|| self.request()) {
+            // The next frames make it whole: nothing to speak of.
+            Some(Err(_)) if self.history.is_between_contexts() => None,
+            rollout => rollout,
+        };
         Ok(Outcome {
-            rollout: is_due.then(|| self.request()),
+            rollout,
             arrival,
             errors,
         })
@@ -147,6 +152,11 @@ impl PredictorStep {
         let error = self.scoring.add(pending, self.history.near(due_ns));
         error.iter().for_each(|error| self.trust.scored(error));
         error
+    }
+
+    /// What is known of an observation that is still to come at `stamp_ns`.
+    pub fn ahead(&self, stamp_ns: i64) -> Option<Ahead> {
+        self.history.ahead(stamp_ns)
     }
 
     /// Forgets all history and takes a new seed where one is given; says what was done.

@@ -17,7 +17,7 @@ use wm_msgs::{
 };
 use wm_ros::{
     Diagnostics, EndpointSet as _, Node, NodeArgs, NodeDefinition, ParameterSet as _, Qos,
-    Received, Subscription,
+    Received, Subscription, frame_trace,
 };
 use wm_wire::transport::{ImageSubscription, Transports};
 
@@ -38,6 +38,10 @@ const QOS: Qos = Qos::best_effort(64);
 /// The camera's topic, unless a parameter names another.
 const CAMERA: &str = "/camera/image_raw";
 
+/// The monitor's thread is so many steps below the nodes: it scores when a frame comes, which is when they have to be fast.
+/// When a message came is what the thread says that receives.
+const NICE: i32 = 5;
+
 /// How often the live line is renewed.
 const LIVE_PERIOD: Duration = Duration::from_millis(500);
 
@@ -55,6 +59,10 @@ pub fn run(args: &NodeArgs) -> Result<()> {
         args,
         async |node: Node| -> Result<()> {
             let (state, inputs) = start(&node)?;
+            // On Linux, of this thread alone.
+            if let Err(error) = rustix::process::nice(NICE) {
+                warn!("cannot lower the priority: {error}");
+            }
             watch(monitor.insert(state), inputs).await;
             Ok(())
         },
@@ -247,8 +255,13 @@ impl Monitor {
 
     fn prediction(&mut self, received: &Received<Prediction>) {
         let Received {
-            message, received, ..
+            message,
+            received,
+            at,
+            ..
         } = received;
+        let (observed, step) = (message.observed_stamp, message.step);
+        frame_trace::step_passed_at("step received", observed, step, *at);
         let arrived_ns = received.to_nanos();
         let latency_ns = arrived_ns.saturating_sub(message.observed_stamp.to_nanos());
         self.line

@@ -251,6 +251,8 @@ fn latent_errors_plans_and_drops_are_summed() {
     let values = vec![
         value("dropped: late [total]", "4"),
         value("dropped: odd [total]", "x"),
+        value("skipped: pace [total]", "7"),
+        value("received: odd [total]", "9"),
         value("sent", "9"),
     ];
     let status = DiagnosticStatus {
@@ -277,7 +279,11 @@ fn latent_errors_plans_and_drops_are_summed() {
         ),
         (2, 1, 3.0, 1.0)
     );
-    assert_eq!(report.drops.len(), 1);
+    let totals = |counts: &[Drops]| counts.iter().map(|drops| drops.total).collect::<Vec<_>>();
+    assert_eq!(
+        (totals(&report.drops), totals(&report.skips)),
+        (vec![4], vec![7])
+    );
 }
 
 #[test]

@@ -72,12 +72,12 @@ impl Watchdog {
         }
     }
 
-    /// A stage with a deadline took this long.
+    /// A stage with a deadline, which may be another than before, took this long.
     pub(super) fn took(&mut self, deadline: Deadline, taken: Duration) {
         self.deadlines
             .entry(deadline.stage)
             .or_insert_with(|| DeadlineWatch::new(deadline))
-            .took(taken);
+            .took(deadline, taken);
     }
 
     /// Something is so at this moment; it counts as over when it is not said again for five seconds.

@@ -36,75 +36,72 @@ pub fn ssim(image: &RgbImage, reference: &RgbImage) -> Result<f64, MetricError> 
 const CHANNELS: usize = 3;
 const WINDOW: usize = SSIM_WINDOW as usize;
 
-/// Sums over a window: x, y, x^2, y^2, xy. Whole numbers, so that adding and taking away leaves no rounding.
-type Sums = [u64; 5];
-
-fn add(total: &mut Sums, other: &Sums) {
-    total
-        .iter_mut()
-        .zip(other)
-        .for_each(|(total, value)| *total += value);
-}
-
-fn subtract(total: &mut Sums, other: &Sums) {
-    total
-        .iter_mut()
-        .zip(other)
-        .for_each(|(total, value)| *total -= value);
-}
+/// Sums over columns, or over windows side by side, of x, y, x^2, y^2 and xy. Whole numbers, so that adding and taking
+/// away leaves no rounding, and at most 49 x 255^2; one vector each, since loops over them become vector instructions.
+type Sums = [Vec<u32>; 5];
 
 /// One channel's mean over all windows; rows come and go from running column sums, so that a pixel costs the same at
-/// any window size.
+/// any window height.
 fn channel_ssim(image: &[u8], reference: &[u8], width: usize, channel: usize) -> f64 {
-    let products = |a: &u8, b: &u8| -> Sums {
-        let (x, y) = (u64::from(*a), u64::from(*b));
-        [x, y, x * x, y * y, x * y]
+    let of_channel = |values: &[u8]| -> Vec<u8> {
+        let values = values.iter().skip(channel).step_by(CHANNELS);
+        values.copied().collect()
     };
-    let row_of = |a: &[u8], b: &[u8]| -> Vec<Sums> {
-        let values = a.iter().skip(channel).step_by(CHANNELS);
-        values
-            .zip(b.iter().skip(channel).step_by(CHANNELS))
-            .map(|(a, b)| products(a, b))
-            .collect()
-    };
-    let stride = width * CHANNELS;
-    let rows: Vec<Vec<Sums>> = image
-        .chunks_exact(stride)
-        .zip(reference.chunks_exact(stride))
-        .map(|(a, b)| row_of(a, b))
-        .collect();
+    let (xs, ys) = (of_channel(image), of_channel(reference));
+    let rows: Vec<_> = xs.chunks_exact(width).zip(ys.chunks_exact(width)).collect();
 
-    let mut columns = vec![Sums::default(); width];
-    let (mut total, mut windows) = (0.0, 0_u64);
+    let mut columns = Sums::default().map(|_| vec![0; width]);
+    let mut windows = Sums::default().map(|_| vec![0; width + 1 - WINDOW]);
+    let mut similarities = vec![0.0; width + 1 - WINDOW];
+    let (mut total, mut count) = (0.0, 0);
     for (index, row) in rows.iter().enumerate() {
-        columns
-            .iter_mut()
-            .zip(row)
-            .for_each(|(column, value)| add(column, value));
+        change(&mut columns, *row, |sum, value| sum + value);
         if let Some(gone) = index.checked_sub(WINDOW).and_then(|index| rows.get(index)) {
-            columns
-                .iter_mut()
-                .zip(gone)
-                .for_each(|(column, value)| subtract(column, value));
+            change(&mut columns, *gone, |sum, value| sum - value);
         }
         if index + 1 < WINDOW {
             continue;
         }
-        for window in columns.windows(WINDOW) {
-            let mut sums = Sums::default();
-            window.iter().for_each(|column| add(&mut sums, column));
-            total += similarity(&sums);
-            windows += 1;
+        for (windows, columns) in windows.iter_mut().zip(&columns) {
+            windows.fill(0);
+            for columns in columns.windows(similarities.len()) {
+                windows
+                    .iter_mut()
+                    .zip(columns)
+                    .for_each(|(sum, column)| *sum += column);
+            }
         }
+        let [x, y, xx, yy, xy] = &windows;
+        let sums = x.iter().zip(y).zip(xx).zip(yy).zip(xy);
+        for (similarity, ((((x, y), xx), yy), xy)) in similarities.iter_mut().zip(sums) {
+            *similarity = similarity_of([x, y, xx, yy, xy].map(|sum| f64::from(*sum)));
+        }
+        total += similarities.iter().sum::<f64>();
+        count += similarities.len();
     }
     // Window counts stay far below 2^52.
-    total / windows as f64
+    total / count as f64
 }
 
-fn similarity(sums: &Sums) -> f64 {
+/// Adds a row of pixels to the column sums, or takes it away.
+fn change(columns: &mut Sums, (xs, ys): (&[u8], &[u8]), by: impl Fn(u32, u32) -> u32) {
+    let [x_sums, y_sums, xx_sums, yy_sums, xy_sums] = columns;
+    let sums = x_sums.iter_mut().zip(y_sums).zip(xx_sums).zip(yy_sums);
+    let sums = sums.zip(xy_sums).zip(xs.iter().zip(ys));
+    for (((((x_sum, y_sum), xx_sum), yy_sum), xy_sum), (x, y)) in sums {
+        let (x, y) = (u32::from(*x), u32::from(*y));
+        *x_sum = by(*x_sum, x);
+        *y_sum = by(*y_sum, y);
+        *xx_sum = by(*xx_sum, x * x);
+        *yy_sum = by(*yy_sum, y * y);
+        *xy_sum = by(*xy_sum, x * y);
+    }
+}
+
+/// Of a window's sums, which f64 holds exactly.
+fn similarity_of(sums: [f64; 5]) -> f64 {
     let count = (WINDOW * WINDOW) as f64;
-    // At most 49 x 255^2: exact in f64.
-    let [mean_x, mean_y, mean_xx, mean_yy, mean_xy] = sums.map(|sum| sum as f64 / count);
+    let [mean_x, mean_y, mean_xx, mean_yy, mean_xy] = sums.map(|sum| sum / count);
     let unbiased = count / (count - 1.0);
     let variance_x = unbiased * (mean_xx - mean_x * mean_x);
     let variance_y = unbiased * (mean_yy - mean_y * mean_y);

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use rand::Rng;
 use sha2::{Digest, Sha256};
 
-use crate::ops::{Activation, ConvShape, Epilogue, GridSize, PackedConv, group_norm};
+use crate::ops::{Activation, ConvShape, Fused, GridSize, PackedConv, PackedFormat, group_norm};
 use crate::weights::{Precision, WeightsBuilder, hash_tensor_header};
 use crate::{Result, Weights};
 pub(super) use tensors::TensorNetwork;
@@ -398,18 +398,24 @@ impl Conv {
         residual: Option<&[f32]>,
         output: &mut Vec<f32>,
     ) -> Result<GridSize> {
-        let epilogue = Epilogue {
+        let fused = Fused {
             residual,
             relu: self.relu,
+            ..Fused::default()
         };
         let packed = match self.packed.get() {
             Some(packed) => packed,
             None => {
-                let packed = PackedConv::new(&self.shape, &self.weight, self.bias.as_deref())?;
+                let packed = PackedConv::for_inference(
+                    &self.shape,
+                    &self.weight,
+                    self.bias.as_deref(),
+                    PackedFormat::F32,
+                )?;
                 self.packed.get_or_init(|| packed)
             }
         };
-        packed.run(input, grid, epilogue, output)
+        packed.run(input, grid, fused, output)
     }
 }
 

@@ -6,6 +6,7 @@
 //! of all. The cut depends on the number of tokens only, so results do not depend on the threads.
 
 use super::kernel::Row;
+use super::product::F32;
 use super::rotary::{RotaryTable, normalise_and_rotate};
 use super::simd::{InstructionSet, LANES, NO_BIAS};
 use super::softmax::softmax_rows;
@@ -122,7 +123,7 @@ impl TokenBlocks {
         out.fill(0.0);
         let panels = dim.div_ceil(LANES);
         let width = self.vectors * LANES;
-        let kernel = |run: usize, vectors: usize| Row {
+        let kernel = |run: usize, vectors: usize| Row::<F32> {
             input: queries.as_ptr(),
             input_step: d,
             tap_pitch: 0,

@@ -11,11 +11,15 @@ mod gradient;
 mod packed;
 mod phase;
 mod sweep;
+mod taps;
+mod tile;
+mod winograd;
 
 pub use differentiable::conv2d;
 pub use gradient::{conv2d_input_gradient, conv2d_weight_gradient};
 pub use packed::PackedConv;
 
+use crate::ops::group_norm::Normalisation;
 use crate::{Error, Result};
 
 /// What a convolution does; its border is zeros, `kernel / 2` wide.
@@ -124,9 +128,11 @@ impl GridSize {
     }
 }
 
-/// What happens to the sums before they are written.
+/// What is done to inputs and sums on their way.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Epilogue<'a> {
+pub struct Fused<'a> {
+    /// What is done to each image of the input first, without its border.
+    pub normalisations: Option<&'a [Normalisation]>,
     /// Added to the result, of the result's shape.
     pub residual: Option<&'a [f32]>,
     /// Whether negative results become zero, after the residual was added.

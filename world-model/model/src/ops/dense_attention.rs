@@ -1,13 +1,16 @@
 //! Attention of all queries to all keys of a sequence, for inference: scores and weighted sums by
 //! the kernel of matrix products, a block of queries at a time, so that scores stay in cache.
 
+use half::bf16;
 use rayon::prelude::*;
 
-use super::packed_linear::product;
+use super::element::PackedFormat;
+use super::panel_product::{PanelProduct, Rows};
 use super::panels::Panels;
+use super::simd::Bf16Unit;
 use super::softmax::softmax_rows;
 
-/// Queries that one task handles.
+/// Queries that one task handles at most.
 const QUERIES: usize = 64;
 
 /// Sizes of an attention.
@@ -63,14 +66,71 @@ impl<'a> ScoreMask<'a> {
     }
 }
 
-/// softmax(scale q k^T + mask) v for `q` (batch, heads, queries, dim), `k` and `v` (batch, heads,
-/// keys, dim): (batch, heads, queries, dim).
+/// Queries, keys or values as they lie in memory: each a run of the head's channels.
+#[derive(Clone, Copy, Debug)]
+pub struct HeadRows<'a> {
+    /// From the first channel of the first row of the first head on.
+    pub values: &'a [f32],
+    /// From one batch entry, head and row to the next.
+    pub steps: [usize; 3],
+}
+
+impl<'a> HeadRows<'a> {
+    /// Of (batch, heads, rows, dim).
+    pub fn contiguous(values: &'a [f32], heads: usize, rows: usize, dim: usize) -> Self {
+        Self {
+            values,
+            steps: [heads * rows * dim, rows * dim, dim],
+        }
+    }
+
+    /// # Panics
+    /// If the values are fewer than `sizes` (batch, heads, rows) and `dim` need.
+    fn check(&self, sizes: [usize; 3], dim: usize, what: &str) {
+        let of_all = sizes.iter().zip(self.steps);
+        let last: usize = of_all
+            .map(|(size, step)| size.saturating_sub(1) * step)
+            .sum();
+        let is_empty = sizes.contains(&0) || dim == 0;
+        assert!(is_empty || last + dim <= self.values.len(), "{what}");
+    }
+
+    /// The channels of a row.
+    fn row(&self, entry: usize, head: usize, row: usize, dim: usize) -> &'a [f32] {
+        let values = self.from(entry, head, row);
+        values.get(..dim).unwrap_or_default()
+    }
+
+    /// From the first channel of a row on.
+    fn from(&self, entry: usize, head: usize, row: usize) -> &'a [f32] {
+        let [entries, heads, rows] = self.steps;
+        let at = entry * entries + head * heads + row * rows;
+        self.values.get(at..).unwrap_or_default()
+    }
+}
+
+/// softmax(scale q k^T + mask) v for `q` (batch, heads, queries, dim), `k` and `v` (batch, heads, keys, dim): (batch,
+/// queries, heads, dim). Where `format` is bf16 and the processor has products of it, the factors of both products are
+/// rounded to it.
 ///
 /// # Panics
 /// If a slice has another size.
 pub fn dense_attention(
     shape: AttentionShape,
-    (q, k, v): (&[f32], &[f32], &[f32]),
+    qkv: [HeadRows<'_>; 3],
+    scale: f32,
+    mask: Option<ScoreMask<'_>>,
+    format: PackedFormat,
+) -> Vec<f32> {
+    match (format, Bf16Unit::detect()) {
+        (PackedFormat::Bf16, Some(_)) => attend::<bf16>(shape, qkv, scale, mask),
+        _ => attend::<f32>(shape, qkv, scale, mask),
+    }
+}
+
+fn attend<T: PanelProduct>(
+    shape: AttentionShape,
+    [q, k, v]: [HeadRows<'_>; 3],
     scale: f32,
     mask: Option<ScoreMask<'_>>,
 ) -> Vec<f32> {
@@ -81,50 +141,70 @@ pub fn dense_attention(
         keys,
         dim,
     } = shape;
-    // The kernel trusts these.
-    assert_eq!(q.len(), batch * heads * queries * dim, "queries");
-    assert_eq!(k.len(), batch * heads * keys * dim, "keys");
-    assert_eq!(v.len(), batch * heads * keys * dim, "values");
+    q.check([batch, heads, queries], dim, "queries");
+    k.check([batch, heads, keys], dim, "keys");
+    v.check([batch, heads, keys], dim, "values");
     if let Some(mask) = &mask {
         mask.check(&shape);
     }
-    let mut out = vec![0.0; q.len()];
-    if keys == 0 || dim == 0 || queries == 0 {
+    let width = heads * dim;
+    let mut out = vec![0.0; batch * queries * width];
+    if keys == 0 || width == 0 || queries == 0 {
         return out;
     }
-    out.par_chunks_exact_mut(queries * dim)
-        .enumerate()
-        .for_each(|(number, out)| {
-            let (entry, head) = (number / heads, number % heads);
-            let part = |values: &'_ [f32], at: usize| values.get(at).copied().unwrap_or_default();
-            let first = number * keys * dim;
-            let across: Panels = Panels::pack(dim, keys, None, |c, key| {
-                part(k, first + key * dim + c) * scale
-            });
-            let along: Panels =
-                Panels::pack(keys, dim, None, |key, c| part(v, first + key * dim + c));
-            out.par_chunks_mut(QUERIES * dim).enumerate().for_each_init(
-                Vec::new,
-                |scores: &mut Vec<f32>, (block, out)| {
-                    let rows = out.len() / dim;
-                    let start = number * queries + block * QUERIES;
-                    scores.resize(rows * keys, 0.0);
-                    if let Some(q) = q.get(start * dim..(start + rows) * dim) {
-                        product(&across, q, scores);
-                    }
-                    if let Some(mask) = &mask {
-                        for (row, scores) in scores.chunks_exact_mut(keys).enumerate() {
-                            let mask = mask.row(entry, head, block * QUERIES + row, keys);
-                            for (score, mask) in scores.iter_mut().zip(mask) {
-                                *score += mask;
-                            }
+    let packed = (0..batch * heads).into_par_iter().map(|number| {
+        let (entry, head) = (number / heads, number % heads);
+        let across = Panels::pack_columns(dim, keys, scale, |key| k.row(entry, head, key, dim));
+        let along = Panels::pack_plain_rows(keys, dim, |key| v.row(entry, head, key, dim));
+        (across, along)
+    });
+    let packed: Vec<(Panels<T>, Panels<T>)> = packed.collect();
+    // An even number of equal blocks: with one of a few queries more than the others a thread would be idle.
+    let blocks = match queries.div_ceil(QUERIES) {
+        1 => 1,
+        blocks => blocks.next_multiple_of(2),
+    };
+    let block = queries.div_ceil(blocks);
+    let parts = out.par_chunks_mut(queries * width).enumerate();
+    parts.for_each(|(entry, out)| {
+        let blocks = out.par_chunks_mut(block * width).enumerate();
+        blocks.for_each_init(Vec::new, |scores: &mut Vec<f32>, (number, out)| {
+            let (first, count) = (number * block, out.len() / width);
+            scores.resize(count * keys, 0.0);
+            for head in 0..heads {
+                let Some((across, along)) = packed.get(entry * heads + head) else {
+                    return;
+                };
+                let rows = |values, step| Rows {
+                    values,
+                    step,
+                    count,
+                };
+                let [_, _, step] = q.steps;
+                let target = Rows {
+                    values: scores.as_mut_slice(),
+                    step: keys,
+                    count,
+                };
+                T::product_of_rows(across, rows(q.from(entry, head, first), step), target);
+                if let Some(mask) = &mask {
+                    for (row, scores) in scores.chunks_exact_mut(keys).enumerate() {
+                        let mask = mask.row(entry, head, first + row, keys);
+                        for (score, mask) in scores.iter_mut().zip(mask) {
+                            *score += mask;
                         }
                     }
-                    softmax_rows(scores, keys, keys);
-                    product(&along, scores, out);
-                },
-            );
+                }
+                softmax_rows(scores, keys, keys);
+                let target = Rows {
+                    values: out.get_mut(head * dim..).unwrap_or_default(),
+                    step: width,
+                    count,
+                };
+                T::product_of_rows(along, rows(scores.as_slice(), keys), target);
+            }
         });
+    });
     out
 }
 
@@ -175,21 +255,33 @@ mod tests {
                     .copied()
                     .unwrap_or_default()
             };
-            let found = dense_attention(shape, (&q, &k, &v), 0.3, mask);
-            for (row, found) in found.chunks_exact(dim).enumerate() {
-                let head = row / queries;
-                let key =
-                    |values: &[f32], key: usize, c: usize| values[(head * keys + key) * dim + c];
-                let weights: Vec<f32> = (0..keys)
-                    .map(|j| {
-                        let dot: f32 = (0..dim).map(|c| q[row * dim + c] * key(&k, j, c)).sum();
-                        (0.3 * dot + added(row, j)).exp()
-                    })
-                    .collect();
-                let sum: f32 = weights.iter().sum();
-                for (c, found) in found.iter().enumerate() {
-                    let expected: f32 = (0..keys).map(|j| weights[j] * key(&v, j, c)).sum();
-                    assert!((expected / sum - found).abs() < 1e-5, "{shape:?} {sizes:?}");
+            let of = |values, rows| HeadRows::contiguous(values, heads, rows, dim);
+            let qkv = [of(&q, queries), of(&k, keys), of(&v, keys)];
+            for (format, tolerance) in [(PackedFormat::F32, 1e-5), (PackedFormat::Bf16, 1e-2)] {
+                let found = dense_attention(shape, qkv, 0.3, mask, format);
+                for (number, found) in found.chunks_exact(dim).enumerate() {
+                    let (entry, query, head) = (
+                        number / heads / queries,
+                        number / heads % queries,
+                        number % heads,
+                    );
+                    let head = entry * heads + head;
+                    let row = head * queries + query;
+                    let key = |values: &[f32], key: usize, c: usize| {
+                        values[(head * keys + key) * dim + c]
+                    };
+                    let weights: Vec<f32> = (0..keys)
+                        .map(|j| {
+                            let dot: f32 = (0..dim).map(|c| q[row * dim + c] * key(&k, j, c)).sum();
+                            (0.3 * dot + added(row, j)).exp()
+                        })
+                        .collect();
+                    let sum: f32 = weights.iter().sum();
+                    for (c, found) in found.iter().enumerate() {
+                        let expected: f32 = (0..keys).map(|j| weights[j] * key(&v, j, c)).sum();
+                        let error = (expected / sum - found).abs();
+                        assert!(error < tolerance, "{shape:?} {sizes:?} {format:?}: {error}");
+                    }
                 }
             }
         }
@@ -210,6 +302,10 @@ mod tests {
             values: &[0.0; 12],
             sizes: [3, 1, 1],
         };
-        dense_attention(shape, (&q, &k, &k), 1.0, Some(mask));
+        let (q, k) = (
+            HeadRows::contiguous(&q, 3, 1, 8),
+            HeadRows::contiguous(&k, 3, 4, 8),
+        );
+        dense_attention(shape, [q, k, k], 1.0, Some(mask), PackedFormat::F32);
     }
 }

@@ -26,6 +26,27 @@ pub enum Activation {
     Silu,
 }
 
+/// What normalises the channels of one image: a factor and an offset of each, and what follows.
+#[derive(Clone, Debug)]
+pub struct Normalisation {
+    factors: Vec<f32>,
+    offsets: Vec<f32>,
+    activation: Activation,
+}
+
+impl Normalisation {
+    /// Normalises pixels in place.
+    fn apply(&self, pixels: &mut [f32]) {
+        apply(pixels, &self.factors, &self.offsets, self.activation);
+    }
+
+    /// Writes the normalised pixels of `from` to `to`, which is as long.
+    pub(crate) fn apply_to(&self, from: &[f32], to: &mut [f32]) {
+        to.copy_from_slice(from);
+        self.apply(to);
+    }
+}
+
 /// Normalises `x` (N, pixels, channels) in place over each group of neighbouring channels of an
 /// image, then scales and shifts each channel, and applies `activation`. On all threads of the pool; the result does
 /// not depend on how many there are.
@@ -35,17 +56,41 @@ pub fn group_norm(
     x: &mut [f32],
     pixels: usize,
     groups: usize,
-    (scale, shift): (&[f32], &[f32]),
+    affine: (&[f32], &[f32]),
     eps: f64,
     activation: Activation,
 ) {
-    let channels = scale.len();
-    let size = channels / groups.max(1);
-    if size == 0 || pixels == 0 {
+    let channels = affine.0.len();
+    if channels < groups.max(1) || pixels == 0 {
         return;
     }
     let chunk = (CHUNK / channels).clamp(1, pixels) * channels;
-    x.par_chunks_exact_mut(pixels * channels).for_each(|image| {
+    let all = group_normalisations(x, pixels, groups, affine, eps, activation);
+    let images = x.par_chunks_exact_mut(pixels * channels);
+    images.zip(all).for_each(|(image, normalisation)| {
+        image
+            .par_chunks_mut(chunk)
+            .for_each(|pixels| normalisation.apply(pixels));
+    });
+}
+
+/// What [`group_norm`] does to each image of `x`, for a convolution that does it to its input.
+pub fn group_normalisations(
+    x: &[f32],
+    pixels: usize,
+    groups: usize,
+    (scale, shift): (&[f32], &[f32]),
+    eps: f64,
+    activation: Activation,
+) -> Vec<Normalisation> {
+    let channels = scale.len();
+    let size = channels / groups.max(1);
+    if size == 0 || pixels == 0 {
+        return Vec::new();
+    }
+    let chunk = (CHUNK / channels).clamp(1, pixels) * channels;
+    let images = x.par_chunks_exact(pixels * channels);
+    let of_image = images.map(|image| {
         let parts: Vec<Vec<f64>> = image
             .par_chunks(chunk)
             .map(|pixels| {
@@ -79,10 +124,13 @@ pub fn group_norm(
             *factor = wide as f32;
             *offset = (f64::from(*shift) - mean * wide) as f32;
         }
-        image
-            .par_chunks_mut(chunk)
-            .for_each(|pixels| apply(pixels, &factors, &offsets, activation));
+        Normalisation {
+            factors,
+            offsets,
+            activation,
+        }
     });
+    of_image.collect()
 }
 
 vectorised! {

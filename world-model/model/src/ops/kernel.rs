@@ -5,25 +5,26 @@
 //! the gradient of the weights.
 
 use crate::ops::element::Element;
+use crate::ops::product::{Product, Step};
 #[cfg(target_arch = "x86_64")]
 use crate::ops::simd::{Avx2, Avx512};
 use crate::ops::simd::{InstructionSet, LANES, Lanes, Portable};
 
 /// One row of output pixels, for one panel of output channels.
 #[derive(Clone, Copy)]
-pub(crate) struct Row<T = f32> {
+pub(crate) struct Row<P: Product> {
     /// Input of the first pixel's first tap.
-    pub input: *const f32,
+    pub input: *const P::Input,
     /// From one output pixel's input to the next's.
     pub input_step: usize,
     /// From one row of taps to the next.
     pub tap_pitch: usize,
     /// Rows of taps.
     pub tap_rows: usize,
-    /// Contiguous inputs (taps times channels) in a row of taps.
+    /// Contiguous inputs (taps times channels) in a row of taps: whole groups.
     pub run: usize,
-    /// Weights, `tap_rows * run` rows of `vectors * LANES`.
-    pub panel: *const T,
+    /// Weights, `tap_rows * run` rows of `vectors * LANES`, those of a group side by side.
+    pub panel: *const P::Weight,
     /// Vectors of output channels in the panel.
     pub vectors: usize,
     /// Bias, `vectors * LANES` values.
@@ -44,45 +45,39 @@ pub(crate) struct Row<T = f32> {
     pub relu: bool,
 }
 
-impl<T: Element> Row<T> {
+impl<P: Product> Row<P> {
+    /// Computes it.
+    ///
     /// # Safety
-    /// All pointers must be valid for what their comments say, and the processor must have `set`.
-    pub(crate) unsafe fn run(&self, set: InstructionSet) {
-        // SAFETY: the caller vouches for the pointers and the instruction set.
-        unsafe {
-            match set {
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx512 => self.run_avx512(),
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx2 => self.run_avx2(),
-                InstructionSet::Portable => self.tiles::<Portable, 4, 1>(),
-            }
-        }
+    /// All pointers must be valid for what their comments say, and the processor must have `unit`.
+    pub(crate) unsafe fn run(&self, unit: P::Unit) {
+        // SAFETY: as for this function.
+        unsafe { P::run(self, unit) }
     }
 
+    /// With thirty-two registers of sixteen lanes.
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx512f")]
-    unsafe fn run_avx512(&self) {
+    #[inline(always)]
+    pub(super) unsafe fn wide_tiles<L: Lanes>(&self)
+    where
+        P: Step<L>,
+    {
         // SAFETY: as for `run`.
         unsafe {
             match self.vectors {
-                1 => self.tiles::<Avx512, 16, 1>(),
-                2 => self.tiles::<Avx512, 8, 2>(),
-                3 => self.tiles::<Avx512, 8, 3>(),
-                _ => self.tiles::<Avx512, 6, 4>(),
+                1 => self.tiles::<L, 16, 1>(),
+                2 => self.tiles::<L, 8, 2>(),
+                3 => self.tiles::<L, 8, 3>(),
+                _ => self.tiles::<L, 6, 4>(),
             }
         }
     }
 
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    unsafe fn run_avx2(&self) {
-        // SAFETY: as for `run`.
-        unsafe { self.tiles::<Avx2, 6, 1>() }
-    }
-
     #[inline(always)]
-    unsafe fn tiles<L: Lanes, const M: usize, const N: usize>(&self) {
+    pub(super) unsafe fn tiles<L: Lanes, const M: usize, const N: usize>(&self)
+    where
+        P: Step<L>,
+    {
         // SAFETY: as for `run`; every tile lies within the row.
         unsafe {
             // No tile overlaps another, so that the residual may be the output itself.
@@ -103,7 +98,10 @@ impl<T: Element> Row<T> {
     }
 
     #[inline(always)]
-    unsafe fn tile<L: Lanes, const M: usize, const N: usize>(&self, x: usize) {
+    unsafe fn tile<L: Lanes, const M: usize, const N: usize>(&self, x: usize)
+    where
+        P: Step<L>,
+    {
         // SAFETY: as for `run`; `x + M` pixels exist.
         unsafe {
             let mut sums = [[L::splat(0.0); N]; M];
@@ -116,19 +114,19 @@ impl<T: Element> Row<T> {
             let step = self.input_step;
             for tap_row in 0..self.tap_rows {
                 let mut input = self.input.add(x * step + tap_row * self.tap_pitch);
-                for _ in 0..self.run {
+                for _ in 0..self.run / P::Weight::GROUP {
                     let mut w = [L::splat(0.0); N];
                     for (j, w) in w.iter_mut().enumerate() {
-                        *w = T::load(weights.add(j * LANES));
+                        *w = P::load(weights.add(j * LANES * P::Weight::GROUP));
                     }
-                    weights = weights.add(N * LANES);
+                    weights = weights.add(N * LANES * P::Weight::GROUP);
                     for (i, sum) in sums.iter_mut().enumerate() {
-                        let a = L::splat(*input.add(i * step));
+                        let a = P::splat(input.add(i * step));
                         for (sum, w) in sum.iter_mut().zip(w) {
-                            *sum = a.mul_add(w, *sum);
+                            *sum = P::add(a, w, *sum);
                         }
                     }
-                    input = input.add(1);
+                    input = input.add(P::Weight::GROUP);
                 }
             }
             // By way of memory, in two loops: what indexes `sums` must be small enough to be

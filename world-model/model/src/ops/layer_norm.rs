@@ -8,30 +8,31 @@ use super::vectorised::vectorised;
 /// Rows that one task handles.
 const ROWS: usize = 32;
 
-/// Normalises every row of `x` (rows, width) in place to mean 0 and variance 1 (`eps` is added to
-/// it), then scales and shifts each column by `scale` and `shift` (width).
+/// Every row of `x` (rows, width) with mean 0 and variance 1 (`eps` is added to it), each column then scaled and shifted by
+/// `scale` and `shift` (width), to `out`.
 ///
 /// # Panics
 /// If `x` is not whole rows, or the widths differ.
-pub fn layer_norm(x: &mut [f32], (scale, shift): (&[f32], &[f32]), eps: f32) {
+pub fn layer_norm(x: &[f32], (scale, shift): (&[f32], &[f32]), eps: f32, out: &mut [f32]) {
     let width = scale.len();
     assert!(
-        width > 0 && shift.len() == width && x.len().is_multiple_of(width),
+        width > 0 && shift.len() == width && x.len().is_multiple_of(width) && out.len() == x.len(),
         "rows, scale and shift of a normalisation"
     );
-    x.par_chunks_mut(ROWS * width)
-        .for_each(|rows| normalise_rows(rows, scale, shift, eps));
+    out.par_chunks_mut(ROWS * width)
+        .zip(x.par_chunks(ROWS * width))
+        .for_each(|(out, x)| normalise_rows(x, scale, shift, eps, out));
 }
 
 vectorised! {
-    fn normalise_rows(rows: &mut [f32], scale: &[f32], shift: &[f32], eps: f32) {
+    fn normalise_rows(rows: &[f32], scale: &[f32], shift: &[f32], eps: f32, out: &mut [f32]) {
         let width = scale.len();
-        for row in rows.chunks_exact_mut(width) {
+        for (row, out) in rows.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
             let mean = sum_of(row, |x| x) / width as f32;
             let variance = sum_of(row, |x| (x - mean) * (x - mean)) / width as f32;
             let factor = 1.0 / (variance + eps).sqrt();
-            for ((x, scale), shift) in row.iter_mut().zip(scale).zip(shift) {
-                *x = ((*x - mean) * factor).mul_add(*scale, *shift);
+            for (((x, out), scale), shift) in row.iter().zip(out).zip(scale).zip(shift) {
+                *out = ((*x - mean) * factor).mul_add(*scale, *shift);
             }
         }
     }
@@ -44,12 +45,13 @@ mod tests {
     #[test]
     fn rows_get_mean_zero_and_variance_one_before_the_affine_map() {
         let width = 37;
-        let mut x: Vec<f32> = (0..40 * width)
+        let x: Vec<f32> = (0..40 * width)
             .map(|i| ((i * 31) % 101) as f32 + 7.0)
             .collect();
         let (scale, shift) = (vec![2.0; width], vec![0.5; width]);
-        layer_norm(&mut x, (&scale, &shift), 0.0);
-        for row in x.chunks_exact(width) {
+        let mut out = vec![0.0; x.len()];
+        layer_norm(&x, (&scale, &shift), 0.0, &mut out);
+        for row in out.chunks_exact(width) {
             let normed = row.iter().map(|x| (x - 0.5) / 2.0);
             let mean = normed.clone().sum::<f32>() / width as f32;
             let variance = normed.map(|x| x * x).sum::<f32>() / width as f32;

@@ -236,6 +236,25 @@ vectorised! {
 }
 
 vectorised! {
+    /// Multiplies the columns of `values` by `scale`, and adds the front of `residual`, of as many rows.
+    fn scale_and_add(values: &mut [f32], scale: &[f32], residual: &[f32]) {
+        let rows = values.chunks_exact_mut(scale.len()).zip(residual.chunks_exact(scale.len()));
+        for (row, residual) in rows {
+            for ((value, scale), residual) in row.iter_mut().zip(scale).zip(residual) {
+                *value = value.mul_add(*scale, *residual);
+            }
+        }
+    }
+}
+
+/// Multiplies the columns of `rows` (rows, `scale`) by `scale`, and adds the front of `residual`.
+pub fn scale_and_add_rows(rows: &mut [f32], scale: &[f32], residual: &[f32]) {
+    if !scale.is_empty() {
+        scale_and_add(rows, scale, residual);
+    }
+}
+
+vectorised! {
     /// Adds every row of `values` to `sums`.
     pub(crate) fn sum_rows(values: &[f32], sums: &mut [f32]) {
         for row in values.chunks_exact(sums.len()) {

@@ -5,15 +5,22 @@ use std::sync::Arc;
 use half::bf16;
 use rayon::prelude::*;
 
-use super::element::{Element, PackedFormat};
-use super::kernel::Row;
-use super::panels::Panels;
-use super::simd::{LANES, prefetch};
+use super::element::PackedFormat;
+use super::panel_product::PanelProduct;
+use super::panel_values::MappedBytes;
+use super::panels::{LAYOUT, Panels};
+use super::simd::instruction_set;
 use crate::{Error, Result};
 
 /// Rows that one task handles at most: enough for a panel to be used often once it is there, few enough for them to stay
 /// in a second-level cache.
 const ROWS: usize = 160;
+
+/// In which order matrices are packed here. Packed values that were kept are of use where it is the same.
+pub fn packed_layout() -> String {
+    let architecture = std::env::consts::ARCH;
+    format!("{LAYOUT} {architecture} {}", instruction_set())
+}
 
 /// A matrix and a bias in the order in which the kernel reads them. Clones share them.
 #[derive(Clone, Debug)]
@@ -36,16 +43,6 @@ impl PackedLinear {
         (outputs, inputs): (usize, usize),
         format: PackedFormat,
     ) -> Result<Self> {
-        let check = |what, slice: &[f32], expected: usize| {
-            if slice.len() == expected {
-                return Ok(());
-            }
-            Err(Error::Shape {
-                what,
-                expected: format!("[{expected}]"),
-                found: vec![slice.len()],
-            })
-        };
         let count = outputs.saturating_mul(inputs);
         check("the weight to be packed", weight, count)?;
         if let Some(bias) = bias {
@@ -53,14 +50,56 @@ impl PackedLinear {
         }
         Ok(Self(match format {
             PackedFormat::F32 => {
-                let panels = Panels::pack_transposed(inputs, outputs, bias, &[weight]);
+                let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
                 Format::F32(Arc::new(panels))
             }
             PackedFormat::Bf16 => {
-                let panels = Panels::pack_transposed(inputs, outputs, bias, &[weight]);
+                let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
                 Format::Bf16(Arc::new(panels))
             }
         }))
+    }
+
+    /// A matrix (outputs, inputs) whose packed values ([`PackedLinear::packed_bytes`]) lie in a file, and `bias` (outputs).
+    ///
+    /// # Errors
+    /// If there are not as many values as that matrix has packed, they are not aligned, or the bias has another length.
+    pub fn from_mapped(
+        values: MappedBytes,
+        bias: Option<&[f32]>,
+        (outputs, inputs): (usize, usize),
+        format: PackedFormat,
+    ) -> Result<Self> {
+        if let Some(bias) = bias {
+            check("the bias of packed weights", bias, outputs)?;
+        }
+        let found = values.as_slice().len();
+        let packed = match format {
+            PackedFormat::F32 => Panels::mapped(inputs, outputs, bias, values)
+                .map(|panels| Format::F32(Arc::new(panels))),
+            PackedFormat::Bf16 => Panels::mapped(inputs, outputs, bias, values)
+                .map(|panels| Format::Bf16(Arc::new(panels))),
+        };
+        packed.map(Self).ok_or_else(|| {
+            let reason = format!("{found} bytes, not those of ({outputs}, {inputs}) in {format:?}");
+            Error::config("packed weights", reason)
+        })
+    }
+
+    /// The weights as they are packed, without the bias: of use in the same [`packed_layout`].
+    pub fn packed_bytes(&self) -> &[u8] {
+        match &self.0 {
+            Format::F32(panels) => bytemuck::cast_slice(&panels.values),
+            Format::Bf16(panels) => bytemuck::cast_slice(&panels.values),
+        }
+    }
+
+    /// What the weights are kept in.
+    pub fn format(&self) -> PackedFormat {
+        match &self.0 {
+            Format::F32(_) => PackedFormat::F32,
+            Format::Bf16(_) => PackedFormat::Bf16,
+        }
     }
 
     /// Values of a row of the input.
@@ -84,6 +123,20 @@ impl PackedLinear {
     /// # Panics
     /// As [`Self::forward`].
     pub fn forward_on_pool(&self, x: &[f32], y: &mut [f32]) {
+        self.forward_on_pool_then(x, y, |_, _| {});
+    }
+
+    /// As [`Self::forward_on_pool`], and `then` of every few rows while they are in a near cache, with the number of the
+    /// first of them.
+    ///
+    /// # Panics
+    /// As [`Self::forward`].
+    pub fn forward_on_pool_then(
+        &self,
+        x: &[f32],
+        y: &mut [f32],
+        then: impl Fn(&mut [f32], usize) + Sync,
+    ) {
         let (inputs, outputs) = (self.inputs().max(1), self.outputs().max(1));
         assert_eq!(x.len() / inputs, y.len() / outputs, "rows of a product");
         // Equal shares: one task of a few rows more would read all weights for these alone.
@@ -93,7 +146,11 @@ impl PackedLinear {
         let share = rows.div_ceil(tasks.max(1)).max(1);
         y.par_chunks_mut(share * outputs)
             .zip(x.par_chunks(share * inputs))
-            .for_each(|(y, x)| self.forward(x, y));
+            .enumerate()
+            .for_each(|(task, (y, x))| {
+                self.forward(x, y);
+                then(y, task * share);
+            });
     }
 
     /// Writes the product of `x` (rows, inputs) to `y` (rows, outputs), on the calling thread.
@@ -102,88 +159,26 @@ impl PackedLinear {
     /// If `x` is not whole rows, or `y` has another number of them.
     pub fn forward(&self, x: &[f32], y: &mut [f32]) {
         match &self.0 {
-            Format::F32(panels) => product(panels, x, y),
-            Format::Bf16(panels) => product(panels, x, y),
+            Format::F32(panels) => f32::product(panels, x, y),
+            Format::Bf16(panels) => bf16::product(panels, x, y),
         }
     }
 }
 
-/// `y` (rows, outputs) = `x` (rows, depth) times a packed matrix, plus its bias.
-pub(super) fn product<T: Element>(panels: &Panels<T>, x: &[f32], y: &mut [f32]) {
-    let (inputs, outputs) = (panels.depth, panels.outputs);
-    let rows = x.len() / inputs.max(1);
-    // The kernel trusts these.
-    assert_eq!(x.len(), rows * inputs, "input of a product");
-    assert_eq!(y.len(), rows * outputs, "output of a product");
-    for (vectors, panel, first) in panels.iter() {
-        // All weights of a model do not fit into the caches that are near: the next panel comes
-        // while this one is computed with.
-        let next = panel + inputs * vectors * LANES;
-        let next = next..next + inputs * vectors * LANES;
-        if let Some(next) = panels.values.get(next) {
-            prefetch(next);
-        }
-        let row = Row {
-            input: x.as_ptr(),
-            input_step: inputs,
-            tap_pitch: 0,
-            tap_rows: 1,
-            run: inputs,
-            panel: panels.values.as_ptr().wrapping_add(panel),
-            vectors,
-            bias: panels.bias.as_ptr().wrapping_add(first),
-            pixels: rows,
-            output: y.as_mut_ptr().wrapping_add(first),
-            residual: std::ptr::null(),
-            mask: std::ptr::null(),
-            output_step: outputs,
-            channels: (outputs - first).min(vectors * LANES),
-            relu: false,
-        };
-        // SAFETY: the lengths were checked above, and those of the panels hold by construction; the
-        // panels were cut for an instruction set that was detected.
-        unsafe { row.run(panels.set) };
+fn check(what: &'static str, slice: &[f32], expected: usize) -> Result<()> {
+    if slice.len() == expected {
+        return Ok(());
     }
+    Err(Error::Shape {
+        what,
+        expected: format!("[{expected}]"),
+        found: vec![slice.len()],
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn products_are_those_of_the_definition() {
-        for (rows, inputs, outputs) in [(1, 5, 3), (7, 16, 64), (64, 33, 100), (19, 128, 48)] {
-            let numbers = |count: usize, seed: usize| -> Vec<f32> {
-                (0..count)
-                    .map(|i| ((i * 7919 + seed) % 2003) as f32 / 1001.0 - 1.0)
-                    .collect()
-            };
-            let (x, w) = (numbers(rows * inputs, 1), numbers(outputs * inputs, 2));
-            let bias = numbers(outputs, 3);
-            for format in [PackedFormat::F32, PackedFormat::Bf16] {
-                let shape = (outputs, inputs);
-                let packed = PackedLinear::new(&w, Some(&bias), shape, format).unwrap();
-                let mut y = vec![f32::NAN; rows * outputs];
-                packed.forward(&x, &mut y);
-                // What the weights are as packed.
-                let w: Vec<f32> = w
-                    .iter()
-                    .map(|w| match format {
-                        PackedFormat::F32 => *w,
-                        PackedFormat::Bf16 => bf16::from_f32(*w).to_f32(),
-                    })
-                    .collect();
-                for (row, y) in y.chunks_exact(outputs).enumerate() {
-                    for (n, y) in y.iter().enumerate() {
-                        let sum: f32 = (0..inputs)
-                            .map(|k| x[row * inputs + k] * w[n * inputs + k])
-                            .sum();
-                        assert!((sum + bias[n] - y).abs() < 1e-4, "{format:?}");
-                    }
-                }
-            }
-        }
-    }
 
     #[test]
     fn a_weight_of_another_size_is_refused() {

@@ -14,16 +14,23 @@ pub(crate) trait Lanes: Copy {
     /// # Safety
     /// Sixteen f32 must be readable at `p`.
     unsafe fn load(p: *const f32) -> Self;
-    /// The f32 whose upper halves are at `p`, the lower ones being zero.
-    ///
-    /// # Safety
-    /// Sixteen u16 must be readable at `p`.
-    unsafe fn load_upper_halves(p: *const u16) -> Self;
     /// # Safety
     /// Sixteen f32 must be writable at `p`.
     unsafe fn store(self, p: *mut f32);
     /// `self * b + c`.
     fn mul_add(self, b: Self, c: Self) -> Self;
+    /// `self + b`.
+    fn add(self, b: Self) -> Self;
+    /// `self - b`.
+    fn sub(self, b: Self) -> Self;
+}
+
+/// Lanes with an instruction for products of bf16, two of which are in each lane.
+pub(crate) trait DotBf16: Lanes {
+    /// All lanes the 32 bits of `bits`.
+    fn splat_bits(bits: u32) -> Self;
+    /// In every lane the sum of both products of `self` and `b`, plus that of `c`, an f32.
+    fn dot_bf16(self, b: Self, c: Self) -> Self;
 }
 
 /// Instruction sets with kernels of their own.
@@ -62,6 +69,30 @@ impl InstructionSet {
             Self::Avx512 => MOST_VECTORS,
             _ => 1,
         }
+    }
+}
+
+/// How products of bf16 are computed where the processor has an instruction for them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Bf16Unit {
+    /// vdpbf16ps on 512 bits.
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Bf16Unit {
+    /// The best one of this machine, if it has any.
+    pub(crate) fn detect() -> Option<Self> {
+        static DETECTED: OnceLock<Option<Bf16Unit>> = OnceLock::new();
+        *DETECTED.get_or_init(|| {
+            #[cfg(target_arch = "x86_64")]
+            if InstructionSet::detect() == InstructionSet::Avx512
+                && is_x86_feature_detected!("avx512bf16")
+            {
+                return Some(Self::Avx512);
+            }
+            None
+        })
     }
 }
 
@@ -118,13 +149,6 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
-    unsafe fn load_upper_halves(p: *const u16) -> Self {
-        // SAFETY: the caller vouches for sixteen u16; the read needs no alignment.
-        let halves = unsafe { p.cast::<[u16; LANES]>().read_unaligned() };
-        Self(halves.map(|half| f32::from_bits(u32::from(half) << 16)))
-    }
-
-    #[inline(always)]
     unsafe fn store(self, p: *mut f32) {
         // SAFETY: the caller vouches for sixteen f32; the write needs no alignment.
         unsafe { p.cast::<[f32; LANES]>().write_unaligned(self.0) };
@@ -139,6 +163,16 @@ impl Lanes for Portable {
         }
         Self(out)
     }
+
+    #[inline(always)]
+    fn add(self, b: Self) -> Self {
+        Self(std::array::from_fn(|lane| self.0[lane] + b.0[lane]))
+    }
+
+    #[inline(always)]
+    fn sub(self, b: Self) -> Self {
+        Self(std::array::from_fn(|lane| self.0[lane] - b.0[lane]))
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -147,13 +181,13 @@ pub(crate) use x86::{Avx2, Avx512};
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use std::arch::x86_64::{
-        __m256, __m256i, __m512, _mm_loadu_si128, _mm256_castsi256_ps, _mm256_cvtepu16_epi32,
-        _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_loadu_si256, _mm256_set1_ps, _mm256_slli_epi32,
-        _mm256_storeu_ps, _mm512_castsi512_ps, _mm512_cvtepu16_epi32, _mm512_fmadd_ps,
-        _mm512_loadu_ps, _mm512_set1_ps, _mm512_slli_epi32, _mm512_storeu_ps,
+        __m256, __m512, __m512bh, __m512i, _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps,
+        _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps, _mm512_add_ps, _mm512_castps_si512,
+        _mm512_castsi512_ps, _mm512_dpbf16_ps, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_epi32,
+        _mm512_set1_ps, _mm512_storeu_ps, _mm512_sub_ps,
     };
 
-    use super::Lanes;
+    use super::{DotBf16, Lanes};
 
     /// One 512-bit register.
     #[derive(Clone, Copy)]
@@ -173,15 +207,6 @@ mod x86 {
         }
 
         #[inline(always)]
-        unsafe fn load_upper_halves(p: *const u16) -> Self {
-            // SAFETY: as above, and the caller vouches for `p`.
-            Self(unsafe {
-                let halves = _mm256_loadu_si256(p.cast::<__m256i>());
-                _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(halves)))
-            })
-        }
-
-        #[inline(always)]
         unsafe fn store(self, p: *mut f32) {
             // SAFETY: as above, and the caller vouches for `p`.
             unsafe { _mm512_storeu_ps(p, self.0) };
@@ -191,6 +216,36 @@ mod x86 {
         fn mul_add(self, b: Self, c: Self) -> Self {
             // SAFETY: the trait is used only where the instruction set is enabled.
             Self(unsafe { _mm512_fmadd_ps(self.0, b.0, c.0) })
+        }
+
+        #[inline(always)]
+        fn add(self, b: Self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm512_add_ps(self.0, b.0) })
+        }
+
+        #[inline(always)]
+        fn sub(self, b: Self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm512_sub_ps(self.0, b.0) })
+        }
+    }
+
+    impl DotBf16 for Avx512 {
+        #[inline(always)]
+        fn splat_bits(bits: u32) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm512_castsi512_ps(_mm512_set1_epi32(bits.cast_signed())) })
+        }
+
+        #[inline(always)]
+        fn dot_bf16(self, b: Self, c: Self) -> Self {
+            // SAFETY: as above; both are 512 bits, of which any are 32 bf16.
+            let pairs = |x: __m512| unsafe {
+                std::mem::transmute::<__m512i, __m512bh>(_mm512_castps_si512(x))
+            };
+            // SAFETY: the trait is used only where the instruction set is enabled.
+            Self(unsafe { _mm512_dpbf16_ps(c.0, pairs(self.0), pairs(b.0)) })
         }
     }
 
@@ -213,18 +268,6 @@ mod x86 {
         }
 
         #[inline(always)]
-        unsafe fn load_upper_halves(p: *const u16) -> Self {
-            // SAFETY: as above, and the caller vouches for `p`.
-            unsafe {
-                let widen = |p: *const u16| {
-                    let halves = _mm_loadu_si128(p.cast());
-                    _mm256_castsi256_ps(_mm256_slli_epi32::<16>(_mm256_cvtepu16_epi32(halves)))
-                };
-                Self(widen(p), widen(p.add(8)))
-            }
-        }
-
-        #[inline(always)]
         unsafe fn store(self, p: *mut f32) {
             // SAFETY: as above, and the caller vouches for `p`.
             unsafe {
@@ -242,6 +285,18 @@ mod x86 {
                     _mm256_fmadd_ps(self.1, b.1, c.1),
                 )
             }
+        }
+
+        #[inline(always)]
+        fn add(self, b: Self) -> Self {
+            // SAFETY: as above.
+            unsafe { Self(_mm256_add_ps(self.0, b.0), _mm256_add_ps(self.1, b.1)) }
+        }
+
+        #[inline(always)]
+        fn sub(self, b: Self) -> Self {
+            // SAFETY: as above.
+            unsafe { Self(_mm256_sub_ps(self.0, b.0), _mm256_sub_ps(self.1, b.1)) }
         }
     }
 }

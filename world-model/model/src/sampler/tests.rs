@@ -294,3 +294,36 @@ fn a_rollout_goes_on_from_the_position_of_another_bit_for_bit() {
         assert!(several.to_string().contains("position of 2"), "{several}");
     }
 }
+
+/// What was computed of the frames before the newest one serves the rollout from it; what is of other frames or actions
+/// does not. With its result, a frame is fed the action before it: the first frame depends on none.
+#[test]
+fn a_rollout_takes_over_what_was_computed_of_its_first_frames_bit_for_bit() {
+    for ((_, model), expected) in [(&*PLAIN, [0, 0, 1]), (&*TINY, [0, 1, 2])] {
+        let sampler = &model.config().sampler;
+        let context = random(&[1, 3, 4, 4, 4], 1);
+        let past = random(&[2, 7], 2);
+        let earlier = context.narrow(1, 0, 2).unwrap();
+        let between = past.narrow(0, 0, 1).unwrap();
+        let prepared = |context: &Tensor, past: &Tensor| {
+            let mut rollout = Rollout::new(model, sampler, context, Some(past), 0).unwrap();
+            rollout.prepare().unwrap();
+            rollout.prepared()
+        };
+        let of_other_frames = prepared(&random(&[1, 2, 4, 4, 4], 9), &between);
+        let of_other_actions = prepared(&earlier, &random(&[1, 7], 9));
+        let of_these = prepared(&earlier, &between);
+
+        let new = || Rollout::new(model, sampler, &context, Some(&past), 4).unwrap();
+        let next = |rollout: &mut Rollout<'_>| rollout.next(&random(&[1, 7], 3)).unwrap();
+        let alone = next(&mut new());
+        for (prepared, expected) in [of_other_frames, of_other_actions, of_these]
+            .iter()
+            .zip(expected)
+        {
+            let mut rollout = new();
+            assert_eq!(rollout.take_over(prepared), expected);
+            assert_eq!(most(&next(&mut rollout), &alone), 0.0);
+        }
+    }
+}

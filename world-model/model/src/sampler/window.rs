@@ -77,6 +77,28 @@ impl Window {
         Ok(window)
     }
 
+    /// Takes the contexts that `other` has of the same frames under the same actions; how many.
+    pub(super) fn take_over(&mut self, other: &Self, model: &LoadedTransition) -> usize {
+        if self.tau.to_bits() != other.tau.to_bits() {
+            return 0;
+        }
+        let is_same = |i: usize| -> Option<bool> {
+            let frames = (self.frames.get(i)?, other.frames.get(i)?);
+            let action = |of: &Self| of.action_fed_with(i, model).ok()?;
+            let actions = (action(self)?, action(other)?);
+            // What cannot be compared is computed.
+            let same = frames.0.is_same(frames.1).ok()?;
+            Some(same && actions.0.is_same(&actions.1).ok()?)
+        };
+        let first = self.contexts.len();
+        let contexts = (first..).zip(other.contexts.iter().skip(first));
+        let same = contexts.take_while(|(i, _)| is_same(*i) == Some(true));
+        let same: Vec<_> = same.map(|(_, context)| context.clone()).collect();
+        let taken = same.len();
+        self.contexts.extend(same);
+        taken
+    }
+
     /// Adds the action that leads from the last frame to the one to be predicted.
     pub(super) fn push_action(&mut self, action: Batched) {
         self.actions.push_back(action);

@@ -51,18 +51,22 @@ pub(super) struct Embedding {
     pub(super) frequencies: Tensor,
 }
 
+/// Radians of each wave at noise level 1.
+pub(super) fn frequencies() -> Vec<f32> {
+    (0..FREQUENCIES)
+        .map(|i| {
+            let exponent = -FREQUENCY_RANGE.ln() * i as f64 / FREQUENCIES as f64;
+            (exponent.exp() * TAU_SCALE) as f32
+        })
+        .collect()
+}
+
 impl Embedding {
     pub(super) fn new(tensors: &mut Tensors) -> Result<Self> {
-        let frequencies: Vec<f32> = (0..FREQUENCIES)
-            .map(|i| {
-                let exponent = -FREQUENCY_RANGE.ln() * i as f64 / FREQUENCIES as f64;
-                (exponent.exp() * TAU_SCALE) as f32
-            })
-            .collect();
         let patch_weight = tensors.take("x_proj.weight")?;
         let shape = (1, FREQUENCIES);
         Ok(Self {
-            frequencies: Tensor::from_vec(frequencies, shape, patch_weight.device())?,
+            frequencies: Tensor::from_vec(frequencies(), shape, patch_weight.device())?,
             patch_weight,
             patch_bias: tensors.take("x_proj.bias")?,
             time: [

@@ -17,14 +17,22 @@ pub(super) struct Head {
     pub(super) linear: Linear,
 }
 
+/// Name of the wide head's projection.
+pub(super) const WIDE: &str = "s_projector";
+
+/// What the names of the head's last two layers start with.
+pub(super) fn name(config: &TransitionConfig) -> &'static str {
+    match config.wide_head {
+        Some(_) => "head_final_layer",
+        None => "final_layer",
+    }
+}
+
 impl Head {
     pub(super) fn new(config: &TransitionConfig, tensors: &mut Tensors) -> Result<Self> {
-        let (wide, name) = match config.wide_head {
-            Some(_) => (Some(tensors.linear("s_projector")?), "head_final_layer"),
-            None => (None, "final_layer"),
-        };
+        let (wide, name) = (config.wide_head, name(config));
         Ok(Self {
-            wide,
+            wide: wide.map(|_| tensors.linear(WIDE)).transpose()?,
             modulation: tensors.linear(&format!("{name}.adaLN_modulation.1"))?,
             linear: tensors.linear(&format!("{name}.linear"))?,
         })

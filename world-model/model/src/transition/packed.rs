@@ -17,12 +17,13 @@ mod head;
 mod modulation;
 mod pass;
 mod projection;
+mod source;
 mod sub_block;
 mod tasks;
 
 use std::sync::Arc;
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
 
 use super::{Transition, TransitionConfig};
 use crate::Result;
@@ -34,6 +35,8 @@ use head::Head;
 pub(crate) use modulation::Modulation;
 pub use pass::NewFrame;
 pub(crate) use pass::PassOutput;
+pub use source::PackedSource;
+use source::{NamedLayers, OfTransition, numbers};
 use sub_block::SubBlock;
 
 /// The transition model, ready for inference. Clones share everything.
@@ -62,32 +65,36 @@ impl PackedTransition {
     /// # Errors
     /// If its tensors cannot be read.
     pub fn new(model: &Transition, format: PackedFormat) -> Result<Self> {
-        let config = model.config.clone();
-        let (d, values) = (config.hidden, config.patch_values());
+        let config = model.config.as_ref().clone();
+        Self::build(config, &OfTransition { model, format })
+    }
+
+    /// Builds the model of packed weights that `source` gives by the names of the parameters: without a copy of them as
+    /// tensors, which is as large as the model.
+    ///
+    /// # Errors
+    /// If the configuration cannot be built, `source` fails, or it gives weights of another shape.
+    pub fn build(config: TransitionConfig, source: &dyn PackedSource) -> Result<Self> {
+        config.validate()?;
+        let named = NamedLayers::new(&config, source);
         let (rows, columns) = config.grid();
-        // (d, C, p, p) to (d, p * p * C).
-        let patch = model.embedding.patch_weight.permute((0, 2, 3, 1))?;
-        let embedding = PackedLinear::new(
-            &numbers(&patch)?,
-            Some(&numbers(&model.embedding.patch_bias)?),
-            (d, values),
-            format,
-        )?;
-        let mut sub_blocks = Vec::with_capacity(2 * model.blocks.len());
-        for block in &model.blocks {
-            sub_blocks.push(SubBlock::new(&block.spatial, format)?);
-            sub_blocks.push(SubBlock::new(&block.temporal, format)?);
+        let mut sub_blocks = Vec::with_capacity(2 * config.depth);
+        for block in 0..config.depth {
+            for part in ["s_block", "t_block"] {
+                let name = format!("blocks.{block}.{part}");
+                sub_blocks.push(SubBlock::new(&name, &named)?);
+            }
         }
         let layers = Layers {
             blocks: TokenBlocks::new(rows * columns, config.heads, config.head_dim()),
             grid: config.rotary(),
-            embedding,
-            condition: Condition::new(&model.embedding, format)?,
+            embedding: named.patches()?,
+            condition: Condition::new(&named)?,
             sub_blocks,
-            head: Head::new(&model.head, format)?,
+            head: Head::new(&named)?,
         };
         Ok(Self {
-            config,
+            config: Arc::new(config),
             layers: Arc::new(layers),
         })
     }
@@ -128,17 +135,4 @@ impl PackedTransition {
         let output = Tensor::stack(&outputs, 1)?;
         c.parametrisation.velocities(&output, x, tau)
     }
-}
-
-/// A tensor's values in row-major order.
-fn numbers(tensor: &Tensor) -> Result<Vec<f32>> {
-    let tensor = tensor.to_device(&Device::Cpu)?.to_dtype(DType::F32)?;
-    Ok(tensor.flatten_all()?.to_vec1()?)
-}
-
-/// Packs a Linear.
-fn packed(linear: &super::parameters::Linear, format: PackedFormat) -> Result<PackedLinear> {
-    let bias = linear.bias.as_ref().map(numbers).transpose()?;
-    let shape = linear.weight.dims2()?;
-    PackedLinear::new(&numbers(&linear.weight)?, bias.as_deref(), shape, format)
 }

@@ -226,6 +226,11 @@ impl Tensors {
         Ok(Self(tensors))
     }
 
+    /// Those that were not handed out yet, by their names.
+    pub(super) fn rest(&self) -> &BTreeMap<String, Tensor> {
+        &self.0
+    }
+
     /// Hands out a parameter.
     pub(super) fn take(&mut self, name: &str) -> Result<Tensor> {
         self.0.remove(name).ok_or_else(|| Error::MissingTensor {

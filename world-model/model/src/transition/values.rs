@@ -64,6 +64,17 @@ impl Batched {
         }
     }
 
+    /// Whether both have the same values for as many candidates.
+    pub(crate) fn is_same(&self, other: &Self) -> Result<bool> {
+        if self.batch != other.batch {
+            return Ok(false);
+        }
+        Ok(match (&self.values, &other.values) {
+            (Values::Slice(a), Values::Slice(b)) => a == b,
+            _ => self.to_vec()? == other.to_vec()?,
+        })
+    }
+
     /// The values, brought here.
     pub(crate) fn to_vec(&self) -> Result<Vec<f32>> {
         match &self.values {

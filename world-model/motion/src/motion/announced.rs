@@ -125,6 +125,10 @@ impl Announced {
         }
     }
 
+    pub fn keep_for(&mut self, keep_ns: i64) {
+        self.keep_ns = keep_ns;
+    }
+
     pub fn set_merging(&mut self, merging: ChunkMerging) {
         self.merging = merging;
     }

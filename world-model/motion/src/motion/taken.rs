@@ -23,6 +23,10 @@ impl Taken {
         }
     }
 
+    pub fn keep_for(&mut self, keep_ns: i64) {
+        self.settings.keep_ns = keep_ns;
+    }
+
     pub fn newest_ns(&self) -> Option<i64> {
         self.actions.last_key_value().map(|(stamp_ns, _)| *stamp_ns)
     }

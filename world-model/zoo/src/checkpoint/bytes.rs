@@ -8,12 +8,14 @@ use memmap2::Mmap;
 #[cfg(unix)]
 use memmap2::UncheckedAdvice;
 
+use crate::packed_cache::Stamp;
 use crate::{Error, Result};
 
 /// A file's bytes.
 #[derive(Debug)]
 pub(super) enum Bytes {
-    Mapped(Mmap),
+    /// Of a file, and which state of it.
+    Mapped(Mmap, Option<Stamp>),
     Owned(Vec<u8>),
 }
 
@@ -21,19 +23,28 @@ impl Bytes {
     pub(super) fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, e))?;
         // What the system says of a folder that is mapped does not help anybody.
-        if file.metadata().is_ok_and(|metadata| metadata.is_dir()) {
+        let metadata = file.metadata().map_err(|e| Error::io(path, e))?;
+        if metadata.is_dir() {
             return Err(Error::io(path, ErrorKind::IsADirectory.into()));
         }
         // SAFETY: the map is only read. Checkpoints are replaced by renaming a new file over the old one (as the
         // writers of this project and the usual download tools do), not rewritten in place while they are in use.
         let map = unsafe { Mmap::map(&file) }.map_err(|e| Error::io(path, e))?;
-        Ok(Self::Mapped(map))
+        Ok(Self::Mapped(map, Stamp::new(path, &metadata)))
     }
 
     pub(super) fn as_slice(&self) -> &[u8] {
         match self {
-            Self::Mapped(map) => map,
+            Self::Mapped(map, _) => map,
             Self::Owned(bytes) => bytes,
+        }
+    }
+
+    /// Which state of which file they are, if they are one's.
+    pub(super) fn stamp(&self) -> Option<&Stamp> {
+        match self {
+            Self::Mapped(_, stamp) => stamp.as_ref(),
+            Self::Owned(_) => None,
         }
     }
 
@@ -41,7 +52,7 @@ impl Bytes {
     /// longer count as this process's memory. They can be read again all the same.
     pub(super) fn release(&self, start: usize, len: usize) {
         #[cfg(unix)]
-        if let Self::Mapped(map) = self
+        if let Self::Mapped(map, _) = self
             && start.checked_add(len).is_some_and(|end| end <= map.len())
         {
             // SAFETY: the map is a read-only one of a file, never written to; pages that are dropped are read from

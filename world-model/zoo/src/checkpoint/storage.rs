@@ -28,6 +28,11 @@ impl Storage {
         }
     }
 
+    /// The checksum that the archive states.
+    pub(super) fn crc32(&self) -> Option<u32> {
+        self.crc32
+    }
+
     /// Where its bytes lie in the file.
     pub(super) fn range(&self) -> (usize, usize) {
         self.range

@@ -2,14 +2,18 @@
 
 use candle_core::{DType, Device, Tensor};
 use half::{bf16, f16};
+use rayon::prelude::*;
 
 use super::Element;
 use super::bytes::Bytes;
 use super::entry::Entry;
 use crate::{Error, Result};
 
-/// Bytes that are read before their pages are given back: a whole embedding table can be a gigabyte.
-const CHUNK: usize = 16 << 20;
+/// Bytes that a task reads before their pages are given back: a whole embedding table can be a gigabyte.
+const CHUNK: usize = 2 << 20;
+
+/// Values that a task compares.
+const COMPARED: usize = 64 << 10;
 
 /// Values in the format that was requested.
 pub(super) enum Values {
@@ -50,65 +54,86 @@ pub(super) fn into_tensor(values: Values, shape: &[usize], device: &Device) -> R
     })
 }
 
-fn collect<T>(bytes: &Bytes, entry: &Entry, from: impl Fn(f32) -> T) -> Vec<T> {
-    let mut values = Vec::with_capacity(entry.count());
+/// What `read` makes of the values of `entry`, rows in order: straight from the file if they are f32 there, one after the
+/// other, and in the byte order of this machine.
+pub(super) fn with_f32<R>(bytes: &Bytes, entry: &Entry, read: impl FnOnce(&[f32]) -> R) -> R {
+    let is_plain = entry.element == Element::F32 && entry.strides.is_none();
+    if is_plain
+        && cfg!(target_endian = "little")
+        && let Ok(values) = bytemuck::try_cast_slice(stored(bytes, entry))
+    {
+        let made = read(values);
+        bytes.release(entry.start, size_of_val(values));
+        return made;
+    }
+    read(&collect(bytes, entry, |value| value))
+}
+
+/// Whether all values are finite, and stay so in bf16 if they are `rounded` to it.
+pub(super) fn stay_finite(values: &[f32], rounded: bool) -> bool {
+    // The first value that is too large: infinity, or half way between it and the largest bf16, from where on rounding
+    // gives infinity.
+    let bound: u32 = if rounded { 0x7f7f_8000 } else { 0x7f80_0000 };
+    values.par_chunks(COMPARED).all(|values| {
+        // Without an early exit, so that the loop is vectorised.
+        values
+            .iter()
+            .fold(true, |all, v| all & (v.abs().to_bits() < bound))
+    })
+}
+
+/// Bytes from the first value of `entry` to the end of the last one.
+fn stored<'a>(bytes: &'a Bytes, entry: &Entry) -> &'a [u8] {
     // Checked when the file was opened: the entry lies within the file.
     let span = entry.span().unwrap_or_default();
     let all = bytes.as_slice().get(entry.start..entry.start + span);
-    let all = all.unwrap_or_default();
-    match &entry.strides {
-        None => {
-            for (i, chunk) in all.chunks(CHUNK).enumerate() {
-                extend(&mut values, chunk, entry.element, &from);
-                bytes.release(entry.start + i * CHUNK, chunk.len());
-            }
-        }
-        Some(strides) => {
-            let size = entry.element.size();
-            for at in offsets(&entry.shape, strides) {
-                let value = all.get(at * size..(at + 1) * size).unwrap_or_default();
-                extend(&mut values, value, entry.element, &from);
-            }
-            bytes.release(entry.start, span);
-        }
-    }
-    values
+    all.unwrap_or_default()
 }
 
-/// Adds the values in `bytes`, whole ones, to `values`.
-fn extend<T>(values: &mut Vec<T>, bytes: &[u8], element: Element, from: &impl Fn(f32) -> T) {
-    match element {
-        Element::F64 => values.extend(
-            // To f32 first: nothing here computes with more.
-            bytes
-                .as_chunks()
-                .0
-                .iter()
-                .map(|b| from(f64::from_le_bytes(*b) as f32)),
-        ),
-        Element::F32 => {
-            values.extend(
-                bytes
-                    .as_chunks()
-                    .0
-                    .iter()
-                    .map(|b| from(f32::from_le_bytes(*b))),
-            );
+fn collect<T>(bytes: &Bytes, entry: &Entry, from: impl Fn(f32) -> T + Sync) -> Vec<T>
+where
+    T: Copy + Default + Send,
+{
+    let all = stored(bytes, entry);
+    let size = entry.element.size();
+    match &entry.strides {
+        None => {
+            let mut values = vec![T::default(); entry.count()];
+            let parts = values.par_chunks_mut(CHUNK / size);
+            parts
+                .zip(all.par_chunks(CHUNK))
+                .enumerate()
+                .for_each(|(i, (values, chunk))| {
+                    convert(values, chunk, entry.element, &from);
+                    bytes.release(entry.start + i * CHUNK, chunk.len());
+                });
+            values
         }
-        Element::F16 => values.extend(
-            bytes
-                .as_chunks()
-                .0
-                .iter()
-                .map(|b| from(f16::from_le_bytes(*b).to_f32())),
-        ),
-        Element::BF16 => values.extend(
-            bytes
-                .as_chunks()
-                .0
-                .iter()
-                .map(|b| from(bf16::from_le_bytes(*b).to_f32())),
-        ),
+        Some(strides) => {
+            let mut values = vec![T::default(); entry.count()];
+            for (value, at) in values.iter_mut().zip(offsets(&entry.shape, strides)) {
+                let stored = all.get(at * size..(at + 1) * size).unwrap_or_default();
+                convert(std::slice::from_mut(value), stored, entry.element, &from);
+            }
+            bytes.release(entry.start, all.len());
+            values
+        }
+    }
+}
+
+/// Writes the values in `bytes`, whole ones, to `values`.
+fn convert<T>(values: &mut [T], bytes: &[u8], element: Element, from: &impl Fn(f32) -> T) {
+    fn each<T, const N: usize>(values: &mut [T], bytes: &[u8], value: impl Fn([u8; N]) -> T) {
+        for (to, bytes) in values.iter_mut().zip(bytes.as_chunks().0) {
+            *to = value(*bytes);
+        }
+    }
+    match element {
+        // To f32 first: nothing here computes with more.
+        Element::F64 => each(values, bytes, |b| from(f64::from_le_bytes(b) as f32)),
+        Element::F32 => each(values, bytes, |b| from(f32::from_le_bytes(b))),
+        Element::F16 => each(values, bytes, |b| from(f16::from_le_bytes(b).to_f32())),
+        Element::BF16 => each(values, bytes, |b| from(bf16::from_le_bytes(b).to_f32())),
         // Not asked for: [`super::Checkpoint::tensor`] refuses them.
         Element::I64 | Element::I32 | Element::I16 | Element::I8 | Element::U8 | Element::Bool => {}
     }
@@ -131,6 +156,30 @@ pub(super) fn offsets(shape: &[usize], strides: &[usize]) -> impl Iterator<Item 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_bf16_cannot_hold_is_told() {
+        let largest = bf16::MAX.to_f32();
+        let half_way = f32::from_bits(0x7f7f_8000);
+        let cases = [
+            (0.0, true, true),
+            (-largest, true, true),
+            (f32::from_bits(0x7f7f_7fff), true, true),
+            (half_way, true, false),
+            (f32::MIN, true, false),
+            (f32::INFINITY, false, false),
+            (f32::NEG_INFINITY, false, false),
+            (f32::NAN, false, false),
+            (-f32::NAN, false, false),
+        ];
+        for (value, in_f32, in_bf16) in cases {
+            let values = [1.0, value, -1.0];
+            assert_eq!(stay_finite(&values, false), in_f32, "{value}");
+            assert_eq!(stay_finite(&values, true), in_bf16, "{value}");
+            assert_eq!(bf16::from_f32(value).is_finite(), in_bf16, "{value}");
+        }
+        assert!(stay_finite(&[], true));
+    }
 
     #[test]
     fn a_transposed_matrix_is_read_row_by_row() {

@@ -71,18 +71,17 @@ impl Source {
     /// format that holds the same values.
     pub(super) fn hash(&self, tensors: &[Requested], hash: &mut Sha256) -> Result<()> {
         hash.update(format!("{} {}\n", self.role, self.kind));
-        let mut bytes = Vec::new();
         for Requested { name, shape } in tensors {
-            let values = self.checkpoint.tensor(name, DType::F32)?.flatten_all()?;
-            bytes.clear();
-            bytes.extend(
-                values
-                    .to_vec1::<f32>()?
-                    .iter()
-                    .flat_map(|v| v.to_le_bytes()),
-            );
             hash.update(format!("{name} {shape:?}\n"));
-            hash.update(&bytes);
+            self.checkpoint.with_values(name, false, |values| {
+                if cfg!(target_endian = "little") {
+                    hash.update(bytemuck::cast_slice::<f32, u8>(values));
+                } else {
+                    for value in values {
+                        hash.update(value.to_le_bytes());
+                    }
+                }
+            })?;
         }
         Ok(())
     }

@@ -6,14 +6,14 @@ use wm_model::Place;
 use wm_model::ops::RopeLayout;
 use wm_model::sampler::Sampler;
 use wm_model::transition::{
-    ActionAlignment, LoadedTransition, Parametrisation, Transition, TransitionConfig,
-    published_shift,
+    ActionAlignment, LoadedTransition, PackedTransition, Parametrisation, Transition,
+    TransitionConfig, published_shift,
 };
 
 use super::Kind;
 use crate::checkpoint::Average;
 use crate::layers::packed_format;
-use crate::{Checkpoint, Compute, Loader, Result};
+use crate::{Checkpoint, Compute, Engine, Loader, Result};
 
 /// Width of the wide head of all published models that have one (the paper, appendix B, table
 /// "Architecture size and compute").
@@ -156,15 +156,30 @@ impl DitConfig {
     ) -> Result<LoadedTransition> {
         let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
         let loader = Loader::on(&checkpoint, &Compute::at(place, dtype));
-        let model = build(self, &loader)?;
+        let model = load_transition(self.transition()?, &loader, place, dtype)?;
         loader.finish()?;
-        Ok(place.load(model, packed_format(dtype))?)
+        Ok(model)
     }
 }
 
 /// Builds the model from the tensors of `loader`.
 pub(crate) fn build(config: &DitConfig, loader: &Loader<'_>) -> Result<Transition> {
     build_transition(config.transition()?, loader)
+}
+
+/// The model of the tensors of `loader`, ready to compute at `place`. Kernels have the weights packed from where they lie.
+pub(crate) fn load_transition(
+    config: TransitionConfig,
+    loader: &Loader<'_>,
+    place: &Place,
+    precision: DType,
+) -> Result<LoadedTransition> {
+    Ok(match place.engine() {
+        Engine::Cpu => PackedTransition::build(config, loader)?.into(),
+        Engine::Candle => {
+            place.load(build_transition(config, loader)?, packed_format(precision))?
+        }
+    })
 }
 
 /// As [`build`], with conventions of one's own.

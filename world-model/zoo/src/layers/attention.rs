@@ -1,9 +1,9 @@
 //! Attention.
 
 use candle_core::{D, DType, Tensor};
-use wm_model::ops::{AttentionShape, ScoreMask, dense_attention};
+use wm_model::ops::{AttentionShape, PackedFormat, ScoreMask, dense_attention};
 
-use super::host::with_values;
+use super::host::with_heads;
 use super::takes_kernels;
 use crate::sizes::shape_error;
 use crate::{Engine, Result};
@@ -11,23 +11,23 @@ use crate::{Engine, Result};
 /// softmax(scale q k^T + mask) v, for `q` (B, heads, Lq, D), `k` and `v` (B, heads, Lk, D): (B, heads, Lq, D).
 ///
 /// `mask` is added to the scores and may be broadcast to (B, heads, Lq, Lk). The softmax is taken in f32; the result
-/// has the format of `q`.
+/// has the format of `q`. The kernels take views of any layout, multiply in `format`, and give the transpose of (B, Lq,
+/// heads, D).
 ///
 /// # Errors
 /// If the shapes do not fit.
 pub fn attention(
-    engine: Engine,
-    q: &Tensor,
-    k: &Tensor,
-    v: &Tensor,
+    (engine, format): (Engine, PackedFormat),
+    [q, k, v]: [&Tensor; 3],
     scale: f64,
     mask: Option<&Tensor>,
 ) -> Result<Tensor> {
     if takes_kernels(engine, q) {
-        return on_kernel(q, k, v, scale, mask);
+        return on_kernel(format, [q, k, v], scale, mask);
     }
     let q = (q.contiguous()? * scale)?;
-    let scores = q.matmul(&k.transpose(2, 3)?)?.to_dtype(DType::F32)?;
+    let k = k.transpose(2, 3)?.contiguous()?;
+    let scores = q.matmul(&k)?.to_dtype(DType::F32)?;
     let scores = match mask {
         Some(mask) => scores.broadcast_add(&mask.to_dtype(DType::F32)?)?,
         None => scores,
@@ -41,9 +41,8 @@ pub fn attention(
 }
 
 fn on_kernel(
-    q: &Tensor,
-    k: &Tensor,
-    v: &Tensor,
+    format: PackedFormat,
+    [q, k, v]: [&Tensor; 3],
     scale: f64,
     mask: Option<&Tensor>,
 ) -> Result<Tensor> {
@@ -71,12 +70,15 @@ fn on_kernel(
         values,
         sizes: *sizes,
     });
-    let out = with_values(q, |q| {
-        with_values(k, |k| {
-            with_values(v, |v| dense_attention(shape, (q, k, v), scale as f32, mask))
+    let out = with_heads(q, |q| {
+        with_heads(k, |k| {
+            with_heads(v, |v| {
+                dense_attention(shape, [q, k, v], scale as f32, mask, format)
+            })
         })
     })???;
-    Ok(Tensor::from_vec(out, q.shape(), q.device())?)
+    let out = Tensor::from_vec(out, (b, queries, heads, dim), q.device())?;
+    Ok(out.transpose(1, 2)?)
 }
 
 /// The values of a mask, with a value for every key and not repeated otherwise, and how many batch entries, heads and
@@ -110,7 +112,7 @@ mod tests {
         let v = v.reshape((1, 1, 5, 1)).unwrap();
         let v = v.broadcast_as((2, 3, 5, 8)).unwrap();
         let mean = |engine: Engine, mask: Option<&Tensor>| -> f32 {
-            let y = attention(engine, &q, &k, &v, 0.3, mask).unwrap();
+            let y = attention((engine, PackedFormat::F32), [&q, &k, &v], 0.3, mask).unwrap();
             assert_eq!(y.dims(), [2, 3, 4, 8]);
             y.mean_all().unwrap().to_scalar().unwrap()
         };
@@ -132,7 +134,7 @@ mod tests {
             normal([2, 3, 5, 8]),
         );
         let run = |engine: Engine, mask: &Tensor| {
-            attention(engine, &q, &k, &v, 0.3, Some(mask)).map(|y| {
+            attention((engine, PackedFormat::F32), [&q, &k, &v], 0.3, Some(mask)).map(|y| {
                 let values: Vec<f32> = y.flatten_all().unwrap().to_vec1().unwrap();
                 values
             })

@@ -1,9 +1,9 @@
 //! Two-dimensional convolution.
 
 use candle_core::{DType, Tensor};
-use wm_model::ops::{self, ConvShape, Epilogue, GridSize, PackedConv, PackedFormat};
+use wm_model::ops::{self, ConvShape, Fused, GridSize, PackedConv, PackedFormat};
 
-use super::{Linear, host, takes_kernels, upsample_nearest_2x};
+use super::{GroupNorm, Linear, host, takes_kernels, upsample_nearest_2x};
 use crate::{Engine, Result};
 
 /// Rows and columns of zeros around a picture.
@@ -205,11 +205,11 @@ impl Conv2d {
                 let shape = spec.shape(doubles);
                 let bias: Vec<f32> = bias.to_vec1()?;
                 let pack = match plan {
-                    Plan::Direct => PackedConv::new,
+                    Plan::Direct => PackedConv::for_inference,
                     Plan::LowerRight => PackedConv::halving_lower_right,
                 };
                 let packed = host::with_values(&weight.permute((2, 3, 1, 0))?, |weight| {
-                    pack(&shape, weight, Some(&bias))
+                    pack(&shape, weight, Some(&bias), format)
                 })??;
                 Weights::Packed(packed)
             }
@@ -231,7 +231,7 @@ impl Conv2d {
         self.check(x)?;
         match &self.weights {
             Weights::Pointwise(linear) => linear.forward(x),
-            Weights::Packed(packed) => self.on_kernel(x, packed, None),
+            Weights::Packed(packed) => self.on_kernel(x, packed, (None, None)),
             Weights::Plain(weight) if self.is_trained(x, weight) => {
                 let weight = weight.permute((2, 3, 1, 0))?;
                 let shape = self.spec.shape(self.doubles);
@@ -251,8 +251,30 @@ impl Conv2d {
     pub fn forward_adding(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
         self.check(x)?;
         match &self.weights {
-            Weights::Packed(packed) => self.on_kernel(x, packed, Some(residual)),
+            Weights::Packed(packed) => self.on_kernel(x, packed, (None, Some(residual))),
             _ => Ok((residual + self.forward(x)?)?),
+        }
+    }
+
+    /// As [`Conv2d::forward`] of what `norm` and SiLU make of `x`, plus `residual`, which has the shape of the result.
+    ///
+    /// # Errors
+    /// If `x` has another number of channels or number format, or `residual` another shape.
+    pub fn forward_normed(
+        &self,
+        x: &Tensor,
+        norm: &GroupNorm,
+        residual: Option<&Tensor>,
+    ) -> Result<Tensor> {
+        self.check(x)?;
+        if let Weights::Packed(packed) = &self.weights {
+            let normalisations = norm.silu_normalisations(x)?;
+            return self.on_kernel(x, packed, (Some(&normalisations), residual));
+        }
+        let y = self.forward(&norm.forward_silu(x)?)?;
+        match residual {
+            Some(residual) => Ok((residual + y)?),
+            None => Ok(y),
         }
     }
 
@@ -293,7 +315,7 @@ impl Conv2d {
         &self,
         x: &Tensor,
         packed: &PackedConv,
-        residual: Option<&Tensor>,
+        (normalisations, residual): (Option<&[ops::Normalisation]>, Option<&Tensor>),
     ) -> Result<Tensor> {
         let (images, height, width, _) = x.dims4()?;
         let grid = GridSize {
@@ -303,11 +325,12 @@ impl Conv2d {
         };
         let mut y = Vec::new();
         let mut run = |residual: Option<&[f32]>| {
-            let epilogue = Epilogue {
+            let fused = Fused {
+                normalisations,
                 residual,
                 relu: false,
             };
-            host::with_values(x, |x| packed.run(x, grid, epilogue, &mut y))
+            host::with_values(x, |x| packed.run(x, grid, fused, &mut y))
         };
         let size = match residual {
             Some(residual) => host::with_values(residual, |residual| run(Some(residual)))?,

@@ -21,6 +21,11 @@ impl<'r> Dropout<'r> {
         Self(None)
     }
 
+    /// Whether nothing is dropped.
+    pub fn is_none(&self) -> bool {
+        self.0.is_none()
+    }
+
     /// `x` with values dropped and the others divided by the part that is kept, so that the mean stays.
     ///
     /// # Errors

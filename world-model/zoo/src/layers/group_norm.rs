@@ -78,6 +78,21 @@ impl GroupNorm {
         Ok(self.on_candle(x)?.silu()?)
     }
 
+    /// What [`GroupNorm::forward_silu`] does to each image of `x`, f32 on the CPU, for a convolution that does it to its
+    /// input.
+    ///
+    /// # Errors
+    /// If `x` has another number of channels.
+    pub(crate) fn silu_normalisations(&self, x: &Tensor) -> Result<Vec<ops::Normalisation>> {
+        self.check(x)?;
+        let (_, h, w, _) = x.dims4()?;
+        let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
+        let (affine, silu) = ((scale.as_slice(), shift.as_slice()), ops::Activation::Silu);
+        host::with_values(x, |x| {
+            ops::group_normalisations(x, h * w, self.groups, affine, self.eps, silu)
+        })
+    }
+
     fn check(&self, x: &Tensor) -> Result<()> {
         let channels = self.scale.dim(0)?;
         match x.dims4() {

@@ -3,6 +3,7 @@
 use candle_core::{Storage, Tensor};
 
 use rayon::prelude::*;
+use wm_model::ops::HeadRows;
 
 use crate::Result;
 
@@ -23,6 +24,27 @@ pub(crate) fn with_values<R>(x: &Tensor, read: impl FnOnce(&[f32]) -> R) -> Resu
     {
         Some(values) => Ok(read(values)),
         None => Err(not_here(&x)),
+    }
+}
+
+/// What `read` makes of the values of `x` (B, heads, rows, dim), a tensor of f32 on the CPU whose last dimension lies
+/// together, from the first on, and of how many values lie from one entry, head and row to the next.
+pub(crate) fn with_heads<R>(x: &Tensor, read: impl FnOnce(HeadRows<'_>) -> R) -> Result<R> {
+    let x = match x.stride() {
+        [_, _, _, 1] => x.clone(),
+        _ => x.contiguous()?,
+    };
+    let (storage, layout) = x.storage_and_layout();
+    let values = match &*storage {
+        Storage::Cpu(storage) => storage.as_slice::<f32>()?,
+        _ => return Err(not_here(&x)),
+    };
+    match (layout.stride(), values.get(layout.start_offset()..)) {
+        (&[entry, head, row, 1], Some(values)) => Ok(read(HeadRows {
+            values,
+            steps: [entry, head, row],
+        })),
+        _ => Err(not_here(&x)),
     }
 }
 

@@ -35,9 +35,12 @@ impl LayerNorm {
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         if takes_kernels(self.engine, x) && x.dim(D::Minus1)? == self.scale.dim(0)? {
             let (scale, shift) = (self.scale.to_vec1::<f32>()?, self.shift.to_vec1::<f32>()?);
-            return host::changed(x, |x| {
-                ops::layer_norm(x, (&scale, &shift), self.eps as f32);
-            });
+            let normed = host::with_values(x, |x| {
+                let mut normed = vec![0.0; x.len()];
+                ops::layer_norm(x, (&scale, &shift), self.eps as f32, &mut normed);
+                normed
+            })?;
+            return Ok(Tensor::from_vec(normed, x.shape(), x.device())?);
         }
         let wide = x.to_dtype(DType::F32)?;
         let centred = wide.broadcast_sub(&wide.mean_keepdim(D::Minus1)?)?;

@@ -3,7 +3,7 @@
 use candle_core::{D, Tensor};
 use wm_model::ops::{self, PackedFormat, PackedLinear};
 
-use super::{host, takes_kernels};
+use super::{Activation, host, takes_kernels};
 use crate::{Engine, Result};
 
 /// A matrix product with an optional bias.
@@ -61,9 +61,21 @@ impl Linear {
         })
     }
 
-    /// What computes it.
-    pub(crate) fn engine(&self) -> Engine {
-        self.engine
+    /// Of weights that are packed already.
+    pub(crate) fn packed(packed: PackedLinear) -> Self {
+        Self {
+            outputs: packed.outputs(),
+            weights: Weights::Packed(packed),
+            engine: Engine::Cpu,
+        }
+    }
+
+    /// What its weights are packed in for the kernels.
+    pub(crate) fn format(&self) -> PackedFormat {
+        match &self.weights {
+            Weights::Packed(packed) => packed.format(),
+            Weights::Plain(..) => PackedFormat::F32,
+        }
     }
 
     /// `x` (.., inputs) to (.., outputs).
@@ -72,32 +84,100 @@ impl Linear {
     /// If `x` has another last dimension, or for the kernels another number format than f32.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         match &self.weights {
-            Weights::Packed(packed) => {
-                let inputs = x.dim(D::Minus1)?;
-                let mut dims = x.dims().to_vec();
-                if let Some(last) = dims.last_mut() {
-                    *last = self.outputs;
-                }
-                if inputs != packed.inputs() {
-                    return Err(wm_model::Error::Shape {
-                        what: "the input of a Linear",
-                        expected: format!("(.., {})", packed.inputs()),
-                        found: x.dims().to_vec(),
-                    }
-                    .into());
-                }
-                let y = host::with_values(x, |x| {
-                    let mut y = vec![0.0; x.len() / inputs.max(1) * self.outputs];
-                    packed.forward_on_pool(x, &mut y);
-                    y
-                })?;
-                Ok(Tensor::from_vec(y, dims, x.device())?)
-            }
+            Weights::Packed(packed) => self.on_kernel(packed, x, |_, _| {}),
             Weights::Plain(weight, bias) => {
                 Ok(ops::linear(Engine::Candle, x, weight, bias.as_ref())?)
             }
         }
     }
+
+    /// `activation` of what [`Self::forward`] gives.
+    ///
+    /// # Errors
+    /// As [`Self::forward`].
+    pub(crate) fn forward_activated(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
+        match &self.weights {
+            Weights::Packed(packed) => {
+                self.on_kernel(packed, x, |rows, _| activation.of_values(rows))
+            }
+            Weights::Plain(..) => activation.apply(self.engine, &self.forward(x)?),
+        }
+    }
+
+    /// `residual` (.., outputs) plus what [`Self::forward`] gives, of which each output is multiplied with its `scale`
+    /// (outputs) first.
+    ///
+    /// # Errors
+    /// As [`Self::forward`], or if `residual` or `scale` has another shape.
+    pub(crate) fn forward_onto(
+        &self,
+        x: &Tensor,
+        residual: &Tensor,
+        scale: Option<&Tensor>,
+    ) -> Result<Tensor> {
+        let (Weights::Packed(packed), true) = (&self.weights, takes_kernels(self.engine, residual))
+        else {
+            return add_scaled(residual, &self.forward(x)?, scale);
+        };
+        let mut dims = x.dims().to_vec();
+        if let Some(last) = dims.last_mut() {
+            *last = self.outputs;
+        }
+        if residual.dims() != dims {
+            return Err(wm_model::Error::Shape {
+                what: "what a Linear adds to",
+                expected: format!("{dims:?}"),
+                found: residual.dims().to_vec(),
+            }
+            .into());
+        }
+        let scale = match scale {
+            Some(scale) => scale.to_vec1()?,
+            None => vec![1.0; self.outputs],
+        };
+        host::with_values(residual, |residual| {
+            self.on_kernel(packed, x, |rows, first| {
+                let from = residual.get(first * self.outputs..).unwrap_or_default();
+                ops::scale_and_add_rows(rows, &scale, from);
+            })
+        })?
+    }
+
+    /// The product by the kernel, and `then` of every few rows.
+    fn on_kernel(
+        &self,
+        packed: &PackedLinear,
+        x: &Tensor,
+        then: impl Fn(&mut [f32], usize) + Sync,
+    ) -> Result<Tensor> {
+        let inputs = x.dim(D::Minus1)?;
+        let mut dims = x.dims().to_vec();
+        if let Some(last) = dims.last_mut() {
+            *last = self.outputs;
+        }
+        if inputs != packed.inputs() {
+            return Err(wm_model::Error::Shape {
+                what: "the input of a Linear",
+                expected: format!("(.., {})", packed.inputs()),
+                found: x.dims().to_vec(),
+            }
+            .into());
+        }
+        let y = host::with_values(x, |x| {
+            let mut y = vec![0.0; x.len() / inputs.max(1) * self.outputs];
+            packed.forward_on_pool_then(x, &mut y, then);
+            y
+        })?;
+        Ok(Tensor::from_vec(y, dims, x.device())?)
+    }
+}
+
+/// `x` plus `update`, of which the last dimension is multiplied with `scale` first.
+fn add_scaled(x: &Tensor, update: &Tensor, scale: Option<&Tensor>) -> Result<Tensor> {
+    Ok(match scale {
+        Some(scale) => (x + update.broadcast_mul(scale)?)?,
+        None => (x + update)?,
+    })
 }
 
 #[cfg(test)]
@@ -120,6 +200,37 @@ mod tests {
             let difference = (a - b).unwrap().abs().unwrap().max_all().unwrap();
             assert!(difference.to_scalar::<f32>().unwrap() < 1e-5);
         }
+    }
+
+    #[test]
+    fn what_follows_a_product_is_the_same_on_both_engines() {
+        let random = |shape: &[usize]| Tensor::randn(0f32, 1.0, shape, &Device::Cpu).unwrap();
+        let (weight, bias, x) = (random(&[7, 5]), random(&[7]), random(&[2, 3, 5]));
+        let (residual, scale) = (random(&[2, 3, 7]), random(&[7]));
+        let linear = |engine| {
+            Linear::new(
+                weight.clone(),
+                Some(bias.clone()),
+                engine,
+                PackedFormat::F32,
+            )
+            .unwrap()
+        };
+        let (kernels, plain) = (linear(Engine::Cpu), linear(Engine::Candle));
+        let close = |a: Tensor, b: Tensor| {
+            let difference = (a - b).unwrap().abs().unwrap().max_all().unwrap();
+            assert!(difference.to_scalar::<f32>().unwrap() < 1e-5);
+        };
+        for activation in [Activation::GeluExact, Activation::GeluTanh] {
+            let of = |linear: &Linear| linear.forward_activated(&x, activation).unwrap();
+            close(of(&kernels), of(&plain));
+        }
+        for scale in [None, Some(&scale)] {
+            let of = |linear: &Linear| linear.forward_onto(&x, &residual, scale).unwrap();
+            close(of(&kernels), of(&plain));
+        }
+        let error = kernels.forward_onto(&x, &x, None).unwrap_err();
+        assert!(error.to_string().contains("[2, 3, 7]"), "{error}");
     }
 
     #[test]

@@ -4,9 +4,8 @@ use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::{default_max_frames, default_pool, pooled};
-use crate::layers::Linear;
+use crate::layers::{Activation, Linear};
 use crate::sizes::check_sizes;
-use crate::vit::Activation;
 use crate::{Loader, Result};
 
 /// Sizes of the progress probe. JSON: `{"features": 1024, "pool": 1, "hidden": 256}`.
@@ -75,8 +74,8 @@ impl ProgressProbe {
         let c = &self.config;
         let frames = pooled(latents, c.features, c.pool, c.max_frames)?;
         let [first, second] = &self.head;
-        let hidden = first.forward(&frames.to_dtype(self.dtype)?)?;
-        let hidden = Activation::GeluExact.apply(first.engine(), &hidden)?;
+        let frames = frames.to_dtype(self.dtype)?;
+        let hidden = first.forward_activated(&frames, Activation::GeluExact)?;
         let logit = second.forward(&hidden)?.to_dtype(DType::F32)?.squeeze(2)?;
         // 1 / (1 + exp(-x)), by tanh, which does not overflow.
         Ok((((logit * 0.5)?.tanh()? + 1.0)? * 0.5)?)

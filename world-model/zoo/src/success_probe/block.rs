@@ -68,7 +68,10 @@ impl ProbeBlock {
         let read = self.cross.forward(&tokens, text, mask)?;
         let x = (x + dropout.apply(&read.reshape((b, t, p, d))?)?)?;
 
-        let fed = self.ffn.forward(&n4.forward(&x)?)?;
+        let fed = self
+            .ffn
+            .out()
+            .forward(&self.ffn.hidden(&n4.forward(&x)?)?)?;
         Ok((x + dropout.apply(&fed)?)?)
     }
 }
@@ -114,7 +117,7 @@ impl Attention {
         let k = self.k_norm.forward(&project(&self.k, source)?)?;
         let v = project(&self.v, source)?;
         let scale = 1.0 / (q.dim(D::Minus1)? as f64).sqrt();
-        let mixed = attention(self.engine, &q, &k, &v, scale, mask)?;
+        let mixed = attention((self.engine, self.out.format()), [&q, &k, &v], scale, mask)?;
         self.out.forward(&join_heads(&mixed)?)
     }
 }

@@ -4,6 +4,7 @@
 //! diffusion and diffusers' `resnet.py`, which agree. Activations are (N, H, W, C).
 
 use candle_core::Tensor;
+use wm_model::ops::PackedFormat;
 
 use super::naming::Naming;
 use crate::layers::{Conv2d, ConvSpec, GroupNorm, Linear, Padding, attention};
@@ -61,12 +62,12 @@ impl ResBlock {
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let hidden = self.conv1.forward(&self.norm1.forward_silu(x)?)?;
-        let hidden = self.norm2.forward_silu(&hidden)?;
-        match &self.shortcut {
-            Some(shortcut) => self.conv2.forward_adding(&hidden, &shortcut.forward(x)?),
-            None => self.conv2.forward_adding(&hidden, x),
-        }
+        let hidden = self.conv1.forward_normed(x, &self.norm1, None)?;
+        let shortcut = self.shortcut.as_ref().map(|shortcut| shortcut.forward(x));
+        let residual = shortcut.transpose()?;
+        let residual = residual.as_ref().unwrap_or(x);
+        self.conv2
+            .forward_normed(&hidden, &self.norm2, Some(residual))
     }
 }
 
@@ -127,12 +128,13 @@ impl AttentionBlock {
             Ok(projection
                 .forward(&normed)?
                 .reshape((images, height * width, self.heads, head_dim))?
-                .transpose(1, 2)?
-                .contiguous()?)
+                .transpose(1, 2)?)
         };
         let (query, key, value) = (heads(&self.query)?, heads(&self.key)?, heads(&self.value)?);
         let scale = (head_dim as f64).sqrt().recip();
-        let mixed = attention(self.engine, &query, &key, &value, scale, None)?
+        // In f32: a softmax over a whole picture adds up the rounding of many, and it is a hundredth of the work.
+        let compute = (self.engine, PackedFormat::F32);
+        let mixed = attention(compute, [&query, &key, &value], scale, None)?
             .transpose(1, 2)?
             .contiguous()?
             .reshape((images, height, width, channels))?;
@@ -278,7 +280,7 @@ impl Output {
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.conv.forward(&self.norm.forward_silu(x)?)
+        self.conv.forward_normed(x, &self.norm, None)
     }
 }
 

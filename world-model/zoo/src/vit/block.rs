@@ -2,9 +2,9 @@
 
 use candle_core::Tensor;
 
-use super::{Activation, Mlp, Projections, Rotary, SelfAttention};
+use super::{Mlp, Projections, Rotary, SelfAttention};
 use crate::Result;
-use crate::layers::{Dropout, LayerNorm};
+use crate::layers::{Activation, Dropout, LayerNorm, Linear};
 use crate::loader::Loader;
 
 /// x += scale * attention(norm(x)); x += scale * mlp(norm(x)), the scales being optional.
@@ -85,17 +85,33 @@ impl Block {
         rotary: Option<&Rotary>,
         dropout: &mut Dropout<'_>,
     ) -> Result<Tensor> {
-        let attended = self
-            .attention
-            .forward(&self.attention_norm.forward(x)?, mask, rotary)?;
-        let attended = dropout.apply(&attended)?;
-        let x = add_scaled(x, &attended, self.attention_scale.as_ref())?;
-        let fed = self.mlp.forward(&self.mlp_norm.forward(&x)?)?;
-        add_scaled(&x, &dropout.apply(&fed)?, self.mlp_scale.as_ref())
+        let normed = self.attention_norm.forward(x)?;
+        let mixed = self.attention.mix(&normed, mask, rotary)?;
+        let scale = self.attention_scale.as_ref();
+        let x = add(&self.attention.out, &mixed, x, scale, dropout)?;
+        let hidden = self.mlp.hidden(&self.mlp_norm.forward(&x)?)?;
+        add(
+            self.mlp.out(),
+            &hidden,
+            &x,
+            self.mlp_scale.as_ref(),
+            dropout,
+        )
     }
 }
 
-fn add_scaled(x: &Tensor, update: &Tensor, scale: Option<&Tensor>) -> Result<Tensor> {
+/// `x` plus the product of `update`, with dropout in training.
+fn add(
+    product: &Linear,
+    update: &Tensor,
+    x: &Tensor,
+    scale: Option<&Tensor>,
+    dropout: &mut Dropout<'_>,
+) -> Result<Tensor> {
+    if dropout.is_none() {
+        return product.forward_onto(update, x, scale);
+    }
+    let update = dropout.apply(&product.forward(update)?)?;
     Ok(match scale {
         Some(scale) => (x + update.broadcast_mul(scale)?)?,
         None => (x + update)?,

@@ -26,8 +26,8 @@ pub(crate) struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// `x` (B, L, width); `mask` is added to the scores, broadcast to (B, heads, L, L).
-    pub(crate) fn forward(
+    /// What `x` (B, L, width) is told, before the last product; `mask` is added to the scores, broadcast to (B, heads, L, L).
+    pub(crate) fn mix(
         &self,
         x: &Tensor,
         mask: Option<&Tensor>,
@@ -52,16 +52,16 @@ impl SelfAttention {
             None => (q, k),
         };
         let scale = 1.0 / ((width / self.heads) as f64).sqrt();
-        let mixed = attention(self.engine, &q, &k, &v, scale, mask)?;
-        self.out.forward(&join_heads(&mixed)?)
+        let compute = (self.engine, self.out.format());
+        let mixed = attention(compute, [&q, &k, &v], scale, mask)?;
+        join_heads(&mixed)
     }
 }
 
-/// (B, L, heads * d) to (B, heads, L, d).
+/// (B, L, heads * d) to (B, heads, L, d), as a view.
 pub(crate) fn split_heads(x: &Tensor, heads: usize) -> Result<Tensor> {
     let (b, l, width) = x.dims3()?;
-    let split = x.reshape((b, l, heads, width / heads))?.transpose(1, 2)?;
-    Ok(split.contiguous()?)
+    Ok(x.reshape((b, l, heads, width / heads))?.transpose(1, 2)?)
 }
 
 /// (B, heads, L, d) to (B, L, heads * d).

@@ -14,8 +14,9 @@ use candle_core::{DType, Tensor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::preprocess::{Normalisation, resize_bicubic};
-use super::{Activation, Block, Mlp, PatchEmbedding, Projections, SelfAttention};
+use super::{Block, Mlp, PatchEmbedding, Projections, SelfAttention};
 use crate::Result;
+use crate::layers::Activation;
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes};
 

@@ -11,10 +11,10 @@
 use candle_core::{DType, Tensor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::Block;
 use super::siglip::{LayerSizes, layers, nested, tower};
-use super::{Activation, Block};
 use crate::Result;
-use crate::layers::{LayerNorm, Linear};
+use crate::layers::{Activation, LayerNorm, Linear};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes, shape_error};
 

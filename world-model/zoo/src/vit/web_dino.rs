@@ -13,9 +13,9 @@ use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 
 use super::preprocess::{Normalisation, resize_bicubic};
-use super::{Activation, Block, Mlp, PatchEmbedding, Projections, SelfAttention};
+use super::{Block, Mlp, PatchEmbedding, Projections, SelfAttention};
 use crate::Result;
-use crate::layers::LayerNorm;
+use crate::layers::{Activation, LayerNorm};
 use crate::loader::Loader;
 use crate::sizes::{check_counts, check_multiple, check_sizes};
 

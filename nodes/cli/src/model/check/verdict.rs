@@ -3,12 +3,17 @@
 use std::fmt;
 use std::time::Duration;
 
-/// The nodes' default `frame_period`: a camera at 5 Hz.
-const FRAME_PERIOD: Duration = Duration::from_millis(200);
+use wm_model_nodes::cadence::{every_nth, hertz, periods, rough};
+use wm_model_nodes::encoder::{Mode, Needs};
+
 /// The predictor's default `horizon` in model steps.
 const HORIZON: u32 = 8;
+/// Default `context_frames` of all nodes.
+const CONTEXT_FRAMES: usize = 2;
+/// The decoder's default `decode_period`.
+const DECODE_PERIOD: Duration = Duration::from_millis(600);
 
-/// What one step of each node takes here, measured alone.
+/// What one step of each node takes here, measured alone, and the camera that it is for.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Times {
     /// A camera frame to a latent.
@@ -17,77 +22,127 @@ pub(super) struct Times {
     pub predict: Option<Duration>,
     /// A latent to a picture; none where there is no decoder.
     pub decode: Option<Duration>,
+    /// From one camera frame to the next.
+    pub frame_period: Duration,
+    /// Camera frames of a model step.
+    pub frame_skip: usize,
 }
 
+/// A line for each part, what the nodes will do at this rate and what would help, and one for all of them.
 impl fmt::Display for Times {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let rate = 1.0 / FRAME_PERIOD.as_secs_f64();
-        let rollout = self.predict.map(|step| step * HORIZON);
-        if self.encode > FRAME_PERIOD {
-            write!(
-                f,
-                "too slow for {rate:.0} Hz: a frame takes {} to encode, so camera frames are dropped and the history \
-                 has gaps",
-                seconds(self.encode)
-            )?;
-            if let Some(rollout) = rollout {
-                // The nodes work side by side: the slower sets the pace.
-                let pace = seconds(rollout.max(self.encode));
-                write!(f, "; at best one rollout of {HORIZON} steps in {pace}")?;
-            }
-            let slower = FRAME_PERIOD.as_secs_f64() / self.encode.as_secs_f64();
-            return write!(
-                f,
-                ". Use a smaller encoder, more cores, or a bag played at rate {:.2}",
-                (slower * 100.0).floor().max(1.0) / 100.0
-            );
+        let needs = Needs {
+            frame_period: self.frame_period,
+            frame_skip: self.frame_skip,
+            context_frames: CONTEXT_FRAMES,
+        };
+        let mode = Mode::of(self.encode, &needs);
+        // From one frame to predict from to the next.
+        let frames = mode.interval(&needs);
+        self.encoder(mode, &needs, f)?;
+        let rollouts = match self.predict {
+            Some(step) => Some(self.predictor(step, frames, f)?),
+            None => None,
+        };
+        match (self.decode, rollouts) {
+            (Some(picture), Some(rollouts)) => decoder(picture, rollouts, f)?,
+            (Some(picture), None) => writeln!(f, "decoder: {} a picture", rough(picture))?,
+            (None, _) => {}
         }
-        match (self.predict, rollout) {
-            (Some(step), Some(rollout)) if rollout > FRAME_PERIOD => {
-                write!(
-                    f,
-                    "too slow for a rollout of {HORIZON} steps at each frame of {rate:.0} Hz: about one in {}. Use ",
-                    seconds(rollout)
-                )?;
-                let fits = (FRAME_PERIOD.as_secs_f64() / step.as_secs_f64()).floor();
-                match fits >= 1.0 {
-                    true => write!(f, "the predictor's horizon of {fits:.0} or less, ")?,
-                    false => write!(f, "a smaller transition model, ")?,
-                }
-                f.write_str("fewer integration_steps, or more cores")
+        let (rate, period) = (hertz(self.frame_period), self.frame_period);
+        match rollouts {
+            None if frames <= period => write!(
+                f,
+                "fast enough for {rate}: encoder and decoder only, nothing is predicted"
+            ),
+            None => write!(
+                f,
+                "too slow for {rate}: encoder and decoder only, nothing is predicted"
+            ),
+            Some(rollouts) if rollouts <= period => {
+                write!(f, "fast enough for {rate}: a prediction from every frame")
             }
-            (_, rollout) => {
-                write!(
-                    f,
-                    "fast enough for {rate:.0} Hz: {} to encode a frame",
-                    seconds(self.encode)
-                )?;
-                match rollout {
-                    Some(rollout) => {
-                        write!(f, ", {} for a rollout of {HORIZON} steps", seconds(rollout))?;
-                    }
-                    None => f.write_str("; encoder and decoder only, nothing is predicted")?,
-                }
-                match self.decode {
-                    Some(decode) if decode > FRAME_PERIOD => write!(
-                        f,
-                        "; but a picture takes {} to decode, so most are dropped",
-                        seconds(decode)
-                    ),
-                    _ => Ok(()),
-                }
-            }
+            Some(rollouts) => write!(
+                f,
+                "too slow for {rate}: a prediction every {}, from {}; each part was measured alone, and the nodes share \
+                 this machine",
+                rough(rollouts),
+                every_nth(periods(rollouts, period), "frame"),
+            ),
         }
     }
 }
 
-/// Two digits, as nobody plans by more.
-fn seconds(time: Duration) -> String {
-    match time.as_secs_f64() {
-        long if long >= 10.0 => format!("{long:.0} s"),
-        short if short < 0.1 => format!("{:.0} ms", short * 1e3),
-        time => format!("{time:.1} s"),
+impl Times {
+    fn encoder(&self, mode: Mode, needs: &Needs, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "encoder: {} a frame: {}",
+            rough(self.encode),
+            mode.in_words(needs)
+        )?;
+        if mode > Mode::All {
+            let slower = self.frame_period.as_secs_f64() / self.encode.as_secs_f64();
+            write!(
+                f,
+                "; for more: a smaller encoder, a faster processor, or a bag played at rate {:.2}",
+                (slower * 100.0).floor().max(1.0) / 100.0
+            )?;
+        }
+        writeln!(f)
     }
+
+    /// The time from one rollout to the next, where frames to predict from come every `frames`.
+    fn predictor(
+        &self,
+        step: Duration,
+        frames: Duration,
+        f: &mut fmt::Formatter<'_>,
+    ) -> Result<Duration, fmt::Error> {
+        let rollout = step * HORIZON;
+        let nth = periods(rollout, frames);
+        let what = match frames > self.frame_period {
+            true => "frame that it can predict from",
+            false => "frame",
+        };
+        write!(
+            f,
+            "predictor: {} for a prediction of {HORIZON} steps: {} is used",
+            rough(rollout),
+            every_nth(nth, what)
+        )?;
+        if nth > 1 {
+            f.write_str("; for more: ")?;
+            let fits = (frames.as_secs_f64() / step.as_secs_f64()).floor();
+            match fits >= 1.0 {
+                true => write!(f, "a horizon of {fits:.0} or less, ")?,
+                false => write!(f, "a smaller transition model, ")?,
+            }
+            f.write_str("fewer integration_steps, or a faster processor")?;
+        }
+        writeln!(f)?;
+        Ok(frames * nth)
+    }
+}
+
+/// The decoder's line, where rollouts begin `rollouts` apart.
+fn decoder(picture: Duration, rollouts: Duration, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    // As the node does: of those that are at least a period apart, every nth.
+    let due = rollouts * periods(DECODE_PERIOD, rollouts);
+    let pictures = picture * HORIZON;
+    let nth = periods(pictures, due);
+    write!(
+        f,
+        "decoder: {} a picture: the {HORIZON} of a rollout every {}",
+        rough(picture),
+        rough(due * nth)
+    )?;
+    if nth > 1 {
+        f.write_str(
+            "; for more: decode fewer of its steps (parameter steps), or a faster processor",
+        )?;
+    }
+    writeln!(f)
 }
 
 #[cfg(test)]
@@ -95,29 +150,42 @@ mod tests {
     use super::*;
 
     fn verdict(encode: u64, predict: Option<u64>, decode: Option<u64>) -> String {
-        let predict = predict.map(Duration::from_millis);
-        let decode = decode.map(Duration::from_millis);
+        let milliseconds = Duration::from_millis;
         Times {
-            encode: Duration::from_millis(encode),
-            predict,
-            decode,
+            encode: milliseconds(encode),
+            predict: predict.map(milliseconds),
+            decode: decode.map(milliseconds),
+            frame_period: milliseconds(200),
+            frame_skip: 2,
         }
         .to_string()
     }
 
+    fn lines(text: &str) -> Vec<&str> {
+        text.lines().collect()
+    }
+
     #[test]
-    fn what_is_too_slow_says_why_and_what_to_change() {
-        // Web-DINO and DiT-S on two slow cores: the encoder is what drops frames.
+    fn what_is_too_slow_says_what_the_nodes_will_do_and_what_to_change() {
+        // Web-DINO and DiT-S on two slow cores.
         let slow = verdict(1100, Some(1400), Some(2500));
-        assert!(
-            slow.starts_with("too slow for 5 Hz: a frame takes 1.1 s"),
-            "{slow}"
+        assert_eq!(
+            lines(&slow),
+            [
+                "encoder: 1.1 s a frame: 2 of every 12 frames are used, those of a context, 0.4 s apart; for more: a \
+                 smaller encoder, a faster processor, or a bag played at rate 0.18",
+                "predictor: 11 s for a prediction of 8 steps: every 5th frame that it can predict from is used; for \
+                 more: a horizon of 1 or less, fewer integration_steps, or a faster processor",
+                "decoder: 2.5 s a picture: the 8 of a rollout every 24 s; for more: decode fewer of its steps \
+                 (parameter steps), or a faster processor",
+                "too slow for 5 Hz: a prediction every 12 s, from every 60th frame; each part was measured alone, and \
+                 the nodes share this machine",
+            ]
         );
-        assert!(slow.contains("one rollout of 8 steps in 11 s"), "{slow}");
-        assert!(slow.ends_with("played at rate 0.18"), "{slow}");
         let slow = verdict(20, Some(50), Some(10));
-        assert!(slow.contains("about one in 0.4 s"), "{slow}");
+        assert!(slow.contains("every 2nd frame is used"), "{slow}");
         assert!(slow.contains("horizon of 4 or less"), "{slow}");
+        assert!(slow.contains("a prediction every 0.4 s"), "{slow}");
         let slow = verdict(20, Some(1000), None);
         assert!(slow.contains("smaller transition model"), "{slow}");
     }
@@ -126,11 +194,16 @@ mod tests {
     fn what_is_fast_enough_says_so() {
         let fast = verdict(10, Some(20), Some(10));
         assert_eq!(
-            fast,
-            "fast enough for 5 Hz: 10 ms to encode a frame, 0.2 s for a rollout of 8 steps"
+            lines(&fast),
+            [
+                "encoder: 10 ms a frame: every frame is used",
+                "predictor: 0.2 s for a prediction of 8 steps: every frame is used",
+                "decoder: 10 ms a picture: the 8 of a rollout every 0.6 s",
+                "fast enough for 5 Hz: a prediction from every frame",
+            ]
         );
         let fast = verdict(10, None, Some(300));
         assert!(fast.contains("encoder and decoder only"), "{fast}");
-        assert!(fast.contains("0.3 s to decode"), "{fast}");
+        assert!(fast.contains("decoder: 0.3 s a picture\n"), "{fast}");
     }
 }

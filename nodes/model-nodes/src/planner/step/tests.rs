@@ -362,6 +362,14 @@ fn a_plan_begins_where_the_robot_will_be_when_it_is_ready() {
     feed_moving(&mut step, 3..=4, &moving);
     assert_eq!(step.request(at(4)).unwrap().lead_steps(), 1);
 
+    // A search of a moment is over long before the next model step: the plan begins with its frame.
+    let mut step = planner_that_begins(Lead::Measured {
+        first: Duration::from_millis(60),
+    });
+    step.set_goal(goal(40), Time::default());
+    feed(&mut step, 0..=2);
+    assert_eq!(step.request(at(2)).unwrap().lead_steps(), 0);
+
     let mut step = planner_that_begins(Lead::Steps(2));
     step.set_goal(goal(40), Time::default());
     feed(&mut step, 0..=2);

@@ -1,10 +1,13 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+mod speeds;
+
 use std::time::Instant;
 
 use wm_model::WorldModel;
 use wm_model::{
     LatentSpace,
+    sampler::Prepared,
     transition::{Transition, TransitionConfig},
 };
 use wm_motion::actions::ActionEncoding;
@@ -161,6 +164,35 @@ fn a_rollout_says_what_it_was_computed_from() {
             assert_eq!(assumed.values, action(2).values, "the last motion goes on");
         }
     }
+}
+
+#[test]
+fn what_is_computed_before_the_observation_comes_changes_no_prediction() {
+    let (model, mut step) = (model(), predictor());
+    feed(&mut step, 0..=1);
+    assert!(
+        step.ahead(stamp(4).to_nanos()).is_none(),
+        "its earlier frame is still to come"
+    );
+    let ahead = step.ahead(stamp(2).to_nanos()).unwrap();
+    let prepared = ahead.prepare(&model).unwrap();
+    let request = feed(&mut step, 2..=2).rollout.unwrap().unwrap();
+    let values = |prepared: Option<&Prepared>| -> Vec<_> {
+        let rollout = RunningRollout::new(&model, request.clone()).unwrap();
+        let steps = rollout.taking_over(prepared);
+        steps.map(|step| step.unwrap().values).collect()
+    };
+    assert_eq!(values(Some(&prepared)), values(None));
+
+    let mut rollout = (request.moment)
+        .rollout(
+            &model.transition,
+            &model.space,
+            &model.transition.config().sampler,
+            9,
+        )
+        .unwrap();
+    assert_eq!(rollout.take_over(&prepared), 1);
 }
 
 #[test]

@@ -42,7 +42,8 @@ impl DeadlineWatch {
         }
     }
 
-    pub(super) fn took(&mut self, taken: Duration) {
+    pub(super) fn took(&mut self, deadline: Deadline, taken: Duration) {
+        self.deadline = deadline;
         self.current.all = self.current.all.saturating_add(1);
         if taken > self.deadline.limit {
             self.current.late = self.current.late.saturating_add(1);
@@ -94,18 +95,22 @@ impl DeadlineWatch {
 mod tests {
     use super::*;
 
+    const DEADLINE: Deadline = Deadline {
+        stage: "first step",
+        limit: Duration::from_millis(200),
+        advice: "shorten the horizon",
+    };
+
     fn watch() -> DeadlineWatch {
-        DeadlineWatch::new(Deadline {
-            stage: "first step",
-            limit: Duration::from_millis(200),
-            advice: "shorten the horizon",
-        })
+        DeadlineWatch::new(DEADLINE)
     }
 
     #[test]
     fn some_late_warn_most_late_are_an_error_and_it_passes() {
         let mut watch = watch();
-        let took = |watch: &mut DeadlineWatch, millis| watch.took(Duration::from_millis(millis));
+        let took = |watch: &mut DeadlineWatch, millis| {
+            watch.took(DEADLINE, Duration::from_millis(millis));
+        };
         for _ in 0..9 {
             took(&mut watch, 200);
         }
@@ -134,7 +139,21 @@ mod tests {
     #[test]
     fn the_first_late_one_is_no_error() {
         let mut watch = watch();
-        watch.took(Duration::from_secs(1));
+        watch.took(DEADLINE, Duration::from_secs(1));
         assert_eq!(watch.judge().level, Level::Warn);
+    }
+
+    #[test]
+    fn a_node_that_does_less_often_what_takes_long_has_longer_for_it() {
+        let mut watch = watch();
+        let limit = Duration::from_secs(2);
+        for _ in 0..FEW {
+            watch.took(Deadline { limit, ..DEADLINE }, Duration::from_secs(1));
+        }
+        let finding = watch.judge();
+        assert_eq!(
+            (finding.level, finding.message.as_str()),
+            (Level::Ok, "all 5 within 2000 ms")
+        );
     }
 }

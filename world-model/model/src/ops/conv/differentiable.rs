@@ -3,8 +3,9 @@
 use candle_core::{CpuStorage, CustomOp3, Error, Layout, Result, Shape, Tensor};
 
 use super::{
-    ConvShape, Epilogue, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
+    ConvShape, Fused, GridSize, PackedConv, conv2d_input_gradient, conv2d_weight_gradient,
 };
+use crate::ops::element::PackedFormat;
 use crate::ops::host::{host, slice};
 
 /// Convolves `x` (images, height, width, inputs) with `weight` (kernel row, kernel column, input channel, output
@@ -54,10 +55,11 @@ impl CustomOp3 for Convolution {
             &self.0,
             slice(weight, weight_layout)?,
             Some(slice(bias, bias_layout)?),
+            PackedFormat::F32,
         );
         let packed = packed.map_err(Error::wrap)?;
         let mut y = Vec::new();
-        let size = packed.run(slice(x, x_layout)?, grid, Epilogue::default(), &mut y);
+        let size = packed.run(slice(x, x_layout)?, grid, Fused::default(), &mut y);
         let size = size.map_err(Error::wrap)?;
         let shape = (size.images, size.height, size.width, self.0.outputs);
         Ok((CpuStorage::F32(y), Shape::from(shape)))

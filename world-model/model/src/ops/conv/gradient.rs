@@ -4,13 +4,14 @@ use std::cell::RefCell;
 
 use rayon::prelude::*;
 
-use super::band::Band;
+use super::band::{Band, BandBuffer};
 use super::phase::Phase;
 use super::sweep::{Output, Sweep};
 use super::{ConvShape, GridSize, check_length};
 use crate::Result;
 use crate::ops::kernel::Outer;
 use crate::ops::panels::Panels;
+use crate::ops::product::F32;
 use crate::ops::simd::LANES;
 
 /// Parts into which the sum over images is split. It is fixed, and the parts are added in order,
@@ -99,7 +100,7 @@ impl Back<'_> {
                     of_row.collect::<Vec<_>>()
                 });
                 let taps: Vec<&[f32]> = taps.collect();
-                let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
+                let panels = Panels::pack_all_transposed(outputs, inputs, &taps);
                 let taps = (rows.len(), columns.len());
                 self.over_gradient(&panels, taps, 1, (row_pad, column_pad))
                     .run(
@@ -148,7 +149,7 @@ impl Back<'_> {
             })
             .collect();
         let taps: Vec<&[f32]> = sums.iter().map(Vec::as_slice).collect();
-        let panels = Panels::pack_transposed(outputs, inputs, None, &taps);
+        let panels = Panels::pack_all_transposed(outputs, inputs, &taps);
         let pad = (kernel / 2) as isize;
         self.over_gradient(&panels, (sides, sides), 2, (pad, pad))
             .run(
@@ -171,7 +172,7 @@ impl Back<'_> {
         taps: (usize, usize),
         stride: usize,
         pad: (isize, isize),
-    ) -> Sweep<'s> {
+    ) -> Sweep<'s, F32> {
         Sweep {
             input: self.gradient,
             grid: self.shape.output(self.grid),
@@ -180,6 +181,8 @@ impl Back<'_> {
             stride,
             pad,
             panels,
+            unit: panels.set,
+            normalisations: None,
             residual: self.residual,
             mask: self.mask,
             relu: false,
@@ -297,7 +300,7 @@ pub fn conv2d_weight_gradient(
 
 #[derive(Default)]
 struct Buffers {
-    band: Vec<f32>,
+    band: BandBuffer<f32>,
     gradient: Vec<f32>,
 }
 
@@ -389,8 +392,9 @@ impl Outers<'_> {
             image: (grid.height, grid.width, shape.inputs),
             origin: ((first * shape.stride) as isize - pad.0, -pad.1),
             size: (side(count, pad.0, reach.0), columns),
+            channels: shape.inputs,
         }
-        .copy(source, &mut buffers.band);
+        .copy(source, None, &mut buffers.band);
 
         for pixel in gradient.chunks_exact(shape.outputs) {
             for (sum, v) in sums.bias.iter_mut().zip(pixel) {
@@ -413,7 +417,7 @@ impl Outers<'_> {
                 for tap_row in 0..tap_rows {
                     let at = (before.0 + tap_row) * pitch + before.1 * shape.inputs;
                     let kernel = Outer {
-                        input: buffers.band.as_ptr().wrapping_add(at),
+                        input: buffers.band.values.as_ptr().wrapping_add(at),
                         input_step: shape.stride * shape.inputs,
                         input_pitch: shape.stride * pitch,
                         run,

@@ -1,59 +1,112 @@
 //! A convolution whose weights are in the order of the kernel: packed once, run often.
 
+use half::bf16;
+
+use super::band::Banded;
 use super::phase::Phase;
-use super::sweep::{Output, Sweep};
-use super::{ConvShape, Epilogue, GridSize, check_length};
+use super::sweep::{Output, Sweep, whole_channels};
+use super::winograd::Winograd;
+use super::{ConvShape, Fused, GridSize, check_length};
+use crate::ops::element::{Element, PackedFormat};
 use crate::ops::panels::Panels;
+use crate::ops::product::{Bf16, F32, Product};
+use crate::ops::simd::{Bf16Unit, InstructionSet};
 use crate::{Error, Result};
 
 /// A convolution with packed weights.
 #[derive(Clone, Debug)]
 pub struct PackedConv {
     shape: ConvShape,
-    parts: Vec<Part>,
+    parts: Parts,
     /// Whether the border is one row below and one column on the right only.
     borders_lower_right: bool,
 }
 
+#[derive(Clone, Debug)]
+enum Parts {
+    F32(Vec<Part<f32>>),
+    Bf16(Bf16Unit, Vec<Part<bf16>>),
+    Winograd(Winograd),
+}
+
 /// A convolution of the input as it is in memory that gives some of the outputs.
 #[derive(Clone, Debug)]
-struct Part {
-    panels: Panels<f32>,
+struct Part<T: Element> {
+    panels: Panels<T>,
     phase: Phase,
 }
 
-impl PackedConv {
-    /// Packs `weight` (kernel row, kernel column, inputs, outputs) and `bias` (outputs).
-    ///
-    /// # Errors
-    /// If the shape is invalid or a slice has the wrong length for it.
-    pub fn new(shape: &ConvShape, weight: &[f32], bias: Option<&[f32]>) -> Result<Self> {
-        shape.check()?;
-        check_length("convolution weights", weight, shape.weights())?;
-        if let Some(bias) = bias {
-            check_length("convolution bias", bias, shape.outputs)?;
-        }
+impl<T: Element> Part<T> {
+    fn all(shape: &ConvShape, weight: &[f32], bias: Option<&[f32]>) -> Vec<Self> {
         let ConvShape {
             inputs, outputs, ..
         } = *shape;
+        let whole = whole_channels::<T>(inputs);
         let parts = Phase::all(shape).into_iter().map(|phase| {
             let (rows, columns) = phase.taps();
             let panels =
-                Panels::pack_rows(rows * columns * inputs, outputs, bias, |k, first, row| {
-                    for tap in phase.merged(k / inputs) {
-                        let at = (tap * inputs + k % inputs) * outputs + first;
+                Panels::pack_rows(rows * columns * whole, outputs, bias, |k, first, row| {
+                    let (tap, channel) = (k / whole, k % whole);
+                    if channel >= inputs {
+                        return;
+                    }
+                    for tap in phase.merged(tap) {
+                        let at = (tap * inputs + channel) * outputs + first;
                         let weights = weight.get(at..at + row.len()).unwrap_or_default();
                         for (sum, w) in row.iter_mut().zip(weights) {
                             *sum += w;
                         }
                     }
                 });
-            Part { panels, phase }
+            Self { panels, phase }
         });
-        let parts = parts.collect();
+        parts.collect()
+    }
+}
+
+impl PackedConv {
+    /// Packs `weight` (kernel row, kernel column, inputs, outputs) and `bias` (outputs) in `format`; in f32 where the
+    /// processor has no products of bf16.
+    ///
+    /// # Errors
+    /// If the shape is invalid or a slice has the wrong length for it.
+    pub fn new(
+        shape: &ConvShape,
+        weight: &[f32],
+        bias: Option<&[f32]>,
+        format: PackedFormat,
+    ) -> Result<Self> {
+        check_weights(shape, weight, bias)?;
+        let parts = match (format, Bf16Unit::detect()) {
+            (PackedFormat::Bf16, Some(unit)) => Parts::Bf16(unit, Part::all(shape, weight, bias)),
+            _ => Parts::F32(Part::all(shape, weight, bias)),
+        };
         Ok(Self {
             shape: *shape,
             parts,
+            borders_lower_right: false,
+        })
+    }
+
+    /// As [`PackedConv::new`], for weights that do not change: where it is faster, they are transformed, to 16/9 of their
+    /// size.
+    ///
+    /// # Errors
+    /// As [`PackedConv::new`].
+    pub fn for_inference(
+        shape: &ConvShape,
+        weight: &[f32],
+        bias: Option<&[f32]>,
+        format: PackedFormat,
+    ) -> Result<Self> {
+        let has_bf16 = format == PackedFormat::Bf16 && Bf16Unit::detect().is_some();
+        if has_bf16 || !Winograd::suits(shape) {
+            return Self::new(shape, weight, bias, format);
+        }
+        check_weights(shape, weight, bias)?;
+        Ok(Self {
+            shape: *shape,
+            parts: Parts::Winograd(Winograd::new(shape, weight, bias)),
             borders_lower_right: false,
         })
     }
@@ -67,14 +120,18 @@ impl PackedConv {
         shape: &ConvShape,
         weight: &[f32],
         bias: Option<&[f32]>,
+        format: PackedFormat,
     ) -> Result<Self> {
         if *shape != ConvShape::down(shape.inputs, shape.outputs) {
             let reason = format!("{shape:?}, expected a 3x3 kernel with stride 2");
             return Err(Error::config("convolution", reason));
         }
-        let mut packed = Self::new(shape, weight, bias)?;
-        for part in &mut packed.parts {
-            part.phase.pad = (0, 0);
+        let mut packed = Self::new(shape, weight, bias, format)?;
+        match &mut packed.parts {
+            Parts::F32(parts) => parts.iter_mut().for_each(|part| part.phase.pad = (0, 0)),
+            Parts::Bf16(_, parts) => parts.iter_mut().for_each(|part| part.phase.pad = (0, 0)),
+            // Of stride 1 only.
+            Parts::Winograd(_) => {}
         }
         packed.borders_lower_right = true;
         Ok(packed)
@@ -101,45 +158,108 @@ impl PackedConv {
         &self,
         input: &[f32],
         grid: GridSize,
-        epilogue: Epilogue<'_>,
+        fused: Fused<'_>,
         output: &mut Vec<f32>,
     ) -> Result<GridSize> {
         let shape = &self.shape;
         check_length("convolution input", input, grid.pixels() * shape.inputs)?;
         let target = self.output(grid);
         let length = target.pixels() * shape.outputs;
-        if let Some(residual) = epilogue.residual {
+        if let Some(residual) = fused.residual {
             check_length("convolution residual", residual, length)?;
         }
-        output.resize(length, 0.0);
+        let normalisations = fused.normalisations.map_or(grid.images, <[_]>::len);
+        if normalisations != grid.images {
+            return Err(Error::Shape {
+                what: "the normalisations of a convolution's input",
+                expected: format!("{}, one an image", grid.images),
+                found: vec![normalisations],
+            });
+        }
+        // Not filled first: for a large picture that takes as long as reading it.
+        output.clear();
+        output.reserve_exact(length);
+        let run = Run {
+            shape,
+            input,
+            grid,
+            target,
+            fused,
+            output: output.as_mut_ptr(),
+            length,
+        };
+        // SAFETY: room for `length` values was reserved, and the phases together write them all.
+        unsafe {
+            match &self.parts {
+                Parts::F32(parts) => run.all::<F32>(parts, InstructionSet::detect()),
+                Parts::Bf16(unit, parts) => run.all::<Bf16>(parts, *unit),
+                Parts::Winograd(winograd) => {
+                    winograd.run(input, grid, fused, output.as_mut_ptr(), length);
+                }
+            }
+            output.set_len(length);
+        }
+        Ok(target)
+    }
+}
+
+fn check_weights(shape: &ConvShape, weight: &[f32], bias: Option<&[f32]>) -> Result<()> {
+    shape.check()?;
+    check_length("convolution weights", weight, shape.weights())?;
+    bias.map_or(Ok(()), |bias| {
+        check_length("convolution bias", bias, shape.outputs)
+    })
+}
+
+/// One run of a convolution.
+struct Run<'a> {
+    shape: &'a ConvShape,
+    input: &'a [f32],
+    grid: GridSize,
+    target: GridSize,
+    fused: Fused<'a>,
+    output: *mut f32,
+    length: usize,
+}
+
+impl Run<'_> {
+    /// Writes the outputs of `parts`.
+    ///
+    /// # Safety
+    /// `length` values must be writable at `output`, and the processor must have `unit`.
+    unsafe fn all<P: Product>(&self, parts: &[Part<P::Weight>], unit: P::Unit)
+    where
+        P::Input: Banded,
+    {
+        let (shape, target) = (self.shape, self.target);
         let scale = Phase::scale(shape);
         let pitch = target.width * shape.outputs;
-        for part in &self.parts {
+        for part in parts {
             let (row, column) = part.phase.origin;
-            Sweep {
-                input,
-                grid,
+            let sweep = Sweep::<P> {
+                input: self.input,
+                grid: self.grid,
                 channels: shape.inputs,
                 taps: part.phase.taps(),
                 stride: shape.stride,
                 pad: part.phase.pad,
                 panels: &part.panels,
-                residual: epilogue.residual,
+                unit,
+                normalisations: self.fused.normalisations,
+                residual: self.fused.residual,
                 mask: None,
-                relu: epilogue.relu,
-            }
-            .run(
-                Output {
-                    height: target.height / scale,
-                    width: target.width / scale,
-                    start: row * pitch + column * shape.outputs,
-                    pixel_step: scale * shape.outputs,
-                    row_step: scale * pitch,
-                    image_step: target.height * pitch,
-                },
-                output,
-            );
+                relu: self.fused.relu,
+            };
+            let out = Output {
+                height: target.height / scale,
+                width: target.width / scale,
+                start: row * pitch + column * shape.outputs,
+                pixel_step: scale * shape.outputs,
+                row_step: scale * pitch,
+                image_step: target.height * pitch,
+            };
+            // SAFETY: as for this function.
+            unsafe { sweep.run_at(out, self.output, self.length) };
         }
-        Ok(target)
     }
 }

@@ -1,29 +1,24 @@
 //! One pass of a kernel over all output pixels.
 
-use std::cell::RefCell;
-
 use rayon::prelude::*;
 
 use super::GridSize;
-use super::band::Band;
+use super::band::{Band, BandBuffer, Banded};
+use super::taps::Taps;
+use super::tile::{Rectangle, Tile};
+use crate::ops::element::Element;
+use crate::ops::group_norm::Normalisation;
 use crate::ops::kernel::Row;
 use crate::ops::panels::Panels;
+use crate::ops::product::Product;
 use crate::ops::simd::{LANES, NO_BIAS};
 
-thread_local! {
-    /// Band of input rows that the thread works on.
-    static BAND: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
-}
-
-/// Bytes that a band should have at most, so that it stays in a second-level cache.
-const BAND_BYTES: usize = 192 * 1024;
-
-/// Bytes of weights that are used for a whole band before the next ones are read: few enough to stay in a second-level
-/// cache beside the band. A panel of a wide layer is larger than that cache.
+/// Bytes of weights that are used for a whole tile before the next ones are read: few enough to stay in a second-level
+/// cache beside the tile's inputs. A panel of a wide layer is larger than that cache.
 const WEIGHT_BYTES: usize = 128 * 1024;
 
 /// A convolution in the form that the kernel runs.
-pub(super) struct Sweep<'a> {
+pub(super) struct Sweep<'a, P: Product> {
     /// Input activations.
     pub input: &'a [f32],
     /// Size of the input in memory.
@@ -36,8 +31,12 @@ pub(super) struct Sweep<'a> {
     pub stride: usize,
     /// How far the first tap lies before the output's own place: rows, columns.
     pub pad: (isize, isize),
-    /// Weights.
-    pub panels: &'a Panels,
+    /// Weights, for [`whole_channels`] of every tap.
+    pub panels: &'a Panels<P::Weight>,
+    /// What computes the products.
+    pub unit: P::Unit,
+    /// What is done to each image of the input first.
+    pub normalisations: Option<&'a [Normalisation]>,
     /// Added to the sums, laid out as the output.
     pub residual: Option<&'a [f32]>,
     /// The output is zero where this is not positive; laid out as the output.
@@ -63,7 +62,7 @@ pub(super) struct Output {
 #[derive(Clone, Copy)]
 struct Target(*mut f32);
 
-// SAFETY: the tasks that share the pointer write to disjoint rows.
+// SAFETY: the tasks that share the pointer write to disjoint rectangles.
 unsafe impl Send for Target {}
 // SAFETY: as above.
 unsafe impl Sync for Target {}
@@ -75,9 +74,26 @@ impl Target {
     }
 }
 
-impl Sweep<'_> {
+/// Channels of a pixel that products of `T` take: whole groups.
+pub(super) fn whole_channels<T: Element>(channels: usize) -> usize {
+    channels.next_multiple_of(T::GROUP)
+}
+
+impl<P: Product> Sweep<'_, P>
+where
+    P::Input: Banded,
+{
     /// Writes the elements `out` of `output`; residual and mask must be as long as `output`.
     pub(super) fn run(&self, out: Output, output: &mut [f32]) {
+        // SAFETY: a slice is valid for its length.
+        unsafe { self.run_at(out, output.as_mut_ptr(), output.len()) }
+    }
+
+    /// As [`Self::run`], to `length` values at `output` that need not be initialised.
+    ///
+    /// # Safety
+    /// `length` values must be writable at `output`.
+    pub(super) unsafe fn run_at(&self, out: Output, output: *mut f32, length: usize) {
         if out.height == 0 || out.width == 0 || self.grid.images == 0 {
             return;
         }
@@ -86,76 +102,78 @@ impl Sweep<'_> {
             + (out.height - 1) * out.row_step
             + (out.width - 1) * out.pixel_step
             + self.panels.outputs;
-        let (tap_rows, tap_columns) = self.taps;
+        let channels = whole_channels::<P::Weight>(self.channels);
         // The kernel trusts these; they hold by construction in this module's callers.
-        assert!(last <= output.len(), "output too short for the sweep");
-        assert!(self.residual.is_none_or(|r| r.len() == output.len()));
-        assert!(self.mask.is_none_or(|m| m.len() == output.len()));
-        assert_eq!(self.panels.depth, tap_rows * tap_columns * self.channels);
+        assert!(last <= length, "output too short for the sweep");
+        assert!(self.residual.is_none_or(|r| r.len() == length));
+        assert!(self.mask.is_none_or(|m| m.len() == length));
+        assert_eq!(self.panels.depth, self.taps.0 * self.taps.1 * channels);
 
-        let columns = ((out.width - 1) * self.stride + tap_columns).max(1);
-        let row_bytes = columns * self.channels * self.stride * size_of::<f32>();
-        let rows = (BAND_BYTES / row_bytes.max(1))
-            .min(
-                out.height
-                    .div_ceil(if self.grid.images < 4 { 4 } else { 1 }),
-            )
-            .max(1);
-        let bands = out.height.div_ceil(rows);
-        let target = Target(output.as_mut_ptr());
-        (0..self.grid.images * bands)
+        let pixel = channels * size_of::<P::Input>();
+        let tile = Tile::new((out.height, out.width), self.taps, self.stride, pixel)
+            .for_images(self.grid.images, out.height);
+        let tiles = tile.count(out.height, out.width);
+        let target = Target(output);
+        (0..self.grid.images * tiles)
             .into_par_iter()
             .for_each(|task| {
-                let (image, band) = (task / bands, task % bands);
-                let first = band * rows;
-                let count = rows.min(out.height - first);
-                BAND.with_borrow_mut(|buffer| {
-                    self.band(image, first, (count, columns), out, target, buffer);
+                let part = tile.part(task % tiles, out.height, out.width);
+                P::Input::with_buffer(|buffer| {
+                    self.tile(task / tiles, part, out, target, buffer);
                 });
             });
     }
 
-    fn band(
+    /// Computes the rectangle `part` of an image's outputs.
+    fn tile(
         &self,
         image: usize,
-        first: usize,
-        (count, columns): (usize, usize),
+        part: Rectangle,
         out: Output,
         target: Target,
-        buffer: &mut Vec<f32>,
+        buffer: &mut BandBuffer<P::Input>,
     ) {
-        let (tap_rows, tap_columns) = self.taps;
         let size = self.grid.height * self.grid.width * self.channels;
         let Some(source) = self.input.get(image * size..(image + 1) * size) else {
             return;
         };
+        let channels = whole_channels::<P::Weight>(self.channels);
+        let reach = |outputs: usize, taps: usize| ((outputs - 1) * self.stride + taps).max(1);
+        let columns = reach(part.width, self.taps.1);
+        let origin = |first: usize, pad: isize| (first * self.stride) as isize - pad;
         let band = Band {
             image: (self.grid.height, self.grid.width, self.channels),
-            origin: ((first * self.stride) as isize - self.pad.0, -self.pad.1),
-            size: (((count - 1) * self.stride + tap_rows).max(1), columns),
+            origin: (origin(part.top, self.pad.0), origin(part.left, self.pad.1)),
+            size: (reach(part.height, self.taps.0), columns),
+            channels,
         };
-        band.copy(source, buffer);
-        let pitch = columns * self.channels;
-        let start = out.start + image * out.image_step;
-        let run = tap_columns * self.channels;
+        let normalisation = self.normalisations.and_then(|all| all.get(image));
+        band.copy(source, normalisation, buffer);
+
+        let pitch = columns * channels;
+        let run = self.taps.1 * channels;
+        let start = out.start
+            + image * out.image_step
+            + part.top * out.row_step
+            + part.left * out.pixel_step;
         for (vectors, panel, channel) in self.panels.iter() {
-            let most = (WEIGHT_BYTES / (vectors * LANES * size_of::<f32>())).max(1);
-            let parts = Part::all((tap_rows, run), most);
-            for (number, part) in parts.iter().enumerate() {
+            let most = (WEIGHT_BYTES / (vectors * LANES * size_of::<P::Weight>())).max(1);
+            let parts = Taps::all((self.taps.0, run), most, P::Weight::GROUP);
+            for (number, taps) in parts.iter().enumerate() {
                 let (is_first, is_last) = (number == 0, number + 1 == parts.len());
-                for row in 0..count {
-                    let at = start + (first + row) * out.row_step + channel;
+                for row in 0..part.height {
+                    let at = start + row * out.row_step + channel;
                     let same = |slice: Option<&[f32]>| {
                         slice.map_or(std::ptr::null(), |s| s.as_ptr().wrapping_add(at))
                     };
-                    let input = (row * self.stride + part.tap_row) * pitch + part.start;
-                    let weights = (part.tap_row * run + part.start) * vectors * LANES;
-                    let kernel = Row {
-                        input: buffer.as_ptr().wrapping_add(input),
-                        input_step: self.stride * self.channels,
+                    let input = (row * self.stride + taps.tap_row) * pitch + taps.start;
+                    let weights = (taps.tap_row * run + taps.start) * vectors * LANES;
+                    let kernel = Row::<P> {
+                        input: buffer.values.as_ptr().wrapping_add(input),
+                        input_step: self.stride * channels,
                         tap_pitch: pitch,
-                        tap_rows: part.tap_rows,
-                        run: part.run,
+                        tap_rows: taps.tap_rows,
+                        run: taps.run,
                         panel: self.panels.values.as_ptr().wrapping_add(panel + weights),
                         vectors,
                         bias: if is_first {
@@ -163,7 +181,7 @@ impl Sweep<'_> {
                         } else {
                             NO_BIAS.as_ptr()
                         },
-                        pixels: out.width,
+                        pixels: part.width,
                         output: target.at(at),
                         residual: if is_first {
                             same(self.residual)
@@ -179,72 +197,13 @@ impl Sweep<'_> {
                         channels: (self.panels.outputs - channel).min(vectors * LANES),
                         relu: self.relu && is_last,
                     };
-                    // SAFETY: the band buffer has a row of taps for each output row and `columns`
-                    // pixels in each; the panels have `depth` rows, of which the parts are disjoint;
-                    // `run` checked the output's length, and residual and mask are as long; no other
-                    // task writes these rows; the panels were cut for an instruction set that was
-                    // detected, and no panel is wider than `NO_BIAS`.
-                    unsafe { kernel.run(self.panels.set) };
+                    // SAFETY: the band has a row of taps for each output row and `columns` pixels in each; the
+                    // panels have `depth` rows, of which the parts are disjoint; `run_at` checked the output's
+                    // length, and residual and mask are as long; no other task writes this rectangle; the panels
+                    // were cut for what the processor was found to have, and no panel is wider than `NO_BIAS`.
+                    unsafe { kernel.run(self.unit) };
                 }
             }
-        }
-    }
-}
-
-/// Taps and channels that are summed before the next ones.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Part {
-    /// The first row of taps, and how many.
-    tap_row: usize,
-    tap_rows: usize,
-    /// The first value in a row of taps, and how many.
-    start: usize,
-    run: usize,
-}
-
-impl Part {
-    /// Cuts `tap_rows` rows of `run` values into parts of about `most` values: whole rows of taps, or pieces of one.
-    fn all((tap_rows, run): (usize, usize), most: usize) -> Vec<Self> {
-        if tap_rows * run <= most {
-            return vec![Self {
-                tap_row: 0,
-                tap_rows,
-                start: 0,
-                run,
-            }];
-        }
-        let pieces = run.div_ceil(most);
-        let rows = (0..tap_rows).flat_map(|tap_row| {
-            (0..pieces).map(move |i| {
-                let (start, end) = (run * i / pieces, run * (i + 1) / pieces);
-                Self {
-                    tap_row,
-                    tap_rows: 1,
-                    start,
-                    run: end - start,
-                }
-            })
-        });
-        rows.collect()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn parts_cover_every_tap_and_channel_once() {
-        for (taps, most) in [((3, 9), 27), ((3, 9), 26), ((3, 9), 4), ((1, 5), 2)] {
-            let mut seen = vec![0; taps.0 * taps.1];
-            for part in Part::all(taps, most) {
-                for row in part.tap_row..part.tap_row + part.tap_rows {
-                    for at in part.start..part.start + part.run {
-                        seen[row * taps.1 + at] += 1;
-                    }
-                }
-            }
-            assert!(seen.iter().all(|count| *count == 1), "{taps:?} {most}");
         }
     }
 }

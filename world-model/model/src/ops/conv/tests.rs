@@ -3,6 +3,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::ops::{Activation, PackedFormat, group_norm, group_normalisations};
 
 fn random(count: usize, seed: u64) -> Vec<f32> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -15,10 +16,10 @@ fn conv2d(
     (weight, bias): (&[f32], Option<&[f32]>),
     input: &[f32],
     grid: GridSize,
-    epilogue: Epilogue<'_>,
+    epilogue: Fused<'_>,
     output: &mut Vec<f32>,
 ) -> Result<GridSize> {
-    PackedConv::new(shape, weight, bias)?.run(input, grid, epilogue, output)
+    PackedConv::new(shape, weight, bias, PackedFormat::F32)?.run(input, grid, epilogue, output)
 }
 
 fn cases() -> Vec<(ConvShape, GridSize)> {
@@ -80,7 +81,7 @@ impl Case {
             (weight, Some(bias)),
             input,
             self.grid,
-            Epilogue::default(),
+            Fused::default(),
             &mut output,
         )
         .unwrap();
@@ -156,7 +157,8 @@ fn residual_and_relu_come_after_the_sum() {
         let plain = case.forward(&case.input, &case.weight, &case.bias);
         let residual = random(plain.len(), 77);
         let mut output = Vec::new();
-        let epilogue = Epilogue {
+        let epilogue = Fused {
+            normalisations: None,
             residual: Some(&residual),
             relu: true,
         };
@@ -323,7 +325,7 @@ fn a_slice_of_the_wrong_length_is_named() {
         (&weight, None),
         &[0.0; 31],
         grid,
-        Epilogue::default(),
+        Fused::default(),
         &mut Vec::new(),
     )
     .unwrap_err();
@@ -331,4 +333,121 @@ fn a_slice_of_the_wrong_length_is_named() {
         error.to_string(),
         "convolution input has shape [31], expected [32]"
     );
+}
+
+/// A 3x3 convolution by the plain sum, in f64.
+fn by_definition(case: &Case) -> Vec<f64> {
+    let Case { shape, grid, .. } = case;
+    let target = shape.output(*grid);
+    let mut out = Vec::new();
+    for image in 0..grid.images {
+        for y in 0..target.height {
+            for x in 0..target.width {
+                for n in 0..shape.outputs {
+                    let mut sum = f64::from(case.bias[n]);
+                    for tap in 0..9 {
+                        let row = (y + tap / 3).wrapping_sub(1);
+                        let column = (x + tap % 3).wrapping_sub(1);
+                        if row >= grid.height || column >= grid.width {
+                            continue;
+                        }
+                        let pixel = (image * grid.height + row) * grid.width + column;
+                        for k in 0..shape.inputs {
+                            let value = case.input[pixel * shape.inputs + k];
+                            let weight = case.weight[(tap * shape.inputs + k) * shape.outputs + n];
+                            sum += f64::from(value) * f64::from(weight);
+                        }
+                    }
+                    out.push(sum);
+                }
+            }
+        }
+    }
+    out
+}
+
+/// Every way to compute a 3x3 convolution, with everything that is done on the way.
+#[test]
+fn inference_is_the_plain_sum() {
+    let grid = |images, height, width| GridSize {
+        images,
+        height,
+        width,
+    };
+    for (inputs, outputs, grid) in [
+        (32, 48, grid(2, 19, 17)),
+        (64, 32, grid(1, 1, 33)),
+        (48, 32, grid(1, 16, 2)),
+        (3, 20, grid(1, 7, 50)),
+    ] {
+        let shape = ConvShape::same(inputs, outputs, 3);
+        let case = Case {
+            shape,
+            grid,
+            input: random(grid.pixels() * inputs, 1),
+            weight: random(shape.weights(), 2),
+            bias: random(outputs, 3),
+        };
+        let residual = random(grid.pixels() * outputs, 4);
+        let affine = (random(inputs, 5), random(inputs, 6));
+        let pixels = grid.height * grid.width;
+        // A group a channel would leave nothing of small pictures.
+        let normalisations = group_normalisations(
+            &case.input,
+            pixels,
+            1,
+            (&affine.0, &affine.1),
+            1e-5,
+            Activation::Silu,
+        );
+        let mut normalised = case.input.clone();
+        group_norm(
+            &mut normalised,
+            pixels,
+            1,
+            (&affine.0, &affine.1),
+            1e-5,
+            Activation::Silu,
+        );
+        let normalised = Case {
+            input: normalised,
+            weight: case.weight.clone(),
+            bias: case.bias.clone(),
+            ..case
+        };
+        for (format, tolerance) in [(PackedFormat::F32, 2e-5), (PackedFormat::Bf16, 3e-2)] {
+            let (weight, bias) = (case.weight.as_slice(), Some(case.bias.as_slice()));
+            let ways = [
+                PackedConv::new(&shape, weight, bias, format),
+                PackedConv::for_inference(&shape, weight, bias, format),
+            ];
+            for (way, packed) in ways.into_iter().enumerate() {
+                let packed = packed.unwrap();
+                for is_normalised in [false, true] {
+                    let expected = match is_normalised {
+                        true => by_definition(&normalised),
+                        false => by_definition(&case),
+                    };
+                    let fused = Fused {
+                        normalisations: is_normalised.then_some(&normalisations),
+                        residual: Some(&residual),
+                        relu: true,
+                    };
+                    // What is left of an earlier, larger run must not matter.
+                    let mut output = vec![f32::NAN; grid.pixels() * outputs + 100];
+                    packed.run(&case.input, grid, fused, &mut output).unwrap();
+                    assert_eq!(output.len(), expected.len());
+                    let scale = (9 * inputs) as f64;
+                    for ((found, sum), residual) in output.iter().zip(expected).zip(&residual) {
+                        let error =
+                            (f64::from(*found) - (sum + f64::from(*residual)).max(0.0)).abs();
+                        assert!(
+                            error < tolerance * scale.sqrt(),
+                            "{shape:?} {grid:?} {format:?} way {way} normalised {is_normalised}: {error}"
+                        );
+                    }
+                }
+            }
+        }
+    }
 }

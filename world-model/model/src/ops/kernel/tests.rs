@@ -1,6 +1,7 @@
 //! Every instruction set that the machine has, against plain loops.
 
 use super::*;
+use crate::ops::product::F32;
 
 fn sets() -> Vec<InstructionSet> {
     let mut sets = vec![InstructionSet::Portable];
@@ -47,7 +48,7 @@ fn a_row_of_pixels_is_summed_and_finished() {
                 let residual = numbers(pixels * channels, 4);
                 let mask = numbers(pixels * channels, 5);
                 let mut output = vec![9.0; pixels * channels + 1];
-                let row = Row {
+                let row = Row::<F32> {
                     input: input.as_ptr(),
                     input_step: inputs,
                     tap_pitch: pitch,

@@ -1,10 +1,10 @@
 //! From noise levels and actions to what modulates the layers.
 
-use super::{numbers, packed};
+use super::source::NamedLayers;
 use crate::Result;
+use crate::ops::PackedLinear;
 use crate::ops::activation::silu_chunk as silu;
-use crate::ops::{PackedFormat, PackedLinear};
-use crate::transition::embedding::Embedding;
+use crate::transition::embedding::frequencies;
 
 /// Time and action embedding.
 #[derive(Debug)]
@@ -23,12 +23,14 @@ pub(super) struct Conditions {
 }
 
 impl Condition {
-    pub(super) fn new(embedding: &Embedding, format: PackedFormat) -> Result<Self> {
-        let [first, second] = &embedding.time;
+    pub(super) fn new(layers: &NamedLayers<'_>) -> Result<Self> {
         Ok(Self {
-            frequencies: numbers(&embedding.frequencies)?,
-            time: [packed(first, format)?, packed(second, format)?],
-            action: packed(&embedding.action, format)?,
+            frequencies: frequencies(),
+            time: [
+                layers.linear("timestep_mlp.0")?,
+                layers.linear("timestep_mlp.2")?,
+            ],
+            action: layers.linear("action_embedder")?,
         })
     }
 

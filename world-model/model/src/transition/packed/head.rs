@@ -4,12 +4,12 @@ use rayon::prelude::*;
 
 use super::condition::product;
 use super::modulation::Modulation;
-use super::packed;
+use super::source::NamedLayers;
 use super::sub_block::part;
 use super::tasks::Tasks;
 use crate::Result;
 use crate::ops::activation::silu_chunk as silu;
-use crate::ops::{PackedFormat, PackedLinear, rms_norm_modulate};
+use crate::ops::{PackedLinear, rms_norm_modulate};
 use crate::transition::head;
 
 /// The last layers.
@@ -22,15 +22,13 @@ pub(super) struct Head {
 }
 
 impl Head {
-    pub(super) fn new(head: &head::Head, format: PackedFormat) -> Result<Self> {
+    pub(super) fn new(layers: &NamedLayers<'_>) -> Result<Self> {
+        let name = head::name(layers.config());
+        let wide = layers.config().wide_head;
         Ok(Self {
-            wide: head
-                .wide
-                .as_ref()
-                .map(|wide| packed(wide, format))
-                .transpose()?,
-            modulation: packed(&head.modulation, format)?,
-            linear: packed(&head.linear, format)?,
+            wide: wide.map(|_| layers.linear(head::WIDE)).transpose()?,
+            modulation: layers.linear(&format!("{name}.adaLN_modulation.1"))?,
+            linear: layers.linear(&format!("{name}.linear"))?,
         })
     }
 

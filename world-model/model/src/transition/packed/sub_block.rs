@@ -1,9 +1,8 @@
 //! The two halves of a transformer block, on the rows of one task.
 
-use super::packed;
+use super::source::NamedLayers;
 use crate::Result;
-use crate::ops::{PackedFormat, PackedLinear, gated_residual, rms_norm_modulate, swiglu};
-use crate::transition::block;
+use crate::ops::{PackedLinear, gated_residual, rms_norm_modulate, swiglu};
 
 /// Parts of a sub-block's modulation: shift, scale and gate of the attention, then of the
 /// feed-forward network.
@@ -35,13 +34,15 @@ pub(super) struct Scratch {
 }
 
 impl SubBlock {
-    pub(super) fn new(sub_block: &block::SubBlock, format: PackedFormat) -> Result<Self> {
+    /// That whose names start with `name`.
+    pub(super) fn new(name: &str, layers: &NamedLayers<'_>) -> Result<Self> {
+        let linear = |part: &str| layers.linear(&format!("{name}.{part}"));
         Ok(Self {
-            modulation: packed(&sub_block.modulation, format)?,
-            qkv: packed(&sub_block.qkv, format)?,
-            out: packed(&sub_block.out, format)?,
-            up: packed(&sub_block.up, format)?,
-            down: packed(&sub_block.down, format)?,
+            modulation: linear("adaLN_modulation.1")?,
+            qkv: linear("attn.qkv_proj")?,
+            out: linear("attn.out_proj")?,
+            up: linear("ffwd.w12")?,
+            down: linear("ffwd.w3")?,
         })
     }
 

@@ -1,0 +1,60 @@
+//! What is known of an observation's moment before the observation comes.
+
+use candle_core::{Device, Tensor};
+use wm_model::{
+    WorldModel,
+    sampler::{Prepared, Rollout},
+};
+use wm_motion::motion::StepAction;
+
+use super::{Frame, History, moment::stack};
+
+/// The context of an observation that is still to come: all frames but the observation itself.
+#[derive(Clone, Debug)]
+pub struct Ahead {
+    /// One model step apart, oldest first; at least one.
+    earlier: Vec<Frame>,
+    /// What was done from each to the next.
+    past: Vec<StepAction>,
+}
+
+impl History {
+    /// The context of an observation that is still to come at `stamp_ns`; none where a frame is missing, or it has no
+    /// frame but the observation.
+    pub fn ahead(&self, stamp_ns: i64) -> Option<Ahead> {
+        let timing = self.timing();
+        let frame = |back| {
+            let wanted_ns = stamp_ns - timing.step_at(0, back);
+            self.frames.near(wanted_ns, timing.tolerance_ns).cloned()
+        };
+        let backs = (1..self.settings.context_frames).rev();
+        let earlier = backs.map(frame).collect::<Option<Vec<_>>>()?;
+        if earlier.is_empty() {
+            return None;
+        }
+        let between = earlier.iter().zip(earlier.iter().skip(1));
+        let past = between.map(|(from, to)| self.step(from.stamp_ns, to.stamp_ns).ok());
+        let past = past.collect::<Option<_>>()?;
+        Some(Ahead { earlier, past })
+    }
+}
+
+impl Ahead {
+    /// What rollouts from the observation can take over.
+    ///
+    /// # Errors
+    /// Where the model does not take the context.
+    pub fn prepare(&self, model: &WorldModel) -> wm_model::Result<Prepared> {
+        let values = self.earlier.iter().flat_map(|frame| frame.values.iter());
+        let (height, width, channels) = model.space.shape();
+        let shape = (1, self.earlier.len(), height, width, channels);
+        let values: Vec<f32> = values.copied().collect();
+        let context = Tensor::from_vec(values, shape, &Device::Cpu)?;
+        let (transition, past) = (&model.transition, stack(&self.past)?);
+        let sampler = &transition.config().sampler;
+        // No noise is drawn.
+        let mut rollout = Rollout::new(transition, sampler, &context, past.as_ref(), 0)?;
+        rollout.prepare()?;
+        Ok(rollout.prepared())
+    }
+}

@@ -1,0 +1,52 @@
+//! A model that is small enough to be written by a test.
+
+use std::path::Path;
+
+use wm_model::{
+    Autoencoder, AutoencoderConfig,
+    transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig},
+    weights::{Precision, WeightsBuilder},
+};
+use wm_motion::actions::ActionEncoding;
+
+/// Writes a model of random weights: 32x32 images, 4x4 latents.
+pub fn write_model(folder: &Path) -> wm_model::LatentSpace {
+    let config = AutoencoderConfig {
+        name: "test".into(),
+        height: 32,
+        width: 32,
+        ..AutoencoderConfig::tiny()
+    };
+    let autoencoder = Autoencoder::random(config, 1).unwrap();
+    autoencoder
+        .save(folder.join("autoencoder.safetensors"), Precision::F32)
+        .unwrap();
+    let space = Autoencoder::open(folder.join("autoencoder.safetensors"))
+        .unwrap()
+        .space()
+        .clone();
+
+    let config = TransitionConfig {
+        hidden: 64,
+        depth: 1,
+        heads: 2,
+        ..TransitionConfig::preset("tiny", space.shape(), 2, 7).unwrap()
+    };
+    let mut builder = WeightsBuilder::new();
+    builder.metadata(CONFIG_KEY, serde_json::to_string(&config).unwrap());
+    builder.metadata(LATENT_SPACE_KEY, serde_json::to_string(&space).unwrap());
+    builder.metadata(
+        ACTIONS_KEY,
+        serde_json::to_string(&ActionEncoding::default()).unwrap(),
+    );
+    Transition::build(config, &mut |parameter| {
+        let tensor = parameter.initial(2)?;
+        builder.tensor(&parameter.name, &tensor, Precision::F32)?;
+        Ok(tensor)
+    })
+    .unwrap();
+    builder
+        .write(folder.join("transition.safetensors"))
+        .unwrap();
+    space
+}

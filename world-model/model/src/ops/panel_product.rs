@@ -1,0 +1,294 @@
+//! Rows times a matrix in panels, on the calling thread.
+
+use std::cell::RefCell;
+
+use half::bf16;
+
+use super::element::{Element, widen};
+use super::kernel::Row;
+use super::panels::Panels;
+use super::product::{Bf16, F32, Product};
+use super::simd::{Bf16Unit, LANES, prefetch};
+
+thread_local! {
+    /// Rows that were rounded to bf16.
+    static ROUNDED: RefCell<Vec<bf16>> = const { RefCell::new(Vec::new()) };
+    /// A panel of bf16 as f32.
+    static WIDENED: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Rows of a product, the first at the front of `values`, that lie `step` values apart.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rows<Values> {
+    pub(crate) values: Values,
+    pub(crate) step: usize,
+    pub(crate) count: usize,
+}
+
+/// Panels of a format that rows are multiplied with.
+pub(crate) trait PanelProduct: Element {
+    /// `y` (rows of outputs) = `x` (as many rows of inputs) times a packed matrix, plus its bias.
+    ///
+    /// # Panics
+    /// If the rows do not lie within the values, or their numbers differ.
+    fn product_of_rows(panels: &Panels<Self>, x: Rows<&[f32]>, y: Rows<&mut [f32]>);
+
+    /// As [`Self::product_of_rows`] for `x` (rows, inputs) and `y` (rows, outputs).
+    ///
+    /// # Panics
+    /// If `x` is not whole rows, or `y` has another number of them.
+    fn product(panels: &Panels<Self>, x: &[f32], y: &mut [f32]) {
+        let (inputs, outputs) = (panels.depth, panels.outputs);
+        let count = x.len() / inputs.max(1);
+        assert_eq!(x.len(), count * inputs, "input of a product");
+        assert_eq!(y.len(), count * outputs, "output of a product");
+        let (x, y) = (
+            Rows {
+                values: x,
+                step: inputs,
+                count,
+            },
+            Rows {
+                values: y,
+                step: outputs,
+                count,
+            },
+        );
+        Self::product_of_rows(panels, x, y);
+    }
+}
+
+impl PanelProduct for f32 {
+    fn product_of_rows(panels: &Panels<f32>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+        let target = check(panels, x, y);
+        for place in panels.iter() {
+            ahead(panels, place);
+            let weights = panels.values.as_ptr().wrapping_add(place.1);
+            let input = (x.values.as_ptr(), x.step, panels.depth);
+            let row = row::<F32>(input, weights, panels, place, target);
+            // SAFETY: the lengths were checked above, and those of the panels hold by construction; the
+            // panels were cut for an instruction set that was detected.
+            unsafe { row.run(panels.set) };
+        }
+    }
+}
+
+impl PanelProduct for bf16 {
+    fn product_of_rows(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+        match Bf16Unit::detect() {
+            Some(unit) => rounded(unit, panels, x, y),
+            None => widened(panels, x, y),
+        }
+    }
+}
+
+/// With inputs rounded to bf16, by the processor's products of bf16.
+fn rounded(unit: Bf16Unit, panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+    let target = check(panels, x, y);
+    let rows = x.count;
+    let (depth, whole) = (panels.depth.max(1), panels.whole_depth().max(1));
+    ROUNDED.with_borrow_mut(|buffer| {
+        if buffer.len() < rows * whole {
+            buffer.resize(rows * whole, bf16::ZERO);
+        }
+        if depth == whole && x.step == depth {
+            bf16::round(x.values, buffer);
+        } else {
+            let sources = x.values.chunks(x.step.max(1));
+            for (x, out) in sources.zip(buffer.chunks_exact_mut(whole)).take(rows) {
+                if let (Some(x), Some((inside, rest))) =
+                    (x.get(..depth), out.split_at_mut_checked(depth))
+                {
+                    bf16::round(x, inside);
+                    // What fills the group up may be left from an earlier product, and no number.
+                    rest.fill(bf16::ZERO);
+                }
+            }
+        }
+        for place in panels.iter() {
+            ahead(panels, place);
+            let weights = panels.values.as_ptr().wrapping_add(place.1);
+            let input = (buffer.as_ptr(), whole, whole);
+            let row = row::<Bf16>(input, weights, panels, place, target);
+            // SAFETY: as above; the buffer has `rows` rows of `whole` values.
+            unsafe { row.run(unit) };
+        }
+    });
+}
+
+/// With weights widened to f32, a panel at a time, which all rows are multiplied with.
+fn widened(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
+    let target = check(panels, x, y);
+    WIDENED.with_borrow_mut(|buffer| {
+        for place in panels.iter() {
+            ahead(panels, place);
+            let (vectors, start, _) = place;
+            let count = panels.whole_depth() * vectors * LANES;
+            if buffer.len() < count {
+                buffer.resize(count, 0.0);
+            }
+            if let Some(pairs) = panels.values.get(start..start + count) {
+                widen(pairs, vectors * LANES, buffer);
+            }
+            let input = (x.values.as_ptr(), x.step, panels.depth);
+            let row = row::<F32>(input, buffer.as_ptr(), panels, place, target);
+            // SAFETY: as above; the buffer has a row of weights for every input.
+            unsafe { row.run(panels.set) };
+        }
+    });
+}
+
+/// Rows of outputs that were found to be long enough.
+#[derive(Clone, Copy)]
+struct Target {
+    values: *mut f32,
+    step: usize,
+    count: usize,
+}
+
+/// Where a product is to be written. The kernel trusts the lengths.
+fn check<T: Element>(panels: &Panels<T>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) -> Target {
+    let holds = |length: usize, step: usize, width: usize| {
+        x.count == 0 || (step >= width && (x.count - 1) * step + width <= length)
+    };
+    assert!(
+        holds(x.values.len(), x.step, panels.depth),
+        "input of a product"
+    );
+    assert!(
+        y.count == x.count && holds(y.values.len(), y.step, panels.outputs),
+        "output of a product"
+    );
+    Target {
+        values: y.values.as_mut_ptr(),
+        step: y.step,
+        count: y.count,
+    }
+}
+
+/// All weights of a model do not fit into the caches that are near: the next panel comes while this one is computed with.
+fn ahead<T: Element>(panels: &Panels<T>, (vectors, start, _): (usize, usize, usize)) {
+    let count = panels.whole_depth() * vectors * LANES;
+    if let Some(next) = panels.values.get(start + count..start + 2 * count) {
+        prefetch(next);
+    }
+}
+
+/// The product of rows of `run` values, `step` apart, with one panel.
+fn row<P: Product>(
+    (input, step, run): (*const P::Input, usize, usize),
+    panel: *const P::Weight,
+    panels: &Panels<impl Element>,
+    (vectors, _, first): (usize, usize, usize),
+    target: Target,
+) -> Row<P> {
+    Row {
+        input,
+        input_step: step,
+        tap_pitch: 0,
+        tap_rows: 1,
+        run,
+        panel,
+        vectors,
+        bias: panels.bias.as_ptr().wrapping_add(first),
+        pixels: target.count,
+        output: target.values.wrapping_add(first),
+        residual: std::ptr::null(),
+        mask: std::ptr::null(),
+        output_step: target.step,
+        channels: (panels.outputs - first).min(vectors * LANES),
+        relu: false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbers(count: usize, seed: usize) -> Vec<f32> {
+        (0..count)
+            .map(|i| ((i * 7919 + seed) % 2003) as f32 / 1001.0 - 1.0)
+            .collect()
+    }
+
+    fn check_product(
+        what: &str,
+        (rows, inputs, outputs): (usize, usize, usize),
+        (rounds_inputs, rounds_weights): (bool, bool),
+        product: impl Fn((&[f32], &[f32]), Rows<&[f32]>, Rows<&mut [f32]>),
+    ) {
+        // Rows that lie apart; between them is what must not be read or written.
+        let (x_step, y_step) = (inputs + 3, outputs + 2);
+        let mut x = numbers(rows * x_step, 1);
+        for row in x.chunks_exact_mut(x_step) {
+            row[inputs..].fill(f32::NAN);
+        }
+        let (w, bias) = (numbers(outputs * inputs, 2), numbers(outputs, 3));
+        let mut y = vec![7.0; rows * y_step];
+        let of = |values, step| Rows {
+            values,
+            step,
+            count: rows,
+        };
+        let target = Rows {
+            values: y.as_mut_slice(),
+            step: y_step,
+            count: rows,
+        };
+        product((&w, &bias), of(x.as_slice(), x_step), target);
+        let as_used = |value: f32, is_rounded: bool| -> f64 {
+            let rounded = bf16::from_f32(value).to_f32();
+            f64::from(if is_rounded { rounded } else { value })
+        };
+        for (row, y) in y.chunks_exact(y_step).enumerate() {
+            assert_eq!(y[outputs..], [7.0; 2], "{what}: wrote too far");
+            for (n, y) in y[..outputs].iter().enumerate() {
+                let sum: f64 = (0..inputs)
+                    .map(|k| {
+                        as_used(x[row * x_step + k], rounds_inputs)
+                            * as_used(w[n * inputs + k], rounds_weights)
+                    })
+                    .sum();
+                let error = (sum + f64::from(bias[n]) - f64::from(*y)).abs();
+                assert!(
+                    error < 1e-4,
+                    "{what} {rows} x {inputs} x {outputs}: {error}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn products_are_those_of_the_definition() {
+        for shape in [
+            (1, 5, 3),
+            (7, 16, 64),
+            (64, 33, 100),
+            (19, 128, 48),
+            (33, 70, 130),
+        ] {
+            let (_, inputs, outputs) = shape;
+            check_product("f32", shape, (false, false), |(w, bias), x, y| {
+                let panels = Panels::pack_transposed(inputs, outputs, Some(bias), w);
+                f32::product_of_rows(&panels, x, y);
+            });
+            check_product("bf16, widened", shape, (false, true), |(w, bias), x, y| {
+                let panels = Panels::pack_transposed(inputs, outputs, Some(bias), w);
+                widened(&panels, x, y);
+            });
+            let Some(unit) = Bf16Unit::detect() else {
+                println!("skipped: this processor has no products of bf16");
+                continue;
+            };
+            check_product("bf16, rounded", shape, (true, true), |(w, bias), x, y| {
+                let panels = Panels::pack_transposed(inputs, outputs, Some(bias), w);
+                // What an earlier, larger product leaves must not matter.
+                ROUNDED.with_borrow_mut(|buffer| {
+                    buffer.clear();
+                    buffer.resize(100_000, bf16::NAN);
+                });
+                rounded(unit, &panels, x, y);
+            });
+        }
+    }
+}

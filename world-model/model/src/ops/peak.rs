@@ -1,0 +1,97 @@
+//! What the processor could compute at most.
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use super::element::{Element, PackedFormat};
+use super::product::{Bf16, F32, Product, Step};
+#[cfg(target_arch = "x86_64")]
+use super::simd::{Avx2, Avx512};
+use super::simd::{Bf16Unit, InstructionSet, LANES, Lanes, Portable};
+
+/// Sums that are added to in turns: more than a processor's latency of an addition times its units.
+const SUMS: usize = 12;
+const ROUNDS: usize = 200_000;
+
+/// Floating-point operations a second that the products of a kernel for weights of `format` have at most, measured on the
+/// calling thread: multiplications and additions of values that are in registers. None where the processor has no
+/// products of the format.
+pub fn peak_rate(format: PackedFormat) -> Option<f64> {
+    let start = Instant::now();
+    let steps = match format {
+        PackedFormat::F32 => f32_steps(InstructionSet::detect()),
+        PackedFormat::Bf16 => bf16_steps(Bf16Unit::detect()?),
+    };
+    Some((2 * steps) as f64 / start.elapsed().as_secs_f64())
+}
+
+/// Computes; how many products.
+fn f32_steps(set: InstructionSet) -> usize {
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f")]
+    fn avx512() -> usize {
+        steps::<F32, Avx512>(&[1.0], &[1e-9; LANES])
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn avx2() -> usize {
+        steps::<F32, Avx2>(&[1.0], &[1e-9; LANES])
+    }
+
+    match set {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the processor was found to have these instructions.
+        InstructionSet::Avx512 => unsafe { avx512() },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        InstructionSet::Avx2 => unsafe { avx2() },
+        InstructionSet::Portable => steps::<F32, Portable>(&[1.0], &[1e-9; LANES]),
+    }
+}
+
+fn bf16_steps(unit: Bf16Unit) -> usize {
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512bf16")]
+    fn avx512() -> usize {
+        let [one, small] = [1.0, 1e-9].map(<half::bf16 as Element>::from_f32);
+        steps::<Bf16, Avx512>(&[one; 2], &[small; 2 * LANES])
+    }
+
+    match unit {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the processor was found to have these instructions.
+        Bf16Unit::Avx512 => unsafe { avx512() },
+    }
+}
+
+#[inline(always)]
+fn steps<P: Step<L>, L: Lanes>(input: &[P::Input], weights: &[P::Weight]) -> usize {
+    let group = <P as Product>::Weight::GROUP;
+    assert!(input.len() >= group && weights.len() >= LANES * group);
+    // SAFETY: both are long enough.
+    let (input, weights) = unsafe { (P::splat(input.as_ptr()), P::load(weights.as_ptr())) };
+    let (input, weights) = (black_box(input), black_box(weights));
+    let mut sums = [L::splat(0.0); SUMS];
+    for _ in 0..ROUNDS {
+        for sum in &mut sums {
+            *sum = P::add(input, weights, *sum);
+        }
+    }
+    black_box(sums);
+    ROUNDS * SUMS * LANES * group
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_processor_computes_something() {
+        assert!(peak_rate(PackedFormat::F32).is_some_and(|rate| rate > 1e6));
+        assert_eq!(
+            peak_rate(PackedFormat::Bf16).is_some(),
+            Bf16Unit::detect().is_some()
+        );
+    }
+}
