@@ -82,6 +82,8 @@ struct Walk<'a> {
     found: Survey,
     /// Whether the record that ends the messages was met: behind it is only what can be made again.
     is_behind_data: bool,
+    /// Whether nothing but indexes lies between the last chunk and here.
+    is_behind_chunk: bool,
 }
 
 impl<'a> Walk<'a> {
@@ -98,6 +100,7 @@ impl<'a> Walk<'a> {
                 has_end: false,
             },
             is_behind_data: false,
+            is_behind_chunk: false,
         }
     }
 
@@ -142,8 +145,13 @@ impl<'a> Walk<'a> {
         let within = prefix.get(..length.min(prefix.len() as u64) as usize);
         if is_chunk(within.unwrap_or(&[]), length) {
             self.chunk(at, end)?;
+            self.is_behind_chunk = true;
             return Ok(end);
         }
+        if self.is_behind_chunk && self.is_index(opcode, at, length)? {
+            return Ok(end);
+        }
+        self.is_behind_chunk = false;
         if opcode == op::CHUNK {
             return self.damaged(at, opcode, false, "the lengths in it contradict each other");
         }
@@ -183,6 +191,16 @@ impl<'a> Walk<'a> {
             _ => {}
         }
         Ok(end)
+    }
+
+    /// Whether the record behind a chunk is one of its indexes. One whose first byte became that of a message by damage
+    /// would be taken for a message otherwise, since messages outside of chunks have no checksum.
+    fn is_index(&mut self, opcode: u8, at: u64, length: u64) -> Result<bool, BagError> {
+        if !matches!(opcode, op::MESSAGE | op::MESSAGE_INDEX) || length > MAX_RECORD_BYTES {
+            return Ok(false);
+        }
+        let body = self.bytes(at + RECORD_HEADER_BYTES, length)?;
+        Ok(is_exact(op::MESSAGE_INDEX, &body))
     }
 
     /// Takes a chunk, if it is sound.

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use tempfile::TempDir;
 
 use super::*;
-use crate::{BagReader, Compression};
+use crate::{BagReader, Compression, reader::chunk::record_header};
 
 const START_NS: u64 = 1_700_000_000_000_000_000;
 
@@ -267,6 +267,28 @@ fn a_folder_of_files_is_recovered_with_what_its_recorder_lost() {
     };
     assert!(refused("FILE").contains("file compression"));
     assert!(!scratch.path().join("never").exists());
+}
+
+#[test]
+fn an_index_that_became_a_message_is_not_recovered_as_one() {
+    let scratch = TempDir::new().unwrap();
+    let (bytes, written) = file(zstd(), 3, 2);
+    let mut at = mcap::MAGIC.len();
+    let mut damaged = 0;
+    while let Some((opcode, length)) = record_header(&bytes[at..]) {
+        if opcode == mcap::records::op::MESSAGE_INDEX {
+            let mut bytes = bytes.clone();
+            bytes[at] = mcap::records::op::MESSAGE;
+            let (_, rows) = recovered(scratch.path(), &bytes).unwrap();
+            assert_eq!(rows, written.concat());
+            damaged += 1;
+        }
+        at += 9 + length as usize;
+        if opcode == mcap::records::op::FOOTER {
+            break;
+        }
+    }
+    assert_eq!(damaged, 6, "an index for each topic of each chunk");
 }
 
 #[test]
