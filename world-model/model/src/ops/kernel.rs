@@ -29,6 +29,8 @@ pub(crate) struct Row<P: Product> {
     pub vectors: usize,
     /// Bias, `vectors * LANES` values.
     pub bias: *const f32,
+    /// What else makes outputs of sums.
+    pub scales: P::Scales,
     /// Pixels.
     pub pixels: usize,
     /// Output of the first pixel.
@@ -107,7 +109,7 @@ impl<P: Product> Row<P> {
             let mut sums = [[L::splat(0.0); N]; M];
             for sum in &mut sums {
                 for (j, sum) in sum.iter_mut().enumerate() {
-                    *sum = L::load(self.bias.add(j * LANES));
+                    *sum = P::start(self, j);
                 }
             }
             let mut weights = self.panel;
@@ -138,6 +140,9 @@ impl<P: Product> Row<P> {
                 }
             }
             for (i, values) in values.iter_mut().enumerate() {
+                for (j, values) in values.iter_mut().enumerate() {
+                    P::outputs(self, x + i, j, values);
+                }
                 self.finish(x + i, values);
             }
         }

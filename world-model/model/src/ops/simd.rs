@@ -1,16 +1,18 @@
-//! Sixteen f32 lanes, in the widest form that the processor has.
+//! Sixteen lanes of 32 bits, in the widest form that the processor has.
 
 use std::sync::OnceLock;
 
 /// Lanes in one vector.
 pub(crate) const LANES: usize = 16;
 
-/// Sixteen f32 that are computed with together.
+/// Sixteen f32 that are computed with together, or what else has as many bits.
 ///
 /// The methods must be called only where the instruction set of the implementing type is enabled.
 pub(crate) trait Lanes: Copy {
     /// All lanes `v`.
     fn splat(v: f32) -> Self;
+    /// All lanes the 32 bits of `bits`.
+    fn splat_bits(bits: u32) -> Self;
     /// # Safety
     /// Sixteen f32 must be readable at `p`.
     unsafe fn load(p: *const f32) -> Self;
@@ -27,10 +29,15 @@ pub(crate) trait Lanes: Copy {
 
 /// Lanes with an instruction for products of bf16, two of which are in each lane.
 pub(crate) trait DotBf16: Lanes {
-    /// All lanes the 32 bits of `bits`.
-    fn splat_bits(bits: u32) -> Self;
     /// In every lane the sum of both products of `self` and `b`, plus that of `c`, an f32.
     fn dot_bf16(self, b: Self, c: Self) -> Self;
+}
+
+/// Lanes with products of bytes, four of which are in each lane.
+pub(crate) trait DotInt8: Lanes {
+    /// In every lane the sum of the four products of `self` (inputs, as the [`Int8Unit`] takes them) and `b` (weights, with
+    /// a sign), plus that of `c`, an i32. Exact.
+    fn dot_int8(self, b: Self, c: Self) -> Self;
 }
 
 /// Instruction sets with kernels of their own.
@@ -96,6 +103,68 @@ impl Bf16Unit {
     }
 }
 
+/// How products of bytes are computed. All give the same sums, to the bit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Int8Unit {
+    /// vpdpbusd on 512 bits.
+    #[cfg(target_arch = "x86_64")]
+    Avx512Vnni,
+    /// vpmaddubsw of the inputs' absolute values and weights that were given the inputs' signs.
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    Portable,
+}
+
+impl Int8Unit {
+    /// The best one of this machine.
+    pub(crate) fn detect() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        match InstructionSet::detect() {
+            InstructionSet::Avx512 if is_x86_feature_detected!("avx512vnni") => {
+                return Self::Avx512Vnni;
+            }
+            InstructionSet::Avx512 | InstructionSet::Avx2 if is_x86_feature_detected!("avx2") => {
+                return Self::Avx2;
+            }
+            _ => {}
+        }
+        Self::Portable
+    }
+
+    /// As [`InstructionSet::tile_vectors`].
+    pub(crate) fn tile_vectors(self) -> usize {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512Vnni => MOST_VECTORS,
+            _ => 1,
+        }
+    }
+
+    /// What is added to every input, because the unit multiplies bytes without a sign with bytes that have one; the sums
+    /// start lower by as much times their weights.
+    pub(crate) fn input_offset(self) -> i32 {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512Vnni => 128,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => 0,
+            // No faster than with signs, but so every processor tests what the offset takes.
+            Self::Portable => 128,
+        }
+    }
+
+    /// Its name.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512Vnni => "avx512vnni",
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => "avx2",
+            Self::Portable => "portable",
+        }
+    }
+}
+
 /// Which kernels this machine computes with: `avx512`, `avx2` or `portable`. Under another set sums are rounded otherwise.
 pub fn instruction_set() -> &'static str {
     match InstructionSet::detect() {
@@ -143,6 +212,11 @@ impl Lanes for Portable {
     }
 
     #[inline(always)]
+    fn splat_bits(bits: u32) -> Self {
+        Self([f32::from_bits(bits); LANES])
+    }
+
+    #[inline(always)]
     unsafe fn load(p: *const f32) -> Self {
         // SAFETY: the caller vouches for sixteen f32; the read needs no alignment.
         Self(unsafe { p.cast::<[f32; LANES]>().read_unaligned() })
@@ -175,19 +249,40 @@ impl Lanes for Portable {
     }
 }
 
+impl DotInt8 for Portable {
+    #[inline(always)]
+    fn dot_int8(self, b: Self, c: Self) -> Self {
+        let mut out = c.0;
+        for ((out, a), b) in out.iter_mut().zip(self.0).zip(b.0) {
+            let products = a.to_bits().to_ne_bytes().into_iter();
+            let products = products.zip(b.to_bits().to_ne_bytes());
+            let sum = products
+                .map(|(a, b)| i32::from(a) * i32::from(b.cast_signed()))
+                .sum::<i32>();
+            // Wraps, as the instructions do: with the offset of the inputs a sum may be out of range before it is whole.
+            let sum = out.to_bits().cast_signed().wrapping_add(sum);
+            *out = f32::from_bits(sum.cast_unsigned());
+        }
+        Self(out)
+    }
+}
+
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::{Avx2, Avx512};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use std::arch::x86_64::{
-        __m256, __m512, __m512bh, __m512i, _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps,
-        _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps, _mm512_add_ps, _mm512_castps_si512,
-        _mm512_castsi512_ps, _mm512_dpbf16_ps, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_epi32,
-        _mm512_set1_ps, _mm512_storeu_ps, _mm512_sub_ps,
+        __m256, __m512, __m512bh, __m512i, _mm256_abs_epi8, _mm256_add_epi32, _mm256_add_ps,
+        _mm256_castps_si256, _mm256_castsi256_ps, _mm256_fmadd_ps, _mm256_loadu_ps,
+        _mm256_madd_epi16, _mm256_maddubs_epi16, _mm256_set1_epi16, _mm256_set1_epi32,
+        _mm256_set1_ps, _mm256_sign_epi8, _mm256_storeu_ps, _mm256_sub_ps, _mm512_add_ps,
+        _mm512_castps_si512, _mm512_castsi512_ps, _mm512_dpbf16_ps, _mm512_dpbusd_epi32,
+        _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_epi32, _mm512_set1_ps, _mm512_storeu_ps,
+        _mm512_sub_ps,
     };
 
-    use super::{DotBf16, Lanes};
+    use super::{DotBf16, DotInt8, Lanes};
 
     /// One 512-bit register.
     #[derive(Clone, Copy)]
@@ -198,6 +293,12 @@ mod x86 {
         fn splat(v: f32) -> Self {
             // SAFETY: the trait is used only where the instruction set is enabled.
             Self(unsafe { _mm512_set1_ps(v) })
+        }
+
+        #[inline(always)]
+        fn splat_bits(bits: u32) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm512_castsi512_ps(_mm512_set1_epi32(bits.cast_signed())) })
         }
 
         #[inline(always)]
@@ -233,12 +334,6 @@ mod x86 {
 
     impl DotBf16 for Avx512 {
         #[inline(always)]
-        fn splat_bits(bits: u32) -> Self {
-            // SAFETY: as above.
-            Self(unsafe { _mm512_castsi512_ps(_mm512_set1_epi32(bits.cast_signed())) })
-        }
-
-        #[inline(always)]
         fn dot_bf16(self, b: Self, c: Self) -> Self {
             // SAFETY: as above; both are 512 bits, of which any are 32 bf16.
             let pairs = |x: __m512| unsafe {
@@ -246,6 +341,17 @@ mod x86 {
             };
             // SAFETY: the trait is used only where the instruction set is enabled.
             Self(unsafe { _mm512_dpbf16_ps(c.0, pairs(self.0), pairs(b.0)) })
+        }
+    }
+
+    impl DotInt8 for Avx512 {
+        #[inline(always)]
+        fn dot_int8(self, b: Self, c: Self) -> Self {
+            // SAFETY: the trait is used only where the instruction set is enabled.
+            Self(unsafe {
+                let bits = |x: Self| _mm512_castps_si512(x.0);
+                _mm512_castsi512_ps(_mm512_dpbusd_epi32(bits(c), bits(self), bits(b)))
+            })
         }
     }
 
@@ -258,6 +364,13 @@ mod x86 {
         fn splat(v: f32) -> Self {
             // SAFETY: the trait is used only where the instruction set is enabled.
             let v = unsafe { _mm256_set1_ps(v) };
+            Self(v, v)
+        }
+
+        #[inline(always)]
+        fn splat_bits(bits: u32) -> Self {
+            // SAFETY: as above.
+            let v = unsafe { _mm256_castsi256_ps(_mm256_set1_epi32(bits.cast_signed())) };
             Self(v, v)
         }
 
@@ -297,6 +410,23 @@ mod x86 {
         fn sub(self, b: Self) -> Self {
             // SAFETY: as above.
             unsafe { Self(_mm256_sub_ps(self.0, b.0), _mm256_sub_ps(self.1, b.1)) }
+        }
+    }
+
+    impl DotInt8 for Avx2 {
+        #[inline(always)]
+        fn dot_int8(self, b: Self, c: Self) -> Self {
+            // Two products of absolute values up to 127 have a sum within 16 bits, so that nothing saturates.
+            let dot = |a: __m256, b: __m256, c: __m256| {
+                // SAFETY: the trait is used only where the instruction set is enabled.
+                unsafe {
+                    let (a, b) = (_mm256_castps_si256(a), _mm256_castps_si256(b));
+                    let pairs = _mm256_maddubs_epi16(_mm256_abs_epi8(a), _mm256_sign_epi8(b, a));
+                    let fours = _mm256_madd_epi16(pairs, _mm256_set1_epi16(1));
+                    _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(c), fours))
+                }
+            };
+            Self(dot(self.0, b.0, c.0), dot(self.1, b.1, c.1))
         }
     }
 }

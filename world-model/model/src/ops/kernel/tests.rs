@@ -57,6 +57,7 @@ fn a_row_of_pixels_is_summed_and_finished() {
                     panel: panel.as_ptr(),
                     vectors,
                     bias: bias.as_ptr(),
+                    scales: (),
                     pixels,
                     output: output.as_mut_ptr(),
                     residual: residual.as_ptr(),
