@@ -3,6 +3,7 @@
 use bytemuck::Pod;
 use half::bf16;
 
+use super::simd::{Bf16Unit, InstructionSet};
 use super::vectorised::vectorised;
 
 /// The number format of packed weights.
@@ -17,6 +18,17 @@ pub enum PackedFormat {
     /// Where the processor multiplies bf16, activations are rounded to bf16 before they are multiplied, as PyTorch does,
     /// which is about twice as fast as f32. Elsewhere they stay f32. Sums are f32 in both.
     Bf16,
+}
+
+impl PackedFormat {
+    /// What this machine multiplies weights of the format with: the [`instruction_set`](super::instruction_set), or the unit
+    /// for bf16 (`amx-bf16`, `avx512-bf16`, `neon-bf16`) where it has one. With another one, sums are rounded otherwise.
+    pub fn kernels(self) -> &'static str {
+        match (self, Bf16Unit::detect()) {
+            (Self::Bf16, Some(unit)) => unit.name(),
+            _ => InstructionSet::detect().name(),
+        }
+    }
 }
 
 /// A packed weight, or an input that is multiplied with it.

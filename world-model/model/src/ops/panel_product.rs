@@ -204,6 +204,7 @@ fn row<P: Product>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ops::simd::tested;
 
     fn numbers(count: usize, seed: usize) -> Vec<f32> {
         (0..count)
@@ -276,19 +277,17 @@ mod tests {
                 let panels = Panels::pack_transposed(inputs, outputs, Some(bias), w);
                 widened(&panels, x, y);
             });
-            let Some(unit) = Bf16Unit::detect() else {
-                println!("skipped: this processor has no products of bf16");
-                continue;
-            };
-            check_product("bf16, rounded", shape, (true, true), |(w, bias), x, y| {
-                let panels = Panels::pack_transposed(inputs, outputs, Some(bias), w);
-                // What an earlier, larger product leaves must not matter.
-                ROUNDED.with_borrow_mut(|buffer| {
-                    buffer.clear();
-                    buffer.resize(100_000, bf16::NAN);
+            for unit in tested::bf16_units() {
+                check_product(unit.name(), shape, (true, true), |(w, bias), x, y| {
+                    let panels = Panels::pack_transposed(inputs, outputs, Some(bias), w);
+                    // What an earlier, larger product leaves must not matter.
+                    ROUNDED.with_borrow_mut(|buffer| {
+                        buffer.clear();
+                        buffer.resize(100_000, bf16::NAN);
+                    });
+                    rounded(unit, &panels, x, y);
                 });
-                rounded(unit, &panels, x, y);
-            });
+            }
         }
     }
 }

@@ -5,6 +5,10 @@ use half::bf16;
 
 use super::element::Element;
 use super::kernel::Row;
+#[cfg(target_arch = "aarch64")]
+use super::simd::Neon;
+#[cfg(target_arch = "x86_64")]
+use super::simd::amx::Bf16Tiles;
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
 use super::simd::{Bf16Unit, DotBf16, InstructionSet, Lanes, Portable};
@@ -79,6 +83,9 @@ impl Product for F32 {
                 InstructionSet::Avx512 => avx512(row),
                 #[cfg(target_arch = "x86_64")]
                 InstructionSet::Avx2 => avx2(row),
+                // Of 32 registers 24 are sums, four weights.
+                #[cfg(target_arch = "aarch64")]
+                InstructionSet::Neon => row.tiles::<Neon, 6, 1>(),
                 InstructionSet::Portable => row.tiles::<Portable, 4, 1>(),
             }
         }
@@ -121,11 +128,26 @@ impl Product for Bf16 {
             unsafe { row.wide_tiles::<Avx512>() }
         }
 
+        /// What is around the tiles, in wide registers.
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f")]
+        unsafe fn amx(row: &Row<Bf16>) {
+            // SAFETY: as for `run`.
+            unsafe { row.amx_tiles::<Bf16Tiles>() }
+        }
+
         // SAFETY: the caller vouches for the pointers and the instructions.
         unsafe {
             match unit {
                 #[cfg(target_arch = "x86_64")]
+                Bf16Unit::Amx => match InstructionSet::detect() {
+                    InstructionSet::Avx512 => amx(row),
+                    _ => row.amx_tiles::<Bf16Tiles>(),
+                },
+                #[cfg(target_arch = "x86_64")]
                 Bf16Unit::Avx512 => avx512(row),
+                #[cfg(target_arch = "aarch64")]
+                Bf16Unit::Neon => row.tiles::<Neon, 6, 1>(),
             }
         }
     }

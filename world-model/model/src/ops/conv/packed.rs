@@ -76,10 +76,24 @@ impl PackedConv {
         bias: Option<&[f32]>,
         format: PackedFormat,
     ) -> Result<Self> {
+        let unit = match format {
+            PackedFormat::F32 => None,
+            PackedFormat::Bf16 => Bf16Unit::detect(),
+        };
+        Self::of_unit(shape, weight, bias, unit)
+    }
+
+    /// In bf16 for `unit`, or else in f32.
+    pub(super) fn of_unit(
+        shape: &ConvShape,
+        weight: &[f32],
+        bias: Option<&[f32]>,
+        unit: Option<Bf16Unit>,
+    ) -> Result<Self> {
         check_weights(shape, weight, bias)?;
-        let parts = match (format, Bf16Unit::detect()) {
-            (PackedFormat::Bf16, Some(unit)) => Parts::Bf16(unit, Part::all(shape, weight, bias)),
-            _ => Parts::F32(Part::all(shape, weight, bias)),
+        let parts = match unit {
+            Some(unit) => Parts::Bf16(unit, Part::all(shape, weight, bias)),
+            None => Parts::F32(Part::all(shape, weight, bias)),
         };
         Ok(Self {
             shape: *shape,
