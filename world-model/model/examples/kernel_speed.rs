@@ -4,9 +4,9 @@
 //! cargo run --release -p wm_model --example kernel_speed -- [THREADS]
 //! ```
 //!
-//! The peaks are measured first: multiply-adds of f32, and of pairs of bf16 where the processor has them, of registers
-//! only. Then every product and convolution in f32 and bf16, and the product of the crate `gemm` in f32: GFLOP/s and the
-//! share of the peak. Of each the best of many runs, which are made in turns, because other guests of a shared machine
+//! The peaks are measured first: multiply-adds of f32, of pairs of bf16 where the processor has them, and of bytes, of
+//! registers only. Then every product in f32, bf16 and int8, every convolution in f32 and bf16, and the product of the crate
+//! `gemm` in f32: billions of operations a second and the share of the peak. Of each the best of many runs, which are made in turns, because other guests of a shared machine
 //! come and go.
 
 use std::hint::black_box;
@@ -32,8 +32,11 @@ const LINEAR: [(usize, usize, usize); 9] = [
 ];
 /// (channels, side): of the convolutional encoders and decoders.
 const CONVOLUTIONS: [(usize, usize); 4] = [(512, 32), (512, 64), (256, 128), (128, 256)];
-const FORMATS: [(&str, PackedFormat); 2] =
-    [("f32", PackedFormat::F32), ("bf16", PackedFormat::Bf16)];
+const FORMATS: [(&str, PackedFormat); 3] = [
+    ("f32", PackedFormat::F32),
+    ("bf16", PackedFormat::Bf16),
+    ("int8", PackedFormat::Int8),
+];
 const ROUNDS: usize = 12;
 
 /// Something to time: its name, its format and its operations.
@@ -121,6 +124,10 @@ fn convolution((channels, side): (usize, usize)) -> Result<Vec<Case>> {
     let weight = vec![0.1; shape.weights()];
     let mut cases = Vec::new();
     for (format, packed) in FORMATS {
+        // There is none of bytes.
+        if packed == PackedFormat::Int8 {
+            continue;
+        }
         let packed = PackedConv::for_inference(&shape, &weight, None, packed)?;
         let (input, mut output) = (vec![0.5; grid.pixels() * channels], Vec::new());
         let name = format!("3x3 convolution {channels} at {side} x {side}");
@@ -162,7 +169,7 @@ fn main() -> Result<()> {
             }
         });
     println!("{threads} threads");
-    println!("| what | format | GFLOP/s | of the peak |");
+    println!("| what | format | Gop/s | of the peak |");
     println!("|---|---|---|---|");
     for ((_, peak), (format, _)) in peaks.iter().zip(FORMATS) {
         println!("| peak | {format} | {:.0} | |", peak / 1e9);

@@ -132,6 +132,7 @@ impl TokenBlocks {
             panel: std::ptr::null(),
             vectors,
             bias: NO_BIAS.as_ptr(),
+            scales: (),
             pixels: rows,
             output: std::ptr::null_mut(),
             residual: std::ptr::null(),

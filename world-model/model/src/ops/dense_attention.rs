@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use super::element::PackedFormat;
 use super::panel_product::{PanelProduct, Rows};
 use super::panels::Panels;
-use super::simd::Bf16Unit;
 use super::softmax::softmax_rows;
 
 /// Queries that one task handles at most.
@@ -110,8 +109,8 @@ impl<'a> HeadRows<'a> {
 }
 
 /// softmax(scale q k^T + mask) v for `q` (batch, heads, queries, dim), `k` and `v` (batch, heads, keys, dim): (batch,
-/// queries, heads, dim). Where `format` is bf16 and the processor has products of it, the factors of both products are
-/// rounded to it.
+/// queries, heads, dim). Where `format` is not f32 and the processor has products of bf16, the factors of both
+/// products are rounded to it.
 ///
 /// # Panics
 /// If a slice has another size.
@@ -122,9 +121,9 @@ pub fn dense_attention(
     mask: Option<ScoreMask<'_>>,
     format: PackedFormat,
 ) -> Vec<f32> {
-    match (format, Bf16Unit::detect()) {
-        (PackedFormat::Bf16, Some(_)) => attend::<bf16>(shape, qkv, scale, mask),
-        _ => attend::<f32>(shape, qkv, scale, mask),
+    match format.bf16_unit() {
+        Some(_) => attend::<bf16>(shape, qkv, scale, mask),
+        None => attend::<f32>(shape, qkv, scale, mask),
     }
 }
 

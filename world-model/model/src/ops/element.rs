@@ -1,10 +1,13 @@
-//! Number formats that packed weights are kept in. Sums are always of f32.
+//! Number formats that packed weights are kept in.
 
 use bytemuck::Pod;
 use half::bf16;
 
-use super::simd::{Bf16Unit, InstructionSet};
+use super::simd::{Bf16Unit, InstructionSet, Int8Unit};
 use super::vectorised::vectorised;
+
+/// The largest absolute value of a weight, and of an input, of 8 bits. -128 does not occur: it has no opposite.
+pub(crate) const INT8_MOST: f32 = 127.0;
 
 /// The number format of packed weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -18,16 +21,33 @@ pub enum PackedFormat {
     /// Where the processor multiplies bf16, activations are rounded to bf16 before they are multiplied, as PyTorch does,
     /// which is about twice as fast as f32. Elsewhere they stay f32. Sums are f32 in both.
     Bf16,
+    /// Whole numbers of 8 bits, and a scale for every output: a quarter of the memory.
+    ///
+    /// What a matrix is multiplied with is rounded to 8 bits as well, with a scale for every row, and the sums are exact:
+    /// every processor gives the same bits. Of matrices only; convolutions and attention compute as in [`Self::Bf16`].
+    Int8,
 }
 
 impl PackedFormat {
-    /// What this machine multiplies weights of the format with: the [`instruction_set`](super::instruction_set), or the unit
-    /// for bf16 (`amx-bf16`, `avx512-bf16`, `neon-bf16`) where it has one. With another one, sums are rounded otherwise.
-    pub fn kernels(self) -> &'static str {
-        match (self, Bf16Unit::detect()) {
-            (Self::Bf16, Some(unit)) => unit.name(),
-            _ => InstructionSet::detect().name(),
+    /// What multiplies bf16, if the format allows inputs to be rounded to it and the processor has it.
+    pub(crate) fn bf16_unit(self) -> Option<Bf16Unit> {
+        match self {
+            Self::F32 => None,
+            Self::Bf16 | Self::Int8 => Bf16Unit::detect(),
         }
+    }
+
+    /// What this machine computes with weights of the format: its [`instruction_set`](super::instruction_set) and, where it
+    /// has them, instructions for the format: `avx2`, `avx512 and amx-bf16`, `neon and neon-dotprod`, .. With others, sums
+    /// are rounded otherwise, but for those of whole numbers.
+    pub fn kernels(self) -> String {
+        let set = InstructionSet::detect().name();
+        let unit = match self {
+            Self::F32 => None,
+            Self::Bf16 => Bf16Unit::detect().map(Bf16Unit::name),
+            Self::Int8 => Some(Int8Unit::detect().name()),
+        };
+        unit.map_or_else(|| set.to_owned(), |unit| format!("{set} and {unit}"))
     }
 }
 
@@ -37,6 +57,11 @@ pub(crate) trait Element: Pod + Send + Sync + std::fmt::Debug {
 
     /// Neighbouring inputs of one output that lie side by side in a panel, because one instruction multiplies them all.
     const GROUP: usize;
+
+    /// Vectors of outputs in a panel at most, on this machine.
+    fn tile_vectors() -> usize {
+        InstructionSet::detect().tile_vectors()
+    }
 
     fn from_f32(value: f32) -> Self;
 
@@ -80,6 +105,27 @@ impl Element for bf16 {
 
     fn round(values: &[f32], out: &mut [bf16]) {
         round_to_bf16(values, out);
+    }
+}
+
+impl Element for i8 {
+    const ZERO: Self = 0;
+    const GROUP: usize = 4;
+
+    fn tile_vectors() -> usize {
+        Int8Unit::detect().tile_vectors()
+    }
+
+    /// To the nearest, and to even between two; the nearest that there is of what is out of range.
+    #[inline(always)]
+    fn from_f32(value: f32) -> Self {
+        value.round_ties_even().clamp(-INT8_MOST, INT8_MOST) as i8
+    }
+
+    fn round(values: &[f32], out: &mut [i8]) {
+        for (value, out) in values.iter().zip(out) {
+            *out = Self::from_f32(*value);
+        }
     }
 }
 

@@ -34,6 +34,8 @@ pub(crate) struct Row<P: Product> {
     pub vectors: usize,
     /// Bias, `vectors * LANES` values.
     pub bias: *const f32,
+    /// What else makes outputs of sums.
+    pub scales: P::Scales,
     /// Pixels.
     pub pixels: usize,
     /// Output of the first pixel.
@@ -112,7 +114,7 @@ impl<P: Product> Row<P> {
             let mut sums = [[L::splat(0.0); N]; M];
             for sum in &mut sums {
                 for (j, sum) in sum.iter_mut().enumerate() {
-                    *sum = L::load(self.bias.add(j * LANES));
+                    *sum = L::load(P::starts(self).add(j * LANES));
                 }
             }
             let mut weights = self.panel;
@@ -155,6 +157,7 @@ impl<P: Product> Row<P> {
     unsafe fn finish(&self, x: usize, vector: usize, values: &mut [f32; LANES]) {
         // SAFETY: as for `run`; the pixel exists, and no channel beyond `channels` is touched.
         unsafe {
+            P::outputs(self, x, vector, values);
             let at = x * self.output_step + vector * LANES;
             let count = (self.channels - vector * LANES).min(LANES);
             if !self.residual.is_null() {

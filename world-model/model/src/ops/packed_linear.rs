@@ -6,10 +6,12 @@ use half::bf16;
 use rayon::prelude::*;
 
 use super::element::PackedFormat;
-use super::panel_product::PanelProduct;
+use super::int8_panels::{Int8Panels, MOST_INPUTS};
+use super::panel_product::{PanelProduct, Rows};
 use super::panel_values::MappedBytes;
 use super::panels::{LAYOUT, Panels};
-use super::simd::instruction_set;
+use super::simd::{Int8Unit, instruction_set};
+use super::smoothing::Smoothing;
 use crate::{Error, Result};
 
 /// Rows that one task handles at most: enough for a panel to be used often once it is there, few enough for them to stay
@@ -19,7 +21,8 @@ const ROWS: usize = 160;
 /// In which order matrices are packed here. Packed values that were kept are of use where it is the same.
 pub fn packed_layout() -> String {
     let architecture = std::env::consts::ARCH;
-    format!("{LAYOUT} {architecture} {}", instruction_set())
+    let (set, int8) = (instruction_set(), Int8Unit::detect().name());
+    format!("{LAYOUT} {architecture} {set} {int8}")
 }
 
 /// A matrix and a bias in the order in which the kernel reads them. Clones share them.
@@ -30,6 +33,7 @@ pub struct PackedLinear(Format);
 enum Format {
     F32(Arc<Panels<f32>>),
     Bf16(Arc<Panels<bf16>>),
+    Int8(Arc<Int8Panels>),
 }
 
 impl PackedLinear {
@@ -43,11 +47,7 @@ impl PackedLinear {
         (outputs, inputs): (usize, usize),
         format: PackedFormat,
     ) -> Result<Self> {
-        let count = outputs.saturating_mul(inputs);
-        check("the weight to be packed", weight, count)?;
-        if let Some(bias) = bias {
-            check("the bias to be packed", bias, outputs)?;
-        }
+        check_matrix(weight, bias, (outputs, inputs))?;
         Ok(Self(match format {
             PackedFormat::F32 => {
                 let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
@@ -57,10 +57,35 @@ impl PackedLinear {
                 let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
                 Format::Bf16(Arc::new(panels))
             }
+            PackedFormat::Int8 => return Self::quantised(weight, bias, (outputs, inputs), None),
         }))
     }
 
-    /// A matrix (outputs, inputs) whose packed values ([`PackedLinear::packed_bytes`]) lie in a file, and `bias` (outputs).
+    /// As [`Self::new`] in [`PackedFormat::Int8`], with what is known of the inputs.
+    ///
+    /// # Errors
+    /// If a slice has another length, there are more inputs than sums are exact for, or `smoothing` is not valid.
+    pub fn quantised(
+        weight: &[f32],
+        bias: Option<&[f32]>,
+        (outputs, inputs): (usize, usize),
+        smoothing: Option<Smoothing<'_>>,
+    ) -> Result<Self> {
+        check_matrix(weight, bias, (outputs, inputs))?;
+        if inputs > MOST_INPUTS {
+            let reason = format!("{inputs} inputs, at most {MOST_INPUTS} have exact sums");
+            return Err(Error::config("quantised weights", reason));
+        }
+        let factors = match smoothing {
+            Some(smoothing) => smoothing.factors(weight, inputs)?,
+            None => vec![1.0; inputs],
+        };
+        let unit = Int8Unit::detect();
+        let panels = Int8Panels::pack(unit, weight, bias, (outputs, inputs), factors);
+        Ok(Self(Format::Int8(Arc::new(panels))))
+    }
+
+    /// A matrix (outputs, inputs) whose packed values ([`PackedLinear::packed_parts`]) lie in a file, and `bias` (outputs).
     ///
     /// # Errors
     /// If there are not as many values as that matrix has packed, they are not aligned, or the bias has another length.
@@ -79,6 +104,8 @@ impl PackedLinear {
                 .map(|panels| Format::F32(Arc::new(panels))),
             PackedFormat::Bf16 => Panels::mapped(inputs, outputs, bias, values)
                 .map(|panels| Format::Bf16(Arc::new(panels))),
+            PackedFormat::Int8 => Int8Panels::mapped(&values, bias, (outputs, inputs))
+                .map(|panels| Format::Int8(Arc::new(panels))),
         };
         packed.map(Self).ok_or_else(|| {
             let reason = format!("{found} bytes, not those of ({outputs}, {inputs}) in {format:?}");
@@ -86,12 +113,19 @@ impl PackedLinear {
         })
     }
 
-    /// The weights as they are packed, without the bias: of use in the same [`packed_layout`].
-    pub fn packed_bytes(&self) -> &[u8] {
+    /// The weights as they are packed, and what belongs to them, without the bias: parts that are to lie one behind the
+    /// other. Of use in the same [`packed_layout`].
+    pub fn packed_parts(&self) -> [&[u8]; 3] {
         match &self.0 {
-            Format::F32(panels) => bytemuck::cast_slice(&panels.values),
-            Format::Bf16(panels) => bytemuck::cast_slice(&panels.values),
+            Format::F32(panels) => [bytemuck::cast_slice(&panels.values), &[], &[]],
+            Format::Bf16(panels) => [bytemuck::cast_slice(&panels.values), &[], &[]],
+            Format::Int8(panels) => panels.parts(),
         }
+    }
+
+    /// Bytes of [`Self::packed_parts`].
+    pub fn packed_length(&self) -> usize {
+        self.packed_parts().iter().map(|part| part.len()).sum()
     }
 
     /// What the weights are kept in.
@@ -99,6 +133,7 @@ impl PackedLinear {
         match &self.0 {
             Format::F32(_) => PackedFormat::F32,
             Format::Bf16(_) => PackedFormat::Bf16,
+            Format::Int8(_) => PackedFormat::Int8,
         }
     }
 
@@ -107,6 +142,7 @@ impl PackedLinear {
         match &self.0 {
             Format::F32(panels) => panels.depth,
             Format::Bf16(panels) => panels.depth,
+            Format::Int8(packed) => packed.panels.depth,
         }
     }
 
@@ -115,6 +151,7 @@ impl PackedLinear {
         match &self.0 {
             Format::F32(panels) => panels.outputs,
             Format::Bf16(panels) => panels.outputs,
+            Format::Int8(packed) => packed.panels.outputs,
         }
     }
 
@@ -161,7 +198,27 @@ impl PackedLinear {
         match &self.0 {
             Format::F32(panels) => f32::product(panels, x, y),
             Format::Bf16(panels) => bf16::product(panels, x, y),
+            Format::Int8(packed) => {
+                let (x, y) = Rows::contiguous((x, self.inputs()), (y, self.outputs()));
+                packed.product_of_rows(x, y);
+            }
         }
+    }
+}
+
+fn check_matrix(
+    weight: &[f32],
+    bias: Option<&[f32]>,
+    (outputs, inputs): (usize, usize),
+) -> Result<()> {
+    check(
+        "the weight to be packed",
+        weight,
+        outputs.saturating_mul(inputs),
+    )?;
+    match bias {
+        Some(bias) => check("the bias to be packed", bias, outputs),
+        None => Ok(()),
     }
 }
 

@@ -25,6 +25,32 @@ pub(crate) struct Rows<Values> {
     pub(crate) count: usize,
 }
 
+impl<'x> Rows<&'x [f32]> {
+    /// Rows of `x` and `y` of these widths that follow each other.
+    ///
+    /// # Panics
+    /// If `x` is not whole rows, or `y` has another number of them.
+    pub(crate) fn contiguous<'y>(
+        (x, inputs): (&'x [f32], usize),
+        (y, outputs): (&'y mut [f32], usize),
+    ) -> (Self, Rows<&'y mut [f32]>) {
+        let count = x.len() / inputs.max(1);
+        assert_eq!(x.len(), count * inputs, "input of a product");
+        assert_eq!(y.len(), count * outputs, "output of a product");
+        let x = Rows {
+            values: x,
+            step: inputs,
+            count,
+        };
+        let y = Rows {
+            values: y,
+            step: outputs,
+            count,
+        };
+        (x, y)
+    }
+}
+
 /// Panels of a format that rows are multiplied with.
 pub(crate) trait PanelProduct: Element {
     /// `y` (rows of outputs) = `x` (as many rows of inputs) times a packed matrix, plus its bias.
@@ -38,22 +64,7 @@ pub(crate) trait PanelProduct: Element {
     /// # Panics
     /// If `x` is not whole rows, or `y` has another number of them.
     fn product(panels: &Panels<Self>, x: &[f32], y: &mut [f32]) {
-        let (inputs, outputs) = (panels.depth, panels.outputs);
-        let count = x.len() / inputs.max(1);
-        assert_eq!(x.len(), count * inputs, "input of a product");
-        assert_eq!(y.len(), count * outputs, "output of a product");
-        let (x, y) = (
-            Rows {
-                values: x,
-                step: inputs,
-                count,
-            },
-            Rows {
-                values: y,
-                step: outputs,
-                count,
-            },
-        );
+        let (x, y) = Rows::contiguous((x, panels.depth), (y, panels.outputs));
         Self::product_of_rows(panels, x, y);
     }
 }
@@ -65,7 +76,7 @@ impl PanelProduct for f32 {
             ahead(panels, place);
             let weights = panels.values.as_ptr().wrapping_add(place.1);
             let input = (x.values.as_ptr(), x.step, panels.depth);
-            let row = row::<F32>(input, weights, panels, place, target);
+            let row = row::<F32>(input, weights, panels, place, target, ());
             // SAFETY: the lengths were checked above, and those of the panels hold by construction; the
             // panels were cut for an instruction set that was detected.
             unsafe { row.run(panels.set) };
@@ -109,7 +120,7 @@ fn rounded(unit: Bf16Unit, panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut 
             ahead(panels, place);
             let weights = panels.values.as_ptr().wrapping_add(place.1);
             let input = (buffer.as_ptr(), whole, whole);
-            let row = row::<Bf16>(input, weights, panels, place, target);
+            let row = row::<Bf16>(input, weights, panels, place, target, ());
             // SAFETY: as above; the buffer has `rows` rows of `whole` values.
             unsafe { row.run(unit) };
         }
@@ -131,7 +142,7 @@ fn widened(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
                 widen(pairs, vectors * LANES, buffer);
             }
             let input = (x.values.as_ptr(), x.step, panels.depth);
-            let row = row::<F32>(input, buffer.as_ptr(), panels, place, target);
+            let row = row::<F32>(input, buffer.as_ptr(), panels, place, target, ());
             // SAFETY: as above; the buffer has a row of weights for every input.
             unsafe { row.run(panels.set) };
         }
@@ -140,14 +151,18 @@ fn widened(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
 
 /// Rows of outputs that were found to be long enough.
 #[derive(Clone, Copy)]
-struct Target {
+pub(super) struct Target {
     values: *mut f32,
     step: usize,
     count: usize,
 }
 
 /// Where a product is to be written. The kernel trusts the lengths.
-fn check<T: Element>(panels: &Panels<T>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) -> Target {
+pub(super) fn check<T: Element>(
+    panels: &Panels<T>,
+    x: Rows<&[f32]>,
+    y: Rows<&mut [f32]>,
+) -> Target {
     let holds = |length: usize, step: usize, width: usize| {
         x.count == 0 || (step >= width && (x.count - 1) * step + width <= length)
     };
@@ -167,7 +182,7 @@ fn check<T: Element>(panels: &Panels<T>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) -
 }
 
 /// All weights of a model do not fit into the caches that are near: the next panel comes while this one is computed with.
-fn ahead<T: Element>(panels: &Panels<T>, (vectors, start, _): (usize, usize, usize)) {
+pub(super) fn ahead<T: Element>(panels: &Panels<T>, (vectors, start, _): (usize, usize, usize)) {
     let count = panels.whole_depth() * vectors * LANES;
     if let Some(next) = panels.values.get(start + count..start + 2 * count) {
         prefetch(next);
@@ -175,12 +190,13 @@ fn ahead<T: Element>(panels: &Panels<T>, (vectors, start, _): (usize, usize, usi
 }
 
 /// The product of rows of `run` values, `step` apart, with one panel.
-fn row<P: Product>(
+pub(super) fn row<P: Product>(
     (input, step, run): (*const P::Input, usize, usize),
     panel: *const P::Weight,
     panels: &Panels<impl Element>,
     (vectors, _, first): (usize, usize, usize),
     target: Target,
+    scales: P::Scales,
 ) -> Row<P> {
     Row {
         input,
@@ -191,6 +207,7 @@ fn row<P: Product>(
         panel,
         vectors,
         bias: panels.bias.as_ptr().wrapping_add(first),
+        scales,
         pixels: target.count,
         output: target.values.wrapping_add(first),
         residual: std::ptr::null(),
@@ -204,7 +221,6 @@ fn row<P: Product>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ops::simd::tested;
 
     fn numbers(count: usize, seed: usize) -> Vec<f32> {
         (0..count)
@@ -277,7 +293,8 @@ mod tests {
                 let panels = Panels::pack_transposed(inputs, outputs, Some(bias), w);
                 widened(&panels, x, y);
             });
-            for unit in tested::bf16_units() {
+            let units = Bf16Unit::ALL.iter().copied();
+            for unit in units.filter(|unit| unit.can_be_tested()) {
                 check_product(unit.name(), shape, (true, true), |(w, bias), x, y| {
                     let panels = Panels::pack_transposed(inputs, outputs, Some(bias), w);
                     // What an earlier, larger product leaves must not matter.

@@ -26,6 +26,14 @@ impl MappedBytes {
         Some(Self { map, range })
     }
 
+    /// The first `count` bytes, and those behind them; `None` if there are not that many.
+    pub(super) fn split_at(&self, count: usize) -> Option<(Self, Self)> {
+        let middle = self.range.start.checked_add(count)?;
+        let part = |range| Self::new(&self.map, range);
+        (middle <= self.range.end)
+            .then(|| part(self.range.start..middle).zip(part(middle..self.range.end)))?
+    }
+
     /// The bytes.
     pub fn as_slice(&self) -> &[u8] {
         self.map.get(self.range.clone()).unwrap_or_default()

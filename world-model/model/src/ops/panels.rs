@@ -40,15 +40,19 @@ pub(crate) struct Panels<T: Element = f32> {
 impl<T: Element> Panels<T> {
     /// Zeros for a matrix (depth x outputs).
     pub(crate) fn zeros(depth: usize, outputs: usize) -> Self {
-        let set = InstructionSet::detect();
+        Self::cut(depth, outputs, T::tile_vectors())
+    }
+
+    /// Zeros for a matrix (depth x outputs), in panels of `most` vectors at most.
+    fn cut(depth: usize, outputs: usize, most: usize) -> Self {
         let vectors = outputs.div_ceil(LANES);
         // As equal as can be: six vectors are better as 3 + 3 than as 4 + 2.
-        let count = vectors.div_ceil(set.tile_vectors());
+        let count = vectors.div_ceil(most);
         let widths = (0..count)
             .map(|i| vectors * (i + 1) / count - vectors * i / count)
             .collect();
         Self {
-            set,
+            set: InstructionSet::detect(),
             widths,
             depth,
             outputs,
@@ -69,7 +73,17 @@ impl<T: Element> Panels<T> {
         bias: Option<&[f32]>,
         values: MappedBytes,
     ) -> Option<Self> {
-        let mut panels = Self::with_bias(0, outputs, bias);
+        Self::mapped_in(T::tile_vectors(), (depth, outputs), bias, values)
+    }
+
+    /// As [`Self::mapped`], of panels of `most` vectors at most.
+    pub(super) fn mapped_in(
+        most: usize,
+        (depth, outputs): (usize, usize),
+        bias: Option<&[f32]>,
+        values: MappedBytes,
+    ) -> Option<Self> {
+        let mut panels = Self::cut(0, outputs, most).with_bias(bias);
         panels.depth = depth;
         let whole = depth.checked_next_multiple_of(T::GROUP)?;
         let count = panels.bias.len().checked_mul(whole)?;
@@ -77,13 +91,12 @@ impl<T: Element> Panels<T> {
         Some(panels)
     }
 
-    /// Zeros for a matrix (depth x outputs), with `bias` (or zeros).
-    fn with_bias(depth: usize, outputs: usize, bias: Option<&[f32]>) -> Self {
-        let mut panels = Self::zeros(depth, outputs);
-        for (target, b) in panels.bias.iter_mut().zip(bias.unwrap_or_default()) {
+    /// The same with `bias` (or as it is).
+    fn with_bias(mut self, bias: Option<&[f32]>) -> Self {
+        for (target, b) in self.bias.iter_mut().zip(bias.unwrap_or_default()) {
             *target = *b;
         }
-        panels
+        self
     }
 
     /// Packs the transpose of `matrix` (outputs x depth), with `bias` (or zeros), on all threads of the pool.
@@ -93,7 +106,18 @@ impl<T: Element> Panels<T> {
         bias: Option<&[f32]>,
         matrix: &[f32],
     ) -> Self {
-        Self::with_bias(depth, outputs, bias).filled(depth, &[matrix])
+        Self::pack_transposed_in(T::tile_vectors(), (depth, outputs), bias, matrix)
+    }
+
+    /// As [`Self::pack_transposed`], in panels of `most` vectors at most.
+    pub(super) fn pack_transposed_in(
+        most: usize,
+        (depth, outputs): (usize, usize),
+        bias: Option<&[f32]>,
+        matrix: &[f32],
+    ) -> Self {
+        let zeros = Self::cut(depth, outputs, most).with_bias(bias);
+        zeros.filled(depth, &[matrix])
     }
 
     /// With the transposes of `matrices` (each outputs x `depth`) one below the other.
@@ -126,7 +150,7 @@ impl<T: Element> Panels<T> {
         bias: Option<&[f32]>,
         add: impl Fn(usize, usize, &mut [f32]) + Sync,
     ) -> Self {
-        let mut panels = Self::with_bias(depth, outputs, bias);
+        let mut panels = Self::zeros(depth, outputs).with_bias(bias);
         let places: Vec<(usize, usize, usize)> = panels.iter().collect();
         let whole = panels.whole_depth();
         for (vectors, start, first) in places {

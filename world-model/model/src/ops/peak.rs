@@ -4,27 +4,30 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use super::element::{Element, PackedFormat};
-use super::product::{Bf16, F32, Product, Step};
+use super::product::{Bf16, F32, Int8, Product, Step};
 #[cfg(target_arch = "aarch64")]
 use super::simd::Neon;
 #[cfg(target_arch = "x86_64")]
-use super::simd::amx::{Bf16Tiles, Operands, ROW_BYTES, ROWS, Shapes, Sums, TileProduct};
+use super::simd::amx::{
+    Bf16Tiles, Int8Tiles, Operands, ROW_BYTES, ROWS, Shapes, Sums, TileProduct,
+};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
-use super::simd::{Bf16Unit, InstructionSet, LANES, Lanes, Portable};
+use super::simd::{Bf16Unit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
 
 /// Sums that are added to in turns: more than a processor's latency of an addition times its units.
 const SUMS: usize = 12;
 const ROUNDS: usize = 200_000;
 
-/// Floating-point operations a second that the products of a kernel for weights of `format` have at most, measured on the
-/// calling thread: multiplications and additions of values that are in registers. None where the processor has no
+/// Operations a second that the products of a kernel for weights of `format` have at most, measured on the calling thread:
+/// multiplications and additions of values that are in registers. None where the processor has no
 /// products of the format.
 pub fn peak_rate(format: PackedFormat) -> Option<f64> {
     let start = Instant::now();
     let steps = match format {
         PackedFormat::F32 => f32_steps(InstructionSet::detect()),
         PackedFormat::Bf16 => bf16_steps(Bf16Unit::detect()?),
+        PackedFormat::Int8 => int8_steps(Int8Unit::detect()),
     };
     Some((2 * steps) as f64 / start.elapsed().as_secs_f64())
 }
@@ -75,6 +78,35 @@ fn bf16_steps(unit: Bf16Unit) -> usize {
         Bf16Unit::Avx512 => unsafe { avx512(&input, &weights) },
         #[cfg(target_arch = "aarch64")]
         Bf16Unit::Neon => steps::<Bf16, Neon>(&input, &weights),
+    }
+}
+
+fn int8_steps(unit: Int8Unit) -> usize {
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512vnni")]
+    fn avx512_vnni() -> usize {
+        steps::<Int8, Avx512>(&[1; 4], &[1; 4 * LANES])
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn avx2() -> usize {
+        steps::<Int8, Avx2>(&[1; 4], &[1; 4 * LANES])
+    }
+
+    match unit {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the processor was found to have these instructions.
+        Int8Unit::Amx => unsafe { tile_steps::<Int8Tiles>(ROUNDS, i8::GROUP) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Int8Unit::Avx512Vnni => unsafe { avx512_vnni() },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Int8Unit::Avx2 => unsafe { avx2() },
+        #[cfg(target_arch = "aarch64")]
+        Int8Unit::Neon => steps::<Int8, Neon>(&[1; 4], &[1; 4 * LANES]),
+        Int8Unit::Portable => steps::<Int8, Portable>(&[1; 4], &[1; 4 * LANES]),
     }
 }
 
@@ -130,17 +162,20 @@ mod tests {
     #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
     #[test]
     fn products_of_tiles_are_counted() {
-        use crate::ops::simd::tested;
-        let is_tested = tested::bf16_units().any(|unit| unit == Bf16Unit::Amx);
-        assert!(is_tested);
+        assert!(Bf16Unit::Amx.can_be_tested() && Int8Unit::Amx.can_be_tested());
         // SAFETY: the processor has the tiles, or they are emulated.
-        let steps = unsafe { tile_steps::<Bf16Tiles>(3, half::bf16::GROUP) };
-        assert_eq!(steps, 3 * 4 * 16 * 16 * 32);
+        unsafe {
+            let (bf16, int8) = (half::bf16::GROUP, i8::GROUP);
+            assert_eq!(tile_steps::<Bf16Tiles>(3, bf16), 3 * 4 * 16 * 16 * 32);
+            assert_eq!(tile_steps::<Int8Tiles>(2, int8), 2 * 4 * 16 * 16 * 64);
+        }
     }
 
     #[test]
     fn a_processor_computes_something() {
-        assert!(peak_rate(PackedFormat::F32).is_some_and(|rate| rate > 1e6));
+        for format in [PackedFormat::F32, PackedFormat::Int8] {
+            assert!(peak_rate(format).is_some_and(|rate| rate > 1e6));
+        }
         assert_eq!(
             peak_rate(PackedFormat::Bf16).is_some(),
             Bf16Unit::detect().is_some()

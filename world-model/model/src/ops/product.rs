@@ -1,5 +1,5 @@
-//! How inputs are multiplied with packed weights: what one step of the kernels' inner loop reads, and what it adds to the
-//! sums.
+//! How inputs are multiplied with packed weights: what one step of the kernels' inner loop reads, what it adds to the
+//! sums, and how outputs are made of them.
 
 use half::bf16;
 
@@ -8,12 +8,12 @@ use super::kernel::Row;
 #[cfg(target_arch = "aarch64")]
 use super::simd::Neon;
 #[cfg(target_arch = "x86_64")]
-use super::simd::amx::Bf16Tiles;
+use super::simd::amx::{Bf16Tiles, Int8Tiles};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
-use super::simd::{Bf16Unit, DotBf16, InstructionSet, Lanes, Portable};
+use super::simd::{Bf16Unit, DotBf16, DotInt8, InstructionSet, Int8Unit, LANES, Lanes, Portable};
 
-/// The number formats of a product. The sums are f32.
+/// The number formats of a product.
 ///
 /// One step takes a group of neighbouring inputs, and for each output as many weights, which lie side by side
 /// ([`Element::GROUP`]).
@@ -24,12 +24,29 @@ pub(crate) trait Product: Copy + Send + Sync + 'static {
     type Weight: Element;
     /// What of a processor computes it.
     type Unit: Copy + Send + Sync;
+    /// What makes outputs of the sums, besides the bias: nothing where the sums are outputs.
+    type Scales: Copy;
 
     /// Computes a row.
     ///
     /// # Safety
     /// All pointers of `row` must be valid for what their comments say, and the processor must have `unit`.
     unsafe fn run(row: &Row<Self>, unit: Self::Unit);
+
+    /// Where the sums start, for every output: at the bias. What has as many bits where the sums are no f32.
+    #[inline(always)]
+    fn starts(row: &Row<Self>) -> *const f32 {
+        row.bias
+    }
+
+    /// Makes outputs of the sums of vector `vector` of pixel `pixel`.
+    ///
+    /// # Safety
+    /// As for [`Self::run`]; the row has that pixel and that vector.
+    #[inline(always)]
+    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
+        let _ = (row, pixel, vector, sums);
+    }
 }
 
 /// A step of a product on the lanes `L`, of which each holds a group or a sum.
@@ -42,7 +59,7 @@ pub(crate) trait Step<L: Lanes>: Product {
     /// A group must be readable at `input`.
     unsafe fn splat(input: *const Self::Input) -> L;
 
-    /// The groups of weights of [`LANES`](super::simd::LANES) outputs.
+    /// The groups of weights of [`LANES`] outputs.
     ///
     /// # Safety
     /// As many groups must be readable at `weights`.
@@ -60,6 +77,7 @@ impl Product for F32 {
     type Input = f32;
     type Weight = f32;
     type Unit = InstructionSet;
+    type Scales = ();
 
     unsafe fn run(row: &Row<Self>, set: InstructionSet) {
         #[cfg(target_arch = "x86_64")]
@@ -119,6 +137,7 @@ impl Product for Bf16 {
     type Input = bf16;
     type Weight = bf16;
     type Unit = Bf16Unit;
+    type Scales = ();
 
     unsafe fn run(row: &Row<Self>, unit: Bf16Unit) {
         #[cfg(target_arch = "x86_64")]
@@ -169,5 +188,113 @@ impl<L: DotBf16> Step<L> for Bf16 {
     #[inline(always)]
     fn add(inputs: L, weights: L, sums: L) -> L {
         inputs.dot_bf16(weights, sums)
+    }
+}
+
+/// Bytes times bytes, four at once. Sums are whole numbers, and exact.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Int8;
+
+/// What makes outputs of sums of bytes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Int8Scales {
+    /// What an input of 1 stands for, for each pixel.
+    pub inputs: *const f32,
+    /// What a weight of 1 stands for, for each output: `vectors * LANES` values.
+    pub weights: *const f32,
+    /// Where the sums start, `vectors * LANES` values: [`Int8Unit::input_offset`].
+    pub starts: *const i32,
+}
+
+impl Product for Int8 {
+    type Input = i8;
+    type Weight = i8;
+    type Unit = Int8Unit;
+    type Scales = Int8Scales;
+
+    unsafe fn run(row: &Row<Self>, unit: Int8Unit) {
+        /// As in [`Bf16`]: what is around the tiles, in wide registers.
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f")]
+        unsafe fn amx(row: &Row<Int8>) {
+            // SAFETY: as for `run`.
+            unsafe { row.amx_tiles::<Int8Tiles>() }
+        }
+
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f,avx512vnni")]
+        unsafe fn avx512_vnni(row: &Row<Int8>) {
+            // SAFETY: as for `run`.
+            unsafe { row.wide_tiles::<Avx512>() }
+        }
+
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn avx2(row: &Row<Int8>) {
+            // Four pixels: of sixteen registers eight are sums, and a step needs seven.
+            // SAFETY: as for `run`.
+            unsafe { row.tiles::<Avx2, 4, 1>() }
+        }
+
+        // SAFETY: the caller vouches for the pointers and the instructions.
+        unsafe {
+            match unit {
+                #[cfg(target_arch = "x86_64")]
+                Int8Unit::Amx => match InstructionSet::detect() {
+                    InstructionSet::Avx512 => amx(row),
+                    _ => row.amx_tiles::<Int8Tiles>(),
+                },
+                #[cfg(target_arch = "x86_64")]
+                Int8Unit::Avx512Vnni => avx512_vnni(row),
+                #[cfg(target_arch = "x86_64")]
+                Int8Unit::Avx2 => avx2(row),
+                #[cfg(target_arch = "aarch64")]
+                Int8Unit::Neon => row.tiles::<Neon, 6, 1>(),
+                Int8Unit::Portable => row.tiles::<Portable, 4, 1>(),
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn starts(row: &Row<Self>) -> *const f32 {
+        row.scales.starts.cast()
+    }
+
+    /// In one order, and without fused operations, so that every processor gives the same bits.
+    #[inline(always)]
+    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
+        // SAFETY: as for this function.
+        let (input, weights, bias) = unsafe {
+            let at = vector * LANES;
+            let values = |of: *const f32| of.add(at).cast::<[f32; LANES]>().read_unaligned();
+            (
+                *row.scales.inputs.add(pixel),
+                values(row.scales.weights),
+                values(row.bias),
+            )
+        };
+        for ((value, weight), bias) in sums.iter_mut().zip(weights).zip(bias) {
+            let sum = value.to_bits().cast_signed() as f32;
+            *value = sum * (input * weight) + bias;
+        }
+    }
+}
+
+impl<L: DotInt8> Step<L> for Int8 {
+    #[inline(always)]
+    unsafe fn splat(input: *const i8) -> L {
+        // SAFETY: as for this function; the read needs no alignment.
+        L::splat_bits(unsafe { input.cast::<u32>().read_unaligned() })
+    }
+
+    #[inline(always)]
+    unsafe fn load(weights: *const i8) -> L {
+        // SAFETY: as for this function; a lane is four bytes.
+        unsafe { L::load(weights.cast()) }
+    }
+
+    #[inline(always)]
+    fn add(inputs: L, weights: L, sums: L) -> L {
+        inputs.dot_int8(weights, sums)
     }
 }

@@ -7,12 +7,14 @@ pub(crate) mod amx;
 #[cfg(target_arch = "aarch64")]
 mod neon;
 mod portable;
+mod units;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
 #[cfg(target_arch = "aarch64")]
 pub(crate) use neon::Neon;
 pub(crate) use portable::Portable;
+pub(crate) use units::{Bf16Unit, Int8Unit};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::{Avx2, Avx512};
 
@@ -45,6 +47,13 @@ pub(crate) trait Lanes: Copy {
 pub(crate) trait DotBf16: Lanes {
     /// In every lane the sum of both products of `self`, whose lanes are all the same, and `b`, plus that of `c`, an f32.
     fn dot_bf16(self, b: Self, c: Self) -> Self;
+}
+
+/// Lanes with products of bytes, four of which are in each lane.
+pub(crate) trait DotInt8: Lanes {
+    /// In every lane the sum of the four products of `self` (inputs, as the [`Int8Unit`] takes them, the same in all lanes)
+    /// and `b` (weights, with a sign), plus that of `c`, an i32. Exact.
+    fn dot_int8(self, b: Self, c: Self) -> Self;
 }
 
 /// Instruction sets with kernels of their own.
@@ -117,97 +126,6 @@ impl InstructionSet {
     }
 }
 
-/// How products of bf16 are computed where the processor has an instruction for them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Bf16Unit {
-    /// tdpbf16ps on tiles of AMX.
-    #[cfg(target_arch = "x86_64")]
-    Amx,
-    /// vdpbf16ps on 512 bits.
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-    /// bfdot on 128 bits.
-    #[cfg(target_arch = "aarch64")]
-    Neon,
-}
-
-impl Bf16Unit {
-    /// Those of this architecture, the best one first.
-    pub(crate) const ALL: &[Self] = &[
-        #[cfg(target_arch = "x86_64")]
-        Self::Amx,
-        #[cfg(target_arch = "x86_64")]
-        Self::Avx512,
-        #[cfg(target_arch = "aarch64")]
-        Self::Neon,
-    ];
-
-    /// The best one of this machine, if it has any.
-    pub(crate) fn detect() -> Option<Self> {
-        static DETECTED: OnceLock<Option<Bf16Unit>> = OnceLock::new();
-        *DETECTED.get_or_init(|| Self::ALL.iter().copied().find(|unit| unit.is_there()))
-    }
-
-    /// Whether this machine has it.
-    pub(crate) fn is_there(self) -> bool {
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Amx => amx::has_bf16(),
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => {
-                InstructionSet::Avx512.is_there() && is_x86_feature_detected!("avx512bf16")
-            }
-            #[cfg(target_arch = "aarch64")]
-            Self::Neon => std::arch::is_aarch64_feature_detected!("bf16"),
-        }
-    }
-
-    /// What users are told.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Amx => "amx-bf16",
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => "avx512-bf16",
-            #[cfg(target_arch = "aarch64")]
-            Self::Neon => "neon-bf16",
-        }
-    }
-}
-
-/// What tests print and do about the paths of this architecture.
-#[cfg(test)]
-pub(crate) mod tested {
-    use super::{Bf16Unit, InstructionSet};
-
-    /// The instruction sets that can be tested here. Says which, and which are skipped.
-    pub(crate) fn instruction_sets() -> impl Iterator<Item = InstructionSet> {
-        let all = InstructionSet::ALL.iter().copied();
-        all.filter(|set| says(set.name(), set.is_there(), ""))
-    }
-
-    /// The units for bf16 that can be tested here, AMX by its emulator if need be. Says which, and which are skipped.
-    pub(crate) fn bf16_units() -> impl Iterator<Item = Bf16Unit> {
-        Bf16Unit::ALL.iter().copied().filter(|unit| {
-            #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
-            if *unit == Bf16Unit::Amx && !unit.is_there() {
-                super::amx::emulator::install();
-                return says(unit.name(), true, ", emulated");
-            }
-            says(unit.name(), unit.is_there(), "")
-        })
-    }
-
-    fn says(name: &str, is_tested: bool, how: &str) -> bool {
-        if is_tested {
-            println!("tested: {name}{how}");
-        } else {
-            println!("skipped: {name}, which this processor has not");
-        }
-        is_tested
-    }
-}
-
 /// Which kernels this machine computes f32 with: `avx512`, `avx2`, `neon` or `portable`. Under another set sums are rounded
 /// otherwise.
 pub fn instruction_set() -> &'static str {
@@ -215,7 +133,7 @@ pub fn instruction_set() -> &'static str {
 }
 
 /// No panel is wider, under any instruction set.
-pub(crate) const MOST_VECTORS: usize = 4;
+const MOST_VECTORS: usize = 4;
 
 /// A panel's bias for sums that have none.
 pub(crate) static NO_BIAS: [f32; MOST_VECTORS * LANES] = [0.0; MOST_VECTORS * LANES];

@@ -101,15 +101,18 @@ pub(super) fn write(
     matrices: &[(String, PackedLinear)],
 ) -> Result<(), Refusal> {
     let described = matrices.iter().map(|(name, packed)| {
-        let bytes = packed.packed_bytes();
+        let mut crc32 = crc32fast::Hasher::new();
+        for part in packed.packed_parts() {
+            crc32.update(part);
+        }
         Matrix {
             name: name.clone(),
             outputs: packed.outputs(),
             inputs: packed.inputs(),
             format: packed.format(),
             start: 0,
-            bytes: bytes.len() as u64,
-            crc32: crc32fast::hash(bytes),
+            bytes: packed.packed_length() as u64,
+            crc32: crc32.finalize(),
         }
     });
     let mut header = Header {
@@ -122,18 +125,22 @@ pub(super) fn write(
     header.arrange()?;
     let mut writer = BufWriter::new(file);
     let mut written = 0;
-    let mut put = |bytes: &[u8], start: u64| -> std::io::Result<()> {
+    let mut put = |parts: &[&[u8]], start: u64| -> std::io::Result<()> {
         let gap = start.saturating_sub(written);
         std::io::copy(
             &mut std::io::Read::take(std::io::repeat(0), gap),
             &mut writer,
         )?;
-        written += gap + bytes.len() as u64;
-        writer.write_all(bytes)
+        written += gap;
+        for bytes in parts {
+            written += bytes.len() as u64;
+            writer.write_all(bytes)?;
+        }
+        Ok(())
     };
-    put(&header.encode()?, 0)?;
+    put(&[&header.encode()?], 0)?;
     for (matrix, (_, packed)) in header.matrices.iter().zip(matrices) {
-        put(packed.packed_bytes(), matrix.start)?;
+        put(&packed.packed_parts(), matrix.start)?;
     }
     Ok(writer.flush()?)
 }

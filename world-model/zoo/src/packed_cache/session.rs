@@ -101,7 +101,7 @@ impl Session {
         };
         let bytes = packed
             .iter()
-            .map(|(_, packed)| packed.packed_bytes().len() as u64);
+            .map(|(_, packed)| packed.packed_length() as u64);
         let bytes = bytes.sum();
         if is_complete || bytes < self.cache.limits.least {
             return;

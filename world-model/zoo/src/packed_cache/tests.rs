@@ -183,8 +183,8 @@ fn values_come_from_the_kept_file() {
         let packed = checkpoint.with_values(&name, false, |values| {
             wm_model::ops::PackedLinear::new(values, None, shape, PackedFormat::F32).unwrap()
         });
-        assert_eq!(found.packed_bytes(), packed.unwrap().packed_bytes());
-        let start = found.packed_bytes().as_ptr();
+        assert_eq!(found.packed_parts(), packed.unwrap().packed_parts());
+        let start = found.packed_parts()[0].as_ptr();
         assert_eq!(start.align_offset(64), 0, "whole cache lines");
         let other = (shape.1, shape.0);
         assert!(linear(&name, other, PackedFormat::F32).is_none());

@@ -65,8 +65,8 @@ impl<T: Element> Part<T> {
 }
 
 impl PackedConv {
-    /// Packs `weight` (kernel row, kernel column, inputs, outputs) and `bias` (outputs) in `format`; in f32 where the
-    /// processor has no products of bf16.
+    /// Packs `weight` (kernel row, kernel column, inputs, outputs) and `bias` (outputs): in bf16 where `format` is not f32
+    /// and the processor has products of it, else in f32.
     ///
     /// # Errors
     /// If the shape is invalid or a slice has the wrong length for it.
@@ -76,11 +76,7 @@ impl PackedConv {
         bias: Option<&[f32]>,
         format: PackedFormat,
     ) -> Result<Self> {
-        let unit = match format {
-            PackedFormat::F32 => None,
-            PackedFormat::Bf16 => Bf16Unit::detect(),
-        };
-        Self::of_unit(shape, weight, bias, unit)
+        Self::of_unit(shape, weight, bias, format.bf16_unit())
     }
 
     /// In bf16 for `unit`, or else in f32.
@@ -113,8 +109,7 @@ impl PackedConv {
         bias: Option<&[f32]>,
         format: PackedFormat,
     ) -> Result<Self> {
-        let has_bf16 = format == PackedFormat::Bf16 && Bf16Unit::detect().is_some();
-        if has_bf16 || !Winograd::suits(shape) {
+        if format.bf16_unit().is_some() || !Winograd::suits(shape) {
             return Self::new(shape, weight, bias, format);
         }
         check_weights(shape, weight, bias)?;
@@ -241,7 +236,7 @@ impl Run<'_> {
     ///
     /// # Safety
     /// `length` values must be writable at `output`, and the processor must have `unit`.
-    unsafe fn all<P: Product>(&self, parts: &[Part<P::Weight>], unit: P::Unit)
+    unsafe fn all<P: Product<Scales = ()>>(&self, parts: &[Part<P::Weight>], unit: P::Unit)
     where
         P::Input: Banded,
     {

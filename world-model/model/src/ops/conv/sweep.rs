@@ -79,7 +79,7 @@ pub(super) fn whole_channels<T: Element>(channels: usize) -> usize {
     channels.next_multiple_of(T::GROUP)
 }
 
-impl<P: Product> Sweep<'_, P>
+impl<P: Product<Scales = ()>> Sweep<'_, P>
 where
     P::Input: Banded,
 {
@@ -181,6 +181,7 @@ where
                         } else {
                             NO_BIAS.as_ptr()
                         },
+                        scales: (),
                         pixels: part.width,
                         output: target.at(at),
                         residual: if is_first {

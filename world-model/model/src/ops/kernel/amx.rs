@@ -42,7 +42,7 @@ impl<P: Product> Row<P> {
                 unsafe {
                     let start = |vector: usize| {
                         let vector = vector.min(self.vectors - 1);
-                        let values = self.bias.add(vector * LANES);
+                        let values = P::starts(self).add(vector * LANES);
                         [values.cast::<[f32; LANES]>().read_unaligned(); ROWS]
                     };
                     let mut sums = Sums([[start(first), start(first + 1)]; 2]);

@@ -3,8 +3,9 @@
 use half::bf16;
 
 use super::*;
+use crate::ops::int8_panels::tests::check_unit as check_int8;
 use crate::ops::product::{Bf16, F32};
-use crate::ops::simd::{Bf16Unit, MOST_VECTORS, tested};
+use crate::ops::simd::{Bf16Unit, Int8Unit};
 
 /// Inputs of a pixel, rows and columns of taps: less than a tile of AMX takes at once, as much, and both.
 const TAPS: [(usize, usize, usize); 4] = [(6, 3, 3), (64, 1, 1), (34, 2, 3), (2, 1, 1)];
@@ -45,7 +46,7 @@ impl Sum {
 }
 
 /// Rows of every size, by `unit`, with panels of up to `most_vectors`.
-fn check_rows<P: Product<Input = T, Weight = T>, T: Element + Into<f32>>(
+fn check_rows<P: Product<Input = T, Weight = T, Scales = ()>, T: Element + Into<f32>>(
     what: &str,
     unit: P::Unit,
     most_vectors: usize,
@@ -66,7 +67,7 @@ fn check_rows<P: Product<Input = T, Weight = T>, T: Element + Into<f32>>(
     }
 }
 
-fn check_row<P: Product<Input = T, Weight = T>, T: Element + Into<f32>>(
+fn check_row<P: Product<Input = T, Weight = T, Scales = ()>, T: Element + Into<f32>>(
     what: &str,
     unit: P::Unit,
     (inputs, tap_rows, tap_columns): (usize, usize, usize),
@@ -95,6 +96,7 @@ fn check_row<P: Product<Input = T, Weight = T>, T: Element + Into<f32>>(
         panel: panel.as_ptr(),
         vectors,
         bias: bias.as_ptr(),
+        scales: (),
         pixels,
         output: output.as_mut_ptr(),
         residual: output.as_ptr(),
@@ -132,19 +134,43 @@ fn check_row<P: Product<Input = T, Weight = T>, T: Element + Into<f32>>(
     assert_eq!(output.last(), residual.last(), "{what}: wrote too far");
 }
 
+/// Says which of the architecture's paths were tested here, and which this processor has not.
 #[test]
 fn every_path_that_this_processor_has_is_tested() {
-    for set in tested::instruction_sets() {
-        check_rows::<F32, f32>(set.name(), set, set.tile_vectors());
-        check_outer_products(set);
+    for set in InstructionSet::ALL.iter().copied() {
+        let can_be_tested = set.is_there();
+        if can_be_tested {
+            check_rows::<F32, f32>(set.name(), set, set.tile_vectors());
+            check_outer_products(set);
+        }
+        say(set.name(), can_be_tested, can_be_tested);
     }
-    for unit in tested::bf16_units() {
-        let most_vectors = match unit {
-            #[cfg(target_arch = "x86_64")]
-            Bf16Unit::Amx => MOST_VECTORS,
-            _ => InstructionSet::detect().tile_vectors(),
-        };
-        check_rows::<Bf16, bf16>(unit.name(), unit, most_vectors);
+    for unit in Bf16Unit::ALL.iter().copied() {
+        if unit.can_be_tested() {
+            let most_vectors = match unit {
+                #[cfg(target_arch = "aarch64")]
+                Bf16Unit::Neon => InstructionSet::Neon.tile_vectors(),
+                // Of panels that were cut for AVX-512.
+                #[cfg(target_arch = "x86_64")]
+                Bf16Unit::Amx | Bf16Unit::Avx512 => InstructionSet::Avx512.tile_vectors(),
+            };
+            check_rows::<Bf16, bf16>(unit.name(), unit, most_vectors);
+        }
+        say(unit.name(), unit.can_be_tested(), unit.is_there());
+    }
+    for unit in Int8Unit::ALL.iter().copied() {
+        if unit.can_be_tested() {
+            check_int8(unit);
+        }
+        say(unit.name(), unit.can_be_tested(), unit.is_there());
+    }
+}
+
+fn say(name: &str, was_tested: bool, is_there: bool) {
+    match (was_tested, is_there) {
+        (true, true) => println!("tested: {name}"),
+        (true, false) => println!("tested: {name}, emulated"),
+        _ => println!("skipped: {name}, which this processor has not"),
     }
 }
 

@@ -19,14 +19,28 @@ pub(crate) const ROW_BYTES: usize = 64;
 /// Bits of EDX of leaf 7 of cpuid.
 const AMX_BF16: u32 = 1 << 22;
 const AMX_TILE: u32 = 1 << 24;
+const AMX_INT8: u32 = 1 << 25;
 
 /// Whether the processor has tiles and products of bf16, and the system lets this process use them.
 pub(super) fn has_bf16() -> bool {
-    static HAS: OnceLock<bool> = OnceLock::new();
-    *HAS.get_or_init(|| {
+    has(AMX_BF16)
+}
+
+/// As [`has_bf16`], of bytes.
+pub(super) fn has_int8() -> bool {
+    has(AMX_INT8)
+}
+
+fn has(products: u32) -> bool {
+    static FEATURES: OnceLock<u32> = OnceLock::new();
+    let features = FEATURES.get_or_init(|| {
         let features = __cpuid_count(7, 0).edx;
-        features & (AMX_TILE | AMX_BF16) == AMX_TILE | AMX_BF16 && is_permitted()
-    })
+        match features & AMX_TILE != 0 && is_permitted() {
+            true => features,
+            false => 0,
+        }
+    });
+    features & products != 0
 }
 
 /// Whether the system keeps tiles when it switches threads, and lets this process use them: asks it.
@@ -273,4 +287,9 @@ macro_rules! tile_product {
 tile_product! {
     /// Of pairs of bf16, with sums of f32.
     Bf16Tiles, "tdpbf16ps"
+}
+
+tile_product! {
+    /// Of four bytes with signs, with sums of i32.
+    Int8Tiles, "tdpbssd"
 }

@@ -5,7 +5,7 @@ use std::arch::aarch64::{
 };
 use std::arch::asm;
 
-use super::{DotBf16, LANES, Lanes};
+use super::{DotBf16, DotInt8, LANES, Lanes};
 
 /// Lanes of a register.
 const WIDTH: usize = 4;
@@ -76,6 +76,30 @@ impl DotBf16 for Neon {
                     sums = inout(vreg) sums,
                     weights = in(vreg) b.0[i],
                     pair = in(vreg) pair,
+                    options(pure, nomem, nostack, preserves_flags),
+                );
+            }
+            sums
+        }))
+    }
+}
+
+impl DotInt8 for Neon {
+    #[inline(always)]
+    fn dot_int8(self, b: Self, c: Self) -> Self {
+        // As above.
+        let four = vgetq_lane_f32::<0>(self.0[0]);
+        Self(std::array::from_fn(|i| {
+            let mut sums = c.0[i];
+            // SAFETY: the trait is used only where the processor has the instruction, whose intrinsic is not stable. It
+            // computes of registers only.
+            unsafe {
+                asm!(
+                    ".arch_extension dotprod",
+                    "sdot {sums:v}.4s, {weights:v}.16b, {four:v}.4b[0]",
+                    sums = inout(vreg) sums,
+                    weights = in(vreg) b.0[i],
+                    four = in(vreg) four,
                     options(pure, nomem, nostack, preserves_flags),
                 );
             }

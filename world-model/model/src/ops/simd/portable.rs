@@ -1,6 +1,6 @@
 //! Lanes that the compiler maps to what the processor has.
 
-use super::{LANES, Lanes};
+use super::{DotInt8, LANES, Lanes};
 
 /// What any processor has.
 #[derive(Clone, Copy)]
@@ -47,5 +47,23 @@ impl Lanes for Portable {
     #[inline(always)]
     fn sub(self, b: Self) -> Self {
         Self(std::array::from_fn(|lane| self.0[lane] - b.0[lane]))
+    }
+}
+
+impl DotInt8 for Portable {
+    #[inline(always)]
+    fn dot_int8(self, b: Self, c: Self) -> Self {
+        let mut out = c.0;
+        for ((out, a), b) in out.iter_mut().zip(self.0).zip(b.0) {
+            let products = a.to_bits().to_ne_bytes().into_iter();
+            let products = products.zip(b.to_bits().to_ne_bytes());
+            let sum = products
+                .map(|(a, b)| i32::from(a) * i32::from(b.cast_signed()))
+                .sum::<i32>();
+            // Wraps, as the instructions do: with the offset of the inputs a sum may be out of range before it is whole.
+            let sum = out.to_bits().cast_signed().wrapping_add(sum);
+            *out = f32::from_bits(sum.cast_unsigned());
+        }
+        Self(out)
     }
 }

@@ -47,8 +47,8 @@ thread_local! {
     static TILES: UnsafeCell<Tiles> = const { UnsafeCell::new([Tile::NONE; REGISTERS]) };
 }
 
-/// Emulates the instructions in all threads from now on.
-pub(crate) fn install() {
+/// Emulates the instructions in all threads from now on; true.
+pub(crate) fn install() -> bool {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         let handler: extern "C" fn(i32, *mut libc::siginfo_t, *mut libc::c_void) = handle;
@@ -61,6 +61,7 @@ pub(crate) fn install() {
         };
         assert_eq!(result, 0, "{}", std::io::Error::last_os_error());
     });
+    true
 }
 
 /// Calls only what a signal handler may.
