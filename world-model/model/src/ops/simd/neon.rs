@@ -18,7 +18,8 @@ pub(crate) struct Neon([float32x4_t; REGISTERS]);
 impl Lanes for Neon {
     #[inline(always)]
     fn splat(v: f32) -> Self {
-        Self([vdupq_n_f32(v); REGISTERS])
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        Self([unsafe { vdupq_n_f32(v) }; REGISTERS])
     }
 
     #[inline(always)]
@@ -28,35 +29,38 @@ impl Lanes for Neon {
 
     #[inline(always)]
     unsafe fn load(p: *const f32) -> Self {
-        // SAFETY: the caller vouches for sixteen f32; the loads need no alignment.
-        Self(std::array::from_fn(|i| unsafe {
-            vld1q_f32(p.add(i * WIDTH))
-        }))
+        // SAFETY: as above, and the caller vouches for `p`.
+        let register = |i| unsafe { vld1q_f32(p.add(i * WIDTH)) };
+        Self(std::array::from_fn(register))
     }
 
     #[inline(always)]
     unsafe fn store(self, p: *mut f32) {
-        for (i, lanes) in self.0.into_iter().enumerate() {
-            // SAFETY: the caller vouches for sixteen f32; the stores need no alignment.
-            unsafe { vst1q_f32(p.add(i * WIDTH), lanes) };
+        for (i, register) in self.0.into_iter().enumerate() {
+            // SAFETY: as above, and the caller vouches for `p`.
+            unsafe { vst1q_f32(p.add(i * WIDTH), register) };
         }
     }
 
     #[inline(always)]
     fn mul_add(self, b: Self, c: Self) -> Self {
-        Self(std::array::from_fn(|i| {
-            vfmaq_f32(c.0[i], self.0[i], b.0[i])
-        }))
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        let register = |i: usize| unsafe { vfmaq_f32(c.0[i], self.0[i], b.0[i]) };
+        Self(std::array::from_fn(register))
     }
 
     #[inline(always)]
     fn add(self, b: Self) -> Self {
-        Self(std::array::from_fn(|i| vaddq_f32(self.0[i], b.0[i])))
+        // SAFETY: as above.
+        let register = |i: usize| unsafe { vaddq_f32(self.0[i], b.0[i]) };
+        Self(std::array::from_fn(register))
     }
 
     #[inline(always)]
     fn sub(self, b: Self) -> Self {
-        Self(std::array::from_fn(|i| vsubq_f32(self.0[i], b.0[i])))
+        // SAFETY: as above.
+        let register = |i: usize| unsafe { vsubq_f32(self.0[i], b.0[i]) };
+        Self(std::array::from_fn(register))
     }
 }
 
@@ -64,11 +68,11 @@ impl DotBf16 for Neon {
     #[inline(always)]
     fn dot_bf16(self, b: Self, c: Self) -> Self {
         // Out of one lane of a register that need not be filled: a load to all lanes takes a place of the products.
-        let pair = vgetq_lane_f32::<0>(self.0[0]);
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        let pair = unsafe { vgetq_lane_f32::<0>(self.0[0]) };
         Self(std::array::from_fn(|i| {
             let mut sums = c.0[i];
-            // SAFETY: the trait is used only where the processor has the instruction, whose intrinsic is not stable. It
-            // computes of registers only.
+            // SAFETY: the processor has the instruction, whose intrinsic is not stable. It reads and writes registers only.
             unsafe {
                 asm!(
                     ".arch_extension bf16",
@@ -88,11 +92,11 @@ impl DotInt8 for Neon {
     #[inline(always)]
     fn dot_int8(self, b: Self, c: Self) -> Self {
         // As above.
-        let four = vgetq_lane_f32::<0>(self.0[0]);
+        // SAFETY: as above.
+        let four = unsafe { vgetq_lane_f32::<0>(self.0[0]) };
         Self(std::array::from_fn(|i| {
             let mut sums = c.0[i];
-            // SAFETY: the trait is used only where the processor has the instruction, whose intrinsic is not stable. It
-            // computes of registers only.
+            // SAFETY: the processor has the instruction, whose intrinsic is not stable. It reads and writes registers only.
             unsafe {
                 asm!(
                     ".arch_extension dotprod",
