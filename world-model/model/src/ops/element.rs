@@ -37,17 +37,15 @@ impl PackedFormat {
         }
     }
 
-    /// What this machine computes with weights of the format: its [`instruction_set`](super::instruction_set) and, where it
-    /// has them, instructions for the format: `avx2`, `avx512 and amx-bf16`, `neon and neon-dotprod`, .. With others, sums
-    /// are rounded otherwise, but for those of whole numbers.
+    /// What this machine computes with weights of the format: its instruction set, and instructions of their own for bf16 and
+    /// bytes where the format is for them: `avx2`, `avx512, amx-bf16`, .. With others, sums of f32 are rounded otherwise.
     pub fn kernels(self) -> String {
-        let set = InstructionSet::detect().name();
-        let unit = match self {
-            Self::F32 => None,
-            Self::Bf16 => Bf16Unit::detect().map(Bf16Unit::name),
-            Self::Int8 => Some(Int8Unit::detect().name()),
-        };
-        unit.map_or_else(|| set.to_owned(), |unit| format!("{set} and {unit}"))
+        let mut names = vec![InstructionSet::detect().name()];
+        names.extend(self.bf16_unit().map(Bf16Unit::name));
+        if self == Self::Int8 {
+            names.push(Int8Unit::detect().name());
+        }
+        names.join(", ")
     }
 }
 
@@ -153,6 +151,19 @@ vectorised! {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn kernels_are_named() {
+        let of_f32 = PackedFormat::F32.kernels();
+        assert_eq!(of_f32, InstructionSet::detect().name());
+        for format in [PackedFormat::Bf16, PackedFormat::Int8] {
+            let names = format.kernels();
+            assert!(names.starts_with(&of_f32), "{names}");
+            let bf16 = Bf16Unit::detect().is_none_or(|unit| names.contains(unit.name()));
+            let int8 = names.ends_with(Int8Unit::detect().name());
+            assert!(bf16 && int8 == (format == PackedFormat::Int8), "{names}");
+        }
+    }
 
     #[test]
     fn numbers_are_rounded_as_the_library_rounds_them() {

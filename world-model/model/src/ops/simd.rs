@@ -126,12 +126,6 @@ impl InstructionSet {
     }
 }
 
-/// Which kernels this machine computes f32 with: `avx512`, `avx2`, `neon` or `portable`. Under another set sums are rounded
-/// otherwise.
-pub fn instruction_set() -> &'static str {
-    InstructionSet::detect().name()
-}
-
 /// No panel is wider, under any instruction set.
 const MOST_VECTORS: usize = 4;
 
