@@ -58,6 +58,5 @@ pub use peak::peak_rate;
 pub use rms_norm_modulate::rms_norm_modulate;
 pub(crate) use rotary::normalise_and_rotate_plain;
 pub use rotary::{RopeLayout, RotaryTable};
-pub use simd::instruction_set;
 pub use smoothing::Smoothing;
 pub use swiglu::swiglu;

@@ -132,7 +132,7 @@ impl ModelNode for Planner {
             merging: parameters.chunk_merging.0,
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        let name = model.name.clone();
+        let (name, place) = (model.name.clone(), model.transition.place());
         let setup = parameters.setup(history.timing.step_ns() as f64 / 1e9)?;
         let probe = match setup.success > 0.0 {
             true => folder.probe()?.map(Arc::new),
@@ -150,7 +150,7 @@ impl ModelNode for Planner {
         };
         let planner = PlannerModel::new(parts, setup)?;
         let choice = planner.choice();
-        tracing::info!("planning with {name} by {choice} in latent space {space}");
+        tracing::info!("planning with {name} by {choice} in latent space {space} on {place}");
         let encoder = EncoderStep::new(encoder, LatentDtype::F32);
         Ok(Model {
             encoder: Arc::new(Mutex::new(encoder)),

@@ -130,9 +130,10 @@ impl ModelNode for Predictor {
     fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
         let model = folder.world_model()?;
         tracing::info!(
-            "predicting with {} in latent space {}",
+            "predicting with {} in latent space {} on {}",
             model.name,
-            model.space
+            model.space,
+            model.transition.place()
         );
         let steps = integration_steps(&model, parameters);
         let estimate = time_of_step(&model, parameters.context_frames, steps)

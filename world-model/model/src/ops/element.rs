@@ -36,6 +36,17 @@ impl PackedFormat {
             Self::Bf16 | Self::Int8 => Bf16Unit::detect(),
         }
     }
+
+    /// What this machine computes with weights of the format: its instruction set, and instructions of their own for bf16 and
+    /// bytes where the format is for them: `avx2`, `avx512, amx-bf16`, .. With others, sums of f32 are rounded otherwise.
+    pub fn kernels(self) -> String {
+        let mut names = vec![InstructionSet::detect().name()];
+        names.extend(self.bf16_unit().map(Bf16Unit::name));
+        if self == Self::Int8 {
+            names.push(Int8Unit::detect().name());
+        }
+        names.join(", ")
+    }
 }
 
 /// A packed weight, or an input that is multiplied with it.
@@ -140,6 +151,19 @@ vectorised! {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn kernels_are_named() {
+        let of_f32 = PackedFormat::F32.kernels();
+        assert_eq!(of_f32, InstructionSet::detect().name());
+        for format in [PackedFormat::Bf16, PackedFormat::Int8] {
+            let names = format.kernels();
+            assert!(names.starts_with(&of_f32), "{names}");
+            let bf16 = Bf16Unit::detect().is_none_or(|unit| names.contains(unit.name()));
+            let int8 = names.ends_with(Int8Unit::detect().name());
+            assert!(bf16 && int8 == (format == PackedFormat::Int8), "{names}");
+        }
+    }
 
     #[test]
     fn numbers_are_rounded_as_the_library_rounds_them() {

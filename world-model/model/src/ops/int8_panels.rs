@@ -247,4 +247,4 @@ fn sums(panels: &Panels<i8>) -> Vec<i32> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -10,7 +10,7 @@ use super::int8_panels::{Int8Panels, MOST_INPUTS};
 use super::panel_product::{PanelProduct, Rows};
 use super::panel_values::MappedBytes;
 use super::panels::{LAYOUT, Panels};
-use super::simd::{Int8Unit, instruction_set};
+use super::simd::{InstructionSet, Int8Unit};
 use super::smoothing::Smoothing;
 use crate::{Error, Result};
 
@@ -21,7 +21,7 @@ const ROWS: usize = 160;
 /// In which order matrices are packed here. Packed values that were kept are of use where it is the same.
 pub fn packed_layout() -> String {
     let architecture = std::env::consts::ARCH;
-    let (set, int8) = (instruction_set(), Int8Unit::detect().name());
+    let (set, int8) = (InstructionSet::detect().name(), Int8Unit::detect().name());
     format!("{LAYOUT} {architecture} {set} {int8}")
 }
 

@@ -5,6 +5,10 @@ use half::bf16;
 
 use super::element::Element;
 use super::kernel::Row;
+#[cfg(target_arch = "aarch64")]
+use super::simd::Neon;
+#[cfg(target_arch = "x86_64")]
+use super::simd::amx::{Bf16Tiles, Int8Tiles};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
 use super::simd::{Bf16Unit, DotBf16, DotInt8, InstructionSet, Int8Unit, LANES, Lanes, Portable};
@@ -29,6 +33,12 @@ pub(crate) trait Product: Copy + Send + Sync + 'static {
     /// All pointers of `row` must be valid for what their comments say, and the processor must have `unit`.
     unsafe fn run(row: &Row<Self>, unit: Self::Unit);
 
+    /// Where the sums start, for every output: at the bias. What has as many bits where the sums are no f32.
+    #[inline(always)]
+    fn starts(row: &Row<Self>) -> *const f32 {
+        row.bias
+    }
+
     /// Makes outputs of the sums of vector `vector` of pixel `pixel`.
     ///
     /// # Safety
@@ -43,16 +53,6 @@ pub(crate) trait Product: Copy + Send + Sync + 'static {
 ///
 /// The methods must be called only where the instruction set of `L` is enabled.
 pub(crate) trait Step<L: Lanes>: Product {
-    /// Where the sums of vector `vector` start: at the bias.
-    ///
-    /// # Safety
-    /// As for [`Product::run`]; the row has that vector.
-    #[inline(always)]
-    unsafe fn start(row: &Row<Self>, vector: usize) -> L {
-        // SAFETY: as for this function.
-        unsafe { L::load(row.bias.add(vector * LANES)) }
-    }
-
     /// A group of inputs, in all lanes.
     ///
     /// # Safety
@@ -101,6 +101,9 @@ impl Product for F32 {
                 InstructionSet::Avx512 => avx512(row),
                 #[cfg(target_arch = "x86_64")]
                 InstructionSet::Avx2 => avx2(row),
+                // Of 32 registers 24 are sums, four weights.
+                #[cfg(target_arch = "aarch64")]
+                InstructionSet::Neon => row.tiles::<Neon, 6, 1>(),
                 InstructionSet::Portable => row.tiles::<Portable, 4, 1>(),
             }
         }
@@ -144,11 +147,26 @@ impl Product for Bf16 {
             unsafe { row.wide_tiles::<Avx512>() }
         }
 
+        /// What is around the tiles, in wide registers.
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f")]
+        unsafe fn amx(row: &Row<Bf16>) {
+            // SAFETY: as for `run`.
+            unsafe { row.amx_tiles::<Bf16Tiles>() }
+        }
+
         // SAFETY: the caller vouches for the pointers and the instructions.
         unsafe {
             match unit {
                 #[cfg(target_arch = "x86_64")]
+                Bf16Unit::Amx => match InstructionSet::detect() {
+                    InstructionSet::Avx512 => amx(row),
+                    _ => row.amx_tiles::<Bf16Tiles>(),
+                },
+                #[cfg(target_arch = "x86_64")]
                 Bf16Unit::Avx512 => avx512(row),
+                #[cfg(target_arch = "aarch64")]
+                Bf16Unit::Neon => row.tiles::<Neon, 6, 1>(),
             }
         }
     }
@@ -195,6 +213,14 @@ impl Product for Int8 {
     type Scales = Int8Scales;
 
     unsafe fn run(row: &Row<Self>, unit: Int8Unit) {
+        /// As in [`Bf16`]: what is around the tiles, in wide registers.
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f")]
+        unsafe fn amx(row: &Row<Int8>) {
+            // SAFETY: as for `run`.
+            unsafe { row.amx_tiles::<Int8Tiles>() }
+        }
+
         #[cfg(target_arch = "x86_64")]
         #[target_feature(enable = "avx512f,avx512vnni")]
         unsafe fn avx512_vnni(row: &Row<Int8>) {
@@ -214,12 +240,24 @@ impl Product for Int8 {
         unsafe {
             match unit {
                 #[cfg(target_arch = "x86_64")]
+                Int8Unit::Amx => match InstructionSet::detect() {
+                    InstructionSet::Avx512 => amx(row),
+                    _ => row.amx_tiles::<Int8Tiles>(),
+                },
+                #[cfg(target_arch = "x86_64")]
                 Int8Unit::Avx512Vnni => avx512_vnni(row),
                 #[cfg(target_arch = "x86_64")]
                 Int8Unit::Avx2 => avx2(row),
+                #[cfg(target_arch = "aarch64")]
+                Int8Unit::Neon => row.tiles::<Neon, 6, 1>(),
                 Int8Unit::Portable => row.tiles::<Portable, 4, 1>(),
             }
         }
+    }
+
+    #[inline(always)]
+    fn starts(row: &Row<Self>) -> *const f32 {
+        row.scales.starts.cast()
     }
 
     /// In one order, and without fused operations, so that every processor gives the same bits.
@@ -243,12 +281,6 @@ impl Product for Int8 {
 }
 
 impl<L: DotInt8> Step<L> for Int8 {
-    #[inline(always)]
-    unsafe fn start(row: &Row<Self>, vector: usize) -> L {
-        // SAFETY: as for this function; a lane is an i32.
-        unsafe { L::load(row.scales.starts.add(vector * LANES).cast()) }
-    }
-
     #[inline(always)]
     unsafe fn splat(input: *const i8) -> L {
         // SAFETY: as for this function; the read needs no alignment.

@@ -19,19 +19,9 @@ const SHAPES: [(usize, usize, usize); 8] = [
     (0, 8, 16),
 ];
 
-fn units() -> Vec<Int8Unit> {
-    let mut units = vec![Int8Unit::Portable];
-    #[cfg(target_arch = "x86_64")]
-    {
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            units.push(Int8Unit::Avx2);
-        }
-        match Int8Unit::detect() {
-            Int8Unit::Avx512Vnni => units.push(Int8Unit::Avx512Vnni),
-            _ => println!("skipped: this processor has no AVX-512-VNNI"),
-        }
-    }
-    units
+fn units() -> impl Iterator<Item = Int8Unit> {
+    let all = Int8Unit::ALL.iter().copied();
+    all.filter(|unit| unit.can_be_tested())
 }
 
 fn numbers(count: usize, seed: usize) -> Vec<f32> {
@@ -141,14 +131,17 @@ fn check_exact(unit: Int8Unit, (x, w): (&[i8], &[i8]), inputs: usize) {
     assert_eq!(found, expected, "{unit:?} of {inputs} inputs");
 }
 
+/// Sums of whole numbers are exact.
+pub(in crate::ops) fn check_unit(unit: Int8Unit) {
+    for (rows, inputs, outputs) in SHAPES {
+        let (x, w) = (whole(rows, inputs, 1), whole(outputs, inputs, 2));
+        check_exact(unit, (&x, &w), inputs);
+    }
+}
+
 #[test]
 fn sums_of_whole_numbers_are_exact() {
-    for (rows, inputs, outputs) in SHAPES {
-        for unit in units() {
-            let (x, w) = (whole(rows, inputs, 1), whole(outputs, inputs, 2));
-            check_exact(unit, (&x, &w), inputs);
-        }
-    }
+    units().for_each(check_unit);
 }
 
 #[test]

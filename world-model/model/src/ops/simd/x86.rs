@@ -1,0 +1,157 @@
+//! Lanes in the registers of x86-64.
+
+use std::arch::x86_64::{
+    __m256, __m512, __m512bh, __m512i, _mm256_abs_epi8, _mm256_add_epi32, _mm256_add_ps,
+    _mm256_castps_si256, _mm256_castsi256_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_madd_epi16,
+    _mm256_maddubs_epi16, _mm256_set1_epi16, _mm256_set1_epi32, _mm256_set1_ps, _mm256_sign_epi8,
+    _mm256_storeu_ps, _mm256_sub_ps, _mm512_add_ps, _mm512_castps_si512, _mm512_castsi512_ps,
+    _mm512_dpbf16_ps, _mm512_dpbusd_epi32, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_epi32,
+    _mm512_set1_ps, _mm512_storeu_ps, _mm512_sub_ps,
+};
+
+use super::{DotBf16, DotInt8, Lanes};
+
+/// One 512-bit register.
+#[derive(Clone, Copy)]
+pub(crate) struct Avx512(__m512);
+
+impl Lanes for Avx512 {
+    #[inline(always)]
+    fn splat(v: f32) -> Self {
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        Self(unsafe { _mm512_set1_ps(v) })
+    }
+
+    #[inline(always)]
+    fn splat_bits(bits: u32) -> Self {
+        // SAFETY: as above.
+        Self(unsafe { _mm512_castsi512_ps(_mm512_set1_epi32(bits.cast_signed())) })
+    }
+
+    #[inline(always)]
+    unsafe fn load(p: *const f32) -> Self {
+        // SAFETY: as above, and the caller vouches for `p`.
+        Self(unsafe { _mm512_loadu_ps(p) })
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, p: *mut f32) {
+        // SAFETY: as above, and the caller vouches for `p`.
+        unsafe { _mm512_storeu_ps(p, self.0) };
+    }
+
+    #[inline(always)]
+    fn mul_add(self, b: Self, c: Self) -> Self {
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        Self(unsafe { _mm512_fmadd_ps(self.0, b.0, c.0) })
+    }
+
+    #[inline(always)]
+    fn add(self, b: Self) -> Self {
+        // SAFETY: as above.
+        Self(unsafe { _mm512_add_ps(self.0, b.0) })
+    }
+
+    #[inline(always)]
+    fn sub(self, b: Self) -> Self {
+        // SAFETY: as above.
+        Self(unsafe { _mm512_sub_ps(self.0, b.0) })
+    }
+}
+
+impl DotBf16 for Avx512 {
+    #[inline(always)]
+    fn dot_bf16(self, b: Self, c: Self) -> Self {
+        // SAFETY: as above; both are 512 bits, of which any are 32 bf16.
+        let pairs =
+            |x: __m512| unsafe { std::mem::transmute::<__m512i, __m512bh>(_mm512_castps_si512(x)) };
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        Self(unsafe { _mm512_dpbf16_ps(c.0, pairs(self.0), pairs(b.0)) })
+    }
+}
+
+impl DotInt8 for Avx512 {
+    #[inline(always)]
+    fn dot_int8(self, b: Self, c: Self) -> Self {
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        Self(unsafe {
+            let bits = |x: Self| _mm512_castps_si512(x.0);
+            _mm512_castsi512_ps(_mm512_dpbusd_epi32(bits(c), bits(self), bits(b)))
+        })
+    }
+}
+
+/// Two 256-bit registers.
+#[derive(Clone, Copy)]
+pub(crate) struct Avx2(__m256, __m256);
+
+impl Lanes for Avx2 {
+    #[inline(always)]
+    fn splat(v: f32) -> Self {
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        let v = unsafe { _mm256_set1_ps(v) };
+        Self(v, v)
+    }
+
+    #[inline(always)]
+    fn splat_bits(bits: u32) -> Self {
+        // SAFETY: as above.
+        let v = unsafe { _mm256_castsi256_ps(_mm256_set1_epi32(bits.cast_signed())) };
+        Self(v, v)
+    }
+
+    #[inline(always)]
+    unsafe fn load(p: *const f32) -> Self {
+        // SAFETY: as above, and the caller vouches for `p`.
+        unsafe { Self(_mm256_loadu_ps(p), _mm256_loadu_ps(p.add(8))) }
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, p: *mut f32) {
+        // SAFETY: as above, and the caller vouches for `p`.
+        unsafe {
+            _mm256_storeu_ps(p, self.0);
+            _mm256_storeu_ps(p.add(8), self.1);
+        }
+    }
+
+    #[inline(always)]
+    fn mul_add(self, b: Self, c: Self) -> Self {
+        // SAFETY: the trait is used only where the instruction set is enabled.
+        unsafe {
+            Self(
+                _mm256_fmadd_ps(self.0, b.0, c.0),
+                _mm256_fmadd_ps(self.1, b.1, c.1),
+            )
+        }
+    }
+
+    #[inline(always)]
+    fn add(self, b: Self) -> Self {
+        // SAFETY: as above.
+        unsafe { Self(_mm256_add_ps(self.0, b.0), _mm256_add_ps(self.1, b.1)) }
+    }
+
+    #[inline(always)]
+    fn sub(self, b: Self) -> Self {
+        // SAFETY: as above.
+        unsafe { Self(_mm256_sub_ps(self.0, b.0), _mm256_sub_ps(self.1, b.1)) }
+    }
+}
+
+impl DotInt8 for Avx2 {
+    #[inline(always)]
+    fn dot_int8(self, b: Self, c: Self) -> Self {
+        // Two products of absolute values up to 127 have a sum within 16 bits, so that nothing saturates.
+        let dot = |a: __m256, b: __m256, c: __m256| {
+            // SAFETY: the trait is used only where the instruction set is enabled.
+            unsafe {
+                let (a, b) = (_mm256_castps_si256(a), _mm256_castps_si256(b));
+                let pairs = _mm256_maddubs_epi16(_mm256_abs_epi8(a), _mm256_sign_epi8(b, a));
+                let fours = _mm256_madd_epi16(pairs, _mm256_set1_epi16(1));
+                _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(c), fours))
+            }
+        };
+        Self(dot(self.0, b.0, c.0), dot(self.1, b.1, c.1))
+    }
+}
