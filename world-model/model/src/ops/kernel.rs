@@ -85,6 +85,7 @@ impl<P: Product> Row<P> {
     where
         P: Step<L>,
     {
+        debug_assert_eq!(self.vectors, N);
         // SAFETY: as for `run`; every tile lies within the row.
         unsafe {
             // No tile overlaps another, so that the residual may be the output itself.
@@ -280,6 +281,7 @@ impl Outer {
 
     #[inline(always)]
     unsafe fn tiles<L: Lanes, const M: usize, const N: usize>(&self) {
+        debug_assert_eq!(self.vectors, N);
         // SAFETY: as for `run`; every tile lies within the run.
         unsafe {
             let mut at = 0;

@@ -166,6 +166,14 @@ fn every_path_that_this_processor_has_is_tested() {
     }
 }
 
+/// In equal parts of at most a tile it has one part more than pixels for it.
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+#[test]
+fn tiles_cover_a_long_row() {
+    assert!(Bf16Unit::Amx.can_be_tested());
+    check_row::<Bf16, bf16>("amx-bf16", Bf16Unit::Amx, (2, 1, 1), 1, (609, LANES));
+}
+
 fn say(name: &str, was_tested: bool, is_there: bool) {
     match (was_tested, is_there) {
         (true, true) => println!("tested: {name}"),

@@ -111,6 +111,7 @@ impl Shapes {
             rows: [0; 16],
         };
         for register in 0..REGISTERS {
+            // At most 64 and 16.
             layout.row_bytes[register] = ROW_BYTES as u16;
             layout.rows[register] = if register < 6 { rows } else { ROWS } as u8;
         }

@@ -3,8 +3,7 @@
 use std::sync::OnceLock;
 
 #[cfg(target_arch = "x86_64")]
-use super::amx;
-use super::{InstructionSet, MOST_VECTORS};
+use super::{InstructionSet, MOST_VECTORS, amx};
 
 /// How products of bf16 are computed where the processor has an instruction for them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
