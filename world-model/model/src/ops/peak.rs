@@ -4,13 +4,18 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use super::element::{Element, PackedFormat};
+#[cfg(target_arch = "x86_64")]
+use super::product::WidenedInt8;
 use super::product::{Bf16, F32, Int8, Product, Step};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
-use super::simd::{Bf16Unit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
+use super::simd::{Bf16Unit, BytesUnit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
 
-/// Sums that are added to in turns: more than a processor's latency of an addition times its units.
-const SUMS: usize = 12;
+/// Sums that are added to in turns: more than a processor's latency of an addition times its units, and no more than fit
+/// into its registers, with thirty-two of a vector each and with sixteen of half a vector.
+#[cfg(target_arch = "x86_64")]
+const WIDE: usize = 12;
+const NARROW: usize = 6;
 const ROUNDS: usize = 200_000;
 
 /// Operations a second that the products of a kernel for weights of `format` have at most, measured on the calling thread:
@@ -31,13 +36,13 @@ fn f32_steps(set: InstructionSet) -> usize {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f")]
     fn avx512() -> usize {
-        steps::<F32, Avx512>(&[1.0], &[1e-9; LANES])
+        steps::<F32, Avx512, WIDE>(1.0, 1e-9)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
     fn avx2() -> usize {
-        steps::<F32, Avx2>(&[1.0], &[1e-9; LANES])
+        steps::<F32, Avx2, NARROW>(1.0, 1e-9)
     }
 
     match set {
@@ -47,7 +52,7 @@ fn f32_steps(set: InstructionSet) -> usize {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
         InstructionSet::Avx2 => unsafe { avx2() },
-        InstructionSet::Portable => steps::<F32, Portable>(&[1.0], &[1e-9; LANES]),
+        InstructionSet::Portable => steps::<F32, Portable, NARROW>(1.0, 1e-9),
     }
 }
 
@@ -56,7 +61,7 @@ fn bf16_steps(unit: Bf16Unit) -> usize {
     #[target_feature(enable = "avx512f,avx512bf16")]
     fn avx512() -> usize {
         let [one, small] = [1.0, 1e-9].map(<half::bf16 as Element>::from_f32);
-        steps::<Bf16, Avx512>(&[one; 2], &[small; 2 * LANES])
+        steps::<Bf16, Avx512, WIDE>(one, small)
     }
 
     match unit {
@@ -70,36 +75,40 @@ fn int8_steps(unit: Int8Unit) -> usize {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512vnni")]
     fn avx512_vnni() -> usize {
-        steps::<Int8, Avx512>(&[1; 4], &[1; 4 * LANES])
+        steps::<Int8, Avx512, WIDE>(1, 1)
     }
 
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
+    #[target_feature(enable = "avx2,fma")]
     fn avx2() -> usize {
-        steps::<Int8, Avx2>(&[1; 4], &[1; 4 * LANES])
+        steps::<WidenedInt8, Avx2, NARROW>(1, 1)
     }
 
     match unit {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: the processor was found to have these instructions.
-        Int8Unit::Avx512Vnni => unsafe { avx512_vnni() },
+        Int8Unit::Bytes(BytesUnit::Avx512Vnni) => unsafe { avx512_vnni() },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
         Int8Unit::Avx2 => unsafe { avx2() },
-        Int8Unit::Portable => steps::<Int8, Portable>(&[1; 4], &[1; 4 * LANES]),
+        Int8Unit::Bytes(BytesUnit::Portable) => steps::<Int8, Portable, NARROW>(1, 1),
     }
 }
 
+/// Adds products to `SUMS` sums in turns, of inputs that are read anew each time, as the kernels do: of values that stay the
+/// same the compiler would compute the products once.
 #[inline(always)]
-fn steps<P: Step<L>, L: Lanes>(input: &[P::Input], weights: &[P::Weight]) -> usize {
+fn steps<P: Step<L>, L: Lanes, const SUMS: usize>(input: P::Input, weight: P::Weight) -> usize {
     let group = <P as Product>::Weight::GROUP;
-    assert!(input.len() >= group && weights.len() >= LANES * group);
-    // SAFETY: both are long enough.
-    let (input, weights) = unsafe { (P::splat(input.as_ptr()), P::load(weights.as_ptr())) };
-    let (input, weights) = (black_box(input), black_box(weights));
+    let (inputs, weights) = (vec![input; SUMS * group], vec![weight; LANES * group]);
+    // SAFETY: so many weights were written.
+    let weights = black_box(unsafe { P::load(weights.as_ptr()) });
     let mut sums = [L::splat(0.0); SUMS];
     for _ in 0..ROUNDS {
-        for sum in &mut sums {
+        let inputs = black_box(inputs.as_ptr());
+        for (i, sum) in sums.iter_mut().enumerate() {
+            // SAFETY: so many inputs were written.
+            let input = unsafe { P::splat(inputs.add(i * group)) };
             *sum = P::add(input, weights, *sum);
         }
     }
