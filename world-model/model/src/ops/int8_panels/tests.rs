@@ -41,9 +41,13 @@ fn product(packed: &Int8Panels, x: &[f32]) -> Vec<f32> {
     }
     let mut y = vec![7.0; count * y_step];
     // What an earlier, larger product leaves must not matter.
-    ROUNDED.with_borrow_mut(|(rounded, scales)| {
-        *rounded = vec![-99; 100_000];
-        *scales = vec![f32::NAN; 1000];
+    ROUNDED.with_borrow_mut(|buffers| {
+        *buffers = Rounded {
+            bytes: vec![-99; 100_000],
+            words: vec![-99; 100_000],
+            panel: vec![-99; 100_000],
+            scales: vec![f32::NAN; 1000],
+        };
     });
     let x = Rows {
         values: apart.as_slice(),
@@ -175,7 +179,7 @@ proptest! {
             let packed = Int8Panels::pack(unit, &w, Some(&bias), (outputs, inputs), factors.clone());
             product(&packed, &x).iter().map(|y| y.to_bits()).collect()
         };
-        let expected = bits(Int8Unit::Portable);
+        let expected = bits(Int8Unit::PORTABLE);
         for unit in units() {
             prop_assert_eq!(&bits(unit), &expected, "{:?}", unit);
         }
