@@ -29,6 +29,16 @@ pub enum PackedFormat {
 }
 
 impl PackedFormat {
+    /// What everything else than matrices is kept in where matrices are in this: no weights are rounded that only
+    /// matrices have to be, but for the processor's products of bf16.
+    pub fn beside_matrices(self) -> Self {
+        match self {
+            Self::F32 | Self::Bf16 => self,
+            Self::Int8 if Bf16Unit::detect().is_some() => Self::Bf16,
+            Self::Int8 => Self::F32,
+        }
+    }
+
     /// What multiplies bf16, if the format allows inputs to be rounded to it and the processor has it.
     pub(crate) fn bf16_unit(self) -> Option<Bf16Unit> {
         match self {
@@ -121,6 +131,22 @@ impl Element for i8 {
     }
 
     fn round(values: &[f32], out: &mut [i8]) {
+        for (value, out) in values.iter().zip(out) {
+            *out = Self::from_f32(*value);
+        }
+    }
+}
+
+/// Bytes that were widened, because the processor multiplies 16 bits.
+impl Element for i16 {
+    const ZERO: Self = 0;
+    const GROUP: usize = 2;
+
+    fn from_f32(value: f32) -> Self {
+        i8::from_f32(value).into()
+    }
+
+    fn round(values: &[f32], out: &mut [i16]) {
         for (value, out) in values.iter().zip(out) {
             *out = Self::from_f32(*value);
         }

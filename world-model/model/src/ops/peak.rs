@@ -4,6 +4,8 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use super::element::{Element, PackedFormat};
+#[cfg(target_arch = "x86_64")]
+use super::product::WidenedInt8;
 use super::product::{Bf16, F32, Int8, Product, Step};
 #[cfg(target_arch = "aarch64")]
 use super::simd::Neon;
@@ -13,10 +15,13 @@ use super::simd::amx::{
 };
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
-use super::simd::{Bf16Unit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
+use super::simd::{Bf16Unit, BytesUnit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
 
-/// Sums that are added to in turns: more than a processor's latency of an addition times its units.
-const SUMS: usize = 12;
+/// Sums that are added to in turns: more than a processor's latency of an addition times its units, and no more than fit
+/// into its registers, with thirty-two of a vector each, and with sixteen of half a vector or thirty-two of a quarter.
+#[cfg(target_arch = "x86_64")]
+const WIDE: usize = 12;
+const NARROW: usize = 6;
 const ROUNDS: usize = 200_000;
 
 /// Operations a second that the products of a kernel for weights of `format` have at most, measured on the calling thread:
@@ -37,13 +42,13 @@ fn f32_steps(set: InstructionSet) -> usize {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f")]
     fn avx512() -> usize {
-        steps::<F32, Avx512>(&[1.0], &[1e-9; LANES])
+        steps::<F32, Avx512, WIDE>(1.0, 1e-9)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
     fn avx2() -> usize {
-        steps::<F32, Avx2>(&[1.0], &[1e-9; LANES])
+        steps::<F32, Avx2, NARROW>(1.0, 1e-9)
     }
 
     match set {
@@ -54,19 +59,18 @@ fn f32_steps(set: InstructionSet) -> usize {
         // SAFETY: as above.
         InstructionSet::Avx2 => unsafe { avx2() },
         #[cfg(target_arch = "aarch64")]
-        InstructionSet::Neon => steps::<F32, Neon>(&[1.0], &[1e-9; LANES]),
-        InstructionSet::Portable => steps::<F32, Portable>(&[1.0], &[1e-9; LANES]),
+        InstructionSet::Neon => steps::<F32, Neon, NARROW>(1.0, 1e-9),
+        InstructionSet::Portable => steps::<F32, Portable, NARROW>(1.0, 1e-9),
     }
 }
 
 fn bf16_steps(unit: Bf16Unit) -> usize {
     let [one, small] = [1.0, 1e-9].map(<half::bf16 as Element>::from_f32);
-    let (input, weights) = ([one; 2], [small; 2 * LANES]);
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bf16")]
-    fn avx512(input: &[half::bf16], weights: &[half::bf16]) -> usize {
-        steps::<Bf16, Avx512>(input, weights)
+    fn avx512(input: half::bf16, weight: half::bf16) -> usize {
+        steps::<Bf16, Avx512, WIDE>(input, weight)
     }
 
     match unit {
@@ -75,9 +79,9 @@ fn bf16_steps(unit: Bf16Unit) -> usize {
         Bf16Unit::Amx => unsafe { tile_steps::<Bf16Tiles>(ROUNDS, half::bf16::GROUP) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        Bf16Unit::Avx512 => unsafe { avx512(&input, &weights) },
+        Bf16Unit::Avx512 => unsafe { avx512(one, small) },
         #[cfg(target_arch = "aarch64")]
-        Bf16Unit::Neon => steps::<Bf16, Neon>(&input, &weights),
+        Bf16Unit::Neon => steps::<Bf16, Neon, NARROW>(one, small),
     }
 }
 
@@ -85,41 +89,45 @@ fn int8_steps(unit: Int8Unit) -> usize {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512vnni")]
     fn avx512_vnni() -> usize {
-        steps::<Int8, Avx512>(&[1; 4], &[1; 4 * LANES])
+        steps::<Int8, Avx512, WIDE>(1, 1)
     }
 
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
+    #[target_feature(enable = "avx2,fma")]
     fn avx2() -> usize {
-        steps::<Int8, Avx2>(&[1; 4], &[1; 4 * LANES])
+        steps::<WidenedInt8, Avx2, NARROW>(1, 1)
     }
 
     match unit {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: the processor was found to have these instructions.
-        Int8Unit::Amx => unsafe { tile_steps::<Int8Tiles>(ROUNDS, i8::GROUP) },
+        Int8Unit::Bytes(BytesUnit::Amx) => unsafe { tile_steps::<Int8Tiles>(ROUNDS, i8::GROUP) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        Int8Unit::Avx512Vnni => unsafe { avx512_vnni() },
+        Int8Unit::Bytes(BytesUnit::Avx512Vnni) => unsafe { avx512_vnni() },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
         Int8Unit::Avx2 => unsafe { avx2() },
         #[cfg(target_arch = "aarch64")]
-        Int8Unit::Neon => steps::<Int8, Neon>(&[1; 4], &[1; 4 * LANES]),
-        Int8Unit::Portable => steps::<Int8, Portable>(&[1; 4], &[1; 4 * LANES]),
+        Int8Unit::Bytes(BytesUnit::Neon) => steps::<Int8, Neon, NARROW>(1, 1),
+        Int8Unit::Bytes(BytesUnit::Portable) => steps::<Int8, Portable, NARROW>(1, 1),
     }
 }
 
+/// Adds products to `SUMS` sums in turns, of inputs that are read anew each time, as the kernels do: of values that stay the
+/// same the compiler would compute the products once.
 #[inline(always)]
-fn steps<P: Step<L>, L: Lanes>(input: &[P::Input], weights: &[P::Weight]) -> usize {
+fn steps<P: Step<L>, L: Lanes, const SUMS: usize>(input: P::Input, weight: P::Weight) -> usize {
     let group = <P as Product>::Weight::GROUP;
-    assert!(input.len() >= group && weights.len() >= LANES * group);
-    // SAFETY: both are long enough.
-    let (input, weights) = unsafe { (P::splat(input.as_ptr()), P::load(weights.as_ptr())) };
-    let (input, weights) = (black_box(input), black_box(weights));
+    let (inputs, weights) = (vec![input; SUMS * group], vec![weight; LANES * group]);
+    // SAFETY: so many weights were written.
+    let weights = black_box(unsafe { P::load(weights.as_ptr()) });
     let mut sums = [L::splat(0.0); SUMS];
     for _ in 0..ROUNDS {
-        for sum in &mut sums {
+        let inputs = black_box(inputs.as_ptr());
+        for (i, sum) in sums.iter_mut().enumerate() {
+            // SAFETY: so many inputs were written.
+            let input = unsafe { P::splat(inputs.add(i * group)) };
             *sum = P::add(input, weights, *sum);
         }
     }
@@ -162,7 +170,7 @@ mod tests {
     #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
     #[test]
     fn products_of_tiles_are_counted() {
-        assert!(Bf16Unit::Amx.can_be_tested() && Int8Unit::Amx.can_be_tested());
+        assert!(Bf16Unit::Amx.can_be_tested() && Int8Unit::Bytes(BytesUnit::Amx).can_be_tested());
         // SAFETY: the processor has the tiles, or they are emulated.
         unsafe {
             let (bf16, int8) = (half::bf16::GROUP, i8::GROUP);

@@ -14,7 +14,7 @@ mod x86;
 #[cfg(target_arch = "aarch64")]
 pub(crate) use neon::Neon;
 pub(crate) use portable::Portable;
-pub(crate) use units::{Bf16Unit, Int8Unit};
+pub(crate) use units::{Bf16Unit, BytesUnit, Int8Unit};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use x86::{Avx2, Avx512};
 
@@ -54,6 +54,13 @@ pub(crate) trait DotInt8: Lanes {
     /// In every lane the sum of the four products of `self` (inputs, as the [`Int8Unit`] takes them, the same in all lanes)
     /// and `b` (weights, with a sign), plus that of `c`, an i32. Exact.
     fn dot_int8(self, b: Self, c: Self) -> Self;
+}
+
+/// Lanes with products of 16-bit whole numbers, two of which are in each lane.
+#[cfg(target_arch = "x86_64")]
+pub(crate) trait DotInt16: Lanes {
+    /// In every lane the sum of both products of `self` and `b`, plus that of `c`, an i32. Exact.
+    fn dot_int16(self, b: Self, c: Self) -> Self;
 }
 
 /// Instruction sets with kernels of their own.

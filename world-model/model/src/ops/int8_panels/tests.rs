@@ -6,6 +6,7 @@ use std::sync::Arc;
 use proptest::prelude::*;
 
 use super::*;
+use crate::ops::simd::BytesUnit;
 
 /// (rows, inputs, outputs) with rests of every kind: of groups, of vectors, of panels and of tiles.
 const SHAPES: [(usize, usize, usize); 8] = [
@@ -41,9 +42,15 @@ fn product(packed: &Int8Panels, x: &[f32]) -> Vec<f32> {
     }
     let mut y = vec![7.0; count * y_step];
     // What an earlier, larger product leaves must not matter.
-    ROUNDED.with_borrow_mut(|(rounded, scales)| {
-        *rounded = vec![-99; 100_000];
-        *scales = vec![f32::NAN; 1000];
+    ROUNDED.with_borrow_mut(|buffers| {
+        *buffers = Rounded {
+            bytes: vec![-99; 100_000],
+            #[cfg(target_arch = "x86_64")]
+            words: vec![-99; 100_000],
+            #[cfg(target_arch = "x86_64")]
+            panel: vec![-99; 100_000],
+            scales: vec![f32::NAN; 1000],
+        };
     });
     let x = Rows {
         values: apart.as_slice(),
@@ -175,7 +182,7 @@ proptest! {
             let packed = Int8Panels::pack(unit, &w, Some(&bias), (outputs, inputs), factors.clone());
             product(&packed, &x).iter().map(|y| y.to_bits()).collect()
         };
-        let expected = bits(Int8Unit::Portable);
+        let expected = bits(Int8Unit::Bytes(BytesUnit::Portable));
         for unit in units() {
             prop_assert_eq!(&bits(unit), &expected, "{:?}", unit);
         }

@@ -1,15 +1,14 @@
 //! Lanes in the registers of x86-64.
 
 use std::arch::x86_64::{
-    __m256, __m512, __m512bh, __m512i, _mm256_abs_epi8, _mm256_add_epi32, _mm256_add_ps,
-    _mm256_castps_si256, _mm256_castsi256_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_madd_epi16,
-    _mm256_maddubs_epi16, _mm256_set1_epi16, _mm256_set1_epi32, _mm256_set1_ps, _mm256_sign_epi8,
-    _mm256_storeu_ps, _mm256_sub_ps, _mm512_add_ps, _mm512_castps_si512, _mm512_castsi512_ps,
-    _mm512_dpbf16_ps, _mm512_dpbusd_epi32, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_set1_epi32,
-    _mm512_set1_ps, _mm512_storeu_ps, _mm512_sub_ps,
+    __m256, __m512, __m512bh, __m512i, _mm256_add_epi32, _mm256_add_ps, _mm256_castps_si256,
+    _mm256_castsi256_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_madd_epi16, _mm256_set1_epi32,
+    _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps, _mm512_add_ps, _mm512_castps_si512,
+    _mm512_castsi512_ps, _mm512_dpbf16_ps, _mm512_dpbusd_epi32, _mm512_fmadd_ps, _mm512_loadu_ps,
+    _mm512_set1_epi32, _mm512_set1_ps, _mm512_storeu_ps, _mm512_sub_ps,
 };
 
-use super::{DotBf16, DotInt8, Lanes};
+use super::{DotBf16, DotInt8, DotInt16, Lanes};
 
 /// One 512-bit register.
 #[derive(Clone, Copy)]
@@ -139,17 +138,15 @@ impl Lanes for Avx2 {
     }
 }
 
-impl DotInt8 for Avx2 {
+impl DotInt16 for Avx2 {
     #[inline(always)]
-    fn dot_int8(self, b: Self, c: Self) -> Self {
-        // Two products of absolute values up to 127 have a sum within 16 bits, so that nothing saturates.
+    fn dot_int16(self, b: Self, c: Self) -> Self {
         let dot = |a: __m256, b: __m256, c: __m256| {
             // SAFETY: the trait is used only where the instruction set is enabled.
             unsafe {
-                let (a, b) = (_mm256_castps_si256(a), _mm256_castps_si256(b));
-                let pairs = _mm256_maddubs_epi16(_mm256_abs_epi8(a), _mm256_sign_epi8(b, a));
-                let fours = _mm256_madd_epi16(pairs, _mm256_set1_epi16(1));
-                _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(c), fours))
+                let bits = |x: __m256| _mm256_castps_si256(x);
+                let products = _mm256_madd_epi16(bits(a), bits(b));
+                _mm256_castsi256_ps(_mm256_add_epi32(bits(c), products))
             }
         };
         Self(dot(self.0, b.0, c.0), dot(self.1, b.1, c.1))
