@@ -40,7 +40,9 @@ struct Rounded {
     /// Rows for a unit that multiplies bytes.
     bytes: Vec<i8>,
     /// Rows, and a panel, for one that multiplies 16 bits.
+    #[cfg(target_arch = "x86_64")]
     words: Vec<i16>,
+    #[cfg(target_arch = "x86_64")]
     panel: Vec<i16>,
     /// Scales of the rows.
     scales: Vec<f32>,
@@ -50,7 +52,9 @@ impl Rounded {
     const fn new() -> Self {
         Self {
             bytes: Vec::new(),
+            #[cfg(target_arch = "x86_64")]
             words: Vec::new(),
+            #[cfg(target_arch = "x86_64")]
             panel: Vec::new(),
             scales: Vec::new(),
         }

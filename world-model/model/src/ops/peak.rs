@@ -18,7 +18,7 @@ use super::simd::{Avx2, Avx512};
 use super::simd::{Bf16Unit, BytesUnit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
 
 /// Sums that are added to in turns: more than a processor's latency of an addition times its units, and no more than fit
-/// into its registers, with thirty-two of a vector each and with sixteen of half a vector.
+/// into its registers, with thirty-two of a vector each, and with sixteen of half a vector or thirty-two of a quarter.
 #[cfg(target_arch = "x86_64")]
 const WIDE: usize = 12;
 const NARROW: usize = 6;
@@ -69,8 +69,8 @@ fn bf16_steps(unit: Bf16Unit) -> usize {
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bf16")]
-    fn avx512(one: half::bf16, small: half::bf16) -> usize {
-        steps::<Bf16, Avx512, WIDE>(one, small)
+    fn avx512(input: half::bf16, weight: half::bf16) -> usize {
+        steps::<Bf16, Avx512, WIDE>(input, weight)
     }
 
     match unit {

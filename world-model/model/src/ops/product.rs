@@ -253,6 +253,14 @@ impl Product for Int8 {
             unsafe { row.wide_tiles::<Avx512>() }
         }
 
+        /// As in [`Bf16`]: what is around the tiles, in wide registers.
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f")]
+        unsafe fn amx(row: &Row<Int8>) {
+            // SAFETY: as for `run`.
+            unsafe { row.amx_tiles::<Int8Tiles>() }
+        }
+
         // SAFETY: the caller vouches for the pointers and the instructions.
         unsafe {
             match unit {

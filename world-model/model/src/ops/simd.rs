@@ -57,6 +57,7 @@ pub(crate) trait DotInt8: Lanes {
 }
 
 /// Lanes with products of 16-bit whole numbers, two of which are in each lane.
+#[cfg(target_arch = "x86_64")]
 pub(crate) trait DotInt16: Lanes {
     /// In every lane the sum of both products of `self` and `b`, plus that of `c`, an i32. Exact.
     fn dot_int16(self, b: Self, c: Self) -> Self;

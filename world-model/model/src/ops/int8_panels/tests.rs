@@ -44,7 +44,9 @@ fn product(packed: &Int8Panels, x: &[f32]) -> Vec<f32> {
     ROUNDED.with_borrow_mut(|buffers| {
         *buffers = Rounded {
             bytes: vec![-99; 100_000],
+            #[cfg(target_arch = "x86_64")]
             words: vec![-99; 100_000],
+            #[cfg(target_arch = "x86_64")]
             panel: vec![-99; 100_000],
             scales: vec![f32::NAN; 1000],
         };

@@ -111,7 +111,7 @@ impl Int8Unit {
         Self::Avx2,
         #[cfg(target_arch = "aarch64")]
         Self::Bytes(BytesUnit::Neon),
-        Self::PORTABLE,
+        Self::Bytes(BytesUnit::Portable),
     ];
 
     /// The one that every processor has.
@@ -121,8 +121,8 @@ impl Int8Unit {
     pub(crate) fn detect() -> Self {
         static DETECTED: OnceLock<Int8Unit> = OnceLock::new();
         *DETECTED.get_or_init(|| {
-            let mut all = Self::ALL.iter().copied();
-            all.find(|unit| unit.is_there()).unwrap_or(Self::PORTABLE)
+            let best = Self::ALL.iter().copied().find(|unit| unit.is_there());
+            best.unwrap_or(Self::Bytes(BytesUnit::Portable))
         })
     }
 
@@ -139,7 +139,7 @@ impl Int8Unit {
             Self::Avx2 => InstructionSet::Avx2.is_there(),
             #[cfg(target_arch = "aarch64")]
             Self::Bytes(BytesUnit::Neon) => std::arch::is_aarch64_feature_detected!("dotprod"),
-            Self::PORTABLE => true,
+            Self::Bytes(BytesUnit::Portable) => true,
         }
     }
 
@@ -169,7 +169,7 @@ impl Int8Unit {
             #[cfg(target_arch = "x86_64")]
             Self::Bytes(BytesUnit::Avx512Vnni) => 128,
             // No faster than with signs, but so every processor tests what the offset takes.
-            Self::PORTABLE => 128,
+            Self::Bytes(BytesUnit::Portable) => 128,
             _ => 0,
         }
     }
@@ -185,7 +185,7 @@ impl Int8Unit {
             Self::Avx2 => "avx2-int8",
             #[cfg(target_arch = "aarch64")]
             Self::Bytes(BytesUnit::Neon) => "neon-dotprod",
-            Self::PORTABLE => "portable-int8",
+            Self::Bytes(BytesUnit::Portable) => "portable-int8",
         }
     }
 }
