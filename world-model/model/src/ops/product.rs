@@ -238,14 +238,6 @@ impl Product for Int8 {
     type Scales = WholeScales;
 
     unsafe fn run(row: &Row<Self>, unit: BytesUnit) {
-        /// As in [`Bf16`]: what is around the tiles, in wide registers.
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx512f")]
-        unsafe fn amx(row: &Row<Int8>) {
-            // SAFETY: as for `run`.
-            unsafe { row.amx_tiles::<Int8Tiles>() }
-        }
-
         #[cfg(target_arch = "x86_64")]
         #[target_feature(enable = "avx512f,avx512vnni")]
         unsafe fn avx512_vnni(row: &Row<Int8>) {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use proptest::prelude::*;
 
 use super::*;
+use crate::ops::simd::BytesUnit;
 
 /// (rows, inputs, outputs) with rests of every kind: of groups, of vectors, of panels and of tiles.
 const SHAPES: [(usize, usize, usize); 8] = [
@@ -181,7 +182,7 @@ proptest! {
             let packed = Int8Panels::pack(unit, &w, Some(&bias), (outputs, inputs), factors.clone());
             product(&packed, &x).iter().map(|y| y.to_bits()).collect()
         };
-        let expected = bits(Int8Unit::PORTABLE);
+        let expected = bits(Int8Unit::Bytes(BytesUnit::Portable));
         for unit in units() {
             prop_assert_eq!(&bits(unit), &expected, "{:?}", unit);
         }

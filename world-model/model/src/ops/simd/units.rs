@@ -114,9 +114,6 @@ impl Int8Unit {
         Self::Bytes(BytesUnit::Portable),
     ];
 
-    /// The one that every processor has.
-    pub(crate) const PORTABLE: Self = Self::Bytes(BytesUnit::Portable);
-
     /// The best one of this machine.
     pub(crate) fn detect() -> Self {
         static DETECTED: OnceLock<Int8Unit> = OnceLock::new();
