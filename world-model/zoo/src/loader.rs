@@ -26,7 +26,8 @@ use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Precision, Result};
 /// they are a hundredth of the values, and each is off in all places of an output alike. On other devices it gives bf16
 /// tensors.
 ///
-/// A loader for int8 rounds what is asked for as a Linear, when it is packed, and nothing else.
+/// A loader for int8 rounds what is asked for as a Linear, when it is packed, to 8 bits, or to bf16 where it is
+/// [sensitive](Loader::sensitive). Tensors it gives as f32.
 #[derive(Clone, Debug)]
 pub struct Loader<'a> {
     source: Source<'a>,
@@ -38,6 +39,8 @@ pub struct Loader<'a> {
     device: Device,
     /// Whether values are read from `source`, or only names and shapes.
     reads: bool,
+    /// Whether its Linears are sensitive to rounding.
+    is_sensitive: bool,
     /// Where packed weights are looked up and kept.
     session: Option<Rc<RefCell<Session>>>,
     /// What is known of the inputs of its Linears.
@@ -130,8 +133,9 @@ impl PackedSource for Loader<'_> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
+        format: PackedFormat,
     ) -> wm_model::Result<PackedLinear> {
-        Ok(self.packed_linear(name, shape, is_biased)?)
+        Ok(self.packed_linear(name, shape, is_biased, format)?)
     }
 
     fn values(&self, name: &str, shape: &[usize]) -> wm_model::Result<Vec<f32>> {
@@ -139,7 +143,7 @@ impl PackedSource for Loader<'_> {
     }
 
     fn format(&self) -> PackedFormat {
-        self.format()
+        self.matrix_format()
     }
 }
 
@@ -161,6 +165,7 @@ impl<'a> Loader<'a> {
             precision: compute.precision(),
             device: compute.device().clone(),
             reads: true,
+            is_sensitive: false,
             session: None,
             ranges: None,
             recorder: None,
@@ -223,6 +228,7 @@ impl<'a> Loader<'a> {
             precision: Precision::F32,
             device: Device::Cpu,
             reads: false,
+            is_sensitive: false,
             session: None,
             ranges: None,
             recorder: None,
@@ -256,6 +262,14 @@ impl<'a> Loader<'a> {
         }
     }
 
+    /// The same place, for [sensitive](PackedFormat::sensitive) Linears.
+    pub fn sensitive(&self) -> Self {
+        Self {
+            is_sensitive: true,
+            ..self.clone()
+        }
+    }
+
     /// What is to compute the model.
     pub fn engine(&self) -> Engine {
         self.engine
@@ -272,7 +286,16 @@ impl<'a> Loader<'a> {
 
     /// What weights that it gives as tensors are to be packed in.
     pub(crate) fn format(&self) -> PackedFormat {
-        self.precision.packed().beside_matrices()
+        self.precision.packed().sensitive()
+    }
+
+    /// What matrices that it gives as Linears are packed in.
+    fn matrix_format(&self) -> PackedFormat {
+        let format = self.precision.packed();
+        match self.is_sensitive {
+            true => format.sensitive(),
+            false => format,
+        }
     }
 
     /// Where the tensors that it gives are.
@@ -353,39 +376,30 @@ impl<'a> Loader<'a> {
         let weight_shape = [shape.0, shape.1];
         if let Some(source) = self.packs(&weight, &weight_shape) {
             return self
-                .pack(source, name, shape, is_biased)
+                .pack(source, name, shape, is_biased, self.matrix_format())
                 .map(Linear::packed);
         }
         let weight = self.tensor(&weight, &weight_shape)?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias"), &[shape.0]));
-        Linear::new(
-            weight,
-            bias.transpose()?,
-            self.engine,
-            self.precision.packed(),
-        )
+        Linear::new(weight, bias.transpose()?, self.engine, self.matrix_format())
     }
 
-    /// The Linear `name`, packed: `name.weight` of `shape` and, if `is_biased`, `name.bias`.
+    /// The Linear `name`, packed in `format`: `name.weight` of `shape` and, if `is_biased`, `name.bias`.
     fn packed_linear(
         &self,
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
+        format: PackedFormat,
     ) -> Result<PackedLinear> {
         let (weight, weight_shape) = (format!("{name}.weight"), [shape.0, shape.1]);
         if let Some(source) = self.packs(&weight, &weight_shape) {
-            return self.pack(source, name, shape, is_biased);
+            return self.pack(source, name, shape, is_biased, format);
         }
         let weight = self.values(&weight, &weight_shape)?;
         let bias = is_biased.then(|| self.values(&format!("{name}.bias"), &[shape.0]));
         let bias = bias.transpose()?;
-        Ok(PackedLinear::new(
-            &weight,
-            bias.as_deref(),
-            shape,
-            self.precision.packed(),
-        )?)
+        Ok(PackedLinear::new(&weight, bias.as_deref(), shape, format)?)
     }
 
     /// The checkpoint, if the matrix `name` of `shape` can be packed from where it lies there.
@@ -405,12 +419,13 @@ impl<'a> Loader<'a> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
+        format: PackedFormat,
     ) -> Result<PackedLinear> {
         let weight = self.path(&format!("{name}.weight"));
         self.account.borrow_mut().note(&weight, &[shape.0, shape.1]);
         let bias = is_biased.then(|| self.values(&format!("{name}.bias"), &[shape.0]));
         let bias = bias.transpose()?;
-        let packed = self.pack_or_find(source, &weight, shape, bias.as_deref())?;
+        let packed = self.pack_or_find(source, &weight, shape, bias.as_deref(), format)?;
         Ok(match self.recorder {
             Some((recorder, part)) => recorder.record((part, &weight), packed)?,
             None => packed,
@@ -424,9 +439,9 @@ impl<'a> Loader<'a> {
         weight: &str,
         shape: (usize, usize),
         bias: Option<&[f32]>,
+        format: PackedFormat,
     ) -> Result<PackedLinear> {
         let mut session = self.session.as_ref().map(|session| session.borrow_mut());
-        let format = self.precision.packed();
         if let Some(session) = &mut session
             && let Some(packed) = session.linear(weight, shape, format, bias)
         {

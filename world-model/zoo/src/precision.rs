@@ -17,7 +17,7 @@ pub enum Precision {
     /// bfloat16: half the memory, sums are f32 all the same.
     Bf16,
     /// 8-bit whole numbers with a scale for every output, for the matrices of the CPU's kernels; what they are multiplied
-    /// with is rounded to 8 bits too ([`PackedFormat::Int8`]). Everything else is not rounded.
+    /// with is rounded to 8 bits too ([`PackedFormat::Int8`]). Sensitive matrices are bf16, and tensors not rounded.
     Int8,
 }
 

@@ -11,13 +11,20 @@ use wm_model::sampler::Sampler;
 use wm_zoo::kinds::{Kind, RolloutOptions, Tensors, forward, rollout};
 use wm_zoo::{Checkpoint, Compute, Engine, Precision};
 
-/// Number formats of the weights, each with the error allowed: norm of the difference over norm of
-/// PyTorch's f32 output, and largest difference over largest output. The first two are the task's bounds;
-/// f32 leaves room for sums in another order, bf16 for its 8 bits. int8 is bounded by what `docs/models.md` promises.
-const PRECISIONS: [(Precision, f64); 3] = [
-    (Precision::F32, 1e-4),
-    (Precision::Bf16, 2e-2),
-    (Precision::Int8, 3e-2),
+/// Number formats of the weights, each with the error allowed.
+///
+/// f32 leaves room for sums in another order, bf16 for its 8 bits; both are the task's bounds. Those of int8 are what
+/// `docs/models.md` promises: weights are random here, and there is no calibration.
+const PRECISIONS: [(Precision, RelativeError); 3] = [
+    (Precision::F32, RelativeError::both(1e-4)),
+    (Precision::Bf16, RelativeError::both(2e-2)),
+    (
+        Precision::Int8,
+        RelativeError {
+            of_norm: 3e-2,
+            of_largest: 5e-2,
+        },
+    ),
 ];
 
 /// What a folder's name has between its kind and the variant of it.
@@ -98,9 +105,9 @@ impl Fixture {
     }
 
     /// Everything that differs from PyTorch, one line each; empty if nothing does.
-    fn faults(&self, (precision, tolerance): (Precision, f64)) -> Vec<String> {
+    fn faults(&self, (precision, tolerance): &(Precision, RelativeError)) -> Vec<String> {
         let mut faults = Vec::new();
-        for compute in computes(precision) {
+        for compute in computes(*precision) {
             let compared = self.outputs(&compute).and_then(|all| {
                 let expected = self.tensors("output.safetensors")?;
                 let found = all.iter().map(|found| compare(found, &expected));
@@ -148,13 +155,22 @@ fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-/// How far an output is from PyTorch's.
+/// How far an output is from PyTorch's in f32.
 struct RelativeError {
+    /// Norm of the difference over norm of the output.
     of_norm: f64,
+    /// Largest difference over largest output.
     of_largest: f64,
 }
 
 impl RelativeError {
+    const fn both(error: f64) -> Self {
+        Self {
+            of_norm: error,
+            of_largest: error,
+        }
+    }
+
     fn between(found: &Tensor, expected: &Tensor) -> candle_core::Result<Self> {
         let difference = (found.to_dtype(DType::F64)? - expected.to_dtype(DType::F64)?)?;
         let expected = expected.to_dtype(DType::F64)?;
@@ -167,8 +183,8 @@ impl RelativeError {
     }
 
     /// False also where something is not a number.
-    fn is_within(&self, tolerance: f64) -> bool {
-        self.of_norm <= tolerance && self.of_largest <= tolerance
+    fn is_within(&self, tolerance: &Self) -> bool {
+        self.of_norm <= tolerance.of_norm && self.of_largest <= tolerance.of_largest
     }
 }
 
@@ -216,7 +232,7 @@ fn fixtures() -> Vec<Fixture> {
         .collect()
 }
 
-fn assert_parity(precision: (Precision, f64)) {
+fn assert_parity(precision: &(Precision, RelativeError)) {
     let fixtures = fixtures();
     let faults: Vec<String> = fixtures.iter().flat_map(|f| f.faults(precision)).collect();
     let count = faults.len();
@@ -225,17 +241,17 @@ fn assert_parity(precision: (Precision, f64)) {
 
 #[test]
 fn every_kind_gives_what_pytorch_gives() {
-    assert_parity(PRECISIONS[0]);
+    assert_parity(&PRECISIONS[0]);
 }
 
 #[test]
 fn every_kind_is_close_with_weights_of_half_the_size() {
-    assert_parity(PRECISIONS[1]);
+    assert_parity(&PRECISIONS[1]);
 }
 
 #[test]
 fn every_kind_is_near_with_weights_of_a_quarter_of_the_size() {
-    assert_parity(PRECISIONS[2]);
+    assert_parity(&PRECISIONS[2]);
 }
 
 #[test]

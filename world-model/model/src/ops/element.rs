@@ -29,13 +29,12 @@ pub enum PackedFormat {
 }
 
 impl PackedFormat {
-    /// What everything else than matrices is kept in where matrices are in this: no weights are rounded that only
-    /// matrices have to be, but for the processor's products of bf16.
-    pub fn beside_matrices(self) -> Self {
+    /// What matrices are kept in for which 8 bits are too few, where the others are in this: those whose errors meet all
+    /// places of an output alike, and those that a model begins and ends with.
+    pub fn sensitive(self) -> Self {
         match self {
-            Self::F32 | Self::Bf16 => self,
-            Self::Int8 if Bf16Unit::detect().is_some() => Self::Bf16,
-            Self::Int8 => Self::F32,
+            Self::F32 => Self::F32,
+            Self::Bf16 | Self::Int8 => Self::Bf16,
         }
     }
 
