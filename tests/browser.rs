@@ -52,9 +52,23 @@ impl Browser {
         // The browser takes commands on descriptor 3 and answers on 4; the shell opens them one after the other.
         let mut command = Command::new("sh");
         command
-            .args(["-c", "exec \"$0\" \"$@\" 3<\"$INPUT\" 4>\"$OUTPUT\" 2>/dev/null", name])
-            .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
-            .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
+            .args([
+                "-c",
+                "exec \"$0\" \"$@\" 3<\"$INPUT\" 4>\"$OUTPUT\" 2>/dev/null",
+                name,
+            ])
+            .args([
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--disable-quic",
+                "--no-first-run",
+            ])
+            .args([
+                "--disable-background-networking",
+                "--disable-component-update",
+                "--disable-sync",
+            ])
             .args(["--hide-scrollbars", "--remote-debugging-pipe"])
             .arg(format!("--user-data-dir={}", path("profile").display()))
             .env("INPUT", &input)
@@ -66,7 +80,9 @@ impl Browser {
         std::thread::spawn(move || {
             for message in BufReader::new(answers).split(0) {
                 let Ok(message) = message else { break };
-                let Ok(message) = serde_json::from_slice(&message) else { break };
+                let Ok(message) = serde_json::from_slice(&message) else {
+                    break;
+                };
                 if sender.send(message).is_err() {
                     break;
                 }
@@ -83,7 +99,10 @@ impl Browser {
         let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
         let attached = browser.call("Target.attachToTarget", attach);
-        browser.session = attached["sessionId"].as_str().expect("a session").to_owned();
+        browser.session = attached["sessionId"]
+            .as_str()
+            .expect("a session")
+            .to_owned();
         browser.size(1400, 1000);
         browser.call("Page.navigate", json!({ "url": url }));
         Some(browser)
@@ -98,11 +117,16 @@ impl Browser {
         }
         let mut bytes = message.to_string().into_bytes();
         bytes.push(0);
-        self.commands.write_all(&bytes).expect("the browser listens");
+        self.commands
+            .write_all(&bytes)
+            .expect("the browser listens");
         let start = Instant::now();
         loop {
             let left = ANSWER_LIMIT.saturating_sub(start.elapsed());
-            let mut message = self.messages.recv_timeout(left).expect("the browser answers");
+            let mut message = self
+                .messages
+                .recv_timeout(left)
+                .expect("the browser answers");
             if message["id"] == json!(self.number) {
                 assert!(message["error"].is_null(), "{method}: {message}");
                 return message["result"].take();
@@ -112,16 +136,22 @@ impl Browser {
 
     /// The value of a JavaScript expression in the page; promises are waited for.
     pub fn evaluate(&mut self, expression: &str) -> Value {
-        let parameters = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
+        let parameters =
+            json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
         let mut result = self.call("Runtime.evaluate", parameters);
-        assert!(result["exceptionDetails"].is_null(), "{expression}: {result}");
+        assert!(
+            result["exceptionDetails"].is_null(),
+            "{expression}: {result}"
+        );
         result["result"]["value"].take()
     }
 
     /// Waits until an expression is true; until there is a page, none is.
     pub fn wait_for(&mut self, expression: &str, limit: Duration) {
         let start = Instant::now();
-        let guarded = format!("(() => {{ try {{ return Boolean({expression}); }} catch {{ return false; }} }})()");
+        let guarded = format!(
+            "(() => {{ try {{ return Boolean({expression}); }} catch {{ return false; }} }})()"
+        );
         while self.evaluate(&guarded) != json!(true) {
             if start.elapsed() > limit {
                 let text = self.evaluate("document.body.innerText");
@@ -134,7 +164,10 @@ impl Browser {
     /// Presses a key, as the keyboard would.
     pub fn press(&mut self, key: &str) {
         for kind in ["keyDown", "keyUp"] {
-            self.call("Input.dispatchKeyEvent", json!({ "type": kind, "key": key }));
+            self.call(
+                "Input.dispatchKeyEvent",
+                json!({ "type": kind, "key": key }),
+            );
         }
     }
 
@@ -147,7 +180,10 @@ impl Browser {
     /// Prefers light or dark pages.
     pub fn prefer(&mut self, scheme: &str) {
         let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
-        self.call("Emulation.setEmulatedMedia", json!({ "features": features }));
+        self.call(
+            "Emulation.setEmulatedMedia",
+            json!({ "features": features }),
+        );
     }
 
     /// What is to be seen, as a PNG file.

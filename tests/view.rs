@@ -52,9 +52,11 @@ impl View {
     }
 }
 
-fn player(domain: u16) -> Process {
+/// A camera: the bundled bag, again and again, with stamps of now, at so many times its 5 Hz.
+fn player(domain: u16, rate: &str) -> Process {
     let bag = bundled_bag();
-    let args = ["bag", "play", "--loop", "--restamp", &bag.to_string_lossy()];
+    let bag = bag.to_string_lossy();
+    let args = ["bag", "play", "--loop", "--restamp", "--rate", rate, &bag];
     Process::start(wm(domain, &args))
 }
 
@@ -87,12 +89,19 @@ const COLOURS: &str = "((id) => {
 })";
 
 fn colours(browser: &mut Browser, panel: &str) -> u64 {
-    browser.evaluate(&format!("{COLOURS}('{panel}')")).as_u64().expect("a number")
+    browser
+        .evaluate(&format!("{COLOURS}('{panel}')"))
+        .as_u64()
+        .expect("a number")
 }
 
 fn text(browser: &mut Browser, selector: &str) -> String {
     let expression = format!("document.querySelector({}).innerText", json!(selector));
-    browser.evaluate(&expression).as_str().unwrap_or_default().to_owned()
+    browser
+        .evaluate(&expression)
+        .as_str()
+        .unwrap_or_default()
+        .to_owned()
 }
 
 #[test]
@@ -100,9 +109,20 @@ fn the_page_shows_the_main_job_live() {
     let _alone = whole_suite();
     let (domain, port) = (fresh_domain(), free_port());
     let out = tempfile::tempdir().expect("a temporary directory");
-    let (output, view_port) = (format!("output:={}", out.path().display()), format!("view_port:={port}"));
+    let (output, view_port) = (
+        format!("output:={}", out.path().display()),
+        format!("view_port:={port}"),
+    );
     let file = "launch-configs/replay.launch.yaml";
-    let args = ["launch", file, &output, "loop:=true", "rate:=0.5", "view:=true", &view_port];
+    let args = [
+        "launch",
+        file,
+        &output,
+        "loop:=true",
+        "rate:=0.5",
+        "view:=true",
+        &view_port,
+    ];
     let launch = Process::start(wm(domain, &args));
     wait_until("the page is served", PATIENCE, || {
         std::net::TcpStream::connect(("127.0.0.1", port)).is_ok()
@@ -112,17 +132,35 @@ fn the_page_shows_the_main_job_live() {
         return;
     };
     browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
-    browser.wait_for("wmView.page.latencies.length > 3 && wmView.page.psnr > 15", PATIENCE);
+    browser.wait_for(
+        "wmView.page.latencies.length > 3 && wmView.page.psnr > 15",
+        PATIENCE,
+    );
     for panel in ["camera", "predicted", "difference"] {
         assert!(colours(&mut browser, panel) > 100, "{panel}");
     }
-    browser.wait_for("wmView.record.errors.some((error) => error.k === 8)", PATIENCE);
-    browser.wait_for("wmView.record.plans.length && wmView.record.outcomes.length && wmView.record.goals.length", PATIENCE);
-    browser.wait_for("document.querySelectorAll('#nodes tbody tr').length >= 6", PATIENCE);
+    browser.wait_for(
+        "wmView.record.errors.some((error) => error.k === 8)",
+        PATIENCE,
+    );
+    browser.wait_for(
+        "wmView.record.plans.length && wmView.record.outcomes.length && wmView.record.goals.length",
+        PATIENCE,
+    );
+    browser.wait_for(
+        "document.querySelectorAll('#nodes tbody tr').length >= 6",
+        PATIENCE,
+    );
     browser.wait_for("document.querySelector('#k').max === '8'", PATIENCE);
     // The wait says so where it fails: what is drawn a quarter of a second later.
-    browser.wait_for("document.querySelector('#plan-cost').innerText.startsWith('cost ')", PATIENCE);
-    browser.wait_for("document.querySelector('#goal canvas').width > 100", PATIENCE);
+    browser.wait_for(
+        "document.querySelector('#plan-cost').innerText.startsWith('cost ')",
+        PATIENCE,
+    );
+    browser.wait_for(
+        "document.querySelector('#goal canvas').width > 100",
+        PATIENCE,
+    );
     picture(&mut browser, "live");
     let horizon = browser.evaluate("document.querySelectorAll('#strip button').length");
     assert_eq!(horizon, 8);
@@ -138,17 +176,29 @@ fn the_page_shows_the_main_job_live() {
     let at = "wmView.page.shown('camera').stamp";
     let first = browser.evaluate(at);
     let frames = browser.evaluate("wmView.record.frames.length").as_u64();
-    browser.wait_for(&format!("wmView.record.frames.length > {} + 3", frames.unwrap_or(0)), PATIENCE);
+    browser.wait_for(
+        &format!("wmView.record.frames.length > {} + 3", frames.unwrap_or(0)),
+        PATIENCE,
+    );
     assert_eq!(browser.evaluate(at), first);
     browser.press("ArrowLeft");
     browser.wait_for(&format!("{at} !== {first}"), PATIENCE);
     let back = browser.evaluate(&format!("(BigInt({first}) - BigInt({at})) / 1000000n + ''"));
-    let back: i64 = back.as_str().and_then(|text| text.parse().ok()).expect("milliseconds");
-    // Frames are 0.2 s apart, at half the rate.
-    assert!((300..500).contains(&back), "{back} ms");
+    let back: i64 = back
+        .as_str()
+        .and_then(|text| text.parse().ok())
+        .expect("milliseconds");
+    // Frames are 0.2 s apart, at half the rate; on a busy machine one may be missing.
+    assert!(back > 300 && (back + 100) % 400 < 200, "{back} ms");
     browser.press(",");
-    browser.wait_for("wmView.page.shown('predicted') && wmView.page.shown('predicted').k === 4", PATIENCE);
-    browser.wait_for("document.querySelector('#difference .caption').innerText.includes('dB')", PATIENCE);
+    browser.wait_for(
+        "wmView.page.shown('predicted') && wmView.page.shown('predicted').k === 4",
+        PATIENCE,
+    );
+    browser.wait_for(
+        "document.querySelector('#difference .caption').innerText.includes('dB')",
+        PATIENCE,
+    );
     picture(&mut browser, "paused");
     browser.press("l");
     browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
@@ -162,13 +212,20 @@ fn the_page_shows_the_main_job_live() {
     picture(&mut browser, "dark");
 
     // Without control, the page offers none, and the node takes none.
-    assert_eq!(browser.evaluate("document.querySelector('#reset').hidden"), true);
+    assert_eq!(
+        browser.evaluate("document.querySelector('#reset').hidden"),
+        true
+    );
     let refused = browser.evaluate(
         "new Promise((resolve) => { const socket = new WebSocket(`ws://${location.host}/socket`, ['wm.view.v1']);
          socket.onopen = () => socket.send(JSON.stringify({ number: 3, command: { op: 'reset' } }));
          socket.onmessage = ({ data }) => { if (typeof data === 'string' && data.includes('answer')) resolve(JSON.parse(data)); }; })",
     );
-    assert_eq!((&refused["number"], &refused["done"]), (&json!(3), &json!(false)), "{refused}");
+    assert_eq!(
+        (&refused["number"], &refused["done"]),
+        (&json!(3), &json!(false)),
+        "{refused}"
+    );
 
     launch.signal(Signal::INT);
     let (status, _) = launch.finish(PATIENCE);
@@ -180,14 +237,22 @@ fn the_page_shows_the_main_job_live() {
 fn a_page_without_data_says_what_is_missing_and_finds_its_node_again() {
     let (domain, port) = (fresh_domain(), free_port());
     let view = View::start(domain, port, &[]);
-    let Some(mut browser) = Browser::open(&view.url()) else { return };
-    browser.wait_for("document.querySelector('#camera .missing').innerText.includes('/camera/image_raw')", PATIENCE);
+    let Some(mut browser) = Browser::open(&view.url()) else {
+        return;
+    };
+    browser.wait_for(
+        "document.querySelector('#camera .missing').innerText.includes('/camera/image_raw')",
+        PATIENCE,
+    );
     let missing = text(&mut browser, "#predicted .missing");
     assert_eq!(missing, "no predictor is running");
-    browser.wait_for("document.querySelector('#error .missing').innerText !== ''", PATIENCE);
+    browser.wait_for(
+        "document.querySelector('#error .missing').innerText !== ''",
+        PATIENCE,
+    );
     picture(&mut browser, "empty");
 
-    let _player = player(domain);
+    let _player = player(domain, "1");
     browser.wait_for("wmView.page.latencies.length > 3", PATIENCE);
     assert!(colours(&mut browser, "camera") > 100);
 
@@ -197,19 +262,27 @@ fn a_page_without_data_says_what_is_missing_and_finds_its_node_again() {
     browser.wait_for("document.body.dataset.state === 'connecting'", PATIENCE);
     let _again = View::start(domain, port, &[]);
     browser.evaluate("wmView.page.latencies.length = 0");
-    browser.wait_for("document.body.dataset.state === 'live' && wmView.page.latencies.length > 3", PATIENCE);
+    browser.wait_for(
+        "document.body.dataset.state === 'live' && wmView.page.latencies.length > 3",
+        PATIENCE,
+    );
 }
 
 #[test]
 fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
     let domain = fresh_domain();
     let view = View::start(domain, free_port(), &["--control", "goals"]);
-    let _player = player(domain);
-    let Some(mut browser) = Browser::open(&view.url()) else { return };
+    let _player = player(domain, "1");
+    let Some(mut browser) = Browser::open(&view.url()) else {
+        return;
+    };
     browser.wait_for("wmView.page.latencies.length > 3", PATIENCE);
     browser.press(" ");
     browser.press("g");
-    browser.wait_for("document.querySelector('#toast').innerText !== ''", PATIENCE);
+    browser.wait_for(
+        "document.querySelector('#toast').innerText !== ''",
+        PATIENCE,
+    );
     // The view hears the goal as everybody does.
     browser.wait_for("wmView.page.shown('goal')", PATIENCE);
     let goal = browser.evaluate(
@@ -223,23 +296,44 @@ fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
     let mut socket = view.open();
     socket.send(r#"{"number":1,"command":{"op":"arm","armed":true}}"#);
     let answer = socket.answer();
-    assert_eq!((&answer["number"], &answer["done"]), (&json!(1), &json!(false)));
-    assert!(answer["text"].as_str().is_some_and(|text| text.contains("not permitted")), "{answer}");
+    assert_eq!(
+        (&answer["number"], &answer["done"]),
+        (&json!(1), &json!(false))
+    );
+    assert!(
+        answer["text"]
+            .as_str()
+            .is_some_and(|text| text.contains("not permitted")),
+        "{answer}"
+    );
     socket.send(r#"{"number":2,"command":{"op":"reset"}}"#);
     let answer = socket.answer();
     let text = answer["text"].as_str().unwrap_or_default();
-    assert!(answer["done"] == false && text.contains("/wm/predictor/reset is not there"), "{answer}");
+    assert!(
+        answer["done"] == false && text.contains("/wm/predictor/reset is not there"),
+        "{answer}"
+    );
     socket.send(r#"{"number":3,"command":{"op":"stop"}}"#);
     let answer = socket.answer();
-    assert!(answer["text"].as_str().is_some_and(|text| text.contains("no executor")), "{answer}");
+    assert!(
+        answer["text"]
+            .as_str()
+            .is_some_and(|text| text.contains("no executor")),
+        "{answer}"
+    );
 }
 
 #[test]
 fn a_bag_is_looked_at_in_the_same_page() {
     let bag = bundled_bag();
     let view = View::start(fresh_domain(), free_port(), &[&bag.to_string_lossy()]);
-    let Some(mut browser) = Browser::open(&view.url()) else { return };
-    browser.wait_for("document.body.dataset.state === 'bag' && wmView.page.shown('camera')", PATIENCE);
+    let Some(mut browser) = Browser::open(&view.url()) else {
+        return;
+    };
+    browser.wait_for(
+        "document.body.dataset.state === 'bag' && wmView.page.shown('camera')",
+        PATIENCE,
+    );
     browser.wait_for(&format!("{COLOURS}('camera') > 100"), PATIENCE);
     browser.wait_for("wmView.record.frames.length > 50", PATIENCE);
     let missing = text(&mut browser, "#predicted .missing");
@@ -253,7 +347,10 @@ fn a_bag_is_looked_at_in_the_same_page() {
     // It plays, at its own pace, and ends where the bag ends.
     browser.evaluate("wmView.page.look(wmView.record.frames.at(-4))");
     browser.press(" ");
-    browser.wait_for("!wmView.page.playing && wmView.page.at === wmView.record.newest()", PATIENCE);
+    browser.wait_for(
+        "!wmView.page.playing && wmView.page.at === wmView.record.newest()",
+        PATIENCE,
+    );
     let mut socket = view.open();
     socket.send(r#"{"number":1,"command":{"op":"stop"}}"#);
     assert_eq!(socket.answer()["done"], false);
@@ -263,31 +360,36 @@ fn a_bag_is_looked_at_in_the_same_page() {
 fn a_client_that_stands_still_costs_nothing_and_slows_nobody() {
     let domain = fresh_domain();
     let view = View::start(domain, free_port(), &[]);
-    let _player = player(domain);
+    // 750 KB/s: within seconds more than the kernel holds for a client that does not read.
+    let _player = player(domain, "10");
     let mut others: Vec<Socket> = (0..10).map(|_| view.open()).collect();
     others[0].frame();
     let mut stalled = view.open();
     stalled.frame();
     let before = resident(view.process.pid());
-    // Every one of ten clients gets each frame while the eleventh reads nothing.
+    // Ten clients get the frames while the eleventh reads nothing.
     let start = Instant::now();
     let mut seen = vec![BTreeSet::new(); others.len()];
-    while start.elapsed() < Duration::from_secs(4) {
+    while start.elapsed() < Duration::from_secs(6) {
         for (socket, seen) in others.iter_mut().zip(&mut seen) {
             seen.insert(socket.frame().0);
         }
     }
-    let common = seen.iter().skip(1).fold(seen[0].clone(), |all, one| &all & one);
-    assert!(common.len() > 10, "{}", common.len());
+    let common = seen
+        .iter()
+        .skip(1)
+        .fold(seen[0].clone(), |all, one| &all & one);
+    assert!(common.len() > 50, "{}", common.len());
     let grown = resident(view.process.pid()).saturating_sub(before);
-    // Twenty frames of some 15 KB are kept, and nothing is kept for the client.
-    assert!(grown < 16 << 20, "{grown} bytes more");
-    // When it reads again, it is at the present within as many messages as the kernel kept for it.
+    // What is kept is kept once, for the minute, and not for each client.
+    assert!(grown < 24 << 20, "{grown} bytes more");
+    // When it reads again, it is soon at the present: what came in between it never gets.
     let newest = *seen[0].last().expect("frames");
-    let mut last = stalled.frame().0;
-    while last < newest {
-        last = stalled.frame().0;
+    let mut read = 1;
+    while stalled.frame().0 < newest {
+        read += 1;
     }
+    assert!(read < common.len(), "{read} of {}", common.len());
 }
 
 /// The header of a frame of this many bytes that never come.
@@ -304,21 +406,42 @@ fn hostile_clients_are_refused_and_harm_nobody() {
     let folder = tempfile::tempdir().expect("a temporary directory");
     let token = folder.path().join("token");
     std::fs::write(&token, "0123456789abcdef\n").expect("the folder is writable");
-    let args = ["--token-file", &token.to_string_lossy(), "--max-clients", "3"];
+    let args = [
+        "--token-file",
+        &token.to_string_lossy(),
+        "--max-clients",
+        "3",
+    ];
     let view = View::start(domain, free_port(), &args);
-    let _player = player(domain);
+    let _player = player(domain, "1");
     let port = view.port;
     let own = format!("http://127.0.0.1:{port}");
-    let protocols = ("Sec-WebSocket-Protocol", "wm.view.v1, wm.token.0123456789abcdef");
-    let wrong = ("Sec-WebSocket-Protocol", "wm.view.v1, wm.token.0123456789abcdee");
+    let protocols = (
+        "Sec-WebSocket-Protocol",
+        "wm.view.v1, wm.token.0123456789abcdef",
+    );
+    let wrong = (
+        "Sec-WebSocket-Protocol",
+        "wm.view.v1, wm.token.0123456789abcdee",
+    );
     let cases: [(u16, &[(&str, &str)]); 7] = [
         (101, &[protocols, ("Origin", &own)]),
         (401, &[("Origin", &own)]),
         (401, &[wrong, ("Origin", &own)]),
         (403, &[protocols, ("Origin", "http://evil.example")]),
         (403, &[protocols, ("Origin", "null")]),
-        (421, &[protocols, ("Host", "evil.example"), ("Origin", "http://evil.example")]),
-        (400, &[("Sec-WebSocket-Protocol", "other, wm.token.0123456789abcdef")]),
+        (
+            421,
+            &[
+                protocols,
+                ("Host", "evil.example"),
+                ("Origin", "http://evil.example"),
+            ],
+        ),
+        (
+            400,
+            &[("Sec-WebSocket-Protocol", "other, wm.token.0123456789abcdef")],
+        ),
     ];
     for (expected, headers) in cases {
         assert_eq!(open(port, headers).0, expected, "{headers:?}");
@@ -359,10 +482,13 @@ fn hostile_clients_are_refused_and_harm_nobody() {
     let (first, _) = good.frame();
     assert!(good.frame().0 > first, "the good client is served on");
 
-    // One more than there may be.
-    let held = [client(), client()];
-    assert!(held.iter().all(|(status, _)| *status == 101));
-    assert_eq!(client().0, 503);
+    // One more than there may be, once those that were refused are gone.
+    let mut held = Vec::new();
+    let start = Instant::now();
+    while held.len() < 2 && start.elapsed() < PATIENCE {
+        held.extend(client().1);
+    }
+    assert_eq!((held.len(), client().0), (2, 503));
     drop(held);
     wait_until("places are free again", PATIENCE, || client().0 == 101);
 }
@@ -370,14 +496,21 @@ fn hostile_clients_are_refused_and_harm_nobody() {
 #[test]
 fn a_port_that_is_taken_and_a_bag_that_is_none_are_named() {
     let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
-    let port = listener.local_addr().expect("an address").port().to_string();
+    let port = listener
+        .local_addr()
+        .expect("an address")
+        .port()
+        .to_string();
     let failed = |args: &[&str]| {
         let output = wm(fresh_domain(), args).output().expect("wm runs");
         assert_eq!(output.status.code(), Some(1), "{args:?}");
         String::from_utf8_lossy(&output.stderr).into_owned()
     };
     let error = failed(&["view", "--port", &port]);
-    assert!(error.contains(&port) && error.contains("port:=0"), "{error}");
+    assert!(
+        error.contains(&port) && error.contains("port:=0"),
+        "{error}"
+    );
     let error = failed(&["view", "/no/such/bag"]);
     assert!(error.contains("no bag at /no/such/bag"), "{error}");
     let error = failed(&["view", "--address", "robot"]);
@@ -402,7 +535,9 @@ fn beyond_loopback_the_page_needs_the_token_that_is_printed() {
     process.signal(Signal::INT);
     let (_, stdout) = process.finish(PATIENCE);
     let token = stdout.split("#token=").nth(1).map(str::trim);
-    let token = token.unwrap_or_else(|| panic!("no token: {stdout}")).to_owned();
+    let token = token
+        .unwrap_or_else(|| panic!("no token: {stdout}"))
+        .to_owned();
     assert_eq!(token.len(), 32);
     drop(found);
 
@@ -410,8 +545,19 @@ fn beyond_loopback_the_page_needs_the_token_that_is_printed() {
     let folder = tempfile::tempdir().expect("a temporary directory");
     let file = folder.path().join("token");
     std::fs::write(&file, &token).expect("the folder is writable");
-    let view = View::start(fresh_domain(), port, &["--address", "0.0.0.0", "--token-file", &file.to_string_lossy()]);
-    let Some(mut browser) = Browser::open(&format!("{}#token={token}", view.url())) else { return };
+    let view = View::start(
+        fresh_domain(),
+        port,
+        &[
+            "--address",
+            "0.0.0.0",
+            "--token-file",
+            &file.to_string_lossy(),
+        ],
+    );
+    let Some(mut browser) = Browser::open(&format!("{}#token={token}", view.url())) else {
+        return;
+    };
     browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
     assert_eq!(browser.evaluate("location.hash"), Value::from(""));
 }

@@ -33,7 +33,9 @@ pub fn request(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, BufRead
     for (name, value) in headers {
         text += &format!("{name}: {value}\r\n");
     }
-    (&stream).write_all(format!("{text}\r\n").as_bytes()).expect("it is sent");
+    (&stream)
+        .write_all(format!("{text}\r\n").as_bytes())
+        .expect("it is sent");
     let mut stream = BufReader::new(stream);
     let mut line = String::new();
     stream.read_line(&mut line).expect("a status line");
@@ -56,7 +58,10 @@ pub fn open(port: u16, headers: &[(&str, &str)]) -> (u16, Option<Socket>) {
         ("Sec-WebSocket-Version", "13"),
         ("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="),
     ];
-    if !headers.iter().any(|(name, _)| *name == "Sec-WebSocket-Protocol") {
+    if !headers
+        .iter()
+        .any(|(name, _)| *name == "Sec-WebSocket-Protocol")
+    {
         all.push(("Sec-WebSocket-Protocol", "wm.view.v1"));
     }
     all.extend(headers);
@@ -78,7 +83,11 @@ impl Socket {
             Some(length) => frame.push(0x80 | length),
             None => {
                 frame.push(0x80 | 126);
-                frame.extend(u16::try_from(text.len()).expect("a short text").to_be_bytes());
+                frame.extend(
+                    u16::try_from(text.len())
+                        .expect("a short text")
+                        .to_be_bytes(),
+                );
             }
         }
         frame.extend([0; 4]);
@@ -99,7 +108,9 @@ impl Socket {
                 return Message::Closed;
             };
             let length = match length {
-                126 => self.take().map(|bytes| u64::from(u16::from_be_bytes(bytes))),
+                126 => self
+                    .take()
+                    .map(|bytes| u64::from(u16::from_be_bytes(bytes))),
                 127 => self.take().map(u64::from_be_bytes),
                 length => Ok(u64::from(length)),
             };
@@ -132,7 +143,9 @@ impl Socket {
         loop {
             match self.receive() {
                 Message::Picture(bytes) if bytes[1] == 0 => {
-                    let stamp = |at: usize| i64::from_le_bytes(bytes[at..at + 8].try_into().expect("8 bytes"));
+                    let stamp = |at: usize| {
+                        i64::from_le_bytes(bytes[at..at + 8].try_into().expect("8 bytes"))
+                    };
                     return (stamp(4), stamp(20));
                 }
                 Message::Closed => panic!("the socket was closed"),

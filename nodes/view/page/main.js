@@ -31,6 +31,8 @@ const page = {
   playing: null,
   /** From a frame's capture until it was drawn here, the last ones [ms]. */
   latencies: [],
+  /** When the first picture was drawn, since the page was opened [ms]. */
+  firstPicture: null,
   labels: {},
 
   get isBag() {
@@ -169,6 +171,7 @@ function drawPictures() {
   show("camera", frame, key(frame), (picture) => {
     screens.camera.aspect = `${picture.width} / ${picture.height}`;
     for (const id of ["predicted", "difference"]) screens[id].aspect = `${picture.width} / ${picture.height}`;
+    page.firstPicture ??= performance.now();
     const latency = performance.timeOrigin + performance.now() - frame.t;
     if (isLive && Math.abs(latency) < AN_HOUR) {
       page.latencies.push(latency);
@@ -277,9 +280,15 @@ function span() {
   return [record.frames[0]?.t ?? 0, Math.max(record.newest()?.t ?? 0, record.errors.at(-1)?.t ?? 0)];
 }
 
+let drawn = "";
+
 function drawPanels() {
   if (document.hidden || !page.hello) return;
   const { status, k } = page;
+  // What is said of a bag changes only with what is looked at.
+  const view = `${page.at?.stamp}/${k}/${record.count}/${status?.now}/${innerWidth}`;
+  if (page.isBag && view === drawn) return;
+  drawn = view;
   if (!page.isBag) record.prune(page.now - 1.5 * panels.SPAN);
   const x = span();
   const now = page.isBag ? x[0] : page.now;
@@ -292,9 +301,10 @@ function drawPanels() {
   panels.candidatesPanel({ offer: record.before("candidates", until), assessment: record.before("assessments", until + 2000), canPick: controls.canSteer, pick: (stamp, index) => controls.pick(stamp, index) });
   panels.logPanel({ record, until: page.isBag ? until : Infinity });
   if (status) {
-    panels.executorPanel({ status, control: controls.control });
-    panels.nodesPanel({ status });
-    panels.topicsPanel({ status, isBag: page.isBag });
+    const { isBag } = page;
+    panels.executorPanel({ status, control: controls.control, isBag });
+    panels.nodesPanel({ status, isBag });
+    panels.topicsPanel({ status, isBag });
   }
   const line = element("timeline");
   timeline(line, { x, record, cursor: cursor ?? x[1], isLive: !page.at && !page.isBag });
@@ -340,12 +350,12 @@ element("back").onclick = () => page.step(-1);
 element("forward").onclick = () => page.step(1);
 element("live").onclick = () => page.live();
 element("difference").querySelector(".screen").onclick = () => page.gain();
-element("log-level").onchange = drawPanels;
+element("log-level").onchange = () => (drawn = "");
 element("token-form").onsubmit = (event) => {
   event.preventDefault();
   connection.use(element("token").value.trim());
 };
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawPanels);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (drawn = ""));
 setInterval(drawPanels, PANEL_PERIOD);
 
 // For benchmarks and tests.

@@ -4,6 +4,8 @@ import { colour, lines } from "./charts.js";
 
 const element = (id) => document.getElementById(id);
 const SPAN = 60_000;
+/** Points of a line that is computed point by point. */
+const MOST_POINTS = 400;
 /** Lines of the log that are shown. */
 const MOST_LINES = 200;
 
@@ -63,7 +65,10 @@ export function errorPanel({ status, record, now, x, k, cursor, canTrust = true 
   const series = [...byStep]
     .sort(([a], [b]) => (a === k) - (b === k))
     .map(([step, points]) => ({ points, gap, colour: colour("model"), bold: step === k, faint: step !== k }));
-  const band = errors.filter((error) => error.k === 1).map((error) => [error.t, record.ratio(error.t)]);
+  const first = errors.filter((error) => error.k === 1);
+  // Of a long bag, as many as there are pixels.
+  const stride = Math.ceil(first.length / MOST_POINTS);
+  const band = first.filter((_, index) => index % stride === 0).map((error) => [error.t, record.ratio(error.t)]);
   series.unshift({ points: band, gap, colour: colour("real"), wide: true });
   const highest = Math.max(1.5, ...errors.filter((error) => error.k === k).map((error) => error.ratio ?? 0));
   const marks = [{ value: 1, colour: colour("soft"), label: "held frame" }];
@@ -162,8 +167,9 @@ export function candidatesPanel({ offer, assessment, canPick, pick }) {
   element("candidate-list").replaceChildren(...items);
 }
 
-export function executorPanel({ status, control }) {
-  const { executor } = status;
+export function executorPanel({ status, control, isBag }) {
+  // That of a bag is over, and cannot be stopped.
+  const executor = isBag ? null : status.executor;
   element("executor").hidden = !executor;
   if (!executor) return;
   const isSilent = status.executor_age_ms > 3000;
@@ -177,10 +183,11 @@ export function executorPanel({ status, control }) {
 
 const open = new Set();
 
-export function nodesPanel({ status }) {
+export function nodesPanel({ status, isBag }) {
   const body = element("nodes").querySelector("tbody");
   const rows = status.nodes.map((node) => {
-    const row = make("tr", "", node.age_ms > 3500 ? { class: "silent" } : {});
+    const isSilent = !isBag && node.age_ms > 3500;
+    const row = make("tr", "", isSilent ? { class: "silent" } : {});
     const name = make("td");
     name.append(make("span", "", { class: `level level-${node.level}`, title: ["ok", "warn", "error", "stale"][node.level] ?? "" }),
       node.name.replace(/^\/?wm\//, ""));
@@ -188,7 +195,7 @@ export function nodesPanel({ status }) {
     const details = make("details");
     details.open = open.has(node.name);
     details.ontoggle = () => (details.open ? open.add(node.name) : open.delete(node.name));
-    const message = node.age_ms > 3500 ? `silent for ${(node.age_ms / 1000).toFixed(0)} s; last: ${node.message}` : node.message;
+    const message = isSilent ? `silent for ${(node.age_ms / 1000).toFixed(0)} s; last: ${node.message}` : node.message;
     details.append(make("summary", message));
     const list = make("dl");
     if (details.open) for (const [key, value] of node.values) list.append(make("dt", key), make("dd", value));

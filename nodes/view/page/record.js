@@ -45,9 +45,11 @@ export class Record {
     this.horizon = 0;
     this.period = 0;
     this.model = "";
+    this.count = 0;
   }
 
   add(event) {
+    this.count++;
     const t = milliseconds(event.stamp);
     switch (event.t) {
       case "picture": {
@@ -130,13 +132,18 @@ export class Record {
 
   /** The pictures by k of the newest rollout that begins at or before `t`. */
   rollout(t) {
+    const span = (this.horizon || 64) * (this.period || 400) + this.tolerance;
     let from = -Infinity;
-    for (let index = this.predicted.length - 1; index >= 0 && index > this.predicted.length - 2000; index--) {
+    const end = lower(this.predicted, t + span);
+    // A rollout that is further back than so many pictures is none that is looked at.
+    for (let index = end - 1; index >= 0 && index > end - 1000; index--) {
       const picture = this.predicted[index];
       if (picture.from <= t + 1e-3 && picture.from > from) from = picture.from;
+      // What is predicted of a moment begins before it.
+      if (picture.t < from) break;
     }
     const steps = new Map();
-    for (const picture of this.predicted) if (picture.from === from) steps.set(picture.k, picture);
+    for (const picture of this.within("predicted", from, from + span)) if (picture.from === from) steps.set(picture.k, picture);
     return { from, steps };
   }
 
