@@ -20,7 +20,9 @@ mod paced_work;
 pub mod planner;
 pub mod pool;
 pub mod predictor;
+mod processors;
 mod reception;
+mod time_slice;
 pub mod work;
 
 use wm_ros::NodeDefinition;

@@ -1,9 +1,11 @@
-//! Threads of a node's own, so that its work waits for no other node of the process; of lower priority, where it may finish
-//! later than that of others in or outside the process.
+//! Threads of a node's own, so that its work waits for no other node of the process: in the background where it may finish
+//! later than that of others in or outside the process, else in the foreground.
 
 use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
+
+use crate::{processors::Processors, time_slice};
 
 /// The threads; copies are the same ones.
 #[derive(Clone, Debug)]
@@ -14,18 +16,38 @@ impl Pool {
     ///
     /// # Errors
     /// No threads.
-    pub fn new(name: &str, nice: i32) -> Result<Self> {
+    pub fn background(name: &str, nice: i32) -> Result<Self> {
+        Self::started(name, move |_| {
+            // Linux has a priority for each thread, where POSIX has one for the process.
+            if let Err(error) = rustix::process::nice(nice) {
+                tracing::warn!(
+                    "cannot lower the priority; computing at the usual priority: {error}"
+                );
+            }
+        })
+    }
+
+    /// As many threads as rayon has by default, named after the node. One that wakes up is let in at once, and each is
+    /// bound to a processor of its own if there are as many processors as threads.
+    ///
+    /// Threads that share a job must not share a processor. On a virtual machine, whose idle processors Linux takes for
+    /// busy ones of the host's, they often do if they are free to move.
+    ///
+    /// # Errors
+    /// No threads.
+    pub fn foreground(name: &str) -> Result<Self> {
+        let processors = Processors::of_process();
+        Self::started(name, move |thread| {
+            processors.bind(thread);
+            time_slice::shorten();
+        })
+    }
+
+    fn started(name: &str, on_start: impl Fn(usize) + Send + Sync + 'static) -> Result<Self> {
         let name = name.to_owned();
         let pool = rayon::ThreadPoolBuilder::new()
             .thread_name(move |index| format!("{name} {index}"))
-            .start_handler(move |_| {
-                // Linux has a priority for each thread, where POSIX has one for the process.
-                if let Err(error) = rustix::process::nice(nice) {
-                    tracing::warn!(
-                        "cannot lower the priority; computing at the usual priority: {error}"
-                    );
-                }
-            })
+            .start_handler(on_start)
             .build()
             .context("the threads to compute on")?;
         Ok(Self(Arc::new(pool)))
@@ -50,7 +72,7 @@ mod tests {
     fn all_of_a_job_gives_way_and_nothing_else() {
         let of_this_thread = || rustix::process::getpriority_process(None).unwrap();
         let here = of_this_thread();
-        let pool = Pool::new("planner", 3).unwrap();
+        let pool = Pool::background("planner", 3).unwrap();
         let seen: BTreeSet<_> = pool.run(|| {
             (0..1000_u32)
                 .into_par_iter()
@@ -65,5 +87,23 @@ mod tests {
         let lower = (here + 3).min(19);
         assert_eq!(seen, BTreeSet::from([(lower, "planner ".to_owned())]));
         assert_eq!(of_this_thread(), here);
+    }
+
+    #[test]
+    fn each_foreground_thread_has_a_processor_of_its_own() {
+        let here = Processors::of_process();
+        let pool = Pool::foreground("encoder").unwrap();
+        let of_threads = pool
+            .0
+            .broadcast(|thread| (thread.index(), Processors::of_process()));
+        let has_one_each = pool.0.current_num_threads() == here.count();
+        for (index, processors) in of_threads {
+            let expected = match has_one_each {
+                true => here.only(index),
+                false => here.clone(),
+            };
+            assert_eq!(processors, expected);
+        }
+        assert_eq!(Processors::of_process(), here);
     }
 }

@@ -159,7 +159,7 @@ impl ModelNode for Decoder {
                 step.raw_bytes(),
             );
         }
-        let pool = Pool::new(Self::NAME, parameters.nice)?;
+        let pool = Pool::background(Self::NAME, parameters.nice)?;
         let estimate = step.as_ref().and_then(|step| {
             pool.run(|| measured(|| step.try_out()))
                 .inspect_err(|error| tracing::warn!("decoding was tried out, and failed: {error}"))

@@ -153,7 +153,7 @@ impl ModelNode for Encoder {
                 (latent, is_raw, started.elapsed(), received)
             },
         )
-        .on(&Pool::new(Self::NAME, 0)?);
+        .on(&Pool::foreground(Self::NAME)?);
         let diagnostics = at.node.diagnostics();
         diagnostics.set_value(PACE, choice.mode().in_words(needs));
         let images = at.endpoints.images.topics();

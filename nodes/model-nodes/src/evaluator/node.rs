@@ -168,7 +168,7 @@ impl ModelNode for Evaluator {
             history,
             space,
             encoding,
-            pool: Pool::new(Self::NAME, parameters.nice)?,
+            pool: Pool::background(Self::NAME, parameters.nice)?,
         })
     }
 

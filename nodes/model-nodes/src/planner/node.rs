@@ -159,7 +159,7 @@ impl ModelNode for Planner {
             history,
             space,
             encoding,
-            pool: Pool::new(Self::NAME, parameters.nice)?,
+            pool: Pool::background(Self::NAME, parameters.nice)?,
         })
     }
 

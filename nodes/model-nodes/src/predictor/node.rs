@@ -186,7 +186,7 @@ impl ModelNode for Predictor {
         shared
             .diagnostics
             .set_value(PACE, every_nth(cadence.nth(), "frame"));
-        let (runner, pool) = (shared.clone(), Pool::new(Self::NAME, 0)?);
+        let (runner, pool) = (shared.clone(), Pool::foreground(Self::NAME)?);
         let work = PacedWork::new(cadence, move |job, stop: &Stop| {
             match pool.run(|| runner.roll_out(job, stop)) {
                 Ok(taken) => (Ok(()), taken),

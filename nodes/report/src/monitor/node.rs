@@ -3,7 +3,6 @@
 use super::live_line::LiveLine;
 use crate::{Scorer, files::write_report, table::terminal_table};
 use anyhow::{Result, ensure};
-use image::RgbImage;
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -38,8 +37,7 @@ const QOS: Qos = Qos::best_effort(64);
 /// The camera's topic, unless a parameter names another.
 const CAMERA: &str = "/camera/image_raw";
 
-/// The monitor's thread is so many steps below the nodes: it scores when a frame comes, which is when they have to be fast.
-/// When a message came is what the thread says that receives.
+/// The monitor's thread is so many steps below the nodes. When a message came is what the thread says that receives.
 const NICE: i32 = 5;
 
 /// How often the live line is renewed.
@@ -81,6 +79,9 @@ struct Monitor {
     output: PathBuf,
     topics: Topics,
     diagnostics: Diagnostics,
+    /// The newest frame. Scoring takes as long as encoding, so it waits until the nodes are done with the frame: until its
+    /// last prediction has come, or the next frame.
+    newest: Option<CameraFrame>,
     /// The transport (whether the raw one) by which predicted pictures are taken: that of the first.
     takes_raw: Option<bool>,
 }
@@ -155,6 +156,7 @@ fn start(node: &Node) -> Result<(Monitor, Inputs)> {
         output,
         topics,
         diagnostics: node.diagnostics(),
+        newest: None,
         takes_raw: None,
     };
     Ok((monitor, inputs))
@@ -166,7 +168,7 @@ async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
     loop {
         tokio::select! {
             received = inputs.camera.recv() => match received {
-                Some(received) => monitor.camera(&received.message),
+                Some(received) => monitor.camera(received.message),
                 None => break,
             },
             received = inputs.predicted.recv() => match received {
@@ -183,6 +185,7 @@ async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
             _ = ticks.tick() => monitor.show(),
         }
     }
+    monitor.score_newest();
     if monitor.is_live && std::io::stderr().is_terminal() {
         wm_ros::logging::last_words("");
     }
@@ -221,9 +224,23 @@ impl Monitor {
         Ok(())
     }
 
-    fn camera(&mut self, frame: &CameraFrame) {
+    fn camera(&mut self, frame: CameraFrame) {
+        let newest = self.newest.as_ref().map(|newest| newest.header().stamp);
+        // a frame may come raw and compressed: it counts once
+        if newest == Some(frame.header().stamp) {
+            return;
+        }
+        self.score_newest();
+        self.newest = Some(frame);
+        self.line.frame(Instant::now());
+    }
+
+    fn score_newest(&mut self) {
+        let Some(frame) = self.newest.take() else {
+            return;
+        };
         match frame.decode() {
-            Ok(rgb) => self.frame(frame.header().stamp.to_nanos(), rgb),
+            Ok(rgb) => self.scorer.frame(frame.header().stamp.to_nanos(), rgb),
             Err(problem) => self.left_out("camera image", &problem),
         }
     }
@@ -244,15 +261,6 @@ impl Monitor {
         }
     }
 
-    fn frame(&mut self, stamp_ns: i64, frame: RgbImage) {
-        let before = self.scorer.frame_count();
-        self.scorer.frame(stamp_ns, frame);
-        // a frame may come raw and compressed: it counts once
-        if self.scorer.frame_count() > before {
-            self.line.frame(Instant::now());
-        }
-    }
-
     fn prediction(&mut self, received: &Received<Prediction>) {
         let Received {
             message,
@@ -267,6 +275,10 @@ impl Monitor {
         self.line
             .prediction(message.step, latency_ns, Instant::now());
         self.scorer.prediction(message, arrived_ns);
+        let newest = self.newest.as_ref().map(|newest| newest.header().stamp);
+        if newest == Some(observed) && step == message.horizon {
+            self.score_newest();
+        }
     }
 
     fn left_out(&self, what: &str, problem: &dyn std::fmt::Display) {
