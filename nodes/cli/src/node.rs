@@ -127,7 +127,7 @@ impl Subcommand for NodeCommand {
     }
 
     fn has_subcommand(name: &str) -> bool {
-        name == TOGETHER || name == LIST || is_node(name)
+        name == TOGETHER || name == LIST || plain().any(|definition| definition.name == name)
     }
 }
 
