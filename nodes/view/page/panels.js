@@ -181,42 +181,60 @@ export function executorPanel({ status, control, isBag }) {
   element("disarm").hidden = executor.state === "dry run" || executor.state === "stopped";
 }
 
-const open = new Set();
+/** The rows of a table by what they are of: they are kept, so that what is open or has the focus stays so. */
+function rowsOf(table, items, name, begin, update) {
+  const body = table.querySelector("tbody");
+  table.rowsByName ??= new Map();
+  const rows = items.map((item) => {
+    let row = table.rowsByName.get(name(item));
+    if (!row) {
+      row = begin(item);
+      table.rowsByName.set(name(item), row);
+    }
+    update(row, item);
+    return row;
+  });
+  if (rows.length !== body.rows.length || rows.some((row, index) => row !== body.rows[index])) body.replaceChildren(...rows);
+}
 
 export function nodesPanel({ status, isBag }) {
-  const body = element("nodes").querySelector("tbody");
-  const rows = status.nodes.map((node) => {
-    const isSilent = !isBag && node.age_ms > 3500;
-    const row = make("tr", "", isSilent ? { class: "silent" } : {});
-    const name = make("td");
-    name.append(make("span", "", { class: `level level-${node.level}`, title: ["ok", "warn", "error", "stale"][node.level] ?? "" }),
-      node.name.replace(/^\/?wm\//, ""));
-    const text = make("td");
-    const details = make("details");
-    details.open = open.has(node.name);
-    details.ontoggle = () => (details.open ? open.add(node.name) : open.delete(node.name));
-    const message = isSilent ? `silent for ${(node.age_ms / 1000).toFixed(0)} s; last: ${node.message}` : node.message;
-    details.append(make("summary", message));
-    const list = make("dl");
-    if (details.open) for (const [key, value] of node.values) list.append(make("dt", key), make("dd", value));
-    else details.addEventListener("toggle", () => list.replaceChildren(...node.values.flatMap(([key, value]) => [make("dt", key), make("dd", value)])), { once: true });
-    details.append(list);
+  const panel = element("nodes");
+  // What a node says of a part of itself is shown where it is not well.
+  const nodes = status.nodes.filter((node) => node.level > 0 || !node.name.includes(": "));
+  say(panel.querySelector(".missing"), nodes.length ? "" : "no node has said anything on /diagnostics yet");
+  const begin = (node) => {
+    const [row, name, text, details] = ["tr", "td", "td", "details"].map((tag) => make(tag));
+    name.append(make("span"), node.name.replace(/^\/?wm\//, ""));
+    details.append(make("summary"), make("dl"));
     text.append(details);
     row.append(name, text);
     return row;
+  };
+  rowsOf(panel.querySelector("table"), nodes, (node) => node.name, begin, (row, node) => {
+    const isSilent = !isBag && node.age_ms > 3500;
+    row.className = isSilent ? "silent" : "";
+    const light = row.querySelector("span");
+    light.className = `level level-${node.level}`;
+    light.title = ["ok", "warn", "error", "stale"][node.level] ?? "";
+    say(row.querySelector("summary"), isSilent ? `silent for ${(node.age_ms / 1000).toFixed(0)} s; last: ${node.message}` : node.message);
+    const details = row.querySelector("details");
+    if (details.open) {
+      details.querySelector("dl").replaceChildren(...node.values.flatMap(([key, value]) => [make("dt", key), make("dd", value)]));
+    }
   });
-  if (!rows.length) rows.push(make("tr", "no node has said anything on /diagnostics yet"));
-  body.replaceChildren(...rows);
 }
 
 export function topicsPanel({ status, isBag }) {
-  const rows = status.topics.map(({ name, hz, count, publishers }) => {
-    const row = make("tr", "", count ? {} : { class: "silent" });
-    const rate = isBag ? "" : count ? hertz(hz) : publishers ? "silent" : "no publisher";
-    row.append(make("td", name), make("td", rate, { class: "number" }), make("td", count ? String(count) : "", { class: "number" }));
+  const begin = ({ name }) => {
+    const row = make("tr");
+    row.append(make("td", name), make("td", "", { class: "number" }), make("td", "", { class: "number" }));
     return row;
+  };
+  rowsOf(element("topics").querySelector("table"), status.topics, (topic) => topic.name, begin, (row, { hz, count, publishers }) => {
+    row.className = count ? "" : "silent";
+    say(row.cells[1], isBag ? "" : count ? hertz(hz) : publishers ? "silent" : "no publisher");
+    say(row.cells[2], count ? String(count) : "");
   });
-  element("topics").querySelector("tbody").replaceChildren(...rows);
 }
 
 const LEVELS = { 10: "debug", 20: "info", 30: "warn", 40: "error", 50: "fatal" };

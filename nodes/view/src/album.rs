@@ -73,11 +73,6 @@ impl Album {
         Some((*kind, *number, picture))
     }
 
-    /// Number of the last arrival.
-    pub fn arrivals(&self) -> u64 {
-        self.arrivals
-    }
-
     /// Bytes that are kept.
     pub fn bytes(&self) -> usize {
         self.bytes

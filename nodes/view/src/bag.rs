@@ -147,7 +147,7 @@ impl Bag {
             Topic::Pictures => self.picture_in(state, Source::Predicted, message, now_ns)?,
             Topic::Outcome => self.picture_in(state, Source::Plan, message, now_ns)?,
             Topic::CandidatePictures => {
-                self.picture_in(state, Source::Candidates, message, now_ns)?
+                self.picture_in(state, Source::Candidates, message, now_ns)?;
             }
             Topic::Goal if message.topic.contains("/image") => {
                 self.picture_in(state, Source::Goal, message, now_ns)?;

@@ -1,10 +1,7 @@
 //! What a client's page is told of the past and the present, as JSON. Stamps are texts: nanoseconds since 1970 are more than
 //! a number of JavaScript holds.
 
-use crate::{
-    clip,
-    picture::{Label, Source},
-};
+use crate::{clip, picture::Label};
 use serde::{Serialize, Serializer};
 use wm_msgs::wm_msgs::{
     Action, ActionCandidates, ActionChunk, Assessment, Goal, Plan, Prediction, PredictionError,
@@ -259,12 +256,6 @@ impl Event {
             node: clip::text(&log.name, MAX_NAME),
             text: clip::text(&log.msg, MAX_TEXT),
         }
-    }
-
-    /// Whether it tells of a picture of this source.
-    #[cfg(test)]
-    pub fn is_picture_of(&self, source: Source) -> bool {
-        matches!(self, Self::Picture { source: name, .. } if *name == source.name())
     }
 }
 

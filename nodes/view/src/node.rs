@@ -356,7 +356,7 @@ impl Hearing {
         };
         match frame {
             CameraFrame::Compressed(_) => {
-                self.seen(label, now_ns, Picture::of(&frame, label, now_ns))
+                self.seen(label, now_ns, Picture::of(&frame, label, now_ns));
             }
             CameraFrame::Raw(_) => {
                 if !self.conversions.begin(frame, label, now_ns) {

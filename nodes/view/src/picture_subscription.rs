@@ -64,11 +64,6 @@ impl PictureSubscription {
         })
     }
 
-    /// The absolute name of the raw topic.
-    pub fn topic(&self) -> &str {
-        &self.topic
-    }
-
     /// How many publish either of the two.
     pub fn publishers(&self, publishers: &Publishers) -> usize {
         let count = |topic: &str| publishers.get(topic).copied().unwrap_or(0);
