@@ -5,6 +5,7 @@
 mod actions;
 mod arm;
 mod bags;
+mod browser;
 mod cyclone;
 mod exit_codes;
 mod faults;
@@ -14,3 +15,5 @@ mod output;
 mod packages;
 mod policy;
 mod replay;
+mod view;
+mod websocket;

@@ -10,7 +10,10 @@ mod launch;
 mod model;
 mod node;
 mod output;
+mod parameter_flags;
+mod parameters;
 mod report;
+mod view;
 
 use std::process::ExitCode;
 
