@@ -85,6 +85,11 @@ impl Pairings {
         Pairing::Found(prediction)
     }
 
+    /// How many predictions wait for their pictures: a bounded number.
+    pub fn waiting(&self) -> usize {
+        self.awaited.len()
+    }
+
     /// Time jumped: nothing that waits will be matched any more.
     pub fn clear(&mut self) {
         self.awaited.clear();
