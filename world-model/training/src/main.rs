@@ -1,4 +1,4 @@
-//! `wm-training`: `wm sim`, `wm dataset`, `wm train` and `wm eval`, a program of its own, since a robot needs none of them.
+//! `wm-training`: `wm sim`, `wm dataset`, `wm train`, `wm eval` and `wm model calibrate`, a program of its own, since a robot needs none of them.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 a training that a signal stopped and that was saved.
 
@@ -7,7 +7,9 @@ use std::{ffi::OsString, io::IsTerminal as _, process::ExitCode};
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_dataset::DatasetArgs;
-use wm_evaluation::{ClosedLoopArgs, ImaginedArgs, MergeArgs, Protocol, Settings, SuiteArgs};
+use wm_evaluation::{
+    CalibrateArgs, ClosedLoopArgs, ImaginedArgs, MergeArgs, Protocol, Settings, SuiteArgs,
+};
 use wm_findings::Suite;
 use wm_sim::SimArgs;
 use wm_training::{
@@ -49,6 +51,15 @@ enum Command {
     /// Evaluate models on held-out bags
     #[command(subcommand)]
     Eval(Box<EvalCommand>),
+    /// What `wm model` needs bags for
+    #[command(subcommand)]
+    Model(Box<ModelCommand>),
+}
+
+#[derive(Debug, Subcommand)]
+enum ModelCommand {
+    /// Measure on bags what a model's matrices are multiplied with, for int8
+    Calibrate(CalibrateArgs),
 }
 
 #[derive(Debug, Subcommand)]
@@ -139,6 +150,9 @@ impl Command {
             Self::Sim(arguments) => arguments.run()?,
             Self::Dataset(arguments) => arguments.run()?,
             Self::Train(command) => return command.run(),
+            Self::Model(command) => match *command {
+                ModelCommand::Calibrate(arguments) => arguments.run()?,
+            },
             Self::Eval(command) => match *command {
                 EvalCommand::Autoencoder(arguments) => arguments.run()?,
                 EvalCommand::Transition(arguments) => arguments.run()?,

@@ -258,6 +258,17 @@ impl DescribedFolder {
         self
     }
 
+    /// The same, whose parts compute in int8, with `calibration` or none.
+    pub fn quantised(mut self, calibration: Option<Calibration>) -> Self {
+        self.known = match calibration {
+            Some(calibration) => KnownInputs::Calibrated(calibration),
+            None => KnownInputs::Nothing,
+        };
+        self.description.dtype = Precision::Int8;
+        self.space = OnceLock::new();
+        self
+    }
+
     /// What was noted since it is [recorded](Self::recorded).
     ///
     /// # Errors

@@ -276,6 +276,49 @@ mod tests {
         assert!(linear.noting(InputRange::new(3)).is_err());
     }
 
+    /// An input that is a hundred times larger than the others, as transformers have them.
+    #[test]
+    fn smoothing_leaves_room_beside_a_large_input() {
+        let (rows, inputs, outputs) = (32, 64, 48);
+        let value = |i: usize| ((i * 7919) % 2003) as f32 / 1001.0 - 1.0;
+        let weight: Vec<f32> = (0..inputs * outputs).map(|i| value(i + 5) / 8.0).collect();
+        let x: Vec<f32> = (0..rows * inputs)
+            .map(|i| value(i) * if i % inputs == 3 { 100.0 } else { 1.0 })
+            .collect();
+        let mut largest = vec![0f32; inputs];
+        for row in x.chunks_exact(inputs) {
+            for (most, v) in largest.iter_mut().zip(row) {
+                *most = most.max(v.abs());
+            }
+        }
+        let run = |linear: PackedLinear| {
+            let mut y = vec![0.0; rows * outputs];
+            linear.forward(&x, &mut y);
+            y
+        };
+        let shape = (outputs, inputs);
+        let exact = run(PackedLinear::new(&weight, None, shape, PackedFormat::F32).unwrap());
+        let error = |smoothing| {
+            let found = run(PackedLinear::quantised(&weight, None, shape, smoothing).unwrap());
+            let squares = found.iter().zip(&exact).map(|(a, b)| (a - b).powi(2));
+            squares.sum::<f32>().sqrt()
+        };
+        let smoothing = Smoothing {
+            largest: &largest,
+            strength: 0.5,
+        };
+        let (plain, smoothed) = (error(None), error(Some(smoothing)));
+        assert!(smoothed < plain / 3.0, "{smoothed}, without {plain}");
+    }
+
+    #[test]
+    fn too_many_inputs_for_exact_sums_are_refused() {
+        let inputs = MOST_INPUTS + 1;
+        let weight = vec![0.0; inputs];
+        let error = PackedLinear::quantised(&weight, None, (1, inputs), None).unwrap_err();
+        assert!(error.to_string().contains(&inputs.to_string()), "{error}");
+    }
+
     #[test]
     fn a_weight_of_another_size_is_refused() {
         let error = PackedLinear::new(&[0.0; 5], None, (2, 3), PackedFormat::F32).unwrap_err();
