@@ -1,7 +1,7 @@
 use std::fmt;
 
 use anyhow::Result;
-use candle_core::{DType, Tensor};
+use candle_core::Tensor;
 use image::RgbImage;
 use wm_evaluation::{Figure, SquaredError};
 use wm_model::{autoencoder::Normalisation, image::to_rgb};
