@@ -323,6 +323,80 @@ fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
     );
 }
 
+/// What the executor does, by the next status that tells of one and satisfies `is_so`.
+fn executor_state(socket: &mut Socket, is_so: impl Fn(&str) -> bool) -> String {
+    loop {
+        match socket.receive() {
+            Message::Text(text) if text["op"] == "status" => {
+                match text["executor"]["state"].as_str() {
+                    Some(state) if is_so(state) => return state.to_owned(),
+                    _ => {}
+                }
+            }
+            Message::Closed => panic!("the socket was closed"),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn anybody_who_may_look_stops_the_executor_and_only_who_may_arms_it() {
+    let domain = fresh_domain();
+    let _executor = Process::start(wm(domain, &["executor"]));
+    let looking = View::start(domain, free_port(), &[]);
+    let arming = View::start(domain, free_port(), &["--control", "all"]);
+    let (mut looker, mut armer) = (looking.open(), arming.open());
+    let ask = |socket: &mut Socket, command: &str| {
+        socket.send(&format!("{{\"number\":1,\"command\":{command}}}"));
+        let answer = socket.answer();
+        (
+            answer["done"] == true,
+            answer["text"].as_str().unwrap_or_default().to_owned(),
+        )
+    };
+    let (arm, disarm) = (
+        r#"{"op":"arm","armed":true}"#,
+        r#"{"op":"arm","armed":false}"#,
+    );
+    let (stop, release) = (r#"{"op":"stop"}"#, r#"{"op":"release"}"#);
+    for socket in [&mut looker, &mut armer] {
+        assert_eq!(executor_state(socket, |_| true), "dry run");
+    }
+    for command in [arm, release] {
+        let (is_done, text) = ask(&mut looker, command);
+        assert!(!is_done && text.contains("not permitted"), "{text}");
+    }
+    assert!(ask(&mut armer, arm).0);
+    executor_state(&mut looker, |state| state == "idle");
+    let (is_done, text) = ask(&mut looker, stop);
+    assert!(is_done, "{text}");
+    executor_state(&mut looker, |state| state == "stopped");
+    // It stays so until somebody who may says otherwise.
+    assert!(!ask(&mut armer, arm).0);
+    assert!(ask(&mut armer, release).0);
+    executor_state(&mut looker, |state| state == "dry run");
+    assert!(ask(&mut armer, arm).0);
+    executor_state(&mut looker, |state| state == "idle");
+    assert!(ask(&mut looker, disarm).0);
+    executor_state(&mut looker, |state| state == "dry run");
+
+    let Some(mut browser) = Browser::open(&arming.url()) else {
+        return;
+    };
+    browser.wait_for(
+        "!document.querySelector('#executor').hidden && !document.querySelector('#arm').hidden",
+        PATIENCE,
+    );
+    browser.evaluate("document.querySelector('#arm').click()");
+    browser.wait_for("document.querySelector('#arm-dialog').open", PATIENCE);
+    picture(&mut browser, "arm");
+    // Asked once more, somebody thinks better of it.
+    browser.evaluate("document.querySelector('#arm-dialog button[value=cancel]').click()");
+    browser.wait_for("!document.querySelector('#arm-dialog').open", PATIENCE);
+    browser.press("x");
+    executor_state(&mut looker, |state| state == "stopped");
+}
+
 #[test]
 fn a_bag_is_looked_at_in_the_same_page() {
     let bag = bundled_bag();

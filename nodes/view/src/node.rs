@@ -281,7 +281,13 @@ impl Hearing {
                     Some(received) => self.picture(Source::Camera, received),
                     None => return Ok(()),
                 },
-                Some(received) = inputs.pictures.recv() => self.picture(Source::Predicted, received),
+                Some(received) = inputs.pictures.recv() => {
+                    // Where both wait, the predictions first: by them it is told which picture it is.
+                    while let Some(prediction) = inputs.predicted.try_recv() {
+                        self.tell(&prediction.map(Arc::new), State::prediction);
+                    }
+                    self.picture(Source::Predicted, received);
+                }
                 Some(received) = inputs.outcomes.recv() => self.picture(Source::Plan, received),
                 Some(received) = inputs.candidate_pictures.recv() => self.picture(Source::Candidates, received),
                 Some(received) = inputs.goal_pictures.recv() => self.picture(Source::Goal, received),
