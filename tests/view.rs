@@ -283,13 +283,15 @@ fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
         "document.querySelector('#toast').innerText !== ''",
         PATIENCE,
     );
-    // The view hears the goal as everybody does.
+    browser.evaluate("(globalThis.seen = wmView.page.shown('camera')) !== undefined");
+    // The view hears the goal as everybody does; a page that is paused shows the goal of its moment.
+    browser.press("l");
     browser.wait_for("wmView.page.shown('goal')", PATIENCE);
     let goal = browser.evaluate(
         "(async () => { const get = async (label) => {
             const path = [label.source, label.stamp, label.observed, label.k].join('/');
             return Array.from(new Uint8Array(await (await fetch(`/picture/${path}`)).arrayBuffer())).join(); };
-         return (await get(wmView.page.shown('goal'))) === (await get(wmView.page.shown('camera'))); })()",
+         return (await get(wmView.page.shown('goal'))) === (await get(globalThis.seen)); })()",
     );
     assert_eq!(goal, true);
     // Nobody is there to be reset, and it may not arm anything.
