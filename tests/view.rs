@@ -411,7 +411,7 @@ fn a_bag_is_looked_at_in_the_same_page() {
         PATIENCE,
     );
     browser.wait_for(&format!("{COLOURS}('camera') > 100"), PATIENCE);
-    browser.wait_for("wmView.record.frames.length > 50", PATIENCE);
+    browser.wait_for("wmView.record.frames.length === 50", PATIENCE);
     let missing = text(&mut browser, "#predicted .missing");
     assert!(missing.contains("the bag has no predictions"), "{missing}");
     let stamp = "wmView.page.shown('camera').stamp";
