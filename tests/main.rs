@@ -16,4 +16,5 @@ mod packages;
 mod policy;
 mod replay;
 mod view;
+mod viewers;
 mod websocket;
