@@ -28,10 +28,6 @@ use wm_training::{
 /// Of a training that was stopped by a signal, as a shell reports it.
 const STOPPED: u8 = 130;
 
-/// Training workers constantly allocate and free large tensors.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 /// Makes bags, trains models on them and evaluates the models.
 #[derive(Debug, Parser)]
 #[command(
@@ -177,16 +173,6 @@ impl Command {
     }
 }
 
-/// Keeps candle to one thread: its own pool spins while it waits and is shared by all threads of the process, so that
-/// the workers of a training take each other's processor. Our operations are spread by rayon.
-fn keep_candle_to_one_thread() {
-    const THREADS: &str = "CANDLE_NUM_THREADS";
-    if std::env::var_os(THREADS).is_none() {
-        // SAFETY: the first thing that main does; no other thread runs yet that could read the environment.
-        unsafe { std::env::set_var(THREADS, "1") };
-    }
-}
-
 /// `eval control --task` as `eval task --task`, which has other arguments than the suite.
 fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = arguments.collect();
@@ -205,7 +191,7 @@ fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
 }
 
 fn main() -> ExitCode {
-    keep_candle_to_one_thread();
+    wm_process::prepare();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)

@@ -29,10 +29,6 @@ use wm_zoo::kinds::{DitConfig, Kind, Loaded, Tensors};
 use wm_zoo::packed_cache::CacheLimits;
 use wm_zoo::{Checkpoint, Compute, DeviceName, PackedCache, Placement, Precision};
 
-/// As in the program `wm`: large buffers are used again rather than given back to the system.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 /// Before the folder of packed weights.
 const KEEP: &str = "--keep=";
 
@@ -40,6 +36,8 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 type Run<'a> = Box<dyn FnMut() -> Result<Tensors> + 'a>;
 
 fn main() -> Result<()> {
+    // As in the program `wm`.
+    wm_process::prepare();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (kept, rest): (Vec<&String>, Vec<&String>) = arguments
         .iter()
