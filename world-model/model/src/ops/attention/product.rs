@@ -42,7 +42,18 @@ impl<'a> Left<'a> {
 ///
 /// # Panics
 /// If `n` is not a multiple of [`LANES`], or a slice is too short.
-pub(super) fn product((m, k, n): (usize, usize, usize), a: Left<'_>, b: &[f32], c: &mut [f32]) {
+pub(super) fn product(sizes: (usize, usize, usize), a: Left<'_>, b: &[f32], c: &mut [f32]) {
+    product_with(InstructionSet::detect(), sizes, a, b, c);
+}
+
+/// [`product`] with an instruction set that this machine has.
+fn product_with(
+    set: InstructionSet,
+    (m, k, n): (usize, usize, usize),
+    a: Left<'_>,
+    b: &[f32],
+    c: &mut [f32],
+) {
     let last_of_a = m.saturating_sub(1) * a.row_step + k.saturating_sub(1) * a.step;
     assert!(
         m == 0 || k == 0 || last_of_a < a.values.len(),
@@ -60,9 +71,9 @@ pub(super) fn product((m, k, n): (usize, usize, usize), a: Left<'_>, b: &[f32], 
         k,
         n,
     };
-    match InstructionSet::detect() {
+    match set {
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: the lengths were checked above, and the processor was found to have these instructions.
+        // SAFETY: the lengths were checked above, and the processor has these instructions.
         InstructionSet::Avx512 => unsafe { operands.avx512() },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
@@ -190,12 +201,16 @@ mod tests {
 
     #[test]
     fn products_are_those_of_the_definition() {
-        for m in 0..=27 {
-            check(m, 32, 17);
+        let sets = InstructionSet::ALL.iter().copied();
+        for set in sets.filter(|set| set.is_there()) {
+            for m in 0..=27 {
+                check(set, (m, 17, 32));
+            }
         }
     }
 
-    fn check(m: usize, n: usize, k: usize) {
+    fn check(set: InstructionSet, sizes: (usize, usize, usize)) {
+        let (m, k, n) = sizes;
         let (a, b) = (matrix(m * k, 1), matrix(k * n, 2));
         let mut expected = vec![0.0; m * n];
         for row in 0..m {
@@ -205,16 +220,16 @@ mod tests {
             }
         }
         let mut c = vec![1.0; m * n];
-        product((m, k, n), Left::rows(&a, k), &b, &mut c);
-        assert_eq!(c, expected);
+        product_with(set, sizes, Left::rows(&a, k), &b, &mut c);
+        assert_eq!(c, expected, "{set:?}");
 
         // What lies beside the transposed rows is no part of them.
         let width = m + 3;
         let mut transposed = vec![f32::NAN; k * width];
         transpose(k, &a, width, &mut transposed);
         let mut c = vec![1.0; m * n];
-        product((m, k, n), Left::transposed(&transposed, width), &b, &mut c);
-        assert_eq!(c, expected, "transposed");
+        product_with(set, sizes, Left::transposed(&transposed, width), &b, &mut c);
+        assert_eq!(c, expected, "{set:?}, transposed");
 
         let mut back = vec![0.0; width * k];
         transpose(width, &transposed, k, &mut back);
