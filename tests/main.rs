@@ -9,6 +9,7 @@ mod browser;
 mod cyclone;
 mod exit_codes;
 mod faults;
+mod foxglove;
 mod harness;
 mod interop;
 mod output;

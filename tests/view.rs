@@ -17,22 +17,22 @@ use crate::{
 };
 
 /// Far above what anything here takes; it only ends a test that hangs.
-const PATIENCE: Duration = Duration::from_secs(120);
+pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A port that is free.
-fn free_port() -> u16 {
+pub fn free_port() -> u16 {
     let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     listener.local_addr().expect("an address").port()
 }
 
 /// A running view, once its page is served.
-struct View {
-    port: u16,
-    process: Process,
+pub struct View {
+    pub port: u16,
+    pub process: Process,
 }
 
 impl View {
-    fn start(domain: u16, port: u16, args: &[&str]) -> Self {
+    pub fn start(domain: u16, port: u16, args: &[&str]) -> Self {
         let port_text = port.to_string();
         let all = [&["view", "--port", &port_text], args].concat();
         let process = Process::start(wm(domain, &all));
@@ -46,14 +46,14 @@ impl View {
         format!("http://127.0.0.1:{}/", self.port)
     }
 
-    fn open(&self) -> Socket {
+    pub fn open(&self) -> Socket {
         let (status, socket) = open(self.port, &[]);
         socket.unwrap_or_else(|| panic!("the socket is refused with {status}"))
     }
 }
 
 /// A camera: the bundled bag, again and again, with stamps of now, at so many times its 5 Hz.
-fn player(domain: u16, rate: &str) -> Process {
+pub fn player(domain: u16, rate: &str) -> Process {
     let bag = bundled_bag();
     let bag = bag.to_string_lossy();
     let args = ["bag", "play", "--loop", "--restamp", "--rate", rate, &bag];
@@ -61,7 +61,7 @@ fn player(domain: u16, rate: &str) -> Process {
 }
 
 /// The body of what is served under a path.
-fn body(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, Vec<u8>) {
+pub fn body(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, Vec<u8>) {
     let (status, mut stream) = request(port, path, &[headers, &[("Connection", "close")]].concat());
     let mut body = Vec::new();
     stream.read_to_end(&mut body).expect("a body");
@@ -469,7 +469,7 @@ fn a_client_that_stands_still_costs_nothing_and_slows_nobody() {
 }
 
 /// The header of a frame of this many bytes that never come.
-fn frame_of(bytes: u64) -> Vec<u8> {
+pub fn frame_of(bytes: u64) -> Vec<u8> {
     let mut header = vec![0x81, 0x80 | 127];
     header.extend(bytes.to_be_bytes());
     header.extend([0; 4]);

@@ -18,7 +18,7 @@ pub struct Socket {
 #[derive(Debug)]
 pub enum Message {
     Text(serde_json::Value),
-    Picture(Vec<u8>),
+    Bytes(Vec<u8>),
     Closed,
 }
 
@@ -50,8 +50,13 @@ pub fn request(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, BufRead
     }
 }
 
-/// What a browser sends to open the socket, with further headers; the status, and the socket where there is one.
+/// What a browser sends to open the page's socket, with further headers; the status, and the socket where there is one.
 pub fn open(port: u16, headers: &[(&str, &str)]) -> (u16, Option<Socket>) {
+    open_at(port, "/socket", headers)
+}
+
+/// The same under another path.
+pub fn open_at(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, Option<Socket>) {
     let mut all = vec![
         ("Connection", "Upgrade"),
         ("Upgrade", "websocket"),
@@ -65,7 +70,7 @@ pub fn open(port: u16, headers: &[(&str, &str)]) -> (u16, Option<Socket>) {
         all.push(("Sec-WebSocket-Protocol", "wm.view.v1"));
     }
     all.extend(headers);
-    let (status, stream) = request(port, "/socket", &all);
+    let (status, stream) = request(port, path, &all);
     (status, (status == 101).then_some(Socket { stream }))
 }
 
@@ -120,7 +125,7 @@ impl Socket {
             }
             match kind & 0x0f {
                 1 => return Message::Text(serde_json::from_slice(&payload).expect("JSON")),
-                2 => return Message::Picture(payload),
+                2 => return Message::Bytes(payload),
                 8 => return Message::Closed,
                 _ => {}
             }
@@ -142,7 +147,7 @@ impl Socket {
     pub fn frame(&mut self) -> (i64, i64) {
         loop {
             match self.receive() {
-                Message::Picture(bytes) if bytes[1] == 0 => {
+                Message::Bytes(bytes) if bytes[1] == 0 => {
                     let stamp = |at: usize| {
                         i64::from_le_bytes(bytes[at..at + 8].try_into().expect("8 bytes"))
                     };

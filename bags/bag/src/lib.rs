@@ -39,6 +39,7 @@
 
 mod aside;
 mod cut;
+pub mod definitions;
 mod error;
 mod metadata;
 mod qos;

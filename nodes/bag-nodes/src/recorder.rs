@@ -1,7 +1,7 @@
 //! The recorder node: records topics into a bag, their bytes unchanged.
 //!
 //! Topics are found as they appear ([`selection`]), each is subscribed with the quality of service that its publishers
-//! offer, and its definition comes from this suite or from the ROS packages on `AMENT_PREFIX_PATH` ([`definitions`]).
+//! offer, and its definition comes from this suite or from the ROS packages on `AMENT_PREFIX_PATH` ([`wm_bag::definitions`]).
 //! The bag is written on a separate thread, chunk by chunk: a killed recorder loses at most the open chunk. Messages
 //! that are missing from the bag are counted by topic and cause, and reported at the end ([`losses`]).
 //!
@@ -11,7 +11,6 @@
 //!
 //! Not here: the bag's format (`wm_bag`).
 
-pub mod definitions;
 pub mod losses;
 mod node;
 mod options;

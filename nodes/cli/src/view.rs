@@ -40,8 +40,13 @@ impl Flagged for View {
     }
 
     fn flag(name: &str, flag: Arg) -> Option<Arg> {
-        // A list of numbers is for parameter files.
-        (!matches!(name, "bag" | "axes")).then_some(flag)
+        match name {
+            // A list of numbers is for parameter files.
+            "bag" | "axes" => None,
+            "foxglove_rates" => Some(flag.value_name("REGEX=HZ")),
+            "foxglove_origins" => Some(flag.value_name("ORIGIN")),
+            _ => Some(flag),
+        }
     }
 }
 

@@ -336,6 +336,23 @@ impl Node {
         self.subscribe(topic, type_name, qos, Hears::default())
     }
 
+    /// As [`subscription_catching_up`](Self::subscription_catching_up), of any type, `package/msg/Type`, as CDR bytes.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn raw_subscription_catching_up(
+        &self,
+        topic: &str,
+        type_name: &str,
+        qos: Qos,
+    ) -> Result<RawSubscription, Error> {
+        let hears = Hears {
+            latched: true,
+            ..Hears::default()
+        };
+        self.subscribe(topic, TypeName::parse_message(type_name)?, qos, hears)
+    }
+
     /// As [`raw_subscription`](Self::raw_subscription), but it does not hear what this context publishes: for a
     /// program that carries a topic both ways.
     ///

@@ -3,8 +3,11 @@
 //! The page is served over HTTP on loopback. What a browser could be made to do by other pages is refused: a page of another
 //! origin (by `Origin`), and one whose name was bound to this address afterwards, by DNS rebinding (by `Host`: an address
 //! cannot be rebound, names other than localhost count only where the user has listed them).
+//!
+//! Viewers that speak Foxglove's protocol are pages too, of an origin of their own. The origins that may are listed, and may no
+//! more than that: they get neither the page's socket nor its pictures.
 
-use crate::ViewError;
+use crate::{ViewError, subprotocol};
 use axum::http::{HeaderMap, StatusCode, header};
 use std::{
     fmt::Write as _,
@@ -12,8 +15,6 @@ use std::{
     path::Path,
 };
 
-/// The subprotocol of the socket.
-pub const PROTOCOL: &str = "wm.view.v1";
 /// Before the token, as a further subprotocol: a browser's WebSocket sends no header of the page's choice.
 const TOKEN_PROTOCOL: &str = "wm.token.";
 /// Lengths of a token of the user's.
@@ -24,6 +25,8 @@ const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=256;
 pub struct Access {
     hosts: Vec<String>,
     token: Option<String>,
+    /// Origins of viewers.
+    viewers: Vec<String>,
 }
 
 /// Why somebody may not.
@@ -62,7 +65,45 @@ impl Refusal {
 impl Access {
     /// Access under these names beside addresses and localhost; with a token, if there is one.
     pub fn new(hosts: Vec<String>, token: Option<String>) -> Self {
-        Self { hosts, token }
+        Self {
+            hosts,
+            token,
+            viewers: Vec::new(),
+        }
+    }
+
+    /// The same, and viewers of these origins may connect.
+    ///
+    /// # Errors
+    /// One of them is no origin.
+    pub fn with_viewers(self, viewers: Vec<String>) -> Result<Self, ViewError> {
+        // Of a file there is no authority.
+        let is_origin = |text: &String| {
+            let parts = text.split_once("://");
+            parts.is_some_and(|(scheme, rest)| !scheme.is_empty() && !rest.contains('/'))
+        };
+        match viewers.iter().find(|viewer| !is_origin(viewer)) {
+            Some(other) => Err(ViewError::Origin(other.clone())),
+            None => Ok(Self { viewers, ..self }),
+        }
+    }
+
+    /// That a request is to this host, and of its own page or of a viewer that may connect.
+    ///
+    /// # Errors
+    /// It is not.
+    pub fn check_viewer(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+        let origin = headers.get(header::ORIGIN);
+        let is_listed = origin
+            .and_then(|origin| origin.to_str().ok())
+            .is_some_and(|origin| {
+                let mut viewers = self.viewers.iter();
+                viewers.any(|viewer| viewer.eq_ignore_ascii_case(origin))
+            });
+        match self.check_origin(headers) {
+            Err(Refusal::Origin) if is_listed => Ok(()),
+            checked => checked,
+        }
     }
 
     /// That a request is to this host, and of its own page.
@@ -87,21 +128,22 @@ impl Access {
         }
     }
 
-    /// That a request has the token, as `Authorization: Bearer` or as a subprotocol.
+    /// That a request has the token, as `Authorization: Bearer` or as a subprotocol; where there is a `query`, also as its
+    /// `token=`, since the user of a viewer can give it nothing but an address.
     ///
     /// # Errors
     /// It has none, or a wrong one.
-    pub fn check_token(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+    pub fn check_token(&self, headers: &HeaderMap, query: Option<&str>) -> Result<(), Refusal> {
         let Some(token) = &self.token else {
             return Ok(());
         };
         let bearer = headers.get(header::AUTHORIZATION);
         let bearer = bearer.and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
-        let protocols = headers.get_all(header::SEC_WEBSOCKET_PROTOCOL).into_iter();
-        let protocols = protocols.filter_map(|value| value.to_str().ok());
-        let protocols = protocols.flat_map(|value| value.split(','));
+        let protocols = subprotocol::offered(headers);
+        let pairs = query.unwrap_or_default().split('&');
         let mut given = protocols
-            .filter_map(|protocol| protocol.trim().strip_prefix(TOKEN_PROTOCOL))
+            .filter_map(|protocol| protocol.strip_prefix(TOKEN_PROTOCOL))
+            .chain(pairs.filter_map(|pair| pair.strip_prefix("token=")))
             .chain(bearer);
         if given.any(|given| is_same(given, token)) {
             Ok(())
@@ -247,9 +289,42 @@ mod tests {
     }
 
     #[test]
+    fn a_viewers_origin_may_ask_where_it_is_listed() {
+        let listed = ["file://", "https://app.foxglove.dev"].map(str::to_owned);
+        let access = Access::new(Vec::new(), None)
+            .with_viewers(listed.to_vec())
+            .unwrap();
+        let check = |host: &str, origin: &str| {
+            let headers = headers(&[(header::HOST, host), (header::ORIGIN, origin)]);
+            (access.check_viewer(&headers), access.check_origin(&headers))
+        };
+        let host = "127.0.0.1:8765";
+        for origin in ["file://", "https://app.foxglove.dev"] {
+            assert_eq!(check(host, origin), (Ok(()), Err(Refusal::Origin)));
+        }
+        for origin in [
+            "null",
+            "file:///home",
+            "http://app.foxglove.dev",
+            "https://app.foxglove.dev.evil.example",
+            "https://evil.example",
+        ] {
+            assert_eq!(check(host, origin).0, Err(Refusal::Origin), "{origin}");
+        }
+        assert_eq!(check(host, "http://127.0.0.1:8765"), (Ok(()), Ok(())));
+        let rebound = check("evil.example", "https://app.foxglove.dev");
+        assert_eq!(rebound.0, Err(Refusal::Host));
+        for none in ["*", "app.foxglove.dev", "https://app.foxglove.dev/", "://a"] {
+            let made = Access::new(Vec::new(), None).with_viewers(vec![none.to_owned()]);
+            assert!(made.is_err(), "{none}");
+        }
+    }
+
+    #[test]
     fn the_token_comes_as_header_or_subprotocol() {
         let access = Access::new(Vec::new(), Some("secret-secret-secret".to_owned()));
-        let check = |name: HeaderName, value: &str| access.check_token(&headers(&[(name, value)]));
+        let check =
+            |name: HeaderName, value: &str| access.check_token(&headers(&[(name, value)]), None);
         let protocol = header::SEC_WEBSOCKET_PROTOCOL;
         assert_eq!(
             check(header::AUTHORIZATION, "Bearer secret-secret-secret"),
@@ -270,10 +345,21 @@ mod tests {
         ] {
             assert_eq!(check(name, value), Err(Refusal::Token), "{value}");
         }
+        let none = HeaderMap::new();
         assert_eq!(
-            Access::new(Vec::new(), None).check_token(&HeaderMap::new()),
+            Access::new(Vec::new(), None).check_token(&none, None),
             Ok(())
         );
+        for (query, is_right) in [
+            ("token=secret-secret-secret", true),
+            ("a=b&token=secret-secret-secret", true),
+            ("token=", false),
+            ("", false),
+            ("xtoken=secret-secret-secret", false),
+        ] {
+            let checked = access.check_token(&none, Some(query));
+            assert_eq!(checked.is_ok(), is_right, "{query}");
+        }
     }
 
     #[test]

@@ -39,6 +39,20 @@ pub enum ViewError {
         /// How long its first line is.
         length: usize,
     },
+    /// An entry of the parameter `foxglove_rates` is none.
+    #[error(
+        "parameter \"foxglove_rates\" has \"{0}\", expected EXPRESSION=HZ such as ^/camera/=5, of at most 1000000 Hz and at \
+         least one message a day"
+    )]
+    Rate(String),
+    /// An entry of the parameter `foxglove_origins` is none.
+    #[error(
+        "parameter \"foxglove_origins\" has \"{0}\", expected an origin such as https://app.foxglove.dev, without a path"
+    )]
+    Origin(String),
+    /// A regular expression is none.
+    #[error(transparent)]
+    Topics(#[from] wm_bag::BagError),
     /// The parameter `axes` is not three directions.
     #[error(
         "parameter \"axes\" has {0} numbers, expected 6, right and down for each of x, y and z"

@@ -7,6 +7,8 @@
 //! Pictures are forwarded as the JPEG or PNG that was published; only an image topic that has nothing but raw images is
 //! encoded here. The same state is fed from a bag, whose pictures are read when they are looked at.
 //!
+//! Beside its page it serves viewers that speak Foxglove's protocol, on the same port.
+//!
 //! Not here: metrics and reports (`wm_report`), DDS (`wm_ros`).
 
 mod access;
@@ -19,6 +21,7 @@ mod conversion;
 mod cursor;
 mod error;
 mod event;
+mod foxglove;
 mod journal;
 mod listener;
 mod node;
@@ -30,6 +33,7 @@ mod server;
 mod socket;
 mod state;
 mod status;
+mod subprotocol;
 
 pub use error::ViewError;
 pub use node::NODE;

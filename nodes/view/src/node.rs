@@ -8,6 +8,7 @@ use crate::{
     command::Permission,
     control::{Answer, Control},
     conversion::Conversions,
+    foxglove::{hub::Hub, offer::Offer},
     picture::{Label, Picture, PictureError, Source},
     picture_subscription::{PictureSubscription, Publishers, publishers},
     server::{self, Asked, Settings, Shared},
@@ -93,6 +94,17 @@ wm_ros::parameters! {
         memory: usize = 64, in 1..=4096;
         /// Number of clients at a time.
         max_clients: usize = 16, in 1..=256;
+        /// Topics that Foxglove and Lichtblick can read: those whose name contains a match of this regular expression; empty:
+        /// none, and their protocol is not spoken.
+        foxglove_regex: String = ".*";
+        /// Topics that they cannot read: those whose name contains a match of this regular expression; empty: all can.
+        foxglove_exclude_regex: String = "";
+        /// Highest rates for them, each as EXPRESSION=HZ: topics whose name contains a match of the expression are thinned out
+        /// to so many messages a second. The first that matches counts; topics that are latched are not thinned out.
+        foxglove_rates: Vec<String> = Vec::<String>::new();
+        /// Origins whose pages may connect as such a viewer. file:// is that of desktop applications, and of no website; for
+        /// Foxglove in a browser add https://app.foxglove.dev.
+        foxglove_origins: Vec<String> = vec!["file://".to_owned()];
         /// Where the axes of actions point in the picture: right and down for x, y and z [picture widths per m].
         axes: Vec<f64> = AXES.to_vec();
     }
@@ -187,7 +199,14 @@ async fn view(node: &Node) -> Result<()> {
         return Err(ViewError::Axes(parameters.axes.len()).into());
     }
     let token = access::token(ip, &parameters.token_file)?;
-    let access = Access::new(parameters.hosts.clone(), token);
+    let access = Access::new(parameters.hosts.clone(), token)
+        .with_viewers(parameters.foxglove_origins.clone())?;
+    let offer = Offer::new(
+        &parameters.foxglove_regex,
+        &parameters.foxglove_exclude_regex,
+        &parameters.foxglove_rates,
+    )?;
+    let foxglove = offer.map(|offer| Hub::new(node, offer));
     let mut heard = topics(node, &parameters.camera_topic)?;
     let bag = match parameters.bag.as_os_str().is_empty() {
         true => None,
@@ -225,12 +244,16 @@ async fn view(node: &Node) -> Result<()> {
         hello: hello.to_string(),
         bag: bag.clone(),
         clock: node.clock(),
+        foxglove: foxglove.clone(),
     };
     let (sender, commands) = mpsc::channel(COMMANDS);
     let shared = Arc::new(Shared::new(state, heard, settings, sender));
     tokio::spawn(server::serve(listener, Arc::clone(&shared)));
     // Not in the log, which others hear: it may have a token.
     wm_ros::logging::print(format_args!("the page is at {url}\n"));
+    if let (Some(hub), None) = (foxglove, &bag) {
+        tokio::spawn(hub.look());
+    }
     if let Some(bag) = bag {
         let shared = Arc::clone(&shared);
         tokio::task::spawn_blocking(move || bag.read(&shared));

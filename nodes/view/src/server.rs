@@ -1,22 +1,30 @@
-//! The page over HTTP.
+//! The page over HTTP, and the sockets on its port.
 
 use crate::{
     ViewError,
-    access::{Access, PROTOCOL, Refusal},
+    access::{Access, Refusal},
     bag::Bag,
     command::{Command, Permission},
     cursor::Status,
+    foxglove::{
+        client,
+        hub::{Hub, MAX_MESSAGE},
+    },
     listener::Connections,
     page,
     picture::{Label, MAX_BYTES, Picture, Source},
     socket,
     state::State,
     status::{self, Heard, View},
+    subprotocol::Subprotocol,
 };
 use axum::{
     Router,
-    extract::{Path, Request, State as Extracted, WebSocketUpgrade},
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    extract::{
+        Path, Request, State as Extracted, WebSocketUpgrade,
+        ws::rejection::WebSocketUpgradeRejection,
+    },
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
     middleware::{self, Next},
     response::{IntoResponse as _, Response},
     routing::get,
@@ -38,6 +46,9 @@ use wm_ros::Clock;
 const MAX_COMMAND: usize = 4 << 10;
 /// Connections for each client that may be connected: a socket, and what a browser opens beside it for pictures.
 const CONNECTIONS: usize = 8;
+/// Why a socket is refused that speaks something else.
+const NO_PROTOCOL: &str = "expected the subprotocol wm.view.v1, or one of Foxglove's where the parameter foxglove_regex offers \
+    topics";
 
 /// What the node and the clients' tasks share.
 pub struct Shared {
@@ -65,6 +76,8 @@ pub struct Settings {
     pub bag: Option<Arc<Bag>>,
     /// The node's clock.
     pub clock: Clock,
+    /// The topics for viewers that speak Foxglove's protocol, unless none are to be served.
+    pub foxglove: Option<Arc<Hub>>,
 }
 
 /// What changes.
@@ -195,14 +208,21 @@ fn router(shared: Arc<Shared>) -> Router {
     let inside = Router::new()
         .route("/access", get(|| async { StatusCode::NO_CONTENT }))
         .route("/picture/{source}/{stamp}/{observed}/{k}", get(picture))
-        .route("/socket", get(connect))
         .route_layer(middleware::from_fn_with_state(
             Arc::clone(&shared),
             with_token,
         ));
-    let mut router = Router::new();
+    let mut router = Router::new().route("/socket", get(connect));
     for file in page::FILES {
-        let serve = || async { ([(header::CONTENT_TYPE, file.media_type)], file.text) };
+        let page = ([(header::CONTENT_TYPE, file.media_type)], file.text);
+        // Viewers connect to the bare address.
+        let serve = async move |sharing: Sharing,
+                                headers: HeaderMap,
+                                uri: Uri,
+                                upgrade: Upgrade| match upgrade {
+            Ok(upgrade) if file.path == "/" => connect(sharing, headers, uri, upgrade).await,
+            _ => page.into_response(),
+        };
         router = router.route(file.path, get(serve));
     }
     router
@@ -221,10 +241,11 @@ impl From<Refusal> for Response {
 }
 
 type Sharing = Extracted<Arc<Shared>>;
+type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
 
 /// Refuses requests to other hosts and of other pages, and has browsers be strict with every answer.
 async fn of_own_page(Extracted(shared): Sharing, request: Request, next: Next) -> Response {
-    let mut response = match shared.settings.access.check_origin(request.headers()) {
+    let mut response = match check_origin(&shared.settings, request.headers()) {
         Ok(()) => next.run(request).await,
         Err(refusal) => refusal.into(),
     };
@@ -251,8 +272,21 @@ async fn of_own_page(Extracted(shared): Sharing, request: Request, next: Next) -
     response
 }
 
+fn check_origin(settings: &Settings, headers: &HeaderMap) -> Result<(), Refusal> {
+    let (Some(Subprotocol::Foxglove(_)), Some(hub)) =
+        (Subprotocol::of(headers), &settings.foxglove)
+    else {
+        return settings.access.check_origin(headers);
+    };
+    let checked = settings.access.check_viewer(headers);
+    if let (Err(Refusal::Origin), Some(origin)) = (checked, headers.get(header::ORIGIN)) {
+        hub.warn_of_origin(origin.to_str().unwrap_or_default());
+    }
+    checked
+}
+
 async fn with_token(Extracted(shared): Sharing, request: Request, next: Next) -> Response {
-    match shared.settings.access.check_token(request.headers()) {
+    match shared.settings.access.check_token(request.headers(), None) {
         Ok(()) => next.run(request).await,
         Err(refusal) => refusal.into(),
     }
@@ -297,26 +331,37 @@ pub async fn find(shared: &Shared, label: Label) -> Result<Option<Arc<Picture>>,
 async fn connect(
     Extracted(shared): Sharing,
     headers: HeaderMap,
+    uri: Uri,
     upgrade: WebSocketUpgrade,
 ) -> Response {
+    let spoken = Subprotocol::of(&headers);
+    let query = match spoken {
+        Some(Subprotocol::Foxglove(_)) => uri.query(),
+        _ => None,
+    };
+    if let Err(refusal) = shared.settings.access.check_token(&headers, query) {
+        return refusal.into();
+    }
+    let (spoken, hub) = match (spoken, &shared.settings.foxglove) {
+        (Some(spoken @ Subprotocol::View), _) => (spoken, None),
+        (Some(spoken @ Subprotocol::Foxglove(_)), Some(hub)) => (spoken, Some(Arc::clone(hub))),
+        _ => {
+            let offered = headers.get(header::SEC_WEBSOCKET_PROTOCOL);
+            tracing::debug!("a socket with the subprotocols {offered:?} is refused");
+            return (StatusCode::BAD_REQUEST, NO_PROTOCOL).into_response();
+        }
+    };
+    let (longest_in, longest_out) = match hub {
+        Some(_) => (client::MAX_REQUEST, MAX_MESSAGE),
+        None => (MAX_COMMAND, MAX_BYTES),
+    };
     let upgrade = upgrade
-        .protocols([PROTOCOL])
-        .max_message_size(MAX_COMMAND)
-        .max_frame_size(MAX_COMMAND)
+        .protocols([spoken.name()])
+        .max_message_size(longest_in)
+        .max_frame_size(longest_in)
         // Each message is sent at once.
         .write_buffer_size(0)
-        .max_write_buffer_size(2 * MAX_BYTES);
-    if upgrade.selected_protocol().is_none() {
-        let offered = headers.get(header::SEC_WEBSOCKET_PROTOCOL);
-        tracing::debug!(
-            "a socket with the subprotocols {offered:?} is refused, expected {PROTOCOL}"
-        );
-        return (
-            StatusCode::BAD_REQUEST,
-            "expected the subprotocol wm.view.v1",
-        )
-            .into_response();
-    }
+        .max_write_buffer_size(2 * longest_out);
     let Some(place) = shared.admit() else {
         return (
             StatusCode::SERVICE_UNAVAILABLE,
@@ -325,7 +370,10 @@ async fn connect(
             .into_response();
     };
     upgrade.on_upgrade(async move |socket| {
-        socket::serve(socket, &shared).await;
+        match hub {
+            Some(hub) => client::serve(socket, &hub, shared.settings.bag.is_some()).await,
+            None => socket::serve(socket, &shared).await,
+        }
         drop(place);
     })
 }

@@ -20,7 +20,7 @@ use tokio::{sync::mpsc, time::MissedTickBehavior};
 /// again when it wakes.
 const SEND_LIMIT: Duration = Duration::from_secs(10);
 /// How often a client is asked whether it is still there.
-const PING_PERIOD: Duration = Duration::from_secs(10);
+pub const PING_PERIOD: Duration = Duration::from_secs(10);
 /// Answers to commands that may wait.
 const ANSWERS: usize = 16;
 /// The shortest time from one delivery to the next: at a camera of 200 Hz, a client still gets 60 pictures a second.
@@ -41,7 +41,14 @@ pub async fn serve(socket: WebSocket, shared: &Shared) {
     }
 }
 
-async fn deliver(sink: &mut SplitSink<WebSocket, Message>, message: Message) -> Result<(), String> {
+/// Sends a message.
+///
+/// # Errors
+/// The client is gone or stands still, in words.
+pub async fn deliver(
+    sink: &mut SplitSink<WebSocket, Message>,
+    message: Message,
+) -> Result<(), String> {
     let sent = tokio::time::timeout(SEND_LIMIT, sink.send(message)).await;
     sent.map_err(|_| "it stands still".to_owned())?
         .map_err(|error: Error| error.to_string())

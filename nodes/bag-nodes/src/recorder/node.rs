@@ -5,7 +5,6 @@ mod command;
 mod news;
 
 use super::{
-    definitions,
     losses::Loss,
     options::{Options, Parameters},
     selection::common_qos,
@@ -29,7 +28,7 @@ use std::sync::{
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tracing::info;
-use wm_bag::QosProfile;
+use wm_bag::{QosProfile, definitions};
 use wm_msgs::{
     builtin_interfaces::Time,
     rosbag2_interfaces::{Empty, IsPausedResponse, RecordResponse, Stop, Success},

@@ -1,0 +1,109 @@
+//! Which topics are offered, and how often their messages are sent at most.
+
+use crate::ViewError;
+use std::time::Duration;
+use wm_bag::TopicFilter;
+use wm_ros::TopicInfo;
+
+/// Rates that can be asked for \[Hz\]: a day apart at least, so that times do not overflow.
+const RATES: std::ops::RangeInclusive<f64> = 1.0 / 86_400.0..=1e6;
+
+/// What the parameters say.
+#[derive(Debug)]
+pub struct Offer {
+    filter: TopicFilter,
+    rates: Vec<(TopicFilter, Duration)>,
+}
+
+impl Offer {
+    /// Topics whose name contains a match of `topics` and none of `exclude`, at the rates that `rates` says: entries
+    /// `EXPRESSION=HZ`, of which the first that matches counts. None where `topics` is empty.
+    ///
+    /// # Errors
+    /// An expression that is none, or an entry of another form.
+    pub fn new(topics: &str, exclude: &str, rates: &[String]) -> Result<Option<Self>, ViewError> {
+        if topics.is_empty() {
+            return Ok(None);
+        }
+        let exclude = Some(exclude).filter(|text| !text.is_empty());
+        let filter = TopicFilter::new(Vec::new(), Some(topics), Vec::new(), exclude)?;
+        let rate = |text: &String| {
+            let (expression, hertz) = text
+                .rsplit_once('=')
+                .and_then(|(expression, hertz)| {
+                    let hertz = hertz.trim().parse::<f64>().ok()?;
+                    RATES.contains(&hertz).then_some((expression, hertz))
+                })
+                .ok_or_else(|| ViewError::Rate(text.clone()))?;
+            let filter = TopicFilter::new(Vec::new(), Some(expression), Vec::new(), None)?;
+            Ok((filter, Duration::from_secs_f64(1.0 / hertz)))
+        };
+        let rates = rates.iter().map(rate).collect::<Result<_, ViewError>>()?;
+        Ok(Some(Self { filter, rates }))
+    }
+
+    /// Whether this topic is offered now: meant, published and not hidden.
+    pub fn has(&self, topic: &TopicInfo) -> bool {
+        // A hidden topic has a part that begins with an underscore.
+        let is_hidden = topic.name.split('/').any(|part| part.starts_with('_'));
+        !topic.publishers.is_empty() && !is_hidden && self.filter.wants(&topic.name)
+    }
+
+    /// The shortest time from one message of a topic to the next, where there is one.
+    pub fn period(&self, topic: &str) -> Option<Duration> {
+        let mut rates = self.rates.iter();
+        let found = rates.find(|(filter, _)| filter.wants(topic));
+        found.map(|(_, period)| *period)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wm_ros::Qos;
+
+    fn topic(name: &str, publishers: Vec<Qos>) -> TopicInfo {
+        TopicInfo {
+            name: name.to_owned(),
+            type_name: "std_msgs/msg/String".to_owned(),
+            publishers,
+            subscribers: 1,
+        }
+    }
+
+    #[test]
+    fn topics_are_offered_that_are_meant_published_and_not_hidden() {
+        let offer = Offer::new(".*", "^/secret/", &[]).unwrap().unwrap();
+        let published = |name| topic(name, vec![Qos::reliable(1)]);
+        assert!(offer.has(&published("/a")));
+        assert!(!offer.has(&topic("/a", vec![])));
+        assert!(!offer.has(&published("/a/_action/feedback")));
+        assert!(!offer.has(&published("/secret/a")));
+        assert!(Offer::new("", "", &[]).unwrap().is_none());
+    }
+
+    #[test]
+    fn the_first_rate_that_matches_counts() {
+        let rates = ["^/camera/=5".to_owned(), "image=0.5".to_owned()];
+        let offer = Offer::new(".*", "", &rates).unwrap().unwrap();
+        let period = |topic| offer.period(topic).map(|period| period.as_secs_f64());
+        assert_eq!(period("/camera/image"), Some(0.2));
+        assert_eq!(period("/wm/image"), Some(2.0));
+        assert_eq!(period("/tf"), None);
+    }
+
+    #[test]
+    fn what_is_no_rate_is_named() {
+        for text in ["/a", "/a=", "/a=0", "/a=-1", "/a=NaN", "/a=1e-9"] {
+            let error = Offer::new(".*", "", &[text.to_owned()]).unwrap_err();
+            assert!(
+                error.to_string().contains(&format!("\"{text}\"")),
+                "{error}"
+            );
+        }
+        for (topics, rates) in [("(", vec![]), (".*", vec!["(=1".to_owned()])] {
+            let error = Offer::new(topics, "", &rates).unwrap_err().to_string();
+            assert!(error.contains("regular expression"), "{error}");
+        }
+    }
+}
