@@ -6,6 +6,8 @@ mod actions;
 mod arm;
 mod bags;
 mod cyclone;
+mod docs;
+mod doctor;
 mod exit_codes;
 mod faults;
 mod harness;
