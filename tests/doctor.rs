@@ -15,14 +15,7 @@ fn run(domain: u16, args: &[&str]) -> (Option<i32>, String, String) {
 
 /// A camera and an arm, until it is dropped.
 fn robot(domain: u16) -> Process {
-    let play = [
-        "bag",
-        "play",
-        "bags/tabletop",
-        "--loop",
-        "--restamp",
-        "--disable-keyboard-controls",
-    ];
+    let play = ["bag", "play", "bags/tabletop", "--loop", "--restamp"];
     Process::start(wm(domain, &play))
 }
 

@@ -48,6 +48,15 @@ pub(crate) fn check(
         Some(period_s) => hertz(Duration::from_secs_f64(period_s)),
         None => format!("{} messages", stream.timeline.len()),
     };
+    if actions.is_chunk {
+        let what = format!("{shown} has action chunks, what a policy means to do");
+        findings.push(
+            Finding::error(CHECK, what)
+                .because("what was done is told by single actions (wm_msgs/Action)")
+                .mend("name the topic of the actions with --action; remap /wm/action_chunk to this one"),
+        );
+        return findings;
+    }
     let width = actions.values.first().map_or(0, Vec::len);
     findings.push(Finding::ok(
         CHECK,

@@ -76,12 +76,6 @@ mod tests {
     }
 
     #[test]
-    fn the_kernel_is_asked() {
-        // Whatever it says, it is asked without a right and says something.
-        assert!(SystemClock::look().synchronised.is_some());
-    }
-
-    #[test]
     fn only_several_machines_need_a_common_clock() {
         let heard = Heard::default();
         assert_eq!(levels(Some(false), Reach::Localhost, &heard), [Level::Ok]);

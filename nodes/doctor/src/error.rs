@@ -19,7 +19,7 @@ pub enum DoctorError {
         source: std::io::Error,
     },
     /// A part of a model computes nothing.
-    #[error("{part}: {source}")]
+    #[error("{part}")]
     Model {
         /// The part, for example `the encoder`.
         part: &'static str,

@@ -56,7 +56,7 @@ fn listeners_of(text: &str) -> BTreeMap<u16, usize> {
             continue;
         };
         let (domain, within) = (offset / PORTS_OF_DOMAIN, offset % PORTS_OF_DOMAIN);
-        let is_discovery = within >= FIRST_PARTICIPANT && within % 2 == 0;
+        let is_discovery = within >= FIRST_PARTICIPANT && within.is_multiple_of(2);
         if domain <= HIGHEST_DOMAIN && is_discovery {
             *listeners.entry(domain).or_default() += 1;
         }

@@ -61,8 +61,8 @@ impl Processor {
     }
 
     fn has(&self, flag: &str) -> bool {
-        let flags = self.flags.iter().flatten();
-        flags.into_iter().any(|found| found == flag)
+        let mut flags = self.flags.iter().flatten();
+        flags.any(|found| found == flag)
     }
 }
 

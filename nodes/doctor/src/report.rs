@@ -104,9 +104,9 @@ impl fmt::Display for Report {
                 Level::Error => "ERROR",
             };
             writeln!(f, "{level:<8} {:<10} {}", finding.check, finding.what)?;
-            for (word, text) in [("why", &finding.why), ("mend", &finding.mend)] {
+            for (word, text) in [("why:", &finding.why), ("mend:", &finding.mend)] {
                 if let Some(text) = text {
-                    writeln!(f, "{:19} {word:>4}: {text}", "")?;
+                    writeln!(f, "{:20}{word:<6}{text}", "")?;
                 }
             }
         }
@@ -141,11 +141,14 @@ mod tests {
     fn text_has_what_why_and_mend() {
         assert_eq!(
             report().to_string(),
-            "ok       memory     4.0 GiB free\n\
-             ERROR    camera     no image topic\n                    \
-             why: nothing is predicted\n                   \
-             mend: start the driver\n\
-             1 error, 0 warnings\n"
+            [
+                "ok       memory     4.0 GiB free\n",
+                "ERROR    camera     no image topic\n",
+                "                    why:  nothing is predicted\n",
+                "                    mend: start the driver\n",
+                "1 error, 0 warnings\n",
+            ]
+            .concat()
         );
         assert_eq!(Report::default().worst(), Level::Ok);
     }

@@ -428,10 +428,8 @@ mod tests {
     fn names_that_a_launch_file_would_replace_are_refused() {
         let mut setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
         setup.model = "/models/\"quoted\" and $5".into();
-        assert!(
-            plan(&setup).contains("model:='/models/\"quoted\" and $5'")
-                || plan(&setup).contains("quoted")
-        );
+        let plan = plan(&setup);
+        assert!(plan.contains("quoted"), "{plan}");
         setup.model = "$(env HOME)".into();
         assert!(matches!(
             setup.files(),

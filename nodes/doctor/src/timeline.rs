@@ -57,7 +57,12 @@ impl Timeline {
     fn gaps_s(&self) -> Vec<f64> {
         let stamps: Option<Vec<i64>> = self.0.iter().map(Arrival::stamp_ns).collect();
         let times_s: Vec<f64> = match stamps {
-            Some(stamps) => stamps.iter().map(|ns| *ns as f64 / 1e9).collect(),
+            Some(stamps) => {
+                // Seconds since 1970 are too large for a float that tells microseconds apart.
+                let first = stamps.first().copied().unwrap_or(0);
+                let since_s = |ns: &i64| ns.saturating_sub(first) as f64 / 1e9;
+                stamps.iter().map(since_s).collect()
+            }
             None => self
                 .0
                 .iter()
@@ -90,7 +95,7 @@ impl Timeline {
     pub(crate) fn delay_s(&self) -> Option<f64> {
         let delays = self.0.iter().filter_map(|arrival| {
             let stamp_ns = arrival.stamp_ns()?;
-            Some((arrival.received_ns as f64 - stamp_ns as f64) / 1e9)
+            Some(arrival.received_ns.saturating_sub(stamp_ns) as f64 / 1e9)
         });
         quantile(delays.collect(), 0.5)
     }
