@@ -59,7 +59,10 @@ impl Listening {
     }
 
     fn args(&self) -> Result<NodeArgs> {
-        let interface = self.interface.iter().flat_map(|name| ["--interface", name.as_str()]);
+        let interface = self
+            .interface
+            .iter()
+            .flat_map(|name| ["--interface", name.as_str()]);
         Ok(NodeArgs::parse(interface)?)
     }
 

@@ -138,7 +138,8 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
             }
             let (name, type_name) = topic;
             // A name that ROS does not allow is nobody's camera.
-            let Ok(subscription) = node.raw_subscription_to_others(&name, &type_name, kind.qos(&publishers))
+            let Ok(subscription) =
+                node.raw_subscription_to_others(&name, &type_name, kind.qos(&publishers))
             else {
                 continue;
             };
