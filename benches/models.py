@@ -12,7 +12,7 @@ what world-model/zoo/fixtures/requirements.txt names.
 Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames of which keys and values are
 cached, by both. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
 reference's loop without. plan-dit-s: the same for 64 candidates after two frames; the peers compute two of them, and
-their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Last, load: time and memory to load
+their time counts 32 times. Those of one velocity and vit-l also in int8, beside PyTorch's dynamic quantisation. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Last, load: time and memory to load
 a model of 300 M parameters, packing its weights (first) and finding them packed (kept).
 
 With --device cuda, all on an NVIDIA GPU: cargo needs nvcc then (tests/setup_cuda has one), and PyTorch its own CUDA. Ours
@@ -35,6 +35,7 @@ import sys
 import tempfile
 import threading
 import time
+import warnings
 
 import torch
 import torch.nn.functional as F
@@ -50,8 +51,19 @@ from machine import processor  # noqa: E402
 from reference import dit, pixel_decoder, vjepa  # noqa: E402
 
 FORMATS = {"f32": torch.float32, "bf16": torch.bfloat16}
+# Of models whose time is that of matrices; on the CPU only.
+MATRIX_FORMATS = (*FORMATS, "int8")
 DIT_S = dit.DIT_L_SD3 | dict(hidden=384, depth=12, heads=6)
 EULER_STEPS, CONTEXT_TAU = 10, 0.01
+
+
+def dynamically_quantised(model):
+    """Every Linear with weights in 8 bits, a scale for each output, and inputs that are rounded when it runs."""
+    quantization = torch.ao.quantization
+    with warnings.catch_warnings():
+        # It is to move to torchao, a package of its own.
+        warnings.simplefilter("ignore")
+        return quantization.quantize_dynamic(model, {torch.nn.Linear: quantization.per_channel_dynamic_qconfig})
 
 
 class Case:
@@ -68,12 +80,15 @@ class Case:
         torch.manual_seed(1)
         self.config, self.model, self.inputs = self.build()
 
-    def at(self, dtype):
+    def at(self, number_format):
         """A copy of the case in another number format."""
         other = copy.copy(self)
         # The default device: that of the run.
         device = torch.get_default_device()
+        dtype = FORMATS.get(number_format, torch.float32)
         other.model = copy.deepcopy(self.model).to(device, dtype)
+        if number_format == "int8":
+            other.model = dynamically_quantised(other.model)
         other.inputs = {name: value.to(device, dtype) for name, value in self.inputs.items()}
         other.ready()
         return other
@@ -100,7 +115,7 @@ class Case:
 class Velocity(Case):
     """The reference's layers run for one new frame, whose temporal attention sees cached keys and values."""
 
-    ours, output, cached = "velocity", "velocity", 9
+    ours, output, cached, formats = "velocity", "velocity", 9, MATRIX_FORMATS
 
     def __init__(self, config):
         self.config = config
@@ -244,7 +259,7 @@ class Frame(Case):
 
 
 class VitL(Case):
-    ours, output = "web-dino", "latent"
+    ours, output, formats = "web-dino", "latent", MATRIX_FORMATS
 
     def build(self):
         model = Dinov2Model(
@@ -415,9 +430,12 @@ def step_on_card(name, case, folder, place, runs=10):
 def compare(name, case, folder, arguments, place):
     reference = None
     for number_format in case.formats:
-        at = case.at(FORMATS[number_format])
+        if number_format not in FORMATS and place:
+            continue
+        at = case.at(number_format)
         peers = dict(eager=at)
-        if not arguments.no_compile:
+        # What is quantised dynamically cannot be compiled.
+        if not arguments.no_compile and number_format in FORMATS:
             peers["compile"] = at.compiled()
         if place and importlib.util.find_spec("torch_tensorrt"):
             import torch_tensorrt  # noqa: F401, registers the backend

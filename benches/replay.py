@@ -150,4 +150,5 @@ def main():
         print(f"| {name} | {resting[name][0]:.1f} | {resting[name][1]:.0f} | {at_work[0]:.0f} | {at_work[1]:.0f} |")
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -5,6 +5,7 @@
 mod actions;
 mod arm;
 mod bags;
+mod browser;
 mod cyclone;
 mod docs;
 mod doctor;
@@ -16,3 +17,6 @@ mod output;
 mod packages;
 mod policy;
 mod replay;
+mod view;
+mod viewers;
+mod websocket;

@@ -27,7 +27,7 @@ pub use message::{Action, Message, Service};
 pub use packages::{
     action_msgs, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs,
     rcl_interfaces, rosbag2_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, std_srvs, tf2_msgs,
-    trajectory_msgs, unique_identifier_msgs, vision_msgs, wm_msgs,
+    trajectory_msgs, unique_identifier_msgs, vision_msgs, visualization_msgs, wm_msgs,
 };
 pub use type_description::{
     DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash,

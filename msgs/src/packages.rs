@@ -95,4 +95,5 @@ pub mod tf2_msgs;
 pub mod trajectory_msgs;
 pub mod unique_identifier_msgs;
 pub mod vision_msgs;
+pub mod visualization_msgs;
 pub mod wm_msgs;

@@ -2,5 +2,6 @@
 //! decoded here: live, in training and in exports.
 
 pub mod camera_frame;
+pub mod camera_info;
 pub mod goal;
 pub mod image_message;

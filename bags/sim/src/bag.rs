@@ -8,20 +8,25 @@ use image::{ExtendedColorType, GrayImage, ImageEncoder, RgbImage};
 use wm_bag::{BagSummary, BagWriter, QosProfile, WriterOptions};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::builtin_interfaces::Time;
-use wm_msgs::geometry_msgs::{Point, Pose, PoseStamped, Quaternion};
-use wm_msgs::sensor_msgs::CompressedImage;
+use wm_msgs::geometry_msgs::PoseStamped;
+use wm_msgs::sensor_msgs::{CameraInfo, CompressedImage};
 use wm_msgs::std_msgs::{Bool, Float32, Header, String as Text};
+use wm_msgs::tf2_msgs::TFMessage;
 use wm_msgs::vision_msgs::{LabelInfo, VisionClass};
 use wm_msgs::wm_msgs::Action;
 
-use crate::arm::ToolPose;
+use crate::environment::joint_positions;
 use crate::episode::{Episode, Frame};
 use crate::error::Error;
+use crate::message;
 use crate::render::IMAGE_SIZE;
 use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
+use crate::urdf::{link_frames, urdf};
 
 /// The camera's pictures (sensor_msgs/CompressedImage, JPEG).
 pub const CAMERA_TOPIC: &str = "/camera/image_raw/compressed";
+/// How the camera sees, with each picture (sensor_msgs/CameraInfo).
+pub const CAMERA_INFO_TOPIC: &str = "/camera/camera_info";
 /// The masks, on request (sensor_msgs/CompressedImage, PNG of one channel).
 pub const MASK_TOPIC: &str = "/camera/mask/compressed";
 /// What the masks' values mean: objects by the names that instructions use (vision_msgs/LabelInfo, latched).
@@ -32,6 +37,12 @@ pub const ACTION_TOPIC: &str = "/wm/action";
 pub const POSE_TOPIC: &str = "/arm/end_effector_pose";
 /// How far the gripper is open, 0 to 1 (std_msgs/Float32).
 pub const GRIPPER_TOPIC: &str = "/arm/gripper";
+/// The arm's links, each in the one that it hangs on (tf2_msgs/TFMessage).
+pub const TRANSFORMS_TOPIC: &str = "/tf";
+/// The camera's optical frame (tf2_msgs/TFMessage, latched).
+pub const STATIC_TRANSFORMS_TOPIC: &str = "/tf_static";
+/// The arm as a URDF (std_msgs/String, latched).
+pub const DESCRIPTION_TOPIC: &str = "/robot_description";
 /// The instruction (std_msgs/String, latched).
 pub const INSTRUCTION_TOPIC: &str = "/task/instruction";
 /// Whether it was carried out, known at the end (std_msgs/Bool, latched).
@@ -56,9 +67,13 @@ pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
     let mut bag = BagWriter::create(dir, WriterOptions::default())?;
     bag.note(ActionSpace::NOTE, ActionSpace::bridge().to_note()?);
     bag.add_topic::<CompressedImage>(CAMERA_TOPIC, QosProfile::reliable())?;
+    bag.add_topic::<CameraInfo>(CAMERA_INFO_TOPIC, QosProfile::reliable())?;
     bag.add_topic::<Action>(ACTION_TOPIC, QosProfile::reliable())?;
     bag.add_topic::<PoseStamped>(POSE_TOPIC, QosProfile::reliable())?;
     bag.add_topic::<Float32>(GRIPPER_TOPIC, QosProfile::reliable())?;
+    bag.add_topic::<TFMessage>(TRANSFORMS_TOPIC, QosProfile::reliable())?;
+    bag.add_topic::<TFMessage>(STATIC_TRANSFORMS_TOPIC, QosProfile::latched())?;
+    bag.add_topic::<Text>(DESCRIPTION_TOPIC, QosProfile::latched())?;
     bag.add_topic::<Text>(INSTRUCTION_TOPIC, QosProfile::latched())?;
     bag.add_topic::<Bool>(SUCCESS_TOPIC, QosProfile::latched())?;
     if episode.frames.iter().any(|frame| frame.mask.is_some()) {
@@ -66,6 +81,17 @@ pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
         bag.add_topic::<LabelInfo>(LABELS_TOPIC, QosProfile::latched())?;
         bag.write(LABELS_TOPIC, &labels(&episode.objects), START_NS)?;
     }
+    let description = Text {
+        data: urdf(BASE_FRAME),
+    };
+    bag.write(DESCRIPTION_TOPIC, &description, START_NS)?;
+    let camera = message::transform(
+        &episode.camera.base_from_optical(),
+        header(START_NS, BASE_FRAME),
+        CAMERA_FRAME,
+    );
+    let transforms = vec![camera];
+    bag.write(STATIC_TRANSFORMS_TOPIC, &TFMessage { transforms }, START_NS)?;
     let instruction = Text {
         data: episode.instruction.clone(),
     };
@@ -75,6 +101,8 @@ pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
         // At most FRAMES frames, so the product is far from overflow.
         stamp_ns = START_NS + index as u64 * FRAME_PERIOD_NS;
         write_frame(&mut bag, frame, stamp_ns)?;
+        let info = message::camera_info(&episode.camera, header(stamp_ns, CAMERA_FRAME));
+        bag.write(CAMERA_INFO_TOPIC, &info, stamp_ns)?;
     }
     bag.write(
         SUCCESS_TOPIC,
@@ -86,15 +114,33 @@ pub fn write_bag(episode: &Episode, dir: &Path) -> Result<BagSummary, Error> {
     Ok(bag.finish()?)
 }
 
+fn header(stamp_ns: u64, frame_id: &str) -> Header {
+    Header {
+        // The stamps are of this century, far below the limit of i64.
+        stamp: Time::from_nanos(stamp_ns as i64),
+        frame_id: frame_id.to_owned(),
+    }
+}
+
+/// Where the links are; none where the tool is out of the arm's reach.
+fn transforms(frame: &Frame, stamp_ns: u64) -> Option<TFMessage> {
+    let positions = joint_positions(&frame.tool, frame.opening)?;
+    let links = link_frames(BASE_FRAME, &positions).into_iter();
+    let transforms = links.map(|link| {
+        let header = header(stamp_ns, &link.parent);
+        message::transform(&link.frame, header, link.link)
+    });
+    Some(TFMessage {
+        transforms: transforms.collect(),
+    })
+}
+
 fn labels(objects: &[String]) -> LabelInfo {
     let gripper = (GRIPPER_MASK, "gripper".to_owned());
     let objects = (FIRST_OBJECT_MASK..).zip(objects.iter().cloned());
     let classes = std::iter::once(gripper).chain(objects);
     LabelInfo {
-        header: Header {
-            stamp: Time::from_nanos(START_NS as i64),
-            frame_id: CAMERA_FRAME.to_owned(),
-        },
+        header: header(START_NS, CAMERA_FRAME),
         class_map: classes
             .map(|(value, class_name)| VisionClass {
                 class_id: value.into(),
@@ -107,16 +153,15 @@ fn labels(objects: &[String]) -> LabelInfo {
 }
 
 fn write_frame(bag: &mut BagWriter, frame: &Frame, stamp_ns: u64) -> Result<(), Error> {
-    let header = |frame_id: &str| Header {
-        // The stamps are of this century, far below the limit of i64.
-        stamp: Time::from_nanos(stamp_ns as i64),
-        frame_id: frame_id.to_owned(),
-    };
+    let header = |frame_id: &str| header(stamp_ns, frame_id);
     let pose = PoseStamped {
         header: header(BASE_FRAME),
-        pose: pose_message(&frame.tool),
+        pose: message::pose(&frame.tool.frame()),
     };
     bag.write(POSE_TOPIC, &pose, stamp_ns)?;
+    if let Some(transforms) = transforms(frame, stamp_ns) {
+        bag.write(TRANSFORMS_TOPIC, &transforms, stamp_ns)?;
+    }
     // Single precision is what the message carries.
     bag.write(
         GRIPPER_TOPIC,
@@ -147,25 +192,6 @@ fn write_frame(bag: &mut BagWriter, frame: &Frame, stamp_ns: u64) -> Result<(), 
     Ok(())
 }
 
-/// The tool's pose as a message, in the base frame.
-pub fn pose_message(tool: &ToolPose) -> Pose {
-    let frame = tool.frame();
-    let (position, rotation) = (frame.translation.vector, frame.rotation);
-    Pose {
-        position: Point {
-            x: position.x,
-            y: position.y,
-            z: position.z,
-        },
-        orientation: Quaternion {
-            x: rotation.i,
-            y: rotation.j,
-            z: rotation.k,
-            w: rotation.w,
-        },
-    }
-}
-
 fn jpeg(picture: &RgbImage) -> Result<Vec<u8>, Error> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY).write_image(
@@ -192,7 +218,18 @@ fn png(mask: &GrayImage) -> Result<Vec<u8>, Error> {
 mod tests {
     use super::*;
     use crate::episode::EpisodeOptions;
+    use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
     use wm_bag::BagReader;
+    use wm_msgs::geometry_msgs::{Transform, TransformStamped};
+
+    fn isometry(transform: &Transform) -> Isometry3<f64> {
+        let (at, turn) = (transform.translation, transform.rotation);
+        let turn = Quaternion::new(turn.w, turn.x, turn.y, turn.z);
+        Isometry3::from_parts(
+            Translation3::new(at.x, at.y, at.z),
+            UnitQuaternion::from_quaternion(turn),
+        )
+    }
 
     #[test]
     fn a_bag_holds_the_episode() {
@@ -211,6 +248,7 @@ mod tests {
         let mut actions = Vec::new();
         let mut pictures = 0;
         let (mut masks, mut labelled) = (0, false);
+        let (mut infos, mut tools, mut camera_frames) = (Vec::new(), Vec::new(), Vec::new());
         for message in reader.messages() {
             let message = message.expect("readable");
             match &*message.topic {
@@ -239,6 +277,29 @@ mod tests {
                     assert!(error < 3 * decoded.len() as u32);
                     pictures += 1;
                 }
+                CAMERA_INFO_TOPIC => {
+                    infos.push(message.decode::<CameraInfo>().expect("a camera"));
+                }
+                TRANSFORMS_TOPIC => {
+                    let links = message.decode::<TFMessage>().expect("frames").transforms;
+                    let frame = |name: &str| {
+                        let of_name = |link: &&TransformStamped| link.child_frame_id == name;
+                        links.iter().find(of_name).expect("every link")
+                    };
+                    let (mut at, mut link) = (Isometry3::identity(), "ee_gripper_link");
+                    while link != BASE_FRAME {
+                        at = isometry(&frame(link).transform) * at;
+                        link = &frame(link).header.frame_id;
+                    }
+                    tools.push(at);
+                }
+                STATIC_TRANSFORMS_TOPIC => {
+                    camera_frames = message.decode::<TFMessage>().expect("frames").transforms;
+                }
+                DESCRIPTION_TOPIC => {
+                    let text = message.decode::<Text>().expect("text").data;
+                    assert!(text.contains("<link name=\"ee_gripper_link\""), "{text}");
+                }
                 MASK_TOPIC => {
                     let data = message.decode::<CompressedImage>().expect("a mask").data;
                     let decoded = image::load_from_memory(&data).expect("a PNG").to_luma8();
@@ -264,6 +325,23 @@ mod tests {
         }
         assert_eq!((actions.len(), pictures, masks), (3, 3, 3));
         assert!(labelled);
+        // By the links the tool is where its pose says.
+        assert_eq!((infos.len(), tools.len()), (3, 3));
+        for (tool, frame) in tools.iter().zip(&episode.frames) {
+            let apart = tool.translation.vector - frame.tool.position;
+            assert!(apart.norm() < 1e-9, "{apart}");
+        }
+        let [camera] = &camera_frames[..] else {
+            panic!("{camera_frames:?}")
+        };
+        let eye = episode.camera.eye().cast::<f64>();
+        assert_eq!(camera.child_frame_id, CAMERA_FRAME);
+        assert!((isometry(&camera.transform).translation.vector - eye).norm() < 1e-9);
+        assert!(
+            infos
+                .iter()
+                .all(|info| info.header.frame_id == CAMERA_FRAME)
+        );
         for (action, frame) in actions.iter().zip(&episode.frames) {
             assert_eq!(action.values, frame.action);
         }

@@ -18,7 +18,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::num::NonZeroUsize;
 
-use crate::arm;
+use crate::arm::{self, ToolPose};
 use crate::error::Error;
 use crate::gripper::HALF_OPENING_M;
 use crate::layout;
@@ -52,6 +52,14 @@ pub const JOINT_NAMES: [&str; 8] = [
     "left_finger",
     "right_finger",
 ];
+
+/// Where the joints are, in the order of [`JOINT_NAMES`], for a tool and an opening; see
+/// [`Environment::joint_positions`].
+pub(crate) fn joint_positions(tool: &ToolPose, opening: f64) -> Option<[f64; 8]> {
+    let [waist, shoulder, elbow, roll, wrist, rotate] = arm::inverse(&tool.frame())?.0;
+    let finger = opening * HALF_OPENING_M;
+    Some([waist, shoulder, elbow, roll, wrist, rotate, finger, -finger])
+}
 
 /// A state that is, was or would be, and what the camera sees of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -210,10 +218,7 @@ impl Environment {
     /// the right one's negative as in `wx250s`, in the order of [`JOINT_NAMES`]. `None` if the tool is out of
     /// the arm's reach, where no action brings it.
     pub fn joint_positions(&self) -> Option<[f64; 8]> {
-        let [waist, shoulder, elbow, roll, wrist, rotate] =
-            arm::inverse(&self.world.tool().frame())?.0;
-        let finger = self.world.opening() * HALF_OPENING_M;
-        Some([waist, shoulder, elbow, roll, wrist, rotate, finger, -finger])
+        joint_positions(self.world.tool(), self.world.opening())
     }
 
     /// Takes an action and returns what was possible of it: exactly the motion of the tool. What goes beyond

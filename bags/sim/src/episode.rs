@@ -10,7 +10,7 @@ use crate::attempt::Attempt;
 use crate::error::Error;
 use crate::layout;
 use crate::object::Object;
-use crate::render::Renderer;
+use crate::render::{Camera, Renderer};
 use crate::room;
 use crate::scene::Scene;
 use crate::teleop::Failure;
@@ -74,6 +74,8 @@ pub struct Episode {
     pub failure: Option<Failure>,
     /// The objects by the names that instructions use, in the order of their mask values.
     pub objects: Vec<String>,
+    /// The camera, which stands still.
+    pub camera: Camera,
     /// The frames.
     pub frames: Vec<Frame>,
 }
@@ -103,7 +105,7 @@ impl Episode {
         let scene = Scene::new(&world);
         let objects = world.objects().iter().map(Object::name).collect();
         let attempt = Attempt::of(seed, options, &camera, world);
-        let mut renderer = Renderer::new(&surroundings, camera);
+        let mut renderer = Renderer::new(&surroundings, camera.clone());
         let frames = attempt
             .steps
             .iter()
@@ -125,6 +127,7 @@ impl Episode {
             success: attempt.success,
             failure: attempt.failure,
             objects,
+            camera,
             frames,
         })
     }
@@ -133,7 +136,6 @@ impl Episode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::Camera;
     use crate::scene::{FIRST_OBJECT_MASK, GRIPPER_MASK};
     use crate::variety::Span;
     use nalgebra::Point3;

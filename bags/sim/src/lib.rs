@@ -40,6 +40,7 @@ mod error;
 mod gripper;
 mod layout;
 mod links;
+pub mod message;
 pub mod object;
 pub mod render;
 mod room;
@@ -52,8 +53,7 @@ mod world;
 pub use arguments::SimArgs;
 pub use bag::{
     ACTION_TOPIC, BASE_FRAME, CAMERA_FRAME, CAMERA_TOPIC, FRAME_PERIOD_NS, GRIPPER_TOPIC,
-    INSTRUCTION_TOPIC, LABELS_TOPIC, MASK_TOPIC, POSE_TOPIC, START_NS, SUCCESS_TOPIC, pose_message,
-    write_bag,
+    INSTRUCTION_TOPIC, LABELS_TOPIC, MASK_TOPIC, POSE_TOPIC, START_NS, SUCCESS_TOPIC, write_bag,
 };
 pub use dataset::generate_bags;
 pub use environment::{
@@ -64,6 +64,6 @@ pub use episode::{Episode, EpisodeOptions, FRAMES, Frame};
 pub use error::Error;
 pub use scene::{FIRST_OBJECT_MASK, GRIPPER_MASK, Scene};
 pub use teleop::{Failure, LARGEST_STEP_M, LARGEST_TURN_RAD, Relation, Task};
-pub use urdf::urdf;
+pub use urdf::{LinkFrame, link_frames, urdf};
 pub use variety::{Span, Variety};
 pub use world::{EndEffectorAction, LARGEST_RPY, STEP_S, WORKSPACE_M, World};

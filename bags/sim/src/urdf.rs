@@ -5,8 +5,9 @@
 
 use std::fmt::Write as _;
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
+use crate::JOINT_NAMES;
 use crate::arm::{ELBOW_OFFSET_M, FOREARM_M, HAND_M, SHOULDER_HEIGHT_M, UPPER_ARM_M};
 use crate::gripper::HALF_OPENING_M;
 use crate::links::{Axis, Form, Link, LinkPart, arm_parts};
@@ -139,6 +140,45 @@ pub fn urdf(base: &str) -> String {
     text
 }
 
+/// A link in the one that it hangs on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkFrame {
+    /// That one's name in the [`urdf`].
+    pub parent: String,
+    /// Its own.
+    pub link: &'static str,
+    /// Its frame in that one's.
+    pub frame: Isometry3<f64>,
+}
+
+/// Where the links of the [`urdf`] with the root `base` are, for joints that are at `positions` \[rad or m\], in the order
+/// of [`JOINT_NAMES`].
+pub fn link_frames(base: &str, positions: &[f64; 8]) -> Vec<LinkFrame> {
+    let position = |name: &str| {
+        let mut all = JOINT_NAMES.iter().zip(positions);
+        all.find(|(joint, _)| **joint == name)
+            .map_or(0.0, |(_, position)| *position)
+    };
+    let of = |joint: &Joint| {
+        let by = |axis: Axis| Vector3::from(unit(axis)) * position(joint.name);
+        let origin = Isometry3::from_parts(
+            Translation3::from(joint.origin),
+            UnitQuaternion::from_euler_angles(joint.roll, 0.0, 0.0),
+        );
+        let moved = match joint.movement {
+            Movement::Fixed => Isometry3::identity(),
+            Movement::Turns(axis) => Isometry3::rotation(by(axis)),
+            Movement::Slides(_) => Isometry3::from(Translation3::from(by(Axis::Y))),
+        };
+        LinkFrame {
+            parent: joint.parent.to_owned(),
+            link: joint.child,
+            frame: origin * moved,
+        }
+    };
+    joints(base).iter().map(of).collect()
+}
+
 /// As an attribute of XML.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
@@ -238,12 +278,11 @@ fn material(srgb: [f32; 3]) -> String {
 mod tests {
     use std::collections::BTreeMap;
 
-    use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
     use super::*;
     use crate::arm::{self, Joints};
-    use crate::{JOINT_NAMES, gripper};
+    use crate::gripper;
 
     /// Where each link is, by what the text says.
     fn frames(text: &str, positions: &BTreeMap<&str, f64>) -> BTreeMap<String, Isometry3<f64>> {
@@ -292,9 +331,19 @@ mod tests {
         ) {
             let links = arm::forward(&Joints(angles));
             let finger = opening * HALF_OPENING_M;
-            let positions = angles.into_iter().chain([finger, -finger]);
-            let positions: BTreeMap<_, _> = JOINT_NAMES.into_iter().zip(positions).collect();
-            let frames = frames(&urdf("base_link"), &positions);
+            let [waist, shoulder, elbow, roll, wrist, rotate] = angles;
+            let positions = [waist, shoulder, elbow, roll, wrist, rotate, finger, -finger];
+            let named: BTreeMap<_, _> = JOINT_NAMES.into_iter().zip(positions).collect();
+            let frames = frames(&urdf("base_link"), &named);
+            let mut told = BTreeMap::from([("base_link".to_owned(), Isometry3::identity())]);
+            for LinkFrame { parent, link, frame } in link_frames("base_link", &positions) {
+                told.insert(link.to_owned(), told[&parent] * frame);
+            }
+            prop_assert_eq!(told.len(), frames.len());
+            for (name, frame) in &frames {
+                let apart = told[name].to_homogeneous() - frame.to_homogeneous();
+                prop_assert!(apart.amax() < 1e-9, "{name}: {apart}");
+            }
             let hand = gripper::hand(&links.tool);
             for (name, expected) in [
                 ("shoulder_link", links.waist),

@@ -40,6 +40,19 @@ pub struct Float64 {
     pub data: f64,
 }
 
+/// A colour, each part 0 to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ColorRGBA {
+    /// Red.
+    pub r: f32,
+    /// Green.
+    pub g: f32,
+    /// Blue.
+    pub b: f32,
+    /// Opacity.
+    pub a: f32,
+}
+
 /// One dimension of an array.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MultiArrayDimension {
@@ -79,6 +92,12 @@ message!(String, "std_msgs", "string data\n", []);
 message!(Bool, "std_msgs", "bool data\n", []);
 message!(Float32, "std_msgs", "float32 data\n", []);
 message!(Float64, "std_msgs", "float64 data\n", []);
+message!(
+    ColorRGBA,
+    "std_msgs",
+    "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n",
+    []
+);
 message!(
     MultiArrayDimension,
     "std_msgs",

@@ -6,7 +6,7 @@ macro_rules! every_message {
         every_message!(@ $check [$($argument),*]
             builtin_interfaces::Time builtin_interfaces::Duration std_msgs::Header std_msgs::String std_msgs::Bool
             std_msgs::Float32 std_msgs::Float64 std_msgs::MultiArrayDimension std_msgs::MultiArrayLayout
-            std_msgs::Float64MultiArray sensor_msgs::Image sensor_msgs::CompressedImage sensor_msgs::JointState
+            std_msgs::Float64MultiArray std_msgs::ColorRGBA sensor_msgs::Image sensor_msgs::CompressedImage sensor_msgs::JointState
             geometry_msgs::Point geometry_msgs::Quaternion geometry_msgs::Pose geometry_msgs::PoseStamped
             geometry_msgs::Vector3 geometry_msgs::Twist geometry_msgs::TwistStamped diagnostic_msgs::KeyValue
             diagnostic_msgs::DiagnosticStatus diagnostic_msgs::DiagnosticArray rosgraph_msgs::Clock
@@ -14,6 +14,8 @@ macro_rules! every_message {
             geometry_msgs::PoseArray geometry_msgs::Transform geometry_msgs::TransformStamped
             sensor_msgs::RegionOfInterest sensor_msgs::CameraInfo tf2_msgs::TFMessage
             trajectory_msgs::JointTrajectoryPoint trajectory_msgs::JointTrajectory
+            visualization_msgs::UVCoordinate visualization_msgs::MeshFile visualization_msgs::Marker
+            visualization_msgs::MarkerArray
             lifecycle_msgs::State lifecycle_msgs::Transition lifecycle_msgs::TransitionDescription
             lifecycle_msgs::TransitionEvent wm_msgs::LatentSpace wm_msgs::Latent wm_msgs::Action wm_msgs::ActionChunk
             wm_msgs::Prediction wm_msgs::PredictionError wm_msgs::Plan wm_msgs::Timing wm_msgs::ActionCandidates

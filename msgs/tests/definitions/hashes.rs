@@ -108,6 +108,10 @@ fn known_hashes_are_ours() {
             "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
         ),
         (
+            "visualization_msgs/msg/MarkerArray",
+            "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf",
+        ),
+        (
             "geometry_msgs/msg/TwistStamped",
             "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
         ),

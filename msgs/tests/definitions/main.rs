@@ -14,7 +14,10 @@ use installation::Installation;
 use interface::{Interface, Number, parse};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
-use wm_msgs::{Action, Message, Service, action_msgs, diagnostic_msgs, wm_msgs as wm};
+use wm_msgs::{
+    Action, Message, Service, action_msgs, diagnostic_msgs, visualization_msgs::Marker,
+    wm_msgs as wm,
+};
 
 /// Compares a Rust type with the fields of a definition, following nested messages through `definitions`.
 fn hold(shape: &Shape, package: &str, text: &str, definitions: &BTreeMap<String, String>) {
@@ -231,6 +234,24 @@ fn constants_are_those_of_the_definitions() {
         ]
         .map(|(name, value)| (name.to_owned(), value.to_string()))
     );
+}
+
+/// Of many constants only those that the suite uses have a name in Rust.
+#[test]
+fn constants_of_markers_are_those_of_the_definition() {
+    let constants = parse("visualization_msgs", Marker::DEFINITION).constants;
+    for (name, value) in [
+        ("CUBE", Marker::CUBE),
+        ("SPHERE", Marker::SPHERE),
+        ("LINE_STRIP", Marker::LINE_STRIP),
+        ("LINE_LIST", Marker::LINE_LIST),
+        ("SPHERE_LIST", Marker::SPHERE_LIST),
+        ("ADD", Marker::ADD),
+        ("DELETE", Marker::DELETE),
+    ] {
+        let constant = (name.to_owned(), value.to_string());
+        assert!(constants.contains(&constant), "{constant:?}");
+    }
 }
 
 /// With a ROS installation at hand, our short definitions are held against its `.msg` files.

@@ -10,7 +10,6 @@ pub mod action_adapter;
 mod displacement;
 pub mod executor;
 mod hear;
-mod pose;
 pub mod sim_arm;
 mod space;
 

@@ -1,8 +1,6 @@
 //! `wm bag`.
 
 mod cut;
-mod parameter_flags;
-mod parameters;
 mod play;
 mod record;
 mod recover;

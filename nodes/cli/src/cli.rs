@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::{bag, completions, doctor, external, init, launch, man, model, node, report};
+use crate::{bag, completions, doctor, external, init, launch, man, model, node, report, view};
 use clap::{CommandFactory as _, Parser, Subcommand};
 use std::path::Path;
 use std::process::ExitCode;
@@ -52,6 +52,8 @@ enum Subcommands {
     Model(model::ModelCommand),
     /// Score a recorded bag: compare its predictions with its frames
     Report(report::ReportCommand),
+    /// Serve a live page of what the robot sees, what the model expects and what a plan would do, or of a bag (node)
+    View(Box<view::ViewCommand>),
     /// Carry topics and services to other machines over Zenoh (runs wm-bridge)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Bridge(external::Arguments),
@@ -128,6 +130,7 @@ impl Subcommands {
             Self::Node(command) => command.takes_ros_args(),
             Self::Bridge(_) => true,
             Self::Bag(command) => command.takes_ros_args(),
+            Self::View(command) => command.takes_ros_args(),
             _ => false,
         }
     }
@@ -150,6 +153,7 @@ impl Command {
             Subcommands::Eval(own) => own.exec("wm-training", ["eval"], Vec::new()),
             Subcommands::Model(command) => command.run(),
             Subcommands::Report(command) => command.run(),
+            Subcommands::View(command) => command.run(self.ros_args),
             Subcommands::Bridge(own) => own.exec("wm-bridge", [], self.ros_args),
             Subcommands::PlannerWorker(own) => own.exec("wm-planner-worker", [], Vec::new()),
             Subcommands::Completions(command) => done(command.run()),

@@ -8,6 +8,7 @@ mod info;
 mod rollout;
 mod running;
 
+use crate::external;
 use anyhow::Result;
 use clap::Subcommand;
 use std::process::ExitCode;
@@ -19,6 +20,9 @@ pub enum ModelCommand {
     Info(info::InfoCommand),
     /// Load a model as the nodes do, run it once, and report what it is or what is wrong
     Check(check::CheckCommand),
+    /// Measure on bags what a model's matrices are multiplied with, for int8 (runs wm-training)
+    #[command(disable_help_flag = true, disable_version_flag = true)]
+    Calibrate(external::Arguments),
     /// Run a model on the tensors in a file
     Forward(forward::ForwardCommand),
     /// Predict frames with a transition model
@@ -35,6 +39,9 @@ impl ModelCommand {
         match self {
             Self::Info(command) => command.run()?,
             Self::Check(command) => command.run()?,
+            Self::Calibrate(own) => {
+                return own.exec("wm-training", ["model", "calibrate"], Vec::new());
+            }
             Self::Forward(command) => command.run()?,
             Self::Rollout(command) => command.run()?,
             Self::Convert(command) => command.run()?,

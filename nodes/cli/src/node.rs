@@ -15,7 +15,16 @@ pub fn definitions() -> impl Iterator<Item = &'static Definition> {
         .iter()
         .chain(wm_arm_nodes::NODES)
         .chain(wm_bag_nodes::NODES)
-        .chain([&wm_report::monitor::NODE, &wm_report::trials::NODE])
+        .chain([
+            &wm_report::monitor::NODE,
+            &wm_report::trials::NODE,
+            &wm_view::NODE,
+        ])
+}
+
+/// Those whose command has nothing of its own: the others are commands with flags.
+fn plain() -> impl Iterator<Item = &'static Definition> {
+    definitions().filter(|definition| definition.name != wm_view::NODE.name)
 }
 
 fn definition(name: &str) -> Option<&'static Definition> {
@@ -98,7 +107,7 @@ fn composable() -> String {
 
 impl Subcommand for NodeCommand {
     fn augment_subcommands(mut parent: Command) -> Command {
-        for definition in definitions() {
+        for definition in plain() {
             parent = parent.subcommand(command(definition));
         }
         let together = Command::new(TOGETHER)
@@ -118,7 +127,7 @@ impl Subcommand for NodeCommand {
     }
 
     fn has_subcommand(name: &str) -> bool {
-        name == TOGETHER || name == LIST || is_node(name)
+        name == TOGETHER || name == LIST || plain().any(|definition| definition.name == name)
     }
 }
 

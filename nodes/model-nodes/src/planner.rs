@@ -7,6 +7,7 @@
 mod action;
 mod error;
 mod goal;
+mod markers;
 mod model;
 mod node;
 mod parameters;

@@ -9,6 +9,7 @@
 mod ahead;
 mod error;
 mod node;
+mod plots;
 mod rollout;
 mod scoring;
 mod step;

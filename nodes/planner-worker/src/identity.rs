@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use wm_model::{WorldModel, ops::instruction_set, transition::LoadedTransition};
+use wm_model::WorldModel;
 use wm_planner::{PlanError, fingerprint};
 
 use crate::message::quoted;
@@ -14,7 +14,7 @@ pub struct Identity {
     pub version: String,
     /// [`WorldModel::hash`].
     pub model_hash: String,
-    /// Architecture and instruction set of the kernels, or a device.
+    /// Architecture, and the instructions that the kernels compute with, or a device.
     pub kernels: String,
     /// [`wm_planner::fingerprint`], which also tells builds and processors apart that the rest does not.
     pub fingerprint: [u8; 32],
@@ -62,7 +62,7 @@ impl Identity {
         Ok(Self {
             version: env!("CARGO_PKG_VERSION").into(),
             model_hash: model.hash.clone(),
-            kernels: kernels(&model.transition),
+            kernels: format!("{}, {}", std::env::consts::ARCH, model.transition.place()),
             fingerprint: fingerprint(&model.transition)?,
         })
     }
@@ -89,14 +89,6 @@ impl Identity {
             return Err(IdentityError::Fingerprint);
         }
         Ok(())
-    }
-}
-
-/// What rounds as this process does: the instruction set of the kernels, or the device and number format of tensors.
-fn kernels(model: &LoadedTransition) -> String {
-    match model {
-        LoadedTransition::Packed(_) => format!("{} {}", std::env::consts::ARCH, instruction_set()),
-        LoadedTransition::Tensors(_) => model.place(),
     }
 }
 

@@ -11,10 +11,6 @@ use wm_model::trained_folder::EMBEDDED;
 use wm_zenoh::NetworkArguments;
 use wm_zoo::ModelFolder;
 
-/// As `wm` has it: the model allocates and frees large tensors.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
 /// Cost candidates for planners on other machines (their parameter `workers`), over Zenoh
 #[derive(Debug, Parser)]
 #[command(name = "wm-planner-worker", bin_name = "wm planner-worker", version)]
@@ -30,6 +26,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
+    wm_process::prepare();
     let cli = Cli::parse();
     let filter = EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| EnvFilter::new("warn,wm_planner_worker=info"));

@@ -18,6 +18,7 @@ mod font;
 mod frames;
 mod histogram;
 pub mod monitor;
+pub mod pairing;
 pub mod scorer;
 pub mod strip;
 pub mod table;

@@ -7,6 +7,7 @@ use super::{
     figures::{Drops, PlanFigures, Report},
     frames::Frames,
     histogram::Times,
+    pairing::{Awaited, Pairing, Pairings},
 };
 use image::RgbImage;
 use rollout::Rollouts;
@@ -23,27 +24,14 @@ use wm_msgs::{
 /// it two pictures are the same, and an infinite one would decide a mean.
 pub const PSNR_CAP_DB: f64 = 60.0;
 
-/// Predictions that wait for their picture, and pictures that wait for their frame.
+/// Pictures that wait for their frame.
 const WAITING_LIMIT: usize = 512;
-
-/// Rollouts of which it is known that they have pictures: more than are decoded within one.
-const PICTURED_LIMIT: usize = 64;
 
 /// Steps of a rollout that are distinguished.
 const STEP_LIMIT: u32 = 64;
 
 /// A stamp this far from the newest means that time jumped \[ns\].
 const JUMP_NS: u64 = 1_000_000_000;
-
-/// What of a prediction its picture is matched by.
-#[derive(Clone, Copy, Debug)]
-struct Awaited {
-    stamp_ns: i64,
-    observed_ns: i64,
-    step: u32,
-    period_ns: i64,
-    arrived_ns: i64,
-}
 
 /// A predicted picture whose moment is still to come.
 #[derive(Clone, Debug)]
@@ -60,10 +48,8 @@ pub struct Scorer {
     /// Sum and number of the distances from one frame to the next.
     frame_span_ns: i64,
     frame_distances: u64,
-    awaited: VecDeque<Awaited>,
+    pairings: Pairings,
     waiting: VecDeque<Waiting>,
-    /// The last observations whose rollouts had a picture.
-    pictured: VecDeque<i64>,
     steps: BTreeMap<u32, StepScore>,
     rollouts: Rollouts,
     model: String,
@@ -89,9 +75,8 @@ impl Default for Scorer {
             frame_count: 0,
             frame_span_ns: 0,
             frame_distances: 0,
-            awaited: VecDeque::new(),
+            pairings: Pairings::default(),
             waiting: VecDeque::new(),
-            pictured: VecDeque::new(),
             steps: BTreeMap::new(),
             rollouts: Rollouts::default(),
             model: String::new(),
@@ -161,10 +146,7 @@ impl Scorer {
             arrived_ns.saturating_sub(observed_ns),
         );
         self.rollouts.observed(observed_ns);
-        if self.awaited.len() == WAITING_LIMIT {
-            self.awaited.pop_front();
-        }
-        self.awaited.push_back(Awaited {
+        self.pairings.predicted(Awaited {
             stamp_ns: prediction.header.stamp.to_nanos(),
             observed_ns,
             step: prediction.step,
@@ -173,42 +155,18 @@ impl Scorer {
         });
     }
 
-    /// The picture of a prediction for the moment `stamp_ns`, arrived at `arrived_ns`.
-    ///
-    /// Predictions of several observations are of one moment, and a picture carries the moment only. Such predictions
-    /// come a model step apart, a picture within a model step of its prediction, and a rollout's pictures one after the
-    /// other: it is of the rollout that had pictures before, else of the newest. A picture that came later than a model
-    /// step is not scored, since its step k would be a guess.
+    /// The picture of a prediction for the moment `stamp_ns`, arrived at `arrived_ns`. One of which it cannot be told of
+    /// which prediction it is ([`Pairings`]) is not scored.
     pub fn picture(&mut self, stamp_ns: i64, picture: RgbImage, arrived_ns: i64) {
-        let is_its = |awaited: &Awaited| {
-            awaited.stamp_ns == stamp_ns
-                && arrived_ns.saturating_sub(awaited.arrived_ns) <= awaited.period_ns
-        };
-        let fresh = || self.awaited.iter().enumerate().filter(|(_, a)| is_its(a));
-        let is_pictured = |a: &Awaited| self.pictured.contains(&a.observed_ns);
-        let found = fresh()
-            .find(|(_, awaited)| is_pictured(awaited))
-            .or_else(|| fresh().min_by_key(|(_, awaited)| awaited.step));
-        let Some((index, _)) = found else {
-            if self
-                .awaited
-                .iter()
-                .any(|awaited| awaited.stamp_ns == stamp_ns)
-            {
+        let prediction = match self.pairings.pictured(stamp_ns, arrived_ns) {
+            Pairing::Found(prediction) => prediction,
+            Pairing::Late => {
                 let late = ("report".to_owned(), "late_picture".to_owned());
                 *self.drops.entry(late).or_default() += 1;
+                return;
             }
-            return;
+            Pairing::Unknown => return,
         };
-        let Some(prediction) = self.awaited.remove(index) else {
-            return;
-        };
-        if !self.pictured.contains(&prediction.observed_ns) {
-            if self.pictured.len() == PICTURED_LIMIT {
-                self.pictured.pop_front();
-            }
-            self.pictured.push_back(prediction.observed_ns);
-        }
         self.frames.set_size(&picture);
         self.compare_or_wait(Waiting {
             prediction,
@@ -366,9 +324,8 @@ impl Scorer {
     /// Time jumped: nothing that waits will be matched any more.
     fn flush(&mut self) {
         self.frames.clear();
-        self.awaited.clear();
+        self.pairings.clear();
         self.waiting.clear();
-        self.pictured.clear();
         self.rollouts.flush();
     }
 }

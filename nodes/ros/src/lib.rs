@@ -98,6 +98,7 @@ pub use parameters::{
 };
 pub use publisher::{Publisher, RawPublisher};
 pub use qos::{Durability, Qos, Reliability};
+pub use rcl_interfaces::Log;
 pub use run::{Component, run, run_together};
 pub use service::{Call, Client, RawCall, RawClient, RawService, Service};
 pub use shutdown::Shutdown;

@@ -3,19 +3,36 @@
 
 use crate::value::{Kind, Value};
 use serde::{Deserialize, Serialize};
-use wm_msgs::builtin_interfaces::Time;
+use wm_msgs::{Message, builtin_interfaces::Time, rcl_interfaces};
 
-/// `Log`: one record of `/rosout`.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Log {
-    pub(crate) stamp: Time,
+/// `rcl_interfaces/msg/Log`: one record of `/rosout`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Log {
+    /// When it was logged (node clock).
+    pub stamp: Time,
     /// 10 debug, 20 info, 30 warn, 40 error, 50 fatal.
-    pub(crate) level: u8,
-    pub(crate) name: String,
-    pub(crate) msg: String,
-    pub(crate) file: String,
-    pub(crate) function: String,
-    pub(crate) line: u32,
+    pub level: u8,
+    /// The logger: the node's name.
+    pub name: String,
+    /// The text.
+    pub msg: String,
+    /// The source file that logged.
+    pub file: String,
+    /// The function in it.
+    pub function: String,
+    /// The line in it.
+    pub line: u32,
+}
+
+impl Message for Log {
+    const PACKAGE: &'static str = "rcl_interfaces";
+    const NAME: &'static str = "Log";
+    // Its place in that list; a test holds them together.
+    const DEFINITION: &'static str = rcl_interfaces::MESSAGES[3].1;
+
+    fn dependencies() -> Vec<(&'static str, &'static str)> {
+        vec![("builtin_interfaces/msg/Time", Time::DEFINITION)]
+    }
 }
 
 /// `ParameterValue`: the type's number, and one field for each type.
@@ -266,6 +283,11 @@ mod tests {
             let back: ParameterValue = wm_msgs::cdr::from_bytes(&bytes).unwrap();
             prop_assert_eq!(back.into_value(), Some(value));
         }
+    }
+
+    #[test]
+    fn the_definition_of_a_log_record_is_its_own() {
+        assert_eq!(rcl_interfaces::MESSAGES[3].0, Log::ros_name());
     }
 
     #[test]

@@ -10,6 +10,7 @@
 mod accuracy;
 mod action_correlation;
 mod arguments;
+mod calibrate;
 pub mod card;
 mod closed_loop;
 pub mod control;
@@ -39,6 +40,7 @@ mod windows;
 pub use accuracy::Accuracy;
 pub use action_correlation::{Correlation, on_clips, on_predicted, on_real};
 pub use arguments::SuiteArgs;
+pub use calibrate::CalibrateArgs;
 pub use closed_loop::ClosedLoopArgs;
 pub use figure::Figure;
 pub use figures::spread;

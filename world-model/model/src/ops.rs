@@ -18,6 +18,7 @@ pub(crate) mod exponential;
 pub(crate) mod gated_residual;
 mod group_norm;
 pub(crate) mod host;
+mod input_range;
 mod int8_panels;
 mod kernel;
 mod layer_norm;
@@ -50,6 +51,7 @@ pub use gated_residual::gated_residual;
 pub use group_norm::{
     Activation, Normalisation, differentiable_group_norm, group_norm, group_normalisations,
 };
+pub use input_range::InputRange;
 pub use layer_norm::layer_norm;
 pub use linear::{linear, scale_and_add_rows};
 pub use packed_linear::{PackedLinear, packed_layout};
@@ -58,6 +60,5 @@ pub use peak::peak_rate;
 pub use rms_norm_modulate::rms_norm_modulate;
 pub(crate) use rotary::normalise_and_rotate_plain;
 pub use rotary::{RopeLayout, RotaryTable};
-pub use simd::instruction_set;
 pub use smoothing::Smoothing;
 pub use swiglu::swiglu;

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use candle_core::{DType, Device};
 use wm_dataset::{Data, DataOptions, DatasetError, Latents};
 use wm_model::{Encoder, Weights};
-use wm_zoo::{Compute, DeviceName, Engine, ModelFolder};
+use wm_zoo::{Compute, DeviceName, Engine, ModelFolder, Precision};
 
 use crate::{
     fresh_weights::FreshWeights,
@@ -133,7 +133,11 @@ impl RunArgs {
     /// If there is no such device.
     pub fn compute(&self) -> Result<Compute> {
         let device = self.device.open()?;
-        Ok(Compute::new(Engine::Candle, device, self.dtype)?)
+        let precision = match self.dtype {
+            DType::BF16 => Precision::Bf16,
+            _ => Precision::F32,
+        };
+        Ok(Compute::new(Engine::Candle, device, precision)?)
     }
 
     /// The same, for a training that knows f32 only.
@@ -335,6 +339,6 @@ pub(crate) mod tests {
     }
 
     pub(crate) fn on_cpu() -> Compute {
-        Compute::on_cpu(Engine::Candle, DType::F32)
+        Compute::on_cpu(Engine::Candle, Precision::F32).unwrap()
     }
 }

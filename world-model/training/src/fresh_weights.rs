@@ -71,7 +71,7 @@ impl FreshWeights {
     pub fn on(self, compute: &Compute) -> Self {
         Self {
             device: compute.device().clone(),
-            dtype: compute.precision(),
+            dtype: compute.dtype(),
             ..self
         }
     }

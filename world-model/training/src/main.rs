@@ -1,4 +1,4 @@
-//! `wm-training`: `wm sim`, `wm dataset`, `wm train` and `wm eval`, a program of its own, since a robot needs none of them.
+//! `wm-training`: `wm sim`, `wm dataset`, `wm train`, `wm eval` and `wm model calibrate`, a program of its own, since a robot needs none of them.
 //!
 //! Exit codes: 0 done, 1 failed, 2 wrong usage, 130 a training that a signal stopped and that was saved.
 
@@ -7,7 +7,9 @@ use std::{ffi::OsString, io::IsTerminal as _, process::ExitCode};
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_dataset::DatasetArgs;
-use wm_evaluation::{ClosedLoopArgs, ImaginedArgs, MergeArgs, Protocol, Settings, SuiteArgs};
+use wm_evaluation::{
+    CalibrateArgs, ClosedLoopArgs, ImaginedArgs, MergeArgs, Protocol, Settings, SuiteArgs,
+};
 use wm_findings::Suite;
 use wm_sim::SimArgs;
 use wm_training::{
@@ -25,10 +27,6 @@ use wm_training::{
 
 /// Of a training that was stopped by a signal, as a shell reports it.
 const STOPPED: u8 = 130;
-
-/// Training workers constantly allocate and free large tensors.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Makes bags, trains models on them and evaluates the models.
 #[derive(Debug, Parser)]
@@ -49,6 +47,15 @@ enum Command {
     /// Evaluate models on held-out bags
     #[command(subcommand)]
     Eval(Box<EvalCommand>),
+    /// What `wm model` needs bags for
+    #[command(subcommand)]
+    Model(Box<ModelCommand>),
+}
+
+#[derive(Debug, Subcommand)]
+enum ModelCommand {
+    /// Measure on bags what a model's matrices are multiplied with, for int8
+    Calibrate(CalibrateArgs),
 }
 
 #[derive(Debug, Subcommand)]
@@ -139,6 +146,9 @@ impl Command {
             Self::Sim(arguments) => arguments.run()?,
             Self::Dataset(arguments) => arguments.run()?,
             Self::Train(command) => return command.run(),
+            Self::Model(command) => match *command {
+                ModelCommand::Calibrate(arguments) => arguments.run()?,
+            },
             Self::Eval(command) => match *command {
                 EvalCommand::Autoencoder(arguments) => arguments.run()?,
                 EvalCommand::Transition(arguments) => arguments.run()?,
@@ -163,16 +173,6 @@ impl Command {
     }
 }
 
-/// Keeps candle to one thread: its own pool spins while it waits and is shared by all threads of the process, so that
-/// the workers of a training take each other's processor. Our operations are spread by rayon.
-fn keep_candle_to_one_thread() {
-    const THREADS: &str = "CANDLE_NUM_THREADS";
-    if std::env::var_os(THREADS).is_none() {
-        // SAFETY: the first thing that main does; no other thread runs yet that could read the environment.
-        unsafe { std::env::set_var(THREADS, "1") };
-    }
-}
-
 /// `eval control --task` as `eval task --task`, which has other arguments than the suite.
 fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = arguments.collect();
@@ -191,7 +191,7 @@ fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
 }
 
 fn main() -> ExitCode {
-    keep_candle_to_one_thread();
+    wm_process::prepare();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)

@@ -5,7 +5,7 @@
 //! cargo run --release -p wm_zoo --features cuda --example model_speed -- velocity FOLDER bf16 5 cuda recorded
 //! ```
 //!
-//! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32 or bf16, how many runs,
+//! What is timed, a folder with `config.json`, `weights.safetensors` and `input.safetensors`, f32, bf16 or int8, how many runs,
 //! maybe a device, and whether passes are recorded and repeated there. With `--keep=FOLDER`, packed weights are kept in
 //! that folder and found again. Prints the time of loading, the memory that it took at most, and the time of each run, a
 //! line each (`load_ms`, `peak_mib`, `run_ms`), and writes `output.safetensors` of the last run into the folder. What is
@@ -22,16 +22,12 @@ use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
 
-use candle_core::{DType, Device, Tensor};
+use candle_core::{Device, Tensor};
 use wm_model::sampler::{Given, Rollout};
 use wm_model::transition::{LoadedTransition, NewFrame};
 use wm_zoo::kinds::{DitConfig, Kind, Loaded, Tensors};
 use wm_zoo::packed_cache::CacheLimits;
-use wm_zoo::{Checkpoint, Compute, DeviceName, PackedCache, Placement};
-
-/// As in the program `wm`: large buffers are used again rather than given back to the system.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+use wm_zoo::{Checkpoint, Compute, DeviceName, PackedCache, Placement, Precision};
 
 /// Before the folder of packed weights.
 const KEEP: &str = "--keep=";
@@ -40,6 +36,8 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 type Run<'a> = Box<dyn FnMut() -> Result<Tensors> + 'a>;
 
 fn main() -> Result<()> {
+    // As in the program `wm`.
+    wm_process::prepare();
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (kept, rest): (Vec<&String>, Vec<&String>) = arguments
         .iter()
@@ -47,7 +45,7 @@ fn main() -> Result<()> {
     let cache = kept.first().and_then(|kept| kept.strip_prefix(KEEP));
     let [what, folder, format, runs, place @ ..] = rest.as_slice() else {
         return Err(
-            "expected KIND FOLDER f32|bf16 RUNS [DEVICE [recorded]] [--keep=FOLDER]".into(),
+            "expected KIND FOLDER f32|bf16|int8 RUNS [DEVICE [recorded]] [--keep=FOLDER]".into(),
         );
     };
     let device = place
@@ -55,11 +53,7 @@ fn main() -> Result<()> {
         .map_or(Ok(DeviceName::Cpu), |name| name.parse())?;
     let is_recorded = place.get(1).is_some_and(|word| *word == "recorded");
     let place = Placement::on(device, is_recorded).open()?;
-    let dtype = match format.as_str() {
-        "f32" => DType::F32,
-        "bf16" => DType::BF16,
-        other => return Err(format!("`{other}`, expected f32 or bf16").into()),
-    };
+    let precision: Precision = format.parse()?;
     let runs: usize = runs.parse()?;
     let folder = Path::new(folder);
     let config = std::fs::read_to_string(folder.join("config.json"))?;
@@ -76,7 +70,7 @@ fn main() -> Result<()> {
     let (packed, loaded);
     let mut run: Run<'_> = if ["velocity", "frame"].contains(&what.as_str()) {
         let config = serde_json::from_str::<DitConfig>(&config)?;
-        packed = config.load_at(&checkpoint, &place, dtype)?;
+        packed = config.load_at(&checkpoint, &place, precision)?;
         if *what == "velocity" {
             velocity(&packed, &inputs)?
         } else {
@@ -84,7 +78,7 @@ fn main() -> Result<()> {
         }
     } else {
         let kind: Kind = what.parse()?;
-        loaded = Loaded::new(kind, &config, &checkpoint, &Compute::at(&place, dtype))?;
+        loaded = Loaded::new(kind, &config, &checkpoint, &Compute::at(&place, precision)?)?;
         Box::new(|| Ok(loaded.run(&inputs)?))
     };
     println!("load_ms {:.1}", start.elapsed().as_secs_f64() * 1e3);

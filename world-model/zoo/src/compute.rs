@@ -4,24 +4,26 @@ use candle_core::{DType, Device, DeviceLocation};
 
 use wm_model::Place;
 
-use crate::{Engine, Error, Result};
+use crate::{Engine, Error, Precision, Result};
 
 /// What computes a model, where, and in which format its weights are.
 #[derive(Clone, Debug)]
 pub struct Compute {
     engine: Engine,
     device: Device,
-    precision: DType,
+    precision: Precision,
 }
 
 impl Compute {
-    /// `engine` on `device`, with weights that are rounded to `precision` (F32 or BF16), as
-    /// [`Loader`](crate::Loader) does it.
+    /// `engine` on `device`, with weights that are rounded to `precision`, as [`Loader`](crate::Loader) does it.
     ///
     /// # Errors
-    /// [`Error::EngineDevice`] if the engine does not compute on that device.
-    pub fn new(engine: Engine, device: Device, precision: DType) -> Result<Self> {
+    /// If the engine does not compute on that device, or not in that precision.
+    pub fn new(engine: Engine, device: Device, precision: Precision) -> Result<Self> {
         check(engine, device.location())?;
+        if engine == Engine::Candle && precision == Precision::Int8 {
+            return Err(Error::EnginePrecision { engine, precision });
+        }
         Ok(Self {
             engine,
             device,
@@ -30,21 +32,19 @@ impl Compute {
     }
 
     /// `engine` on the CPU, which every engine computes on.
-    pub fn on_cpu(engine: Engine, precision: DType) -> Self {
-        Self {
-            engine,
-            device: Device::Cpu,
-            precision,
-        }
+    ///
+    /// # Errors
+    /// If the engine does not compute in that precision.
+    pub fn on_cpu(engine: Engine, precision: Precision) -> Result<Self> {
+        Self::new(engine, Device::Cpu, precision)
     }
 
     /// As a loaded model's `place` says it.
-    pub fn at(place: &Place, precision: DType) -> Self {
-        Self {
-            engine: place.engine(),
-            device: place.device().clone(),
-            precision,
-        }
+    ///
+    /// # Errors
+    /// If its engine does not compute in that precision.
+    pub fn at(place: &Place, precision: Precision) -> Result<Self> {
+        Self::new(place.engine(), place.device().clone(), precision)
     }
 
     /// The place of a model that is loaded for it.
@@ -66,8 +66,13 @@ impl Compute {
     }
 
     /// Format that weights are rounded to.
-    pub fn precision(&self) -> DType {
+    pub fn precision(&self) -> Precision {
         self.precision
+    }
+
+    /// Format of tensors of weights.
+    pub fn dtype(&self) -> DType {
+        self.precision.dtype()
     }
 }
 
@@ -89,13 +94,24 @@ mod tests {
         let gpu = DeviceLocation::Cuda { gpu_id: 1 };
         check(Engine::Candle, gpu).unwrap();
         for engine in [Engine::Candle, Engine::Cpu] {
-            Compute::new(engine, Device::Cpu, DType::F32).unwrap();
+            Compute::new(engine, Device::Cpu, Precision::F32).unwrap();
         }
         let error = check(Engine::Cpu, gpu).unwrap_err();
         assert!(matches!(error, Error::EngineDevice { .. }));
         let message = error.to_string();
         assert!(
             message.contains("cuda:1") && message.contains("--engine candle"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn eight_bits_are_for_the_kernels() {
+        Compute::on_cpu(Engine::Cpu, Precision::Int8).unwrap();
+        let error = Compute::on_cpu(Engine::Candle, Precision::Int8).unwrap_err();
+        let message = error.to_string();
+        assert!(
+            message.contains("int8") && message.contains("--engine cpu"),
             "{message}"
         );
     }

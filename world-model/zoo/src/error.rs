@@ -3,8 +3,8 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use crate::Engine;
 use crate::device::DeviceName;
+use crate::{Engine, Precision};
 
 /// Result with the error of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -86,6 +86,17 @@ pub enum Error {
         device: String,
     },
 
+    /// An engine does not compute in a number format.
+    #[error(
+        "engine {engine} does not compute in {precision}; use engine cpu (--engine cpu), on the CPU, or another dtype"
+    )]
+    EnginePrecision {
+        /// The engine.
+        engine: Engine,
+        /// The number format that weights were to be in.
+        precision: Precision,
+    },
+
     /// A part of a model folder cannot be used.
     #[error("{file}: {role}: {reason}")]
     Part {
@@ -95,6 +106,23 @@ pub enum Error {
         role: &'static str,
         /// Why not. No source, since the message has it.
         reason: Box<Error>,
+    },
+
+    /// A calibration is of other weights.
+    #[error(
+        "{file}: its {part} has the weights {calibrated}, that of the model {found}; calibrate again (wm model calibrate \
+         --overwrite) or delete the file",
+        file = .file.display()
+    )]
+    Calibration {
+        /// The file.
+        file: PathBuf,
+        /// Which part of the model: `encoder`, ...
+        part: &'static str,
+        /// The weights that it is of.
+        calibrated: String,
+        /// Those of the model.
+        found: String,
     },
 
     /// A file with a configuration is not valid.

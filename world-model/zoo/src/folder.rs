@@ -56,23 +56,23 @@ use wm_model::{Decoder, Encoder, LatentSpace, Place};
 use wm_motion::actions::ActionEncoding;
 
 pub use description::{
-    Configuration, DecoderPart, Description, Part, Precision, ProbePart, Statistics, TextPart,
-    TransitionPart,
+    Configuration, DecoderPart, Description, Part, ProbePart, Statistics, TextPart, TransitionPart,
 };
 pub use native::NativeDecoder;
 pub use random::write_random_weights;
 pub use summary::{PartSummary, Stepping, Summary};
 
+use crate::calibration::{Calibration, Origin, RangeRecorder};
 use crate::kinds::{DitConfig, Kind, build_transition, load_transition, parse};
 use crate::loader::Requested;
 use crate::success_probe::SuccessClassifier;
 use crate::svae::{Svae, SvaeConfig};
-use crate::{Checkpoint, Compute, Error, Result, TransitionTensors};
+use crate::{Checkpoint, Compute, Error, Precision, Result, TransitionTensors};
 use decoder::{DecoderConfig, FolderDecoder};
 use encoder::{EncoderConfig, FolderEncoder, canonical};
 use fit::{check_decoder, check_transition, latent};
 use probe::Probe;
-use source::Source;
+use source::{KnownInputs, Source};
 
 /// Name of the description in a folder.
 pub const FILE: &str = "model.json";
@@ -116,6 +116,8 @@ pub struct DescribedFolder {
     /// Camera views side by side.
     views: usize,
     probe: Option<Probe>,
+    /// What is known of the inputs of its matrices.
+    known: KnownInputs,
     /// Rows, columns and channels of a latent, all views together.
     latent: [usize; 3],
     /// Computed once: it takes reading the encoder's values.
@@ -196,7 +198,7 @@ impl DescribedFolder {
         let [_, _, channels] = latent;
         let normalisation =
             statistics(&description, &folder, channels).map_err(in_part("normalisation"))?;
-        Ok(Self {
+        let mut opened = Self {
             name: folder.display().to_string(),
             description,
             encoder,
@@ -207,9 +209,78 @@ impl DescribedFolder {
             trained_on,
             views,
             probe,
+            known: KnownInputs::Nothing,
             latent,
             space: OnceLock::new(),
-        })
+        };
+        if opened.description.dtype == Precision::Int8 {
+            opened.known = opened.calibrated(&folder)?;
+        }
+        Ok(opened)
+    }
+
+    /// The calibration in `folder`, which has to be of these weights.
+    fn calibrated(&self, folder: &Path) -> Result<KnownInputs> {
+        let Some(calibration) = Calibration::read(folder)? else {
+            tracing::info!(
+                "{}: int8 without a calibration: wm model calibrate {} --bag BAG makes one",
+                self.name,
+                self.name
+            );
+            return Ok(KnownInputs::Nothing);
+        };
+        for source in self.sources() {
+            calibration.check(folder, source.role, &source.fingerprint())?;
+        }
+        Ok(KnownInputs::Calibrated(calibration))
+    }
+
+    /// The checkpoints of all parts.
+    fn sources(&self) -> Vec<&Source> {
+        let mut sources = vec![&self.encoder.source];
+        sources.extend(self.adapter.as_ref().map(|part| &part.source));
+        sources.extend(self.transition.as_ref().map(|part| &part.source));
+        if let Some(Pictures { decoder, adapter }) = &self.pictures {
+            sources.push(&decoder.source);
+            sources.extend(adapter.as_ref().map(|part| &part.source));
+        }
+        sources.extend(self.probe.iter().flat_map(Probe::sources));
+        sources
+    }
+
+    /// The same, whose parts compute in f32 and note what their matrices are multiplied with, for
+    /// [`Self::calibration`].
+    pub fn recorded(mut self) -> Self {
+        self.known = KnownInputs::Recorded(RangeRecorder::default());
+        self.description.dtype = Precision::F32;
+        // It may be of another number format.
+        self.space = OnceLock::new();
+        self
+    }
+
+    /// The same, whose parts compute in int8, with `calibration` or none.
+    pub fn quantised(mut self, calibration: Option<Calibration>) -> Self {
+        self.known = match calibration {
+            Some(calibration) => KnownInputs::Calibrated(calibration),
+            None => KnownInputs::Nothing,
+        };
+        self.description.dtype = Precision::Int8;
+        self.space = OnceLock::new();
+        self
+    }
+
+    /// What was noted since it is [recorded](Self::recorded).
+    ///
+    /// # Errors
+    /// If that is nothing, or not finite.
+    pub fn calibration(&self, origin: Origin) -> Result<Calibration> {
+        let KnownInputs::Recorded(recorder) = &self.known else {
+            let reason = "the model does not record".to_owned();
+            return Err(wm_model::Error::config("calibration", reason).into());
+        };
+        let weights = self.sources().into_iter();
+        let weights = weights.map(|source| (source.role.to_owned(), source.fingerprint()));
+        recorder.calibration(origin, weights.collect())
     }
 
     /// Its path, as it was opened.
@@ -230,13 +301,35 @@ impl DescribedFolder {
         if let Some(space) = self.space.get() {
             return Ok(space.clone());
         }
-        let space = self.space_of(
+        let space = self.space_in(self.description.dtype)?;
+        Ok(self.space.get_or_init(|| space).clone())
+    }
+
+    /// The space that its latents are in with weights of this number format.
+    fn space_in(&self, precision: Precision) -> Result<LatentSpace> {
+        self.space_of(
             self.description.name.clone(),
-            self.latent,
+            (self.latent, precision),
             self.adapter.as_ref(),
             &self.normalisation,
-        )?;
-        Ok(self.space.get_or_init(|| space).clone())
+        )
+    }
+
+    /// The space of its latents as something knows them that was trained on `trained_on`: in another number format, if those
+    /// are the same but for that; otherwise in its own.
+    ///
+    /// # Errors
+    /// If a value is not finite.
+    pub(crate) fn space_of_training(&self, trained_on: &LatentSpace) -> Result<LatentSpace> {
+        let own = self.space()?;
+        if own.hash == trained_on.hash || self.description.dtype == Precision::F32 {
+            return Ok(own);
+        }
+        let trained = self.space_in(Precision::F32)?;
+        Ok(match trained.hash == trained_on.hash {
+            true => trained,
+            false => own,
+        })
     }
 
     /// Loads encoder and adapter.
@@ -252,14 +345,16 @@ impl DescribedFolder {
     /// # Errors
     /// If a value is not finite, or the device has no memory for it.
     pub fn encoder_on(&self, place: &Place) -> Result<Box<dyn Encoder>> {
-        let compute = self.compute(place);
+        let compute = self.compute(place)?;
         Ok(Box::new(FolderEncoder {
             network: self
                 .encoder
                 .source
-                .load_at(&compute, |loader| self.encoder.config.load(loader))?,
+                .load_at(&compute, &self.known, |loader| {
+                    self.encoder.config.load(loader)
+                })?,
             device: place.device().clone(),
-            adapter: load_adapter(self.adapter.as_ref(), &compute)?,
+            adapter: load_adapter(self.adapter.as_ref(), &compute, &self.known)?,
             normalisation: self.normalisation.clone(),
             image: self.description.image,
             views: self.views,
@@ -283,13 +378,13 @@ impl DescribedFolder {
         let Some(Pictures { decoder, adapter }) = &self.pictures else {
             return Ok(None);
         };
-        let compute = self.compute(place);
+        let compute = self.compute(place)?;
         Ok(Some(Box::new(FolderDecoder {
             network: decoder
                 .source
-                .load_at(&compute, |loader| decoder.config.load(loader))?,
+                .load_at(&compute, &self.known, |loader| decoder.config.load(loader))?,
             device: place.device().clone(),
-            adapter: load_adapter(adapter.as_ref(), &compute)?,
+            adapter: load_adapter(adapter.as_ref(), &compute, &self.known)?,
             normalisation: self.normalisation.clone(),
             upsampling: decoder.config.upsampling()?,
             views: self.views,
@@ -327,7 +422,8 @@ impl DescribedFolder {
             config, encoding, ..
         } = &transition.config;
         let mut tensors = BTreeMap::new();
-        transition.source.load(candle_core::DType::F32, |loader| {
+        let nothing = KnownInputs::Nothing;
+        transition.source.load(Precision::F32, &nothing, |loader| {
             Transition::build(config.clone(), &mut |parameter| {
                 let tensor = loader.tensor(&parameter.name, &parameter.shape)?;
                 tensors.insert(parameter.name.clone(), tensor.clone());
@@ -361,16 +457,17 @@ impl DescribedFolder {
         } = &transition.config;
         let space = self.space()?;
         if let Some(trained_on) = &self.trained_on {
-            trained_on.require(&space)?;
+            trained_on.require(&self.space_of_training(trained_on)?)?;
         }
-        let compute = self.compute(place);
-        let model = transition.source.load_at(&compute, |loader| {
-            load_transition(config.clone(), loader, place, compute.precision())
+        let compute = self.compute(place)?;
+        let model = transition.source.load_at(&compute, &self.known, |loader| {
+            load_transition(config.clone(), loader, place)
         })?;
         let mut hash = Sha256::new();
         let settings = (config, encoding, &space, self.description.dtype);
         hash.update(format!("{}\n", canonical(&settings)?));
         transition.source.hash(&transition.tensors, &mut hash)?;
+        self.hash_ranges(&transition.source, &mut hash);
         Ok(WorldModel {
             name: self.name.clone(),
             transition: model,
@@ -385,20 +482,24 @@ impl DescribedFolder {
     /// # Errors
     /// If a value is not finite, or the tokenizer is not one, or not of the text tower.
     pub fn probe(&self) -> Result<Option<SuccessClassifier>> {
-        let dtype = self.description.dtype.dtype();
-        let load = |probe: &Probe| probe.load(dtype, self.normalisation.clone());
+        let precision = self.description.dtype;
+        let load = |probe: &Probe| probe.load(precision, &self.known, self.normalisation.clone());
         self.probe.as_ref().map(load).transpose()
     }
 
     /// In the number format of the model.
-    fn compute(&self, place: &Place) -> Compute {
-        Compute::at(place, self.description.dtype.dtype())
+    fn compute(&self, place: &Place) -> Result<Compute> {
+        Compute::at(place, self.description.dtype)
     }
 }
 
-fn load_adapter(adapter: Option<&Opened<SvaeConfig>>, compute: &Compute) -> Result<Option<Svae>> {
+fn load_adapter(
+    adapter: Option<&Opened<SvaeConfig>>,
+    compute: &Compute,
+    known: &KnownInputs,
+) -> Result<Option<Svae>> {
     let load = |Opened { source, config, .. }: &Opened<SvaeConfig>| {
-        source.load_at(compute, |loader| Svae::load(config, loader))
+        source.load_at(compute, known, |loader| Svae::load(config, loader))
     };
     adapter.map(load).transpose()
 }

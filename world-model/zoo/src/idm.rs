@@ -179,7 +179,7 @@ impl Idm {
         let blocks = loader.at(names.blocks);
         Ok(Self {
             config: config.clone(),
-            input: loader.linear("input_proj", inputs, width)?,
+            input: loader.sensitive().linear("input_proj", inputs, width)?,
             temporal: temporal.reshape((1, frames, 1, width))?,
             spatial: spatial.reshape((1, 1, tokens, width))?,
             queries: loader
@@ -193,8 +193,8 @@ impl Idm {
                 .collect::<Result<_>>()?,
             norm: loader.layer_norm(names.norm, width, LAYER_NORM_EPS)?,
             head: [
-                loader.linear("head.0", width, width)?,
-                loader.linear("head.2", width, config.actions)?,
+                loader.sensitive().linear("head.0", width, width)?,
+                loader.sensitive().linear("head.2", width, config.actions)?,
             ],
         })
     }

@@ -26,17 +26,8 @@ pub use rms_norm::rms_norm;
 pub use upsample::upsample_nearest_2x;
 
 use candle_core::{DType, Tensor};
-use wm_model::ops::PackedFormat;
 
 use crate::Engine;
-
-/// What weights are packed in that were rounded to `precision`.
-pub(crate) fn packed_format(precision: DType) -> PackedFormat {
-    match precision {
-        DType::BF16 => PackedFormat::Bf16,
-        _ => PackedFormat::F32,
-    }
-}
 
 /// Whether the kernels of [`wm_model::ops`] are to compute `x`, and can.
 pub(crate) fn takes_kernels(engine: Engine, x: &Tensor) -> bool {

@@ -36,8 +36,10 @@ mod error;
 mod model_folder;
 mod placed_model;
 mod placement;
+mod precision;
 mod sizes;
 
+pub mod calibration;
 pub mod checkpoint;
 pub mod compute;
 pub mod cost;
@@ -57,6 +59,7 @@ pub mod svae;
 pub mod vae;
 pub mod vit;
 
+pub use calibration::Calibration;
 pub use checkpoint::Checkpoint;
 pub use compute::Compute;
 pub use device::DeviceName;
@@ -66,5 +69,6 @@ pub use model_folder::{ModelFolder, TransitionTensors};
 pub use packed_cache::PackedCache;
 pub use placed_model::PlacedModel;
 pub use placement::Placement;
+pub use precision::Precision;
 pub use wm_model::ops::Engine;
 pub use wm_model::trained_folder::{IDM_FILE, PROBE_FILE};

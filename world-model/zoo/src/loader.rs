@@ -10,9 +10,10 @@ use wm_model::Weights;
 use wm_model::ops::{PackedFormat, PackedLinear};
 use wm_model::transition::PackedSource;
 
-use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear, packed_format};
+use crate::calibration::{InputRanges, RangeRecorder};
+use crate::layers::{Conv2d, ConvSpec, GroupNorm, LayerNorm, Linear};
 use crate::packed_cache::{PackedCache, Session};
-use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Result};
+use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Precision, Result};
 
 /// Gives tensors by name and shape, below one place in the checkpoint's tree of names.
 ///
@@ -24,6 +25,9 @@ use crate::{Checkpoint, Compute, Engine, Error, Misshapen, Result};
 /// the memory that is read; sums and activations are f32. Vectors (biases, scales, statistics) are not rounded there:
 /// they are a hundredth of the values, and each is off in all places of an output alike. On other devices it gives bf16
 /// tensors.
+///
+/// A loader for int8 rounds what is asked for as a Linear, when it is packed, to 8 bits, or to bf16 where it is
+/// [sensitive](Loader::sensitive). Tensors it gives as f32.
 #[derive(Clone, Debug)]
 pub struct Loader<'a> {
     source: Source<'a>,
@@ -31,12 +35,18 @@ pub struct Loader<'a> {
     prefix: String,
     engine: Engine,
     /// Format that values are rounded to.
-    precision: DType,
+    precision: Precision,
     device: Device,
     /// Whether values are read from `source`, or only names and shapes.
     reads: bool,
+    /// Whether its Linears are sensitive to rounding.
+    is_sensitive: bool,
     /// Where packed weights are looked up and kept.
     session: Option<Rc<RefCell<Session>>>,
+    /// What is known of the inputs of its Linears.
+    ranges: Option<&'a InputRanges>,
+    /// What notes the inputs of its Linears.
+    recorder: Option<(&'a RangeRecorder, &'static str)>,
     account: Rc<RefCell<Account>>,
 }
 
@@ -123,8 +133,9 @@ impl PackedSource for Loader<'_> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
+        format: PackedFormat,
     ) -> wm_model::Result<PackedLinear> {
-        Ok(self.packed_linear(name, shape, is_biased)?)
+        Ok(self.packed_linear(name, shape, is_biased, format)?)
     }
 
     fn values(&self, name: &str, shape: &[usize]) -> wm_model::Result<Vec<f32>> {
@@ -132,14 +143,17 @@ impl PackedSource for Loader<'_> {
     }
 
     fn format(&self) -> PackedFormat {
-        self.format()
+        self.matrix_format()
     }
 }
 
 impl<'a> Loader<'a> {
     /// Gives `source`'s tensors, on the CPU, rounded to `precision`.
-    pub fn new(source: &'a Checkpoint, engine: Engine, precision: DType) -> Self {
-        Self::on(source, &Compute::on_cpu(engine, precision))
+    ///
+    /// # Errors
+    /// If the engine does not compute in that precision.
+    pub fn new(source: &'a Checkpoint, engine: Engine, precision: Precision) -> Result<Self> {
+        Ok(Self::on(source, &Compute::on_cpu(engine, precision)?))
     }
 
     /// Gives `source`'s tensors on the device of `compute`, rounded to its precision.
@@ -151,7 +165,10 @@ impl<'a> Loader<'a> {
             precision: compute.precision(),
             device: compute.device().clone(),
             reads: true,
+            is_sensitive: false,
             session: None,
+            ranges: None,
+            recorder: None,
             account: Rc::default(),
         };
         match PackedCache::of_process() {
@@ -174,12 +191,31 @@ impl<'a> Loader<'a> {
         }
     }
 
+    /// The same, whose Linears are quantised with what is known of their inputs: of use in [`Precision::Int8`].
+    pub(crate) fn with_ranges(self, ranges: &'a InputRanges) -> Self {
+        if let Some(session) = &self.session {
+            session.borrow_mut().distinguish(ranges);
+        }
+        Self {
+            ranges: Some(ranges),
+            ..self
+        }
+    }
+
+    /// The same, whose Linears note their inputs in `recorder` when they compute, as those of `part`.
+    pub(crate) fn recorded(self, recorder: &'a RangeRecorder, part: &'static str) -> Self {
+        Self {
+            recorder: Some((recorder, part)),
+            ..self
+        }
+    }
+
     /// Looks at names and shapes of `source`'s tensors and gives zeros, as a [`Loader::skeleton`] does: what a model asks
     /// of this checkpoint, and by [`Loader::finish`] whether it is there, without reading a value.
     pub fn survey(source: &'a Checkpoint) -> Self {
         Self {
-            reads: false,
-            ..Self::new(source, Engine::Candle, DType::F32)
+            source: Source::Checkpoint(source),
+            ..Self::skeleton(Engine::Candle)
         }
     }
 
@@ -189,10 +225,13 @@ impl<'a> Loader<'a> {
             source: Source::Nothing,
             prefix: String::new(),
             engine,
-            precision: DType::F32,
+            precision: Precision::F32,
             device: Device::Cpu,
             reads: false,
+            is_sensitive: false,
             session: None,
+            ranges: None,
+            recorder: None,
             account: Rc::default(),
         }
     }
@@ -218,7 +257,15 @@ impl<'a> Loader<'a> {
     /// The same place, for tensors that are to keep the values of the checkpoint: given as f32, not rounded.
     pub fn unrounded(&self) -> Self {
         Self {
-            precision: DType::F32,
+            precision: Precision::F32,
+            ..self.clone()
+        }
+    }
+
+    /// The same place, for [sensitive](PackedFormat::sensitive) Linears.
+    pub fn sensitive(&self) -> Self {
+        Self {
+            is_sensitive: true,
             ..self.clone()
         }
     }
@@ -233,13 +280,22 @@ impl<'a> Loader<'a> {
         if self.device.is_cpu() {
             DType::F32
         } else {
-            self.precision
+            self.precision.dtype()
         }
     }
 
-    /// What weights that it gives are packed in.
+    /// What weights that it gives as tensors are to be packed in.
     pub(crate) fn format(&self) -> PackedFormat {
-        packed_format(self.precision)
+        self.precision.packed().sensitive()
+    }
+
+    /// What matrices that it gives as Linears are packed in.
+    fn matrix_format(&self) -> PackedFormat {
+        let format = self.precision.packed();
+        match self.is_sensitive {
+            true => format.sensitive(),
+            false => format,
+        }
     }
 
     /// Where the tensors that it gives are.
@@ -320,34 +376,30 @@ impl<'a> Loader<'a> {
         let weight_shape = [shape.0, shape.1];
         if let Some(source) = self.packs(&weight, &weight_shape) {
             return self
-                .pack(source, name, shape, is_biased)
+                .pack(source, name, shape, is_biased, self.matrix_format())
                 .map(Linear::packed);
         }
         let weight = self.tensor(&weight, &weight_shape)?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias"), &[shape.0]));
-        Linear::new(weight, bias.transpose()?, self.engine, self.format())
+        Linear::new(weight, bias.transpose()?, self.engine, self.matrix_format())
     }
 
-    /// The Linear `name`, packed: `name.weight` of `shape` and, if `is_biased`, `name.bias`.
+    /// The Linear `name`, packed in `format`: `name.weight` of `shape` and, if `is_biased`, `name.bias`.
     fn packed_linear(
         &self,
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
+        format: PackedFormat,
     ) -> Result<PackedLinear> {
         let (weight, weight_shape) = (format!("{name}.weight"), [shape.0, shape.1]);
         if let Some(source) = self.packs(&weight, &weight_shape) {
-            return self.pack(source, name, shape, is_biased);
+            return self.pack(source, name, shape, is_biased, format);
         }
         let weight = self.values(&weight, &weight_shape)?;
         let bias = is_biased.then(|| self.values(&format!("{name}.bias"), &[shape.0]));
         let bias = bias.transpose()?;
-        Ok(PackedLinear::new(
-            &weight,
-            bias.as_deref(),
-            shape,
-            self.format(),
-        )?)
+        Ok(PackedLinear::new(&weight, bias.as_deref(), shape, format)?)
     }
 
     /// The checkpoint, if the matrix `name` of `shape` can be packed from where it lies there.
@@ -356,9 +408,8 @@ impl<'a> Loader<'a> {
             return None;
         };
         let is_packed = self.reads && self.engine == Engine::Cpu && self.device.is_cpu();
-        let is_known = matches!(self.precision, DType::F32 | DType::BF16);
         let fits = source.shape(&self.path(name)) == Some(shape);
-        (is_packed && is_known && fits).then_some(source)
+        (is_packed && fits).then_some(source)
     }
 
     /// Packs the Linear `name` from where its values lie in the file.
@@ -368,24 +419,44 @@ impl<'a> Loader<'a> {
         name: &str,
         shape: (usize, usize),
         is_biased: bool,
+        format: PackedFormat,
     ) -> Result<PackedLinear> {
         let weight = self.path(&format!("{name}.weight"));
         self.account.borrow_mut().note(&weight, &[shape.0, shape.1]);
         let bias = is_biased.then(|| self.values(&format!("{name}.bias"), &[shape.0]));
         let bias = bias.transpose()?;
+        let packed = self.pack_or_find(source, &weight, shape, bias.as_deref(), format)?;
+        Ok(match self.recorder {
+            Some((recorder, part)) => recorder.record((part, &weight), packed)?,
+            None => packed,
+        })
+    }
+
+    /// The matrix `weight` with `bias`, as it was kept or packed now.
+    fn pack_or_find(
+        &self,
+        source: &Checkpoint,
+        weight: &str,
+        shape: (usize, usize),
+        bias: Option<&[f32]>,
+        format: PackedFormat,
+    ) -> Result<PackedLinear> {
         let mut session = self.session.as_ref().map(|session| session.borrow_mut());
-        let (format, bias) = (self.format(), bias.as_deref());
         if let Some(session) = &mut session
-            && let Some(packed) = session.linear(&weight, shape, format, bias)
+            && let Some(packed) = session.linear(weight, shape, format, bias)
         {
             return Ok(packed);
         }
-        let is_rounded = self.precision == DType::BF16;
-        let packed = source.with_values(&weight, is_rounded, |weight| {
-            PackedLinear::new(weight, bias, shape, format)
+        let smoothing = self.ranges.and_then(|ranges| ranges.smoothing(weight));
+        let is_rounded = self.precision == Precision::Bf16;
+        let packed = source.with_values(weight, is_rounded, |values| match smoothing {
+            Some(smoothing) if format == PackedFormat::Int8 => {
+                PackedLinear::quantised(values, bias, shape, Some(smoothing))
+            }
+            _ => PackedLinear::new(values, bias, shape, format),
         })??;
         if let Some(session) = &mut session {
-            session.note(&weight, &packed);
+            session.note(weight, &packed);
         }
         Ok(packed)
     }
@@ -500,7 +571,7 @@ impl<'a> Loader<'a> {
         if self.device.is_cpu() && shape.len() < 2 {
             DType::F32
         } else {
-            self.precision
+            self.precision.dtype()
         }
     }
 

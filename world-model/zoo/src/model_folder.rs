@@ -6,7 +6,9 @@ use std::path::Path;
 use candle_core::Tensor;
 use wm_model::autoencoder::TensorAutoencoder;
 use wm_model::trained_folder::{EMBEDDED, IDM_FILE, PROBE_FILE, TrainedFolder};
-use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, Transition, TransitionConfig};
+use wm_model::transition::{
+    ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
+};
 use wm_model::{Decoder, Encoder, LatentSpace, Place, Weights, WorldModel};
 use wm_motion::actions::ActionEncoding;
 
@@ -64,6 +66,14 @@ impl ModelFolder {
         match self {
             Self::Trained(folder) => Ok(folder.autoencoder()?.space().clone()),
             Self::Described(folder) => folder.space(),
+        }
+    }
+
+    /// The space of its latents for what was trained on `trained_on`, perhaps in another number format.
+    fn space_of_training(&self, trained_on: &LatentSpace) -> Result<LatentSpace> {
+        match self {
+            Self::Trained(_) => self.space(),
+            Self::Described(folder) => folder.space_of_training(trained_on),
         }
     }
 
@@ -191,7 +201,11 @@ impl ModelFolder {
             return Ok(Some(probe));
         }
         match self.weights(PROBE_FILE)? {
-            Some(weights) => SuccessClassifier::of_trained(weights, &self.space()?).map(Some),
+            Some(weights) => {
+                let trained_on: LatentSpace = weights.json(LATENT_SPACE_KEY)?;
+                let space = self.space_of_training(&trained_on)?;
+                SuccessClassifier::of_trained(weights, &space).map(Some)
+            }
             None => Ok(None),
         }
     }
@@ -216,7 +230,7 @@ impl ModelFolder {
             return Ok(None);
         };
         let idm = TrainedIdm::from_weights(weights)?;
-        idm.space().require(&self.space()?)?;
+        idm.space().require(&self.space_of_training(idm.space())?)?;
         Ok(Some(idm))
     }
 

@@ -95,20 +95,24 @@ impl SuccessProbe {
         Ok(Self {
             config: config.clone(),
             input_norm: norm("input_norm", config.features)?,
-            input: loader.linear("input_proj", config.features, width)?,
+            input: loader
+                .sensitive()
+                .linear("input_proj", config.features, width)?,
             temporal: loader
                 .tensor("temporal_embed", &names.temporal(frames, width))?
                 .reshape((frames, 1, width))?,
             spatial: loader
                 .tensor("spatial_embed", &names.spatial(places, width))?
                 .reshape((1, places, width))?,
-            text: loader.linear("text_proj", config.text_features, width)?,
+            text: loader
+                .sensitive()
+                .linear("text_proj", config.text_features, width)?,
             text_norm: norm("text_norm", width)?,
             blocks: (0..config.depth)
                 .map(|i| ProbeBlock::load(config, names, &loader.at(format!("blocks.{i}"))))
                 .collect::<Result<_>>()?,
             norm: norm("norm", width)?,
-            head: loader.linear("head", width, 1)?,
+            head: loader.sensitive().linear("head", width, 1)?,
         })
     }
 

@@ -104,8 +104,8 @@ impl Svae {
             device: loader.device().clone(),
             encoder_blocks: blocks("enc_blocks")?,
             encoder_norm: loader.layer_norm("enc_norm", width, FINAL_EPS)?,
-            to_latent: loader.linear("enc_proj", width, 2 * latent)?,
-            from_latent: loader.linear("dec_proj", latent, width)?,
+            to_latent: loader.sensitive().linear("enc_proj", width, 2 * latent)?,
+            from_latent: loader.sensitive().linear("dec_proj", latent, width)?,
             decoder_blocks: blocks("dec_blocks")?,
             decoder_norm: loader.layer_norm("dec_norm", width, FINAL_EPS)?,
         })

@@ -13,7 +13,7 @@ pub trait Projection {
 }
 
 /// A pinhole camera with its x to the right and its y down the picture.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     eye: Vector3<f32>,
     target: Vector3<f32>,

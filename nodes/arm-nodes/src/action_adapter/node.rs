@@ -16,7 +16,9 @@ use wm_ros::{
 };
 
 use super::{AdapterStep, Done, Problem, outlets::Endpoints, parameters::Parameters};
-use crate::{hear::next, pose::pose_message};
+use wm_sim::message::pose as pose_message;
+
+use crate::hear::next;
 
 const NAME: &str = "action_adapter";
 

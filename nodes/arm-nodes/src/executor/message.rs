@@ -5,10 +5,13 @@ use wm_msgs::{
     geometry_msgs::{Twist, TwistStamped, Vector3},
     std_msgs::{Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout},
     trajectory_msgs::{JointTrajectory, JointTrajectoryPoint},
+    visualization_msgs::MarkerArray,
     wm_msgs::{ActionChunk, ExecutorStatus, Plan, Timing},
 };
 
-use super::{Command, State, Status, Velocity};
+use wm_wire::marker::{Style, edges};
+
+use super::{Command, State, Status, Velocity, node::STATUS_PERIOD};
 
 /// vx, vy, vz, wx, wy, wz.
 const AXES: u32 = 6;
@@ -81,6 +84,18 @@ pub(super) fn trajectory(
             time_from_start: Duration::from_nanos(period_ns),
             ..JointTrajectoryPoint::default()
         }],
+    }
+}
+
+/// The edges of the workspace box, in orange; they outlive two statuses that are lost.
+pub(super) fn workspace(header: Header, (least, most): ([f64; 3], [f64; 3])) -> MarkerArray {
+    let style = Style {
+        ns: "workspace",
+        color: [1.0, 0.6, 0.0, 0.8],
+        lifetime: STATUS_PERIOD * 3,
+    };
+    MarkerArray {
+        markers: vec![edges(header, &style, least, most)],
     }
 }
 

@@ -15,6 +15,7 @@ use wm_msgs::{
     std_msgs::{Bool, Float64, Float64MultiArray, Header},
     std_srvs::{Outcome, SetBool, Trigger},
     trajectory_msgs::JointTrajectory,
+    visualization_msgs::MarkerArray,
     wm_msgs::{
         Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Plan, PredictionError,
     },
@@ -114,6 +115,11 @@ wm_ros::endpoints! {
             let is_wanted: bool = node.parameter("announce_plans")?;
             is_wanted.then(|| node.publisher(name, qos)).transpose()
         });
+        /// The workspace box (ns workspace), where there is one. Sent with the status, while somebody subscribes.
+        shapes: Option<Publisher<MarkerArray>> = "markers", qos(Qos::reliable(4)), made(|node, name, qos| {
+            let corner: Vec<f64> = node.parameter("workspace_min")?;
+            (!corner.is_empty()).then(|| node.publisher(name, qos)).transpose()
+        });
         /// What the node does, and why.
         status: Publisher<ExecutorStatus> = "~/status", qos(Qos::latched(1));
         /// Arms the node (true), or decelerates and disarms it (false).
@@ -194,6 +200,7 @@ pub async fn body(node: Node) -> Result<()> {
         joint_previews,
         actions,
         announcements,
+        shapes,
         status,
         arm,
         stop,
@@ -219,6 +226,7 @@ pub async fn body(node: Node) -> Result<()> {
             joint_previews,
             actions,
             announcements,
+            shapes,
             status,
         },
         told: None,
@@ -290,6 +298,7 @@ struct Outlets {
     joint_previews: Option<Publisher<JointTrajectory>>,
     actions: Option<Publisher<Action>>,
     announcements: Option<Publisher<ActionChunk>>,
+    shapes: Option<Publisher<MarkerArray>>,
     status: Publisher<ExecutorStatus>,
 }
 
@@ -322,7 +331,7 @@ struct Executor {
 }
 
 /// The status goes out at least this often.
-const STATUS_PERIOD: Duration = Duration::from_secs(1);
+pub(super) const STATUS_PERIOD: Duration = Duration::from_secs(1);
 /// How long the last command may take to arrive: less than a process has to end after a signal.
 const FAREWELL: Duration = Duration::from_millis(300);
 
@@ -435,7 +444,20 @@ impl Executor {
         self.diagnostics.set_status(level, text);
         let message = message::status(self.header(now.stamp_ns), &status);
         self.outlets.status.publish(&message)?;
+        self.draw(message.header)?;
         self.told = Some((status, now.at));
+        Ok(())
+    }
+
+    /// Draws the workspace box, where somebody looks.
+    fn draw(&self, header: Header) -> Result<()> {
+        let workspace = self.step.settings().workspace.as_ref();
+        let shapes = self.outlets.shapes.as_ref();
+        if let (Some(workspace), Some(shapes)) = (workspace, shapes)
+            && shapes.subscribers() > 0
+        {
+            shapes.publish(&message::workspace(header, workspace.corners()))?;
+        }
         Ok(())
     }
 

@@ -56,6 +56,11 @@ impl Workspace {
         }
     }
 
+    /// The lower and the upper corner \[m\].
+    pub fn corners(&self) -> ([f64; 3], [f64; 3]) {
+        (self.least, self.most)
+    }
+
     /// Where the end effector is \[m\], and when that came.
     ///
     /// # Errors

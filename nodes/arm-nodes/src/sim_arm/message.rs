@@ -1,28 +1,38 @@
 //! What the arm tells, as messages.
 
+use std::time::Duration;
+
 use anyhow::Result;
 use image::RgbImage;
-use nalgebra::Isometry3;
 use wm_camera::image_message::{encode_image, encode_jpeg};
 use wm_msgs::{
     builtin_interfaces::Time,
-    geometry_msgs::{Point, Pose, PoseArray, PoseStamped, Transform, TransformStamped, Vector3},
+    geometry_msgs::{PoseArray, PoseStamped},
     sensor_msgs::{CameraInfo, JointState},
     std_msgs::Header,
     tf2_msgs::TFMessage,
     vision_msgs::{LabelInfo, VisionClass},
+    visualization_msgs::MarkerArray,
     wm_msgs::{Action, Goal},
 };
 use wm_sim::{
-    JOINT_NAMES, World,
-    render::{Camera, IMAGE_SIZE},
+    JOINT_NAMES, Target, World,
+    message::{pose as pose_message, transform},
+    render::Camera,
 };
-use wm_wire::transport::{Pictures, Transports};
-
-use crate::pose::pose_message;
+use wm_wire::{
+    marker::{Style, ball},
+    transport::{Pictures, Transports},
+};
 
 use super::{Done, SimArmStep, Tick, View};
 
+/// Green and translucent: what is to be there can be seen. It outlives four messages that are lost.
+const GOAL: Style = Style {
+    ns: "goal",
+    color: [0.2, 0.8, 0.3, 0.4],
+    lifetime: Duration::from_secs(1),
+};
 /// As in the simulator's bags.
 const JPEG_QUALITY: u8 = 95;
 
@@ -88,29 +98,32 @@ pub(super) fn action(done: &Done, base_frame: &str) -> Action {
 
 /// A pinhole camera without distortion.
 pub(super) fn camera_info(camera: &Camera, view: View, stamp_ns: i64) -> CameraInfo {
-    let focal = camera.focal_px();
-    // ROS has 0 in the middle of the first pixel, the simulator at its edge.
-    let middle = f64::from(IMAGE_SIZE) / 2.0 - 0.5;
-    CameraInfo {
-        header: header(stamp_ns, view.frame_id()),
-        height: IMAGE_SIZE,
-        width: IMAGE_SIZE,
-        distortion_model: "plumb_bob".into(),
-        d: vec![0.0; 5],
-        k: [focal, 0.0, middle, 0.0, focal, middle, 0.0, 0.0, 1.0],
-        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: [
-            focal, 0.0, middle, 0.0, 0.0, focal, middle, 0.0, 0.0, 0.0, 1.0, 0.0,
-        ],
-        ..CameraInfo::default()
+    wm_sim::message::camera_info(camera, header(stamp_ns, view.frame_id()))
+}
+
+/// Where the tool is, and the arm's links, as frames.
+pub(super) fn transforms(tick: &Tick, base_frame: &str, tool_frame: &str) -> TFMessage {
+    let header = |frame_id: &str| header(tick.stamp_ns, frame_id);
+    let tool = transform(&tick.tool.frame(), header(base_frame), tool_frame);
+    let links = tick
+        .joints
+        .map(|positions| wm_sim::link_frames(base_frame, &positions));
+    let links = links.into_iter().flatten();
+    let links = links.map(|link| transform(&link.frame, header(&link.parent), link.link));
+    TFMessage {
+        transforms: std::iter::once(tool).chain(links).collect(),
     }
 }
 
-/// Where the tool is, as a frame.
-pub(super) fn tool_transform(tick: &Tick, base_frame: &str, tool_frame: &str) -> TFMessage {
-    let at = transform(&tick.tool.frame(), tick.stamp_ns, base_frame, tool_frame);
-    TFMessage {
-        transforms: vec![at],
+/// Where the tool or an object is to be, with the ball within which it counts.
+pub(super) fn target(target: &Target, stamp_ns: i64, base_frame: &str) -> MarkerArray {
+    let place = match target {
+        Target::Tool { position } => *position,
+        Target::Object { place, .. } => *place,
+    };
+    let header = header(stamp_ns, base_frame);
+    MarkerArray {
+        markers: vec![ball(header, &GOAL, place.into(), target.tolerance_m())],
     }
 }
 
@@ -118,30 +131,10 @@ pub(super) fn tool_transform(tick: &Tick, base_frame: &str, tool_frame: &str) ->
 pub(super) fn camera_transforms(step: &SimArmStep, stamp_ns: i64, base_frame: &str) -> TFMessage {
     let of = |(view, camera): (View, &Camera)| {
         let frame = camera.base_from_optical();
-        transform(&frame, stamp_ns, base_frame, view.frame_id())
+        transform(&frame, header(stamp_ns, base_frame), view.frame_id())
     };
     TFMessage {
         transforms: step.eyes().map(of).collect(),
-    }
-}
-
-fn transform(
-    frame: &Isometry3<f64>,
-    stamp_ns: i64,
-    frame_id: &str,
-    child_frame_id: &str,
-) -> TransformStamped {
-    let Pose {
-        position: Point { x, y, z },
-        orientation,
-    } = pose_message(frame);
-    TransformStamped {
-        header: header(stamp_ns, frame_id),
-        child_frame_id: child_frame_id.to_owned(),
-        transform: Transform {
-            translation: Vector3 { x, y, z },
-            rotation: orientation,
-        },
     }
 }
 

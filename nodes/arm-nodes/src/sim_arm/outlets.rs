@@ -11,6 +11,7 @@ use wm_msgs::{
     std_msgs::{Bool, Float64, Float64MultiArray, String as Text},
     tf2_msgs::TFMessage,
     vision_msgs::LabelInfo,
+    visualization_msgs::MarkerArray,
     wm_msgs::{Action, Goal, Reset},
 };
 use wm_ros::{Endpoint as _, Publisher, Qos, Subscription};
@@ -81,7 +82,7 @@ wm_ros::endpoints! {
         pub(super) joints: Publisher<JointState> = "joint_states";
         /// The arm as a URDF.
         pub(super) descriptions: Publisher<Text> = "robot_description", qos(Qos::latched(1));
-        /// The tool's frame.
+        /// The tool's frame, and those of the arm's links.
         pub(super) transforms: Publisher<TFMessage> = "/tf", qos(Qos::reliable(100));
         /// The cameras' optical frames; each seed has them a little elsewhere.
         pub(super) static_transforms: Publisher<TFMessage> = "/tf_static", qos(Qos::latched(1));
@@ -99,6 +100,8 @@ wm_ros::endpoints! {
             let is_wanted: bool = node.parameter("publish_action")?;
             is_wanted.then(|| node.publisher(name, qos)).transpose()
         });
+        /// Where the tool or an object is to be (ns goal), while somebody subscribes.
+        pub(super) shapes: Publisher<MarkerArray> = "markers", qos(Qos::reliable(4));
         /// What is missing to the goal [m].
         pub(super) distances: Publisher<Float64> = "~/distance";
     }
@@ -196,8 +199,12 @@ impl Outlets {
             actions.publish(&message::action(done, &names.base))?;
         }
         self.poses.publish(&message::pose(tick, &names.base))?;
-        let tool = message::tool_transform(tick, names.root(), &names.tool);
-        self.transforms.publish(&tool)?;
+        let transforms = message::transforms(tick, names.root(), &names.tool);
+        self.transforms.publish(&transforms)?;
+        if self.shapes.subscribers() > 0 {
+            let target = message::target(step.target(), tick.stamp_ns, names.root());
+            self.shapes.publish(&target)?;
+        }
         self.grippers.publish(&Float64 { data: tick.opening })?;
         if let Some(positions) = tick.joints {
             let joints = message::joints(positions, tick.stamp_ns);

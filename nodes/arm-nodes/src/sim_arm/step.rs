@@ -11,8 +11,8 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 use wm_sim::{
-    EndEffectorAction, Environment, GoalKind, LARGEST_STEP_M, LARGEST_TURN_RAD, STEP_S, Variety,
-    World, arm::ToolPose, render,
+    EndEffectorAction, Environment, GoalKind, LARGEST_STEP_M, LARGEST_TURN_RAD, STEP_S, Target,
+    Variety, World, arm::ToolPose, render,
 };
 
 use crate::{displacement::Displacement, executor::Velocity};
@@ -198,6 +198,11 @@ impl SimArmStep {
     /// What it would see on the way there, one picture after the other; the last one is the goal's.
     pub fn goals(&self) -> &[RgbImage] {
         &self.goals
+    }
+
+    /// What has to be where.
+    pub fn target(&self) -> &Target {
+        &self.environment.goal().target
     }
 
     /// The cameras that there are: how they see, and where from.

@@ -7,7 +7,6 @@ use super::{
     Settings,
     playback::{Playback, Step},
     playlist::Playlist,
-    restamp::restamp,
     settings::Parameters,
     source::{Ahead, Source},
 };
@@ -404,8 +403,8 @@ impl Player {
         };
         let mut data = message.data.clone();
         let mut frame = None;
-        if track.is_restamped {
-            let moved = restamp(&data, |stamp_ns| {
+        if let Some(stamped) = track.stamped {
+            let moved = stamped.restamp(&data, |stamp_ns| {
                 let moved_ns = self.stamp_ns(stamp_ns);
                 frame = track.is_camera.then(|| Time::from_nanos(moved_ns));
                 moved_ns

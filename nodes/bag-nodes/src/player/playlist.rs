@@ -1,6 +1,6 @@
 //! Which topics of a bag are played, and with which publishers.
 
-use super::{Settings, chunks::ActionChunks, restamp::begins_with_header};
+use super::{Settings, chunks::ActionChunks, restamp::Stamped};
 use crate::qos_overrides::KEEP_ALL_DEPTH;
 use anyhow::{Context as _, Result, bail};
 use std::collections::HashMap;
@@ -18,8 +18,8 @@ use wm_ros::{Durability, Node, Qos, RawPublisher, Reliability};
 /// A topic that is played.
 pub(super) struct Track {
     pub publisher: RawPublisher,
-    /// Whether its messages' stamps are moved.
-    pub is_restamped: bool,
+    /// Where its messages have their stamps, if these are to be moved.
+    pub stamped: Option<Stamped>,
     /// Whether its messages are pictures.
     pub is_camera: bool,
     /// Whether its subscribers acknowledge what they receive.
@@ -55,10 +55,10 @@ impl Playlist {
             .iter()
             .filter(|topic| settings.plays(&topic.name))
         {
-            let has_header = begins_with_header(&topic.schema);
-            if settings.parameters.is_restamping && !has_header {
+            let stamped = Stamped::of(&topic.type_name, &topic.schema);
+            if settings.parameters.is_restamping && stamped.is_none() {
                 tracing::debug!(
-                    "{}: {} begins with no header: nothing to restamp",
+                    "{}: {} has no header: nothing to restamp",
                     topic.name,
                     topic.type_name
                 );
@@ -79,7 +79,7 @@ impl Playlist {
                 .with_context(|| format!("topic {} of the bag", topic.name))?;
             let track = Track {
                 publisher,
-                is_restamped: settings.parameters.is_restamping && has_header,
+                stamped: stamped.filter(|_| settings.parameters.is_restamping),
                 is_camera: [Image::ros_name(), CompressedImage::ros_name()]
                     .iter()
                     .any(|name| *name == *topic.type_name),

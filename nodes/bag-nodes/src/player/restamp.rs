@@ -1,8 +1,17 @@
-//! Header stamps moved in place: four bytes of seconds and four of nanoseconds of an otherwise untouched message.
+//! Header stamps moved in place: four bytes of seconds and four of nanoseconds of an otherwise untouched message. Frames
+//! and markers, whose headers are in lists, are decoded and encoded again.
 
 use bytes::{Bytes, BytesMut};
 use thiserror::Error;
 use wm_bag::{Schema, SchemaEncoding};
+use wm_msgs::{
+    Message,
+    builtin_interfaces::Time,
+    cdr::{self, CdrError},
+    std_msgs::Header,
+    tf2_msgs::TFMessage,
+    visualization_msgs::MarkerArray,
+};
 
 /// Where a message that begins with `std_msgs/Header` has its stamp: right after CDR's 4-byte header, seconds
 /// (int32) before nanoseconds (uint32).
@@ -10,7 +19,7 @@ const SECONDS: std::ops::Range<usize> = 4..8;
 const NANOSECONDS: std::ops::Range<usize> = 8..12;
 
 /// Why a stamp cannot be moved.
-#[derive(Debug, Error, PartialEq, Eq)]
+#[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum RestampError {
     /// Too short for a header.
@@ -19,9 +28,77 @@ pub enum RestampError {
     /// An encapsulation whose first field is elsewhere.
     #[error("unknown CDR encapsulation {0:#06x}; expected plain CDR or plain CDR 2 (0, 1, 6, 7)")]
     Encapsulation(u16),
+    /// Frames or markers that cannot be read, or not be written again.
+    #[error(transparent)]
+    Cdr(#[from] CdrError),
     /// A time that the message cannot express.
     #[error("{0} ns is outside the range of ROS time")]
     OutOfRange(i64),
+}
+
+/// Where the messages of a topic have their stamps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stamped {
+    /// In the header that they begin with.
+    Header,
+    /// In the header of each frame: `tf2_msgs/msg/TFMessage`.
+    Frames,
+    /// In the header of each shape: `visualization_msgs/msg/MarkerArray`.
+    Markers,
+}
+
+impl Stamped {
+    /// Where messages of this type and definition have them; `None`: nowhere.
+    #[must_use]
+    pub fn of(type_name: &str, schema: &Schema) -> Option<Self> {
+        if type_name == TFMessage::ros_name() {
+            Some(Self::Frames)
+        } else if type_name == MarkerArray::ros_name() {
+            Some(Self::Markers)
+        } else {
+            begins_with_header(schema).then_some(Self::Header)
+        }
+    }
+
+    /// The message with `map` applied to its stamps \[ns\]. Of frames and shapes, a stamp of zero stays: they hold at any
+    /// time.
+    ///
+    /// # Errors
+    /// As [`restamp`]; or frames or shapes cannot be decoded.
+    pub fn restamp(
+        self,
+        cdr: &Bytes,
+        mut map: impl FnMut(i64) -> i64,
+    ) -> Result<Bytes, RestampError> {
+        let mut moved = |header: &mut Header| -> Result<(), RestampError> {
+            if header.stamp != Time::default() {
+                let moved_ns = map(header.stamp.to_nanos());
+                header.stamp = Time::from_nanos(moved_ns);
+                // A time out of range saturates.
+                if header.stamp.to_nanos() != moved_ns {
+                    return Err(RestampError::OutOfRange(moved_ns));
+                }
+            }
+            Ok(())
+        };
+        match self {
+            Self::Header => restamp(cdr, map),
+            Self::Frames => {
+                let mut message: TFMessage = cdr::from_bytes(cdr)?;
+                for frame in &mut message.transforms {
+                    moved(&mut frame.header)?;
+                }
+                Ok(cdr::to_bytes(&message)?.into())
+            }
+            Self::Markers => {
+                let mut message: MarkerArray = cdr::from_bytes(cdr)?;
+                for marker in &mut message.markers {
+                    moved(&mut marker.header)?;
+                }
+                Ok(cdr::to_bytes(&message)?.into())
+            }
+        }
+    }
 }
 
 /// Whether the messages of this definition begin with a `std_msgs/Header`. Only `.msg` text is understood.
@@ -95,7 +172,75 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
     use wm_bag::type_schema;
-    use wm_msgs::{builtin_interfaces::Time, cdr, std_msgs, wm_msgs::Action};
+    use wm_msgs::{
+        geometry_msgs::TransformStamped, std_msgs, visualization_msgs::Marker, wm_msgs::Action,
+    };
+
+    fn header(stamp_ns: i64) -> Header {
+        Header {
+            stamp: Time::from_nanos(stamp_ns),
+            frame_id: "base_link".to_owned(),
+        }
+    }
+
+    fn stamped<M: Message>() -> Option<Stamped> {
+        Stamped::of(&M::ros_name(), &type_schema::<M>())
+    }
+
+    #[test]
+    fn the_stamps_of_all_frames_and_shapes_move_but_those_of_no_time() {
+        let stamps = [5, 0, 7];
+        let frame = |stamp_ns: i64| TransformStamped {
+            header: header(stamp_ns),
+            child_frame_id: "tool".to_owned(),
+            ..TransformStamped::default()
+        };
+        let shape = |stamp_ns: i64| Marker {
+            header: header(stamp_ns),
+            ns: "plan".to_owned(),
+            ..Marker::default()
+        };
+        let frames = |add: i64| TFMessage {
+            transforms: stamps
+                .map(|at| frame(at + if at == 0 { 0 } else { add }))
+                .to_vec(),
+        };
+        let shapes = |add: i64| MarkerArray {
+            markers: stamps
+                .map(|at| shape(at + if at == 0 { 0 } else { add }))
+                .to_vec(),
+        };
+        let bytes = |message: Vec<u8>| Bytes::from(message);
+        let (before, after) = (frames(0), frames(1_000_000_000));
+        let moved = stamped::<TFMessage>().unwrap();
+        let moved = moved.restamp(&bytes(cdr::to_bytes(&before).unwrap()), |ns| {
+            ns + 1_000_000_000
+        });
+        assert_eq!(moved.unwrap(), cdr::to_bytes(&after).unwrap());
+        let (before, after) = (shapes(0), shapes(3));
+        let moved = stamped::<MarkerArray>().unwrap();
+        let moved = moved.restamp(&bytes(cdr::to_bytes(&before).unwrap()), |ns| ns + 3);
+        assert_eq!(moved.unwrap(), cdr::to_bytes(&after).unwrap());
+    }
+
+    #[test]
+    fn frames_that_cannot_be_read_or_moved_are_named() {
+        let stamped = stamped::<TFMessage>().unwrap();
+        let broken = Bytes::from_static(&[0, 1, 0, 0, 255, 255, 255, 255]);
+        assert!(matches!(
+            stamped.restamp(&broken, |ns| ns),
+            Err(RestampError::Cdr(_))
+        ));
+        let message = TFMessage {
+            transforms: vec![TransformStamped {
+                header: header(1),
+                ..TransformStamped::default()
+            }],
+        };
+        let bytes = Bytes::from(cdr::to_bytes(&message).unwrap());
+        let moved = stamped.restamp(&bytes, |_| i64::MAX);
+        assert!(matches!(moved, Err(RestampError::OutOfRange(i64::MAX))));
+    }
 
     #[test]
     fn only_the_stamp_changes() {
@@ -127,20 +272,20 @@ mod tests {
 
     #[test]
     fn what_cannot_be_moved_is_named() {
-        assert_eq!(
+        assert!(matches!(
             restamp(&Bytes::from_static(&[0, 1, 0, 0, 1]), |s| s),
             Err(RestampError::TooShort(5))
-        );
+        ));
         let parameter_list = Bytes::from_static(&[0, 3, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(
+        assert!(matches!(
             restamp(&parameter_list, |s| s),
             Err(RestampError::Encapsulation(3))
-        );
+        ));
         let plain = Bytes::from_static(&[0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(
+        assert!(matches!(
             restamp(&plain, |_| i64::MAX),
             Err(RestampError::OutOfRange(i64::MAX))
-        );
+        ));
     }
 
     #[test]

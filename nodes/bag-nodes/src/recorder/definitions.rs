@@ -7,8 +7,10 @@ use wm_bag::{Schema, SchemaEncoding, type_schema};
 use wm_msgs::{
     Message, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rcl_interfaces,
     rosgraph_msgs, sensor_msgs, std_msgs, tf2_msgs, trajectory_msgs, vision_msgs,
+    visualization_msgs,
     wm_msgs::{
-        Action, ActionChunk, ExecutorStatus, Latent, LatentSpace, Plan, Prediction, PredictionError,
+        Action, ActionCandidates, ActionChunk, Assessment, EnvObservation, ExecutorStatus, Goal,
+        Latent, LatentSpace, Plan, Prediction, PredictionError,
     },
 };
 
@@ -67,11 +69,16 @@ fn own(type_name: &str) -> Option<Schema> {
         of::<tf2_msgs::TFMessage>,
         of::<trajectory_msgs::JointTrajectory>,
         of::<vision_msgs::LabelInfo>,
+        of::<visualization_msgs::MarkerArray>,
         of::<lifecycle_msgs::TransitionEvent>,
         of::<LatentSpace>,
         of::<Latent>,
         of::<Action>,
         of::<ActionChunk>,
+        of::<ActionCandidates>,
+        of::<Assessment>,
+        of::<EnvObservation>,
+        of::<Goal>,
         of::<Prediction>,
         of::<PredictionError>,
         of::<Plan>,

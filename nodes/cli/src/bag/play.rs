@@ -1,9 +1,9 @@
 //! `wm bag play`, with the options of `ros2 bag play`.
 
-use super::{
+use super::time::parse_stamp_ns;
+use crate::{
     parameter_flags::{Flagged, ParameterFlags},
     parameters::Parameters,
-    time::parse_stamp_ns,
 };
 use anyhow::Result;
 use clap::{Arg, Args};

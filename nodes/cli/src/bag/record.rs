@@ -1,6 +1,6 @@
 //! `wm bag record`, with the options of `ros2 bag record`.
 
-use super::{
+use crate::{
     parameter_flags::{Flagged, ParameterFlags},
     parameters::Parameters,
 };

@@ -44,7 +44,11 @@ impl CheckCommand {
         let space = parts.encoder.space();
         print(format_args!("latent space {space}\n  {}\n", space.hash))?;
         match &parts.transition {
-            Some(transition) => print(format_args!("transition {}\n", transition.hash))?,
+            Some(model) => print(format_args!(
+                "transition {} on {}\n",
+                model.hash,
+                model.transition.place()
+            ))?,
             None => print("no transition: encoder and decoder only\n")?,
         }
         print(format_args!("loaded in {loading:.0} ms\n"))?;

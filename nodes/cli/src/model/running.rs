@@ -1,14 +1,14 @@
 //! What every run of a model needs: its files and a compute engine.
 
 use crate::output::print;
-use anyhow::{Context as _, Result, bail};
-use candle_core::{DType, Device};
+use anyhow::{Context as _, Result};
+use candle_core::Device;
 use clap::Args;
 use std::collections::HashMap;
 use std::path::PathBuf;
 use wm_zoo::checkpoint::Average;
 use wm_zoo::kinds::{Kind, Tensors};
-use wm_zoo::{Checkpoint, Compute, DeviceName, Engine};
+use wm_zoo::{Checkpoint, Compute, DeviceName, Engine, Precision};
 
 /// Files and engine of a model.
 #[derive(Args, Debug)]
@@ -31,9 +31,9 @@ pub struct RunningArgs {
     /// Device: `cpu`, or with `--engine candle` also `cuda` or `cuda:N`, an NVIDIA GPU
     #[arg(long, default_value_t = DeviceName::Cpu)]
     device: DeviceName,
-    /// Number format of the weights: f32 or bf16
-    #[arg(long, default_value = "f32", value_parser = parse_dtype)]
-    dtype: DType,
+    /// Number format of the weights: f32, bf16, or with `--engine cpu` int8
+    #[arg(long, default_value_t = Precision::F32)]
+    dtype: Precision,
     /// Take the raw weights, even if the checkpoint also has their moving average
     #[arg(long)]
     raw: bool,
@@ -80,14 +80,6 @@ impl RunningArgs {
         candle_core::safetensors::save(&outputs, &self.output)
             .with_context(|| self.output.display().to_string())
     }
-}
-
-fn parse_dtype(name: &str) -> Result<DType> {
-    Ok(match name {
-        "f32" => DType::F32,
-        "bf16" => DType::BF16,
-        _ => bail!("`{name}`, expected f32 or bf16"),
-    })
 }
 
 #[cfg(test)]

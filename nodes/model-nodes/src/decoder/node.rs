@@ -6,9 +6,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_msgs::wm_msgs::Prediction;
+use wm_camera::camera_info::resized;
+use wm_msgs::{sensor_msgs::CameraInfo, wm_msgs::Prediction};
 use wm_ros::{
-    Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Qos, Subscription,
+    Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Subscription,
     complaints::Complaints,
 };
 use wm_zoo::PlacedModel;
@@ -77,6 +78,13 @@ wm_ros::endpoints! {
         predictions: Subscription<Prediction> = "predicted", qos(Qos::best_effort(WAITING));
         /// Predicted pictures, stamped with the predicted time.
         pictures: ImagePublisher = "predicted/image", qos(Qos::reliable(WAITING));
+        /// How the camera sees: beside its images, wherever /camera/image_raw is remapped to.
+        camera_infos: Subscription<CameraInfo> = "/camera/camera_info", qos(Qos::best_effort(1)), made(|node, _, qos| {
+            let images = node.resolve("/camera/image_raw")?;
+            node.subscription(&beside(&images, "camera_info"), qos)
+        });
+        /// The same for pictures of the size of the predicted ones, with each of them; none where none was heard.
+        infos: Publisher<CameraInfo> = "predicted/camera_info", qos(Qos::reliable(WAITING));
     }
 }
 
@@ -90,8 +98,8 @@ struct Model {
     pool: Pool,
 }
 
-/// The pictures of a prediction, or why there are none, and how long it took.
-type Decoded = (Result<Pictures, DecoderError>, Duration);
+/// The pictures of a prediction with their size, or why there are none, and how long it took.
+type Decoded = (Result<(Pictures, (u32, u32)), DecoderError>, Duration);
 
 struct Decoder {
     /// `None` where the model has no decoder.
@@ -126,7 +134,7 @@ fn work(
                     .compressed
                     .then(|| jpeg_message(&picture, &prediction, quality));
                 let compressed = jpeg.transpose()?;
-                Ok(Pictures { raw, compressed })
+                Ok((Pictures { raw, compressed }, picture.dimensions()))
             });
             (pictures, started.elapsed())
         },
@@ -208,6 +216,8 @@ impl ModelNode for Decoder {
         let Endpoints {
             predictions,
             pictures,
+            camera_infos,
+            infos,
         } = &mut at.endpoints;
         let Some(decoding) = &mut self.decoding else {
             // after the lifecycle has said that the node runs
@@ -218,6 +228,7 @@ impl ModelNode for Decoder {
             return Ok(());
         };
         let latency = at.node.diagnostics().latency("decode");
+        let mut camera: Option<CameraInfo> = None;
         loop {
             let due = decoding.held.due();
             tokio::select! {
@@ -225,7 +236,11 @@ impl ModelNode for Decoder {
                 finished = decoding.work.finished() => {
                     let (decoded, taken) = finished.context("the decoder's thread")?;
                     match decoded {
-                        Ok(decoded) => {
+                        Ok((decoded, size)) => {
+                            let info = camera.as_ref().and_then(|camera| info_of(camera, &decoded, size));
+                            if let Some(info) = info {
+                                infos.publish(&info)?;
+                            }
                             pictures.publish(&decoded)?;
                             latency.record(taken);
                             decoding.took(taken);
@@ -245,10 +260,32 @@ impl ModelNode for Decoder {
                         decoding.release();
                     }
                 }
+                Some(received) = camera_infos.recv() => camera = Some(received.message),
                 () = until(due) => decoding.release(),
             }
         }
     }
+}
+
+/// The topic `name` beside `topic`, as image_transport has it.
+fn beside(topic: &str, name: &str) -> String {
+    match topic.rsplit_once('/') {
+        Some((folder, _)) => format!("{folder}/{name}"),
+        None => name.to_owned(),
+    }
+}
+
+/// How `camera` sees the predicted pictures, which have this size; none where they are another camera's.
+fn info_of(camera: &CameraInfo, pictures: &Pictures, size: (u32, u32)) -> Option<CameraInfo> {
+    let header = match pictures {
+        Pictures { raw: Some(raw), .. } => &raw.header,
+        Pictures { compressed, .. } => &compressed.as_ref()?.header,
+    };
+    let info = resized(camera, size)?;
+    (header.frame_id == camera.header.frame_id).then(|| CameraInfo {
+        header: header.clone(),
+        ..info
+    })
 }
 
 /// Never, where nothing is due.
@@ -328,4 +365,52 @@ fn pictures_of(horizon: u32, steps: &[i64]) -> u32 {
     let within = |step: &&i64| (1..=i64::from(horizon)).contains(*step);
     // At most the horizon.
     steps.iter().filter(within).count() as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use wm_msgs::{sensor_msgs::Image, std_msgs::Header};
+
+    use super::*;
+
+    #[test]
+    fn camera_info_lies_beside_the_images() {
+        assert_eq!(
+            beside("/front/image_raw", "camera_info"),
+            "/front/camera_info"
+        );
+        assert_eq!(beside("/image", "camera_info"), "/camera_info");
+        assert_eq!(beside("image", "camera_info"), "camera_info");
+    }
+
+    #[test]
+    fn how_a_camera_sees_is_told_of_its_own_pictures_alone() {
+        let header = |frame_id: &str, sec| {
+            let mut header = Header {
+                frame_id: frame_id.to_owned(),
+                ..Header::default()
+            };
+            header.stamp.sec = sec;
+            header
+        };
+        let camera = CameraInfo {
+            header: header("camera", 1),
+            width: 256,
+            height: 256,
+            k: [455.0, 0.0, 127.5, 0.0, 455.0, 127.5, 0.0, 0.0, 1.0],
+            ..CameraInfo::default()
+        };
+        let pictures = |frame_id| Pictures {
+            raw: Some(Image {
+                header: header(frame_id, 3),
+                ..Image::default()
+            }),
+            compressed: None,
+        };
+        let info = info_of(&camera, &pictures("camera"), (128, 128)).unwrap();
+        assert_eq!(info.header, header("camera", 3), "that of the picture");
+        assert_eq!((info.width, info.k[0], info.k[2]), (128, 227.5, 63.5));
+        assert_eq!(info_of(&camera, &pictures("other"), (128, 128)), None);
+        assert_eq!(info_of(&camera, &Pictures::default(), (128, 128)), None);
+    }
 }

@@ -157,7 +157,8 @@ impl ModelNode for Evaluator {
             merging: parameters.chunk_merging.0,
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        tracing::info!("evaluating with {} in latent space {space}", model.name);
+        let (name, place) = (&model.name, model.transition.place());
+        tracing::info!("evaluating with {name} in latent space {space} on {place}");
         let evaluator =
             EvaluatorModel::new(model, parameters.integration_steps).with_probe(probe.clone());
         Ok(Model {

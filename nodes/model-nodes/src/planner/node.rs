@@ -12,6 +12,7 @@ use wm_motion::actions::ActionEncoding;
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
     geometry_msgs::PoseStamped,
+    visualization_msgs::MarkerArray,
     wm_msgs::{Goal as GoalMessage, Plan, action::Plan as PlanAction},
 };
 use wm_ros::{
@@ -22,7 +23,8 @@ use wm_zoo::{PlacedModel, success_probe::SuccessClassifier};
 
 use super::{
     ActionRun, Course, End, Goal, GoalError, GoalReader, Heard, PlanRequest, PlanWait, Planned,
-    PlannerError, PlannerModel, PlannerParts, PlannerStep, parameters::Parameters, workers,
+    PlannerError, PlannerModel, PlannerParts, PlannerStep, markers::markers,
+    parameters::Parameters, workers,
 };
 use crate::{
     cadence::{Cadence, SKIPPED, rough},
@@ -57,7 +59,7 @@ wm_ros::endpoints! {
         inputs: Inputs;
         /// What says what to reach.
         goals: GoalInputs;
-        /// Where the end effector is, for the workspace box.
+        /// Where the end effector is, for the workspace box and the markers.
         poses: Subscription<PoseStamped> = "ee_pose", qos(Qos::best_effort(1));
         /// The best actions found.
         plans: Publisher<Plan> = "plan", qos(Qos::reliable(10));
@@ -65,6 +67,8 @@ wm_ros::endpoints! {
         actions: ActionServer<PlanAction> = "~/plan";
         /// What the camera would see after the last of them, stamped with that time. Made while somebody subscribes.
         outcomes: ImagePublisher = "plan/image", qos(Qos::reliable(4));
+        /// The way of the end effector (ns plan), where ee_pose is heard. Made while somebody subscribes.
+        shapes: Publisher<MarkerArray> = "markers", qos(Qos::reliable(4));
     }
 }
 
@@ -132,7 +136,7 @@ impl ModelNode for Planner {
             merging: parameters.chunk_merging.0,
         };
         let (space, encoding) = (model.space.clone(), model.encoding.clone());
-        let name = model.name.clone();
+        let (name, place) = (model.name.clone(), model.transition.place());
         let setup = parameters.setup(history.timing.step_ns() as f64 / 1e9)?;
         let probe = match setup.success > 0.0 {
             true => folder.probe()?.map(Arc::new),
@@ -150,7 +154,7 @@ impl ModelNode for Planner {
         };
         let planner = PlannerModel::new(parts, setup)?;
         let choice = planner.choice();
-        tracing::info!("planning with {name} by {choice} in latent space {space}");
+        tracing::info!("planning with {name} by {choice} in latent space {space} on {place}");
         let encoder = EncoderStep::new(encoder, LatentDtype::F32);
         Ok(Model {
             encoder: Arc::new(Mutex::new(encoder)),
@@ -230,13 +234,14 @@ impl ModelNode for Planner {
             plans,
             actions,
             outcomes,
+            shapes,
         } = &mut at.endpoints;
         loop {
             tokio::select! {
                 biased;
                 finished = self.searches.finished() => {
                     self.is_searching = false;
-                    self.planned(finished.context("the planner's thread")?, plans, outcomes)?;
+                    self.planned(finished.context("the planner's thread")?, plans, outcomes, shapes)?;
                     self.plan(outcomes);
                 }
                 end = ActionRun::over(self.action.as_ref()) => self.end(end)?,
@@ -383,6 +388,7 @@ impl Planner {
         finished: Finished,
         plans: &Publisher<Plan>,
         outcomes: &ImagePublisher,
+        shapes: &Publisher<MarkerArray>,
     ) -> Result<()> {
         let Finished {
             request,
@@ -422,6 +428,11 @@ impl Planner {
         }
         if let Some(pictures) = pictures {
             outcomes.publish(&pictures)?;
+        }
+        if let Some(begin) = request.position.filter(|_| shapes.subscribers() > 0)
+            && let Some(made) = markers(&plan, begin, self.step.action_space())
+        {
+            shapes.publish(&made)?;
         }
         let Some(run) = run else { return Ok(()) };
         run.tell(&run.course.summary(&plan))?;

@@ -7,7 +7,10 @@ use std::{
 };
 
 use thiserror::Error;
-use wm_motion::{actions::Kind, motion::StepAction};
+use wm_motion::{
+    actions::{ActionSpace, Kind},
+    motion::StepAction,
+};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{Point, PoseStamped},
@@ -68,7 +71,8 @@ pub struct PlanRequest {
     pub waypoint: Waypoint,
     /// Model steps between the observation of the plan before and this one; 0 for the first one.
     pub passed_steps: f32,
-    /// Where the end effector is when the plan begins \[m\], if the step was told where it is.
+    /// Where the end effector is when the plan begins \[m\], in the frame of the actions; `None` where that is not
+    /// known.
     pub position: Option<[f64; 3]>,
     /// First mean of the search: the last plan for this goal, without what has passed of it.
     pub start: Option<PlannedActions>,
@@ -296,7 +300,10 @@ impl PlannerStep {
         let mut request = PlanRequest {
             // A ratio of seconds.
             passed_steps: passed_ns as f32 / moment.timing.step_ns() as f32,
-            position: self.position_after(&until, &moment.base_frame, now)?,
+            position: match self.position_after(&until, &moment.base_frame, now) {
+                Err(wait) if self.settings.needs_pose => return Err(wait),
+                position => position.ok(),
+            },
             moment,
             until,
             goal: Arc::clone(&set.goal),
@@ -316,6 +323,11 @@ impl PlannerStep {
         self.requested_ns = Some(observed_ns);
         self.seed = self.seed.wrapping_add(1);
         Ok(request)
+    }
+
+    /// What the values of actions are.
+    pub fn action_space(&self) -> &ActionSpace {
+        self.history.encoding().space()
     }
 
     /// Forgets the goal: there is nothing to plan until the next one.
@@ -351,10 +363,7 @@ impl PlannerStep {
         until: &[StepAction],
         frame_id: &str,
         now: Instant,
-    ) -> Result<Option<[f64; 3]>, PlanWait> {
-        if !self.settings.needs_pose {
-            return Ok(None);
-        }
+    ) -> Result<[f64; 3], PlanWait> {
         let max_age = self.settings.max_age;
         let age = |pose: &Pose| now.saturating_duration_since(pose.at);
         let Some(pose) = self.pose.as_ref().filter(|pose| age(pose) <= max_age) else {
@@ -377,7 +386,7 @@ impl PlannerStep {
                 *axis += f64::from(*value);
             }
         }
-        Ok(Some(position))
+        Ok(position)
     }
 
     /// Model steps in which the search will be over.

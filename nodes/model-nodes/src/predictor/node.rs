@@ -16,7 +16,7 @@ use wm_zoo::PlacedModel;
 
 use super::{
     Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen,
-    ahead::Preparation, trial::time_of_step,
+    ahead::Preparation, plots::Plots, trial::time_of_step,
 };
 use crate::{
     cadence::{Cadence, OPEN, PACE, SKIPPED, every_nth, hertz, rough},
@@ -77,6 +77,8 @@ wm_ros::endpoints! {
         predictions: Publisher<Prediction> = "predicted", qos(Qos::reliable(16));
         /// Error of a prediction, published when the frame of the predicted time arrives.
         errors: Publisher<PredictionError> = "prediction_error", qos(Qos::reliable(16));
+        /// Single numbers, for plots.
+        plots: Plots;
     }
 }
 
@@ -88,6 +90,7 @@ struct Shared {
     preparation: Arc<Preparation>,
     predictions: Publisher<Prediction>,
     errors: Publisher<PredictionError>,
+    plots: Plots,
     diagnostics: Diagnostics,
     clock: Clock,
 }
@@ -130,9 +133,10 @@ impl ModelNode for Predictor {
     fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
         let model = folder.world_model()?;
         tracing::info!(
-            "predicting with {} in latent space {}",
+            "predicting with {} in latent space {} on {}",
             model.name,
-            model.space
+            model.space,
+            model.transition.place()
         );
         let steps = integration_steps(&model, parameters);
         let estimate = time_of_step(&model, parameters.context_frames, steps)
@@ -178,6 +182,7 @@ impl ModelNode for Predictor {
             preparation: Arc::default(),
             predictions: at.endpoints.predictions.clone(),
             errors: at.endpoints.errors.clone(),
+            plots: at.endpoints.plots.clone(),
             diagnostics: node.diagnostics(),
             clock: node.clock(),
         };
@@ -252,9 +257,9 @@ impl ModelNode for Predictor {
 impl Predictor {
     /// What a latent has led to: errors of predictions of its moment, and a rollout, or what that waits for.
     fn seen(&mut self, (errors, rollout): Seen) -> Result<()> {
-        let (doubt, unscored) = {
+        let (doubt, trust, unscored) = {
             let step = self.shared.step();
-            (step.doubt(), step.unscored())
+            (step.doubt(), step.trust().into(), step.unscored())
         };
         if unscored > self.unscored {
             self.complaints.left_out_many(
@@ -277,9 +282,9 @@ impl Predictor {
         }
         // The rollout does not wait for them.
         for error in &errors {
-            self.shared.errors.publish(error)?;
+            self.shared.scored(error)?;
         }
-        Ok(())
+        self.shared.plots.trust(trust)
     }
 
     fn job(&self, request: RolloutRequest) -> Job {
@@ -338,6 +343,11 @@ impl Shared {
         self.step.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn scored(&self, error: &PredictionError) -> Result<()> {
+        self.errors.publish(error)?;
+        self.plots.scored(error)
+    }
+
     /// Computes one rollout and sends each step when it is ready; stops where time has jumped or the node is no longer
     /// active. Gives how long it took, if it was made whole.
     fn roll_out(&self, job: Job, stop: &Stop) -> Result<Option<Duration>> {
@@ -367,8 +377,9 @@ impl Shared {
             predicted.prediction.ready_stamp = self.clock.now();
             let (late, clipped) = (self.step().predicted(&predicted), predicted.clipped);
             let prediction = Arc::new(predicted.prediction);
-            self.predictions.publish_shared(prediction)?;
+            self.predictions.publish_shared(Arc::clone(&prediction))?;
             frame_trace::step_passed("step published", observed, step);
+            self.plots.predicted(&prediction)?;
             if index == 0 {
                 self.diagnostics
                     .latency("latent to first step")
@@ -379,7 +390,7 @@ impl Shared {
                     .count_drops("clipped action values", clipped as u64);
             }
             if let Some(error) = late {
-                self.errors.publish(&error)?;
+                self.scored(&error)?;
             }
         }
         let taken = started.elapsed();

@@ -186,6 +186,11 @@ impl PredictorStep {
         self.trust.clear();
     }
 
+    /// What the last seconds say of the predictions.
+    pub(super) fn trust(&self) -> &Trust {
+        &self.trust
+    }
+
     /// What speaks against the predictions of the last seconds.
     pub fn doubt(&self) -> Option<Doubt> {
         self.trust.doubt()

@@ -91,21 +91,32 @@ impl Trust {
 
     /// What speaks against the predictions of the last seconds, the cause before its effect.
     pub fn doubt(&self) -> Option<Doubt> {
-        if self.frames.len() >= LEAST {
-            let sum: f32 = self.frames.iter().map(|(_, part)| part).sum();
-            let part = sum / self.frames.len() as f32;
-            if part > UNLIKE {
-                return Some(Doubt::UnlikeTraining { part });
-            }
+        if let Some(part) = self.far().filter(|part| *part > UNLIKE) {
+            return Some(Doubt::UnlikeTraining { part });
         }
-        let count = self.errors.len();
-        let error: f64 = self.errors.iter().map(|(_, error, _)| error).sum();
-        let still: f64 = self.errors.iter().map(|(.., still)| still).sum();
-        let is_moving = count >= LEAST && still / count as f64 > STILL;
-        let ratio = error / still;
+        let is_moving = self.still() / self.errors.len() as f64 > STILL;
+        let ratio = self.ratio().filter(|_| is_moving)?;
         // NaN is no better either.
         let is_better = ratio < 1.0;
-        (is_moving && !is_better).then_some(Doubt::NoBetterThanPersistence { ratio })
+        (!is_better).then_some(Doubt::NoBetterThanPersistence { ratio })
+    }
+
+    /// Mean part of the values that are far out; none before enough frames were seen.
+    pub fn far(&self) -> Option<f32> {
+        let count = self.frames.len();
+        let sum: f32 = self.frames.iter().map(|(_, part)| part).sum();
+        (count >= LEAST).then(|| sum / count as f32)
+    }
+
+    /// Squared error of the first steps over that of the persistence baseline; none before enough were scored.
+    pub fn ratio(&self) -> Option<f64> {
+        let error: f64 = self.errors.iter().map(|(_, error, _)| error).sum();
+        (self.errors.len() >= LEAST).then(|| error / self.still())
+    }
+
+    /// Sum of the persistence errors.
+    fn still(&self) -> f64 {
+        self.errors.iter().map(|(.., still)| still).sum()
     }
 
     /// Forgets what was measured: another history begins.
@@ -165,6 +176,21 @@ mod tests {
             persistence_mse,
             ..PredictionError::default()
         }
+    }
+
+    #[test]
+    fn figures_are_known_after_seconds_and_forgotten_with_the_history() {
+        let mut trust = Trust::default();
+        for index in 0..7 {
+            trust.seen(&frame(index, 50));
+            trust.scored(&error(index, 0.25, 0.5));
+        }
+        assert_eq!((trust.far(), trust.ratio()), (None, None));
+        trust.seen(&frame(7, 50));
+        trust.scored(&error(7, 0.25, 0.5));
+        assert_eq!((trust.far(), trust.ratio()), (Some(0.5), Some(0.5)));
+        trust.clear();
+        assert_eq!((trust.far(), trust.ratio()), (None, None));
     }
 
     #[test]

@@ -216,7 +216,7 @@ fn what_waits_is_bounded() {
         scorer.prediction(&prediction(index * 1000, 2, 1), index);
     }
     assert_eq!(
-        (scorer.awaited.len(), scorer.waiting.len()),
+        (scorer.pairings.waiting(), scorer.waiting.len()),
         (WAITING_LIMIT, WAITING_LIMIT)
     );
 }

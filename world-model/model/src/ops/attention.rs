@@ -17,7 +17,7 @@ use super::Engine;
 use super::host::{host, slice};
 use super::rotary::{RotaryTable, normalise_and_rotate_plain};
 use super::vectorised::vectorised;
-use head::HeadKernel;
+use head::{HeadKernel, Place};
 
 /// Head dimensions are multiples of this: pairs of channels, turned by two positions.
 pub const HEAD_DIM_MULTIPLE: usize = 4;
@@ -208,6 +208,18 @@ struct Group {
     d: usize,
 }
 
+impl Group {
+    #[inline(always)]
+    fn place(self, sequence: usize, head: usize) -> Place {
+        Place {
+            sequence,
+            stride: self.stride,
+            d: self.d,
+            head,
+        }
+    }
+}
+
 impl Attention {
     fn plain(&self, qkv: &Tensor) -> Result<Tensor> {
         let Group { d, .. } = self.0.group(qkv.shape())?;
@@ -279,9 +291,10 @@ vectorised! {
     ) {
         for sequence in 0..group.sequences {
             for head in 0..heads {
-                kernel.load(qkv, sequence, group.stride, group.d, head);
+                let place = group.place(sequence, head);
+                kernel.load(qkv, place);
                 kernel.forward();
-                kernel.store(out, sequence, group.stride, group.d, head);
+                kernel.store(out, place);
             }
         }
     }
@@ -298,10 +311,11 @@ vectorised! {
     ) {
         for sequence in 0..group.sequences {
             for head in 0..heads {
-                kernel.load(qkv, sequence, group.stride, group.d, head);
-                kernel.load_grad(grad, sequence, group.stride, group.d, head);
+                let place = group.place(sequence, head);
+                kernel.load(qkv, place);
+                kernel.load_grad(grad, place);
                 kernel.backward();
-                kernel.store_grad(out, qkv, sequence, group.stride, group.d, head);
+                kernel.store_grad(out, qkv, place);
             }
         }
     }

@@ -29,12 +29,32 @@ pub enum PackedFormat {
 }
 
 impl PackedFormat {
+    /// What matrices are kept in for which 8 bits are too few, where the others are in this: those whose errors meet all
+    /// places of an output alike, and those that a model begins and ends with.
+    pub fn sensitive(self) -> Self {
+        match self {
+            Self::F32 => Self::F32,
+            Self::Bf16 | Self::Int8 => Self::Bf16,
+        }
+    }
+
     /// What multiplies bf16, if the format allows inputs to be rounded to it and the processor has it.
     pub(crate) fn bf16_unit(self) -> Option<Bf16Unit> {
         match self {
             Self::F32 => None,
             Self::Bf16 | Self::Int8 => Bf16Unit::detect(),
         }
+    }
+
+    /// What this machine computes with weights of the format: its instruction set, and instructions of their own for bf16 and
+    /// bytes where the format is for them: `avx2`, `avx512, amx-bf16`, .. With others, sums of f32 are rounded otherwise.
+    pub fn kernels(self) -> String {
+        let mut names = vec![InstructionSet::detect().name()];
+        names.extend(self.bf16_unit().map(Bf16Unit::name));
+        if self == Self::Int8 {
+            names.push(Int8Unit::detect().name());
+        }
+        names.join(", ")
     }
 }
 
@@ -116,6 +136,22 @@ impl Element for i8 {
     }
 }
 
+/// Bytes that were widened, because the processor multiplies 16 bits.
+impl Element for i16 {
+    const ZERO: Self = 0;
+    const GROUP: usize = 2;
+
+    fn from_f32(value: f32) -> Self {
+        i8::from_f32(value).into()
+    }
+
+    fn round(values: &[f32], out: &mut [i16]) {
+        for (value, out) in values.iter().zip(out) {
+            *out = Self::from_f32(*value);
+        }
+    }
+}
+
 vectorised! {
     fn round_to_bf16(values: &[f32], out: &mut [bf16]) {
         for (value, out) in values.iter().zip(out) {
@@ -140,6 +176,19 @@ vectorised! {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn kernels_are_named() {
+        let of_f32 = PackedFormat::F32.kernels();
+        assert_eq!(of_f32, InstructionSet::detect().name());
+        for format in [PackedFormat::Bf16, PackedFormat::Int8] {
+            let names = format.kernels();
+            assert!(names.starts_with(&of_f32), "{names}");
+            let bf16 = Bf16Unit::detect().is_none_or(|unit| names.contains(unit.name()));
+            let int8 = names.ends_with(Int8Unit::detect().name());
+            assert!(bf16 && int8 == (format == PackedFormat::Int8), "{names}");
+        }
+    }
 
     #[test]
     fn numbers_are_rounded_as_the_library_rounds_them() {

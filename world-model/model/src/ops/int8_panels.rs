@@ -12,10 +12,12 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::element::{Element, INT8_MOST};
-use super::panel_product::{Rows, ahead, check, row};
+use super::panel_product::{Rows, Target, ahead, check, row};
 use super::panel_values::MappedBytes;
 use super::panels::Panels;
-use super::product::{Int8, Int8Scales};
+#[cfg(target_arch = "x86_64")]
+use super::product::WidenedInt8;
+use super::product::{Int8, Product, WholeScales};
 use super::simd::{Int8Unit, LANES};
 use super::vectorised::vectorised;
 
@@ -29,8 +31,34 @@ const LEAST: f32 = 128.0 * f32::MIN_POSITIVE;
 const TO_WHOLE: f32 = 1.5 * (1 << 23) as f32;
 
 thread_local! {
-    /// Rows that were rounded, and their scales.
-    static ROUNDED: RefCell<(Vec<i8>, Vec<f32>)> = const { RefCell::new((Vec::new(), Vec::new())) };
+    /// Rows that were rounded.
+    static ROUNDED: RefCell<Rounded> = const { RefCell::new(Rounded::new()) };
+}
+
+/// Buffers of a thread; they only ever grow.
+struct Rounded {
+    /// Rows for a unit that multiplies bytes.
+    bytes: Vec<i8>,
+    /// Rows, and a panel, for one that multiplies 16 bits.
+    #[cfg(target_arch = "x86_64")]
+    words: Vec<i16>,
+    #[cfg(target_arch = "x86_64")]
+    panel: Vec<i16>,
+    /// Scales of the rows.
+    scales: Vec<f32>,
+}
+
+impl Rounded {
+    const fn new() -> Self {
+        Self {
+            bytes: Vec::new(),
+            #[cfg(target_arch = "x86_64")]
+            words: Vec::new(),
+            #[cfg(target_arch = "x86_64")]
+            panel: Vec::new(),
+            scales: Vec::new(),
+        }
+    }
 }
 
 /// A matrix (inputs x outputs) of bytes with its bias, for one unit of a processor.
@@ -131,48 +159,94 @@ impl Int8Panels {
     /// # Panics
     /// If the rows do not lie within the values, or their numbers differ.
     pub(super) fn product_of_rows(&self, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
-        let panels = &self.panels;
-        let target = check(panels, x, y);
-        let (depth, whole) = (panels.depth, panels.whole_depth());
-        ROUNDED.with_borrow_mut(|(rounded, scales)| {
-            if rounded.len() < x.count * whole {
-                rounded.resize(x.count * whole, 0);
+        let target = check(&self.panels, x, y);
+        ROUNDED.with_borrow_mut(|buffers| match self.unit {
+            Int8Unit::Bytes(unit) => {
+                let Rounded { bytes, scales, .. } = buffers;
+                let offset = self.unit.input_offset();
+                let rows = self.round(x, (bytes, scales), |x, of_one, out| {
+                    round_row(x, &self.factors, of_one, offset, out);
+                });
+                self.by_panel::<Int8>(unit, rows, target, |values| values.as_ptr());
             }
-            if scales.len() < x.count {
-                scales.resize(x.count, 0.0);
-            }
-            let sources = x.values.chunks(x.step.max(1)).zip(scales.iter_mut());
-            let targets = rounded.chunks_exact_mut(whole.max(1));
-            for ((x, scale), rounded) in sources.zip(targets).take(x.count) {
-                if let (Some(x), Some(rounded)) = (x.get(..depth), rounded.get_mut(..depth)) {
-                    *scale = self.round(x, rounded);
-                }
-            }
-            for place in panels.iter() {
-                ahead(panels, place);
-                let weights = panels.values.as_ptr().wrapping_add(place.1);
-                let input = (rounded.as_ptr(), whole, whole);
-                let scales = Int8Scales {
-                    inputs: scales.as_ptr(),
-                    weights: self.scales.as_ptr().wrapping_add(place.2),
-                    starts: self.starts.as_ptr().wrapping_add(place.2),
-                };
-                let row = row::<Int8>(input, weights, panels, place, target, scales);
-                // SAFETY: the lengths were checked above, and those of the panels, scales and starts hold by
-                // construction; there is a rounded row, and its scale, for every row; the panels were cut for the unit,
-                // which the processor was found to have.
-                unsafe { row.run(self.unit) };
+            #[cfg(target_arch = "x86_64")]
+            Int8Unit::Avx2 => {
+                let Rounded {
+                    words,
+                    panel,
+                    scales,
+                    ..
+                } = buffers;
+                let rows = self.round(x, (words, scales), |x, of_one, out| {
+                    round_row_apart(x, &self.factors, of_one, out);
+                });
+                self.by_panel::<WidenedInt8>((), rows, target, |values| {
+                    grow(panel, values.len());
+                    widen_apart(values, panel);
+                    panel.as_ptr()
+                });
             }
         });
     }
 
-    /// Rounds a row for the unit; gives its scale.
-    fn round(&self, x: &[f32], rounded: &mut [i8]) -> f32 {
-        let mut largest = 0;
-        largest_bits(x, Some(&self.factors), &mut largest);
-        let (scale, of_one) = scale_of(largest);
-        round_row(x, &self.factors, of_one, self.unit.input_offset(), rounded);
-        scale
+    /// Rounds rows into buffers: they, and their scales.
+    fn round<'a, T: Element + Default>(
+        &self,
+        x: Rows<&[f32]>,
+        (rounded, scales): (&'a mut Vec<T>, &'a mut Vec<f32>),
+        round: impl Fn(&[f32], f32, &mut [T]),
+    ) -> (&'a [T], &'a [f32]) {
+        let (depth, whole) = (self.panels.depth, self.panels.whole_depth());
+        grow(rounded, x.count * whole);
+        grow(scales, x.count);
+        let sources = x.values.chunks(x.step.max(1)).zip(scales.iter_mut());
+        let targets = rounded.chunks_exact_mut(whole.max(1));
+        for ((x, scale), rounded) in sources.zip(targets).take(x.count) {
+            if let Some(x) = x.get(..depth) {
+                let mut largest = 0;
+                largest_bits(x, Some(&self.factors), &mut largest);
+                let of_one;
+                (*scale, of_one) = scale_of(largest);
+                // What fills the last group up stays as it was: its weights are zeros.
+                round(x, of_one, rounded);
+            }
+        }
+        (rounded, scales)
+    }
+
+    /// The products of rounded rows with all panels, each of which `weights` gives as the product takes it.
+    fn by_panel<P: Product<Scales = WholeScales>>(
+        &self,
+        unit: P::Unit,
+        (rounded, scales): (&[P::Input], &[f32]),
+        target: Target,
+        mut weights: impl FnMut(&[i8]) -> *const P::Weight,
+    ) {
+        let panels = &self.panels;
+        let whole = panels.whole_depth();
+        for place in panels.iter() {
+            ahead(panels, place);
+            let (vectors, start, first) = place;
+            let values = panels.values.get(start..start + whole * vectors * LANES);
+            let weights = weights(values.unwrap_or_default());
+            let scales = WholeScales {
+                inputs: scales.as_ptr(),
+                weights: self.scales.as_ptr().wrapping_add(first),
+                starts: self.starts.as_ptr().wrapping_add(first),
+            };
+            let input = (rounded.as_ptr(), whole, whole);
+            let row = row::<P>(input, weights, panels, place, target, scales);
+            // SAFETY: the lengths were checked by the caller, and those of the panels, scales and starts hold by
+            // construction; there is a rounded row, and its scale, for every row; the panels were cut for the unit, which
+            // the processor was found to have.
+            unsafe { row.run(unit) };
+        }
+    }
+}
+
+fn grow<T: Copy + Default>(buffer: &mut Vec<T>, length: usize) {
+    if buffer.len() < length {
+        buffer.resize(length, T::default());
     }
 }
 
@@ -211,13 +285,57 @@ vectorised! {
     }
 }
 
+/// A value of which 1 is `of_one` times, as the lowest bits of a whole number. The largest of a row becomes 127, but for errors
+/// of less than half; what is not finite becomes anything.
+#[inline(always)]
+fn rounded(value: f32, factor: f32, of_one: f32) -> u32 {
+    (value * factor * of_one + TO_WHOLE).to_bits()
+}
+
 vectorised! {
     /// Rounds `values` times `factors` times `of_one`, and adds `offset`.
     fn round_row(values: &[f32], factors: &[f32], of_one: f32, offset: i32, out: &mut [i8]) {
         for ((value, factor), out) in values.iter().zip(factors).zip(out) {
-            // The largest becomes 127, but for errors of less than half; what is not finite becomes anything.
-            let bits = (value * factor * of_one + TO_WHOLE).to_bits();
-            *out = bits.wrapping_add(offset.cast_unsigned()) as i8;
+            *out = rounded(*value, *factor, of_one).wrapping_add(offset.cast_unsigned()) as i8;
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+vectorised! {
+    /// Rounds `values` times `factors` times `of_one`. Of every four the first and the third lie side by side, and the second
+    /// and the fourth: in that order bytes are widened fastest.
+    fn round_row_apart(values: &[f32], factors: &[f32], of_one: f32, out: &mut [i16]) {
+        let (fours, rest) = values.as_chunks::<4>();
+        let (of_fours, of_rest) = factors.as_chunks::<4>();
+        let (out, _) = out.as_chunks_mut::<4>();
+        for ((v, f), out) in fours.iter().zip(of_fours).zip(out.iter_mut()) {
+            let at = |k: usize| i16::from(rounded(v[k], f[k], of_one) as i8);
+            *out = [at(0), at(2), at(1), at(3)];
+        }
+        if let Some(out) = out.get_mut(fours.len()) {
+            for (((v, f), place), _) in rest.iter().zip(of_rest).zip([0, 2, 1, 3]).zip(0..4) {
+                out[place] = i16::from(rounded(*v, *f, of_one) as i8);
+            }
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+vectorised! {
+    /// Writes the groups of a panel (four bytes for each of [`LANES`] outputs) as 16-bit numbers: for each output the first
+    /// and the third, and behind them for each the second and the fourth.
+    fn widen_apart(bytes: &[i8], words: &mut [i16]) {
+        let groups = bytes.chunks_exact(4 * LANES);
+        for (group, words) in groups.zip(words.chunks_exact_mut(4 * LANES)) {
+            let (even, odd) = words.split_at_mut(2 * LANES);
+            let pairs = group.as_chunks::<2>().0.iter();
+            for ((pair, even), odd) in pairs.zip(even).zip(odd) {
+                // By shifts, which the compiler vectorises.
+                let pair = i16::from_le_bytes(pair.map(i8::cast_unsigned));
+                *even = (pair << 8) >> 8;
+                *odd = pair >> 8;
+            }
         }
     }
 }
@@ -247,4 +365,4 @@ fn sums(panels: &Panels<i8>) -> Vec<i32> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

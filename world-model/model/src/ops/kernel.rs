@@ -6,9 +6,14 @@
 
 use crate::ops::element::Element;
 use crate::ops::product::{Product, Step};
+#[cfg(target_arch = "aarch64")]
+use crate::ops::simd::Neon;
 #[cfg(target_arch = "x86_64")]
 use crate::ops::simd::{Avx2, Avx512};
 use crate::ops::simd::{InstructionSet, LANES, Lanes, Portable};
+
+#[cfg(target_arch = "x86_64")]
+mod amx;
 
 /// One row of output pixels, for one panel of output channels.
 #[derive(Clone, Copy)]
@@ -80,6 +85,7 @@ impl<P: Product> Row<P> {
     where
         P: Step<L>,
     {
+        debug_assert_eq!(self.vectors, N);
         // SAFETY: as for `run`; every tile lies within the row.
         unsafe {
             // No tile overlaps another, so that the residual may be the output itself.
@@ -109,7 +115,7 @@ impl<P: Product> Row<P> {
             let mut sums = [[L::splat(0.0); N]; M];
             for sum in &mut sums {
                 for (j, sum) in sum.iter_mut().enumerate() {
-                    *sum = P::start(self, j);
+                    *sum = L::load(P::starts(self).add(j * LANES));
                 }
             }
             let mut weights = self.panel;
@@ -141,58 +147,56 @@ impl<P: Product> Row<P> {
             }
             for (i, values) in values.iter_mut().enumerate() {
                 for (j, values) in values.iter_mut().enumerate() {
-                    P::outputs(self, x + i, j, values);
+                    self.finish(x + i, j, values);
                 }
-                self.finish(x + i, values);
             }
         }
     }
 
+    /// Makes the outputs of vector `vector` of pixel `x` of their sums.
     #[inline(always)]
-    unsafe fn finish<const N: usize>(&self, x: usize, sums: &mut [[f32; LANES]; N]) {
+    unsafe fn finish(&self, x: usize, vector: usize, values: &mut [f32; LANES]) {
         // SAFETY: as for `run`; the pixel exists, and no channel beyond `channels` is touched.
         unsafe {
-            let at = x * self.output_step;
-            for (j, values) in sums.iter_mut().enumerate() {
-                let at = at + j * LANES;
-                let count = (self.channels - j * LANES).min(LANES);
-                if !self.residual.is_null() {
-                    let residual = self.residual.add(at);
-                    if count == LANES {
-                        let residual = residual.cast::<[f32; LANES]>().read_unaligned();
-                        for (v, r) in values.iter_mut().zip(residual) {
-                            *v += r;
-                        }
-                    } else {
-                        for (c, v) in values.iter_mut().enumerate().take(count) {
-                            *v += *residual.add(c);
-                        }
-                    }
-                }
-                if self.relu {
-                    for v in values.iter_mut() {
-                        *v = v.max(0.0);
-                    }
-                }
-                if !self.mask.is_null() {
-                    let mask = self.mask.add(at);
-                    if count == LANES {
-                        let mask = mask.cast::<[f32; LANES]>().read_unaligned();
-                        for (v, m) in values.iter_mut().zip(mask) {
-                            *v = if m > 0.0 { *v } else { 0.0 };
-                        }
-                    } else {
-                        for (c, v) in values.iter_mut().enumerate().take(count) {
-                            *v = if *mask.add(c) > 0.0 { *v } else { 0.0 };
-                        }
-                    }
-                }
-                let output = self.output.add(at);
+            P::outputs(self, x, vector, values);
+            let at = x * self.output_step + vector * LANES;
+            let count = (self.channels - vector * LANES).min(LANES);
+            if !self.residual.is_null() {
+                let residual = self.residual.add(at);
                 if count == LANES {
-                    output.cast::<[f32; LANES]>().write_unaligned(*values);
+                    let residual = residual.cast::<[f32; LANES]>().read_unaligned();
+                    for (v, r) in values.iter_mut().zip(residual) {
+                        *v += r;
+                    }
                 } else {
-                    std::ptr::copy_nonoverlapping(values.as_ptr(), output, count);
+                    for (c, v) in values.iter_mut().enumerate().take(count) {
+                        *v += *residual.add(c);
+                    }
                 }
+            }
+            if self.relu {
+                for v in values.iter_mut() {
+                    *v = v.max(0.0);
+                }
+            }
+            if !self.mask.is_null() {
+                let mask = self.mask.add(at);
+                if count == LANES {
+                    let mask = mask.cast::<[f32; LANES]>().read_unaligned();
+                    for (v, m) in values.iter_mut().zip(mask) {
+                        *v = if m > 0.0 { *v } else { 0.0 };
+                    }
+                } else {
+                    for (c, v) in values.iter_mut().enumerate().take(count) {
+                        *v = if *mask.add(c) > 0.0 { *v } else { 0.0 };
+                    }
+                }
+            }
+            let output = self.output.add(at);
+            if count == LANES {
+                output.cast::<[f32; LANES]>().write_unaligned(*values);
+            } else {
+                std::ptr::copy_nonoverlapping(values.as_ptr(), output, count);
             }
         }
     }
@@ -247,6 +251,8 @@ impl Outer {
                 InstructionSet::Avx512 => self.run_avx512(),
                 #[cfg(target_arch = "x86_64")]
                 InstructionSet::Avx2 => self.run_avx2(),
+                #[cfg(target_arch = "aarch64")]
+                InstructionSet::Neon => self.tiles::<Neon, 6, 1>(),
                 InstructionSet::Portable => self.tiles::<Portable, 4, 1>(),
             }
         }
@@ -275,6 +281,7 @@ impl Outer {
 
     #[inline(always)]
     unsafe fn tiles<L: Lanes, const M: usize, const N: usize>(&self) {
+        debug_assert_eq!(self.vectors, N);
         // SAFETY: as for `run`; every tile lies within the run.
         unsafe {
             let mut at = 0;

@@ -6,11 +6,12 @@ use half::bf16;
 use rayon::prelude::*;
 
 use super::element::PackedFormat;
+use super::input_range::InputRange;
 use super::int8_panels::{Int8Panels, MOST_INPUTS};
 use super::panel_product::{PanelProduct, Rows};
 use super::panel_values::MappedBytes;
 use super::panels::{LAYOUT, Panels};
-use super::simd::{Int8Unit, instruction_set};
+use super::simd::{InstructionSet, Int8Unit};
 use super::smoothing::Smoothing;
 use crate::{Error, Result};
 
@@ -21,13 +22,17 @@ const ROWS: usize = 160;
 /// In which order matrices are packed here. Packed values that were kept are of use where it is the same.
 pub fn packed_layout() -> String {
     let architecture = std::env::consts::ARCH;
-    let (set, int8) = (instruction_set(), Int8Unit::detect().name());
+    let (set, int8) = (InstructionSet::detect().name(), Int8Unit::detect().name());
     format!("{LAYOUT} {architecture} {set} {int8}")
 }
 
 /// A matrix and a bias in the order in which the kernel reads them. Clones share them.
 #[derive(Clone, Debug)]
-pub struct PackedLinear(Format);
+pub struct PackedLinear {
+    format: Format,
+    /// What notes its inputs, if they are to be known.
+    range: Option<InputRange>,
+}
 
 #[derive(Clone, Debug)]
 enum Format {
@@ -48,7 +53,7 @@ impl PackedLinear {
         format: PackedFormat,
     ) -> Result<Self> {
         check_matrix(weight, bias, (outputs, inputs))?;
-        Ok(Self(match format {
+        let format = match format {
             PackedFormat::F32 => {
                 let panels = Panels::pack_transposed(inputs, outputs, bias, weight);
                 Format::F32(Arc::new(panels))
@@ -58,7 +63,8 @@ impl PackedLinear {
                 Format::Bf16(Arc::new(panels))
             }
             PackedFormat::Int8 => return Self::quantised(weight, bias, (outputs, inputs), None),
-        }))
+        };
+        Ok(Self::of(format))
     }
 
     /// As [`Self::new`] in [`PackedFormat::Int8`], with what is known of the inputs.
@@ -82,7 +88,7 @@ impl PackedLinear {
         };
         let unit = Int8Unit::detect();
         let panels = Int8Panels::pack(unit, weight, bias, (outputs, inputs), factors);
-        Ok(Self(Format::Int8(Arc::new(panels))))
+        Ok(Self::of(Format::Int8(Arc::new(panels))))
     }
 
     /// A matrix (outputs, inputs) whose packed values ([`PackedLinear::packed_parts`]) lie in a file, and `bias` (outputs).
@@ -107,16 +113,35 @@ impl PackedLinear {
             PackedFormat::Int8 => Int8Panels::mapped(&values, bias, (outputs, inputs))
                 .map(|panels| Format::Int8(Arc::new(panels))),
         };
-        packed.map(Self).ok_or_else(|| {
+        packed.map(Self::of).ok_or_else(|| {
             let reason = format!("{found} bytes, not those of ({outputs}, {inputs}) in {format:?}");
             Error::config("packed weights", reason)
+        })
+    }
+
+    fn of(format: Format) -> Self {
+        Self {
+            format,
+            range: None,
+        }
+    }
+
+    /// The same, which notes in `range` what it is multiplied with.
+    ///
+    /// # Errors
+    /// If that is of another number of inputs.
+    pub fn noting(self, range: InputRange) -> Result<Self> {
+        check("the range of a matrix", &range.largest(), self.inputs())?;
+        Ok(Self {
+            range: Some(range),
+            ..self
         })
     }
 
     /// The weights as they are packed, and what belongs to them, without the bias: parts that are to lie one behind the
     /// other. Of use in the same [`packed_layout`].
     pub fn packed_parts(&self) -> [&[u8]; 3] {
-        match &self.0 {
+        match &self.format {
             Format::F32(panels) => [bytemuck::cast_slice(&panels.values), &[], &[]],
             Format::Bf16(panels) => [bytemuck::cast_slice(&panels.values), &[], &[]],
             Format::Int8(panels) => panels.parts(),
@@ -130,7 +155,7 @@ impl PackedLinear {
 
     /// What the weights are kept in.
     pub fn format(&self) -> PackedFormat {
-        match &self.0 {
+        match &self.format {
             Format::F32(_) => PackedFormat::F32,
             Format::Bf16(_) => PackedFormat::Bf16,
             Format::Int8(_) => PackedFormat::Int8,
@@ -139,7 +164,7 @@ impl PackedLinear {
 
     /// Values of a row of the input.
     pub fn inputs(&self) -> usize {
-        match &self.0 {
+        match &self.format {
             Format::F32(panels) => panels.depth,
             Format::Bf16(panels) => panels.depth,
             Format::Int8(packed) => packed.panels.depth,
@@ -148,7 +173,7 @@ impl PackedLinear {
 
     /// Values of a row of the output.
     pub fn outputs(&self) -> usize {
-        match &self.0 {
+        match &self.format {
             Format::F32(panels) => panels.outputs,
             Format::Bf16(panels) => panels.outputs,
             Format::Int8(packed) => packed.panels.outputs,
@@ -195,7 +220,10 @@ impl PackedLinear {
     /// # Panics
     /// If `x` is not whole rows, or `y` has another number of them.
     pub fn forward(&self, x: &[f32], y: &mut [f32]) {
-        match &self.0 {
+        if let Some(range) = &self.range {
+            range.note(x);
+        }
+        match &self.format {
             Format::F32(panels) => f32::product(panels, x, y),
             Format::Bf16(panels) => bf16::product(panels, x, y),
             Format::Int8(packed) => {
@@ -236,6 +264,60 @@ fn check(what: &'static str, slice: &[f32], expected: usize) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn inputs_are_noted_by_every_task() {
+        let range = InputRange::new(2);
+        let linear = PackedLinear::new(&[1.0; 6], None, (3, 2), PackedFormat::F32).unwrap();
+        let linear = linear.noting(range.clone()).unwrap();
+        let x: Vec<f32> = (0..1000).map(|i| i as f32).collect();
+        linear.forward_on_pool(&x, &mut vec![0.0; 1500]);
+        assert_eq!(range.largest(), [998.0, 999.0]);
+        assert!(linear.noting(InputRange::new(3)).is_err());
+    }
+
+    /// An input that is a hundred times larger than the others, as transformers have them.
+    #[test]
+    fn smoothing_leaves_room_beside_a_large_input() {
+        let (rows, inputs, outputs) = (32, 64, 48);
+        let value = |i: usize| ((i * 7919) % 2003) as f32 / 1001.0 - 1.0;
+        let weight: Vec<f32> = (0..inputs * outputs).map(|i| value(i + 5) / 8.0).collect();
+        let x: Vec<f32> = (0..rows * inputs)
+            .map(|i| value(i) * if i % inputs == 3 { 100.0 } else { 1.0 })
+            .collect();
+        let mut largest = vec![0f32; inputs];
+        for row in x.chunks_exact(inputs) {
+            for (most, v) in largest.iter_mut().zip(row) {
+                *most = most.max(v.abs());
+            }
+        }
+        let run = |linear: PackedLinear| {
+            let mut y = vec![0.0; rows * outputs];
+            linear.forward(&x, &mut y);
+            y
+        };
+        let shape = (outputs, inputs);
+        let exact = run(PackedLinear::new(&weight, None, shape, PackedFormat::F32).unwrap());
+        let error = |smoothing| {
+            let found = run(PackedLinear::quantised(&weight, None, shape, smoothing).unwrap());
+            let squares = found.iter().zip(&exact).map(|(a, b)| (a - b).powi(2));
+            squares.sum::<f32>().sqrt()
+        };
+        let smoothing = Smoothing {
+            largest: &largest,
+            strength: 0.5,
+        };
+        let (plain, smoothed) = (error(None), error(Some(smoothing)));
+        assert!(smoothed < plain / 3.0, "{smoothed}, without {plain}");
+    }
+
+    #[test]
+    fn too_many_inputs_for_exact_sums_are_refused() {
+        let inputs = MOST_INPUTS + 1;
+        let weight = vec![0.0; inputs];
+        let error = PackedLinear::quantised(&weight, None, (1, inputs), None).unwrap_err();
+        assert!(error.to_string().contains(&inputs.to_string()), "{error}");
+    }
 
     #[test]
     fn a_weight_of_another_size_is_refused() {

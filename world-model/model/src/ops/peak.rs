@@ -4,13 +4,24 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use super::element::{Element, PackedFormat};
+#[cfg(target_arch = "x86_64")]
+use super::product::WidenedInt8;
 use super::product::{Bf16, F32, Int8, Product, Step};
+#[cfg(target_arch = "aarch64")]
+use super::simd::Neon;
+#[cfg(target_arch = "x86_64")]
+use super::simd::amx::{
+    Bf16Tiles, Int8Tiles, Operands, ROW_BYTES, ROWS, Shapes, Sums, TileProduct,
+};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, Avx512};
-use super::simd::{Bf16Unit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
+use super::simd::{Bf16Unit, BytesUnit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
 
-/// Sums that are added to in turns: more than a processor's latency of an addition times its units.
-const SUMS: usize = 12;
+/// Sums that are added to in turns: more than a processor's latency of an addition times its units, and no more than fit
+/// into its registers, with thirty-two of a vector each, and with sixteen of half a vector or thirty-two of a quarter.
+#[cfg(target_arch = "x86_64")]
+const WIDE: usize = 12;
+const NARROW: usize = 6;
 const ROUNDS: usize = 200_000;
 
 /// Operations a second that the products of a kernel for weights of `format` have at most, measured on the calling thread:
@@ -31,13 +42,13 @@ fn f32_steps(set: InstructionSet) -> usize {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f")]
     fn avx512() -> usize {
-        steps::<F32, Avx512>(&[1.0], &[1e-9; LANES])
+        steps::<F32, Avx512, WIDE>(1.0, 1e-9)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
     fn avx2() -> usize {
-        steps::<F32, Avx2>(&[1.0], &[1e-9; LANES])
+        steps::<F32, Avx2, NARROW>(1.0, 1e-9)
     }
 
     match set {
@@ -47,22 +58,30 @@ fn f32_steps(set: InstructionSet) -> usize {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
         InstructionSet::Avx2 => unsafe { avx2() },
-        InstructionSet::Portable => steps::<F32, Portable>(&[1.0], &[1e-9; LANES]),
+        #[cfg(target_arch = "aarch64")]
+        InstructionSet::Neon => steps::<F32, Neon, NARROW>(1.0, 1e-9),
+        InstructionSet::Portable => steps::<F32, Portable, NARROW>(1.0, 1e-9),
     }
 }
 
 fn bf16_steps(unit: Bf16Unit) -> usize {
+    let [one, small] = [1.0, 1e-9].map(<half::bf16 as Element>::from_f32);
+
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bf16")]
-    fn avx512() -> usize {
-        let [one, small] = [1.0, 1e-9].map(<half::bf16 as Element>::from_f32);
-        steps::<Bf16, Avx512>(&[one; 2], &[small; 2 * LANES])
+    fn avx512(input: half::bf16, weight: half::bf16) -> usize {
+        steps::<Bf16, Avx512, WIDE>(input, weight)
     }
 
     match unit {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: the processor was found to have these instructions.
-        Bf16Unit::Avx512 => unsafe { avx512() },
+        Bf16Unit::Amx => unsafe { tile_steps::<Bf16Tiles>(ROUNDS, half::bf16::GROUP) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Bf16Unit::Avx512 => unsafe { avx512(one, small) },
+        #[cfg(target_arch = "aarch64")]
+        Bf16Unit::Neon => steps::<Bf16, Neon, NARROW>(one, small),
     }
 }
 
@@ -70,36 +89,45 @@ fn int8_steps(unit: Int8Unit) -> usize {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512vnni")]
     fn avx512_vnni() -> usize {
-        steps::<Int8, Avx512>(&[1; 4], &[1; 4 * LANES])
+        steps::<Int8, Avx512, WIDE>(1, 1)
     }
 
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
+    #[target_feature(enable = "avx2,fma")]
     fn avx2() -> usize {
-        steps::<Int8, Avx2>(&[1; 4], &[1; 4 * LANES])
+        steps::<WidenedInt8, Avx2, NARROW>(1, 1)
     }
 
     match unit {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: the processor was found to have these instructions.
-        Int8Unit::Avx512Vnni => unsafe { avx512_vnni() },
+        Int8Unit::Bytes(BytesUnit::Amx) => unsafe { tile_steps::<Int8Tiles>(ROUNDS, i8::GROUP) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Int8Unit::Bytes(BytesUnit::Avx512Vnni) => unsafe { avx512_vnni() },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
         Int8Unit::Avx2 => unsafe { avx2() },
-        Int8Unit::Portable => steps::<Int8, Portable>(&[1; 4], &[1; 4 * LANES]),
+        #[cfg(target_arch = "aarch64")]
+        Int8Unit::Bytes(BytesUnit::Neon) => steps::<Int8, Neon, NARROW>(1, 1),
+        Int8Unit::Bytes(BytesUnit::Portable) => steps::<Int8, Portable, NARROW>(1, 1),
     }
 }
 
+/// Adds products to `SUMS` sums in turns, of inputs that are read anew each time, as the kernels do: of values that stay the
+/// same the compiler would compute the products once.
 #[inline(always)]
-fn steps<P: Step<L>, L: Lanes>(input: &[P::Input], weights: &[P::Weight]) -> usize {
+fn steps<P: Step<L>, L: Lanes, const SUMS: usize>(input: P::Input, weight: P::Weight) -> usize {
     let group = <P as Product>::Weight::GROUP;
-    assert!(input.len() >= group && weights.len() >= LANES * group);
-    // SAFETY: both are long enough.
-    let (input, weights) = unsafe { (P::splat(input.as_ptr()), P::load(weights.as_ptr())) };
-    let (input, weights) = (black_box(input), black_box(weights));
+    let (inputs, weights) = (vec![input; SUMS * group], vec![weight; LANES * group]);
+    // SAFETY: so many weights were written.
+    let weights = black_box(unsafe { P::load(weights.as_ptr()) });
     let mut sums = [L::splat(0.0); SUMS];
     for _ in 0..ROUNDS {
-        for sum in &mut sums {
+        let inputs = black_box(inputs.as_ptr());
+        for (i, sum) in sums.iter_mut().enumerate() {
+            // SAFETY: so many inputs were written.
+            let input = unsafe { P::splat(inputs.add(i * group)) };
             *sum = P::add(input, weights, *sum);
         }
     }
@@ -107,9 +135,49 @@ fn steps<P: Step<L>, L: Lanes>(input: &[P::Input], weights: &[P::Weight]) -> usi
     ROUNDS * SUMS * LANES * group
 }
 
+/// Four products of tiles a round, of loads from a first-level cache, which take half the time of the products.
+///
+/// # Safety
+/// The processor must have the tiles and `T`, and the system must let this process use them.
+#[cfg(target_arch = "x86_64")]
+unsafe fn tile_steps<T: TileProduct>(rounds: usize, group: usize) -> usize {
+    let (input, weights) = ([0_u8; ROW_BYTES], [0_u8; 2 * ROW_BYTES]);
+    let operands = Operands {
+        // All rows are the same.
+        inputs: [input.as_ptr(); 2],
+        input_pitch: 0,
+        weights: weights.as_ptr(),
+        weight_pitch: 0,
+        steps: 1,
+        runs: rounds,
+        next_inputs: ROW_BYTES.wrapping_neg(),
+        next_weights: 0,
+    };
+    let mut sums = Sums([[[[0.0; LANES]; ROWS]; 2]; 2]);
+    // SAFETY: as for this function; a row is read from each pointer, from weights two.
+    unsafe {
+        let shapes = Shapes::load(ROWS);
+        T::add_two(&shapes, &operands, &mut sums);
+    }
+    black_box(sums);
+    rounds * 4 * ROWS * LANES * ROWS * group
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+    #[test]
+    fn products_of_tiles_are_counted() {
+        assert!(Bf16Unit::Amx.can_be_tested() && Int8Unit::Bytes(BytesUnit::Amx).can_be_tested());
+        // SAFETY: the processor has the tiles, or they are emulated.
+        unsafe {
+            let (bf16, int8) = (half::bf16::GROUP, i8::GROUP);
+            assert_eq!(tile_steps::<Bf16Tiles>(3, bf16), 3 * 4 * 16 * 16 * 32);
+            assert_eq!(tile_steps::<Int8Tiles>(2, int8), 2 * 4 * 16 * 16 * 64);
+        }
+    }
 
     #[test]
     fn a_processor_computes_something() {

@@ -5,9 +5,13 @@ use half::bf16;
 
 use super::element::Element;
 use super::kernel::Row;
+#[cfg(target_arch = "aarch64")]
+use super::simd::Neon;
 #[cfg(target_arch = "x86_64")]
-use super::simd::{Avx2, Avx512};
-use super::simd::{Bf16Unit, DotBf16, DotInt8, InstructionSet, Int8Unit, LANES, Lanes, Portable};
+use super::simd::amx::{Bf16Tiles, Int8Tiles};
+#[cfg(target_arch = "x86_64")]
+use super::simd::{Avx2, Avx512, DotInt16};
+use super::simd::{Bf16Unit, BytesUnit, DotBf16, DotInt8, InstructionSet, LANES, Lanes, Portable};
 
 /// The number formats of a product.
 ///
@@ -29,6 +33,12 @@ pub(crate) trait Product: Copy + Send + Sync + 'static {
     /// All pointers of `row` must be valid for what their comments say, and the processor must have `unit`.
     unsafe fn run(row: &Row<Self>, unit: Self::Unit);
 
+    /// Where the sums start, for every output: at the bias. What has as many bits where the sums are no f32.
+    #[inline(always)]
+    fn starts(row: &Row<Self>) -> *const f32 {
+        row.bias
+    }
+
     /// Makes outputs of the sums of vector `vector` of pixel `pixel`.
     ///
     /// # Safety
@@ -43,16 +53,6 @@ pub(crate) trait Product: Copy + Send + Sync + 'static {
 ///
 /// The methods must be called only where the instruction set of `L` is enabled.
 pub(crate) trait Step<L: Lanes>: Product {
-    /// Where the sums of vector `vector` start: at the bias.
-    ///
-    /// # Safety
-    /// As for [`Product::run`]; the row has that vector.
-    #[inline(always)]
-    unsafe fn start(row: &Row<Self>, vector: usize) -> L {
-        // SAFETY: as for this function.
-        unsafe { L::load(row.bias.add(vector * LANES)) }
-    }
-
     /// A group of inputs, in all lanes.
     ///
     /// # Safety
@@ -101,6 +101,9 @@ impl Product for F32 {
                 InstructionSet::Avx512 => avx512(row),
                 #[cfg(target_arch = "x86_64")]
                 InstructionSet::Avx2 => avx2(row),
+                // Of 32 registers 24 are sums, four weights.
+                #[cfg(target_arch = "aarch64")]
+                InstructionSet::Neon => row.tiles::<Neon, 6, 1>(),
                 InstructionSet::Portable => row.tiles::<Portable, 4, 1>(),
             }
         }
@@ -144,11 +147,26 @@ impl Product for Bf16 {
             unsafe { row.wide_tiles::<Avx512>() }
         }
 
+        /// What is around the tiles, in wide registers.
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f")]
+        unsafe fn amx(row: &Row<Bf16>) {
+            // SAFETY: as for `run`.
+            unsafe { row.amx_tiles::<Bf16Tiles>() }
+        }
+
         // SAFETY: the caller vouches for the pointers and the instructions.
         unsafe {
             match unit {
                 #[cfg(target_arch = "x86_64")]
+                Bf16Unit::Amx => match InstructionSet::detect() {
+                    InstructionSet::Avx512 => amx(row),
+                    _ => row.amx_tiles::<Bf16Tiles>(),
+                },
+                #[cfg(target_arch = "x86_64")]
                 Bf16Unit::Avx512 => avx512(row),
+                #[cfg(target_arch = "aarch64")]
+                Bf16Unit::Neon => row.tiles::<Neon, 6, 1>(),
             }
         }
     }
@@ -177,63 +195,34 @@ impl<L: DotBf16> Step<L> for Bf16 {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Int8;
 
-/// What makes outputs of sums of bytes.
+/// What makes outputs of sums of whole numbers.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Int8Scales {
+pub(crate) struct WholeScales {
     /// What an input of 1 stands for, for each pixel.
     pub inputs: *const f32,
     /// What a weight of 1 stands for, for each output: `vectors * LANES` values.
     pub weights: *const f32,
-    /// Where the sums start, `vectors * LANES` values: [`Int8Unit::input_offset`].
+    /// Where the sums start, `vectors * LANES` values: [`Int8Unit::input_offset`](super::simd::Int8Unit::input_offset).
     pub starts: *const i32,
 }
 
-impl Product for Int8 {
-    type Input = i8;
-    type Weight = i8;
-    type Unit = Int8Unit;
-    type Scales = Int8Scales;
-
-    unsafe fn run(row: &Row<Self>, unit: Int8Unit) {
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx512f,avx512vnni")]
-        unsafe fn avx512_vnni(row: &Row<Int8>) {
-            // SAFETY: as for `run`.
-            unsafe { row.wide_tiles::<Avx512>() }
-        }
-
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx2,fma")]
-        unsafe fn avx2(row: &Row<Int8>) {
-            // Four pixels: of sixteen registers eight are sums, and a step needs seven.
-            // SAFETY: as for `run`.
-            unsafe { row.tiles::<Avx2, 4, 1>() }
-        }
-
-        // SAFETY: the caller vouches for the pointers and the instructions.
-        unsafe {
-            match unit {
-                #[cfg(target_arch = "x86_64")]
-                Int8Unit::Avx512Vnni => avx512_vnni(row),
-                #[cfg(target_arch = "x86_64")]
-                Int8Unit::Avx2 => avx2(row),
-                Int8Unit::Portable => row.tiles::<Portable, 4, 1>(),
-            }
-        }
-    }
-
-    /// In one order, and without fused operations, so that every processor gives the same bits.
+impl WholeScales {
+    /// As [`Product::outputs`], in one order and without fused operations, so that every processor gives the same bits.
+    ///
+    /// # Safety
+    /// The row has that pixel and that vector.
     #[inline(always)]
-    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
+    unsafe fn outputs(
+        &self,
+        bias: *const f32,
+        (pixel, vector): (usize, usize),
+        sums: &mut [f32; LANES],
+    ) {
         // SAFETY: as for this function.
         let (input, weights, bias) = unsafe {
             let at = vector * LANES;
             let values = |of: *const f32| of.add(at).cast::<[f32; LANES]>().read_unaligned();
-            (
-                *row.scales.inputs.add(pixel),
-                values(row.scales.weights),
-                values(row.bias),
-            )
+            (*self.inputs.add(pixel), values(self.weights), values(bias))
         };
         for ((value, weight), bias) in sums.iter_mut().zip(weights).zip(bias) {
             let sum = value.to_bits().cast_signed() as f32;
@@ -242,13 +231,58 @@ impl Product for Int8 {
     }
 }
 
-impl<L: DotInt8> Step<L> for Int8 {
-    #[inline(always)]
-    unsafe fn start(row: &Row<Self>, vector: usize) -> L {
-        // SAFETY: as for this function; a lane is an i32.
-        unsafe { L::load(row.scales.starts.add(vector * LANES).cast()) }
+impl Product for Int8 {
+    type Input = i8;
+    type Weight = i8;
+    type Unit = BytesUnit;
+    type Scales = WholeScales;
+
+    unsafe fn run(row: &Row<Self>, unit: BytesUnit) {
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f,avx512vnni")]
+        unsafe fn avx512_vnni(row: &Row<Int8>) {
+            // SAFETY: as for `run`.
+            unsafe { row.wide_tiles::<Avx512>() }
+        }
+
+        /// As in [`Bf16`]: what is around the tiles, in wide registers.
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = "avx512f")]
+        unsafe fn amx(row: &Row<Int8>) {
+            // SAFETY: as for `run`.
+            unsafe { row.amx_tiles::<Int8Tiles>() }
+        }
+
+        // SAFETY: the caller vouches for the pointers and the instructions.
+        unsafe {
+            match unit {
+                #[cfg(target_arch = "x86_64")]
+                BytesUnit::Amx => match InstructionSet::detect() {
+                    InstructionSet::Avx512 => amx(row),
+                    _ => row.amx_tiles::<Int8Tiles>(),
+                },
+                #[cfg(target_arch = "x86_64")]
+                BytesUnit::Avx512Vnni => avx512_vnni(row),
+                #[cfg(target_arch = "aarch64")]
+                BytesUnit::Neon => row.tiles::<Neon, 6, 1>(),
+                BytesUnit::Portable => row.tiles::<Portable, 4, 1>(),
+            }
+        }
     }
 
+    #[inline(always)]
+    fn starts(row: &Row<Self>) -> *const f32 {
+        row.scales.starts.cast()
+    }
+
+    #[inline(always)]
+    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
+        // SAFETY: as for this function.
+        unsafe { row.scales.outputs(row.bias, (pixel, vector), sums) }
+    }
+}
+
+impl<L: DotInt8> Step<L> for Int8 {
     #[inline(always)]
     unsafe fn splat(input: *const i8) -> L {
         // SAFETY: as for this function; the read needs no alignment.
@@ -264,5 +298,61 @@ impl<L: DotInt8> Step<L> for Int8 {
     #[inline(always)]
     fn add(inputs: L, weights: L, sums: L) -> L {
         inputs.dot_int8(weights, sums)
+    }
+}
+
+/// Bytes times bytes that were widened to 16 bits, two at once. Sums are those of [`Int8`].
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct WidenedInt8;
+
+#[cfg(target_arch = "x86_64")]
+impl Product for WidenedInt8 {
+    type Input = i16;
+    type Weight = i16;
+    /// AVX2.
+    type Unit = ();
+    type Scales = WholeScales;
+
+    unsafe fn run(row: &Row<Self>, (): ()) {
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn avx2(row: &Row<WidenedInt8>) {
+            // SAFETY: as for `run`.
+            unsafe { row.tiles::<Avx2, 6, 1>() }
+        }
+
+        // SAFETY: the caller vouches for the pointers and the instructions.
+        unsafe { avx2(row) }
+    }
+
+    #[inline(always)]
+    fn starts(row: &Row<Self>) -> *const f32 {
+        row.scales.starts.cast()
+    }
+
+    #[inline(always)]
+    unsafe fn outputs(row: &Row<Self>, pixel: usize, vector: usize, sums: &mut [f32; LANES]) {
+        // SAFETY: as for this function.
+        unsafe { row.scales.outputs(row.bias, (pixel, vector), sums) }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+impl<L: DotInt16> Step<L> for WidenedInt8 {
+    #[inline(always)]
+    unsafe fn splat(input: *const i16) -> L {
+        // SAFETY: as for this function; the read needs no alignment.
+        L::splat_bits(unsafe { input.cast::<u32>().read_unaligned() })
+    }
+
+    #[inline(always)]
+    unsafe fn load(weights: *const i16) -> L {
+        // SAFETY: as for this function; a lane is two numbers.
+        unsafe { L::load(weights.cast()) }
+    }
+
+    #[inline(always)]
+    fn add(inputs: L, weights: L, sums: L) -> L {
+        inputs.dot_int16(weights, sums)
     }
 }

@@ -17,7 +17,22 @@ pub(crate) fn dot(a: &[f32], b: &[f32]) -> f32 {
         }
     }
     let rest: f32 = rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum();
-    sums.iter().sum::<f32>() + rest
+    total(sums) + rest
+}
+
+/// The sum of all lanes, by halves: one after the other, each addition would wait for the one before.
+#[inline(always)]
+fn total(sums: [f32; LANES]) -> f32 {
+    let sums: [f32; LANES / 2] = halves(sums);
+    let sums: [f32; LANES / 4] = halves(sums);
+    let [a, b, c, d] = sums;
+    (a + c) + (b + d)
+}
+
+/// The sums of both halves, lane by lane.
+#[inline(always)]
+fn halves<const ALL: usize, const HALF: usize>(lanes: [f32; ALL]) -> [f32; HALF] {
+    std::array::from_fn(|lane| lanes[lane] + lanes[lane + HALF])
 }
 
 /// The sum of `f` of all values.
@@ -30,7 +45,7 @@ pub(crate) fn sum_of(values: &[f32], f: impl Fn(f32) -> f32) -> f32 {
             *sum += f(*value);
         }
     }
-    sums.iter().sum::<f32>() + rest.iter().map(|value| f(*value)).sum::<f32>()
+    total(sums) + rest.iter().map(|value| f(*value)).sum::<f32>()
 }
 
 /// Replaces every value by `f` of it; the sum of what is there then.
@@ -44,7 +59,7 @@ pub(crate) fn replace_and_sum(values: &mut [f32], f: impl Fn(f32) -> f32) -> f32
             *sum += *value;
         }
     }
-    let mut sum: f32 = sums.iter().sum();
+    let mut sum = total(sums);
     for value in rest {
         *value = f(*value);
         sum += *value;

@@ -93,10 +93,10 @@ impl LoadedTransition {
         }
     }
 
-    /// What computes it, and where, for messages: `cpu`, `cuda:0 in bf16`, ..
+    /// What computes it, and where, for messages: `cpu (avx2)`, `cuda:0 in bf16`, ..
     pub fn place(&self) -> String {
         match self {
-            Self::Packed(_) => "cpu".to_owned(),
+            Self::Packed(model) => format!("cpu ({})", model.format().kernels()),
             Self::Tensors(model) => model.place(),
         }
     }

@@ -48,6 +48,8 @@ pub struct PackedTransition {
 
 #[derive(Debug)]
 struct Layers {
+    /// What weights are packed in.
+    format: PackedFormat,
     blocks: TokenBlocks,
     /// Angles of the tokens of a frame.
     grid: RotaryTable,
@@ -86,6 +88,7 @@ impl PackedTransition {
             }
         }
         let layers = Layers {
+            format: source.format(),
             blocks: TokenBlocks::new(rows * columns, config.heads, config.head_dim()),
             grid: config.rotary(),
             embedding: named.patches()?,
@@ -102,6 +105,11 @@ impl PackedTransition {
     /// The configuration.
     pub fn config(&self) -> &TransitionConfig {
         &self.config
+    }
+
+    /// What weights are packed in.
+    pub fn format(&self) -> PackedFormat {
+        self.layers.format
     }
 
     /// The velocity at every frame, as [`Transition::forward`] gives it.

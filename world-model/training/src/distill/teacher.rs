@@ -53,7 +53,7 @@ impl Teacher {
                 tensors.insert(parameter.name.clone(), tensor.clone());
                 Ok(placed(&tensor, compute)?)
             })?;
-            let model = in_its_format(model, compute.precision());
+            let model = in_its_format(model, compute.dtype());
             Ok(Self {
                 encoding: weights.json(ACTIONS_KEY)?,
                 space: weights.json(LATENT_SPACE_KEY)?,
@@ -91,7 +91,7 @@ impl Teacher {
             let initial = placed(&named(&self.tensors, &parameter.name)?, &self.compute)?;
             Ok(variables.add(&parameter.name, &initial)?)
         })?;
-        Ok((variables, in_its_format(model, self.compute.precision())))
+        Ok((variables, in_its_format(model, self.compute.dtype())))
     }
 
     /// The student of these weights, without gradients.
@@ -108,7 +108,7 @@ impl Teacher {
         let model = Transition::build(config.clone(), &mut |parameter| {
             named(&tensors, &parameter.name)
         })?;
-        Ok(in_its_format(model, self.compute.precision()))
+        Ok(in_its_format(model, self.compute.dtype()))
     }
 
     /// Itself for inference.
@@ -129,7 +129,7 @@ impl Teacher {
 fn placed(tensor: &Tensor, compute: &Compute) -> candle_core::Result<Tensor> {
     tensor
         .to_device(compute.device())?
-        .to_dtype(compute.precision())
+        .to_dtype(compute.dtype())
 }
 
 fn named(tensors: &HashMap<String, Tensor>, name: &str) -> wm_model::Result<Tensor> {

@@ -7,7 +7,7 @@ use wm_model::{
     transition::{ActionAlignment, Parametrisation},
 };
 use wm_motion::actions::{Accumulation, ActionSpace};
-use wm_zoo::{Compute, Engine};
+use wm_zoo::{Compute, Engine, Precision};
 
 use super::*;
 use crate::{
@@ -250,8 +250,8 @@ fn in_sixteen_bits_it_learns_as_in_f32() {
     let clips = ClipSource::new(&latents, &encoding, 5).unwrap();
     let config = config(Parametrisation::Residual, ActionAlignment::WithResult);
     let workers = Workers::new(2).unwrap();
-    let [exact, rounded] = [DType::F32, DType::BF16].map(|dtype| {
-        let fresh = FreshWeights::new(3).on(&Compute::on_cpu(Engine::Candle, dtype));
+    let [exact, rounded] = [Precision::F32, Precision::Bf16].map(|precision| {
+        let fresh = FreshWeights::new(3).on(&Compute::on_cpu(Engine::Candle, precision).unwrap());
         let model = trainable(&config, &fresh, 3).unwrap();
         let trained = (fresh.into_variables().0, model);
         let parameters = trained.0.parameters(|_| 0).unwrap();

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use wm_model::sampler::Sampler;
 use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{
@@ -11,7 +11,7 @@ use wm_model::transition::{
 use wm_model::{LatentSpace, Weights};
 
 use crate::kinds::{DitConfig, Kind};
-use crate::{Error, Result};
+use crate::{Error, Precision, Result};
 
 /// Side of the paper's frames in pixels.
 const FRAME_SIDE: usize = 256;
@@ -26,7 +26,7 @@ pub struct Description {
     /// the paper, if absent. Vision transformers resize further, to the size of their own configuration.
     #[serde(default = "paper_image")]
     pub image: [usize; 2],
-    /// Number format of all weights, which halves their memory where it is `bf16`.
+    /// Number format of all weights: `bf16` halves their memory, `int8` quarters that of the matrices.
     #[serde(default)]
     pub dtype: Precision,
     /// Pictures to latents: `web-dino`, `siglip2`, `vjepa2.1`, `sd3-vae`, `va-vae` or `cosmos-ci16x16`.
@@ -161,27 +161,6 @@ pub enum Statistics {
         /// Standard deviation of each channel.
         std: Vec<f32>,
     },
-}
-
-/// Number format of weights.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Precision {
-    /// 32-bit floats.
-    #[default]
-    F32,
-    /// bfloat16: half the memory, sums are f32 all the same.
-    Bf16,
-}
-
-impl Precision {
-    /// The format of tensors.
-    pub fn dtype(self) -> candle_core::DType {
-        match self {
-            Self::F32 => candle_core::DType::F32,
-            Self::Bf16 => candle_core::DType::BF16,
-        }
-    }
 }
 
 impl Description {

@@ -6,10 +6,11 @@ use wm_model::autoencoder::Normalisation;
 use wm_model::{LatentSpace, Place};
 
 use super::encoder::canonical;
+use super::source::{KnownInputs, Source};
 use super::{DescribedFolder, Opened, load_adapter, views};
 use crate::sizes::shape_error;
 use crate::svae::{Svae, SvaeConfig};
-use crate::{Error, Result};
+use crate::{Error, Precision, Result};
 
 /// The adapter's decoder: what was trained on the features of an encoder, its native latent space, can read the latents
 /// of its adapter through it (the paper, appendix C.3).
@@ -67,8 +68,8 @@ impl DescribedFolder {
     /// # Errors
     /// If a value is not finite.
     pub fn native_decoder(&self) -> Result<Option<NativeDecoder>> {
-        let Some(adapter) = load_adapter(self.adapter.as_ref(), &self.compute(&Place::default()))?
-        else {
+        let compute = self.compute(&Place::default())?;
+        let Some(adapter) = load_adapter(self.adapter.as_ref(), &compute, &self.known)? else {
             return Ok(None);
         };
         let [rows, columns, _] = self.latent;
@@ -81,25 +82,35 @@ impl DescribedFolder {
             space: self.space()?,
             native: self.space_of(
                 name,
-                [rows, columns, features],
+                ([rows, columns, features], self.description.dtype),
                 None,
                 &Normalisation::identity(features),
             )?,
         }))
     }
 
-    /// The space of latents of this shape that the encoder, an adapter and a normalisation make.
+    /// Adds what a part's matrices are quantised with, if there is a calibration.
+    pub(super) fn hash_ranges(&self, source: &Source, hash: &mut Sha256) {
+        if let KnownInputs::Calibrated(calibration) = &self.known
+            && let Some(ranges) = calibration.part(source.role)
+        {
+            hash.update(format!("{}\n", ranges.sha256()));
+        }
+    }
+
+    /// The space of latents of this shape that the encoder, an adapter and a normalisation make with weights of this number
+    /// format.
     pub(super) fn space_of(
         &self,
         name: String,
-        latent: [usize; 3],
+        (latent, precision): ([usize; 3], Precision),
         adapter: Option<&Opened<SvaeConfig>>,
         normalisation: &Normalisation,
     ) -> Result<LatentSpace> {
         let mut hash = Sha256::new();
         let [height, width, channels] = latent;
         let description = &self.description;
-        let settings = (latent, description.image, self.views, description.dtype);
+        let settings = (latent, description.image, self.views, precision);
         hash.update(format!("{}\n", canonical(&settings)?));
         hash.update(format!("{}\n", self.encoder.config.canonical()?));
         self.encoder.source.hash(&self.encoder.tensors, &mut hash)?;
@@ -108,6 +119,12 @@ impl DescribedFolder {
             adapter.source.hash(&adapter.tensors, &mut hash)?;
         }
         normalisation.add_to(&mut hash);
+        if precision == Precision::Int8 {
+            self.hash_ranges(&self.encoder.source, &mut hash);
+            if let Some(adapter) = adapter {
+                self.hash_ranges(&adapter.source, &mut hash);
+            }
+        }
         Ok(LatentSpace {
             name,
             hash: format!("{:x}", hash.finalize()),

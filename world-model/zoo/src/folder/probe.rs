@@ -2,11 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use candle_core::DType;
 use wm_model::autoencoder::Normalisation;
 
 use super::fit::giver;
-use super::source::Source;
+use super::source::{KnownInputs, Source};
 use super::{Description, Opened, ProbePart, TextPart};
 use crate::kinds::{Kind, parse};
 use crate::pooled_probe::PooledProbeConfig;
@@ -15,7 +14,7 @@ use crate::success_probe::{
     SuccessProbeConfig,
 };
 use crate::vit::{SiglipText, SiglipTextConfig};
-use crate::{Error, Result};
+use crate::{Error, Precision, Result};
 
 /// The probe, and what reads the instruction for one that takes it.
 #[derive(Clone, Debug)]
@@ -130,34 +129,43 @@ impl Probe {
         Ok(())
     }
 
+    /// The checkpoints of the probe, and of what reads instructions for it.
+    pub(super) fn sources(&self) -> Vec<&Source> {
+        match self {
+            Self::Instructed { probe, text } => vec![&probe.source, &text.tower.source],
+            Self::Pooled(probe) => vec![&probe.source],
+        }
+    }
+
     pub(super) fn load(
         &self,
-        dtype: DType,
+        precision: Precision,
+        known: &KnownInputs,
         normalisation: Normalisation,
     ) -> Result<SuccessClassifier> {
         let judge = match self {
-            Self::Pooled(probe) => Judge::Pooled(
-                probe
-                    .source
-                    .load(dtype, |loader| probe.config.load(loader))?,
-            ),
+            Self::Pooled(probe) => Judge::Pooled(probe.source.load(
+                precision,
+                known,
+                |loader| probe.config.load(loader),
+            )?),
             Self::Instructed { probe, text } => {
                 let tower = &text.tower;
                 // First what is cheap: it may be wrong.
                 let tokenizer = InstructionTokenizer::open(&text.tokenizer, &tower.config)?;
-                let text = tower
-                    .source
-                    .load(dtype, |loader| SiglipText::load(&tower.config, loader))?;
+                let text = tower.source.load(precision, known, |loader| {
+                    SiglipText::load(&tower.config, loader)
+                })?;
                 Judge::Instructed(Box::new(Instructed {
                     reader: Reader::Siglip {
                         tokenizer: Box::new(tokenizer),
                         text: Box::new(text),
                     },
-                    probe: ProbeNetwork::Transformer(Box::new(
-                        probe
-                            .source
-                            .load(dtype, |loader| SuccessProbe::load(&probe.config, loader))?,
-                    )),
+                    probe: ProbeNetwork::Transformer(Box::new(probe.source.load(
+                        precision,
+                        known,
+                        |loader| SuccessProbe::load(&probe.config, loader),
+                    )?)),
                 }))
             }
         };

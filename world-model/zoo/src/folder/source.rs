@@ -2,14 +2,24 @@
 
 use std::path::Path;
 
-use candle_core::DType;
 use sha2::{Digest as _, Sha256};
 
 use super::Part;
+use crate::calibration::{Calibration, RangeRecorder};
 use crate::checkpoint::Average;
 use crate::kinds::Kind;
 use crate::loader::Requested;
-use crate::{Checkpoint, Compute, Engine, Loader, Result};
+use crate::{Checkpoint, Compute, Engine, Loader, Precision, Result};
+
+/// What is known of the inputs of a model's matrices.
+#[derive(Debug)]
+pub(super) enum KnownInputs {
+    Nothing,
+    /// For matrices of 8 bits.
+    Calibrated(Calibration),
+    /// What is to be known is being noted.
+    Recorded(RangeRecorder),
+}
 
 /// A part's files, open; its values are still to be read.
 #[derive(Clone, Debug)]
@@ -49,22 +59,38 @@ impl Source {
     /// Has a model built from its values, rounded to `precision`, for the CPU's kernels.
     pub(super) fn load<M>(
         &self,
-        precision: DType,
+        precision: Precision,
+        known: &KnownInputs,
         load: impl FnOnce(&Loader<'_>) -> Result<M>,
     ) -> Result<M> {
-        self.load_at(&Compute::on_cpu(Engine::Cpu, precision), load)
+        self.load_at(&Compute::on_cpu(Engine::Cpu, precision)?, known, load)
     }
 
     /// As [`Self::load`], for what computes it.
     pub(super) fn load_at<M>(
         &self,
         compute: &Compute,
+        known: &KnownInputs,
         load: impl FnOnce(&Loader<'_>) -> Result<M>,
     ) -> Result<M> {
-        let loader = Loader::on(&self.checkpoint, compute);
+        let mut loader = Loader::on(&self.checkpoint, compute);
+        match known {
+            KnownInputs::Nothing => {}
+            KnownInputs::Calibrated(calibration) => {
+                if let Some(ranges) = calibration.part(self.role) {
+                    loader = loader.with_ranges(ranges);
+                }
+            }
+            KnownInputs::Recorded(recorder) => loader = loader.recorded(recorder, self.role),
+        }
         let model = load(&loader)?;
         loader.finish()?;
         Ok(model)
+    }
+
+    /// Which weights these are, as a calibration names them.
+    pub(super) fn fingerprint(&self) -> String {
+        self.checkpoint.fingerprint()
     }
 
     /// Adds name, shape and values of the tensors that a model asked for, in order: the same for every file and number

@@ -7,7 +7,9 @@ use wm_model::weights::{Precision as Stored, WeightsBuilder};
 use wm_motion::actions::Accumulation;
 
 use super::*;
-use crate::{Engine, ModelFolder, PlacedModel, Placement};
+use crate::{Engine, ModelFolder, PlacedModel, Placement, Precision};
+
+mod calibrated;
 
 /// Web-DINO of one layer on 28x28, an S-VAE, a pixel decoder and a DiT: latents of 4x4x6.
 pub(super) fn adapted() -> Value {
@@ -108,7 +110,16 @@ fn a_folder_encodes_predicts_and_decodes_in_one_space() {
 
 /// What `model` makes of two pictures: their latents, what three candidates predict after them, and its pictures.
 fn through(model: &PlacedModel) -> [Tensor; 3] {
-    let encoder = model.encoder().unwrap();
+    let decoder = model.decoder().unwrap().unwrap();
+    pass(
+        &*model.encoder().unwrap(),
+        &model.world_model().unwrap(),
+        &*decoder,
+    )
+}
+
+/// The same of its parts.
+fn pass(encoder: &dyn Encoder, model: &WorldModel, decoder: &dyn Decoder) -> [Tensor; 3] {
     let (height, width) = encoder.input_size();
     let wave = |count: usize| (0..count).map(|i| (i as f32 * 0.37).sin() / 2.0 + 0.5);
     let tensor = |shape: &[usize]| {
@@ -116,7 +127,7 @@ fn through(model: &PlacedModel) -> [Tensor; 3] {
         Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
     };
     let latents = encoder.encode(&tensor(&[2, height, width, 3])).unwrap();
-    let WorldModel { transition, .. } = &model.world_model().unwrap();
+    let WorldModel { transition, .. } = model;
     let (sampler, actions) = (&transition.config().sampler, transition.config().action_dim);
     let context = latents.unsqueeze(0).unwrap();
     let between = tensor(&[1, actions]);
@@ -126,7 +137,6 @@ fn through(model: &PlacedModel) -> [Tensor; 3] {
         candidates.next(&tensor(&[3, actions])).unwrap();
     }
     let predicted = candidates.next(&tensor(&[3, actions])).unwrap();
-    let decoder = model.decoder().unwrap().unwrap();
     let pictures = decoder.decode(&predicted).unwrap();
     [latents, predicted, pictures]
 }
@@ -196,8 +206,8 @@ fn an_adapter_decodes_to_the_space_of_its_encoder_alone() {
     let features = adapter.decode(&latents).unwrap();
     assert_eq!(features.dims(), [2, 4, 4, 48]);
     // By the adapter's own round trip of the encoder's features.
-    let compute = Compute::on_cpu(Engine::Cpu, DType::F32);
-    let svae = load_adapter(open().adapter.as_ref(), &compute)
+    let compute = Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap();
+    let svae = load_adapter(open().adapter.as_ref(), &compute, &KnownInputs::Nothing)
         .unwrap()
         .unwrap();
 

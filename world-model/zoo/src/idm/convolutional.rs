@@ -94,7 +94,11 @@ impl ConvolutionalIdm {
             convs: convs.collect::<Result<_>>()?,
             head: [
                 loader.linear("head.0", config.values(), config.hidden)?,
-                loader.linear("head.1", config.hidden, config.horizon * config.actions)?,
+                loader.sensitive().linear(
+                    "head.1",
+                    config.hidden,
+                    config.horizon * config.actions,
+                )?,
             ],
             config: config.clone(),
             device: loader.device().clone(),

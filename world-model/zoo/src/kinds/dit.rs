@@ -1,6 +1,5 @@
 //! The transition model from its published checkpoints.
 
-use candle_core::DType;
 use serde::{Deserialize, Serialize};
 use wm_model::Place;
 use wm_model::ops::RopeLayout;
@@ -12,8 +11,7 @@ use wm_model::transition::{
 
 use super::Kind;
 use crate::checkpoint::Average;
-use crate::layers::packed_format;
-use crate::{Checkpoint, Compute, Engine, Loader, Result};
+use crate::{Checkpoint, Compute, Engine, Loader, Precision, Result};
 
 /// Width of the wide head of all published models that have one (the paper, appendix B, table
 /// "Architecture size and compute").
@@ -136,27 +134,27 @@ impl DitConfig {
     }
 
     /// The model with the weights of `checkpoint` (the averaged ones, if it has both), packed for inference on the CPU
-    /// in `dtype`, f32 or bf16: what [`Rollout`](wm_model::sampler::Rollout) and the planner run on.
+    /// in `precision`: what [`Rollout`](wm_model::sampler::Rollout) and the planner run on.
     ///
     /// # Errors
     /// If a model of these sizes cannot be built, or the checkpoint's tensors are not the model's.
-    pub fn load(&self, checkpoint: &Checkpoint, dtype: DType) -> Result<LoadedTransition> {
-        self.load_at(checkpoint, &Place::default(), dtype)
+    pub fn load(&self, checkpoint: &Checkpoint, precision: Precision) -> Result<LoadedTransition> {
+        self.load_at(checkpoint, &Place::default(), precision)
     }
 
     /// As [`Self::load`], to compute at `place`.
     ///
     /// # Errors
-    /// As [`Self::load`]; or that the device has no memory for it.
+    /// As [`Self::load`]; or that the device has no memory for it, or its engine does not compute in that precision.
     pub fn load_at(
         &self,
         checkpoint: &Checkpoint,
         place: &Place,
-        dtype: DType,
+        precision: Precision,
     ) -> Result<LoadedTransition> {
         let checkpoint = Kind::Dit.weights(checkpoint, Average::Ema);
-        let loader = Loader::on(&checkpoint, &Compute::at(place, dtype));
-        let model = load_transition(self.transition()?, &loader, place, dtype)?;
+        let loader = Loader::on(&checkpoint, &Compute::at(place, precision)?);
+        let model = load_transition(self.transition()?, &loader, place)?;
         loader.finish()?;
         Ok(model)
     }
@@ -172,13 +170,10 @@ pub(crate) fn load_transition(
     config: TransitionConfig,
     loader: &Loader<'_>,
     place: &Place,
-    precision: DType,
 ) -> Result<LoadedTransition> {
     Ok(match place.engine() {
         Engine::Cpu => PackedTransition::build(config, loader)?.into(),
-        Engine::Candle => {
-            place.load(build_transition(config, loader)?, packed_format(precision))?
-        }
+        Engine::Candle => place.load(build_transition(config, loader)?, loader.format())?,
     })
 }
 

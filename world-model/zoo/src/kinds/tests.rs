@@ -4,7 +4,7 @@ use wm_model::sampler::Sampler;
 use wm_model::transition::Transition;
 
 use super::*;
-use crate::Engine;
+use crate::{Engine, Precision};
 
 const CONFIG: &str = r#"{"hidden": 32, "depth": 2, "heads": 2, "channels": 4, "patch": 2, "grid": [4, 6],
     "action_dim": 5, "max_frames": 4, "head": "wide", "wide_dim": 48}"#;
@@ -73,7 +73,7 @@ fn a_transition_model_is_found_in_its_wrappers() {
             CONFIG,
             checkpoint,
             &inputs,
-            &Compute::on_cpu(Engine::Cpu, DType::F32),
+            &Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap(),
         )
         .unwrap()
     };
@@ -107,7 +107,7 @@ fn a_rollout_with_the_cache_equals_the_definition() {
                 &checkpoint,
                 &inputs,
                 &options,
-                &Compute::on_cpu(Engine::Cpu, DType::F32),
+                &Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap(),
             );
             out.unwrap()["predicted"].clone()
         };
@@ -127,7 +127,7 @@ fn what_is_missing_is_named() {
             config,
             &checkpoint,
             &inputs,
-            &Compute::on_cpu(Engine::Cpu, DType::F32),
+            &Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap(),
         );
         out.unwrap_err().to_string()
     };
@@ -183,7 +183,7 @@ fn an_input_that_cannot_be_computed_with_is_named() {
             CONFIG,
             &checkpoint,
             &inputs,
-            &Compute::on_cpu(Engine::Cpu, DType::F32),
+            &Compute::on_cpu(Engine::Cpu, Precision::F32).unwrap(),
         );
         let message = out.unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");

@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::thread;
 
-use candle_core::DType;
 use sha2::{Digest as _, Sha256};
 use wm_model::ops::{PackedFormat, PackedLinear, packed_layout};
 
@@ -11,7 +10,8 @@ use super::PackedCache;
 use super::header::Refusal;
 use super::identity::{Identity, Stamp};
 use super::packed_file::{self, PackedFile};
-use crate::Checkpoint;
+use crate::calibration::InputRanges;
+use crate::{Checkpoint, Precision};
 
 /// Takes packed matrices from the cache's file as they are asked for, and writes a new one if one was not there.
 #[derive(Debug)]
@@ -39,7 +39,7 @@ impl Session {
     pub(crate) fn new(
         cache: PackedCache,
         checkpoint: &Checkpoint,
-        precision: DType,
+        precision: Precision,
     ) -> Option<Self> {
         let stamp = checkpoint.stamp()?.clone();
         // Packed, 16 bits become 32 at most.
@@ -55,12 +55,18 @@ impl Session {
                 state: stamp.state,
                 contents,
             },
-            source: format!("{path}\n{part}\n{precision:?}\n{}\n", packed_layout()),
+            source: format!("{path}\n{part}\n{precision}\n{}\n", packed_layout()),
             stamp,
             opened: None,
             packed: Vec::new(),
             is_complete: true,
         })
+    }
+
+    /// Keeps what is packed with `ranges` apart from what is packed otherwise; before anything is asked for.
+    pub(crate) fn distinguish(&mut self, ranges: &InputRanges) {
+        self.source.push_str(&ranges.sha256());
+        self.source.push('\n');
     }
 
     /// The matrix `name`, if it was kept.

@@ -12,7 +12,7 @@ use super::header::{Header, Matrix, Refusal};
 use super::identity::Identity;
 use super::packed_file::PackedFile;
 use super::*;
-use crate::{Checkpoint, Engine, Loader};
+use crate::{Checkpoint, Engine, Loader, Precision};
 
 /// Outputs and inputs: the last one fills large pages.
 const SHAPES: [(usize, usize); 3] = [(48, 40), (100, 48), (600, 1000)];
@@ -48,7 +48,7 @@ impl Place {
     /// Outputs of the Linears, loaded through a cache, and what is in it then.
     fn load(&self, limits: CacheLimits) -> (Vec<Vec<u32>>, Vec<PathBuf>) {
         let cache = self.cache(limits);
-        let outputs = outputs(&self.weights(), Some(cache.clone()), DType::F32);
+        let outputs = outputs(&self.weights(), Some(cache.clone()), Precision::F32);
         cache.wait();
         (outputs, files(cache.folder()))
     }
@@ -95,9 +95,9 @@ fn checkpoint(seed: usize) -> Vec<u8> {
 }
 
 /// What the Linears of a checkpoint make of ones, as bits.
-fn outputs(weights: &Path, cache: Option<PackedCache>, precision: DType) -> Vec<Vec<u32>> {
+fn outputs(weights: &Path, cache: Option<PackedCache>, precision: Precision) -> Vec<Vec<u32>> {
     let checkpoint = Checkpoint::open(weights).unwrap();
-    let mut loader = Loader::new(&checkpoint, Engine::Cpu, precision);
+    let mut loader = Loader::new(&checkpoint, Engine::Cpu, precision).unwrap();
     if let Some(cache) = cache {
         loader = loader.cached(cache);
     }
@@ -140,7 +140,7 @@ fn replace(path: &Path, bytes: &[u8]) {
 #[test]
 fn what_was_kept_gives_the_same_bits() {
     let place = Place::new();
-    for precision in [DType::F32, DType::BF16] {
+    for precision in Precision::ALL {
         let load = || {
             let cache = place.cache(ALL);
             let outputs = outputs(&place.weights(), Some(cache.clone()), precision);
@@ -161,7 +161,7 @@ fn what_was_kept_gives_the_same_bits() {
         assert_eq!(before, after, "written once");
     }
     let kept = files(place.cache(ALL).folder());
-    assert_eq!(kept.len(), 2, "one for each format: {kept:?}");
+    assert_eq!(kept.len(), 3, "one for each format: {kept:?}");
     for file in kept {
         assert!(fs::metadata(&file).unwrap().permissions().readonly());
     }
@@ -307,7 +307,7 @@ fn other_weights_of_the_same_size_are_packed_anew() {
         // Even if somebody sets the time back.
         let file = File::options().write(true).open(place.weights()).unwrap();
         file.set_modified(modified).unwrap();
-        let expected = outputs(&place.weights(), None, DType::F32);
+        let expected = outputs(&place.weights(), None, Precision::F32);
         assert_eq!(place.refusal(), Refusal::Checkpoint.to_string(), "{what}");
         let (found, files) = place.load(ALL);
         assert_eq!(found, expected, "{what}");
@@ -405,13 +405,13 @@ fn a_file_that_another_process_writes_is_left_to_it() {
 #[test]
 fn a_folder_that_cannot_be_written_changes_nothing() {
     let place = Place::new();
-    let expected = outputs(&place.weights(), None, DType::F32);
+    let expected = outputs(&place.weights(), None, Precision::F32);
     // No folder can be created below a file, by whoever.
     let blocked = place.root.path().join("blocked");
     fs::write(&blocked, "").unwrap();
     let cache = PackedCache::new(blocked.join("packed"), ALL);
     for _ in 0..2 {
-        let found = outputs(&place.weights(), Some(cache.clone()), DType::F32);
+        let found = outputs(&place.weights(), Some(cache.clone()), Precision::F32);
         cache.wait();
         assert_eq!(found, expected);
     }
@@ -421,7 +421,7 @@ fn a_folder_that_cannot_be_written_changes_nothing() {
 #[test]
 fn loaders_side_by_side_agree() {
     let place = Place::new();
-    let expected = outputs(&place.weights(), None, DType::F32);
+    let expected = outputs(&place.weights(), None, Precision::F32);
     for round in 0..3 {
         let barrier = Barrier::new(8);
         std::thread::scope(|scope| {
@@ -442,11 +442,15 @@ fn loaders_side_by_side_agree() {
 fn weights_that_are_no_file_are_not_kept() {
     let place = Place::new();
     let checkpoint = Checkpoint::from_bytes("memory", checkpoint(1)).unwrap();
-    assert!(Session::new(place.cache(ALL), &checkpoint, DType::F32).is_none());
+    assert!(Session::new(place.cache(ALL), &checkpoint, Precision::F32).is_none());
 }
 
 fn matrices() -> impl Strategy<Value = Vec<Matrix>> {
-    let format = prop_oneof![Just(PackedFormat::F32), Just(PackedFormat::Bf16)];
+    let format = prop_oneof![
+        Just(PackedFormat::F32),
+        Just(PackedFormat::Bf16),
+        Just(PackedFormat::Int8)
+    ];
     let matrix = (
         ".{0,20}",
         any::<(usize, usize)>(),

@@ -44,7 +44,7 @@ impl LinearProbe {
         let values = config.pool * config.pool * config.features;
         Ok(Self {
             config: config.clone(),
-            head: loader.linear("head", values, 1)?,
+            head: loader.sensitive().linear("head", values, 1)?,
             dtype: loader.dtype(),
         })
     }

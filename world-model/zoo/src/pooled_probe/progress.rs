@@ -54,7 +54,7 @@ impl ProgressProbe {
             config: c.clone(),
             head: [
                 loader.linear("head.0", c.pool * c.pool * c.features, c.hidden)?,
-                loader.linear("head.2", c.hidden, 1)?,
+                loader.sensitive().linear("head.2", c.hidden, 1)?,
             ],
             dtype: loader.dtype(),
         })

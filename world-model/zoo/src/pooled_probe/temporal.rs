@@ -92,12 +92,16 @@ impl TemporalProbe {
         let sizes = (c.hidden, c.heads, c.mlp);
         Ok(Self {
             config: c.clone(),
-            input: loader.linear("input_proj", c.pool * c.pool * c.features, c.hidden)?,
+            input: loader.sensitive().linear(
+                "input_proj",
+                c.pool * c.pool * c.features,
+                c.hidden,
+            )?,
             cls: loader.tensor("cls_token", &[1, 1, c.hidden])?,
             temporal: loader.tensor("temporal_embed", &[1, c.max_frames, c.hidden])?,
             block: Block::load(&loader.at("block"), &NAMES, sizes, LAYER_NORM_EPS)?,
             norm: loader.layer_norm("norm", c.hidden, LAYER_NORM_EPS)?,
-            head: loader.linear("head", c.hidden, 1)?,
+            head: loader.sensitive().linear("head", c.hidden, 1)?,
         })
     }
 

@@ -1,6 +1,5 @@
 use std::path::{Path, PathBuf};
 
-use candle_core::DType;
 use wm_model::{LatentSpace, Weights, autoencoder::Normalisation, transition::LATENT_SPACE_KEY};
 
 use super::{
@@ -10,7 +9,9 @@ use super::{
 use crate::kinds::Kind;
 use crate::pooled_probe::PooledProbe;
 use crate::vit::{SiglipText, SiglipTextConfig};
-use crate::{Checkpoint, Engine, Error, Loader, Result, checkpoint::Average, loader::OfWeights};
+use crate::{
+    Checkpoint, Engine, Error, Loader, Precision, Result, checkpoint::Average, loader::OfWeights,
+};
 
 /// Metadata key of the [`ProbeNetworkConfig`] (JSON).
 pub const PROBE_KEY: &str = "success_probe";
@@ -77,7 +78,7 @@ impl Reader {
         let tokenizer = InstructionTokenizer::open(&folder.join("tokenizer.json"), &config)?;
         let checkpoint = Checkpoint::open(folder.join("model.safetensors"))?;
         let checkpoint = Kind::Siglip2Text.weights(&checkpoint, Average::Ema);
-        let loader = Loader::new(&checkpoint, Engine::Cpu, DType::F32);
+        let loader = Loader::new(&checkpoint, Engine::Cpu, Precision::F32)?;
         let text = SiglipText::load(&config, &loader)?;
         loader.finish()?;
         Ok(Self::Siglip {

@@ -4,7 +4,7 @@ use candle_core::{DType, Device, Tensor};
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::*;
-use crate::{Checkpoint, Engine, Error, Loader, Result};
+use crate::{Checkpoint, Engine, Error, Loader, Precision, Result};
 
 fn skeleton() -> Loader<'static> {
     Loader::skeleton(Engine::Candle)
@@ -297,7 +297,7 @@ fn differences<T>(
     });
     let bytes = safetensors::serialize(views, None).unwrap();
     let checkpoint = Checkpoint::from_bytes("test", bytes).unwrap();
-    let loader = Loader::new(&checkpoint, Engine::Candle, DType::F32);
+    let loader = Loader::new(&checkpoint, Engine::Candle, Precision::F32).unwrap();
     load(&loader).unwrap();
     match loader.finish().unwrap_err() {
         Error::Tensors {

@@ -9,7 +9,7 @@ use wm_msgs::{
 };
 
 use super::*;
-use crate::pose::pose_message;
+use wm_sim::message::pose as pose_message;
 
 const MS: i64 = 1_000_000;
 /// When the tests begin \[ns\].

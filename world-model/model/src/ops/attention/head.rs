@@ -1,9 +1,25 @@
 //! Attention of one head over one sequence, in buffers that stay in cache.
 
-use super::product::{LANES, product, transpose};
+use super::product::{LANES, Left, product, transpose};
 use crate::ops::exponential::exp;
 use crate::ops::reduction::{dot, largest, replace_and_sum};
 use crate::ops::rotary::{RotaryTable, normalise_and_rotate, normalise_and_rotate_backward};
+
+/// One head of a sequence within a group: token `i` is row `sequence + i * stride`, of `d` values.
+#[derive(Clone, Copy)]
+pub(super) struct Place {
+    pub(super) sequence: usize,
+    pub(super) stride: usize,
+    pub(super) d: usize,
+    pub(super) head: usize,
+}
+
+impl Place {
+    #[inline(always)]
+    fn row(self, token: usize) -> usize {
+        self.sequence + token * self.stride
+    }
+}
 
 /// Buffers for one head; rows are tokens.
 pub(super) struct HeadKernel<'a> {
@@ -23,8 +39,6 @@ pub(super) struct HeadKernel<'a> {
     /// The transposed keys, or values; columns beyond the length stay 0.
     across: Vec<f32>,
     weights: Vec<f32>,
-    /// The transposed weights, or their gradient: (padded, padded).
-    turned: Vec<f32>,
     out: Vec<f32>,
     grad_weights: Vec<f32>,
     grad_query: Vec<f32>,
@@ -51,7 +65,6 @@ impl<'a> HeadKernel<'a> {
             value: tokens(),
             across: vec![0.0; wide * padded],
             weights: vec![0.0; length * padded],
-            turned: vec![0.0; padded * padded],
             out: tokens(),
             grad_weights: vec![0.0; length * padded],
             grad_query: tokens(),
@@ -62,97 +75,65 @@ impl<'a> HeadKernel<'a> {
 
     /// Takes one head's queries, keys and values of a sequence out of rows q | k | v of 3 `d`.
     #[inline(always)]
-    pub(super) fn load(
-        &mut self,
-        qkv: &[f32],
-        sequence: usize,
-        stride: usize,
-        d: usize,
-        head: usize,
-    ) {
+    pub(super) fn load(&mut self, qkv: &[f32], place: Place) {
         let dim = self.dim;
+        let Place { d, head, .. } = place;
         for i in 0..self.length {
-            let row = &qkv[(sequence + i * stride) * 3 * d..][..3 * d];
+            let row = &qkv[place.row(i) * 3 * d..][..3 * d];
             let angles = self.rotary.at(i);
-            let out = i * self.wide..i * self.wide + dim;
-            normalise_and_rotate(
-                &row[head * dim..][..dim],
-                angles,
-                &mut self.query[out.clone()],
-            );
-            normalise_and_rotate(
-                &row[d + head * dim..][..dim],
-                angles,
-                &mut self.key[out.clone()],
-            );
-            self.value[out].copy_from_slice(&row[2 * d + head * dim..][..dim]);
+            let out = i * self.wide;
+            let query = &row[head * dim..][..dim];
+            normalise_and_rotate(query, angles, &mut self.query[out..][..dim]);
+            let key = &row[d + head * dim..][..dim];
+            normalise_and_rotate(key, angles, &mut self.key[out..][..dim]);
+            let value = &row[2 * d + head * dim..][..dim];
+            self.value[out..][..dim].copy_from_slice(value);
         }
     }
 
     /// Writes the result of [`Self::forward`] to rows of `d`.
     #[inline(always)]
-    pub(super) fn store(
-        &self,
-        out: &mut [f32],
-        sequence: usize,
-        stride: usize,
-        d: usize,
-        head: usize,
-    ) {
+    pub(super) fn store(&self, out: &mut [f32], place: Place) {
+        let dim = self.dim;
         for (i, row) in self.out.chunks_exact(self.wide).enumerate() {
-            out[(sequence + i * stride) * d + head * self.dim..][..self.dim]
-                .copy_from_slice(&row[..self.dim]);
+            out[place.row(i) * place.d + place.head * dim..][..dim].copy_from_slice(&row[..dim]);
         }
     }
 
     /// Takes the gradient of the result out of rows of `d`.
     #[inline(always)]
-    pub(super) fn load_grad(
-        &mut self,
-        grad: &[f32],
-        sequence: usize,
-        stride: usize,
-        d: usize,
-        head: usize,
-    ) {
+    pub(super) fn load_grad(&mut self, grad: &[f32], place: Place) {
+        let dim = self.dim;
         for (i, row) in self.out.chunks_exact_mut(self.wide).enumerate() {
-            row[..self.dim].copy_from_slice(
-                &grad[(sequence + i * stride) * d + head * self.dim..][..self.dim],
-            );
+            let grad = &grad[place.row(i) * place.d + place.head * dim..][..dim];
+            row[..dim].copy_from_slice(grad);
         }
     }
 
     /// Writes the gradients of [`Self::backward`] to rows of 3 `d`.
     #[inline(always)]
-    pub(super) fn store_grad(
-        &self,
-        out: &mut [f32],
-        qkv: &[f32],
-        sequence: usize,
-        stride: usize,
-        d: usize,
-        head: usize,
-    ) {
+    pub(super) fn store_grad(&self, out: &mut [f32], qkv: &[f32], place: Place) {
         let dim = self.dim;
+        let Place { d, head, .. } = place;
         for i in 0..self.length {
-            let start = (sequence + i * stride) * 3 * d;
+            let start = place.row(i) * 3 * d;
             let row = &qkv[start..][..3 * d];
             let out = &mut out[start..][..3 * d];
             let angles = self.rotary.at(i);
-            let own = i * self.wide..i * self.wide + dim;
+            let first = i * self.wide;
             normalise_and_rotate_backward(
                 &row[head * dim..][..dim],
                 angles,
-                &self.grad_query[own.clone()],
+                &self.grad_query[first..][..dim],
                 &mut out[head * dim..][..dim],
             );
             normalise_and_rotate_backward(
                 &row[d + head * dim..][..dim],
                 angles,
-                &self.grad_key[own.clone()],
+                &self.grad_key[first..][..dim],
                 &mut out[d + head * dim..][..dim],
             );
-            out[2 * d + head * dim..][..dim].copy_from_slice(&self.grad_value[own]);
+            out[2 * d + head * dim..][..dim].copy_from_slice(&self.grad_value[first..][..dim]);
         }
     }
 
@@ -161,10 +142,8 @@ impl<'a> HeadKernel<'a> {
     fn weigh(&mut self) {
         transpose(self.wide, &self.key, self.padded, &mut self.across);
         product(
-            self.padded,
-            self.wide,
-            &self.query,
-            self.wide,
+            (self.length, self.dim, self.padded),
+            Left::rows(&self.query, self.wide),
             &self.across,
             &mut self.weights,
         );
@@ -179,10 +158,8 @@ impl<'a> HeadKernel<'a> {
     pub(super) fn forward(&mut self) {
         self.weigh();
         product(
-            self.wide,
-            self.length,
-            &self.weights,
-            self.padded,
+            (self.length, self.length, self.wide),
+            Left::rows(&self.weights, self.padded),
             &self.value,
             &mut self.out,
         );
@@ -192,21 +169,17 @@ impl<'a> HeadKernel<'a> {
     #[inline(always)]
     pub(super) fn backward(&mut self) {
         self.weigh();
-        transpose(self.padded, &self.weights, self.padded, &mut self.turned);
+        let of_tokens = (self.length, self.length, self.wide);
         product(
-            self.wide,
-            self.length,
-            &self.turned[..self.length * self.padded],
-            self.padded,
+            of_tokens,
+            Left::transposed(&self.weights, self.padded),
             &self.out,
             &mut self.grad_value,
         );
         transpose(self.wide, &self.value, self.padded, &mut self.across);
         product(
-            self.padded,
-            self.wide,
-            &self.out,
-            self.wide,
+            (self.length, self.dim, self.padded),
+            Left::rows(&self.out, self.wide),
             &self.across,
             &mut self.grad_weights,
         );
@@ -215,24 +188,14 @@ impl<'a> HeadKernel<'a> {
             softmax_backward(grad, weights, self.scale);
         }
         product(
-            self.wide,
-            self.length,
-            &self.grad_weights,
-            self.padded,
+            of_tokens,
+            Left::rows(&self.grad_weights, self.padded),
             &self.key,
             &mut self.grad_query,
         );
-        transpose(
-            self.padded,
-            &self.grad_weights,
-            self.padded,
-            &mut self.turned,
-        );
         product(
-            self.wide,
-            self.length,
-            &self.turned[..self.length * self.padded],
-            self.padded,
+            of_tokens,
+            Left::transposed(&self.grad_weights, self.padded),
             &self.query,
             &mut self.grad_key,
         );

@@ -76,8 +76,18 @@ impl PackedConv {
         bias: Option<&[f32]>,
         format: PackedFormat,
     ) -> Result<Self> {
+        Self::of_unit(shape, weight, bias, format.bf16_unit())
+    }
+
+    /// In bf16 for `unit`, or else in f32.
+    pub(super) fn of_unit(
+        shape: &ConvShape,
+        weight: &[f32],
+        bias: Option<&[f32]>,
+        unit: Option<Bf16Unit>,
+    ) -> Result<Self> {
         check_weights(shape, weight, bias)?;
-        let parts = match format.bf16_unit() {
+        let parts = match unit {
             Some(unit) => Parts::Bf16(unit, Part::all(shape, weight, bias)),
             None => Parts::F32(Part::all(shape, weight, bias)),
         };

@@ -3,6 +3,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::ops::simd::Bf16Unit;
 use crate::ops::{Activation, PackedFormat, group_norm, group_normalisations};
 
 fn random(count: usize, seed: u64) -> Vec<f32> {
@@ -415,12 +416,17 @@ fn inference_is_the_plain_sum() {
             bias: case.bias.clone(),
             ..case
         };
+        let (weight, bias) = (case.weight.as_slice(), Some(case.bias.as_slice()));
         for (format, tolerance) in [(PackedFormat::F32, 2e-5), (PackedFormat::Bf16, 3e-2)] {
-            let (weight, bias) = (case.weight.as_slice(), Some(case.bias.as_slice()));
-            let ways = [
+            let mut ways = vec![
                 PackedConv::new(&shape, weight, bias, format),
                 PackedConv::for_inference(&shape, weight, bias, format),
             ];
+            if format == PackedFormat::Bf16 {
+                let of_unit = |unit| PackedConv::of_unit(&shape, weight, bias, Some(unit));
+                let units = Bf16Unit::ALL.iter().copied();
+                ways.extend(units.filter(|unit| unit.can_be_tested()).map(of_unit));
+            }
             for (way, packed) in ways.into_iter().enumerate() {
                 let packed = packed.unwrap();
                 for is_normalised in [false, true] {

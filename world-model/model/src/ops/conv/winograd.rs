@@ -13,6 +13,8 @@ use crate::ops::buffer::Buffer;
 use crate::ops::group_norm::Normalisation;
 use crate::ops::panel_product::PanelProduct;
 use crate::ops::panels::Panels;
+#[cfg(target_arch = "aarch64")]
+use crate::ops::simd::Neon;
 #[cfg(target_arch = "x86_64")]
 use crate::ops::simd::{Avx2, Avx512};
 use crate::ops::simd::{InstructionSet, LANES, Lanes, Portable};
@@ -372,6 +374,8 @@ macro_rules! on_lanes {
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: as above.
                 InstructionSet::Avx2 => unsafe { avx2(transform, $($arg),*) },
+                #[cfg(target_arch = "aarch64")]
+                InstructionSet::Neon => transform.transform::<Neon>($($arg),*),
                 InstructionSet::Portable => transform.transform::<Portable>($($arg),*),
             }
         }

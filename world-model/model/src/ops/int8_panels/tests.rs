@@ -6,6 +6,7 @@ use std::sync::Arc;
 use proptest::prelude::*;
 
 use super::*;
+use crate::ops::simd::BytesUnit;
 
 /// (rows, inputs, outputs) with rests of every kind: of groups, of vectors, of panels and of tiles.
 const SHAPES: [(usize, usize, usize); 8] = [
@@ -19,19 +20,9 @@ const SHAPES: [(usize, usize, usize); 8] = [
     (0, 8, 16),
 ];
 
-fn units() -> Vec<Int8Unit> {
-    let mut units = vec![Int8Unit::Portable];
-    #[cfg(target_arch = "x86_64")]
-    {
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            units.push(Int8Unit::Avx2);
-        }
-        match Int8Unit::detect() {
-            Int8Unit::Avx512Vnni => units.push(Int8Unit::Avx512Vnni),
-            _ => println!("skipped: this processor has no AVX-512-VNNI"),
-        }
-    }
-    units
+fn units() -> impl Iterator<Item = Int8Unit> {
+    let all = Int8Unit::ALL.iter().copied();
+    all.filter(|unit| unit.can_be_tested())
 }
 
 fn numbers(count: usize, seed: usize) -> Vec<f32> {
@@ -51,9 +42,15 @@ fn product(packed: &Int8Panels, x: &[f32]) -> Vec<f32> {
     }
     let mut y = vec![7.0; count * y_step];
     // What an earlier, larger product leaves must not matter.
-    ROUNDED.with_borrow_mut(|(rounded, scales)| {
-        *rounded = vec![-99; 100_000];
-        *scales = vec![f32::NAN; 1000];
+    ROUNDED.with_borrow_mut(|buffers| {
+        *buffers = Rounded {
+            bytes: vec![-99; 100_000],
+            #[cfg(target_arch = "x86_64")]
+            words: vec![-99; 100_000],
+            #[cfg(target_arch = "x86_64")]
+            panel: vec![-99; 100_000],
+            scales: vec![f32::NAN; 1000],
+        };
     });
     let x = Rows {
         values: apart.as_slice(),
@@ -141,14 +138,17 @@ fn check_exact(unit: Int8Unit, (x, w): (&[i8], &[i8]), inputs: usize) {
     assert_eq!(found, expected, "{unit:?} of {inputs} inputs");
 }
 
+/// Sums of whole numbers are exact.
+pub(in crate::ops) fn check_unit(unit: Int8Unit) {
+    for (rows, inputs, outputs) in SHAPES {
+        let (x, w) = (whole(rows, inputs, 1), whole(outputs, inputs, 2));
+        check_exact(unit, (&x, &w), inputs);
+    }
+}
+
 #[test]
 fn sums_of_whole_numbers_are_exact() {
-    for (rows, inputs, outputs) in SHAPES {
-        for unit in units() {
-            let (x, w) = (whole(rows, inputs, 1), whole(outputs, inputs, 2));
-            check_exact(unit, (&x, &w), inputs);
-        }
-    }
+    units().for_each(check_unit);
 }
 
 #[test]
@@ -182,7 +182,7 @@ proptest! {
             let packed = Int8Panels::pack(unit, &w, Some(&bias), (outputs, inputs), factors.clone());
             product(&packed, &x).iter().map(|y| y.to_bits()).collect()
         };
-        let expected = bits(Int8Unit::Portable);
+        let expected = bits(Int8Unit::Bytes(BytesUnit::Portable));
         for unit in units() {
             prop_assert_eq!(&bits(unit), &expected, "{:?}", unit);
         }

@@ -24,13 +24,14 @@ pub(super) struct Conditions {
 
 impl Condition {
     pub(super) fn new(layers: &NamedLayers<'_>) -> Result<Self> {
+        // What comes out meets every token of a frame.
         Ok(Self {
             frequencies: frequencies(),
             time: [
-                layers.linear("timestep_mlp.0")?,
-                layers.linear("timestep_mlp.2")?,
+                layers.sensitive("timestep_mlp.0")?,
+                layers.sensitive("timestep_mlp.2")?,
             ],
-            action: layers.linear("action_embedder")?,
+            action: layers.sensitive("action_embedder")?,
         })
     }
 

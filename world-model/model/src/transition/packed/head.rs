@@ -27,8 +27,8 @@ impl Head {
         let wide = layers.config().wide_head;
         Ok(Self {
             wide: wide.map(|_| layers.linear(head::WIDE)).transpose()?,
-            modulation: layers.linear(&format!("{name}.adaLN_modulation.1"))?,
-            linear: layers.linear(&format!("{name}.linear"))?,
+            modulation: layers.sensitive(&format!("{name}.adaLN_modulation.1"))?,
+            linear: layers.sensitive(&format!("{name}.linear"))?,
         })
     }
 

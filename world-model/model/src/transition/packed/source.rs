@@ -11,11 +11,17 @@ use crate::{Error, Result};
 
 /// What gives a transition model's weights by the names of its [`Parameter`](crate::transition::Parameter)s.
 pub trait PackedSource {
-    /// The Linear `name`, packed: `name.weight` (outputs, inputs) and, if `is_biased`, `name.bias` (outputs).
+    /// The Linear `name`, packed in `format`: `name.weight` (outputs, inputs) and, if `is_biased`, `name.bias` (outputs).
     ///
     /// # Errors
     /// Whatever keeps it from that.
-    fn linear(&self, name: &str, shape: (usize, usize), is_biased: bool) -> Result<PackedLinear>;
+    fn linear(
+        &self,
+        name: &str,
+        shape: (usize, usize),
+        is_biased: bool,
+        format: PackedFormat,
+    ) -> Result<PackedLinear>;
 
     /// The values of parameter `name` in row-major order.
     ///
@@ -23,7 +29,7 @@ pub trait PackedSource {
     /// Whatever keeps it from that.
     fn values(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>>;
 
-    /// What weights are packed in.
+    /// What weights are packed in, but for [sensitive](PackedFormat::sensitive) ones.
     fn format(&self) -> PackedFormat;
 }
 
@@ -41,10 +47,16 @@ impl OfTransition<'_> {
 }
 
 impl PackedSource for OfTransition<'_> {
-    fn linear(&self, name: &str, shape: (usize, usize), is_biased: bool) -> Result<PackedLinear> {
+    fn linear(
+        &self,
+        name: &str,
+        shape: (usize, usize),
+        is_biased: bool,
+        format: PackedFormat,
+    ) -> Result<PackedLinear> {
         let weight = self.tensor(&format!("{name}.weight"))?;
         let bias = is_biased.then(|| self.tensor(&format!("{name}.bias")));
-        PackedLinear::new(&weight, bias.transpose()?.as_deref(), shape, self.format)
+        PackedLinear::new(&weight, bias.transpose()?.as_deref(), shape, format)
     }
 
     fn values(&self, name: &str, _: &[usize]) -> Result<Vec<f32>> {
@@ -80,13 +92,23 @@ impl<'a> NamedLayers<'a> {
 
     /// The Linear `name`.
     pub(super) fn linear(&self, name: &str) -> Result<PackedLinear> {
+        self.packed(name, self.source.format())
+    }
+
+    /// The Linear `name`, which is sensitive to rounding.
+    pub(super) fn sensitive(&self, name: &str) -> Result<PackedLinear> {
+        self.packed(name, self.source.format().sensitive())
+    }
+
+    fn packed(&self, name: &str, format: PackedFormat) -> Result<PackedLinear> {
         let weight = format!("{name}.weight");
         let Some([outputs, inputs]) = self.shapes.get(&weight).map(Vec::as_slice) else {
             return Err(missing(&weight));
         };
         let is_biased = self.shapes.contains_key(&format!("{name}.bias"));
-        let linear = self.source.linear(name, (*outputs, *inputs), is_biased)?;
-        if (linear.outputs(), linear.inputs()) != (*outputs, *inputs) {
+        let shape = (*outputs, *inputs);
+        let linear = self.source.linear(name, shape, is_biased, format)?;
+        if (linear.outputs(), linear.inputs()) != shape {
             return Err(Error::Shape {
                 what: "a packed weight of a transition model",
                 expected: format!("({outputs}, {inputs})"),
@@ -105,7 +127,8 @@ impl<'a> NamedLayers<'a> {
         let weight = Tensor::from_vec(weight, (d, channels, p, p), &Device::Cpu)?;
         let weight = numbers(&weight.permute((0, 2, 3, 1))?)?;
         let shape = (d, self.config.patch_values());
-        PackedLinear::new(&weight, Some(&bias), shape, self.source.format())
+        let format = self.source.format().sensitive();
+        PackedLinear::new(&weight, Some(&bias), shape, format)
     }
 }
 

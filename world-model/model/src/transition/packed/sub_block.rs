@@ -38,7 +38,8 @@ impl SubBlock {
     pub(super) fn new(name: &str, layers: &NamedLayers<'_>) -> Result<Self> {
         let linear = |part: &str| layers.linear(&format!("{name}.{part}"));
         Ok(Self {
-            modulation: linear("adaLN_modulation.1")?,
+            // It meets every token of a frame.
+            modulation: layers.sensitive(&format!("{name}.adaLN_modulation.1"))?,
             qkv: linear("attn.qkv_proj")?,
             out: linear("attn.out_proj")?,
             up: linear("ffwd.w12")?,

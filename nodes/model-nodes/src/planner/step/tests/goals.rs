@@ -90,6 +90,26 @@ fn a_mask_leaves_out_what_it_does_not_mark() {
 }
 
 #[test]
+fn without_a_box_a_plan_does_not_wait_for_a_pose_and_knows_it_where_it_came() {
+    let mut step = planner_that_begins(Lead::Steps(1));
+    step.set_goal(goal(40), Time::default());
+    let moving = [0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    feed_moving(&mut step, 0..=2, &moving);
+    assert_eq!(step.request(at(2)).unwrap().position, None);
+    let mut pose = PoseStamped::default();
+    pose.header.frame_id = "world".into();
+    assert!(step.pose(&pose, at(2)));
+    feed_moving(&mut step, 3..=4, &moving);
+    let request = step.request(at(4)).unwrap();
+    assert_eq!(request.position, None, "another frame");
+    pose.header.frame_id = "base".into();
+    assert!(step.pose(&pose, at(4)));
+    feed_moving(&mut step, 5..=6, &moving);
+    let [x, ..] = step.request(at(6)).unwrap().position.unwrap();
+    assert!((x - 0.02).abs() < 1e-6, "{x}");
+}
+
+#[test]
 fn a_box_needs_a_pose_and_keeps_the_end_effector_within() {
     let settings = |step: &PlannerStep| PlannerSettings {
         needs_pose: true,

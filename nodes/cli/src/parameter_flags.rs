@@ -1,6 +1,6 @@
 //! The parameters of a node as flags of a command: `--start-offset SECONDS` for `start_offset`.
 
-use super::parameters::Parameters;
+use crate::parameters::Parameters;
 use anyhow::Result;
 use clap::{
     Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, builder::PossibleValuesParser,

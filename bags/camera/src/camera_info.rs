@@ -1,0 +1,153 @@
+//! How a camera sees what a picture of another size shows.
+
+use wm_msgs::sensor_msgs::{CameraInfo, RegionOfInterest};
+
+/// How the camera of `info` sees a picture that is all of its own, resized to `width` x `height` pixels. It has the
+/// header of `info`.
+///
+/// The middle of a pixel is at whole numbers, as ROS has it, so that a principal point moves with the pixels' edges. What
+/// binning and region of interest do to the picture is in the result, which has neither. Distortion is about directions,
+/// and stays.
+///
+/// `None` where the camera is not calibrated (its focal lengths are 0, as REP 104 has it) or its picture has no pixels.
+pub fn resized(info: &CameraInfo, (width, height): (u32, u32)) -> Option<CameraInfo> {
+    let roi = info.roi;
+    // All zero: the whole sensor.
+    let (seen_width, seen_height) = match (roi.width, roi.height) {
+        (0, 0) => (info.width, info.height),
+        size => size,
+    };
+    let [fx, skew, cx, _, fy, cy, ..] = info.k;
+    if seen_width == 0 || seen_height == 0 || width == 0 || height == 0 || fx == 0.0 || fy == 0.0 {
+        return None;
+    }
+    let (x, y) = (
+        f64::from(width) / f64::from(seen_width),
+        f64::from(height) / f64::from(seen_height),
+    );
+    let (left, top) = (f64::from(roi.x_offset), f64::from(roi.y_offset));
+    let column = |at: f64| (at - left + 0.5) * x - 0.5;
+    let row = |at: f64| (at - top + 0.5) * y - 0.5;
+    let [pfx, pskew, pcx, tx, _, pfy, pcy, ty, ..] = info.p;
+    // Some drivers leave the projection empty.
+    let p = match pfx == 0.0 {
+        true => info.p,
+        false => [
+            pfx * x,
+            pskew * x,
+            column(pcx),
+            tx * x,
+            0.0,
+            pfy * y,
+            row(pcy),
+            ty * y,
+            0.0,
+            0.0,
+            1.0,
+            0.0,
+        ],
+    };
+    Some(CameraInfo {
+        width,
+        height,
+        k: [
+            fx * x,
+            skew * x,
+            column(cx),
+            0.0,
+            fy * y,
+            row(cy),
+            0.0,
+            0.0,
+            1.0,
+        ],
+        p,
+        binning_x: 0,
+        binning_y: 0,
+        roi: RegionOfInterest::default(),
+        ..info.clone()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> CameraInfo {
+        CameraInfo {
+            width: 640,
+            height: 480,
+            k: [500.0, 0.0, 319.5, 0.0, 510.0, 239.5, 0.0, 0.0, 1.0],
+            p: [
+                500.0, 0.0, 319.5, -50.0, 0.0, 510.0, 239.5, 0.0, 0.0, 0.0, 1.0, 0.0,
+            ],
+            d: vec![0.1, 0.0, 0.0, 0.0, 0.0],
+            ..CameraInfo::default()
+        }
+    }
+
+    /// Where a direction (x / z, y / z) is in the picture \[pixel\].
+    fn place(info: &CameraInfo, x: f64, y: f64) -> (f64, f64) {
+        (info.k[0] * x + info.k[2], info.k[4] * y + info.k[5])
+    }
+
+    #[test]
+    fn the_edges_of_the_picture_stay_its_edges() {
+        let (before, after) = (camera(), resized(&camera(), (256, 128)).unwrap());
+        assert_eq!((after.width, after.height), (256, 128));
+        // The directions of the picture's upper left and lower right corner, at the outer edges of the corner pixels.
+        for (at, expected) in [
+            ((-0.5, -0.5), (-0.5, -0.5)),
+            ((639.5, 479.5), (255.5, 127.5)),
+        ] {
+            let x = (at.0 - before.k[2]) / before.k[0];
+            let y = (at.1 - before.k[5]) / before.k[4];
+            let (column, row) = place(&after, x, y);
+            assert!((column - expected.0).abs() < 1e-9 && (row - expected.1).abs() < 1e-9);
+        }
+        assert_eq!(after.p[0], after.k[0]);
+        assert_eq!((after.p[2], after.p[6]), (after.k[2], after.k[5]));
+        assert!(
+            (after.p[3] + 20.0).abs() < 1e-9,
+            "the baseline: {:?}",
+            after.p
+        );
+        assert_eq!(after.d, before.d);
+        assert_eq!(resized(&before, (640, 480)), Some(before));
+    }
+
+    #[test]
+    fn binning_and_region_of_interest_are_in_the_result() {
+        let part = CameraInfo {
+            binning_x: 2,
+            binning_y: 2,
+            roi: RegionOfInterest {
+                x_offset: 160,
+                y_offset: 120,
+                width: 320,
+                height: 240,
+                do_rectify: false,
+            },
+            ..camera()
+        };
+        let after = resized(&part, (160, 120)).unwrap();
+        // The middle of the region is the middle of the picture.
+        assert_eq!((after.k[2], after.k[5]), (79.5, 59.5));
+        assert_eq!((after.k[0], after.k[4]), (250.0, 255.0));
+        assert_eq!(
+            (after.binning_x, after.roi),
+            (0, RegionOfInterest::default())
+        );
+    }
+
+    #[test]
+    fn a_camera_that_is_not_calibrated_gives_none() {
+        let blind = CameraInfo {
+            k: [0.0; 9],
+            ..camera()
+        };
+        assert_eq!(resized(&blind, (256, 256)), None);
+        assert_eq!(resized(&CameraInfo::default(), (256, 256)), None);
+        assert_eq!(resized(&camera(), (0, 256)), None);
+    }
+}

@@ -1,0 +1,98 @@
+//! Which prediction a predicted picture belongs to.
+//!
+//! A picture carries the predicted moment only, and predictions of several observations are of one moment. Such predictions
+//! come a model step apart, a picture within a model step of its prediction, and a rollout's pictures one after the other:
+//! a picture is of the rollout that had pictures before, else of the newest. Of one that comes later than a model step, the
+//! step k would be a guess.
+
+use std::collections::VecDeque;
+
+/// Predictions that wait for their picture.
+const AWAITED_LIMIT: usize = 512;
+
+/// Rollouts of which it is known that they have pictures: more than are decoded within one.
+const PICTURED_LIMIT: usize = 64;
+
+/// What of a prediction its picture is matched by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Awaited {
+    /// The predicted moment \[ns\].
+    pub stamp_ns: i64,
+    /// Stamp of the observation \[ns\].
+    pub observed_ns: i64,
+    /// k: model steps after the observation.
+    pub step: u32,
+    /// Duration of a model step \[ns\].
+    pub period_ns: i64,
+    /// When the prediction arrived \[ns\].
+    pub arrived_ns: i64,
+}
+
+/// What a picture was found to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pairing {
+    /// That of this prediction.
+    Found(Awaited),
+    /// That of a prediction, but it came too late to tell of which.
+    Late,
+    /// Of a moment that nothing was predicted of.
+    Unknown,
+}
+
+/// The predictions that wait for their pictures.
+#[derive(Clone, Debug, Default)]
+pub struct Pairings {
+    awaited: VecDeque<Awaited>,
+    /// The last observations whose rollouts had a picture.
+    pictured: VecDeque<i64>,
+}
+
+impl Pairings {
+    /// A prediction has arrived.
+    pub fn predicted(&mut self, awaited: Awaited) {
+        if self.awaited.len() == AWAITED_LIMIT {
+            self.awaited.pop_front();
+        }
+        self.awaited.push_back(awaited);
+    }
+
+    /// A picture of the moment `stamp_ns` has arrived; its prediction waits no longer.
+    pub fn pictured(&mut self, stamp_ns: i64, arrived_ns: i64) -> Pairing {
+        let is_its = |awaited: &Awaited| {
+            awaited.stamp_ns == stamp_ns
+                && arrived_ns.saturating_sub(awaited.arrived_ns) <= awaited.period_ns
+        };
+        let fresh = || self.awaited.iter().enumerate().filter(|(_, a)| is_its(a));
+        let is_pictured = |a: &Awaited| self.pictured.contains(&a.observed_ns);
+        let found = fresh()
+            .find(|(_, awaited)| is_pictured(awaited))
+            .or_else(|| fresh().min_by_key(|(_, awaited)| awaited.step))
+            .map(|(index, _)| index);
+        let Some(prediction) = found.and_then(|index| self.awaited.remove(index)) else {
+            let is_known = self.awaited.iter().any(|a| a.stamp_ns == stamp_ns);
+            return if is_known {
+                Pairing::Late
+            } else {
+                Pairing::Unknown
+            };
+        };
+        if !self.pictured.contains(&prediction.observed_ns) {
+            if self.pictured.len() == PICTURED_LIMIT {
+                self.pictured.pop_front();
+            }
+            self.pictured.push_back(prediction.observed_ns);
+        }
+        Pairing::Found(prediction)
+    }
+
+    /// How many predictions wait for their pictures: a bounded number.
+    pub fn waiting(&self) -> usize {
+        self.awaited.len()
+    }
+
+    /// Time jumped: nothing that waits will be matched any more.
+    pub fn clear(&mut self) {
+        self.awaited.clear();
+        self.pictured.clear();
+    }
+}

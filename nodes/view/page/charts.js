@@ -1,0 +1,168 @@
+// Lines on canvases, in the page's colours.
+
+const styles = getComputedStyle(document.documentElement);
+export const colour = (name) => styles.getPropertyValue(`--${name}`).trim();
+
+/** A canvas at the screen's resolution, cleared; its context works in CSS pixels. */
+export function prepare(canvas) {
+  const { clientWidth: width, clientHeight: height } = canvas;
+  const ratio = window.devicePixelRatio || 1;
+  const [wide, high] = [Math.round(width * ratio), Math.round(height * ratio)];
+  if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  context.font = "10px system-ui, sans-serif";
+  return { context, width, height };
+}
+
+/** Steps of 1, 2 or 5 times a power of ten, some four to a span. */
+function ticks(from, to) {
+  const rough = (to - from) / 4;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((times) => times * power).find((size) => size >= rough);
+  const all = [];
+  for (let at = Math.ceil(from / step) * step; at <= to + step / 1e6; at += step) all.push(Math.abs(at) < step / 1e6 ? 0 : at);
+  return all;
+}
+
+const LEFT = 34;
+const BOTTOM = 14;
+const TOP = 4;
+
+/**
+ * Draws lines over time. `x` and `y` are [from, to], x in ms; `now` is where 0 s is. A line has points [t, value], a colour,
+ * and may be bold, faint or stepped; a mark is a horizontal line with a label.
+ */
+export function lines(canvas, { x, y, now, series, marks = [], cursor = null }) {
+  const { context, width, height } = prepare(canvas);
+  if (width < 2 * LEFT || !(x[1] > x[0]) || !(y[1] > y[0])) return;
+  const across = (t) => LEFT + ((t - x[0]) / (x[1] - x[0])) * (width - LEFT - 2);
+  const up = (value) => TOP + (1 - (value - y[0]) / (y[1] - y[0])) * (height - TOP - BOTTOM);
+  context.lineWidth = 1;
+  context.textBaseline = "middle";
+  context.textAlign = "right";
+  for (const value of ticks(...y)) {
+    context.strokeStyle = colour("line");
+    context.beginPath();
+    context.moveTo(LEFT, up(value));
+    context.lineTo(width, up(value));
+    context.stroke();
+    context.fillStyle = colour("soft");
+    context.fillText(String(Number(value.toPrecision(3))), LEFT - 4, up(value));
+  }
+  context.textBaseline = "alphabetic";
+  context.textAlign = "center";
+  for (const second of ticks((x[0] - now) / 1000, (x[1] - now) / 1000)) {
+    const at = across(now + second * 1000);
+    if (at > LEFT + 8 && at < width - 12) context.fillText(`${Number(second.toPrecision(6))} s`, at, height - 2);
+  }
+  context.save();
+  context.beginPath();
+  context.rect(LEFT, 0, width - LEFT, height - BOTTOM);
+  context.clip();
+  for (const mark of marks) {
+    context.strokeStyle = context.fillStyle = mark.colour;
+    context.setLineDash([4, 3]);
+    context.beginPath();
+    context.moveTo(LEFT, up(mark.value));
+    context.lineTo(width, up(mark.value));
+    context.stroke();
+    context.setLineDash([]);
+    context.textAlign = "left";
+    context.fillText(mark.label, LEFT + 4, up(mark.value) - 3);
+  }
+  for (const line of series) {
+    context.strokeStyle = line.colour;
+    context.globalAlpha = line.faint ? 0.3 : 1;
+    context.lineWidth = line.bold ? 2 : line.wide ? 5 : 1;
+    if (line.wide) context.globalAlpha = 0.25;
+    context.beginPath();
+    let before = null;
+    for (const [t, value] of line.points) {
+      if (value === null || !Number.isFinite(value)) {
+        before = null;
+        continue;
+      }
+      const [px, py] = [across(t), up(Math.min(Math.max(value, y[0]), y[1]))];
+      // Where nothing came for long, nothing is drawn.
+      if (before === null || (line.gap && t - before.t > line.gap)) context.moveTo(px, py);
+      else {
+        if (line.stepped) context.lineTo(px, before.py);
+        context.lineTo(px, py);
+      }
+      before = { t, py };
+    }
+    context.stroke();
+  }
+  context.globalAlpha = 1;
+  if (cursor !== null) {
+    context.strokeStyle = colour("ink");
+    context.lineWidth = 1;
+    context.beginPath();
+    context.moveTo(across(cursor), 0);
+    context.lineTo(across(cursor), height);
+    context.stroke();
+  }
+  context.restore();
+}
+
+/** The line of time: frames, rollouts, plans, and how good the predictions were. */
+export function timeline(canvas, { x, record, cursor, isLive }) {
+  const { context, width, height } = prepare(canvas);
+  if (!(x[1] > x[0])) return;
+  const across = (t) => ((t - x[0]) / (x[1] - x[0])) * width;
+  const rows = [
+    ["frames", "real", 3, 7],
+    ["predicted", "model", 12, 7],
+    ["plans", "warn", 21, 6],
+  ];
+  for (const [name, tone, top, high] of rows) {
+    context.fillStyle = colour(tone);
+    let drawn = -2;
+    for (const item of record.within(name, ...x)) {
+      const at = Math.round(across(name === "predicted" ? item.from : item.t));
+      if (at === drawn) continue;
+      drawn = at;
+      context.fillRect(at, top, 1, high);
+    }
+  }
+  if (cursor !== null) {
+    const at = Math.min(Math.max(across(cursor), 1), width - 2);
+    context.fillStyle = colour(isLive ? "good" : "ink");
+    context.fillRect(at - 1, 0, 2, height);
+  }
+}
+
+/** Arrows of a plan in the picture, each from the end of the one before, from the picture's middle. */
+export function arrows(canvas, actions, axes) {
+  const { context, width, height } = prepare(canvas);
+  if (!actions) return;
+  let [px, py] = [width / 2, height / 2];
+  actions.values.forEach((values, index) => {
+    const [dx, dy, dz] = values;
+    const right = width * (axes[0] * dx + axes[2] * dy + axes[4] * dz);
+    const down = width * (axes[1] * dx + axes[3] * dy + axes[5] * dz);
+    const [qx, qy] = [px + right, py + down];
+    const length = Math.hypot(right, down);
+    for (const [tone, thick] of [["panel", 5], ["bad", 2.5]]) {
+      context.strokeStyle = context.fillStyle = colour(tone);
+      context.globalAlpha = 1 - 0.5 * (index / actions.values.length);
+      context.lineWidth = thick;
+      context.lineCap = "round";
+      context.beginPath();
+      context.moveTo(px, py);
+      context.lineTo(qx, qy);
+      if (length > 6) {
+        const turn = Math.atan2(down, right);
+        for (const side of [-2.6, 2.6]) {
+          context.moveTo(qx, qy);
+          context.lineTo(qx + 7 * Math.cos(turn + side), qy + 7 * Math.sin(turn + side));
+        }
+      }
+      context.stroke();
+    }
+    [px, py] = [qx, qy];
+  });
+  context.globalAlpha = 1;
+}

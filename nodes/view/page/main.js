@@ -1,0 +1,362 @@
+// The page: what comes is recorded, and the moment that is looked at is drawn.
+
+import { arrows, timeline } from "./charts.js";
+import { Controls } from "./controls.js";
+import * as panels from "./panels.js";
+import { Pictures, Screen, compare } from "./pictures.js";
+import { Record, key } from "./record.js";
+import { Connection } from "./socket.js";
+
+const element = (id) => document.getElementById(id);
+const GAINS = [1, 4, 16];
+/** How often what is not a picture is drawn anew [ms]. */
+const PANEL_PERIOD = 250;
+const AN_HOUR = 3_600_000;
+const MOST_LATENCIES = 600;
+
+const record = new Record();
+const screens = Object.fromEntries(
+  ["camera", "predicted", "difference", "goal", "outcome", "candidate-pictures"].map((id) => [id, new Screen(element(id))]),
+);
+const page = {
+  /** The frame that is looked at; null: the newest, live. */
+  at: null,
+  k: 1,
+  gainIndex: 1,
+  hasArrows: true,
+  hello: null,
+  status: null,
+  isConnected: false,
+  /** Where a bag is played from, and when that began. */
+  playing: null,
+  /** From a frame's capture until it was drawn here, the last ones [ms]. */
+  latencies: [],
+  /** When the first picture was drawn, since the page was opened [ms]. */
+  firstPicture: null,
+  labels: {},
+
+  get isBag() {
+    return Boolean(this.hello?.bag);
+  },
+  /** The server's time, as far as it is known here. */
+  get now() {
+    return this.isBag ? (record.newest()?.t ?? 0) : Date.now();
+  },
+  shown(panel) {
+    return this.labels[panel] ?? null;
+  },
+  look(frame) {
+    if (!frame) return;
+    this.at = frame;
+    changed();
+  },
+  pause() {
+    this.playing = null;
+    this.look(this.at ?? record.newest());
+  },
+  live() {
+    if (this.isBag) this.look(record.newest());
+    else this.at = null;
+    this.playing = null;
+    changed();
+  },
+  toggle() {
+    if (this.isBag) {
+      if (this.playing) this.pause();
+      else if (this.at) {
+        this.playing = { from: this.at === record.newest() ? record.frames[0].t : this.at.t, since: performance.now() };
+        requestAnimationFrame(play);
+      }
+    } else if (this.at) this.live();
+    else this.pause();
+    changed();
+  },
+  step(by, withPrediction = false) {
+    this.playing = null;
+    const from = this.at ?? record.newest();
+    if (!from) return;
+    this.look(record.step(from, by, withPrediction ? (frame) => record.predictionOf(frame.t, this.k) : undefined) ?? from);
+  },
+  setK(k) {
+    this.k = Math.min(Math.max(1, k), Number(element("k").max));
+    element("k").value = this.k;
+    changed();
+  },
+  gain() {
+    this.gainIndex = (this.gainIndex + 1) % GAINS.length;
+    screens.difference.wanted = null;
+    document.body.classList.toggle("difference");
+    changed();
+  },
+  toggleArrows() {
+    this.hasArrows = !this.hasArrows;
+    changed();
+  },
+};
+
+const connection = new Connection({
+  message(message) {
+    if (message.op === "hello") {
+      page.hello = message;
+      page.isConnected = true;
+      record.clear();
+      pictures.clear();
+      element("notice").hidden = true;
+      element("token-form").hidden = true;
+      controls.permit(message.control, page.isBag);
+    } else if (message.op === "events") {
+      for (const event of message.events) record.add(event);
+      if (page.isBag && !page.at) page.at = record.newestPair(page.k, Infinity)?.frame ?? record.newest();
+    } else if (message.op === "status") page.status = message;
+    changed();
+  },
+  picture({ label, blob }) {
+    pictures.add(label, blob);
+    const t = Number(label.stamp) / 1e6;
+    if (label.source === "camera") page.newest = { ...label, t };
+    changed();
+  },
+  state() {
+    page.isConnected = false;
+    changed();
+  },
+  refused(status, text) {
+    page.isConnected = false;
+    document.body.dataset.state = "refused";
+    element("state").textContent = "refused";
+    element("notice").textContent = text;
+    element("notice").hidden = false;
+    element("token-form").hidden = status !== 401;
+  },
+});
+const pictures = new Pictures(connection);
+const controls = new Controls(connection, page);
+
+let isDue = false;
+/** Something may have to be drawn. */
+function changed() {
+  if (isDue) return;
+  isDue = true;
+  requestAnimationFrame(() => {
+    isDue = false;
+    drawPictures();
+  });
+}
+
+/** Shows a picture in a panel. */
+function show(id, label, name = key(label), drawn) {
+  page.labels[id] = label;
+  screens[id].show(name, () => pictures.get(label), drawn);
+}
+
+const ago = (from, to) => {
+  const seconds = (to - from) / 1000;
+  return seconds < 0.05 ? "" : `, ${seconds.toFixed(1)} s ago`;
+};
+
+function drawPictures() {
+  const isLive = !page.at && !page.isBag;
+  // The picture itself comes before the event that tells of it.
+  const newest = page.newest && page.newest.t >= (record.newest()?.t ?? 0) ? page.newest : record.newest();
+  const frame = isLive ? newest : page.at;
+  document.body.dataset.state = !page.isConnected ? (document.body.dataset.state === "refused" ? "refused" : "connecting") : page.isBag ? "bag" : isLive ? "live" : "paused";
+  if (document.body.dataset.state !== "refused") {
+    const words = { bag: page.playing ? "bag, playing" : "bag", connecting: "connecting" };
+    element("state").textContent = words[document.body.dataset.state] ?? document.body.dataset.state;
+  }
+  if (!frame) {
+    for (const id of ["camera", "predicted", "difference"]) screens[id].blank(panels.missingIn(page.status, id === "camera" ? id : "predicted") || (page.isConnected ? "" : "not connected"));
+    return;
+  }
+  show("camera", frame, key(frame), (picture) => {
+    screens.camera.aspect = `${picture.width} / ${picture.height}`;
+    for (const id of ["predicted", "difference"]) screens[id].aspect = `${picture.width} / ${picture.height}`;
+    page.firstPicture ??= performance.now();
+    const latency = performance.timeOrigin + performance.now() - frame.t;
+    if (isLive && Math.abs(latency) < AN_HOUR) {
+      page.latencies.push(latency);
+      if (page.latencies.length > MOST_LATENCIES) page.latencies.shift();
+    }
+    drawArrows();
+  });
+  screens.camera.caption.textContent = isLive ? "now" : new Date(frame.t).toLocaleTimeString();
+  if (isLive) screens.camera.say(panels.missingIn(page.status, "camera"));
+  drawPair(frame, isLive);
+  drawStrip(frame);
+  const [goal, outcome] = [record.before("goals", Math.max(frame.t, isLive ? page.now : 0)), record.before("outcomes", isLive ? Infinity : frame.t + AN_HOUR)];
+  if (goal) show("goal", goal);
+  if (outcome) {
+    show("outcome", outcome);
+    screens.outcome.caption.textContent = "after the plan";
+  }
+  const candidates = record.before("candidatePictures", isLive ? Infinity : frame.t);
+  if (candidates) show("candidate-pictures", candidates);
+}
+
+/** The prediction of the shown moment, or in a live picture of the last moment of which there is one, and how it differs. */
+function drawPair(frame, isLive) {
+  const { k } = page;
+  const own = record.predictionOf(frame.t, k);
+  const pair = own ? { frame, picture: own } : isLive ? record.newestPair(k, frame.t) : null;
+  if (!pair) {
+    const text = panels.missingIn(page.status, "predicted") || `no picture of this moment, ${k} ${k === 1 ? "step" : "steps"} ahead`;
+    page.labels.predicted = null;
+    for (const id of ["predicted", "difference"]) {
+      screens[id].blank(text);
+      screens[id].caption.textContent = "";
+    }
+    return;
+  }
+  show("predicted", pair.picture);
+  const ahead = ((k * record.period) / 1000).toFixed(1);
+  screens.predicted.caption.textContent = `${ahead} s before${isLive ? ago(pair.frame.t, frame.t) : ""}`;
+  const gain = GAINS[page.gainIndex];
+  const difference = screens.difference;
+  const name = `${key(pair.frame)} ${key(pair.picture)} ${gain}`;
+  if (difference.wanted === name) return;
+  difference.wanted = name;
+  const held = record.frame(pair.picture.from, true);
+  const all = [pictures.get(pair.frame), pictures.get(pair.picture), held ? pictures.get(held) : null];
+  Promise.all(all).then(([real, predicted, heldPicture]) => {
+    if (difference.wanted !== name || !real || !predicted) return;
+    const { psnr, held: heldPsnr } = compare(difference.canvas, real, predicted, heldPicture, gain);
+    difference.shown = name;
+    difference.say("");
+    page.psnr = psnr;
+    difference.caption.textContent = `${psnr.toFixed(1)} dB${heldPsnr === null ? "" : `, held frame ${heldPsnr.toFixed(1)} dB`}${gain > 1 ? `; × ${gain}` : ""}`;
+  });
+}
+
+let cells = [];
+
+/** The newest rollout: what was predicted, and beneath it what came. */
+function drawStrip(frame) {
+  const { from, steps } = record.rollout(frame.t);
+  const horizon = Math.max(record.horizon, ...steps.keys(), 0);
+  if (element("k").max !== String(Math.max(1, horizon)) && horizon > 0) element("k").max = horizon;
+  if (page.k > horizon && horizon > 0) page.setK(horizon);
+  const text = `k=${page.k}${record.period ? `, ${((page.k * record.period) / 1000).toFixed(1)} s` : ""}`;
+  if (element("k-text").textContent !== text) element("k-text").textContent = text;
+  if (cells.length !== horizon) {
+    cells = Array.from({ length: horizon }, (_, index) => {
+      const button = document.createElement("button");
+      const [predicted, real, label] = [document.createElement("canvas"), document.createElement("canvas"), document.createElement("span")];
+      button.append(predicted, real, label);
+      button.onclick = () => page.setK(index + 1);
+      const screen = (canvas) => new Screen({ querySelector: (name) => (name === "canvas" ? canvas : name === ".screen" ? button : null) });
+      return { button, label, predicted: screen(predicted), real: screen(real) };
+    });
+    element("strip").replaceChildren(...cells.map((cell) => cell.button));
+  }
+  cells.forEach((cell, index) => {
+    const k = index + 1;
+    const picture = steps.get(k);
+    if (picture) cell.predicted.show(key(picture), () => pictures.get(picture));
+    const real = picture ? record.frame(picture.t, true) : null;
+    if (real) cell.real.show(key(real), () => pictures.get(real));
+    else if (cell.real.wanted) cell.real.blank("");
+    cell.label.textContent = `+${((k * record.period) / 1000).toFixed(1)} s`;
+    cell.button.setAttribute("aria-pressed", String(k === page.k));
+    cell.button.title = `${k} steps after ${new Date(from).toLocaleTimeString()}: predicted above, what came below`;
+  });
+}
+
+function planShown() {
+  return record.before("plans", page.at ? page.at.t : Infinity);
+}
+
+function drawArrows() {
+  const canvas = element("camera").querySelector(".overlay");
+  const plan = page.hasArrows ? planShown() : null;
+  const now = page.at?.t ?? page.now;
+  // A plan that is over is no longer of this picture.
+  const isCurrent = plan && now < Number(plan.actions.begin) / 1e6 + (plan.actions.values.length + 2) * plan.actions.period_ms;
+  arrows(canvas, isCurrent ? plan.actions : null, page.hello?.axes ?? []);
+}
+
+/** The span of the time line: of a live page the last minute, of a bag all of it. */
+function span() {
+  if (!page.isBag) return [page.now - panels.SPAN, page.now];
+  return [record.frames[0]?.t ?? 0, Math.max(record.newest()?.t ?? 0, record.errors.at(-1)?.t ?? 0)];
+}
+
+let drawn = "";
+
+function drawPanels() {
+  if (document.hidden || !page.hello) return;
+  const { status, k } = page;
+  // What is said of a bag changes only with what is looked at.
+  const view = `${page.at?.stamp}/${k}/${record.count}/${status?.now}/${innerWidth}`;
+  if (page.isBag && view === drawn) return;
+  drawn = view;
+  if (!page.isBag) record.prune(page.now - 1.5 * panels.SPAN);
+  const x = span();
+  const now = page.isBag ? x[0] : page.now;
+  const cursor = page.at?.t ?? (page.isBag ? x[1] : null);
+  const screenLatency = page.at ? null : panels.median(page.latencies.slice(-25));
+  panels.figures({ status, record, now: cursor ?? page.now, screenLatency });
+  panels.errorPanel({ status, record, now, x, k, cursor, canTrust: !page.isBag });
+  panels.planPanel({ status, record, now: page.now, cursor, plan: planShown() });
+  const until = page.at?.t ?? Infinity;
+  panels.candidatesPanel({ offer: record.before("candidates", until), assessment: record.before("assessments", until + 2000), canPick: controls.canSteer, pick: (stamp, index) => controls.pick(stamp, index) });
+  panels.logPanel({ record, until: page.isBag ? until : Infinity });
+  if (status) {
+    const { isBag } = page;
+    panels.executorPanel({ status, control: controls.control, isBag });
+    panels.nodesPanel({ status, isBag });
+    panels.topicsPanel({ status, isBag });
+  }
+  const line = element("timeline");
+  timeline(line, { x, record, cursor: cursor ?? x[1], isLive: !page.at && !page.isBag });
+  const seconds = page.isBag ? ((cursor ?? x[0]) - x[0]) / 1000 : ((cursor ?? x[1]) - x[1]) / 1000;
+  element("moment").textContent = page.at || page.isBag ? `${seconds.toFixed(1)} s${page.isBag ? ` of ${((x[1] - x[0]) / 1000).toFixed(1)}` : ""}` : "now";
+  line.setAttribute("aria-valuemax", Math.round((x[1] - x[0]) / 1000));
+  line.setAttribute("aria-valuenow", Math.round(((cursor ?? x[1]) - x[0]) / 1000));
+  line.setAttribute("aria-valuetext", element("moment").textContent);
+  const isRunning = page.isBag ? Boolean(page.playing) : !page.at;
+  element("play").textContent = isRunning ? "❚❚" : "▶";
+  element("play").setAttribute("aria-label", isRunning ? "Pause" : "Go on");
+  element("live").hidden = page.isBag;
+  element("live").disabled = !page.at;
+  document.title = page.isBag ? `wm view: ${page.hello.bag}` : "wm view";
+  drawArrows();
+}
+
+/** Plays a bag, until its end or until somebody looks elsewhere. */
+function play() {
+  if (!page.playing) return;
+  const t = page.playing.from + (performance.now() - page.playing.since);
+  const frame = record.before("frames", t);
+  if (frame && frame !== page.at) page.look(frame);
+  if (t > (record.newest()?.t ?? 0)) page.pause();
+  else requestAnimationFrame(play);
+}
+
+function seek(event) {
+  const { left, width } = element("timeline").getBoundingClientRect();
+  const x = span();
+  page.playing = null;
+  page.look(record.frame(x[0] + ((event.clientX - left) / width) * (x[1] - x[0])));
+}
+
+element("timeline").addEventListener("pointerdown", (event) => {
+  element("timeline").setPointerCapture(event.pointerId);
+  seek(event);
+});
+element("timeline").addEventListener("pointermove", (event) => event.buttons && seek(event));
+element("k").addEventListener("input", () => page.setK(Number(element("k").value)));
+element("play").onclick = () => page.toggle();
+element("back").onclick = () => page.step(-1);
+element("forward").onclick = () => page.step(1);
+element("live").onclick = () => page.live();
+element("difference").querySelector(".screen").onclick = () => page.gain();
+element("log-level").onchange = () => (drawn = "");
+element("token-form").onsubmit = (event) => {
+  event.preventDefault();
+  connection.use(element("token").value.trim());
+};
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (drawn = ""));
+setInterval(drawPanels, PANEL_PERIOD);
+
+// For benchmarks and tests.
+window.wmView = { page, record };

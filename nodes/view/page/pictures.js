@@ -1,0 +1,156 @@
+// Pictures: kept as they came, asked for where they are no longer here, drawn and compared.
+
+import { key } from "./record.js";
+
+/** Pictures that are kept as they came: half a minute of frames and rollouts. */
+const MOST_BLOBS = 800;
+/** Pictures that are kept decoded. */
+const MOST_BITMAPS = 48;
+/** Larger pictures are drawn smaller: no panel is wider. */
+const WIDEST = 1280;
+
+export class Pictures {
+  constructor(connection) {
+    this.connection = connection;
+    this.clear();
+  }
+
+  clear() {
+    this.blobs = new Map();
+    this.bitmaps = new Map();
+  }
+
+  add(label, blob) {
+    this.blobs.set(key(label), blob);
+    if (this.blobs.size > MOST_BLOBS) this.blobs.delete(this.blobs.keys().next().value);
+  }
+
+  /** The picture, decoded; null where nobody has it any more. */
+  get(label) {
+    const name = key(label);
+    let bitmap = this.bitmaps.get(name);
+    if (!bitmap) {
+      bitmap = this.load(name).catch(() => null);
+      this.bitmaps.set(name, bitmap);
+      if (this.bitmaps.size > MOST_BITMAPS) {
+        const [oldest, old] = this.bitmaps.entries().next().value;
+        this.bitmaps.delete(oldest);
+        // Whoever is about to draw it has it by then.
+        setTimeout(() => old.then((picture) => picture?.close()), 2000);
+      }
+    }
+    return bitmap;
+  }
+
+  async load(name) {
+    let blob = this.blobs.get(name);
+    if (!blob) {
+      const answer = await fetch(`/picture/${name}`, { headers: this.connection.headers });
+      if (!answer.ok) return null;
+      blob = await answer.blob();
+    }
+    return createImageBitmap(blob);
+  }
+}
+
+/** A place where pictures are shown: what is wanted last is what is drawn last. */
+export class Screen {
+  constructor(figure) {
+    this.screen = figure.querySelector(".screen") ?? figure;
+    this.canvas = figure.querySelector("canvas");
+    this.caption = figure.querySelector(".caption");
+    this.note = figure.querySelector(".missing");
+    this.wanted = null;
+    this.shown = null;
+  }
+
+  /** Shows a picture, which `load` gives; calls `drawn` when it is on the canvas. */
+  async show(name, load, drawn = () => {}) {
+    if (this.wanted === name) return;
+    this.wanted = name;
+    const picture = await load();
+    if (this.wanted !== name) return;
+    if (!picture) {
+      this.blank("this picture is no longer kept");
+      this.wanted = name;
+      return;
+    }
+    this.draw(picture);
+    this.shown = name;
+    this.say("");
+    drawn(picture);
+  }
+
+  draw(picture) {
+    const scale = Math.min(1, WIDEST / picture.width);
+    const [width, height] = [Math.round(picture.width * scale), Math.round(picture.height * scale)];
+    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+    this.canvas.getContext("2d").drawImage(picture, 0, 0, width, height);
+  }
+
+  blank(text) {
+    this.wanted = null;
+    if (this.shown !== null) this.canvas.width = this.canvas.width;
+    this.shown = null;
+    this.say(text);
+  }
+
+  /** Says something over the picture; with a picture beneath, that it is old. */
+  say(text) {
+    if (!this.note) return;
+    if (this.note.textContent !== text) this.note.textContent = text;
+    this.screen.classList.toggle("stale", text !== "" && this.shown !== null);
+  }
+
+  set aspect(ratio) {
+    this.screen.style.aspectRatio = ratio;
+    // A predicted picture is of the model's size; it shows what the camera shows.
+    this.canvas.style.objectFit = "fill";
+  }
+}
+
+const scratch = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+
+/** Draws |a - b| at b's size; gives the mean squared difference of the 8-bit values. */
+function subtract(context, a, b) {
+  const { width, height } = b;
+  if (context.canvas.width !== width || context.canvas.height !== height) Object.assign(context.canvas, { width, height });
+  context.globalCompositeOperation = "copy";
+  context.imageSmoothingQuality = "high";
+  context.drawImage(a, 0, 0, width, height);
+  context.globalCompositeOperation = "difference";
+  context.drawImage(b, 0, 0, width, height);
+  const pixels = context.getImageData(0, 0, width, height).data;
+  let sum = 0;
+  for (let at = 0; at < pixels.length; at += 4) {
+    sum += pixels[at] ** 2 + pixels[at + 1] ** 2 + pixels[at + 2] ** 2;
+  }
+  return sum / (width * height * 3);
+}
+
+const decibel = (mse) => (mse > 0 ? Math.min(60, 10 * Math.log10(65025 / mse)) : 60);
+
+/** Draws how a prediction differs from the real frame; gives PSNR [dB], and that of the held frame where there is one. */
+export function compare(canvas, real, predicted, held, gain) {
+  const mse = subtract(scratch, real, predicted);
+  const { width, height } = predicted;
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  const context = canvas.getContext("2d");
+  context.globalCompositeOperation = "copy";
+  context.drawImage(scratch.canvas, 0, 0);
+  context.globalCompositeOperation = "lighter";
+  for (let times = 1; times < gain; times++) context.drawImage(scratch.canvas, 0, 0);
+  const heldMse = held ? subtract(scratch, real, sized(held, width, height)) : null;
+  return { psnr: decibel(mse), held: heldMse === null ? null : decibel(heldMse) };
+}
+
+const holder = document.createElement("canvas");
+
+/** A picture at the size that another is compared at. */
+function sized(picture, width, height) {
+  Object.assign(holder, { width, height });
+  const context = holder.getContext("2d");
+  context.imageSmoothingQuality = "high";
+  context.drawImage(picture, 0, 0, width, height);
+  return holder;
+}

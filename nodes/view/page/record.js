@@ -1,0 +1,170 @@
+// What happened: the server's events, by kind and in the order of their stamps. Times are milliseconds since 1970; stamps
+// stay the texts that they came as, since they name pictures.
+
+const milliseconds = (stamp) => Number(stamp) / 1e6;
+
+/** The index of the first of the sorted `items` at or after `t`. */
+function lower(items, t) {
+  let [low, high] = [0, items.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (items[middle].t < t) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+/** Puts an item in its place, which is nearly always the end. */
+function insert(items, item) {
+  if (!items.length || items[items.length - 1].t <= item.t) items.push(item);
+  else items.splice(lower(items, item.t), 0, item);
+}
+
+/** The last of the sorted `items` at or before `t`. */
+function last(items, t) {
+  const index = lower(items, t + 1e-3);
+  return index > 0 ? items[index - 1] : null;
+}
+
+/** What names a picture. */
+export const key = (label) => `${label.source}/${label.stamp}/${label.observed}/${label.k}`;
+
+const SERIES = ["frames", "predicted", "errors", "plans", "actions", "chunks", "candidates", "assessments", "goals", "outcomes",
+  "candidatePictures", "latencies", "log"];
+const OF_SOURCE = { camera: "frames", predicted: "predicted", plan: "outcomes", candidates: "candidatePictures", goal: "goals" };
+const OF_KIND = { error: "errors", plan: "plans", action: "actions", chunk: "chunks", candidates: "candidates",
+  assessment: "assessments" };
+
+export class Record {
+  constructor() {
+    this.clear();
+  }
+
+  clear() {
+    for (const name of SERIES) this[name] = [];
+    this.horizon = 0;
+    this.period = 0;
+    this.model = "";
+    this.count = 0;
+  }
+
+  add(event) {
+    this.count++;
+    const t = milliseconds(event.stamp);
+    switch (event.t) {
+      case "picture": {
+        const { stamp, observed, k, source } = event;
+        insert(this[OF_SOURCE[source]], { t, at: milliseconds(event.at), stamp, observed, k, source, from: milliseconds(observed) });
+        break;
+      }
+      case "prediction":
+        this.horizon = Math.min(event.horizon, 64);
+        this.period = event.period_ms;
+        this.model = event.model;
+        if (event.k === 1 && event.latency_ms !== null) insert(this.latencies, { t: milliseconds(event.at), latency: event.latency_ms });
+        break;
+      case "log":
+        this.log.push({ ...event, t: milliseconds(event.at) });
+        break;
+      case "goal":
+        break;
+      default:
+        insert(this[OF_KIND[event.t]], { ...event, t });
+    }
+  }
+
+  /** Forgets what is older than `from`. */
+  prune(from) {
+    for (const name of SERIES) {
+      const items = this[name];
+      // A goal holds until the next.
+      const keep = name === "goals" || name === "plans" || name === "outcomes" ? 1 : 0;
+      let old = 0;
+      while (old < items.length - keep && items[old].t < from) old++;
+      if (old > 0) items.splice(0, old);
+    }
+  }
+
+  newest() {
+    return this.frames[this.frames.length - 1] ?? null;
+  }
+
+  /** How far a stamp may be from a moment: an eighth of a step is still that moment, and the next frame is further away. */
+  get tolerance() {
+    return (this.period || 400) / 8;
+  }
+
+  /** The frame nearest to `t`; with `exact`, of that moment or none. */
+  frame(t, exact = false) {
+    const index = lower(this.frames, t);
+    const [before, after] = [this.frames[index - 1], this.frames[index]];
+    const near = !before ? after : !after ? before : t - before.t <= after.t - t ? before : after;
+    if (!near || (exact && Math.abs(near.t - t) > this.tolerance)) return null;
+    return near;
+  }
+
+  /** The frame so many frames after this one, with `predicate` if there is one. */
+  step(frame, by, predicate = () => true) {
+    let index = lower(this.frames, frame.t) + by;
+    while (index >= 0 && index < this.frames.length && !predicate(this.frames[index])) index += Math.sign(by);
+    return this.frames[index] ?? null;
+  }
+
+  /** The picture that was predicted of the moment `t`, k steps before. */
+  predictionOf(t, k) {
+    let found = null;
+    for (let index = lower(this.predicted, t - this.tolerance); index < this.predicted.length; index++) {
+      const picture = this.predicted[index];
+      if (picture.t > t + this.tolerance) break;
+      if (picture.k === k && (!found || picture.from > found.from)) found = picture;
+    }
+    return found;
+  }
+
+  /** The newest frame of which there is a prediction, at or before `t`. */
+  newestPair(k, t) {
+    for (let index = lower(this.frames, t + 1e-3) - 1; index >= 0 && index > this.frames.length - 400; index--) {
+      const picture = this.predictionOf(this.frames[index].t, k);
+      if (picture) return { frame: this.frames[index], picture };
+    }
+    return null;
+  }
+
+  /** The pictures by k of the newest rollout that begins at or before `t`. */
+  rollout(t) {
+    const span = (this.horizon || 64) * (this.period || 400) + this.tolerance;
+    let from = -Infinity;
+    const end = lower(this.predicted, t + span);
+    // A rollout that is further back than so many pictures is none that is looked at.
+    for (let index = end - 1; index >= 0 && index > end - 1000; index--) {
+      const picture = this.predicted[index];
+      if (picture.from <= t + 1e-3 && picture.from > from) from = picture.from;
+      // What is predicted of a moment begins before it.
+      if (picture.t < from) break;
+    }
+    const steps = new Map();
+    for (const picture of this.within("predicted", from, from + span)) if (picture.from === from) steps.set(picture.k, picture);
+    return { from, steps };
+  }
+
+  before(name, t) {
+    return last(this[name], t);
+  }
+
+  within(name, from, to) {
+    const items = this[name];
+    return items.slice(lower(items, from), lower(items, to));
+  }
+
+  /** Squared error of k=1 over that of the held frame, summed over the 5 s before `t`; null where there is nothing to judge. */
+  ratio(t) {
+    let [mse, persistence, count] = [0, 0, 0];
+    for (const error of this.within("errors", t - 5000, t + 1e-3)) {
+      if (error.k !== 1) continue;
+      mse += error.mse;
+      persistence += error.persistence;
+      count++;
+    }
+    return count >= 3 && persistence > 0 ? mse / persistence : null;
+  }
+}

@@ -1,0 +1,316 @@
+//! Who may look: hosts, origins and the token.
+//!
+//! The page is served over HTTP on loopback. What a browser could be made to do by other pages is refused: a page of another
+//! origin (by `Origin`), and one whose name was bound to this address afterwards, by DNS rebinding (by `Host`: an address
+//! cannot be rebound, names other than localhost count only where the user has listed them).
+
+use crate::ViewError;
+use axum::http::{HeaderMap, StatusCode, header};
+use std::{
+    fmt::Write as _,
+    net::{IpAddr, Ipv6Addr, SocketAddr},
+    path::Path,
+};
+
+/// The subprotocol of the socket.
+pub const PROTOCOL: &str = "wm.view.v1";
+/// Before the token, as a further subprotocol: a browser's WebSocket sends no header of the page's choice.
+const TOKEN_PROTOCOL: &str = "wm.token.";
+/// Lengths of a token of the user's.
+const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=256;
+
+/// Who may look.
+#[derive(Debug)]
+pub struct Access {
+    hosts: Vec<String>,
+    token: Option<String>,
+}
+
+/// Why somebody may not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// The page was called by a name that is not this host's.
+    Host,
+    /// The page that asks is another one.
+    Origin,
+    /// No token, or a wrong one.
+    Token,
+}
+
+impl Refusal {
+    /// As an HTTP status.
+    pub const fn status(self) -> StatusCode {
+        match self {
+            Self::Host => StatusCode::MISDIRECTED_REQUEST,
+            Self::Origin => StatusCode::FORBIDDEN,
+            Self::Token => StatusCode::UNAUTHORIZED,
+        }
+    }
+
+    /// In words.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Host => {
+                "this name is not this host's: use its address, or list the name in the parameter hosts"
+            }
+            Self::Origin => "requests of other pages are refused",
+            Self::Token => "a token is needed: open the address that the node has printed",
+        }
+    }
+}
+
+impl Access {
+    /// Access under these names beside addresses and localhost; with a token, if there is one.
+    pub fn new(hosts: Vec<String>, token: Option<String>) -> Self {
+        Self { hosts, token }
+    }
+
+    /// That a request is to this host, and of its own page.
+    ///
+    /// # Errors
+    /// It is not.
+    pub fn check_origin(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+        let text = |name| headers.get(name).map(|value| value.to_str().unwrap_or(""));
+        let host = text(header::HOST).ok_or(Refusal::Host)?;
+        if !self.is_own(name_of(host)) {
+            return Err(Refusal::Host);
+        }
+        // Programs that are no browsers send none.
+        let Some(origin) = text(header::ORIGIN) else {
+            return Ok(());
+        };
+        let (_, authority) = origin.split_once("://").ok_or(Refusal::Origin)?;
+        if authority.eq_ignore_ascii_case(host) {
+            Ok(())
+        } else {
+            Err(Refusal::Origin)
+        }
+    }
+
+    /// That a request has the token, as `Authorization: Bearer` or as a subprotocol.
+    ///
+    /// # Errors
+    /// It has none, or a wrong one.
+    pub fn check_token(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+        let Some(token) = &self.token else {
+            return Ok(());
+        };
+        let bearer = headers.get(header::AUTHORIZATION);
+        let bearer = bearer.and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
+        let protocols = headers.get_all(header::SEC_WEBSOCKET_PROTOCOL).into_iter();
+        let protocols = protocols.filter_map(|value| value.to_str().ok());
+        let protocols = protocols.flat_map(|value| value.split(','));
+        let mut given = protocols
+            .filter_map(|protocol| protocol.trim().strip_prefix(TOKEN_PROTOCOL))
+            .chain(bearer);
+        if given.any(|given| is_same(given, token)) {
+            Ok(())
+        } else {
+            Err(Refusal::Token)
+        }
+    }
+
+    fn is_own(&self, name: &str) -> bool {
+        name.parse::<IpAddr>().is_ok()
+            || name.eq_ignore_ascii_case("localhost")
+            || self
+                .hosts
+                .iter()
+                .any(|host| name.eq_ignore_ascii_case(host))
+    }
+
+    /// The address to open.
+    pub fn url(&self, address: SocketAddr) -> String {
+        let mut shown = address;
+        if address.ip().is_unspecified() {
+            // Nobody can open that one; from this host, this one can be.
+            shown.set_ip(match address.ip() {
+                IpAddr::V4(_) => [127, 0, 0, 1].into(),
+                IpAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
+            });
+        }
+        match &self.token {
+            // Behind #: browsers keep that to themselves.
+            Some(token) => format!("http://{shown}/#token={token}"),
+            None => format!("http://{shown}/"),
+        }
+    }
+}
+
+/// The host without its port; an IPv6 address without its brackets.
+fn name_of(host: &str) -> &str {
+    if let Some(rest) = host.strip_prefix('[') {
+        return rest.split_once(']').map_or("", |(name, _)| name);
+    }
+    host.split_once(':').map_or(host, |(name, _)| name)
+}
+
+/// Compares in a time that does not tell where the texts differ.
+fn is_same(given: &str, token: &str) -> bool {
+    let pairs = given.bytes().zip(token.bytes());
+    let differing = pairs.fold(0, |all, (a, b)| all | (a ^ b));
+    given.len() == token.len() && std::hint::black_box(differing) == 0
+}
+
+/// The token for a page on this address: that of a file, or, where others than this host could reach it, a new one.
+///
+/// # Errors
+/// The file cannot be read, or holds no token.
+pub fn token(address: IpAddr, file: &Path) -> Result<Option<String>, ViewError> {
+    if file.as_os_str().is_empty() {
+        return Ok((!address.is_loopback()).then(new_token));
+    }
+    let text = std::fs::read_to_string(file).map_err(|source| ViewError::TokenFile {
+        path: file.to_owned(),
+        source,
+    })?;
+    let token = text.lines().next().unwrap_or("").trim();
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || "._~-".contains(c);
+    if TOKEN_LENGTHS.contains(&token.len()) && token.chars().all(is_allowed) {
+        return Ok(Some(token.to_owned()));
+    }
+    Err(ViewError::Token {
+        path: file.to_owned(),
+        length: token.len(),
+    })
+}
+
+/// 128 bits that nobody can guess.
+fn new_token() -> String {
+    let bytes: [u8; 16] = rand::random();
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        // Writing to a text cannot fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::http::HeaderName;
+    use proptest::prelude::*;
+
+    fn headers(pairs: &[(HeaderName, &str)]) -> HeaderMap {
+        let pairs = pairs.iter();
+        pairs
+            .map(|(name, value)| (name.clone(), value.parse().unwrap()))
+            .collect()
+    }
+
+    fn of(host: &str, origin: Option<&str>) -> Result<(), Refusal> {
+        let access = Access::new(vec!["robot.local".to_owned()], None);
+        let host = (header::HOST, host);
+        let origin = origin.map(|origin| (header::ORIGIN, origin));
+        let pairs: Vec<_> = std::iter::once(host).chain(origin).collect();
+        access.check_origin(&headers(&pairs))
+    }
+
+    #[test]
+    fn addresses_localhost_and_listed_names_are_this_host() {
+        for host in [
+            "127.0.0.1:8765",
+            "localhost",
+            "LocalHost:1",
+            "[::1]:8765",
+            "10.0.0.7:8765",
+            "robot.local:8765",
+        ] {
+            assert_eq!(of(host, None), Ok(()), "{host}");
+        }
+        for host in [
+            "evil.example:8765",
+            "127.0.0.1.evil.example",
+            "",
+            "[::1",
+            "localhost.evil.example:8765",
+        ] {
+            assert_eq!(of(host, None), Err(Refusal::Host), "{host}");
+        }
+        let none = Access::new(Vec::new(), None).check_origin(&HeaderMap::new());
+        assert_eq!(none, Err(Refusal::Host));
+    }
+
+    #[test]
+    fn only_the_pages_own_origin_may_ask() {
+        let host = "127.0.0.1:8765";
+        assert_eq!(of(host, Some("http://127.0.0.1:8765")), Ok(()));
+        for origin in [
+            "http://evil.example",
+            "http://127.0.0.1:9999",
+            "http://localhost:8765",
+            "null",
+            "",
+        ] {
+            assert_eq!(of(host, Some(origin)), Err(Refusal::Origin), "{origin}");
+        }
+    }
+
+    #[test]
+    fn the_token_comes_as_header_or_subprotocol() {
+        let access = Access::new(Vec::new(), Some("secret-secret-secret".to_owned()));
+        let check = |name: HeaderName, value: &str| access.check_token(&headers(&[(name, value)]));
+        let protocol = header::SEC_WEBSOCKET_PROTOCOL;
+        assert_eq!(
+            check(header::AUTHORIZATION, "Bearer secret-secret-secret"),
+            Ok(())
+        );
+        assert_eq!(
+            check(
+                protocol.clone(),
+                "wm.view.v1, wm.token.secret-secret-secret"
+            ),
+            Ok(())
+        );
+        for (name, value) in [
+            (header::AUTHORIZATION, "Bearer secret-secret-secre"),
+            (header::AUTHORIZATION, "secret-secret-secret"),
+            (protocol.clone(), "wm.view.v1"),
+            (protocol, "wm.token.secret-secret-secret2"),
+        ] {
+            assert_eq!(check(name, value), Err(Refusal::Token), "{value}");
+        }
+        assert_eq!(
+            Access::new(Vec::new(), None).check_token(&HeaderMap::new()),
+            Ok(())
+        );
+    }
+
+    #[test]
+    fn beyond_loopback_there_is_always_a_token() {
+        let none = Path::new("");
+        assert_eq!(token([127, 0, 0, 1].into(), none).unwrap(), None);
+        let first = token([0, 0, 0, 0].into(), none).unwrap().unwrap();
+        assert_eq!(first.len(), 32);
+        assert_ne!(Some(first), token([10, 0, 0, 7].into(), none).unwrap());
+
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("token");
+        assert!(matches!(
+            token([127, 0, 0, 1].into(), &file),
+            Err(ViewError::TokenFile { .. })
+        ));
+        for wrong in ["short", "with spaces in it, and long", ""] {
+            std::fs::write(&file, wrong).unwrap();
+            let error = token([127, 0, 0, 1].into(), &file).unwrap_err();
+            assert!(matches!(error, ViewError::Token { .. }), "{error}");
+        }
+        std::fs::write(&file, "0123456789abcdef\n").unwrap();
+        let own = token([127, 0, 0, 1].into(), &file).unwrap();
+        assert_eq!(own.as_deref(), Some("0123456789abcdef"));
+        let url = Access::new(Vec::new(), own).url(([0, 0, 0, 0], 80).into());
+        assert_eq!(url, "http://127.0.0.1:80/#token=0123456789abcdef");
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_the_headers_are_they_are_judged(host in "[ -~]{0,40}", origin in "[ -~]{0,40}") {
+            let _ = of(&host, Some(&origin));
+        }
+
+        #[test]
+        fn only_equal_tokens_are_the_same(a in "[a-f0-9]{0,8}", b in "[a-f0-9]{0,8}") {
+            prop_assert_eq!(is_same(&a, &b), a == b);
+        }
+    }
+}

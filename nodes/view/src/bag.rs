@@ -1,0 +1,226 @@
+//! A recorded bag in place of live topics: all its events, and its pictures when they are looked at.
+
+use crate::{
+    picture::{Label, Picture, Source},
+    server::Shared,
+    state::{Left, State, Topic},
+    status::Heard,
+};
+use anyhow::{Context as _, Result};
+use std::{
+    collections::{BTreeMap, HashMap},
+    path::Path,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+use tokio::sync::Semaphore;
+use wm_bag::{BagError, BagMessage, BagReader};
+use wm_camera::camera_frame::CameraFrame;
+use wm_msgs::{
+    diagnostic_msgs::DiagnosticArray,
+    wm_msgs::{
+        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, Plan, Prediction,
+        PredictionError,
+    },
+};
+
+/// Pictures that are read at a time: each takes a chunk of the bag in memory.
+const READERS: usize = 2;
+/// After so many messages clients are told what was found.
+const STRIDE: usize = 500;
+
+/// A bag that is shown.
+pub struct Bag {
+    reader: BagReader,
+    topics: BTreeMap<String, Topic>,
+    places: Mutex<HashMap<Label, Place>>,
+    readers: Semaphore,
+}
+
+/// Where a picture is.
+#[derive(Clone, Debug)]
+struct Place {
+    topic: Arc<str>,
+    log_time_ns: u64,
+}
+
+/// What a message could not be used for.
+#[derive(Debug, thiserror::Error)]
+enum Unusable {
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    #[error("{}", .0.text())]
+    Left(Left),
+}
+
+impl From<Left> for Unusable {
+    fn from(left: Left) -> Self {
+        Self::Left(left)
+    }
+}
+
+impl Bag {
+    /// Opens the bag at `path`, and looks in it for these topics.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn open(path: &Path, heard: &[Heard]) -> Result<Self> {
+        let reader = BagReader::open(path).with_context(|| format!("bag {}", path.display()))?;
+        for warning in reader.warnings() {
+            tracing::warn!("{warning}");
+        }
+        let has = |name: &str| {
+            reader
+                .topic(name)
+                .is_some_and(|topic| topic.message_count > 0)
+        };
+        let mut topics = BTreeMap::new();
+        for Heard { topic, name, .. } in heard {
+            let compressed = format!("{name}/compressed");
+            let is_picture = Source::ALL
+                .into_iter()
+                .any(|source| Topic::of(source) == *topic);
+            if is_picture && has(&compressed) {
+                topics.insert(compressed, *topic);
+            } else {
+                topics.insert(name.clone(), *topic);
+            }
+        }
+        // Goals of other kinds have a topic of their own, which counts as the same.
+        if let Some((name, _)) = topics.iter().find(|(_, topic)| **topic == Topic::Goal) {
+            let name = name
+                .trim_end_matches("/compressed")
+                .trim_end_matches("/image");
+            topics.insert(name.to_owned(), Topic::Goal);
+        }
+        Ok(Self {
+            reader,
+            topics,
+            places: Mutex::default(),
+            readers: Semaphore::new(READERS),
+        })
+    }
+
+    /// What to call it.
+    pub fn name(&self) -> String {
+        self.reader.path().display().to_string()
+    }
+
+    /// No invariant spans the lock.
+    fn places(&self) -> MutexGuard<'_, HashMap<Label, Place>> {
+        self.places.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads all of it, and tells the clients of what it finds on the way. It takes as long as reading the file.
+    pub fn read(&self, shared: &Shared) {
+        let mut unusable: BTreeMap<String, (u64, String)> = BTreeMap::new();
+        let messages = self.reader.messages().only_topics(self.topics.keys());
+        for (number, message) in messages.enumerate() {
+            let (topic, told) = match message {
+                Ok(message) => {
+                    let told = self.tell(&mut shared.known().state, &message);
+                    (message.topic.to_string(), told)
+                }
+                Err(error) => ("(the bag)".to_owned(), Err(error.into())),
+            };
+            if let Err(error) = told {
+                let entry = unusable.entry(topic);
+                entry.or_insert_with(|| (0, error.to_string())).0 += 1;
+            }
+            if number % STRIDE == 0 {
+                shared.wake();
+            }
+        }
+        for (topic, (number, reason)) in unusable {
+            tracing::warn!("{topic}: {number} messages are left out: {reason}");
+        }
+        shared.renew_status();
+        shared.wake();
+    }
+
+    fn tell(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
+        let now_ns = i64::try_from(message.log_time_ns).unwrap_or(i64::MAX);
+        let Some(topic) = self.topics.get(&*message.topic) else {
+            return Ok(());
+        };
+        match topic {
+            Topic::Camera => self.picture_in(state, Source::Camera, message, now_ns)?,
+            Topic::Pictures => self.picture_in(state, Source::Predicted, message, now_ns)?,
+            Topic::Outcome => self.picture_in(state, Source::Plan, message, now_ns)?,
+            Topic::CandidatePictures => {
+                self.picture_in(state, Source::Candidates, message, now_ns)?;
+            }
+            Topic::Goal if message.topic.contains("/image") => {
+                self.picture_in(state, Source::Goal, message, now_ns)?;
+            }
+            Topic::Goal => state.goal(&message.decode::<Goal>()?, now_ns),
+            Topic::Predicted => state.prediction(&message.decode::<Prediction>()?, now_ns)?,
+            Topic::Errors => state.error(&message.decode::<PredictionError>()?, now_ns),
+            Topic::Action => state.action(&message.decode::<Action>()?, now_ns),
+            Topic::Chunk => state.chunk(&message.decode::<ActionChunk>()?, now_ns),
+            Topic::Plan => state.plan(&message.decode::<Plan>()?, now_ns),
+            Topic::Candidates => {
+                state.candidates(Arc::new(message.decode::<ActionCandidates>()?), now_ns)?;
+            }
+            Topic::Assessment => state.assessment(&message.decode::<Assessment>()?, now_ns),
+            Topic::Executor => state.executor(&message.decode::<ExecutorStatus>()?, now_ns),
+            Topic::Diagnostics => state.diagnostics(&message.decode::<DiagnosticArray>()?, now_ns),
+            Topic::Log => state.log(&message.decode::<wm_ros::Log>()?, now_ns),
+        }
+        Ok(())
+    }
+
+    fn picture_in(
+        &self,
+        state: &mut State,
+        source: Source,
+        message: &BagMessage,
+        now_ns: i64,
+    ) -> Result<(), Unusable> {
+        let stamp_ns = CameraFrame::of_bag(message)?.header().stamp.to_nanos();
+        if let Some(label) = state.label(source, stamp_ns, now_ns)? {
+            let place = Place {
+                topic: Arc::clone(&message.topic),
+                log_time_ns: message.log_time_ns,
+            };
+            self.places().insert(label, place);
+            state.seen(&label, now_ns);
+        }
+        Ok(())
+    }
+
+    /// Reads a picture; none where the bag has no such picture.
+    ///
+    /// # Errors
+    /// What is wrong with the bag there, in words.
+    pub async fn picture(self: Arc<Self>, label: Label) -> Result<Option<Arc<Picture>>, String> {
+        let Some(place) = self.places().get(&label).cloned() else {
+            return Ok(None);
+        };
+        let bag = Arc::clone(&self);
+        // It is never closed.
+        let _reading = self
+            .readers
+            .acquire()
+            .await
+            .map_err(|error| error.to_string())?;
+        let read = tokio::task::spawn_blocking(move || bag.read_picture(label, &place));
+        let read = read.await.map_err(|error| error.to_string())?;
+        read.map_err(|error| format!("{error:#}"))
+    }
+
+    fn read_picture(&self, label: Label, place: &Place) -> Result<Option<Arc<Picture>>> {
+        let messages = self.reader.messages().only_topics([&place.topic]);
+        for message in messages.starting_at(place.log_time_ns) {
+            let message = message?;
+            if message.log_time_ns > place.log_time_ns {
+                break;
+            }
+            let frame = CameraFrame::of_bag(&message)?;
+            if frame.header().stamp.to_nanos() == label.stamp_ns {
+                let now_ns = i64::try_from(message.log_time_ns).unwrap_or(i64::MAX);
+                return Ok(Some(Arc::new(Picture::of(&frame, label, now_ns)?)));
+            }
+        }
+        Ok(None)
+    }
+}

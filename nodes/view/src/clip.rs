@@ -1,0 +1,33 @@
+//! Texts and lists of others are cut before they are kept: what the state holds is bounded by its limits, not by what comes.
+
+/// The first `limit` bytes of a text, cut between characters; what was cut off shows as an ellipsis.
+pub fn text(text: &str, limit: usize) -> String {
+    if text.len() <= limit {
+        return text.to_owned();
+    }
+    let end = (0..=limit)
+        .rev()
+        .find(|end| text.is_char_boundary(*end))
+        .unwrap_or(0);
+    format!("{}…", text.get(..end).unwrap_or_default())
+}
+
+/// The first `limit` of a list.
+pub fn list<T: Clone>(list: &[T], limit: usize) -> Vec<T> {
+    list.iter().take(limit).cloned().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_text_is_cut_between_characters(whole in ".{0,40}", limit in 0usize..50) {
+            let cut = text(&whole, limit);
+            prop_assert!(cut.len() <= limit + '…'.len_utf8());
+            prop_assert!(cut == whole || whole.starts_with(cut.trim_end_matches('…')));
+        }
+    }
+}

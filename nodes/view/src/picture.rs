@@ -1,0 +1,290 @@
+//! A picture as a client gets it: a short binary header, and the JPEG or PNG as it was published.
+
+use crate::clip;
+use bytes::Bytes;
+use thiserror::Error;
+use wm_camera::{
+    camera_frame::CameraFrame,
+    image_message::{ImageError, encode_jpeg},
+};
+
+/// What a picture shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum Source {
+    /// What the camera sees.
+    Camera = 0,
+    /// What the model expects, k steps after an observation.
+    Predicted = 1,
+    /// What the camera would see after a plan.
+    Plan = 2,
+    /// What each of a policy's candidates would do, one row a candidate.
+    Candidates = 3,
+    /// What the planner is to reach.
+    Goal = 4,
+}
+
+impl Source {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Camera,
+        Self::Predicted,
+        Self::Plan,
+        Self::Candidates,
+        Self::Goal,
+    ];
+
+    /// The name in addresses and events.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Camera => "camera",
+            Self::Predicted => "predicted",
+            Self::Plan => "plan",
+            Self::Candidates => "candidates",
+            Self::Goal => "goal",
+        }
+    }
+
+    /// The source of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|source| source.name() == name)
+    }
+}
+
+/// How a picture is compressed. Browsers show both.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Format {
+    /// JPEG.
+    Jpeg = 0,
+    /// PNG.
+    Png = 1,
+}
+
+impl Format {
+    /// By the first bytes: what a message says of its format differs from driver to driver.
+    fn of(data: &[u8]) -> Option<Self> {
+        if data.starts_with(b"\xff\xd8\xff") {
+            Some(Self::Jpeg)
+        } else if data.starts_with(b"\x89PNG\r\n\x1a\n") {
+            Some(Self::Png)
+        } else {
+            None
+        }
+    }
+
+    /// The media type.
+    pub const fn media_type(self) -> &'static str {
+        match self {
+            Self::Jpeg => "image/jpeg",
+            Self::Png => "image/png",
+        }
+    }
+}
+
+/// Which picture it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Label {
+    /// What it shows.
+    pub source: Source,
+    /// k of a predicted picture; 0 of others.
+    pub step: u8,
+    /// The moment that it shows \[ns\].
+    pub stamp_ns: i64,
+    /// The observation that a predicted picture starts from; of others, the moment itself \[ns\].
+    pub observed_ns: i64,
+}
+
+impl Label {
+    /// A picture that is no prediction.
+    pub const fn of(source: Source, stamp_ns: i64) -> Self {
+        Self {
+            source,
+            step: 0,
+            stamp_ns,
+            observed_ns: stamp_ns,
+        }
+    }
+}
+
+/// Why an image message is no picture for the page.
+#[derive(Debug, Error)]
+pub enum PictureError {
+    /// Neither JPEG nor PNG.
+    #[error("compressed as \"{0}\", expected JPEG or PNG")]
+    Format(String),
+    /// Larger than is kept.
+    #[error("has {actual} bytes, expected at most {MAX_BYTES}")]
+    Size {
+        /// Its size \[byte\].
+        actual: usize,
+    },
+    /// A raw image that cannot be encoded.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+}
+
+/// Largest picture that is kept \[byte\]: an 8K JPEG of good quality.
+pub const MAX_BYTES: usize = 16 << 20;
+
+/// JPEG quality of raw images: artefacts stay below what the eye sees at this size.
+const QUALITY: u8 = 85;
+
+/// Version of the header's layout.
+const VERSION: u8 = 1;
+
+/// Bytes of the header: version, source, format, step, then three stamps, little endian.
+pub const HEADER_LEN: usize = 4 + 3 * 8;
+
+/// A picture that can be sent. Clones share the bytes.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Which it is.
+    pub label: Label,
+    /// How it is compressed.
+    pub format: Format,
+    /// Its optical frame.
+    pub frame_id: String,
+    /// Header and data.
+    message: Bytes,
+}
+
+impl Picture {
+    /// The picture of an image message that arrived at `received_ns`. A raw image is encoded, which takes milliseconds.
+    ///
+    /// # Errors
+    /// Names what is wrong with the image.
+    pub fn of(frame: &CameraFrame, label: Label, received_ns: i64) -> Result<Self, PictureError> {
+        let encoded;
+        let image = match frame {
+            CameraFrame::Compressed(image) => image,
+            CameraFrame::Raw(image) => {
+                encoded = encode_jpeg(&frame.decode()?, image.header.clone(), QUALITY)?;
+                &encoded
+            }
+        };
+        let data = &image.data;
+        let format =
+            Format::of(data).ok_or_else(|| PictureError::Format(clip::text(&image.format, 64)))?;
+        if data.len() > MAX_BYTES {
+            return Err(PictureError::Size { actual: data.len() });
+        }
+        let mut message = Vec::with_capacity(HEADER_LEN + data.len());
+        message.extend([VERSION, label.source as u8, format as u8, label.step]);
+        for stamp in [label.stamp_ns, label.observed_ns, received_ns] {
+            message.extend(stamp.to_le_bytes());
+        }
+        message.extend(data);
+        Ok(Self {
+            label,
+            format,
+            frame_id: clip::text(&image.header.frame_id, 256),
+            message: message.into(),
+        })
+    }
+
+    /// What is sent over the socket.
+    pub fn message(&self) -> Bytes {
+        self.message.clone()
+    }
+
+    /// The JPEG or PNG alone.
+    pub fn data(&self) -> Bytes {
+        self.message.slice(HEADER_LEN..)
+    }
+
+    /// Bytes that it holds.
+    pub fn len(&self) -> usize {
+        self.message.len()
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use image::{Rgb, RgbImage};
+    use proptest::prelude::*;
+    use wm_camera::image_message::encode_image;
+    use wm_msgs::{builtin_interfaces::Time, sensor_msgs::CompressedImage, std_msgs::Header};
+
+    pub fn header(stamp_ns: i64) -> Header {
+        Header {
+            stamp: Time::from_nanos(stamp_ns),
+            frame_id: "camera".to_owned(),
+        }
+    }
+
+    /// A small JPEG of one grey level.
+    pub fn jpeg(stamp_ns: i64, level: u8) -> CameraFrame {
+        let rgb = RgbImage::from_pixel(16, 16, Rgb([level; 3]));
+        CameraFrame::Compressed(encode_jpeg(&rgb, header(stamp_ns), 90).unwrap())
+    }
+
+    pub fn picture(label: Label) -> Picture {
+        Picture::of(&jpeg(label.stamp_ns, 100), label, 7).unwrap()
+    }
+
+    /// What a client reads of a header.
+    fn read(message: &[u8]) -> Option<(u8, u8, u8, u8, [i64; 3])> {
+        let (&[version, source, format, step], stamps) = message.split_first_chunk()?;
+        let stamp = |index: usize| {
+            let bytes = stamps.get(8 * index..)?.first_chunk()?;
+            Some(i64::from_le_bytes(*bytes))
+        };
+        Some((
+            version,
+            source,
+            format,
+            step,
+            [stamp(0)?, stamp(1)?, stamp(2)?],
+        ))
+    }
+
+    proptest! {
+        #[test]
+        fn the_header_says_which_picture_it_is(
+            index in 0usize..5, step: u8, stamp_ns: i64, observed_ns: i64, received_ns: i64,
+        ) {
+            let label = Label { source: Source::ALL[index], step, stamp_ns, observed_ns };
+            let frame = jpeg(0, 10);
+            let picture = Picture::of(&frame, label, received_ns).unwrap();
+            let CameraFrame::Compressed(image) = frame else { unreachable!() };
+            prop_assert_eq!(&picture.data()[..], &image.data[..]);
+            let expected = (1, index as u8, 0, step, [stamp_ns, observed_ns, received_ns]);
+            prop_assert_eq!(read(&picture.message()), Some(expected));
+            prop_assert_eq!(Source::named(label.source.name()), Some(label.source));
+        }
+    }
+
+    #[test]
+    fn a_raw_image_becomes_a_jpeg_and_what_is_no_picture_is_refused_by_name() {
+        let rgb = RgbImage::from_pixel(32, 16, Rgb([200, 20, 20]));
+        let label = Label::of(Source::Camera, 5);
+        let raw = Picture::of(&CameraFrame::Raw(encode_image(&rgb, header(5))), label, 6).unwrap();
+        let back = image::load_from_memory(&raw.data()).unwrap().into_rgb8();
+        assert_eq!(back.dimensions(), (32, 16));
+        assert!(
+            back.get_pixel(9, 9).0[0].abs_diff(200) < 8,
+            "{:?}",
+            back.get_pixel(9, 9)
+        );
+
+        let other = CameraFrame::Compressed(CompressedImage {
+            header: header(5),
+            format: "16UC1; compressedDepth".to_owned(),
+            data: vec![0; 40],
+        });
+        let error = Picture::of(&other, label, 6).unwrap_err().to_string();
+        assert!(error.contains("compressedDepth"), "{error}");
+        let mut data = b"\xff\xd8\xff".to_vec();
+        data.resize(MAX_BYTES + 1, 0);
+        let large = CameraFrame::Compressed(CompressedImage {
+            data,
+            ..CompressedImage::default()
+        });
+        assert!(matches!(
+            Picture::of(&large, label, 6),
+            Err(PictureError::Size { .. })
+        ));
+    }
+}

@@ -1,0 +1,129 @@
+//! An image topic, compressed where anybody publishes it so, else raw.
+
+use std::collections::BTreeMap;
+use wm_camera::camera_frame::CameraFrame;
+use wm_msgs::sensor_msgs::{CompressedImage, Image};
+use wm_ros::{
+    Direction, Endpoint, EndpointSpec, Error, Node, Qos, Received, Subscription, TopicInfo,
+};
+
+/// Pictures of an image topic. Raw images are subscribed to only while nobody publishes compressed ones: they are many times
+/// as large, and would take the time of those who publish them.
+pub struct PictureSubscription {
+    node: Node,
+    topic: String,
+    qos: Qos,
+    compressed: Subscription<CompressedImage>,
+    raw: Option<Subscription<Image>>,
+    /// What holds until something else is said, as a goal does: what was latched comes too.
+    is_catching_up: bool,
+}
+
+/// How many publish a topic, by its absolute name.
+pub type Publishers = BTreeMap<String, usize>;
+
+/// How many publish each topic.
+pub fn publishers(topics: Vec<TopicInfo>) -> Publishers {
+    let mut publishers = Publishers::new();
+    for topic in topics {
+        *publishers.entry(topic.name).or_default() += topic.publishers.len();
+    }
+    publishers
+}
+
+impl PictureSubscription {
+    /// Subscribes to the compressed sibling of `topic`.
+    ///
+    /// # Errors
+    /// The graph refuses.
+    pub fn new(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
+        Self::made(node, topic, qos, false)
+    }
+
+    /// As [`new`](Self::new), and what was latched before comes too.
+    ///
+    /// # Errors
+    /// The graph refuses.
+    pub fn catching_up(node: &Node, topic: &str, qos: Qos) -> Result<Self, Error> {
+        Self::made(node, topic, qos, true)
+    }
+
+    fn made(node: &Node, topic: &str, qos: Qos, is_catching_up: bool) -> Result<Self, Error> {
+        let sibling = node.resolve_sibling(topic, "compressed")?;
+        let compressed = match is_catching_up {
+            true => node.subscription_catching_up(&sibling, qos)?,
+            false => node.subscription(&sibling, qos)?,
+        };
+        Ok(Self {
+            node: node.clone(),
+            topic: node.resolve(topic)?,
+            qos,
+            compressed,
+            raw: None,
+            is_catching_up,
+        })
+    }
+
+    /// How many publish either of the two.
+    pub fn publishers(&self, publishers: &Publishers) -> usize {
+        let count = |topic: &str| publishers.get(topic).copied().unwrap_or(0);
+        count(&self.topic) + count(self.compressed.topic())
+    }
+
+    /// Subscribes to raw images where there are no others, and ends that where there are.
+    ///
+    /// # Errors
+    /// The graph refuses.
+    pub fn look(&mut self, publishers: &Publishers) -> Result<(), Error> {
+        let has = |topic: &str| publishers.get(topic).is_some_and(|number| *number > 0);
+        let wants_raw = has(&self.topic) && !has(self.compressed.topic());
+        if wants_raw && self.raw.is_none() {
+            tracing::info!(
+                "{} is published raw alone: its images are encoded here",
+                self.topic
+            );
+            let raw = match self.is_catching_up {
+                true => self.node.subscription_catching_up(&self.topic, self.qos)?,
+                false => self.node.subscription(&self.topic, self.qos)?,
+            };
+            self.raw = Some(raw);
+        } else if !wants_raw {
+            self.raw = None;
+        }
+        Ok(())
+    }
+
+    /// The next picture; `None` after shutdown. Cancel safe.
+    pub async fn recv(&mut self) -> Option<Received<CameraFrame>> {
+        let raw = async {
+            match &mut self.raw {
+                Some(raw) => raw.recv().await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            received = self.compressed.recv() => received.map(|received| received.map(CameraFrame::Compressed)),
+            received = raw => received.map(|received| received.map(CameraFrame::Raw)),
+        }
+    }
+}
+
+impl Endpoint for PictureSubscription {
+    fn specs(name: &str, qos: Qos, text: &str) -> Vec<EndpointSpec> {
+        let direction = Direction::Subscribed;
+        let compressed = format!("{name}/compressed");
+        vec![
+            EndpointSpec::topic::<CompressedImage>(direction, &compressed, qos, text),
+            EndpointSpec::topic::<Image>(
+                direction,
+                name,
+                qos,
+                "The same, raw, while nobody publishes it compressed.",
+            ),
+        ]
+    }
+
+    fn make(node: &Node, name: &str, qos: Qos) -> Result<Self, Error> {
+        Self::new(node, name, qos)
+    }
+}

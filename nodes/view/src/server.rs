@@ -1,0 +1,331 @@
+//! The page over HTTP.
+
+use crate::{
+    ViewError,
+    access::{Access, PROTOCOL, Refusal},
+    bag::Bag,
+    command::{Command, Permission},
+    cursor::Status,
+    listener::Connections,
+    page,
+    picture::{Label, MAX_BYTES, Picture, Source},
+    socket,
+    state::State,
+    status::{self, Heard, View},
+};
+use axum::{
+    Router,
+    extract::{Path, Request, State as Extracted, WebSocketUpgrade},
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    middleware::{self, Next},
+    response::{IntoResponse as _, Response},
+    routing::get,
+};
+use std::{
+    net::SocketAddr,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU64, AtomicUsize, Ordering},
+    },
+};
+use tokio::{
+    net::TcpListener,
+    sync::{mpsc, watch},
+};
+use wm_ros::Clock;
+
+/// Longest message of a client \[byte\]: a command is some hundred.
+const MAX_COMMAND: usize = 4 << 10;
+/// Connections for each client that may be connected: a socket, and what a browser opens beside it for pictures.
+const CONNECTIONS: usize = 8;
+
+/// What the node and the clients' tasks share.
+pub struct Shared {
+    known: Mutex<Known>,
+    /// Changes when a client may have something to send.
+    news: watch::Sender<u64>,
+    /// Commands for the node.
+    commands: mpsc::Sender<Asked>,
+    clients: AtomicUsize,
+    refused: Arc<AtomicU64>,
+    settings: Settings,
+}
+
+/// What does not change.
+pub struct Settings {
+    /// Who may look.
+    pub access: Access,
+    /// What clients may do.
+    pub permission: Permission,
+    /// Clients at a time.
+    pub max_clients: usize,
+    /// The first message of each client.
+    pub hello: String,
+    /// The bag that is shown.
+    pub bag: Option<Arc<Bag>>,
+    /// The node's clock.
+    pub clock: Clock,
+}
+
+/// What changes.
+pub struct Known {
+    /// What the view knows.
+    pub state: State,
+    /// The topics that are heard.
+    pub heard: Vec<Heard>,
+    /// The last message `status`.
+    pub status: Status,
+}
+
+/// A command that a client has sent.
+pub struct Asked {
+    /// The number of its answer.
+    pub number: u32,
+    /// What it asks for.
+    pub command: Command,
+    /// Where the answer goes.
+    pub answers: mpsc::Sender<String>,
+}
+
+impl Shared {
+    /// Nothing known but the state as it begins.
+    pub fn new(
+        state: State,
+        heard: Vec<Heard>,
+        settings: Settings,
+        commands: mpsc::Sender<Asked>,
+    ) -> Self {
+        Self {
+            known: Mutex::new(Known {
+                state,
+                heard,
+                status: Status::default(),
+            }),
+            news: watch::Sender::new(0),
+            commands,
+            clients: AtomicUsize::new(0),
+            refused: Arc::default(),
+            settings,
+        }
+    }
+
+    /// What is known. Each message leaves it whole, so one that panicked elsewhere leaves a usable state.
+    pub fn known(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Wakes the clients.
+    pub fn wake(&self) {
+        self.news.send_modify(|number| *number += 1);
+    }
+
+    /// What wakes a client.
+    pub fn news(&self) -> watch::Receiver<u64> {
+        self.news.subscribe()
+    }
+
+    /// What does not change.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Where commands go.
+    pub fn commands(&self) -> &mpsc::Sender<Asked> {
+        &self.commands
+    }
+
+    /// How many clients are connected.
+    pub fn clients(&self) -> usize {
+        self.clients.load(Ordering::Relaxed)
+    }
+
+    /// Renews the message `status`.
+    pub fn renew_status(&self) {
+        let view = View {
+            clients: self.clients(),
+            refused: self.refused.load(Ordering::Relaxed),
+        };
+        let now_ns = self.settings.clock.now().to_nanos();
+        let mut known = self.known();
+        let known = &mut *known;
+        known.status.message = status::message(&mut known.state, &known.heard, &view, now_ns);
+        known.status.number += 1;
+    }
+
+    /// A place for one more client, unless all are taken.
+    pub fn admit(self: &Arc<Self>) -> Option<Place> {
+        let limit = self.settings.max_clients;
+        let next = |clients: usize| (clients < limit).then_some(clients + 1);
+        let order = Ordering::Relaxed;
+        self.clients.fetch_update(order, order, next).ok()?;
+        Some(Place(Arc::clone(self)))
+    }
+}
+
+/// The place of a client, given back when it is dropped.
+pub struct Place(Arc<Shared>);
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.0.clients.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Listens on an address.
+///
+/// # Errors
+/// It is taken, or none of this machine's.
+pub async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ViewError> {
+    let refused = |source| ViewError::Listen { address, source };
+    let listener = TcpListener::bind(address).await.map_err(refused)?;
+    let bound = listener.local_addr().map_err(refused)?;
+    Ok((listener, bound))
+}
+
+/// Serves the page until the task is dropped.
+pub async fn serve(listener: TcpListener, shared: Arc<Shared>) {
+    let limit = shared.settings.max_clients * CONNECTIONS;
+    let connections = Connections::new(listener, limit, Arc::clone(&shared.refused));
+    if let Err(error) = axum::serve(connections, router(shared)).await {
+        tracing::error!("the page is no longer served: {error}");
+    }
+}
+
+fn router(shared: Arc<Shared>) -> Router {
+    let inside = Router::new()
+        .route("/access", get(|| async { StatusCode::NO_CONTENT }))
+        .route("/picture/{source}/{stamp}/{observed}/{k}", get(picture))
+        .route("/socket", get(connect))
+        .route_layer(middleware::from_fn_with_state(
+            Arc::clone(&shared),
+            with_token,
+        ));
+    let mut router = Router::new();
+    for file in page::FILES {
+        let serve = || async { ([(header::CONTENT_TYPE, file.media_type)], file.text) };
+        router = router.route(file.path, get(serve));
+    }
+    router
+        .merge(inside)
+        .layer(middleware::from_fn_with_state(
+            Arc::clone(&shared),
+            of_own_page,
+        ))
+        .with_state(shared)
+}
+
+impl From<Refusal> for Response {
+    fn from(refusal: Refusal) -> Self {
+        (refusal.status(), refusal.text()).into_response()
+    }
+}
+
+type Sharing = Extracted<Arc<Shared>>;
+
+/// Refuses requests to other hosts and of other pages, and has browsers be strict with every answer.
+async fn of_own_page(Extracted(shared): Sharing, request: Request, next: Next) -> Response {
+    let mut response = match shared.settings.access.check_origin(request.headers()) {
+        Ok(()) => next.run(request).await,
+        Err(refusal) => refusal.into(),
+    };
+    let headers: [(HeaderName, HeaderValue); 5] = [
+        (
+            header::CONTENT_SECURITY_POLICY,
+            HeaderValue::from_static(page::POLICY),
+        ),
+        (
+            header::X_CONTENT_TYPE_OPTIONS,
+            HeaderValue::from_static("nosniff"),
+        ),
+        (
+            header::REFERRER_POLICY,
+            HeaderValue::from_static("no-referrer"),
+        ),
+        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+        (
+            HeaderName::from_static("cross-origin-resource-policy"),
+            HeaderValue::from_static("same-origin"),
+        ),
+    ];
+    response.headers_mut().extend(headers);
+    response
+}
+
+async fn with_token(Extracted(shared): Sharing, request: Request, next: Next) -> Response {
+    match shared.settings.access.check_token(request.headers()) {
+        Ok(()) => next.run(request).await,
+        Err(refusal) => refusal.into(),
+    }
+}
+
+/// A picture that was seen, of the last minute or of the bag.
+async fn picture(
+    Extracted(shared): Sharing,
+    Path((source, stamp_ns, observed_ns, step)): Path<(String, i64, i64, u8)>,
+) -> Response {
+    let Some(source) = Source::named(&source) else {
+        return StatusCode::NOT_FOUND.into_response();
+    };
+    let label = Label {
+        source,
+        step,
+        stamp_ns,
+        observed_ns,
+    };
+    match find(&shared, label).await {
+        Ok(Some(picture)) => {
+            let media_type = [(header::CONTENT_TYPE, picture.format.media_type())];
+            (media_type, picture.data()).into_response()
+        }
+        Ok(None) => (StatusCode::NOT_FOUND, "this picture is no longer kept").into_response(),
+        Err(reason) => (StatusCode::INTERNAL_SERVER_ERROR, reason).into_response(),
+    }
+}
+
+/// The picture of a label, of the last minute or of the bag.
+///
+/// # Errors
+/// The bag cannot be read there, in words.
+pub async fn find(shared: &Shared, label: Label) -> Result<Option<Arc<Picture>>, String> {
+    match &shared.settings.bag {
+        Some(bag) => Arc::clone(bag).picture(label).await,
+        None => Ok(shared.known().state.album.find(&label).cloned()),
+    }
+}
+
+/// A client's socket.
+async fn connect(
+    Extracted(shared): Sharing,
+    headers: HeaderMap,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let upgrade = upgrade
+        .protocols([PROTOCOL])
+        .max_message_size(MAX_COMMAND)
+        .max_frame_size(MAX_COMMAND)
+        // Each message is sent at once.
+        .write_buffer_size(0)
+        .max_write_buffer_size(2 * MAX_BYTES);
+    if upgrade.selected_protocol().is_none() {
+        let offered = headers.get(header::SEC_WEBSOCKET_PROTOCOL);
+        tracing::debug!(
+            "a socket with the subprotocols {offered:?} is refused, expected {PROTOCOL}"
+        );
+        return (
+            StatusCode::BAD_REQUEST,
+            "expected the subprotocol wm.view.v1",
+        )
+            .into_response();
+    }
+    let Some(place) = shared.admit() else {
+        return (
+            StatusCode::SERVICE_UNAVAILABLE,
+            "as many clients as max_clients allows",
+        )
+            .into_response();
+    };
+    upgrade.on_upgrade(async move |socket| {
+        socket::serve(socket, &shared).await;
+        drop(place);
+    })
+}

@@ -1,0 +1,126 @@
+//! One client.
+
+use crate::{
+    command::Numbered,
+    cursor::Cursor,
+    server::{Asked, Shared},
+};
+use axum::{
+    Error,
+    extract::ws::{Message, WebSocket},
+};
+use futures::{
+    SinkExt as _, StreamExt as _,
+    stream::{SplitSink, SplitStream},
+};
+use std::time::Duration;
+use tokio::{sync::mpsc, time::MissedTickBehavior};
+
+/// How long a message may take to be sent. A client that takes longer stands still: it is let go, and its page connects
+/// again when it wakes.
+const SEND_LIMIT: Duration = Duration::from_secs(10);
+/// How often a client is asked whether it is still there.
+const PING_PERIOD: Duration = Duration::from_secs(10);
+/// Answers to commands that may wait.
+const ANSWERS: usize = 16;
+/// The shortest time from one delivery to the next: at a camera of 200 Hz, a client still gets 60 pictures a second.
+const PACE: Duration = Duration::from_millis(16);
+
+/// Serves a client until it goes, stands still, or says something that is no command.
+pub async fn serve(socket: WebSocket, shared: &Shared) {
+    // So that it does not wait for the next one.
+    shared.renew_status();
+    let (sink, stream) = socket.split();
+    let (sender, answers) = mpsc::channel(ANSWERS);
+    let ended = tokio::select! {
+        ended = send(sink, shared, answers) => ended,
+        ended = receive(stream, shared, sender) => ended,
+    };
+    if let Err(reason) = ended {
+        tracing::debug!("a client is let go: {reason}");
+    }
+}
+
+async fn deliver(sink: &mut SplitSink<WebSocket, Message>, message: Message) -> Result<(), String> {
+    let sent = tokio::time::timeout(SEND_LIMIT, sink.send(message)).await;
+    sent.map_err(|_| "it stands still".to_owned())?
+        .map_err(|error: Error| error.to_string())
+}
+
+async fn send(
+    mut sink: SplitSink<WebSocket, Message>,
+    shared: &Shared,
+    mut answers: mpsc::Receiver<String>,
+) -> Result<(), String> {
+    let mut news = shared.news();
+    let mut pings = tokio::time::interval(PING_PERIOD);
+    pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut cursor = Cursor::default();
+    let hello = shared.settings().hello.clone();
+    deliver(&mut sink, Message::Text(hello.into())).await?;
+    loop {
+        news.mark_unchanged();
+        loop {
+            if let Ok(answer) = answers.try_recv() {
+                deliver(&mut sink, Message::Text(answer.into())).await?;
+            }
+            let next = {
+                let known = shared.known();
+                cursor.next(&known.state, &known.status)
+            };
+            let Some(message) = next else { break };
+            deliver(&mut sink, message).await?;
+        }
+        tokio::time::sleep(PACE).await;
+        tokio::select! {
+            changed = news.changed() => changed.map_err(|_| "the node ends".to_owned())?,
+            Some(answer) = answers.recv() => deliver(&mut sink, Message::Text(answer.into())).await?,
+            _ = pings.tick() => deliver(&mut sink, Message::Ping(Vec::new().into())).await?,
+        }
+    }
+}
+
+async fn receive(
+    mut stream: SplitStream<WebSocket>,
+    shared: &Shared,
+    answers: mpsc::Sender<String>,
+) -> Result<(), String> {
+    while let Some(message) = stream.next().await {
+        match message.map_err(|error| error.to_string())? {
+            Message::Text(text) => {
+                let Numbered { number, command } = Numbered::parse(&text)?;
+                let permission = shared.settings().permission;
+                let refused = if command.needs() > permission {
+                    Some("not permitted: the parameter control says what is")
+                } else if shared.settings().bag.is_some() {
+                    Some("a bag is shown: there is nobody to tell")
+                } else {
+                    let asked = Asked {
+                        number,
+                        command,
+                        answers: answers.clone(),
+                    };
+                    let sent = shared.commands().try_send(asked);
+                    sent.is_err().then_some("too many commands wait")
+                };
+                if let Some(reason) = refused {
+                    answers.try_send(answer(number, Err(reason))).ok();
+                }
+            }
+            Message::Binary(_) => return Err("it sent bytes".to_owned()),
+            Message::Close(_) => break,
+            Message::Ping(_) | Message::Pong(_) => {}
+        }
+    }
+    Ok(())
+}
+
+/// The answer to a command.
+pub fn answer(number: u32, result: Result<&str, &str>) -> String {
+    let (is_done, text) = match result {
+        Ok(text) => (true, text),
+        Err(text) => (false, text),
+    };
+    serde_json::json!({ "op": "answer", "number": number, "done": is_done, "text": text })
+        .to_string()
+}

@@ -1,0 +1,393 @@
+//! How things are at this moment, as JSON: rates, nodes, executor, and what is missing.
+
+use crate::{
+    clip,
+    state::{State, Topic},
+};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use wm_msgs::{
+    diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},
+    wm_msgs::ExecutorStatus,
+};
+
+/// Nodes that are shown.
+const MAX_NODES: usize = 64;
+/// Figures of a node that are shown.
+const MAX_VALUES: usize = 80;
+/// Bytes of a text of the diagnostics.
+const MAX_TEXT: usize = 600;
+/// A node that has said nothing for so long is forgotten \[ns\].
+const FORGOTTEN_NS: i64 = 60_000_000_000;
+/// A camera that has been silent for so long is missed \[ns\].
+const SILENT_NS: i64 = 3_000_000_000;
+
+/// The nodes' diagnostics, the newest of each.
+#[derive(Debug, Default)]
+pub struct Nodes(BTreeMap<String, Node>);
+
+#[derive(Debug)]
+struct Node {
+    level: u8,
+    message: String,
+    values: Vec<(String, String)>,
+    heard_ns: i64,
+}
+
+impl Nodes {
+    /// Takes what nodes say of themselves.
+    pub fn update(&mut self, array: &DiagnosticArray, now_ns: i64) {
+        self.0
+            .retain(|_, node| now_ns.saturating_sub(node.heard_ns) < FORGOTTEN_NS);
+        for status in &array.status {
+            let name = clip::text(&status.name, MAX_TEXT);
+            if self.0.len() < MAX_NODES || self.0.contains_key(&name) {
+                self.0.insert(name, Node::of(status, now_ns));
+            }
+        }
+    }
+
+    /// Whether a node of this name has said something, in whatever namespace.
+    fn has(&self, name: &str) -> bool {
+        let is_it = |node: &String| node.rsplit('/').next() == Some(name);
+        self.0.keys().any(is_it)
+    }
+
+    fn json(&self, now_ns: i64) -> Vec<NodeJson<'_>> {
+        let nodes = self.0.iter().map(|(name, node)| NodeJson {
+            name,
+            level: node.level,
+            message: &node.message,
+            values: &node.values,
+            age_ms: now_ns.saturating_sub(node.heard_ns) / 1_000_000,
+        });
+        nodes.collect()
+    }
+}
+
+impl Node {
+    fn of(status: &DiagnosticStatus, heard_ns: i64) -> Self {
+        let values = status.values.iter().take(MAX_VALUES);
+        Self {
+            level: status.level,
+            message: clip::text(&status.message, MAX_TEXT),
+            values: values
+                .map(|pair| {
+                    (
+                        clip::text(&pair.key, MAX_TEXT),
+                        clip::text(&pair.value, MAX_TEXT),
+                    )
+                })
+                .collect(),
+            heard_ns,
+        }
+    }
+}
+
+/// What the executor does.
+#[derive(Debug, Serialize)]
+pub struct Executor {
+    state: &'static str,
+    reason: String,
+    begun: u64,
+    refused: u64,
+    vetoed: u64,
+    interrupted: u64,
+    #[serde(skip)]
+    heard_ns: i64,
+}
+
+impl Executor {
+    /// As its status says.
+    pub fn of(status: &ExecutorStatus, heard_ns: i64) -> Self {
+        Self {
+            state: match status.state {
+                ExecutorStatus::DRY_RUN => "dry run",
+                ExecutorStatus::IDLE => "idle",
+                ExecutorStatus::EXECUTING => "executing",
+                ExecutorStatus::STOPPING => "stopping",
+                ExecutorStatus::STOPPED => "stopped",
+                _ => "unknown",
+            },
+            reason: clip::text(&status.reason, MAX_TEXT),
+            begun: status.begun,
+            refused: status.refused,
+            vetoed: status.vetoed,
+            interrupted: status.interrupted,
+            heard_ns,
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct NodeJson<'a> {
+    name: &'a str,
+    level: u8,
+    message: &'a str,
+    values: &'a [(String, String)],
+    age_ms: i64,
+}
+
+#[derive(Serialize)]
+struct TopicJson<'a> {
+    name: &'a str,
+    hz: f64,
+    count: u64,
+    publishers: Option<usize>,
+    age_ms: Option<i64>,
+}
+
+/// Something that the page would show, and is not there.
+#[derive(Debug, PartialEq, Eq, Serialize)]
+pub struct Missing {
+    /// Which panel it is of.
+    panel: &'static str,
+    /// What is missing, and what to do.
+    text: String,
+}
+
+/// A topic that is heard, or looked for in a bag.
+#[derive(Clone, Debug)]
+pub struct Heard {
+    /// Which.
+    pub topic: Topic,
+    /// Its absolute name.
+    pub name: String,
+    /// Publishers that there are; none where that means nothing, in a bag.
+    pub publishers: Option<usize>,
+}
+
+/// What does not come from messages.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct View {
+    /// Clients that are connected.
+    pub clients: usize,
+    /// Connections that were refused, because there were too many.
+    pub refused: u64,
+}
+
+#[derive(Serialize)]
+struct Message<'a> {
+    op: &'static str,
+    now: String,
+    topics: Vec<TopicJson<'a>>,
+    nodes: Vec<NodeJson<'a>>,
+    executor: Option<&'a Executor>,
+    executor_age_ms: Option<i64>,
+    missing: Vec<Missing>,
+    kept_bytes: usize,
+    kept_s: f64,
+    view: &'a View,
+}
+
+/// The message `status`.
+pub fn message(state: &mut State, heard: &[Heard], view: &View, now_ns: i64) -> String {
+    let missing = missing(state, heard, now_ns);
+    let topics = heard.iter().map(|heard| {
+        let rate = state.rate(heard.topic);
+        TopicJson {
+            name: &heard.name,
+            hz: rate.hertz(now_ns),
+            count: rate.count(),
+            publishers: heard.publishers,
+            age_ms: rate.age_ns(now_ns).map(|age_ns| age_ns / 1_000_000),
+        }
+    });
+    let topics = topics.collect();
+    let executor = state.executor.as_ref();
+    let message = Message {
+        op: "status",
+        now: now_ns.to_string(),
+        topics,
+        nodes: state.nodes.json(now_ns),
+        executor,
+        executor_age_ms: executor
+            .map(|executor| now_ns.saturating_sub(executor.heard_ns) / 1_000_000),
+        missing,
+        kept_bytes: state.album.bytes(),
+        kept_s: state.album.span_ns() as f64 / 1e9,
+        view,
+    };
+    // Texts and numbers: it cannot fail.
+    serde_json::to_string(&message).unwrap_or_default()
+}
+
+/// What is missing, for whoever wonders why a panel is empty.
+fn missing(state: &mut State, heard: &[Heard], now_ns: i64) -> Vec<Missing> {
+    let find = |topic: Topic| heard.iter().find(|heard| heard.topic == topic);
+    let name = |topic: Topic| find(topic).map_or("", |heard| heard.name.as_str());
+    let is_bag = |topic: Topic| find(topic).is_none_or(|heard| heard.publishers.is_none());
+    let has_publisher = |topic: Topic| find(topic).is_some_and(|heard| heard.publishers > Some(0));
+    let camera = name(Topic::Camera);
+    let mut missing = Vec::new();
+    let mut miss = |panel, text| missing.push(Missing { panel, text });
+    let has_frames = state.rate(Topic::Camera).count() > 0;
+    match (
+        is_bag(Topic::Camera),
+        state.rate(Topic::Camera).age_ns(now_ns),
+    ) {
+        (true, None) => miss(
+            "camera",
+            format!("the bag has no pictures on {camera} or {camera}/compressed: set camera_topic"),
+        ),
+        (false, None) if has_publisher(Topic::Camera) => {
+            miss(
+                "camera",
+                format!("{camera} has a publisher, but no frame has come yet"),
+            );
+        }
+        (false, None) => miss(
+            "camera",
+            format!(
+                "no frame, and nobody publishes {camera} or {camera}/compressed: start a camera or a player, or set camera_topic"
+            ),
+        ),
+        (false, Some(age_ns)) if age_ns > SILENT_NS => {
+            miss(
+                "camera",
+                format!("the last frame came {} s ago", age_ns / 1_000_000_000),
+            );
+        }
+        _ => {}
+    }
+    let has_predictions = state.rate(Topic::Predicted).count() > 0;
+    let has_pictures = state.rate(Topic::Pictures).count() > 0;
+    if !has_predictions {
+        let text = if is_bag(Topic::Camera) {
+            format!("the bag has no predictions ({})", name(Topic::Predicted))
+        } else if !has_publisher(Topic::Predicted) {
+            "no predictor is running".to_owned()
+        } else if has_frames && state.rate(Topic::Action).count() == 0 {
+            format!(
+                "no prediction yet: no action has come on {}",
+                name(Topic::Action)
+            )
+        } else {
+            "no prediction yet: it takes the latents and actions of two model steps".to_owned()
+        };
+        miss("predicted", text);
+    } else if !has_pictures {
+        let text = if is_bag(Topic::Camera) || has_publisher(Topic::Pictures) {
+            format!(
+                "predictions come, but no pictures of them on {}",
+                name(Topic::Pictures)
+            )
+        } else {
+            "predictions come, but no decoder is running that makes pictures of them".to_owned()
+        };
+        miss("predicted", text);
+    }
+    if state.rate(Topic::Errors).count() == 0 {
+        let text = if has_predictions {
+            "no error yet: it takes the frame of the predicted time"
+        } else {
+            "no predictions, no errors"
+        };
+        miss("error", text.to_owned());
+    }
+    if state.rate(Topic::Plan).count() == 0 {
+        let text = if is_bag(Topic::Camera) {
+            "the bag has no plans"
+        } else if !state.nodes.has("planner") && !has_publisher(Topic::Plan) {
+            "no planner is running"
+        } else if state.rate(Topic::Goal).count() == 0 {
+            "no plan: the planner has no goal"
+        } else {
+            "no plan yet"
+        };
+        miss("plan", text.to_owned());
+    }
+    missing
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{picture::Source, state::tests::prediction};
+    use wm_msgs::diagnostic_msgs::KeyValue;
+
+    fn heard(publishers: Option<usize>) -> Vec<Heard> {
+        let topics = [
+            (Topic::Camera, "/camera/image_raw"),
+            (Topic::Predicted, "/wm/predicted"),
+            (Topic::Pictures, "/wm/predicted/image"),
+            (Topic::Action, "/wm/action"),
+            (Topic::Plan, "/wm/plan"),
+        ];
+        let heard = |(topic, name): (Topic, &str)| Heard {
+            topic,
+            name: name.to_owned(),
+            publishers,
+        };
+        topics.into_iter().map(heard).collect()
+    }
+
+    fn text_of<'a>(missing: &'a [Missing], panel: &str) -> &'a str {
+        let found = missing.iter().find(|missing| missing.panel == panel);
+        found.map_or("", |missing| &missing.text)
+    }
+
+    #[test]
+    fn what_is_missing_is_named_until_it_is_there() {
+        let mut state = State::live(1 << 20);
+        let found = missing(&mut state, &heard(Some(0)), 0);
+        assert!(
+            text_of(&found, "camera").contains("/camera/image_raw"),
+            "{found:?}"
+        );
+        assert_eq!(text_of(&found, "predicted"), "no predictor is running");
+        let found = missing(&mut state, &heard(Some(1)), 0);
+        assert!(
+            text_of(&found, "camera").contains("no frame has come"),
+            "{found:?}"
+        );
+        state.label(Source::Camera, 1, 1).unwrap();
+        let found = missing(&mut state, &heard(Some(1)), 2);
+        assert_eq!(text_of(&found, "camera"), "");
+        assert!(
+            text_of(&found, "predicted").contains("/wm/action"),
+            "{found:?}"
+        );
+        state.prediction(&prediction(0, 1), 3).unwrap();
+        let found = missing(&mut state, &heard(Some(0)), 4);
+        assert!(
+            text_of(&found, "predicted").contains("decoder"),
+            "{found:?}"
+        );
+        let found = missing(&mut state, &heard(Some(1)), 20 * SILENT_NS);
+        assert!(text_of(&found, "camera").contains("59 s ago"), "{found:?}");
+        let found = missing(&mut State::of_bag(), &heard(None), 0);
+        assert!(text_of(&found, "predicted").contains("the bag has no predictions"));
+    }
+
+    #[test]
+    fn nodes_are_bounded_and_forgotten() {
+        let status = |name: String| DiagnosticStatus {
+            name,
+            message: "x".repeat(10_000),
+            values: vec![KeyValue::default(); 1000],
+            ..DiagnosticStatus::default()
+        };
+        let array = |status| DiagnosticArray {
+            status,
+            ..DiagnosticArray::default()
+        };
+        let mut state = State::live(1 << 20);
+        let many = (0..1000)
+            .map(|number| status(format!("wm/{number}")))
+            .collect();
+        state.diagnostics(&array(many), 1);
+        assert_eq!(state.nodes.0.len(), MAX_NODES);
+        assert!(state.nodes.has("0") && !state.nodes.has("999"));
+        let text = message(&mut state, &heard(Some(1)), &View::default(), 2);
+        assert!(
+            text.len() < MAX_NODES * (MAX_TEXT + 20 * MAX_VALUES + 200),
+            "{}",
+            text.len()
+        );
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(json["nodes"].as_array().unwrap().len(), MAX_NODES);
+        state.diagnostics(&array(vec![status("wm/new".to_owned())]), 2 + FORGOTTEN_NS);
+        assert_eq!(state.nodes.0.len(), 1);
+    }
+}

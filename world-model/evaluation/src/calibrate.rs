@@ -1,0 +1,296 @@
+//! `wm model calibrate`: what the matrices of a model are multiplied with, from a bag, and what int8 then costs.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use candle_core::Tensor;
+use clap::Args;
+use wm_dataset::{ClipSource, DataOptions, Dataset, FrameValues as _};
+use wm_model::sampler::{Given, Rollout};
+use wm_model::{Decoder, Encoder, WorldModel};
+use wm_zoo::calibration::{FILE, Origin, STRENGTH};
+use wm_zoo::folder::DescribedFolder;
+use wm_zoo::{Calibration, ModelFolder};
+
+use crate::CONTEXT;
+use crate::windows::SEED;
+
+/// Frames that are predicted after every context.
+const PREDICTED: usize = 2;
+
+/// Measures what a model's matrices are multiplied with, for `"dtype": "int8"` in its model.json.
+///
+/// The model runs in f32 on frames and actions of bags, spread evenly over them. The largest absolute value of every input
+/// is written beside the model.json, where loading the model in int8 finds it. As many other frames tell how far int8 is from
+/// f32, with it and without.
+#[derive(Args, Clone, Debug)]
+pub struct CalibrateArgs {
+    /// The model's folder, with a model.json
+    #[arg(value_name = "DIR")]
+    model: String,
+    /// Bags, folders of bags, or folders that `wm dataset` prepared
+    #[arg(long = "bag", required = true, num_args = 1.., value_name = "PATH")]
+    bags: Vec<PathBuf>,
+    /// Frames to run the model on; fewer where the bags have fewer
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
+    frames: u32,
+    /// How much of the difficulty of inputs moves to the weights, 0 to 1
+    #[arg(long, value_name = "SHARE", default_value_t = STRENGTH, value_parser = strength)]
+    strength: f32,
+    /// Replace a calibration that is there
+    #[arg(long)]
+    overwrite: bool,
+    #[command(flatten)]
+    options: DataOptions,
+}
+
+fn strength(text: &str) -> Result<f32, String> {
+    match text.parse() {
+        Ok(value) if (0.0..=1.0).contains(&value) => Ok(value),
+        _ => Err("expected a number from 0 to 1".to_owned()),
+    }
+}
+
+/// The parts of a model that see frames.
+struct Parts {
+    encoder: Box<dyn Encoder>,
+    world: Option<WorldModel>,
+    decoder: Option<Box<dyn Decoder>>,
+}
+
+/// Frames one model step apart.
+struct Sample {
+    /// (N, H, W, 3), in 0..1.
+    pictures: Tensor,
+    /// (N, A): what the robot does from each frame on; none for a model that predicts nothing.
+    actions: Option<Tensor>,
+}
+
+/// What the parts make of a sample.
+struct Outputs {
+    latents: Tensor,
+    predicted: Option<Tensor>,
+    pictures: Option<Tensor>,
+}
+
+impl CalibrateArgs {
+    /// Runs it.
+    ///
+    /// # Errors
+    /// Names what cannot be used.
+    pub fn run(&self) -> Result<()> {
+        let folder = Path::new(&self.model);
+        let path = folder.join(FILE);
+        ensure!(
+            self.overwrite || !path.exists(),
+            "{} is there; --overwrite replaces it",
+            path.display()
+        );
+        let recorded = self.open()?.recorded();
+        let exact = Parts::load(&recorded)?;
+        let samples = self.samples(&exact)?;
+        // Every other one is kept for measuring.
+        let known: Vec<&Sample> = samples.iter().step_by(2).collect();
+        let mut frames = 0;
+        for sample in known {
+            exact.run(sample, None)?;
+            frames += sample.pictures.dim(0)?;
+        }
+        let calibration = recorded.calibration(Origin {
+            bags: self.bags.iter().map(|bag| name(bag)).collect(),
+            frames,
+            strength: self.strength,
+        })?;
+        calibration.write(folder)?;
+        let matrices: Vec<String> = calibration
+            .matrices()
+            .map(|(part, count)| format!("{part} {count}"))
+            .collect();
+        println!(
+            "{}: {frames} frames; matrices: {}",
+            path.display(),
+            matrices.join(", ")
+        );
+
+        let others: Vec<&Sample> = samples.iter().skip(1).step_by(2).collect();
+        if others.is_empty() {
+            println!("the bags are too short to measure what int8 costs");
+            return Ok(());
+        }
+        let expected = others.iter().map(|sample| exact.run(sample, None));
+        let expected: Vec<Outputs> = expected.collect::<Result<_>>()?;
+        let count = others.len() * others.first().map_or(0, |s| s.pictures.dims()[0]);
+        println!("\nrelative error of int8 against f32 on {count} other frames:\n");
+        println!("| | latents | predicted | pictures |\n|---|---|---|---|");
+        for (what, calibration) in [("not calibrated", None), ("calibrated", Some(calibration))] {
+            let errors = self.errors(calibration, &others, &expected)?;
+            let cells = errors.map(|error| match error {
+                Some(error) => format!("{error:.4}"),
+                None => "-".to_owned(),
+            });
+            println!("| {what} | {} |", cells.join(" | "));
+        }
+        Ok(())
+    }
+
+    fn open(&self) -> Result<Box<DescribedFolder>> {
+        match ModelFolder::open(&self.model).with_context(|| self.model.clone())? {
+            ModelFolder::Described(folder) => Ok(folder),
+            ModelFolder::Trained(_) => bail!(
+                "{}: it has no model.json, and only models with one are computed in int8",
+                self.model
+            ),
+        }
+    }
+
+    /// Twice as many frames as asked for, if there are as many, in samples that are spread evenly.
+    fn samples(&self, model: &Parts) -> Result<Vec<Sample>> {
+        let cache = tempfile::tempdir()?;
+        let size = model.encoder.input_size();
+        let dataset = Dataset::held_out(&self.bags, size, cache.path(), &self.options)?;
+        let asked = self.frames as usize * 2;
+        let Some(world) = &model.world else {
+            let episodes = dataset.episodes().iter();
+            let count: usize = episodes.map(|episode| episode.frame_count).sum();
+            let (height, width) = size;
+            let indices = (0..count).step_by(count.div_ceil(asked).max(1));
+            let samples = indices.map(|index| {
+                let mut values = Vec::new();
+                dataset.read(index, &mut values)?;
+                let shape = (1, height, width, 3);
+                Ok(Sample {
+                    pictures: Tensor::from_vec(values, shape, &candle_core::Device::Cpu)?,
+                    actions: None,
+                })
+            });
+            return samples.collect();
+        };
+        (world.encoding.space()).expect_same(dataset.action_space(), "the model", "the bags")?;
+        let clip = CONTEXT + PREDICTED;
+        let source = ClipSource::new(&dataset, &world.encoding, clip)?;
+        let clips = source.all();
+        let step = clips.len().div_ceil(asked.div_ceil(clip)).max(1);
+        let samples = clips.into_iter().step_by(step).map(|clip| {
+            let (pictures, actions) = source.tensors(&[clip])?;
+            Ok(Sample {
+                pictures: pictures.squeeze(0)?,
+                actions: Some(actions.squeeze(0)?),
+            })
+        });
+        samples.collect()
+    }
+
+    /// How far int8 is from `expected`: of latents, of what is predicted from the same latents, and of pictures of the same
+    /// predictions.
+    fn errors(
+        &self,
+        calibration: Option<Calibration>,
+        samples: &[&Sample],
+        expected: &[Outputs],
+    ) -> Result<[Option<f64>; 3]> {
+        let parts = Parts::load(&self.open()?.quantised(calibration))?;
+        let mut errors = [RelativeError::default(); 3];
+        for (sample, expected) in samples.iter().zip(expected) {
+            let found = parts.run(sample, Some(expected))?;
+            errors[0].add(Some(&found.latents), Some(&expected.latents))?;
+            errors[1].add(found.predicted.as_ref(), expected.predicted.as_ref())?;
+            errors[2].add(found.pictures.as_ref(), expected.pictures.as_ref())?;
+        }
+        Ok(errors.map(RelativeError::of_norm))
+    }
+}
+
+/// A bag's name, without the folders that it lies in: those are nobody's business.
+fn name(bag: &Path) -> String {
+    let absolute = std::path::absolute(bag).ok();
+    let name = absolute.as_deref().and_then(Path::file_name);
+    name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}
+
+impl Parts {
+    fn load(folder: &DescribedFolder) -> Result<Self> {
+        Ok(Self {
+            encoder: folder.encoder()?,
+            world: match folder.has_transition() {
+                true => Some(folder.world_model()?),
+                false => None,
+            },
+            decoder: folder.decoder()?,
+        })
+    }
+
+    /// Runs all of them; what is predicted and decoded starts from what `given` has, if it is given.
+    fn run(&self, sample: &Sample, given: Option<&Outputs>) -> Result<Outputs> {
+        let count = sample.pictures.dim(0)?;
+        // One at a time, as the nodes do it.
+        let latents = (0..count).map(|at| {
+            Ok(self
+                .encoder
+                .encode(&sample.pictures.narrow(0, at, 1)?.contiguous()?)?)
+        });
+        let latents = Tensor::cat(&latents.collect::<Result<Vec<_>>>()?, 0)?;
+        let observed = given.map_or(&latents, |given| &given.latents);
+        let predicted = match (&self.world, &sample.actions) {
+            (Some(world), Some(actions)) => Some(predict(world, observed, actions)?),
+            _ => None,
+        };
+        let to_decode = match given {
+            Some(given) => given.predicted.as_ref().unwrap_or(&given.latents),
+            None => predicted.as_ref().unwrap_or(&latents),
+        };
+        let decode = |decoder: &dyn Decoder| -> Result<Tensor> {
+            let pictures = (0..to_decode.dim(0)?)
+                .map(|at| Ok(decoder.decode(&to_decode.narrow(0, at, 1)?.contiguous()?)?));
+            Ok(Tensor::cat(&pictures.collect::<Result<Vec<_>>>()?, 0)?)
+        };
+        let pictures = self.decoder.as_deref().map(decode).transpose()?;
+        Ok(Outputs {
+            latents,
+            predicted,
+            pictures,
+        })
+    }
+}
+
+/// What follows the first [`CONTEXT`] latents under the actions.
+fn predict(world: &WorldModel, latents: &Tensor, actions: &Tensor) -> Result<Tensor> {
+    let model = &world.transition;
+    let context = latents.narrow(0, 0, CONTEXT)?.unsqueeze(0)?;
+    let past = actions.narrow(0, 0, CONTEXT - 1)?;
+    let mut rollout = Rollout::new(model, &model.config().sampler, &context, Some(&past), SEED)?;
+    let predicted = (CONTEXT..latents.dim(0)?).map(|at| {
+        let own = actions.narrow(0, at, 1)?;
+        let given = Given {
+            own_action: Some(&own),
+            ..Given::default()
+        };
+        Ok(rollout.next_given(&actions.narrow(0, at - 1, 1)?, given)?)
+    });
+    Ok(Tensor::cat(&predicted.collect::<Result<Vec<_>>>()?, 0)?)
+}
+
+/// Sums of squares.
+#[derive(Clone, Copy, Default)]
+struct RelativeError {
+    difference: f64,
+    expected: f64,
+}
+
+impl RelativeError {
+    fn add(&mut self, found: Option<&Tensor>, expected: Option<&Tensor>) -> Result<()> {
+        let (Some(found), Some(expected)) = (found, expected) else {
+            return Ok(());
+        };
+        let values = |x: &Tensor| x.flatten_all()?.to_vec1::<f32>();
+        for (found, expected) in values(found)?.into_iter().zip(values(expected)?) {
+            self.difference += (f64::from(found) - f64::from(expected)).powi(2);
+            self.expected += f64::from(expected).powi(2);
+        }
+        Ok(())
+    }
+
+    /// Norm of the difference over norm of what was expected, if there was anything.
+    fn of_norm(self) -> Option<f64> {
+        (self.expected > 0.0).then(|| (self.difference / self.expected).sqrt())
+    }
+}
