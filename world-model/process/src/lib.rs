@@ -10,7 +10,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 /// Freed memory stays with the process for so many milliseconds: what runs at the camera's rate, or step after step, finds
 /// its buffers again, whose pages the kernel would else have to clear each time (a tenth of a vision transformer's time, a
 /// twentieth of a training step's), and a node that has become idle still gives them back.
-const KEEP_FREED_MS: std::ffi::c_long = 1000;
+const KEEP_FREED_MS: std::ffi::c_long = 10_000;
 
 /// To be called first in `main`, while no other thread runs.
 pub fn prepare() {

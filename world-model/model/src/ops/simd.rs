@@ -144,6 +144,7 @@ pub(crate) static NO_BIAS: [f32; MOST_VECTORS * LANES] = [0.0; MOST_VECTORS * LA
 const CACHE_LINE: usize = 64;
 
 /// Asks for `values` to be brought into the second-level cache.
+#[inline]
 pub(crate) fn prefetch<T>(values: &[T]) {
     #[cfg(target_arch = "x86_64")]
     for line in values.chunks(CACHE_LINE / size_of::<T>().max(1)) {

@@ -4,6 +4,11 @@ use super::product::{LANES, Left, product, transpose};
 use crate::ops::exponential::exp;
 use crate::ops::reduction::{dot, largest, replace_and_sum};
 use crate::ops::rotary::{RotaryTable, normalise_and_rotate, normalise_and_rotate_backward};
+use crate::ops::simd::prefetch;
+
+/// Rows ahead that are asked for. A head's channels are a few cache lines of each row, far apart, which the processor does
+/// not foresee: without, half of the gradient's time was waiting for them.
+const AHEAD: usize = 8;
 
 /// One head of a sequence within a group: token `i` is row `sequence + i * stride`, of `d` values.
 #[derive(Clone, Copy)]
@@ -18,6 +23,17 @@ impl Place {
     #[inline(always)]
     fn row(self, token: usize) -> usize {
         self.sequence + token * self.stride
+    }
+
+    /// Asks for the head's channels of a coming row, in `parts` parts of `d` values.
+    #[inline(always)]
+    fn prefetch(self, rows: &[f32], token: usize, parts: usize, dim: usize) {
+        let row = self.row(token + AHEAD) * parts * self.d;
+        for part in 0..parts {
+            if let Some(values) = rows.get(row + part * self.d + self.head * dim..) {
+                prefetch(&values[..dim.min(values.len())]);
+            }
+        }
     }
 }
 
@@ -79,6 +95,7 @@ impl<'a> HeadKernel<'a> {
         let dim = self.dim;
         let Place { d, head, .. } = place;
         for i in 0..self.length {
+            place.prefetch(qkv, i, 3, dim);
             let row = &qkv[place.row(i) * 3 * d..][..3 * d];
             let angles = self.rotary.at(i);
             let out = i * self.wide;
@@ -105,6 +122,7 @@ impl<'a> HeadKernel<'a> {
     pub(super) fn load_grad(&mut self, grad: &[f32], place: Place) {
         let dim = self.dim;
         for (i, row) in self.out.chunks_exact_mut(self.wide).enumerate() {
+            place.prefetch(grad, i, 1, dim);
             let grad = &grad[place.row(i) * place.d + place.head * dim..][..dim];
             row[..dim].copy_from_slice(grad);
         }
@@ -116,6 +134,7 @@ impl<'a> HeadKernel<'a> {
         let dim = self.dim;
         let Place { d, head, .. } = place;
         for i in 0..self.length {
+            place.prefetch(out, i, 3, dim);
             let start = place.row(i) * 3 * d;
             let row = &qkv[start..][..3 * d];
             let out = &mut out[start..][..3 * d];
