@@ -73,7 +73,7 @@ fn where_nothing_is_heard_every_finding_says_what_to_do() {
     assert_eq!(of(&report, "camera")[0]["level"], "error");
     for finding in report["findings"].as_array().expect("findings") {
         let is_bad = finding["level"] == "warning" || finding["level"] == "error";
-        assert!(!is_bad || finding["mend"].is_string(), "{finding}");
+        assert!(!is_bad || finding["fix"].is_string(), "{finding}");
     }
     let (code, stdout, _) = run(
         fresh_domain(),

@@ -31,7 +31,7 @@ pub(crate) fn check(
         findings.push(
             Finding::error(CHECK, format!("{shown} is offered best effort"))
                 .because("the nodes ask for reliable delivery, so they are not connected: a lost action is a motion that nobody knows of")
-                .mend(format!("publish it reliable, or -p qos_overrides.{shown}.subscription.reliability:=best_effort on predictor, planner and evaluator")),
+                .fix(format!("publish it reliable, or -p qos_overrides.{shown}.subscription.reliability:=best_effort on predictor, planner and evaluator")),
         );
     }
     if stream.timeline.is_empty() {
@@ -40,7 +40,7 @@ pub(crate) fn check(
                 .because(
                     "an arm that stands still may publish nothing; the last action is then held",
                 )
-                .mend("move the arm and look again"),
+                .fix("move the arm and look again"),
         );
         return findings;
     }
@@ -53,7 +53,7 @@ pub(crate) fn check(
         findings.push(
             Finding::error(CHECK, what)
                 .because("what was done is told by single actions (wm_msgs/Action)")
-                .mend("name the topic of the actions with --action; remap /wm/action_chunk to this one"),
+                .fix("name the topic of the actions with --action; remap /wm/action_chunk to this one"),
         );
         return findings;
     }
@@ -70,7 +70,7 @@ pub(crate) fn check(
                 CHECK,
                 format!("{shown} is not the nodes' default, {DEFAULT_ACTION}"),
             )
-            .mend(format!(
+            .fix(format!(
                 "wm launch launch-configs/live.launch.yaml action:={shown}, or wm init DIR"
             )),
         );
@@ -84,14 +84,14 @@ fn absent(heard: &Heard, wanted: Option<&str>) -> Finding {
         None => "no actions (wm_msgs/Action)".to_owned(),
     };
     let why = "predictions then go on as if the arm stood still, and misses of it count as errors of the model";
-    let mend = match heard.motions.first() {
+    let fix = match heard.motions.first() {
         Some(motion) => format!(
             "wm init DIR --action {}, which starts the action adapter for it (docs/arm.md)",
             of_others(&motion.topic)
         ),
         None => "have the driver publish each action that it takes as wm_msgs/Action, or its velocities, poses or tf for wm action_adapter (docs/arm.md)".to_owned(),
     };
-    Finding::warning(CHECK, what).because(why).mend(mend)
+    Finding::warning(CHECK, what).because(why).fix(fix)
 }
 
 /// Whether the values are those that the model was trained on.
@@ -106,7 +106,7 @@ fn fit(name: &str, actions: &Actions, model: Option<&ModelFacts>) -> Vec<Finding
     let finding = |error| {
         Finding::error(CHECK, format!("{name}: {error}"))
             .because("the nodes refuse such actions (malformed_action)")
-            .mend("publish what the model was trained on, in m and rad, or train one on these actions (wm bag import --action-space FILE, wm train model)")
+            .fix("publish what the model was trained on, in m and rad, or train one on these actions (wm bag import --action-space FILE, wm train model)")
     };
     wrong.map(finding).into_iter().collect()
 }
@@ -126,7 +126,7 @@ fn stamped_with(
                 format!("{name}: {unstamped} messages have no valid stamp"),
             )
             .because("frames and actions are matched by their stamps")
-            .mend("stamp each action with the moment at which it is taken"),
+            .fix("stamp each action with the moment at which it is taken"),
         );
     }
     let camera = heard.camera(camera)?.1.best()?;
@@ -134,7 +134,7 @@ fn stamped_with(
     let finding = || {
         Finding::warning(CHECK, format!("{name}: stamps of actions and frames are {:.1} s apart", apart_s.abs()))
             .because("an action is matched with the frames of its stamp, here those of another moment")
-            .mend("stamp both by one clock: synchronise the machines, and stamp actions when they are taken")
+            .fix("stamp both by one clock: synchronise the machines, and stamp actions when they are taken")
     };
     (apart_s.abs() > APART_S).then(finding)
 }
@@ -202,13 +202,13 @@ mod tests {
     #[test]
     fn an_arm_that_publishes_something_else_has_an_adapter() {
         let mut heard = Heard::default();
-        let mend = |heard: &Heard| check(heard, None, None, None)[0].mend.clone().unwrap();
-        assert!(mend(&heard).contains("docs/arm.md"));
+        let fix = |heard: &Heard| check(heard, None, None, None)[0].fix.clone().unwrap();
+        assert!(fix(&heard).contains("docs/arm.md"));
         heard.motions.push(Motion {
             topic: "/arm/twist".into(),
             type_name: "geometry_msgs/msg/TwistStamped".into(),
             source: "twist",
         });
-        assert!(mend(&heard).contains("wm init DIR --action /arm/twist"));
+        assert!(fix(&heard).contains("wm init DIR --action /arm/twist"));
     }
 }

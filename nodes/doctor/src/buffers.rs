@@ -73,17 +73,17 @@ fn judge(buffers: &Buffers, dropped: u64, largest: u64) -> Vec<Finding> {
         return vec![
             Finding::warning(CHECK, format!("{dropped} datagrams were dropped while it was listened to, because a buffer was full ({sizes})"))
                 .because("a message that lacks one datagram is lost, or sent again if it is reliable")
-                .mend(MEND),
+                .fix(MEND),
         ];
     }
     let is_small = default < WANTED || most < WANTED;
     vec![match is_small {
         true if largest > default => Finding::warning(CHECK, format!("messages of {} KiB, and {sizes}", largest / 1024))
             .because("drivers of other DDS implementations send a picture in one burst, which has to fit; nodes of wm need nothing")
-            .mend(MEND),
+            .fix(MEND),
         true => Finding::note(CHECK, sizes)
             .because("enough for what was heard; raw pictures of other DDS implementations may not fit")
-            .mend(MEND),
+            .fix(MEND),
         false => Finding::ok(CHECK, sizes),
     }]
 }
@@ -119,7 +119,7 @@ mod tests {
         assert_eq!(level(&large, 3, 0), Level::Warning);
         assert!(
             judge(&linux, 0, 921_600)[0]
-                .mend
+                .fix
                 .as_deref()
                 .unwrap()
                 .contains("rmem_default=4194304")

@@ -46,7 +46,7 @@ pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
         findings.push(
             Finding::note(CHECK, format!("there are others: {}", others.join(", ")))
                 .because("a set of nodes takes one camera")
-                .mend("camera:=TOPIC to the launch, or wm doctor --camera TOPIC to look at it"),
+                .fix("camera:=TOPIC to the launch, or wm doctor --camera TOPIC to look at it"),
         );
     }
     if name != DEFAULT_CAMERA {
@@ -55,7 +55,7 @@ pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
                 CHECK,
                 format!("{shown} is not the nodes' default, {DEFAULT_CAMERA}"),
             )
-            .mend(format!(
+            .fix(format!(
                 "wm launch launch-configs/live.launch.yaml camera:={shown}, or wm init DIR"
             )),
         );
@@ -83,16 +83,16 @@ fn absent(heard: &Heard, wanted: Option<&str>) -> Finding {
     };
     finding
         .because("without frames nothing is predicted")
-        .mend("start the camera's driver; if it runs: is it in this domain, and on this host or reached by --interface?")
+        .fix("start the camera's driver; if it runs: is it in this domain, and on this host or reached by --interface?")
 }
 
 fn silent(name: &str, camera: &Camera) -> Finding {
     let undecodable = camera.streams().any(|stream| stream.undecodable > 0);
     let finding = match undecodable {
         true => Finding::error(CHECK, format!("{name}: what comes is not of the type that the topic announces"))
-            .mend("build driver and message packages from the same release of ROS"),
+            .fix("build driver and message packages from the same release of ROS"),
         false => Finding::error(CHECK, format!("{name} has a publisher, but nothing comes"))
-            .mend("look whether the driver waits for its device (ros2 topic hz TOPIC on its machine); where raw pictures are lost, raise the receive buffers (see buffers) or publish /compressed"),
+            .fix("look whether the driver waits for its device (ros2 topic hz TOPIC on its machine); where raw pictures are lost, raise the receive buffers (see buffers) or publish /compressed"),
     };
     finding.because("without frames nothing is predicted")
 }
@@ -143,7 +143,7 @@ fn pictures(name: &str, camera: &Camera) -> Vec<Finding> {
         return vec![
             Finding::error(CHECK, format!("{name}: {}", of_others(reason)))
                 .because("the encoder drops such frames")
-                .mend("have the driver publish rgb8 or bgr8, or jpeg on /compressed; for a depth camera, name the colour camera with --camera"),
+                .fix("have the driver publish rgb8 or bgr8, or jpeg on /compressed; for a depth camera, name the colour camera with --camera"),
         ];
     }
     let pictures = || camera.pictures.iter().flatten();
@@ -154,7 +154,7 @@ fn pictures(name: &str, camera: &Camera) -> Vec<Finding> {
     let finding = || {
         Finding::warning(CHECK, format!("{name}: the pictures show nothing: mean {mean:.2}, spread {spread:.3} (0 black, 1 white)"))
             .because("a picture of one colour has no future to predict")
-            .mend("remove the lens cap, switch the light on, or look at exposure and gain")
+            .fix("remove the lens cap, switch the light on, or look at exposure and gain")
     };
     is_blank.then(finding).into_iter().collect()
 }
@@ -173,7 +173,7 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
                 ),
             )
             .because("frames and actions are matched by their stamps")
-            .mend("have the driver stamp each message with the time of its capture"),
+            .fix("have the driver stamp each message with the time of its capture"),
         ];
     }
     let mut findings = Vec::new();
@@ -192,19 +192,19 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
                 ),
             )
             .because("the nodes refuse what is more than 10 s ahead (bad_stamp)")
-            .mend(if has_clock { simulated } else { clocks }),
+            .fix(if has_clock { simulated } else { clocks }),
         );
     } else if delay_s < -AHEAD_S {
         findings.push(
             Finding::warning(CHECK, format!("{name}: stamps are {:.0} ms ahead of this machine's clock", -delay_s * 1e3))
                 .because("latencies are measured too short, and frames are matched with actions of another moment")
-                .mend(clocks),
+                .fix(clocks),
         );
     } else if delay_s > CLOCKS_DIFFER_S {
         findings.push(
             Finding::warning(CHECK, format!("{name}: stamps are {delay_s:.0} s old"))
                 .because("plans from frames older than max_age are not sent, and latencies are meaningless")
-                .mend(match has_clock {
+                .fix(match has_clock {
                     true => simulated,
                     false => "play bags with restamp:=true; for a driver, stamp with the time of capture",
                 }),
@@ -213,7 +213,7 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
         findings.push(
             Finding::warning(CHECK, format!("{name}: heard {delay_s:.1} s after capture"))
                 .because("whatever is predicted or planned is late by that")
-                .mend("publish /compressed, a smaller size or a lower rate; look for a slow network or a busy machine"),
+                .fix("publish /compressed, a smaller size or a lower rate; look for a slow network or a busy machine"),
         );
     }
     let backwards = timeline.backwards();
@@ -226,14 +226,14 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
                 ),
             )
             .because("they are dropped as out of order, or taken for a new recording")
-            .mend("one publisher for each topic; a driver that stamps at capture"),
+            .fix("one publisher for each topic; a driver that stamps at capture"),
         );
     }
     if let Some(jitter) = timeline.jitter().filter(|jitter| *jitter > UNEVEN) {
         findings.push(
             Finding::warning(CHECK, format!("{name}: uneven stamps: a tenth of the gaps is at least {jitter:.1} times the median"))
                 .because("frames are looked for within a quarter of a frame period")
-                .mend("stamp with the time of capture and not of publishing; fix exposure time and rate of the camera"),
+                .fix("stamp with the time of capture and not of publishing; fix exposure time and rate of the camera"),
         );
     }
     findings
@@ -248,7 +248,7 @@ fn transport(name: &str, stream: &Stream) -> Vec<Finding> {
         findings.push(
             Finding::warning(CHECK, format!("{name}: {} frames were lost ({:.0} %)", stream.lost, 100.0 * share))
                 .because("a context with a frame missing gives no prediction")
-                .mend("raise the receive buffers (see buffers), publish /compressed, or use a cable in place of radio"),
+                .fix("raise the receive buffers (see buffers), publish /compressed, or use a cable in place of radio"),
         );
     }
     if stream.publishers.len() > 1 || stream.frame_ids.len() > 1 {
@@ -262,13 +262,13 @@ fn transport(name: &str, stream: &Stream) -> Vec<Finding> {
                 ),
             )
             .because("the nodes keep to one camera and drop frames of the other (wrong_frame)")
-            .mend("one topic for each camera: remap one of the drivers"),
+            .fix("one topic for each camera: remap one of the drivers"),
         );
     } else if stream.frame_ids.iter().any(String::is_empty) {
         findings.push(
             Finding::note(CHECK, format!("{name}: the frame_id is empty"))
                 .because("cameras are told apart by it")
-                .mend("set the driver's parameter for it (frame_id, camera_frame_id)"),
+                .fix("set the driver's parameter for it (frame_id, camera_frame_id)"),
         );
     }
     findings
@@ -361,8 +361,8 @@ mod tests {
     #[test]
     fn a_simulators_time_is_told_from_a_wrong_clock() {
         let old = stream(9, 200, 60_000);
-        let mend = |has_clock| stamps("/c", &old, has_clock)[0].mend.clone().unwrap();
-        assert!(mend(true).contains("use_sim_time") && mend(false).contains("restamp"));
+        let fix = |has_clock| stamps("/c", &old, has_clock)[0].fix.clone().unwrap();
+        assert!(fix(true).contains("use_sim_time") && fix(false).contains("restamp"));
     }
 
     #[test]

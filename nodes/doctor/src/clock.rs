@@ -37,7 +37,7 @@ pub(crate) fn check(clock: &SystemClock, reach: &Reach, heard: &Heard) -> Vec<Fi
         (_, true) => Finding::ok(CHECK, "all nodes share this machine's clock"),
         (_, false) => Finding::warning(CHECK, "not in step with a time server, as far as the kernel knows")
             .because("frames and actions of several machines are matched by their stamps; what is stamped 10 s ahead is refused")
-            .mend("sudo timedatectl set-ntp true, or chrony on all machines"),
+            .fix("sudo timedatectl set-ntp true, or chrony on all machines"),
     });
     let moved = heard
         .streams()
@@ -50,7 +50,7 @@ pub(crate) fn check(clock: &SystemClock, reach: &Reach, heard: &Heard) -> Vec<Fi
                 format!("this machine's clock was set by {moved_s:+.2} s while it was listened to"),
             )
             .because("a clock that is set back by more than 0.5 s ends the nodes")
-            .mend(
+            .fix(
                 "let chrony or systemd-timesyncd slew the clock, and set it before the nodes start",
             ),
         );
@@ -59,7 +59,7 @@ pub(crate) fn check(clock: &SystemClock, reach: &Reach, heard: &Heard) -> Vec<Fi
         findings.push(
             Finding::note(CHECK, "somebody publishes /clock")
                 .because("stamps of a simulator or a bag are in its time; nodes that do not follow it refuse them or measure wrong latencies")
-                .mend("-p use_sim_time:=true on every node, or none, where the stamps are in real time"),
+                .fix("-p use_sim_time:=true on every node, or none, where the stamps are in real time"),
         );
     }
     findings

@@ -16,7 +16,7 @@ pub enum Level {
     Error,
 }
 
-/// One thing that was found: what is so, why that matters, and the mend.
+/// One thing that was found: what is so, why that matters, and the fix.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// The check, in one word: `camera`.
@@ -30,7 +30,7 @@ pub struct Finding {
     pub why: Option<String>,
     /// What to do: a command where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub mend: Option<String>,
+    pub fix: Option<String>,
 }
 
 impl Finding {
@@ -40,7 +40,7 @@ impl Finding {
             level,
             what: what.into(),
             why: None,
-            mend: None,
+            fix: None,
         }
     }
 
@@ -73,8 +73,8 @@ impl Finding {
 
     /// The same, and what to do.
     #[must_use]
-    pub fn mend(mut self, mend: impl Into<String>) -> Self {
-        self.mend = Some(mend.into());
+    pub fn fix(mut self, fix: impl Into<String>) -> Self {
+        self.fix = Some(fix.into());
         self
     }
 }

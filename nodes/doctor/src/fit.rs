@@ -100,7 +100,7 @@ fn speed(model: &ModelFacts, camera_s: Option<f64>) -> Finding {
         true => Finding::ok(CHECK, what),
         false => Finding::warning(CHECK, what)
             .because(parts.replace('\n', "; "))
-            .mend("a smaller model, a lower horizon, fewer integration_steps, or a faster processor (docs/models.md#slower-than-the-camera)"),
+            .fix("a smaller model, a lower horizon, fewer integration_steps, or a faster processor (docs/models.md#slower-than-the-camera)"),
     }
 }
 
@@ -113,7 +113,7 @@ fn rate(model: &ModelFacts, camera_s: f64) -> Option<Finding> {
         return Some(
             Finding::warning(CHECK, format!("the camera runs at {camera_hz}, the model was trained at {model_hz}"))
                 .because("the nodes look for a frame every 0.2 s and find none; with another period, motions are of a length that the model has not seen")
-                .mend(format!("have the camera publish at {model_hz} or faster; or frame_period:={camera_s:.3} on encoder, predictor, planner and evaluator (wm init DIR writes it)")),
+                .fix(format!("have the camera publish at {model_hz} or faster; or frame_period:={camera_s:.3} on encoder, predictor, planner and evaluator (wm init DIR writes it)")),
         );
     }
     let step_s = model_s * model.trial.frame_skip as f64;
@@ -124,19 +124,19 @@ fn rate(model: &ModelFacts, camera_s: f64) -> Option<Finding> {
     };
     let missed: Vec<u32> = (1..=HORIZON).filter(is_missed).collect();
     let fits = format!("the camera runs at {camera_hz}, the model was trained at {model_hz}");
-    let mend = format!("have the camera publish at {model_hz} or a multiple of it");
+    let fix = format!("have the camera publish at {model_hz} or a multiple of it");
     match missed.first() {
         None => None,
         // The context is one model step long.
         Some(1) => Some(
             Finding::warning(CHECK, fits)
                 .because(format!("there is no frame near {step_s:.1} s before each: contexts stay incomplete, and nothing is predicted"))
-                .mend(mend),
+                .fix(fix),
         ),
         Some(_) => Some(
             Finding::note(CHECK, fits)
                 .because(format!("{} of {HORIZON} predicted steps have no frame near their time, and are not scored", missed.len()))
-                .mend(mend),
+                .fix(fix),
         ),
     }
 }
@@ -154,7 +154,7 @@ fn pictures(model: &ModelFacts, name: &str, camera: &Camera) -> Vec<Finding> {
         findings.push(
             Finding::warning(CHECK, format!("{name}: pictures of {width}x{height} are enlarged to the model's {columns}x{rows}"))
                 .because("they have less detail than those that the model was trained on")
-                .mend("have the driver publish a larger size"),
+                .fix("have the driver publish a larger size"),
         );
     }
     let Some(far_out) = model.far_out else {
@@ -172,7 +172,7 @@ fn pictures(model: &ModelFacts, name: &str, camera: &Camera) -> Vec<Finding> {
         false => Finding::ok(CHECK, what),
         true => Finding::warning(CHECK, what)
             .because("the camera shows what the model was not trained on (beyond 3 standard deviations, where 0.3 % are usual): predictions and plans are not meaningful")
-            .mend("a model that was trained on such pictures: wm train model --data BAGS --out DIR, then model:=DIR (README, Your model)"),
+            .fix("a model that was trained on such pictures: wm train model --data BAGS --out DIR, then model:=DIR (README, Your model)"),
     });
     findings
 }

@@ -81,7 +81,7 @@ pub(crate) fn check(memory: &Memory) -> Vec<Finding> {
         false => Finding::ok(CHECK, what),
         true => Finding::warning(CHECK, what)
             .because("encoder, predictor, decoder and planner take up to 180 MiB each with the bundled model, and more with others; a node that finds no memory is ended by the kernel")
-            .mend("end other programs, raise the limit (MemoryMax of systemd, docker --memory), or run the nodes in one process: one_process:=true"),
+            .fix("end other programs, raise the limit (MemoryMax of systemd, docker --memory), or run the nodes in one process: one_process:=true"),
     }]
 }
 

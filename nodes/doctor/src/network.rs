@@ -84,7 +84,7 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
     let mut findings = vec![match &network.reach {
         Reach::Localhost => Finding::note(CHECK, format!("domain {domain}, this host only"))
             .because("nodes of other machines neither hear these nodes nor are heard, which is the safe default")
-            .mend(match outer.as_slice() {
+            .fix(match outer.as_slice() {
                 [] => "nothing: this host has no other interface".to_owned(),
                 [first, ..] => format!(
                     "if camera or arm are on another machine: --interface {} on every node (of {})",
@@ -99,12 +99,12 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
         Reach::Subnet if outer.len() > 1 => {
             Finding::warning(CHECK, format!("domain {domain}, on every interface: {}", listed(&outer)))
                 .because("who is reachable over two interfaces receives every message twice, and large ones stall")
-                .mend(format!("--interface {} on every node, or another of these", outer.first().map_or("eth0", |found| &found.name)))
+                .fix(format!("--interface {} on every node, or another of these", outer.first().map_or("eth0", |found| &found.name)))
         }
         Reach::Subnet => Finding::ok(CHECK, format!("domain {domain}, on every interface")),
         Reach::Process => Finding::warning(CHECK, "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF")
             .because("only nodes of one process find each other; no camera is heard")
-            .mend("unset ROS_AUTOMATIC_DISCOVERY_RANGE"),
+            .fix("unset ROS_AUTOMATIC_DISCOVERY_RANGE"),
     }];
     let warnings = network.warnings.iter();
     findings.extend(warnings.map(|warning| Finding::warning(CHECK, warning.clone())));
@@ -121,13 +121,13 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
         findings.push(
             Finding::warning(CHECK, format!("nobody else in domain {domain}, but participants of this host listen in others: {}", domains.join(", ")))
                 .because("nodes hear each other within one domain only")
-                .mend(format!("export ROS_DOMAIN_ID={}", others.first().map_or(0, |(other, _)| **other))),
+                .fix(format!("export ROS_DOMAIN_ID={}", others.first().map_or(0, |(other, _)| **other))),
         );
     } else if is_silent && network.reach != Reach::Process {
         findings.push(
             Finding::warning(CHECK, format!("nobody else in domain {domain}"))
                 .because("no driver is running, or it is in another domain or out of reach")
-                .mend("start the drivers in this domain (echo $ROS_DOMAIN_ID), on this host or with --interface"),
+                .fix("start the drivers in this domain (echo $ROS_DOMAIN_ID), on this host or with --interface"),
         );
     }
     findings
@@ -175,7 +175,7 @@ mod tests {
         assert_eq!(findings[0].level, Level::Note);
         assert!(
             findings[0]
-                .mend
+                .fix
                 .as_deref()
                 .unwrap()
                 .contains("--interface eth0")

@@ -86,7 +86,7 @@ pub(crate) fn check(processor: &Processor) -> Vec<Finding> {
         findings.push(
             Finding::warning(CHECK, format!("{model}: no {}", missing.join(", ")))
                 .because("the models' fast kernels need AVX2 and FMA; without them every node is several times slower")
-                .mend("use a processor of 2013 or later, or, in a virtual machine, one with host-passthrough"),
+                .fix("use a processor of 2013 or later, or, in a virtual machine, one with host-passthrough"),
         );
     } else {
         let faster = FASTER.into_iter().filter(|(flag, _)| processor.has(flag));
@@ -101,14 +101,14 @@ pub(crate) fn check(processor: &Processor) -> Vec<Finding> {
         findings.push(
             Finding::warning(CHECK, "one processor to use")
                 .because("encoder, predictor, decoder and planner compute at the same time")
-                .mend("give this process more processors (taskset, docker --cpus, CPUQuota of systemd)"),
+                .fix("give this process more processors (taskset, docker --cpus, CPUQuota of systemd)"),
         );
     }
     if *load >= *count as f64 {
         findings.push(
             Finding::warning(CHECK, format!("{load:.1} processes want to run, on {count} processors"))
                 .because("what was measured here is slower than it would be, and predictions will be late")
-                .mend("end other programs (top shows them); where these are the nodes themselves, all is well"),
+                .fix("end other programs (top shows them); where these are the nodes themselves, all is well"),
         );
     }
     if let Some((driver, governor)) = &processor.governor
@@ -121,7 +121,7 @@ pub(crate) fn check(processor: &Processor) -> Vec<Finding> {
                 format!("the frequency governor is {governor} ({driver})"),
             )
             .because("the processor stays at its lowest frequency")
-            .mend(
+            .fix(
                 "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
             ),
         );
@@ -189,7 +189,7 @@ mod tests {
         };
         assert!(
             check(&slow)[1]
-                .mend
+                .fix
                 .as_deref()
                 .unwrap()
                 .contains("scaling_governor")

@@ -34,7 +34,7 @@ impl Report {
             Some(Err(problem)) => findings.push(
                 Finding::error("model", problem.clone())
                     .because("no node that computes starts with this model")
-                    .mend("wm model check DIR says more; --model tiny is the bundled one"),
+                    .fix("wm model check DIR says more; --model tiny is the bundled one"),
             ),
         }
         findings.extend(peers::check(heard));
@@ -93,7 +93,7 @@ impl Report {
     }
 }
 
-/// A line for each finding, with why and mend below it, and one for all of them.
+/// A line for each finding, with why and fix below it, and one for all of them.
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for finding in &self.findings {
@@ -104,7 +104,7 @@ impl fmt::Display for Report {
                 Level::Error => "ERROR",
             };
             writeln!(f, "{level:<8} {:<10} {}", finding.check, finding.what)?;
-            for (word, text) in [("why:", &finding.why), ("mend:", &finding.mend)] {
+            for (word, text) in [("why:", &finding.why), ("fix:", &finding.fix)] {
                 if let Some(text) = text {
                     writeln!(f, "{:20}{word:<6}{text}", "")?;
                 }
@@ -132,7 +132,7 @@ mod tests {
             Finding::ok("memory", "4.0 GiB free"),
             Finding::error("camera", "no image topic")
                 .because("nothing is predicted")
-                .mend("start the driver"),
+                .fix("start the driver"),
         ];
         Report { findings }
     }
@@ -145,7 +145,7 @@ mod tests {
                 "ok       memory     4.0 GiB free\n",
                 "ERROR    camera     no image topic\n",
                 "                    why:  nothing is predicted\n",
-                "                    mend: start the driver\n",
+                "                    fix:  start the driver\n",
                 "1 error, 0 warnings\n",
             ]
             .concat()
@@ -161,6 +161,6 @@ mod tests {
             json["findings"][0],
             json!({"check": "memory", "level": "ok", "what": "4.0 GiB free"})
         );
-        assert_eq!(json["findings"][1]["mend"], "start the driver");
+        assert_eq!(json["findings"][1]["fix"], "start the driver");
     }
 }
