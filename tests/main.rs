@@ -7,6 +7,8 @@ mod arm;
 mod bags;
 mod browser;
 mod cyclone;
+mod docs;
+mod doctor;
 mod exit_codes;
 mod faults;
 mod foxglove;

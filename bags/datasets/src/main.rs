@@ -15,6 +15,7 @@ use clap::{Args, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 use wm_import::{Shard, import_bridge, import_droid};
 use wm_motion::actions::ActionSpace;
+use wm_progress::Progress;
 
 /// Imports data sets as bags, and exports bags as data sets.
 #[derive(Debug, Parser)]
@@ -146,6 +147,7 @@ impl EpisodesCommand {
 impl ImportCommand {
     /// The bags made.
     fn run(self) -> Result<Vec<PathBuf>> {
+        let _progress = Progress::open_ended("importing", "episodes");
         Ok(match self {
             Self::Bridge(from) => import_bridge(&from.source, &from.output, &from.options())?,
             Self::Droid(from) => import_droid(&from.source, &from.output, &from.options())?,
@@ -173,7 +175,9 @@ impl ToLerobot {
             task: self.task,
             ..wm_lerobot::ExportOptions::default()
         };
+        let progress = Progress::open_ended("exporting", "episodes");
         let exported = wm_lerobot::export(&self.bags, &self.output, &options)?;
+        drop(progress);
         for line in &exported.resampled {
             eprintln!("wm-datasets: {line}");
         }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Context;
-use indicatif::{ProgressBar, ProgressStyle};
 use wm_bag::Shard;
+use wm_progress::Progress;
 
 use crate::dataset::generate_bags;
 use crate::episode::EpisodeOptions;
@@ -40,17 +40,14 @@ pub struct SimArgs {
 }
 
 impl SimArgs {
-    /// Makes the bags, with a progress bar on the terminal.
+    /// Makes the bags, with its progress.
     ///
     /// # Errors
     /// If an option is out of its range or a bag cannot be written.
     pub fn run(&self) -> anyhow::Result<()> {
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("cannot make the directory {}", self.out.display()))?;
-        let bar = ProgressBar::new(self.shard.share_of(self.episodes));
-        bar.set_style(ProgressStyle::with_template(
-            "{wide_bar} {pos}/{len} episodes, {eta} left",
-        )?);
+        let progress = Progress::of("making", "episodes", self.shard.share_of(self.episodes));
         let options = EpisodeOptions {
             frames: self.frames,
             masks: self.masks,
@@ -61,10 +58,10 @@ impl SimArgs {
         let own = (self.episodes, self.shard);
         let bags = generate_bags(&self.out, own, self.seed, &options, |episode| {
             succeeded.fetch_add(u64::from(episode.success), Ordering::Relaxed);
-            bar.inc(1);
+            progress.inc(1);
         })
         .with_context(|| format!("cannot make the episodes in {}", self.out.display()))?;
-        bar.finish_and_clear();
+        drop(progress);
         println!(
             "{} episodes of {} frames in {} (the task was done in {})",
             bags.len(),

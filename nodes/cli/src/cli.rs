@@ -1,9 +1,10 @@
 //! The command line.
 
-use crate::{bag, external, launch, model, node, report, view};
-use clap::{Parser, Subcommand};
+use crate::{bag, completions, doctor, external, init, launch, man, model, node, report, view};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use std::path::Path;
 use std::process::ExitCode;
+use wm_doctor::{DoctorError, SetupError};
 use wm_launch::LaunchError;
 use wm_ros::ArgsError;
 
@@ -27,6 +28,10 @@ struct Cli {
 enum Subcommands {
     /// Start the nodes of a ROS 2 YAML launch file and stop them together
     Launch(launch::LaunchCommand),
+    /// Say whether machine, network, cameras, actions and model are as they should be, and what to do where not
+    Doctor(doctor::DoctorCommand),
+    /// Write a launch file and parameter files for the camera and the arm that are heard
+    Init(init::InitCommand),
     /// Play, record, inspect, recover, cut, import and export bags
     #[command(subcommand)]
     Bag(Box<bag::BagCommand>),
@@ -55,8 +60,17 @@ enum Subcommands {
     /// Cost candidates for planners on other machines (runs wm-planner-worker)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     PlannerWorker(external::Arguments),
+    /// Print a completion script for bash, zsh or fish
+    Completions(completions::CompletionsCommand),
+    /// Write the man pages
+    Man(man::ManCommand),
     #[command(flatten)]
     Node(node::NodeCommand),
+}
+
+/// The command line, for completions and man pages.
+pub fn definition() -> clap::Command {
+    Cli::command()
 }
 
 /// A command with the arguments for ROS that came with it.
@@ -130,6 +144,8 @@ impl Command {
     pub fn run(self) -> anyhow::Result<ExitCode> {
         match self.command {
             Subcommands::Launch(command) => command.run(),
+            Subcommands::Doctor(command) => command.run(),
+            Subcommands::Init(command) => command.run(),
             Subcommands::Bag(command) => command.run(self.ros_args),
             Subcommands::Sim(own) => own.exec("wm-training", ["sim"], Vec::new()),
             Subcommands::Dataset(own) => own.exec("wm-training", ["dataset"], Vec::new()),
@@ -140,15 +156,23 @@ impl Command {
             Subcommands::View(command) => command.run(self.ros_args),
             Subcommands::Bridge(own) => own.exec("wm-bridge", [], self.ros_args),
             Subcommands::PlannerWorker(own) => own.exec("wm-planner-worker", [], Vec::new()),
+            Subcommands::Completions(command) => done(command.run()),
+            Subcommands::Man(command) => done(command.run()),
             Subcommands::Node(command) => command.run(self.ros_args),
         }
     }
+}
+
+fn done(result: anyhow::Result<()>) -> anyhow::Result<ExitCode> {
+    result.map(|()| ExitCode::SUCCESS)
 }
 
 /// 2 where the user's arguments are wrong, a node's parameters among them, else 1.
 pub fn failure_code(error: &anyhow::Error) -> ExitCode {
     let is_usage = error.is::<ArgsError>()
         || error.downcast_ref().is_some_and(wm_ros::Error::is_usage)
+        || error.downcast_ref().is_some_and(DoctorError::is_usage)
+        || error.downcast_ref().is_some_and(SetupError::is_usage)
         || error.downcast_ref().is_some_and(LaunchError::is_usage);
     ExitCode::from(if is_usage { 2 } else { 1 })
 }
@@ -156,7 +180,6 @@ pub fn failure_code(error: &anyhow::Error) -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory as _;
 
     #[test]
     fn the_command_line_is_consistent() {

@@ -5,8 +5,12 @@
 
 mod bag;
 mod cli;
+mod completions;
+mod doctor;
 mod external;
+mod init;
 mod launch;
+mod man;
 mod model;
 mod node;
 mod output;

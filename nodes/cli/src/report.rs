@@ -6,6 +6,7 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wm_bag_nodes::ending::Ending;
+use wm_progress::Progress;
 use wm_report::{files::write_report, score_bag, table::terminal_table};
 
 /// Scores a recorded bag.
@@ -21,7 +22,9 @@ pub struct ReportCommand {
 impl ReportCommand {
     /// Runs it.
     pub fn run(self) -> Result<ExitCode> {
+        let progress = Progress::open_ended("scoring", "messages");
         let (scorer, unreadable) = score_bag(&self.bag)?;
+        drop(progress);
         let (report, files) = write_report(&scorer, &self.bag.display().to_string(), &self.output)?;
         print(terminal_table(&report))?;
         for file in files {

@@ -21,4 +21,4 @@ pub use node::{NODE, body};
 pub use rollout::{PredictedStep, RolloutRequest, RunningRollout};
 use step::Seen;
 pub use step::{Outcome, PredictorSettings, PredictorStep};
-pub use trust::{Doubt, Trust};
+pub use trust::{Doubt, Trust, UNLIKE, part_far_out};

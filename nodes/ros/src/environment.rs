@@ -49,8 +49,7 @@ impl Environment {
     /// # Errors
     /// A variable or interface with a value that does not make sense.
     pub fn from_env(args: &NodeArgs) -> Result<Self, Error> {
-        let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
-        for warning in warnings(&variable)? {
+        for warning in Self::warnings()? {
             tracing::warn!("{warning}");
         }
         Self::from_variables(args, variable)
@@ -80,6 +79,14 @@ impl Environment {
         Ok(Self { domain_id, reach })
     }
 
+    /// What the environment variables ask for that this runtime cannot do, where nodes go on without.
+    ///
+    /// # Errors
+    /// A variable with a value that does not make sense, or security that is asked for and enforced.
+    pub fn warnings() -> Result<Vec<String>, Error> {
+        warnings(&variable)
+    }
+
     /// Whether there are no other participants.
     pub(crate) fn is_alone(&self) -> bool {
         self.reach == Reach::Process
@@ -100,6 +107,11 @@ impl Environment {
             Reach::Process => Some(Vec::new()),
         }
     }
+}
+
+/// A variable that has a value.
+fn variable(name: &str) -> Option<String> {
+    std::env::var(name).ok().filter(|value| !value.is_empty())
 }
 
 fn reach_of(variable: &impl Fn(&str) -> Option<String>) -> Result<Reach, Error> {
@@ -164,23 +176,44 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<String>, E
     Ok(warnings)
 }
 
+/// An address of this host, and the interface that has it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Interface {
+    /// As `--interface` takes it: `eth0`.
+    pub name: String,
+    /// An IPv4 address: the middleware speaks no other.
+    pub address: IpAddr,
+}
+
+impl Interface {
+    /// Those of this host.
+    ///
+    /// # Errors
+    /// The system does not list them.
+    pub fn all() -> Result<Vec<Self>, Error> {
+        let interfaces = if_addrs::get_if_addrs()
+            .map_err(|source| Error::io("list the network interfaces", source))?;
+        let usable = interfaces.into_iter().filter(|found| found.ip().is_ipv4());
+        let known = usable.map(|found| Self {
+            address: found.ip(),
+            name: found.name,
+        });
+        Ok(known.collect())
+    }
+}
+
 fn address_of(interface: &str) -> Result<IpAddr, Error> {
-    let interfaces = if_addrs::get_if_addrs()
-        .map_err(|source| Error::io("list the network interfaces", source))?;
-    // the middleware speaks IPv4 only
-    let mut usable = interfaces
-        .iter()
-        .filter(|candidate| candidate.ip().is_ipv4());
+    let interfaces = Interface::all()?;
     let wanted = interface.parse::<IpAddr>().ok();
-    match usable
-        .clone()
-        .find(|candidate| candidate.name == interface || wanted == Some(candidate.ip()))
+    match interfaces
+        .iter()
+        .find(|candidate| candidate.name == interface || wanted == Some(candidate.address))
     {
-        Some(found) => Ok(found.ip()),
+        Some(found) => Ok(found.address),
         None => {
-            let known: Vec<_> = usable
-                .by_ref()
-                .map(|candidate| format!("{} ({})", candidate.name, candidate.ip()))
+            let known: Vec<_> = interfaces
+                .iter()
+                .map(|candidate| format!("{} ({})", candidate.name, candidate.address))
                 .collect();
             Err(invalid(
                 "--interface",

@@ -10,6 +10,7 @@ pub(crate) mod printable;
 mod record;
 
 pub use outlet::Unblocked;
+pub use printable::of_others;
 
 use crate::{
     NodeArgs,

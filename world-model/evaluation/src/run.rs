@@ -7,8 +7,8 @@ use std::{
 
 use anyhow::Result;
 use rayon::prelude::*;
-use wm_dataset::progress_bar;
 use wm_findings::{Header, ModelFindings, Section, Suite};
+use wm_progress::Progress;
 
 use crate::{
     Settings, Shard, Subject,
@@ -205,7 +205,7 @@ impl Plan<'_> {
             let (done, path) = (records.len(), records.path().display());
             println!("{done} units were measured before, in {path}");
         }
-        let progress = progress_bar("measuring", "units", total);
+        let progress = Progress::of("measuring", "units", total as u64);
         let one = |(planned, unit, name): &(&Planned<'_>, usize, String)| -> Result<()> {
             let found = planned.measure(self.subject, self.settings, *unit)?;
             records.keep(&Record {
@@ -215,18 +215,13 @@ impl Plan<'_> {
                 found,
             })?;
             progress.inc(1);
-            // A job's log shows no bar.
-            let done = progress.position() as usize;
-            if progress.is_hidden() && done * 10 / total > (done - 1) * 10 / total {
-                println!("measured {done} of {total} units");
-            }
             Ok(())
         };
         // One by one in their order: their lengths differ by far, and chunks would leave threads idle.
         pending.par_iter().with_max_len(1).try_for_each(one)?;
         // Alone, since they are about time.
         timed.iter().try_for_each(one)?;
-        progress.finish_and_clear();
+        drop(progress);
         Ok(())
     }
 }

@@ -154,7 +154,7 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
     while run.optimiser.steps_taken() < settings.steps {
         if stop.is_asked() {
             let is_saved = run.save()?;
-            progress.end();
+            drop(progress);
             let (done, all) = (run.optimiser.steps_taken(), settings.steps);
             let saved = match is_saved {
                 true => "and saved",
@@ -177,7 +177,7 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
             saved = Instant::now();
         }
     }
-    progress.end();
+    drop(progress);
     if !run.has_written {
         // An earlier run took the last step, and ended before it could write.
         run.write()?;

@@ -12,6 +12,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use wm_bag::{BagWarning, CutEnd, CutStart};
 use wm_bag_nodes::ending::Ending;
+use wm_progress::Progress;
 
 /// Cuts a bag.
 #[derive(Args, Debug)]
@@ -64,7 +65,9 @@ impl CutCommand {
             (None, None) => CutEnd::End,
         };
         let topics = self.topics.filter()?;
+        let progress = Progress::open_ended("cutting", "messages");
         let part = wm_bag::cut(&self.input, &self.output, start, end, &topics)?;
+        drop(progress);
         print(format_args!(
             "wrote {} message(s) of {} topic(s) to {}\n",
             part.summary.message_count,

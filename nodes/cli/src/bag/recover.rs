@@ -6,6 +6,7 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wm_bag_nodes::ending::Ending;
+use wm_progress::Progress;
 
 /// Recovers a bag.
 #[derive(Args, Debug)]
@@ -29,7 +30,9 @@ pub struct RecoverCommand {
 impl RecoverCommand {
     /// Runs it.
     pub fn run(self) -> Result<ExitCode> {
+        let progress = Progress::open_ended("recovering", "messages");
         let recovery = wm_bag::recover(&self.input, &self.output)?;
+        drop(progress);
         print(format_args!("{recovery}\n"))?;
         Ok(Ending::lost_if(!recovery.losses.is_empty()).into())
     }

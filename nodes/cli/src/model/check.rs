@@ -1,23 +1,14 @@
 //! `wm model check`.
 
-mod verdict;
-
 use crate::output::print;
 use anyhow::{Context as _, Result};
-use candle_core::{DType, Device, Tensor};
 use clap::Args;
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
-use verdict::Times;
-use wm_model::WorldModel;
-use wm_model::sampler::Rollout;
-use wm_model::{Decoder, Encoder};
+use wm_doctor::Parts;
+use wm_progress::Progress;
 use wm_zoo::ModelFolder;
 use wm_zoo::folder::Summary;
-use wm_zoo::success_probe::SuccessClassifier;
-
-/// An instruction to try a success probe with that reads any text.
-const TASK: &str = "put the cup on the plate";
 
 /// Loads a world model as the nodes do, runs it once, and says what it is.
 #[derive(Args, Debug)]
@@ -46,8 +37,10 @@ impl CheckCommand {
             print(format_args!("{}", table(&folder.summary()?)?))?;
         }
         let started = Instant::now();
+        let progress = Progress::open_ended("loading", "parts");
         let parts = Parts::load(&model)?;
-        let loading = milliseconds(started);
+        drop(progress);
+        let loading = milliseconds(started.elapsed());
         let space = parts.encoder.space();
         print(format_args!("latent space {space}\n  {}\n", space.hash))?;
         match &parts.transition {
@@ -63,28 +56,6 @@ impl CheckCommand {
             "{}",
             run_once(&parts, Duration::from_secs_f64(1.0 / self.rate))?
         ))
-    }
-}
-
-/// What of a model there is, loaded.
-struct Parts {
-    encoder: Box<dyn Encoder>,
-    transition: Option<WorldModel>,
-    decoder: Option<Box<dyn Decoder>>,
-    probe: Option<SuccessClassifier>,
-}
-
-impl Parts {
-    fn load(model: &ModelFolder) -> Result<Self> {
-        Ok(Self {
-            encoder: model.encoder()?,
-            transition: match model.has_transition() {
-                true => Some(model.world_model()?),
-                false => None,
-            },
-            decoder: model.decoder()?,
-            probe: model.probe()?,
-        })
     }
 }
 
@@ -134,92 +105,39 @@ fn table(summary: &Summary) -> Result<String> {
 /// One picture through all parts, how long each takes here, and whether that is fast enough for a camera with
 /// `frame_period` between frames.
 fn run_once(parts: &Parts, frame_period: Duration) -> Result<String> {
+    let progress = Progress::open_ended("trying each part out", "parts");
+    let trial = parts.try_out()?;
+    drop(progress);
     let mut text = String::new();
-    let (height, width) = parts.encoder.input_size();
-    let picture = Tensor::full(0.5f32, (1, height, width, 3), &Device::Cpu)?;
-    let (latent, encode) = timed(|| parts.encoder.encode(&picture)).context("encoding")?;
-    line(&mut text, "encode a frame", encode)?;
-
-    let mut next = latent.clone();
-    let mut predict = None;
-    match &parts.transition {
+    line(&mut text, "encode a frame", trial.encode)?;
+    match trial.predict {
         None => writeln!(text, "no transition: nothing will be predicted")?,
-        Some(WorldModel { transition, .. }) => {
-            let context = latent.unsqueeze(0)?;
-            let action = Tensor::zeros(
-                (1, transition.config().action_dim),
-                DType::F32,
-                &Device::Cpu,
-            )?;
-            let sampler = &transition.config().sampler;
-            let (predicted, time) =
-                timed(|| Rollout::new(transition, sampler, &context, None, 0)?.next(&action))
-                    .context("predicting")?;
-            line(&mut text, "predict a frame", time)?;
-            (next, predict) = (predicted, Some(time));
-        }
+        Some(time) => line(&mut text, "predict a frame", time)?,
     }
-    let mut decode = None;
-    match &parts.decoder {
+    match trial.decode {
         None => writeln!(text, "no decoder: there will be no pictures")?,
-        Some(decoder) => {
-            let (_, time) = timed(|| decoder.decode(&next)).context("decoding")?;
-            line(&mut text, "decode a frame", time)?;
-            decode = Some(time);
-        }
+        Some(time) => line(&mut text, "decode a frame", time)?,
     }
-    match &parts.probe {
+    match trial.judge {
         None => writeln!(text, "no probe: there will be no success probabilities")?,
-        Some(probe) => {
-            let started = Instant::now();
-            let instruction = probe
-                .instruction(
-                    probe
-                        .vocabulary()
-                        .and_then(|words| words.first())
-                        .map_or(TASK, String::as_str),
-                )
-                .context("reading an instruction")?;
-            let reading = milliseconds(started);
-            let episode = Tensor::cat(&[&latent, &next], 0)?;
-            let started = Instant::now();
-            probe
-                .probability(&episode, &instruction)
-                .context("the success probe")?;
-            writeln!(
-                text,
-                "read an instruction {reading:>8.1} ms\njudge two frames  {:>10.1} ms, of at most {} frames",
-                milliseconds(started),
-                probe.max_frames()
-            )?;
-        }
+        Some(judge) => writeln!(
+            text,
+            "read an instruction {:>8.1} ms\njudge two frames  {:>10.1} ms, of at most {} frames",
+            milliseconds(judge.reading),
+            milliseconds(judge.judging),
+            judge.max_frames
+        )?,
     }
-    let transition = parts.transition.as_ref();
-    let times = Times {
-        encode,
-        predict,
-        decode,
-        frame_period,
-        frame_skip: transition.map_or(1, |model| model.encoding.frame_skip()),
-    };
-    writeln!(text, "{times}")?;
+    writeln!(text, "{}", trial.at(frame_period))?;
     Ok(text)
 }
 
-/// What `run` gives, and how long it takes once everything that it touches is in memory.
-fn timed<T, E>(run: impl Fn() -> Result<T, E>) -> Result<(T, Duration), E> {
-    run()?;
-    let started = Instant::now();
-    let found = run()?;
-    Ok((found, started.elapsed()))
-}
-
 fn line(text: &mut String, what: &str, time: Duration) -> std::fmt::Result {
-    writeln!(text, "{what:<18}{:>10.1} ms", time.as_secs_f64() * 1e3)
+    writeln!(text, "{what:<18}{:>10.1} ms", milliseconds(time))
 }
 
-fn milliseconds(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e3
+fn milliseconds(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use crate::output::print;
 use anyhow::{Result, ensure};
 use clap::Args;
 use std::path::PathBuf;
+use wm_progress::Progress;
 use wm_zoo::Checkpoint;
 use wm_zoo::checkpoint::{Average, convert};
 
@@ -45,7 +46,9 @@ impl ConvertCommand {
         let same =
             std::fs::canonicalize(&self.input).ok() == std::fs::canonicalize(&self.output).ok();
         ensure!(!same, "input and output are the same file");
+        let progress = Progress::open_ended("converting", "tensors");
         let written = convert(&checkpoint, &self.output)?;
+        drop(progress);
         let part = match checkpoint.part_name() {
             "" => String::new(),
             part => format!(" of `{part}`"),

@@ -15,7 +15,7 @@ const LEAST: usize = 8;
 const FAR: f32 = 3.0;
 /// Part of the values beyond that at which pictures are unlike the training's. The bundled model's latents have 0.3 to
 /// 0.8 % on the simulator's pictures, and 2 to 13 % on real ones (61 frames of Bridge V2).
-const UNLIKE: f32 = 0.015;
+pub const UNLIKE: f32 = 0.015;
 /// Squared latent change, normalised, below which nothing moves, so that holding still cannot be beaten.
 const STILL: f64 = 1e-3;
 
@@ -54,6 +54,13 @@ impl fmt::Display for Doubt {
     }
 }
 
+/// Part of a latent's values that are far from the training's: more than [`UNLIKE`] of them, and the picture is unlike those
+/// that the model was trained on.
+pub fn part_far_out(values: &[f32]) -> f32 {
+    let far = values.iter().filter(|value| value.abs() > FAR).count();
+    far as f32 / values.len().max(1) as f32
+}
+
 /// The last seconds of what speaks for or against the predictions.
 #[derive(Clone, Debug, Default)]
 pub struct Trust {
@@ -66,13 +73,8 @@ pub struct Trust {
 impl Trust {
     /// Takes note of an observed latent.
     pub fn seen(&mut self, frame: &Frame) {
-        let far = frame
-            .values
-            .iter()
-            .filter(|value| value.abs() > FAR)
-            .count();
-        let part = far as f32 / frame.values.len().max(1) as f32;
-        self.frames.push_back((frame.stamp_ns, part));
+        self.frames
+            .push_back((frame.stamp_ns, part_far_out(&frame.values)));
         forget(&mut self.frames, |(stamp_ns, _)| *stamp_ns);
     }
 

@@ -9,6 +9,13 @@ pub(crate) const OF_OTHERS: usize = 512;
 /// What is kept of a whole record \[character\]. Larger than any of our own, whatever text of others is in it.
 pub(super) const RECORD: usize = 4096;
 
+/// A text that a peer gave, safe to print on a terminal: control characters as escape sequences, and no more than 512
+/// characters.
+#[must_use]
+pub fn of_others(text: &str) -> String {
+    printable(text, OF_OTHERS)
+}
+
 /// The text with control characters as escape sequences (`\n`, `\u{1b}`), cut off after `most` characters.
 pub(crate) fn printable(text: &str, most: usize) -> String {
     let mut shown = String::with_capacity(text.len().min(most));

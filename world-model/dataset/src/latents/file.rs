@@ -12,9 +12,10 @@ use memmap2::Mmap;
 use rayon::prelude::*;
 use wm_bag::Shard;
 use wm_model::{Encoder, LatentSpace};
+use wm_progress::Progress;
 
 use super::part::Part;
-use crate::{Folder, progress_bar, short};
+use crate::{Folder, short};
 
 /// Frames that are encoded at once: bounds the memory. An encoder's numbers may depend on it, so that parts are made of the
 /// same batches as the whole.
@@ -92,7 +93,7 @@ impl<'a> LatentFile<'a> {
 
     /// Writes the latents of frames that begin with a batch.
     fn write(&self, path: &Path, frames: Range<usize>, parts: &[Part]) -> Result<()> {
-        let progress = progress_bar("encoding", "frames", frames.len());
+        let progress = Progress::of("encoding", "frames", frames.len() as u64);
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         }
@@ -116,7 +117,7 @@ impl<'a> LatentFile<'a> {
             }
         }
         file.flush()?;
-        progress.finish_and_clear();
+        drop(progress);
         // In one move, so that a file of this name is whole.
         fs::rename(&partial, path).with_context(|| path.display().to_string())
     }

@@ -3,13 +3,13 @@ use std::path::Path;
 use rayon::prelude::*;
 use wm_bag::BagReader;
 use wm_motion::actions::ActionSpace;
+use wm_progress::Progress;
 
 use super::Planned;
 use crate::{
     DatasetError, Settings,
     cutting::{Draft, Omission, cut},
     manifest::{LeftOut, Source},
-    progress::progress_bar,
     recording::{Broken, Recording, Unusable},
 };
 
@@ -94,7 +94,7 @@ impl Survey {
         settings: &Settings,
         broken: &[Broken],
     ) -> Result<Plan, DatasetError> {
-        let progress = progress_bar("reading", "bags", sources.len());
+        let progress = Progress::of("reading", "bags", sources.len() as u64);
         let contents: Vec<_> = (self.readers.par_iter().zip(broken))
             .map(|(reader, broken)| {
                 let contents = reader
@@ -104,7 +104,7 @@ impl Survey {
                 contents
             })
             .collect();
-        progress.finish_and_clear();
+        drop(progress);
         let mut plan = Plan {
             bags: Vec::new(),
             space: self.space.clone(),

@@ -4,11 +4,12 @@ use image::{GrayImage, RgbImage, imageops::FilterType};
 use rayon::prelude::*;
 use wm_bag::BagReader;
 use wm_camera::camera_frame::CameraFrame;
+use wm_progress::Progress;
 
 use super::Planned;
 use crate::{
-    DatasetError, Manifest, Size, cameras::MASK, cutting::Draft, progress::progress_bar,
-    recording::Broken, store::NewFolder,
+    DatasetError, Manifest, Size, cameras::MASK, cutting::Draft, recording::Broken,
+    store::NewFolder,
 };
 
 /// Decodes the frames of all episodes into the folder's files; gives the pictures of each source that cannot be decoded.
@@ -22,7 +23,7 @@ pub(super) fn write(
     folder: &NewFolder,
 ) -> Result<Vec<Broken>, DatasetError> {
     let total: usize = manifest.episodes.iter().map(|episode| episode.frames).sum();
-    let progress = progress_bar("decoding", "frames", total);
+    let progress = Progress::of("decoding", "frames", total as u64);
     let files = Files {
         frames: folder.create_file("frames")?,
         masks: match manifest.has_masks {
@@ -54,7 +55,7 @@ pub(super) fn write(
             all.extend(broken);
         }
     }
-    progress.finish_and_clear();
+    drop(progress);
     Ok(all)
 }
 

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result, ensure};
 use rayon::prelude::*;
-use wm_dataset::progress_bar;
+use wm_progress::Progress;
 
 /// Which episodes.
 #[derive(Clone, Copy, Debug)]
@@ -19,10 +19,10 @@ impl Seeds {
     pub fn run<T: Send>(self, verb: &str, one: impl Fn(u64) -> Result<T> + Sync) -> Result<Vec<T>> {
         ensure!(self.count > 0, "--episodes is at least 1");
         ensure!(self.parallel > 0, "--parallel is at least 1");
-        let bar = progress_bar(verb, "episodes", self.count);
+        let progress = Progress::of(verb, "episodes", self.count as u64);
         let counted = |index: usize| {
             let made = one(self.first.wrapping_add(index as u64));
-            bar.inc(1);
+            progress.inc(1);
             made
         };
         let made = if self.parallel == 1 {
@@ -32,7 +32,7 @@ impl Seeds {
             let pool = pool.build().context("--parallel")?;
             pool.install(|| (0..self.count).into_par_iter().map(counted).collect())
         };
-        bar.finish_and_clear();
+        drop(progress);
         made
     }
 }

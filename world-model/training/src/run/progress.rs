@@ -1,38 +1,26 @@
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
-
 /// Steps after which time and memory are told: the first ones warm caches and allocator up.
 const MEASURED_STEPS: u64 = 4;
-/// Between two lines where no progress bar is seen.
-const QUIET: Duration = Duration::from_secs(30);
 
-/// The progress of a run: a bar on a terminal, else a line now and then.
+/// The progress of a run.
 pub(super) struct Progress {
-    bar: ProgressBar,
+    told: wm_progress::Progress,
     steps: u64,
     done: u64,
     /// When it began, and the steps since.
     since: (Instant, u64),
-    said: Instant,
-    has_estimated: bool,
 }
 
 impl Progress {
     pub(super) fn new(steps: u64, done: u64) -> Self {
-        let template = "{bar:30} {pos}/{len} {msg} {per_sec}, {eta} left";
-        let style =
-            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-        let bar = ProgressBar::new(steps).with_style(style);
-        bar.set_position(done);
-        bar.reset_eta();
+        let told = wm_progress::Progress::of("training", "steps", steps);
+        told.resume_at(done);
         Self {
-            bar,
+            told,
             steps,
             done,
             since: (Instant::now(), 0),
-            said: Instant::now(),
-            has_estimated: false,
         }
     }
 
@@ -40,44 +28,24 @@ impl Progress {
     pub(super) fn step(&mut self, line: &str) {
         self.done += 1;
         self.since.1 += 1;
-        self.bar.inc(1);
-        self.bar.set_message(line.to_owned());
-        if !self.has_estimated && self.since.1 == MEASURED_STEPS {
-            self.has_estimated = true;
+        self.told.inc(1);
+        self.told.message(line);
+        if self.since.1 == MEASURED_STEPS {
             let per_step = self.since.0.elapsed() / MEASURED_STEPS as u32;
-            let rest = self.left();
+            let left = per_step.as_secs_f64() * self.steps.saturating_sub(self.done) as f64;
+            let left = humantime::format_duration(Duration::from_secs(left.min(1e9) as u64));
             let memory = peak_memory().map_or(String::new(), |gib| format!(", {gib:.1} GiB"));
             self.say(&format!(
-                "{per_step:.1?} per step{memory}: about {rest} left"
+                "{per_step:.1?} per step{memory}: about {left} left"
             ));
             // The first steps are slower than the others.
-            self.since = (Instant::now(), 0);
-            self.said = Instant::now();
-        } else if self.bar.is_hidden() && self.said.elapsed() >= QUIET {
-            self.said = Instant::now();
-            println!(
-                "step {} of {}: {line}, {} left",
-                self.done,
-                self.steps,
-                self.left()
-            );
+            self.told.resume_at(self.done);
         }
-    }
-
-    fn left(&self) -> humantime::FormattedDuration {
-        let (began, taken) = self.since;
-        let per_step = began.elapsed().as_secs_f64() / taken.max(1) as f64;
-        let left = per_step * self.steps.saturating_sub(self.done) as f64;
-        humantime::format_duration(Duration::from_secs(left.min(1e9) as u64))
     }
 
     /// A line of its own.
     pub(super) fn say(&self, line: &str) {
-        self.bar.suspend(|| println!("{line}"));
-    }
-
-    pub(super) fn end(&self) {
-        self.bar.finish_and_clear();
+        self.told.aside(|| println!("{line}"));
     }
 }
 

@@ -6,7 +6,6 @@
 mod part;
 
 use anyhow::{Context as _, Result, bail, ensure};
-use indicatif::{ProgressBar, ProgressStyle};
 use part::{Part, Start, strong_etag};
 use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
@@ -21,6 +20,7 @@ use ureq::http::{
 };
 use ureq::typestate::AgentScope;
 use ureq::{Agent, Body};
+use wm_progress::Progress;
 
 /// How long a server may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(30);
@@ -186,7 +186,12 @@ impl Client {
             _ => part.go_on()?,
         };
         let part = part.path();
-        let bar = progress(part, total, have);
+        let name = part.file_stem().unwrap_or_default().to_string_lossy();
+        let progress = match total {
+            Some(total) => Progress::of(&name, "bytes", total),
+            None => Progress::open_ended(&name, "bytes"),
+        };
+        progress.resume_at(have);
         let mut reader = answer.body_mut().with_config().limit(MAX_BYTES).reader();
         let mut chunk = vec![0; CHUNK];
         loop {
@@ -200,9 +205,9 @@ impl Client {
             file.write_all(received)
                 .with_context(|| part.display().to_string())?;
             have += count as u64;
-            bar.set_position(have);
+            progress.inc(count as u64);
         }
-        bar.finish_and_clear();
+        drop(progress);
         file.sync_all()
             .with_context(|| part.display().to_string())?;
         if let Some(total) = total {
@@ -301,21 +306,6 @@ fn hex(hash: &Sha256) -> String {
         write!(text, "{byte:02x}").ok();
     }
     text
-}
-
-fn progress(part: &Path, total: Option<u64>, have: u64) -> ProgressBar {
-    let bar = match total {
-        Some(total) => ProgressBar::new(total),
-        None => ProgressBar::no_length(),
-    };
-    let style = "{msg} {bytes}/{total_bytes} {wide_bar} {bytes_per_sec} {eta}";
-    // The default style, should the template not be understood, shows less, and that is all.
-    let style =
-        ProgressStyle::with_template(style).unwrap_or_else(|_| ProgressStyle::default_bar());
-    bar.set_style(style);
-    let name = part.file_stem().unwrap_or_default().to_string_lossy();
-    bar.set_message(name.into_owned());
-    bar.with_position(have)
 }
 
 #[cfg(test)]

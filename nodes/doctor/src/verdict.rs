@@ -15,7 +15,7 @@ const DECODE_PERIOD: Duration = Duration::from_millis(600);
 
 /// What one step of each node takes here, measured alone, and the camera that it is for.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Times {
+pub struct Times {
     /// A camera frame to a latent.
     pub encode: Duration,
     /// One predicted frame; none where there is no transition model.
@@ -31,11 +31,7 @@ pub(super) struct Times {
 /// A line for each part, what the nodes will do at this rate and what would help, and one for all of them.
 impl fmt::Display for Times {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let needs = Needs {
-            frame_period: self.frame_period,
-            frame_skip: self.frame_skip,
-            context_frames: CONTEXT_FRAMES,
-        };
+        let needs = self.needs();
         let mode = Mode::of(self.encode, &needs);
         // From one frame to predict from to the next.
         let frames = mode.interval(&needs);
@@ -51,7 +47,7 @@ impl fmt::Display for Times {
         }
         let (rate, period) = (hertz(self.frame_period), self.frame_period);
         match rollouts {
-            None if frames <= period => write!(
+            None if self.is_fast_enough() => write!(
                 f,
                 "fast enough for {rate}: encoder and decoder only, nothing is predicted"
             ),
@@ -59,7 +55,7 @@ impl fmt::Display for Times {
                 f,
                 "too slow for {rate}: encoder and decoder only, nothing is predicted"
             ),
-            Some(rollouts) if rollouts <= period => {
+            Some(_) if self.is_fast_enough() => {
                 write!(f, "fast enough for {rate}: a prediction from every frame")
             }
             Some(rollouts) => write!(
@@ -74,6 +70,25 @@ impl fmt::Display for Times {
 }
 
 impl Times {
+    fn needs(&self) -> Needs {
+        Needs {
+            frame_period: self.frame_period,
+            frame_skip: self.frame_skip,
+            context_frames: CONTEXT_FRAMES,
+        }
+    }
+
+    /// Whether every frame is predicted from, or, without a transition model, encoded.
+    #[must_use]
+    pub fn is_fast_enough(&self) -> bool {
+        let needs = self.needs();
+        let frames = Mode::of(self.encode, &needs).interval(&needs);
+        let between = self
+            .predict
+            .map_or(frames, |step| between_rollouts(step, frames));
+        between <= self.frame_period
+    }
+
     fn encoder(&self, mode: Mode, needs: &Needs, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
@@ -121,8 +136,13 @@ impl Times {
             f.write_str("fewer integration_steps, or a faster processor")?;
         }
         writeln!(f)?;
-        Ok(frames * nth)
+        Ok(between_rollouts(step, frames))
     }
+}
+
+/// From one rollout to the next, where frames to predict from come every `frames` and a predicted frame takes `step`.
+fn between_rollouts(step: Duration, frames: Duration) -> Duration {
+    frames * periods(step * HORIZON, frames)
 }
 
 /// The decoder's line, where rollouts begin `rollouts` apart.

@@ -1,0 +1,105 @@
+//! How far a command is: a status line on a terminal, a line every ten seconds without one.
+//!
+//! ```
+//! let progress = wm_progress::Progress::of("reading", "bags", 3);
+//! for bag in ["a", "b", "c"] {
+//!     assert_eq!(bag.len(), 1);
+//!     progress.inc(1);
+//! }
+//! drop(progress); // clears the status line
+//! ```
+//!
+//! A thread of its own tells: a single step that takes minutes is seen to go on. Everything goes to standard error, since
+//! results go to standard output.
+
+mod log;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use log::Log;
+use std::io::IsTerminal as _;
+use std::time::Duration;
+
+/// Between two lines of a log.
+const LOGGED: Duration = Duration::from_secs(10);
+/// Between two looks of a status line.
+const SHOWN: Duration = Duration::from_millis(250);
+
+/// The progress of one thing that takes a while; dropped when it is done.
+pub struct Progress {
+    bar: ProgressBar,
+    /// Without a terminal.
+    _log: Option<Log>,
+}
+
+impl Progress {
+    /// Of `total` things to do: `reading`, `bags`, 12. Things called `bytes` are told as MiB.
+    #[must_use]
+    pub fn of(what: &str, things: &'static str, total: u64) -> Self {
+        Self::to_stderr(what, things, Some(total))
+    }
+
+    /// Of something whose end is not known: only that it goes on is told, and the things that were counted.
+    #[must_use]
+    pub fn open_ended(what: &str, things: &'static str) -> Self {
+        Self::to_stderr(what, things, None)
+    }
+
+    fn to_stderr(what: &str, things: &'static str, total: Option<u64>) -> Self {
+        let is_terminal = std::io::stderr().is_terminal();
+        let target = match is_terminal {
+            true => ProgressDrawTarget::stderr(),
+            false => ProgressDrawTarget::hidden(),
+        };
+        let bar = ProgressBar::with_draw_target(total, target).with_prefix(what.to_owned());
+        let log = match is_terminal {
+            true => {
+                bar.set_style(style(things, total));
+                bar.enable_steady_tick(SHOWN);
+                None
+            }
+            false => Log::start(bar.clone(), things, LOGGED, Box::new(std::io::stderr())),
+        };
+        Self { bar, _log: log }
+    }
+
+    /// So many more things are done.
+    pub fn inc(&self, count: u64) {
+        self.bar.inc(count);
+    }
+
+    /// So many things were done before this began, which took no time now.
+    pub fn resume_at(&self, done: u64) {
+        self.bar.set_position(done);
+        self.bar.reset_eta();
+    }
+
+    /// What else is to be told, until the next call.
+    pub fn message(&self, text: impl Into<String>) {
+        self.bar.set_message(text.into());
+    }
+
+    /// Clears the status line for what `print` writes, to standard output for example.
+    pub fn aside<T>(&self, print: impl FnOnce() -> T) -> T {
+        self.bar.suspend(print)
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn style(things: &str, total: Option<u64>) -> ProgressStyle {
+    let template = match (things, total) {
+        ("bytes", Some(_)) => {
+            "{prefix}: {binary_bytes} of {binary_total_bytes}, {eta} left {msg}".to_owned()
+        }
+        ("bytes", None) => "{prefix}: {binary_bytes}, {elapsed} so far {msg}".to_owned(),
+        (_, Some(_)) => {
+            format!("{{prefix}}: {{human_pos}} of {{human_len}} {things}, {{eta}} left {{msg}}")
+        }
+        (_, None) => "{prefix}, {elapsed} so far {msg}".to_owned(),
+    };
+    ProgressStyle::with_template(&template).unwrap_or_else(|_| ProgressStyle::default_bar())
+}

@@ -1,0 +1,106 @@
+//! `wm doctor`.
+
+use crate::output::print;
+use anyhow::Result;
+use clap::Args;
+use std::process::ExitCode;
+use std::time::Duration;
+use wm_doctor::{DoctorError, Heard, Level, Machine, ModelFacts, Report};
+use wm_progress::Progress;
+use wm_ros::{Environment, NodeArgs};
+
+/// Examines machine, network, cameras, actions and model.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "It looks at processor, memory, ROS domain and interfaces, receive buffers and clock; hears cameras and actions,\n\
+    their rates, stamps and pictures; and tries whether the model fits them. Each finding says what to do.\n\n\
+    Exit codes: 0 no error was found, 1 an error was found, 2 wrong usage."
+)]
+pub struct DoctorCommand {
+    #[command(flatten)]
+    pub listening: Listening,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is listened to, and with which model.
+#[derive(Args, Debug)]
+pub struct Listening {
+    /// Image topic of the camera; without it, the default or the first that sends pictures
+    #[arg(long, value_name = "TOPIC")]
+    pub camera: Option<String>,
+    /// Topic of the actions
+    #[arg(long, value_name = "TOPIC")]
+    pub action: Option<String>,
+    /// A model folder, or `tiny`, as for the parameter `model` of a node
+    #[arg(long, value_name = "DIR", default_value = "tiny")]
+    pub model: String,
+    /// How long to listen
+    #[arg(long, value_name = "S", default_value_t = 6.0, value_parser = parse_seconds)]
+    seconds: f64,
+    /// Network interface, by name or address; without it, this host only
+    #[arg(long, value_name = "INTERFACE")]
+    interface: Option<String>,
+}
+
+/// Long enough to discover others, and short enough to remember what came.
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if (1.0..=600.0).contains(&seconds) => Ok(seconds),
+        _ => Err("expected seconds, from 1 to 600".to_owned()),
+    }
+}
+
+impl Listening {
+    /// The topics that the user named.
+    pub fn topics(&self) -> (Option<&str>, Option<&str>) {
+        (self.camera.as_deref(), self.action.as_deref())
+    }
+
+    fn args(&self) -> Result<NodeArgs> {
+        let interface = self
+            .interface
+            .iter()
+            .flat_map(|name| ["--interface", name.as_str()]);
+        Ok(NodeArgs::parse(interface)?)
+    }
+
+    /// The machine, and what is heard there.
+    pub fn hear(&self) -> Result<(Machine, Heard)> {
+        let args = self.args()?;
+        let environment = Environment::from_env(&args).map_err(DoctorError::from)?;
+        let machine = Machine::look(&environment)?;
+        let domain = environment.domain_id;
+        eprintln!("wm: listening for {} s in domain {domain}", self.seconds);
+        let heard = wm_doctor::listen(&args, Duration::from_secs_f64(self.seconds))?;
+        Ok((machine, heard))
+    }
+
+    /// The model, tried on the camera's pictures.
+    pub fn examine_model(&self, heard: &Heard) -> Result<ModelFacts, DoctorError> {
+        let _progress = Progress::open_ended("trying the model", "parts");
+        let camera = heard.camera(self.camera.as_deref());
+        let pictures = camera
+            .into_iter()
+            .flat_map(|(_, camera)| camera.pictures.iter().flatten());
+        wm_doctor::examine_model(&self.model, &pictures.collect::<Vec<_>>())
+    }
+}
+
+impl DoctorCommand {
+    /// Runs it.
+    pub fn run(self) -> Result<ExitCode> {
+        let (machine, heard) = self.listening.hear()?;
+        let model = self.listening.examine_model(&heard);
+        // The chain of causes, as an error of this program is said.
+        let model = model.map_err(|error| format!("{:#}", anyhow::Error::from(error)));
+        let model = model.as_ref().map_err(Clone::clone);
+        let report = Report::of(&machine, &heard, Some(model), self.listening.topics());
+        match self.json {
+            true => print(format_args!("{:#}\n", report.json(&heard)))?,
+            false => print(&report)?,
+        }
+        Ok(ExitCode::from(u8::from(report.worst() == Level::Error)))
+    }
+}

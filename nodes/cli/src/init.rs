@@ -1,0 +1,57 @@
+//! `wm init`.
+
+use crate::{doctor::Listening, launch::quote, output::print};
+use anyhow::Result;
+use clap::Args;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use wm_doctor::Setup;
+
+/// Writes a launch file and parameter files for the camera and the arm that are heard.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "The folder gets live.launch.yaml, whose defaults are the topics that were heard, and config/ with the nodes'\n\
+    parameter files. For an arm that publishes velocities, poses or tf, name that topic with --action: the launch then\n\
+    starts the action adapter too. Existing files are never overwritten.\n\n\
+    Exit codes: 0 done, 1 failed, 2 wrong usage, also where --camera or --action has to choose."
+)]
+pub struct InitCommand {
+    /// Folder for the files; made if it does not exist
+    folder: PathBuf,
+    #[command(flatten)]
+    listening: Listening,
+}
+
+impl InitCommand {
+    /// Runs it.
+    pub fn run(mut self) -> Result<ExitCode> {
+        // The launch may be started from anywhere.
+        if Path::new(&self.listening.model).exists() {
+            let path = std::path::absolute(&self.listening.model)?;
+            self.listening.model = path.to_string_lossy().into_owned();
+        }
+        let (_, heard) = self.listening.hear()?;
+        let model = self.listening.examine_model(&heard)?;
+        let setup = Setup::new(&heard, &model, self.listening.topics())?;
+        let paths = setup.write(&self.folder)?;
+        for path in &paths {
+            print(format_args!("{}\n", path.display()))?;
+        }
+        print(format_args!(
+            "camera {}, actions {}, model {}\n",
+            setup.camera, setup.action, setup.model
+        ))?;
+        if let Some(period_s) = setup.frame_period_s {
+            print(format_args!(
+                "frame_period is {period_s:.3} s, the camera's: it is slower than the model was trained at\n"
+            ))?;
+        }
+        if let Some(launch) = paths.first() {
+            print(format_args!(
+                "start with: wm launch {}\n",
+                quote(&launch.to_string_lossy())
+            ))?;
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}

@@ -1,0 +1,128 @@
+//! The kernel's receive buffers.
+
+use crate::{DoctorError, Finding, Heard, machine::read};
+
+/// This check.
+const CHECK: &str = "buffers";
+/// What docs/networking.md has users set \[byte\].
+const WANTED: u64 = 4 << 20;
+/// What sets it.
+const MEND: &str = "sudo sysctl -w net.core.rmem_max=4194304 net.core.rmem_default=4194304, and the same two lines in \
+                    /etc/sysctl.d/wm.conf";
+
+/// The receive buffers of sockets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Buffers {
+    /// `net.core.rmem_default`, which the DDS library's sockets have \[byte\].
+    pub default: u64,
+    /// `net.core.rmem_max` \[byte\].
+    pub most: u64,
+    /// Datagrams that were dropped since the start of the system because a buffer was full.
+    pub dropped: u64,
+}
+
+impl Buffers {
+    pub fn look() -> Result<Self, DoctorError> {
+        let size = |name: &str| -> Result<u64, DoctorError> {
+            let text = read(&format!("/proc/sys/net/core/{name}"))?;
+            Ok(text.trim().parse().unwrap_or(0))
+        };
+        Ok(Self {
+            default: size("rmem_default")?,
+            most: size("rmem_max")?,
+            dropped: dropped_of(&read("/proc/net/snmp")?),
+        })
+    }
+
+    /// How many datagrams have been dropped since `self` was looked at.
+    fn dropped_since(&self) -> u64 {
+        Self::look().map_or(0, |now| now.dropped.saturating_sub(self.dropped))
+    }
+}
+
+/// `RcvbufErrors` of UDP, from the text of `/proc/net/snmp`: a line of names, then one of values.
+fn dropped_of(text: &str) -> u64 {
+    let mut lines = text.lines().filter_map(|line| line.strip_prefix("Udp:"));
+    let (Some(names), Some(values)) = (lines.next(), lines.next()) else {
+        return 0;
+    };
+    let mut pairs = names.split_whitespace().zip(values.split_whitespace());
+    let found = pairs.find(|(name, _)| *name == "RcvbufErrors");
+    found.and_then(|(_, value)| value.parse().ok()).unwrap_or(0)
+}
+
+/// What is to be said of them, after `heard` was heard.
+pub(crate) fn check(buffers: &Buffers, heard: &Heard) -> Vec<Finding> {
+    judge(buffers, buffers.dropped_since(), largest(heard))
+}
+
+/// The largest message that came.
+fn largest(heard: &Heard) -> u64 {
+    let largest = heard.streams().map(|stream| stream.largest).max();
+    largest.map_or(0, |bytes| bytes as u64)
+}
+
+fn judge(buffers: &Buffers, dropped: u64, largest: u64) -> Vec<Finding> {
+    let Buffers { default, most, .. } = *buffers;
+    let sizes = format!(
+        "receive buffers of {} KiB, at most {} KiB",
+        default / 1024,
+        most / 1024
+    );
+    if dropped > 0 {
+        return vec![
+            Finding::warning(CHECK, format!("{dropped} datagrams were dropped while it was listened to, because a buffer was full ({sizes})"))
+                .because("a message that lacks one datagram is lost, or sent again if it is reliable")
+                .fix(MEND),
+        ];
+    }
+    let is_small = default < WANTED || most < WANTED;
+    vec![match is_small {
+        true if largest > default => Finding::warning(CHECK, format!("messages of {} KiB, and {sizes}", largest / 1024))
+            .because("drivers of other DDS implementations send a picture in one burst, which has to fit; nodes of wm need nothing")
+            .fix(MEND),
+        true => Finding::note(CHECK, sizes)
+            .because("enough for what was heard; raw pictures of other DDS implementations may not fit")
+            .fix(MEND),
+        false => Finding::ok(CHECK, sizes),
+    }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Level;
+
+    #[test]
+    fn drops_are_read_by_their_name() {
+        let text = "Tcp: A\nTcp: 1\nUdp: InDatagrams RcvbufErrors InErrors\nUdp: 100 7 9\n";
+        assert_eq!(dropped_of(text), 7);
+        assert_eq!((dropped_of("Udp: RcvbufErrors\n"), dropped_of("")), (0, 0));
+    }
+
+    #[test]
+    fn what_is_too_small_for_what_was_heard_is_a_warning() {
+        let linux = Buffers {
+            default: 212_992,
+            most: 212_992,
+            dropped: 0,
+        };
+        let large = Buffers {
+            default: WANTED,
+            most: WANTED,
+            dropped: 0,
+        };
+        let level = |buffers: &Buffers, dropped, largest| judge(buffers, dropped, largest)[0].level;
+        assert_eq!(level(&linux, 0, 50_000), Level::Note);
+        assert_eq!(level(&linux, 0, 921_600), Level::Warning);
+        assert_eq!(level(&large, 0, 921_600), Level::Ok);
+        assert_eq!(level(&large, 3, 0), Level::Warning);
+        assert!(
+            judge(&linux, 0, 921_600)[0]
+                .fix
+                .as_deref()
+                .unwrap()
+                .contains("rmem_default=4194304")
+        );
+    }
+}

@@ -1,0 +1,45 @@
+//! Why an examination could not be made.
+
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Why an examination could not be made. What is wrong with the examined is a [`Finding`](crate::Finding) instead.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum DoctorError {
+    /// The graph cannot be joined, or arguments or variables are wrong.
+    #[error(transparent)]
+    Ros(#[from] wm_ros::Error),
+    /// A file of the system cannot be read.
+    #[error("cannot read {}", file.display())]
+    System {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A part of a model computes nothing.
+    #[error("{part}")]
+    Model {
+        /// The part, for example `the encoder`.
+        part: &'static str,
+        /// What it said.
+        source: wm_zoo::Error,
+    },
+}
+
+impl DoctorError {
+    /// The error of a part of a model.
+    pub(crate) fn of<E: Into<wm_zoo::Error>>(part: &'static str) -> impl FnOnce(E) -> Self {
+        move |source| Self::Model {
+            part,
+            source: source.into(),
+        }
+    }
+
+    /// Whether the user's arguments or variables are wrong.
+    #[must_use]
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Self::Ros(error) if error.is_usage() || matches!(error, wm_ros::Error::Environment { .. }))
+    }
+}

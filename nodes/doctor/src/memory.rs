@@ -1,0 +1,121 @@
+//! Main memory.
+
+use crate::{
+    DoctorError, Finding,
+    machine::{read, read_if_there},
+};
+use std::path::Path;
+
+/// This check.
+const CHECK: &str = "memory";
+/// Encoder, predictor, decoder and planner take up to 180 MiB each with the bundled model (docs/benchmarks.md); recorder,
+/// monitor and the queues of a slow subscriber come on top \[byte\].
+const LEAST: u64 = 1 << 30;
+
+/// Memory that this process may use.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Memory {
+    /// Of the machine \[byte\].
+    pub total: u64,
+    /// What can still be had of it \[byte\].
+    pub available: u64,
+    /// Limit of the control group, and what of it is taken \[byte\].
+    pub group: Option<(u64, u64)>,
+}
+
+impl Memory {
+    pub fn look() -> Result<Self, DoctorError> {
+        let group = read_if_there("/proc/self/cgroup")
+            .and_then(|text| group_of(&text, Path::new("/sys/fs/cgroup")));
+        Ok(Self {
+            group,
+            ..Self::of_meminfo(&read("/proc/meminfo")?)
+        })
+    }
+
+    /// From the text of `/proc/meminfo`.
+    fn of_meminfo(text: &str) -> Self {
+        let bytes = |key: &str| {
+            let line = text.lines().find_map(|line| line.strip_prefix(key));
+            let kib: Option<u64> =
+                line.and_then(|line| line.trim().strip_suffix(" kB")?.parse().ok());
+            kib.unwrap_or(0).saturating_mul(1024)
+        };
+        Self {
+            total: bytes("MemTotal:"),
+            available: bytes("MemAvailable:"),
+            group: None,
+        }
+    }
+
+    /// What this process can still have \[byte\].
+    pub fn usable(&self) -> u64 {
+        let left = self.group.map(|(limit, taken)| limit.saturating_sub(taken));
+        self.available.min(left.unwrap_or(u64::MAX))
+    }
+}
+
+/// Limit and use of the control group (version 2) that `/proc/self/cgroup` names; none without a limit.
+fn group_of(cgroup: &str, root: &Path) -> Option<(u64, u64)> {
+    let path = cgroup.lines().find_map(|line| line.strip_prefix("0::"))?;
+    let folder = root.join(path.trim_start_matches('/'));
+    let figure = |name: &str| read_if_there(folder.join(name))?.parse().ok();
+    // "max" is no number: no limit.
+    Some((figure("memory.max")?, figure("memory.current")?))
+}
+
+/// A size for people.
+pub(crate) fn gib(bytes: u64) -> String {
+    format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))
+}
+
+/// What is to be said of it.
+pub(crate) fn check(memory: &Memory) -> Vec<Finding> {
+    let usable = memory.usable();
+    let of = match memory.group {
+        Some((limit, _)) => format!("the {} that this process is allowed", gib(limit)),
+        None => gib(memory.total),
+    };
+    let what = format!("{} free, of {of}", gib(usable));
+    vec![match usable < LEAST {
+        false => Finding::ok(CHECK, what),
+        true => Finding::warning(CHECK, what)
+            .because("encoder, predictor, decoder and planner take up to 180 MiB each with the bundled model, and more with others; a node that finds no memory is ended by the kernel")
+            .fix("end other programs, raise the limit (MemoryMax of systemd, docker --memory), or run the nodes in one process: one_process:=true"),
+    }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Level;
+
+    #[test]
+    fn the_lesser_of_machine_and_group_counts() {
+        let text = "MemTotal:        8388608 kB\nMemFree: 1 kB\nMemAvailable:    4194304 kB\n";
+        let mut memory = Memory::of_meminfo(text);
+        assert_eq!((memory.total, memory.usable()), (8 << 30, 4 << 30));
+        assert_eq!(check(&memory)[0].level, Level::Ok);
+        memory.group = Some((2 << 30, 3 << 29));
+        assert_eq!(memory.usable(), 1 << 29);
+        let finding = &check(&memory)[0];
+        assert_eq!(finding.level, Level::Warning);
+        assert_eq!(
+            finding.what,
+            "0.5 GiB free, of the 2.0 GiB that this process is allowed"
+        );
+    }
+
+    #[test]
+    fn a_group_without_a_limit_is_none() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("robot/wm");
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("memory.current"), "1000\n").unwrap();
+        for (limit, found) in [("max\n", None), ("4096\n", Some((4096, 1000)))] {
+            std::fs::write(folder.join("memory.max"), limit).unwrap();
+            assert_eq!(group_of("1:x:/y\n0::/robot/wm\n", root.path()), found);
+        }
+        assert_eq!(group_of("", root.path()), None);
+    }
+}

@@ -1,0 +1,206 @@
+//! The ROS domain and the interfaces that nodes use.
+
+use crate::{DoctorError, Finding, machine::read};
+use std::collections::{BTreeMap, BTreeSet};
+use wm_ros::{Environment, Interface, Reach};
+
+/// This check.
+const CHECK: &str = "network";
+/// The formula of RTPS: the domains' ports begin here, each has so many, and participants of a domain have two each from
+/// the tenth on.
+const FIRST_PORT: u16 = 7400;
+const PORTS_OF_DOMAIN: u16 = 250;
+const FIRST_PARTICIPANT: u16 = 10;
+/// Above, the ports are those that Linux gives to any program.
+const HIGHEST_DOMAIN: u16 = 100;
+
+/// How this process takes part in the network.
+#[derive(Clone, Debug)]
+pub(crate) struct Network {
+    /// `ROS_DOMAIN_ID`.
+    pub domain: u16,
+    /// How far discovery reaches.
+    pub reach: Reach,
+    /// Interfaces of this host.
+    pub interfaces: Vec<Interface>,
+    /// Participants of this host that listen, by domain.
+    pub listeners: BTreeMap<u16, usize>,
+    /// What the environment asks for and cannot have.
+    pub warnings: Vec<String>,
+}
+
+impl Network {
+    pub fn look(environment: &Environment) -> Result<Self, DoctorError> {
+        Ok(Self {
+            domain: environment.domain_id,
+            reach: environment.reach.clone(),
+            interfaces: Interface::all()?,
+            listeners: listeners_of(&read("/proc/net/udp")?),
+            warnings: Environment::warnings()?,
+        })
+    }
+
+    /// The interfaces that are not loopback.
+    fn outer(&self) -> Vec<&Interface> {
+        let is_outer = |interface: &&Interface| !interface.address.is_loopback();
+        self.interfaces.iter().filter(is_outer).collect()
+    }
+}
+
+/// How many participants of which domains there are, by the ports of `/proc/net/udp`.
+fn listeners_of(text: &str) -> BTreeMap<u16, usize> {
+    let ports: BTreeSet<u16> = text.lines().skip(1).filter_map(port_of).collect();
+    let mut listeners = BTreeMap::new();
+    for port in ports {
+        let Some(offset) = port.checked_sub(FIRST_PORT) else {
+            continue;
+        };
+        let (domain, within) = (offset / PORTS_OF_DOMAIN, offset % PORTS_OF_DOMAIN);
+        let is_discovery = within >= FIRST_PARTICIPANT && within.is_multiple_of(2);
+        if domain <= HIGHEST_DOMAIN && is_discovery {
+            *listeners.entry(domain).or_default() += 1;
+        }
+    }
+    listeners
+}
+
+/// The local port of a line: `  12: 00000000:1CF2 00000000:0000 07 ...`.
+fn port_of(line: &str) -> Option<u16> {
+    let local = line.split_whitespace().nth(1)?;
+    u16::from_str_radix(local.split_once(':')?.1, 16).ok()
+}
+
+fn listed(interfaces: &[&Interface]) -> String {
+    let names = interfaces
+        .iter()
+        .map(|found| format!("{} ({})", found.name, found.address));
+    names.collect::<Vec<_>>().join(", ")
+}
+
+/// What is to be said of it, where `is_silent` says that nobody else was heard.
+pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
+    let domain = network.domain;
+    let outer = network.outer();
+    let mut findings = vec![match &network.reach {
+        Reach::Localhost => Finding::note(CHECK, format!("domain {domain}, this host only"))
+            .because("nodes of other machines neither hear these nodes nor are heard, which is the safe default")
+            .fix(match outer.as_slice() {
+                [] => "nothing: this host has no other interface".to_owned(),
+                [first, ..] => format!(
+                    "if camera or arm are on another machine: --interface {} on every node (of {})",
+                    first.name,
+                    listed(&outer)
+                ),
+            }),
+        Reach::Interfaces(addresses) => {
+            let addresses: Vec<_> = addresses.iter().map(ToString::to_string).collect();
+            Finding::ok(CHECK, format!("domain {domain}, on {}", addresses.join(", ")))
+        }
+        Reach::Subnet if outer.len() > 1 => {
+            Finding::warning(CHECK, format!("domain {domain}, on every interface: {}", listed(&outer)))
+                .because("who is reachable over two interfaces receives every message twice, and large ones stall")
+                .fix(format!("--interface {} on every node, or another of these", outer.first().map_or("eth0", |found| &found.name)))
+        }
+        Reach::Subnet => Finding::ok(CHECK, format!("domain {domain}, on every interface")),
+        Reach::Process => Finding::warning(CHECK, "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF")
+            .because("only nodes of one process find each other; no camera is heard")
+            .fix("unset ROS_AUTOMATIC_DISCOVERY_RANGE"),
+    }];
+    let warnings = network.warnings.iter();
+    findings.extend(warnings.map(|warning| Finding::warning(CHECK, warning.clone())));
+    let others: Vec<_> = network
+        .listeners
+        .iter()
+        .filter(|(other, _)| **other != domain)
+        .collect();
+    if is_silent && !others.is_empty() {
+        let domains: Vec<_> = others
+            .iter()
+            .map(|(other, count)| format!("{other} ({count})"))
+            .collect();
+        findings.push(
+            Finding::warning(CHECK, format!("nobody else in domain {domain}, but participants of this host listen in others: {}", domains.join(", ")))
+                .because("nodes hear each other within one domain only")
+                .fix(format!("export ROS_DOMAIN_ID={}", others.first().map_or(0, |(other, _)| **other))),
+        );
+    } else if is_silent && network.reach != Reach::Process {
+        findings.push(
+            Finding::warning(CHECK, format!("nobody else in domain {domain}"))
+                .because("no driver is running, or it is in another domain or out of reach")
+                .fix("start the drivers in this domain (echo $ROS_DOMAIN_ID), on this host or with --interface"),
+        );
+    }
+    findings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Level;
+    use std::net::IpAddr;
+
+    fn network(reach: Reach, outer: &[&str]) -> Network {
+        let interface = |(name, address): (&str, &str)| Interface {
+            name: name.to_owned(),
+            address: address.parse::<IpAddr>().unwrap(),
+        };
+        let mut interfaces = vec![interface(("lo", "127.0.0.1"))];
+        interfaces.extend(outer.iter().map(|name| interface((name, "10.0.0.7"))));
+        Network {
+            domain: 3,
+            reach,
+            interfaces,
+            listeners: BTreeMap::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn participants_are_counted_by_their_ports() {
+        let line = |port: u16| {
+            format!("  1: 00000000:{port:04X} 00000000:0000 07 00000000:00000000 00:00000000\n")
+        };
+        // Of domain 0 multicast, two participants with a data port each; one of domain 42; and others' ports.
+        let ports = [7400, 7410, 7411, 7412, 7413, 17_910, 53, 40_000];
+        let text: String = std::iter::once("  sl  local_address\n".to_owned())
+            .chain(ports.map(line))
+            .collect();
+        assert_eq!(listeners_of(&text), BTreeMap::from([(0, 2), (42, 1)]));
+        assert_eq!(listeners_of(""), BTreeMap::new());
+    }
+
+    #[test]
+    fn loopback_is_the_default_and_says_how_to_reach_others() {
+        let findings = check(&network(Reach::Localhost, &["eth0", "wlan0"]), false);
+        assert_eq!(findings[0].level, Level::Note);
+        assert!(
+            findings[0]
+                .fix
+                .as_deref()
+                .unwrap()
+                .contains("--interface eth0")
+        );
+        assert_eq!(findings.len(), 1);
+    }
+
+    #[test]
+    fn two_interfaces_are_one_too_many() {
+        let level = |outer: &[&str]| check(&network(Reach::Subnet, outer), false)[0].level;
+        assert_eq!(level(&["eth0"]), Level::Ok);
+        assert_eq!(level(&["eth0", "wlan0"]), Level::Warning);
+        assert_eq!(
+            check(&network(Reach::Process, &[]), false)[0].level,
+            Level::Warning
+        );
+    }
+
+    #[test]
+    fn who_hears_nobody_is_told_where_others_are() {
+        let mut silent = network(Reach::Localhost, &[]);
+        let text = |network: &Network| format!("{:?}", check(network, true)[1]);
+        assert!(text(&silent).contains("start the drivers"));
+        silent.listeners.insert(7, 2);
+        assert!(text(&silent).contains("export ROS_DOMAIN_ID=7"));
+        assert_eq!(check(&silent, false).len(), 1);
+    }
+}

@@ -1,0 +1,439 @@
+//! `wm init`: a launch file and parameter files for what was heard.
+
+use crate::{Heard, ModelFacts};
+use std::fs::{self, OpenOptions};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+use wm_ros::logging::of_others;
+
+/// The launch file that is set up, as the repository has it.
+const LAUNCH: &str = include_str!("../../../launch-configs/live.launch.yaml");
+/// Its name.
+const LAUNCH_NAME: &str = "live.launch.yaml";
+/// Name and text of the parameter files that it names, as the nodes print them.
+const CONFIGS: [(&str, &str); 7] = [
+    (
+        "encoder",
+        include_str!("../../../launch-configs/config/encoder.yaml"),
+    ),
+    (
+        "predictor",
+        include_str!("../../../launch-configs/config/predictor.yaml"),
+    ),
+    (
+        "decoder",
+        include_str!("../../../launch-configs/config/decoder.yaml"),
+    ),
+    (
+        "planner",
+        include_str!("../../../launch-configs/config/planner.yaml"),
+    ),
+    (
+        "evaluator",
+        include_str!("../../../launch-configs/config/evaluator.yaml"),
+    ),
+    (
+        "recorder",
+        include_str!("../../../launch-configs/config/recorder.yaml"),
+    ),
+    (
+        "monitor",
+        include_str!("../../../launch-configs/config/monitor.yaml"),
+    ),
+];
+/// As [`CONFIGS`], of the adapter.
+const ADAPTER: &str = include_str!("../../../launch-configs/config/action_adapter.yaml");
+/// Values of the launch files that are no defaults.
+const JOBS: &str = include_str!("../../../launch-configs/config/jobs.yaml");
+/// A parameter of several nodes.
+const FRAME_PERIOD: &str = "frame_period";
+/// Topic on which the adapter publishes.
+const ADAPTED: &str = "/wm/action";
+
+/// Why nothing was set up.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum SetupError {
+    /// Nothing to set up for.
+    #[error(
+        "no camera was heard, so there is nothing to set up for: start its driver, or name its topic with --camera \
+         (`wm doctor` says more)"
+    )]
+    NoCamera,
+    /// More than one camera.
+    #[error("several cameras were heard: {}; choose one with --camera", .0.join(", "))]
+    SeveralCameras(Vec<String>),
+    /// More than one topic of actions.
+    #[error("several topics of actions were heard: {}; choose one with --action", .0.join(", "))]
+    SeveralActions(Vec<String>),
+    /// A name that a launch file would read as something else.
+    #[error("{what} `{text}` has `$(` in it, which a launch file replaces")]
+    Substitution {
+        /// What it names.
+        what: &'static str,
+        /// The name.
+        text: String,
+    },
+    /// A file that is there already; nothing was written.
+    #[error("{} exists already, and nothing was written: name another folder", .0.display())]
+    Exists(PathBuf),
+    /// A file cannot be written.
+    #[error("cannot write {}", file.display())]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The launch file of the repository has changed, and this module has not.
+    #[error("the bundled {file} has no {wanted}; please report this")]
+    Template {
+        /// The file.
+        file: &'static str,
+        /// What was looked for.
+        wanted: String,
+    },
+}
+
+impl SetupError {
+    /// Whether the user has to say more.
+    #[must_use]
+    pub fn is_usage(&self) -> bool {
+        matches!(
+            self,
+            Self::SeveralCameras(_) | Self::SeveralActions(_) | Self::Substitution { .. }
+        )
+    }
+}
+
+/// What is set up.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setup {
+    /// Image topic of the camera.
+    pub camera: String,
+    /// Topic of the actions, or of what the adapter makes them of.
+    pub action: String,
+    /// The adapter's `source`, where the arm publishes no actions.
+    pub adapter: Option<&'static str>,
+    /// `tiny`, or a model folder.
+    pub model: String,
+    /// `frame_period` of the nodes where the camera is slower than the model \[s\].
+    pub frame_period_s: Option<f64>,
+}
+
+impl Setup {
+    /// For what was heard, and the topics that the user named. A named topic need not have been heard.
+    ///
+    /// # Errors
+    /// None or several to choose from.
+    pub fn new(
+        heard: &Heard,
+        model: &ModelFacts,
+        (camera, action): (Option<&str>, Option<&str>),
+    ) -> Result<Self, SetupError> {
+        let cameras: Vec<&String> = heard.cameras.keys().collect();
+        let camera_name = match (camera, cameras.as_slice()) {
+            (Some(name), _) => name.to_owned(),
+            (None, []) => return Err(SetupError::NoCamera),
+            (None, [only]) => (*only).clone(),
+            (None, _) => return Err(SetupError::SeveralCameras(listed(&cameras))),
+        };
+        let taken = heard
+            .actions
+            .iter()
+            .filter(|(_, actions)| !actions.is_chunk);
+        let topics: Vec<&String> = taken.map(|(name, _)| name).collect();
+        let (action, adapter) = match (action, topics.as_slice()) {
+            (Some(name), _) => {
+                let adapter = heard.motion(name).map(|motion| motion.source);
+                (name.to_owned(), adapter)
+            }
+            // As the nodes have it, for an arm that does not run yet.
+            (None, []) => (ADAPTED.to_owned(), None),
+            (None, [only]) => ((*only).clone(), None),
+            (None, _) => return Err(SetupError::SeveralActions(listed(&topics))),
+        };
+        let stream = heard
+            .cameras
+            .get(&camera_name)
+            .and_then(crate::Camera::best);
+        let camera_s = stream.and_then(|stream| stream.timeline.period_s());
+        Ok(Self {
+            camera: camera_name,
+            action,
+            adapter,
+            model: model.name.clone(),
+            frame_period_s: camera_s.and_then(|camera_s| model.frame_period_s(camera_s)),
+        })
+    }
+
+    /// Name within the folder, and text of each file.
+    ///
+    /// # Errors
+    /// A name that has no place in a launch file.
+    pub fn files(&self) -> Result<Vec<(PathBuf, String)>, SetupError> {
+        let names = [
+            ("camera", &self.camera),
+            ("action", &self.action),
+            ("model", &self.model),
+        ];
+        if let Some((what, text)) = names.into_iter().find(|(_, text)| text.contains("$(")) {
+            let text = text.clone();
+            return Err(SetupError::Substitution { what, text });
+        }
+        let mut files = vec![(PathBuf::from(LAUNCH_NAME), self.launch()?)];
+        for (name, text) in CONFIGS {
+            files.push((config(name), self.parameters(text)));
+        }
+        files.push((config("jobs"), JOBS.to_owned()));
+        if let Some(source) = self.adapter {
+            let text = self.parameters(ADAPTER);
+            files.push((
+                config("action_adapter"),
+                with_parameter(&text, "source", source),
+            ));
+        }
+        Ok(files)
+    }
+
+    fn launch(&self) -> Result<String, SetupError> {
+        // The nodes take the adapter's actions.
+        let action = match self.adapter {
+            Some(_) => ADAPTED,
+            None => &self.action,
+        };
+        let mut text = with_default(LAUNCH, "camera", &self.camera)?;
+        text = with_default(&text, "action", action)?;
+        text = with_default(&text, "model", &self.model)?;
+        if let Some(source) = self.adapter {
+            let from = match source {
+                "twist" => "/wm/twist",
+                "pose" => "/wm/ee_pose",
+                _ => "/tf",
+            };
+            let to = quoted(&self.action);
+            text.push_str(&format!(
+                "- node:\n    pkg: wm_nodes\n    exec: action_adapter\n    name: action_adapter\n    output: screen\n    \
+                 respawn: \"true\"\n    respawn_delay: 0.5\n    param:\n    - from: \"$(dirname)/config/action_adapter.yaml\"\n    \
+                 remap:\n    - {{from: {from}, to: {to}}}\n"
+            ));
+        }
+        Ok(text)
+    }
+
+    fn parameters(&self, text: &str) -> String {
+        match self.frame_period_s {
+            None => text.to_owned(),
+            Some(period_s) => with_parameter(text, FRAME_PERIOD, &format!("{period_s:.4}")),
+        }
+    }
+
+    /// Writes the files into `folder`, which is made if it is not there; gives their paths.
+    ///
+    /// # Errors
+    /// One of the files exists already (then none is written), or one cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, SetupError> {
+        let files = self.files()?;
+        let paths: Vec<PathBuf> = files.iter().map(|(name, _)| folder.join(name)).collect();
+        if let Some(there) = paths.iter().find(|path| path.symlink_metadata().is_ok()) {
+            return Err(SetupError::Exists(there.clone()));
+        }
+        for (path, (_, text)) in paths.iter().zip(&files) {
+            let failed = |source| SetupError::Write {
+                file: path.clone(),
+                source,
+            };
+            if let Some(parent) = path.parent() {
+                fs::create_dir_all(parent).map_err(failed)?;
+            }
+            let mut file = OpenOptions::new()
+                .write(true)
+                .create_new(true)
+                .open(path)
+                .map_err(failed)?;
+            file.write_all(text.as_bytes()).map_err(failed)?;
+        }
+        Ok(paths)
+    }
+}
+
+fn listed(names: &[&String]) -> Vec<String> {
+    names.iter().map(|name| of_others(name)).collect()
+}
+
+fn config(name: &str) -> PathBuf {
+    PathBuf::from(format!("config/{name}.yaml"))
+}
+
+/// A text as YAML has it: JSON's strings are YAML's too.
+fn quoted(text: &str) -> String {
+    serde_json::Value::from(text).to_string()
+}
+
+/// The launch file with another default of the argument `name`.
+fn with_default(text: &str, name: &str, default: &str) -> Result<String, SetupError> {
+    let head = format!("    name: {name}\n    default: ");
+    let absent = || SetupError::Template {
+        file: LAUNCH_NAME,
+        wanted: format!("argument {name} with a default"),
+    };
+    let (before, after) = text.split_once(&head).ok_or_else(absent)?;
+    let (_, rest) = after.split_once('\n').ok_or_else(absent)?;
+    Ok(format!("{before}{head}{}\n{rest}", quoted(default)))
+}
+
+/// The parameter file with another value of the parameter `name`, if it has that.
+fn with_parameter(text: &str, name: &str, value: &str) -> String {
+    let key = format!("    {name}: ");
+    let line = |line: &str| match line.starts_with(&key) {
+        true => format!("{key}{value}\n"),
+        false => format!("{line}\n"),
+    };
+    text.lines().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Actions, Camera, Motion, Stream, fit::facts, timeline::regular};
+    use std::collections::BTreeMap;
+    use wm_launch::{Plan, System};
+
+    fn heard() -> Heard {
+        let mut heard = Heard::default();
+        let stream = Stream {
+            timeline: regular(9, 500, 10),
+            ..Stream::default()
+        };
+        let camera = Camera {
+            raw: Some(stream),
+            ..Camera::default()
+        };
+        heard.cameras.insert("/front/image_raw".into(), camera);
+        heard
+            .actions
+            .insert("/arm/action".into(), Actions::default());
+        heard
+    }
+
+    /// The command lines that `wm launch` would run.
+    fn plan(setup: &Setup) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("robot");
+        let paths = setup.write(&target).unwrap();
+        let file = wm_launch::read(&paths[0], &System).unwrap();
+        let plan = Plan::resolve(&file, &BTreeMap::new(), &System).unwrap();
+        assert_eq!(plan.warnings, Vec::<String>::new());
+        for process in &plan.processes {
+            for word in process
+                .arguments
+                .iter()
+                .filter(|word| word.ends_with(".yaml"))
+            {
+                let text =
+                    std::fs::read_to_string(word).unwrap_or_else(|error| panic!("{word}: {error}"));
+                assert!(!text.is_empty());
+            }
+        }
+        let lines = plan
+            .processes
+            .iter()
+            .map(|process| format!("{} {}\n", process.name, process.arguments.join(" ")));
+        lines.collect()
+    }
+
+    #[test]
+    fn the_launch_file_is_one_and_names_what_was_heard() {
+        let setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+        assert_eq!(
+            (setup.camera.as_str(), setup.action.as_str()),
+            ("/front/image_raw", "/arm/action")
+        );
+        let plan = plan(&setup);
+        for part in [
+            "/camera/image_raw:=/front/image_raw",
+            "/camera/image_raw/compressed:=/front/image_raw/compressed",
+            "/wm/action:=/arm/action",
+        ] {
+            assert!(plan.contains(part), "{part} is missing:\n{plan}");
+        }
+        assert!(!plan.contains("action_adapter"));
+    }
+
+    #[test]
+    fn a_slow_cameras_period_is_in_the_parameter_files() {
+        let setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+        let files: BTreeMap<_, _> = setup.files().unwrap().into_iter().collect();
+        for name in ["encoder", "predictor", "planner", "evaluator"] {
+            let text = &files[&config(name)];
+            assert!(text.contains("\n    frame_period: 0.5000\n"), "{name}");
+            assert_eq!(text.matches("frame_period: ").count(), 1, "{name}");
+        }
+        let usual = Setup {
+            frame_period_s: None,
+            ..setup
+        };
+        for (name, original) in CONFIGS {
+            let files = usual.files().unwrap();
+            assert!(files.contains(&(config(name), original.to_owned())));
+        }
+    }
+
+    #[test]
+    fn an_arms_velocities_go_through_the_adapter() {
+        let mut heard = heard();
+        heard.motions.push(Motion {
+            topic: "/arm/twist".into(),
+            type_name: "geometry_msgs/msg/TwistStamped".into(),
+            source: "twist",
+        });
+        let setup = Setup::new(&heard, &facts(), (None, Some("/arm/twist"))).unwrap();
+        let plan = plan(&setup);
+        assert!(
+            plan.contains("/wm/twist:=/arm/twist") && !plan.contains("/wm/action:=/arm"),
+            "{plan}"
+        );
+        let files: BTreeMap<_, _> = setup.files().unwrap().into_iter().collect();
+        assert!(files[&config("action_adapter")].contains("\n    source: twist\n"));
+    }
+
+    #[test]
+    fn nothing_is_written_over_or_guessed() {
+        let folder = tempfile::tempdir().unwrap();
+        let setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+        std::fs::create_dir(folder.path().join("config")).unwrap();
+        let own = folder.path().join("config/monitor.yaml");
+        std::fs::write(&own, "mine").unwrap();
+        assert!(matches!(setup.write(folder.path()), Err(SetupError::Exists(path)) if path == own));
+        assert_eq!(std::fs::read_to_string(&own).unwrap(), "mine");
+        assert!(!folder.path().join(LAUNCH_NAME).exists());
+
+        let new = |heard: &Heard, camera| Setup::new(heard, &facts(), (camera, None));
+        assert!(matches!(
+            new(&Heard::default(), None),
+            Err(SetupError::NoCamera)
+        ));
+        assert_eq!(
+            new(&Heard::default(), Some("/c")).unwrap().action,
+            "/wm/action"
+        );
+        let mut two = heard();
+        two.cameras.insert("/wrist".into(), Camera::default());
+        assert!(new(&two, None).unwrap_err().is_usage());
+        assert_eq!(new(&two, Some("/wrist")).unwrap().camera, "/wrist");
+    }
+
+    #[test]
+    fn names_that_a_launch_file_would_replace_are_refused() {
+        let mut setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+        setup.model = "/models/\"quoted\" and $5".into();
+        let plan = plan(&setup);
+        assert!(plan.contains("quoted"), "{plan}");
+        setup.model = "$(env HOME)".into();
+        assert!(matches!(
+            setup.files(),
+            Err(SetupError::Substitution { .. })
+        ));
+    }
+}

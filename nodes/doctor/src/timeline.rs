@@ -1,0 +1,199 @@
+//! When the messages of a topic came, and what they are stamped with.
+
+use std::time::Duration;
+use wm_msgs::builtin_interfaces::Time;
+
+/// A message that came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Arrival {
+    /// When, by a clock that never jumps, since the listening began.
+    pub at: Duration,
+    /// When, by the system's clock \[ns\].
+    pub received_ns: i64,
+    /// Its header's stamp; none where the type has no header.
+    pub stamp: Option<Time>,
+}
+
+impl Arrival {
+    /// The stamp in nanoseconds, if it is a time.
+    fn stamp_ns(&self) -> Option<i64> {
+        self.stamp
+            .filter(|stamp| is_time(*stamp))
+            .map(Time::to_nanos)
+    }
+}
+
+/// Whether a stamp is a time as the nodes take it.
+fn is_time(stamp: Time) -> bool {
+    let is_zero = stamp.sec == 0 && stamp.nanosec == 0;
+    stamp.sec >= 0 && stamp.nanosec < 1_000_000_000 && !is_zero
+}
+
+/// Messages in the order in which they came.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Timeline(pub Vec<Arrival>);
+
+impl Timeline {
+    /// How many came.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether none came.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Messages without a valid stamp, of types that have one.
+    pub(crate) fn unstamped(&self) -> usize {
+        let stamps = self.0.iter().filter_map(|arrival| arrival.stamp);
+        stamps.filter(|stamp| !is_time(*stamp)).count()
+    }
+
+    /// From one message to the next by their stamps where all have one, else by when they came \[s\]; those of time that
+    /// does not pass left out.
+    fn gaps_s(&self) -> Vec<f64> {
+        let stamps: Option<Vec<i64>> = self.0.iter().map(Arrival::stamp_ns).collect();
+        let times_s: Vec<f64> = match stamps {
+            Some(stamps) => {
+                // Seconds since 1970 are too large for a float that tells microseconds apart.
+                let first = stamps.first().copied().unwrap_or(0);
+                let since_s = |ns: &i64| ns.saturating_sub(first) as f64 / 1e9;
+                stamps.iter().map(since_s).collect()
+            }
+            None => self
+                .0
+                .iter()
+                .map(|arrival| arrival.at.as_secs_f64())
+                .collect(),
+        };
+        let pairs = times_s.iter().zip(times_s.iter().skip(1));
+        pairs
+            .map(|(before, after)| after - before)
+            .filter(|gap| *gap > 0.0)
+            .collect()
+    }
+
+    /// The median time from one message to the next \[s\]; none for fewer than three messages.
+    pub(crate) fn period_s(&self) -> Option<f64> {
+        let gaps_s = self.gaps_s();
+        (gaps_s.len() >= 2).then(|| quantile(gaps_s, 0.5)).flatten()
+    }
+
+    /// How many times the median the longest tenth of the gaps are; none for fewer than ten gaps.
+    pub(crate) fn jitter(&self) -> Option<f64> {
+        let gaps_s = self.gaps_s();
+        let long = (gaps_s.len() >= 10)
+            .then(|| quantile(gaps_s, 0.9))
+            .flatten()?;
+        Some(long / self.period_s()?)
+    }
+
+    /// The median time from stamp to arrival \[s\]; negative where stamps are ahead of this machine's clock.
+    pub(crate) fn delay_s(&self) -> Option<f64> {
+        let delays = self.0.iter().filter_map(|arrival| {
+            let stamp_ns = arrival.stamp_ns()?;
+            Some(arrival.received_ns.saturating_sub(stamp_ns) as f64 / 1e9)
+        });
+        quantile(delays.collect(), 0.5)
+    }
+
+    /// Messages that are stamped before the one that came before them.
+    pub(crate) fn backwards(&self) -> usize {
+        let stamps: Vec<i64> = self.0.iter().filter_map(Arrival::stamp_ns).collect();
+        let pairs = stamps.iter().zip(stamps.iter().skip(1));
+        pairs.filter(|(before, after)| after < before).count()
+    }
+
+    /// How far the system's clock has moved against one that never jumps, from the first message to the last \[s\].
+    pub(crate) fn clock_moved_s(&self) -> Option<f64> {
+        let (first, last) = (self.0.first()?, self.0.last()?);
+        let wall_s = (last.received_ns - first.received_ns) as f64 / 1e9;
+        Some(wall_s - last.at.saturating_sub(first.at).as_secs_f64())
+    }
+}
+
+/// The value below which the share `q` of `values` lies; none of none.
+fn quantile(mut values: Vec<f64>, q: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    // A share of a length is an index.
+    let index = (values.len().saturating_sub(1) as f64 * q).round() as usize;
+    values.get(index).copied()
+}
+
+/// Messages of a test: `period_ms` apart, each stamped `delay_ms` before it comes.
+#[cfg(test)]
+pub(crate) fn regular(count: u64, period_ms: u64, delay_ms: i64) -> Timeline {
+    let arrival = |index: u64| {
+        let received_ns = 1_800_000_000_000_000_000 + (index * period_ms * 1_000_000) as i64;
+        Arrival {
+            at: Duration::from_millis(index * period_ms),
+            received_ns,
+            stamp: Some(Time::from_nanos(received_ns - delay_ms * 1_000_000)),
+        }
+    };
+    Timeline((0..count).map(arrival).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(found: Option<f64>, expected: f64) {
+        let found = found.expect("a figure");
+        assert!(
+            (found - expected).abs() < 1e-6,
+            "{found} instead of {expected}"
+        );
+    }
+
+    #[test]
+    fn rate_and_delay_are_medians() {
+        let mut timeline = regular(21, 200, 40);
+        close(timeline.period_s(), 0.2);
+        close(timeline.delay_s(), 0.04);
+        close(timeline.jitter(), 1.0);
+        close(timeline.clock_moved_s(), 0.0);
+        // One that is lost changes no median, but no frame is stamped twice.
+        timeline.0.remove(7);
+        close(timeline.period_s(), 0.2);
+        assert_eq!((timeline.backwards(), timeline.unstamped()), (0, 0));
+    }
+
+    #[test]
+    fn what_is_not_stamped_goes_by_when_it_came() {
+        let mut timeline = regular(5, 100, 0);
+        timeline.0[2].stamp = Some(Time::default());
+        timeline.0[3].stamp = Some(Time {
+            sec: -1,
+            nanosec: 0,
+        });
+        assert_eq!(timeline.unstamped(), 2);
+        close(timeline.period_s(), 0.1);
+        assert_eq!(regular(2, 100, 0).period_s(), None);
+        assert_eq!(Timeline::default().delay_s(), None);
+    }
+
+    #[test]
+    fn stamps_that_go_back_and_a_clock_that_was_set_are_seen() {
+        let mut timeline = regular(4, 100, 0);
+        timeline.0.swap(1, 2);
+        assert_eq!(timeline.backwards(), 1);
+        let mut timeline = regular(4, 100, 0);
+        timeline.0[3].received_ns -= 2_000_000_000;
+        close(timeline.clock_moved_s(), -2.0);
+    }
+
+    #[test]
+    fn gaps_of_uneven_lengths_are_seen() {
+        let mut timeline = regular(40, 100, 0);
+        for index in (0..39).step_by(3) {
+            if let Some(stamp) = timeline.0[index].stamp.as_mut() {
+                *stamp = Time::from_nanos(stamp.to_nanos() - 60_000_000);
+            }
+        }
+        assert!(timeline.jitter().unwrap() > 1.4);
+    }
+}
