@@ -134,7 +134,7 @@ impl CalibrateArgs {
     }
 
     fn open(&self) -> Result<Box<DescribedFolder>> {
-        match ModelFolder::open(&self.model).with_context(|| self.model.clone())? {
+        match ModelFolder::open(&self.model)? {
             ModelFolder::Described(folder) => Ok(folder),
             ModelFolder::Trained(_) => bail!(
                 "{}: it has no model.json, and only models with one are computed in int8",

@@ -2,7 +2,7 @@
 
 use std::{path::Path, sync::Arc};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, bail};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_dataset::{Clip, ClipSource, Dataset, HeldOutArgs, Latents};
@@ -200,10 +200,6 @@ impl Subject {
 /// # Errors
 /// If there is none, or it has no transition model.
 pub fn open_model(name: &str) -> Result<ModelFolder> {
-    ensure!(
-        name == EMBEDDED || Path::new(name).exists(),
-        "{name}: no such folder; a model is `{EMBEDDED}` or a folder"
-    );
     let folder = ModelFolder::open(name)?;
     if !folder.has_transition() {
         folder
