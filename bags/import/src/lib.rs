@@ -26,7 +26,7 @@
 //! # Ok::<(), wm_import::ImportError>(())
 //! ```
 //!
-//! The bag's metadata note where it came from ([`wm_bag::ORIGIN`], made by [`origin`]).
+//! The bag's metadata note where it came from ([`wm_bag::ORIGIN`], made by [`origin()`]).
 //!
 //! An episode is read whole before its bag is begun: bad input leaves no half a bag, and its error names the file.
 //!

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use candle_core::Tensor;
 use clap::Args;
 use wm_dataset::{ClipSource, DataOptions, Dataset, FrameValues as _};

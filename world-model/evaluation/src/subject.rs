@@ -10,7 +10,6 @@ use wm_model::{
     Decoder, Encoder, WorldModel,
     image::to_rgb,
     sampler::{Given, Rollout, Sampler},
-    trained_folder::EMBEDDED,
 };
 use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 

@@ -34,7 +34,7 @@ pub fn check(args: &NodeArgs, folder: &Path) -> Result<()> {
         let topic = if given.is_empty() {
             ACTION_TOPIC
         } else {
-            &given
+            given.as_str()
         };
         require_actions(&reader, topic)?;
     }
