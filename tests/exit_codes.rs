@@ -108,6 +108,20 @@ fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
         assert!(stderr.contains(named), "{named}: {stderr}");
     }
     assert!(!stderr.contains("[recorder"), "{stderr}");
+
+    // So are actions that it does not have, and a model that is not there.
+    for (wrong, told) in [
+        ("action:=/front/action", "it has them on: /wm/action"),
+        ("model:=nowhere", "nowhere: no such folder"),
+        ("model:=launch-configs", "no model.json"),
+    ] {
+        for one_process in ["one_process:=false", "one_process:=true"] {
+            let (code, _, stderr) = launch(&[wrong, one_process]);
+            assert_eq!(code, Some(1), "{stderr}");
+            assert_eq!(stderr.matches(told).count(), 1, "{told}: {stderr}");
+            assert_eq!(stderr.lines().count(), 1, "{stderr}");
+        }
+    }
     assert_eq!(contents(out.path()), before);
 }
 

@@ -47,7 +47,7 @@ pub struct Cut {
 
 /// Writes the messages of the bag at `input` that lie between two times and on the topics that `topics` wants to a new
 /// bag at `output`, in log-time order. Bytes, times and sequence numbers stay as they were, and so do schemas and
-/// channels.
+/// channels, and what the bag's metadata note of it: its action space, where it came from.
 ///
 /// What holds until it is replaced would be missing from a part that begins later: of each topic that is offered
 /// as transient local, the last message before the start is kept too, with the start as its log time, so that it is
@@ -115,6 +115,9 @@ pub fn cut(
         numbers: HashMap::new(),
         warnings: reader.warnings().to_vec(),
     };
+    for (key, note) in old.notes {
+        part.writer.note(&key, note);
+    }
     for (file, channel) in reader.definitions() {
         if topics.wants(&channel.topic) {
             let number = part.writer.add_channel(channel.clone())?;

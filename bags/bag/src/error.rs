@@ -207,28 +207,28 @@ pub enum BagError {
         actual: String,
     },
     /// A message that is not of its type, or cannot be encoded.
-    #[error("topic {topic}: {source}")]
+    #[error("topic {topic}: {reason}")]
     Cdr {
         /// The topic.
         topic: String,
         /// What the codec met.
-        source: CdrError,
+        reason: CdrError,
     },
     /// The MCAP library could not write.
-    #[error("cannot write {path}: {source}")]
+    #[error("cannot write {path}: {reason}")]
     Mcap {
         /// The file.
         path: PathBuf,
         /// What it met.
-        source: mcap::McapError,
+        reason: mcap::McapError,
     },
     /// The operating system refused.
-    #[error("{path}: {source}")]
+    #[error("{path}: {reason}")]
     Io {
         /// The file or directory.
         path: PathBuf,
-        /// What it said.
-        source: io::Error,
+        /// What it said. No source, since the message has it.
+        reason: io::Error,
     },
 }
 
@@ -238,7 +238,10 @@ impl BagError {
         let path = path.into();
         match source.kind() {
             io::ErrorKind::NotFound => Self::NotFound(path),
-            _ => Self::Io { path, source },
+            _ => Self::Io {
+                path,
+                reason: source,
+            },
         }
     }
 }

@@ -61,7 +61,7 @@ pub use reader::{BagMessage, BagReader, Messages};
 pub use recover::{Loss, Losses, Recovery, recover};
 pub use schema::{Schema, SchemaEncoding, type_schema};
 pub use shard::Shard;
-pub use summary::{BagSummary, TopicSummary};
+pub use summary::{BagSummary, ORIGIN, TopicSummary};
 pub use topic::TopicInfo;
 pub use topic_filter::TopicFilter;
 pub use warning::BagWarning;

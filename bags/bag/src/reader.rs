@@ -244,6 +244,7 @@ impl BagReader {
                 compressions.into_iter().collect::<Vec<_>>().join(", ")
             },
             ros_distro: self.ros_distro.clone(),
+            notes: self.custom.clone(),
             warnings: self.warnings.clone(),
         }
     }

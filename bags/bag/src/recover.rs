@@ -63,8 +63,9 @@ impl fmt::Display for Recovery {
 ///
 /// Of each file, every chunk is kept that can be decompressed and whose checksum is right, also behind a damaged one;
 /// messages outside chunks, which have no checksum, as long as their lengths lead from one to the next. Bytes of
-/// messages, their times and sequence numbers, schemas and channels with their metadata stay as they were, and each
-/// file stays a file. Attachments and metadata records are not copied, which counts as a loss.
+/// messages, their times and sequence numbers, schemas and channels with their metadata stay as they were, each file stays
+/// a file, and what `metadata.yaml` notes of the bag stays where it can be read. Attachments and metadata records are not
+/// copied, which counts as a loss.
 ///
 /// # Errors
 /// No bag at all, a bag that rosbag2 compressed as a whole, an `output` that exists, or files that cannot be read or
@@ -108,12 +109,13 @@ pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Reco
     let metadata = metadata.as_ref();
     options.ros_distro = metadata.map_or_else(String::new, |old| old.ros_distro.clone());
     let mut writer = BagWriter::create(output, options)?;
-    for (key, count) in metadata
+    for (key, value) in metadata
         .into_iter()
         .flat_map(|old| old.custom_data.iter().flatten())
     {
-        if let (Some(topic), Ok(count)) = (key.strip_prefix(LOST_PREFIX), count.parse()) {
-            writer.count_lost(topic, count);
+        match (key.strip_prefix(LOST_PREFIX), value.parse()) {
+            (Some(topic), Ok(count)) => writer.count_lost(topic, count),
+            _ => writer.note(key, value),
         }
     }
     let mut is_first = true;

@@ -7,6 +7,13 @@ use std::{
 
 use crate::BagWarning;
 
+/// The note (key of `custom_data` in `metadata.yaml`) that tells where a bag was imported from: `DATASET/FILE`, and
+/// `#NUMBER` after it where that holds several episodes.
+pub const ORIGIN: &str = "wm.import.source";
+/// A note is shown if it is at most this long, which fits a line of a terminal. Others, such as an action space in JSON,
+/// are named.
+const LONGEST_NOTE: usize = 80;
+
 /// What a bag holds. Its [`Display`](fmt::Display) is the text of `bag info`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -31,6 +38,8 @@ pub struct BagSummary {
     pub compression: String,
     /// The ROS distribution that the recorder named; empty when it named none.
     pub ros_distro: String,
+    /// What its `metadata.yaml` notes under `custom_data`, by key, without the messages lost.
+    pub notes: BTreeMap<String, String>,
     /// What the user should know.
     pub warnings: Vec<BagWarning>,
 }
@@ -89,6 +98,17 @@ impl fmt::Display for BagSummary {
             writeln!(f, "End:          {}", Instant(self.end_ns))?;
         }
         writeln!(f, "Messages:     {}", self.message_count)?;
+        if let Some(origin) = self.notes.get(ORIGIN) {
+            writeln!(f, "Origin:       {origin}")?;
+        }
+        for (key, value) in self.notes.iter().filter(|(key, _)| *key != ORIGIN) {
+            if value.len() <= LONGEST_NOTE && !value.contains('\n') {
+                writeln!(f, "Note:         {key}: {value}")?;
+            } else {
+                let bytes = value.len();
+                writeln!(f, "Note:         {key}, {bytes} bytes in metadata.yaml")?;
+            }
+        }
         let lost: u64 = self.lost.values().sum();
         if lost > 0 {
             let by_topic: Vec<String> = self
@@ -193,6 +213,11 @@ mod tests {
             lost: BTreeMap::from([("/task/success".into(), 2)]),
             compression: "zstd".into(),
             ros_distro: String::new(),
+            notes: BTreeMap::from([
+                (ORIGIN.into(), "bridge_v2/train.tfrecord#3".into()),
+                ("operator".into(), "Ada".into()),
+                ("action_space".into(), "x".repeat(LONGEST_NOTE + 1)),
+            ]),
             warnings: vec![BagWarning::NoMetadata { dir: "demo".into() }],
         };
         let text = summary.to_string();
@@ -201,6 +226,9 @@ mod tests {
             "Duration:     9.800 s",
             "2023-11-14T22:13:20.000000000Z (1700000000.000000000)",
             "Lost:         2 (/task/success 2)",
+            "Origin:       bridge_v2/train.tfrecord#3\n",
+            "Note:         operator: Ada\n",
+            "Note:         action_space, 81 bytes in metadata.yaml\n",
             "/task/success  std_msgs/msg/Bool         12  cdr",
             "Warning: demo has no metadata.yaml",
         ] {

@@ -206,9 +206,9 @@ impl BagWriter {
         log_time_ns: u64,
     ) -> Result<(), BagError> {
         self.add_topic::<M>(topic, QosProfile::reliable())?;
-        let data = cdr::to_bytes(message).map_err(|source| BagError::Cdr {
+        let data = cdr::to_bytes(message).map_err(|reason| BagError::Cdr {
             topic: topic.to_owned(),
-            source,
+            reason,
         })?;
         self.append(topic, &M::ros_name(), log_time_ns, &data)
     }
@@ -265,7 +265,7 @@ impl BagWriter {
         }
         let mut metadata = Metadata::of_files(self.written.iter().map(file_information).collect());
         metadata.ros_distro.clone_from(&self.options.ros_distro);
-        let mut custom = self.custom;
+        let mut custom = self.custom.clone();
         let losses = self.lost.iter();
         custom.extend(
             losses.map(|(topic, count)| (format!("{LOST_PREFIX}{topic}"), count.to_string())),
@@ -292,6 +292,7 @@ impl BagWriter {
             lost: self.lost,
             compression: self.options.chunk_compression().name().to_owned(),
             ros_distro: self.options.ros_distro,
+            notes: self.custom,
             warnings: Vec::new(),
         })
     }

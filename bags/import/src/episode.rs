@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use wm_bag::{BagWriter, QosProfile, WriterOptions};
+use wm_bag::{BagWriter, ORIGIN, QosProfile, WriterOptions};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -10,7 +10,7 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use crate::ImportError;
+use crate::{ImportError, origin};
 
 /// Numbers of an action and of a state: three of position, three of rotation, the gripper.
 pub(crate) const VALUES: usize = 7;
@@ -38,9 +38,6 @@ pub(crate) struct Joints {
     /// One row a frame, as wide as the names, in rad.
     pub positions: Vec<Vec<f64>>,
 }
-
-/// Key of the bag's `custom_data` under which its origin stands.
-pub const ORIGIN: &str = "wm.import.source";
 
 /// One episode, decoded.
 #[derive(Debug)]
@@ -130,19 +127,10 @@ impl Episode {
         Ok(self)
     }
 
-    /// Where in `src` it came from: the file, and after `#` its number there.
+    /// What the bag notes of where it came from, for a dataset at `src`.
     pub fn origin(&self, src: &Path) -> String {
-        let below = self.source.strip_prefix(src).unwrap_or(&self.source);
-        let file = match below.as_os_str().is_empty() {
-            // `src` is the file itself.
-            true => self.source.file_name().map(Path::new),
-            false => Some(below),
-        };
-        let file = file.unwrap_or(below).display();
-        match self.record {
-            Some(record) => format!("{file}#{record}"),
-            None => file.to_string(),
-        }
+        let number = self.record.and_then(|record| i64::try_from(record).ok());
+        origin(src, Some(&self.source), number)
     }
 
     /// Writes the episode as a bag, its first frame at `start_ns`.
@@ -310,7 +298,10 @@ mod tests {
             };
             episode.origin(Path::new(src))
         };
-        assert_eq!(origin("in/train/a-00001", Some(7), "in"), "train/a-00001#7");
+        assert_eq!(
+            origin("in/train/a-00001", Some(7), "in"),
+            "in/train/a-00001#7"
+        );
         assert_eq!(origin("in/clip.mp4", None, "in/clip.mp4"), "clip.mp4");
     }
 

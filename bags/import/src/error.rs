@@ -35,12 +35,12 @@ pub enum ImportError {
         reason: String,
     },
     /// The operating system refused.
-    #[error("{file}: {source}")]
+    #[error("{file}: {reason}")]
     Io {
         /// The file or directory.
         file: PathBuf,
-        /// What it said.
-        source: std::io::Error,
+        /// What it said. No source, since the message has it.
+        reason: std::io::Error,
     },
     /// The bag cannot be written.
     #[error(transparent)]
@@ -58,10 +58,10 @@ impl ImportError {
         }
     }
 
-    pub(crate) fn io(file: impl Into<PathBuf>, source: std::io::Error) -> Self {
+    pub(crate) fn io(file: impl Into<PathBuf>, reason: std::io::Error) -> Self {
         Self::Io {
             file: file.into(),
-            source,
+            reason,
         }
     }
 }

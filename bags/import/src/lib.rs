@@ -26,6 +26,8 @@
 //! # Ok::<(), wm_import::ImportError>(())
 //! ```
 //!
+//! The bag's metadata note where it came from ([`wm_bag::ORIGIN`], made by [`origin()`]).
+//!
 //! An episode is read whole before its bag is begun: bad input leaves no half a bag, and its error names the file.
 //!
 //! Not here: LeRobot datasets (`wm_lerobot`, which parquet makes heavy).
@@ -35,6 +37,7 @@ mod episode;
 mod error;
 mod jpeg;
 mod mp4_npz;
+mod origin;
 mod rlds;
 mod source;
 #[cfg(test)]
@@ -43,10 +46,10 @@ pub mod video;
 
 use std::path::{Path, PathBuf};
 
-pub use episode::ORIGIN;
 use episode::Unread;
 pub use error::ImportError;
 pub use jpeg::jpeg;
+pub use origin::origin;
 use source::Source;
 pub use wm_bag::Shard;
 

@@ -33,12 +33,12 @@ pub enum LeRobotError {
     #[error("{0}")]
     Nothing(String),
     /// The operating system refused.
-    #[error("{file}: {source}")]
+    #[error("{file}: {reason}")]
     Io {
         /// The file or folder.
         file: PathBuf,
-        /// What it said.
-        source: std::io::Error,
+        /// What it said. No source, since the message has it.
+        reason: std::io::Error,
     },
     /// A video cannot be read.
     #[error(transparent)]
@@ -66,10 +66,10 @@ impl LeRobotError {
         }
     }
 
-    pub(crate) fn io(file: &Path, source: std::io::Error) -> Self {
+    pub(crate) fn io(file: &Path, reason: std::io::Error) -> Self {
         Self::Io {
             file: file.to_owned(),
-            source,
+            reason,
         }
     }
 }

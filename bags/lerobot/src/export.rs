@@ -100,8 +100,8 @@ impl<'a> Unfinished<'a> {
         };
         let name = out.file_name().filter(|_| is_free);
         let name = name.ok_or_else(|| LeRobotError::Exists(out.to_owned()))?;
-        // Of this process, so that two exports do not meet.
-        let name = format!(".{}.{}", name.to_string_lossy(), std::process::id());
+        // Of this process, so that two exports do not meet. What a killed one leaves tells what it is.
+        let name = format!("{}.partial-{}", name.to_string_lossy(), std::process::id());
         let folder = out.with_file_name(name);
         if let Some(parent) = out.parent() {
             fs::create_dir_all(parent).map_err(|source| LeRobotError::io(parent, source))?;

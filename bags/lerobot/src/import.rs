@@ -49,6 +49,8 @@ impl Default for ImportOptions {
 /// Imports a LeRobot dataset of version v2.1 or v3.0: each episode becomes a bag `OUT/episode_NNNNNN` with its number.
 /// Gives the bags, in order; a shard may have none.
 ///
+/// Each notes where it came from, `DATASET#NUMBER` ([`wm_bag::ORIGIN`]).
+///
 /// Stamps are `start + frame_index / fps`, to the nanosecond; the `timestamp` of each row is held against that.
 ///
 /// # Errors
@@ -90,7 +92,8 @@ pub fn import(
         let episode = episode::read(&dataset, entry, options.jpeg_quality)?;
         let path = out.join(format!("episode_{:06}", entry.index));
         let start_ns = entry.start_ns.unwrap_or(options.start_ns);
-        bag::write(&episode, actions.as_ref(), &path, start_ns)?;
+        let origin = wm_import::origin(src, None, Some(entry.index));
+        bag::write(&episode, actions.as_ref(), &path, start_ns, origin)?;
         tracing::info!(episode = entry.index, bag = %path.display(), frames = entry.length, "imported");
         bags.push(path);
     }

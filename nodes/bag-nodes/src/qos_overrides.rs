@@ -20,12 +20,12 @@ pub const KEEP_ALL_DEPTH: usize = 1000;
 #[non_exhaustive]
 pub enum QosOverridesError {
     /// It cannot be read.
-    #[error("QoS overrides {}: {source}", path.display())]
+    #[error("QoS overrides {}: {reason}", path.display())]
     File {
         /// The file.
         path: PathBuf,
         /// What the system said.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// It is no map of topics to profiles.
     #[error(
@@ -114,9 +114,9 @@ pub fn read(path: &Path) -> Result<BTreeMap<String, Qos>, QosOverridesError> {
     if path.as_os_str().is_empty() {
         return Ok(BTreeMap::new());
     }
-    let text = std::fs::read_to_string(path).map_err(|source| QosOverridesError::File {
+    let text = std::fs::read_to_string(path).map_err(|reason| QosOverridesError::File {
         path: path.to_owned(),
-        source,
+        reason,
     })?;
     parse(&text).map_err(|reason| QosOverridesError::Content {
         path: path.to_owned(),

@@ -12,7 +12,9 @@ use wm_launch::{
     plan::{Process, Program},
     runner,
 };
+use wm_model::trained_folder::EMBEDDED;
 use wm_ros::NodeArgs;
+use wm_zoo::ModelFolder;
 
 /// Starts the nodes of a launch file.
 #[derive(Args, Debug)]
@@ -57,6 +59,7 @@ impl LaunchCommand {
             return Ok(ExitCode::SUCCESS);
         }
         check_bags(&plan)?;
+        check_models(&plan)?;
         // one thread: the kernel ties the processes' fate to the thread that started them
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -77,6 +80,36 @@ fn check_bags(plan: &Plan) -> Result<()> {
             let folder = process.working_directory.as_deref();
             player::check(&NodeArgs::parse(words)?, folder.unwrap_or(Path::new("")))
                 .with_context(|| format!("{} cannot play", process.name))?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether the models of a plan's nodes are there is known before anything starts: a node that is started again and again
+/// would only repeat that its model is not.
+fn check_models(plan: &Plan) -> Result<()> {
+    let is_own = |process: &&Process| process.program == Program::Own;
+    for process in plan.processes.iter().filter(is_own) {
+        let Some((name, _)) = process.arguments.split_first() else {
+            continue;
+        };
+        if name != "run" && !wm_model_nodes::NODES.iter().any(|node| node.name == name) {
+            continue;
+        }
+        let args = NodeArgs::parse(&process.arguments)?;
+        let nodes = args.rest().iter().filter_map(|word| {
+            let mut nodes = wm_model_nodes::NODES.iter();
+            nodes.find(|node| node.name == word)
+        });
+        for node in nodes {
+            let given: Option<String> = args.given(node.name, wm_ros::NAMESPACE, "model")?;
+            let Some(model) = given.filter(|model| model != EMBEDDED) else {
+                continue;
+            };
+            let folder = process.working_directory.as_deref();
+            let model = folder.unwrap_or(Path::new("")).join(model);
+            ModelFolder::require(&model.to_string_lossy())
+                .with_context(|| format!("{} has no model", process.name))?;
         }
     }
     Ok(())

@@ -48,12 +48,12 @@ pub enum ArgsError {
         expected: String,
     },
     /// A parameter file that cannot be read.
-    #[error("cannot read the parameter file {}: {source}", path.display())]
+    #[error("cannot read the parameter file {}: {reason}", path.display())]
     File {
         /// The file.
         path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
+        /// What the system said. No source, since the message has it.
+        reason: std::io::Error,
     },
     /// A parameter file that is not one.
     #[error("parameter file {}: {problem}", path.display())]

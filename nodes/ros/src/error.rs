@@ -125,12 +125,12 @@ pub enum Error {
         reason: &'static str,
     },
     /// The operating system.
-    #[error("cannot {action}: {source}")]
+    #[error("cannot {action}: {reason}")]
     Io {
         /// What was attempted.
         action: String,
-        /// What the system said.
-        source: std::io::Error,
+        /// What the system said. No source, since the message has it.
+        reason: std::io::Error,
     },
 }
 
@@ -152,10 +152,10 @@ impl Error {
         }
     }
 
-    pub(crate) fn io(action: impl Into<String>, source: std::io::Error) -> Self {
+    pub(crate) fn io(action: impl Into<String>, reason: std::io::Error) -> Self {
         Self::Io {
             action: action.into(),
-            source,
+            reason,
         }
     }
 }

@@ -202,9 +202,9 @@ pub fn token(address: IpAddr, file: &Path) -> Result<Option<String>, ViewError> 
     if file.as_os_str().is_empty() {
         return Ok((!address.is_loopback()).then(new_token));
     }
-    let text = std::fs::read_to_string(file).map_err(|source| ViewError::TokenFile {
+    let text = std::fs::read_to_string(file).map_err(|reason| ViewError::TokenFile {
         path: file.to_owned(),
-        source,
+        reason,
     })?;
     let token = text.lines().next().unwrap_or("").trim();
     let is_allowed = |c: char| c.is_ascii_alphanumeric() || "._~-".contains(c);

@@ -9,24 +9,24 @@ use thiserror::Error;
 pub enum ViewError {
     /// The address is taken, or none of this machine's.
     #[error(
-        "cannot serve the page on {address}: {source}; another port is `port:=PORT`, any free one `port:=0`"
+        "cannot serve the page on {address}: {reason}; another port is `port:=PORT`, any free one `port:=0`"
     )]
     Listen {
         /// Where.
         address: SocketAddr,
         /// Why not.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The parameter `address` is no address.
     #[error("parameter \"address\" is \"{0}\", expected an IP address such as 127.0.0.1 or ::1")]
     Address(String),
     /// The file of the token cannot be read.
-    #[error("cannot read the token file {}: {source}", path.display())]
+    #[error("cannot read the token file {}: {reason}", path.display())]
     TokenFile {
         /// The file.
         path: PathBuf,
         /// Why not.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// What is in it is no token.
     #[error(

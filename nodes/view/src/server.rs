@@ -189,7 +189,7 @@ impl Drop for Place {
 /// # Errors
 /// It is taken, or none of this machine's.
 pub async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ViewError> {
-    let refused = |source| ViewError::Listen { address, source };
+    let refused = |reason| ViewError::Listen { address, reason };
     let listener = TcpListener::bind(address).await.map_err(refused)?;
     let bound = listener.local_addr().map_err(refused)?;
     Ok((listener, bound))

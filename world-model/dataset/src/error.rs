@@ -63,12 +63,12 @@ pub enum DatasetError {
         asked: (usize, usize),
     },
     /// A file cannot be read or written.
-    #[error("{path}: {source}")]
+    #[error("{path}: {reason}")]
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
-        source: std::io::Error,
+        /// Why. No source, since the message has it.
+        reason: std::io::Error,
     },
 }
 
@@ -76,7 +76,7 @@ impl DatasetError {
     /// The error of an operation on a file.
     pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + use<> {
         let path = path.to_owned();
-        move |source| Self::Io { path, source }
+        move |reason| Self::Io { path, reason }
     }
 
     pub(super) fn file(path: &Path, what: impl ToString) -> Self {

@@ -1,6 +1,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
-use wm_bag::{BagError, BagMessage, BagReader};
+use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
 use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
@@ -248,7 +248,15 @@ fn no_actions(topic: &str) -> String {
 fn check_actions(reader: &BagReader, topic: &str) -> Result<(), String> {
     let info = reader.topic(topic).filter(|info| info.message_count > 0);
     let Some(info) = info else {
-        return Err(no_actions(topic));
+        let is_read =
+            |other: &&TopicInfo| other.message_count > 0 && ActionLog::reads(&other.type_name);
+        let others = reader.topics().iter().filter(is_read);
+        let others: Vec<&str> = others.map(|other| other.name.as_ref()).collect();
+        let missing = no_actions(topic);
+        return Err(match others.as_slice() {
+            [] => format!("{missing}; no topic of the bag has {}", ActionLog::types()),
+            others => format!("{missing}; --action-topic could be {}", others.join(" or ")),
+        });
     };
     if ActionLog::reads(&info.type_name) {
         return Ok(());

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use candle_core::Tensor;
 use clap::Args;
 use wm_dataset::{ClipSource, DataOptions, Dataset, FrameValues as _};
@@ -134,7 +134,7 @@ impl CalibrateArgs {
     }
 
     fn open(&self) -> Result<Box<DescribedFolder>> {
-        match ModelFolder::open(&self.model).with_context(|| self.model.clone())? {
+        match ModelFolder::open(&self.model)? {
             ModelFolder::Described(folder) => Ok(folder),
             ModelFolder::Trained(_) => bail!(
                 "{}: it has no model.json, and only models with one are computed in int8",

@@ -2,7 +2,7 @@
 
 use std::{path::Path, sync::Arc};
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, bail};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
 use wm_dataset::{Clip, ClipSource, Dataset, HeldOutArgs, Latents};
@@ -10,7 +10,6 @@ use wm_model::{
     Decoder, Encoder, WorldModel,
     image::to_rgb,
     sampler::{Given, Rollout, Sampler},
-    trained_folder::EMBEDDED,
 };
 use wm_zoo::{ModelFolder, success_probe::SuccessClassifier};
 
@@ -200,10 +199,6 @@ impl Subject {
 /// # Errors
 /// If there is none, or it has no transition model.
 pub fn open_model(name: &str) -> Result<ModelFolder> {
-    ensure!(
-        name == EMBEDDED || Path::new(name).exists(),
-        "{name}: no such folder; a model is `{EMBEDDED}` or a folder"
-    );
     let folder = ModelFolder::open(name)?;
     if !folder.has_transition() {
         folder

@@ -80,6 +80,7 @@ impl TrainModelArgs {
         }
         let own = self.out.display().to_string();
         let encoder = self.encoder.clone().unwrap_or(own);
+        self.check(&encoder)?;
         let mut ended = Ended::Finished;
         for part in PARTS {
             if part == "autoencoder" && self.encoder.is_some() {
@@ -110,6 +111,35 @@ impl TrainModelArgs {
             self.out.display()
         );
         Ok(ended)
+    }
+
+    /// Reads what all parts take, before hours go into the first of them.
+    fn check(&self, encoder: &str) -> Result<()> {
+        for model in self.encoder.iter().chain(&self.from) {
+            ModelFolder::require(model)?;
+        }
+        let encoder = || encoder.to_owned();
+        let autoencoder = TrainAutoencoderArgs {
+            run: self.of("autoencoder")?,
+        };
+        autoencoder.recipe()?;
+        let transition = TrainTransitionArgs {
+            run: self.of("transition")?,
+            encoder: encoder(),
+        };
+        transition.recipe()?;
+        let idm = TrainIdmArgs {
+            run: self.of("idm")?,
+            encoder: encoder(),
+        };
+        idm.recipe()?;
+        let probe = TrainProbeArgs {
+            run: self.of("probe")?,
+            encoder: encoder(),
+            text_tower: None,
+        };
+        probe.recipe()?;
+        Ok(())
     }
 
     /// The model that a part is fine-tuned from, if any.

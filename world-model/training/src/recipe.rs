@@ -20,20 +20,20 @@ pub use span::Span;
 #[non_exhaustive]
 pub enum RecipeError {
     /// The file cannot be read or written.
-    #[error("{path}: {source}")]
+    #[error("{path}: {reason}")]
     Io {
         /// The file.
         path: String,
-        /// Why.
-        source: std::io::Error,
+        /// Why. No source, since the message has it.
+        reason: std::io::Error,
     },
     /// The file is no recipe of this training.
-    #[error("recipe {recipe}: {source}")]
+    #[error("recipe {recipe}: {reason}")]
     Malformed {
         /// Name or file of the recipe.
         recipe: String,
         /// What is wrong, and where.
-        source: serde_yaml_ng::Error,
+        reason: serde_yaml_ng::Error,
     },
     /// There is no setting of this path.
     #[error("recipe {recipe} has no setting `{path}`; at this place it has {there}")]
@@ -152,9 +152,9 @@ pub fn load<R: DeserializeOwned>(
     let text = match bundled.iter().find(|(name, _)| *name == choice) {
         Some((_, text)) => (*text).to_owned(),
         None if Path::new(choice).exists() => {
-            std::fs::read_to_string(choice).map_err(|source| RecipeError::Io {
+            std::fs::read_to_string(choice).map_err(|reason| RecipeError::Io {
                 path: choice.to_owned(),
-                source,
+                reason,
             })?
         }
         None => {
@@ -165,9 +165,9 @@ pub fn load<R: DeserializeOwned>(
             });
         }
     };
-    let malformed = |source| RecipeError::Malformed {
+    let malformed = |reason| RecipeError::Malformed {
         recipe: choice.to_owned(),
-        source,
+        reason,
     };
     let mut value: Value = serde_yaml_ng::from_str(&text).map_err(malformed)?;
     for setting in overrides {
@@ -184,17 +184,17 @@ pub fn load<R: DeserializeOwned>(
 /// When the file cannot be written.
 pub fn write(folder: &Path, name: &str, recipe: &impl Serialize) -> Result<(), RecipeError> {
     let path = folder.join(format!("{name}.recipe.yaml"));
-    let text = serde_yaml_ng::to_string(recipe).map_err(|source| RecipeError::Malformed {
+    let text = serde_yaml_ng::to_string(recipe).map_err(|reason| RecipeError::Malformed {
         recipe: name.to_owned(),
-        source,
+        reason,
     })?;
     let text =
         format!("# What `wm train {name}` was run with: pass it as --recipe to repeat it.\n{text}");
     std::fs::create_dir_all(folder)
         .and_then(|()| std::fs::write(&path, text))
-        .map_err(|source| RecipeError::Io {
+        .map_err(|reason| RecipeError::Io {
             path: path.display().to_string(),
-            source,
+            reason,
         })
 }
 

@@ -49,15 +49,23 @@ pub(crate) const QUICK_WINDOWS: usize = 32;
 pub(crate) const FILE: &str = "transition.safetensors";
 
 impl TrainTransitionArgs {
+    /// The recipe that these arguments ask for.
+    ///
+    /// # Errors
+    /// Names what is wrong in it.
+    pub fn recipe(&self) -> Result<TransitionRecipe> {
+        let run = &self.run;
+        Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
+    }
+
     /// Trains until the last step, or until `stop` asks for the end.
     ///
     /// # Errors
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        let recipe = self.recipe()?;
         let folder = ModelFolder::open(&self.encoder)?;
         let on = self.run.encoded(&*folder.encoder()?)?;
-        let recipe: TransitionRecipe =
-            crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
         let decoder = folder.decoder()?;
         let pictures = decoder.as_deref().zip(on.data.validation.as_ref());
         carry_encoder(&self.encoder, &self.run.out)?;

@@ -296,3 +296,36 @@ fn a_wrong_setting_is_named_before_anything_is_read() {
         "{told}"
     );
 }
+
+/// Those of the last part too: hours lie between.
+#[test]
+fn what_a_later_part_cannot_take_is_named_before_the_first_begins() {
+    let scratch = tempfile::tempdir().unwrap();
+    let (data, out) = (scratch.path().join("data"), scratch.path().join("out"));
+    for (wrong, told) in [
+        (
+            ["--set", "probe.optimisation.learing_rate=1"],
+            "optimisation.learing_rate",
+        ),
+        (["--recipe", "huge"], "recipe huge: expected tiny or paper"),
+        (["--from", "nowhere"], "nowhere: no such folder"),
+        (["--encoder", "nowhere"], "nowhere: no such folder"),
+    ] {
+        let mut train = wm_training();
+        train.args(["train", "model"]).args(wrong);
+        train.arg("--data").arg(&data).arg("--out").arg(&out);
+        let output = train.output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{wrong:?}");
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(error.contains(told), "{wrong:?}: {error}");
+        assert!(output.stdout.is_empty(), "{wrong:?}: a part has begun");
+        assert!(!out.exists(), "{wrong:?}");
+    }
+    // What is wrong with the data is said once.
+    let mut train = wm_training();
+    train.args(["train", "model"]);
+    train.arg("--data").arg(&data).arg("--out").arg(&out);
+    let output = train.output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(error.matches("No such file").count(), 1, "{error}");
+}

@@ -30,6 +30,17 @@ pub enum Error {
         reason: std::io::Error,
     },
 
+    /// There is no world model of this name.
+    #[error(
+        "{name}: {found}; a model is `tiny`, or a folder as `wm train model --out FOLDER` makes it"
+    )]
+    NoModel {
+        /// What was asked for.
+        name: String,
+        /// What is there instead.
+        found: &'static str,
+    },
+
     /// The file is neither safetensors nor a torch checkpoint, or is damaged.
     #[error("{file}: not a readable checkpoint: {reason}")]
     Corrupt {

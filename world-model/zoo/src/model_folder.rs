@@ -15,7 +15,7 @@ use wm_motion::actions::ActionEncoding;
 use crate::folder::{DescribedFolder, NativeDecoder};
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
-use crate::{Engine, Result};
+use crate::{Engine, Error, Result};
 
 /// The tensors of a transition model, and what it is.
 #[derive(Clone, Debug)]
@@ -42,12 +42,33 @@ impl ModelFolder {
     /// Opens `tiny`, the embedded default, a folder, or the file of an autoencoder.
     ///
     /// # Errors
-    /// As [`DescribedFolder::open`]; a folder without `model.json` tells of what is missing when a part is asked for.
+    /// As [`Self::require`] and [`DescribedFolder::open`]; a folder without `model.json` tells of what is missing when a
+    /// part is asked for.
     pub fn open(name: &str) -> Result<Self> {
+        Self::require(name)?;
         if name != EMBEDDED && DescribedFolder::is_one(Path::new(name)) {
             return Ok(Self::Described(Box::new(DescribedFolder::open(name)?)));
         }
         Ok(Self::Trained(TrainedFolder::named(name)))
+    }
+
+    /// Holds a name against what is on the disk, without opening a file.
+    ///
+    /// # Errors
+    /// [`Error::NoModel`] for a path where there is nothing, and a folder without a `model.json` or any weights.
+    pub fn require(name: &str) -> Result<()> {
+        let path = Path::new(name);
+        let found = if name == EMBEDDED || path.is_file() || DescribedFolder::is_one(path) {
+            return Ok(());
+        } else if !path.is_dir() {
+            "no such folder"
+        } else if has_weights(path) {
+            return Ok(());
+        } else {
+            "there is no model.json and no .safetensors file in it"
+        };
+        let name = name.to_owned();
+        Err(Error::NoModel { name, found })
     }
 
     /// What it was opened by.
@@ -246,7 +267,48 @@ impl ModelFolder {
     }
 }
 
+/// Whether the training may have written a part of a model there. A folder that cannot be listed is taken for one, so
+/// that opening it says why.
+fn has_weights(folder: &Path) -> bool {
+    let is_weights = |file: &Path| file.extension().is_some_and(|is| is == "safetensors");
+    std::fs::read_dir(folder).map_or(true, |mut entries| {
+        entries.any(|entry| entry.is_ok_and(|entry| is_weights(&entry.path())))
+    })
+}
+
 fn on_tensors(folder: &TrainedFolder, place: &Place) -> Result<TensorAutoencoder> {
     let autoencoder = folder.autoencoder()?;
     Ok(TensorAutoencoder::new(&autoencoder, place.device())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_model_is_named_before_a_file_is_opened() {
+        let scratch = tempfile::tempdir().unwrap();
+        let at = |name: &str| scratch.path().join(name).display().to_string();
+        let refused = |name: &str| ModelFolder::open(name).unwrap_err().to_string();
+        let error = refused(&at("absent"));
+        assert!(
+            error.starts_with(&format!(
+                "{}: no such folder; a model is `tiny`",
+                at("absent")
+            )),
+            "{error}"
+        );
+        std::fs::create_dir(at("bag")).unwrap();
+        std::fs::write(at("bag/metadata.yaml"), "").unwrap();
+        let error = refused(&at("bag"));
+        assert!(
+            error.contains("no model.json and no .safetensors"),
+            "{error}"
+        );
+        // A part alone is something to train beside, or to begin from.
+        std::fs::write(at("bag/idm.safetensors"), "").unwrap();
+        ModelFolder::require(&at("bag")).unwrap();
+        ModelFolder::require(&at("bag/idm.safetensors")).unwrap();
+        ModelFolder::require(EMBEDDED).unwrap();
+    }
 }

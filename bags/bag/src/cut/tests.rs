@@ -20,6 +20,7 @@ fn bag(scratch: &TempDir) -> PathBuf {
         },
     )
     .unwrap();
+    writer.note("action_space", "two_joints");
     writer
         .add_topic::<Text>("/instruction", QosProfile::latched())
         .unwrap();
@@ -78,6 +79,8 @@ fn a_part_has_its_messages_and_what_holds_at_its_start() {
     let reader = BagReader::open(&new).unwrap();
     let first = reader.messages().next().unwrap().unwrap();
     assert_eq!(first.publish_time_ns, START_NS);
+    assert_eq!(reader.note("action_space"), Some("two_joints"));
+    assert_eq!(part.summary.notes, reader.summary().notes);
     assert_eq!(
         reader.topic("/instruction").unwrap().qos(),
         Some(QosProfile::latched())

@@ -48,9 +48,9 @@ impl BagMessage {
                 actual: self.type_name.to_string(),
             });
         }
-        cdr::from_bytes(&self.data).map_err(|source| BagError::Cdr {
+        cdr::from_bytes(&self.data).map_err(|reason| BagError::Cdr {
             topic: self.topic.to_string(),
-            source,
+            reason,
         })
     }
 }

@@ -238,6 +238,7 @@ fn a_folder_of_files_is_recovered_with_what_its_recorder_lost() {
         writer.write("/text", &text, START_NS + number).unwrap();
     }
     writer.count_lost("/text", 3);
+    writer.note("action_space", "two_joints");
     let summary = writer.finish().unwrap();
     assert!(summary.files.len() > 3, "{summary}");
     let all = rows(&old);
@@ -253,6 +254,8 @@ fn a_folder_of_files_is_recovered_with_what_its_recorder_lost() {
     assert_eq!(recovery.losses.places, 1, "{recovery}");
     assert_eq!(recovery.without_end, std::slice::from_ref(last));
     assert_eq!(recovery.summary.lost["/text"], 3);
+    let reader = BagReader::open(&new).unwrap();
+    assert_eq!(reader.note("action_space"), Some("two_joints"));
     assert_eq!(recovery.summary.compression, "lz4");
     let found = rows(&new);
     assert!(all.ends_with(&found) && found.len() > 50, "{recovery}");

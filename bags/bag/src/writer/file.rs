@@ -67,7 +67,7 @@ impl BagFile {
             .create(NoSeek::new(BufWriter::new(stream)))
             .map_err(|source| BagError::Mcap {
                 path: path.clone(),
-                source,
+                reason: source,
             })?;
         let mut file = Self {
             path,
@@ -95,7 +95,7 @@ impl BagFile {
     fn mcap_error(&self, source: mcap::McapError) -> BagError {
         BagError::Mcap {
             path: self.path.clone(),
-            source,
+            reason: source,
         }
     }
 

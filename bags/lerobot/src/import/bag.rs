@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use wm_bag::{BagWriter, QosProfile, WriterOptions};
+use wm_bag::{BagWriter, ORIGIN, QosProfile, WriterOptions};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -22,14 +22,16 @@ use crate::{
 /// REP-105's name for the frame that the robot is mounted in.
 const BASE_FRAME: &str = "base_link";
 
-/// Writes an episode as a bag, its first frame at `start_ns`.
+/// Writes an episode as a bag that notes its `origin`, its first frame at `start_ns`.
 pub(super) fn write(
     episode: &Episode,
     actions: Option<&ActionSpace>,
     bag: &Path,
     start_ns: u64,
+    origin: String,
 ) -> Result<(), LeRobotError> {
     let mut writer = BagWriter::create(bag, WriterOptions::default())?;
+    writer.note(ORIGIN, origin);
     if let Some(space) = actions {
         writer.note(ActionSpace::NOTE, space.to_note()?);
     }

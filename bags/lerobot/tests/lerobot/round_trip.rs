@@ -125,6 +125,55 @@ fn episodes_are_chosen_by_number() {
 }
 
 #[test]
+fn a_bag_notes_its_dataset_and_episode() {
+    let scratch = TempDir::new().unwrap();
+    let episodes = [Episode::made(3, 0.0), Episode::made(3, 1.0)];
+    let back = there_and_back(scratch.path(), &episodes, &ExportOptions::default());
+    for (number, bag) in back.iter().enumerate() {
+        let reader = BagReader::open(bag).unwrap();
+        let origin = format!("dataset#{number}");
+        assert_eq!(reader.note(wm_bag::ORIGIN), Some(origin.as_str()));
+        let shown = reader.summary().to_string();
+        assert!(
+            shown.contains(&format!("Origin:       {origin}\n")),
+            "{shown}"
+        );
+    }
+}
+
+#[test]
+fn an_export_removes_nothing_but_its_own() {
+    let scratch = TempDir::new().unwrap();
+    let bag = scratch.path().join("bag");
+    Episode::made(3, 0.0).write(&bag);
+    let options = ExportOptions::default();
+    // What was there: a folder with something in it, a file, and what a killed export left.
+    let kept = ["full/theirs", "file", "new.partial-1/meta"].map(|name| scratch.path().join(name));
+    for path in &kept {
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, "theirs").unwrap();
+    }
+    let out = |name: &str| scratch.path().join(name);
+    let bags = std::slice::from_ref(&bag);
+    for taken in ["full", "file"] {
+        let error = export(bags, &out(taken), &options).unwrap_err().to_string();
+        assert!(error.contains("not an empty folder"), "{error}");
+    }
+    std::fs::create_dir(out("new")).unwrap();
+    export(bags, &out("new"), &options).unwrap();
+    for path in &kept {
+        assert_eq!(std::fs::read_to_string(path).unwrap(), "theirs");
+    }
+    let mut left: Vec<_> = std::fs::read_dir(scratch.path())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    left.sort();
+    assert_eq!(left, ["bag", "file", "full", "new", "new.partial-1"]);
+    assert!(out("new/meta/info.json").is_file());
+}
+
+#[test]
 fn what_the_actions_are_goes_with_them() {
     let scratch = TempDir::new().unwrap();
     let back = there_and_back(

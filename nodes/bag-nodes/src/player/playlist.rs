@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, bail};
 use std::collections::HashMap;
 use std::sync::Arc;
 use tracing::warn;
-use wm_bag::{BagReader, QosProfile};
+use wm_bag::{BagReader, QosProfile, TopicInfo};
 use wm_camera::goal::{camera_topic, last_frame};
 use wm_msgs::{
     Message as _,
@@ -120,24 +120,31 @@ impl Playlist {
     }
 }
 
+/// That a bag has actions on this topic.
+///
+/// # Errors
+/// It has none there; those that it has elsewhere are named.
+pub(super) fn require_actions(reader: &BagReader, topic: &str) -> Result<()> {
+    let is_of_actions = |info: &&TopicInfo| info.type_name.as_ref() == Action::ros_name();
+    if reader.topic(topic).as_ref().is_some_and(is_of_actions) {
+        return Ok(());
+    }
+    let others = reader.topics().iter().filter(is_of_actions);
+    let others: Vec<&str> = others.map(|info| info.name.as_ref()).collect();
+    let others = match others.as_slice() {
+        [] => "it has none on any topic".to_owned(),
+        others => format!("it has them on: {}", others.join(", ")),
+    };
+    bail!(
+        "the bag {} has no actions ({}) on {topic}; {others}",
+        reader.path().display(),
+        Action::ros_name(),
+    );
+}
+
 fn read_chunks(reader: &BagReader, settings: &Settings, length: usize) -> Result<ActionChunks> {
     let topic = settings.parameters.action_topic.as_str();
-    let has_actions = reader
-        .topic(topic)
-        .is_some_and(|found| found.type_name.as_ref() == Action::ros_name());
-    if !has_actions {
-        let names: Vec<&str> = reader
-            .topics()
-            .iter()
-            .map(|topic| topic.name.as_ref())
-            .collect();
-        bail!(
-            "the bag {} has no actions: no topic {topic} of {}; its topics: {}",
-            reader.path().display(),
-            Action::ros_name(),
-            names.join(", ")
-        );
-    }
+    require_actions(reader, topic)?;
     // unreadable parts of the bag are reported when they are played
     let mut actions = Vec::new();
     for message in reader.messages().only_topics([topic]).flatten() {

@@ -9,6 +9,9 @@ use std::time::Duration;
 use wm_bag::{BagReader, TopicFilter};
 use wm_ros::{Node, ParameterSet as _, Qos};
 
+/// Where a bag has its actions, unless the parameter says otherwise.
+pub(super) const ACTION_TOPIC: &str = "/wm/action";
+
 /// More than a day of waiting is a mistake in the unit.
 const LONGEST_S: f64 = 86_400.0;
 
@@ -76,7 +79,7 @@ wm_ros::parameters! {
         /// With each action, publish this many next actions on /wm/action_chunk; 0: none.
         pub chunk_length as "action_chunk_length": usize = 0, in 0..=1024;
         /// Topic of the actions in the bag.
-        pub action_topic: String = "/wm/action";
+        pub action_topic: String = ACTION_TOPIC;
         /// Publish the last frame of the bag as the goal, on /wm/goal/image/compressed.
         pub has_goal as "goal": bool = false;
         /// Camera topic in the bag from which the goal is taken; empty: the first camera.

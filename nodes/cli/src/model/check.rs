@@ -32,7 +32,7 @@ fn parse_rate(text: &str) -> Result<f64, String> {
 impl CheckCommand {
     /// Runs it.
     pub fn run(self) -> Result<()> {
-        let model = ModelFolder::open(&self.model).with_context(|| self.model.clone())?;
+        let model = ModelFolder::open(&self.model)?;
         if let ModelFolder::Described(folder) = &model {
             print(format_args!("{}", table(&folder.summary()?)?))?;
         }

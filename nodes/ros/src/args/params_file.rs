@@ -77,9 +77,9 @@ fn matches(pattern: &[String], name: &[&str]) -> bool {
 
 /// Reads a file into overrides, in the order of the file.
 pub(super) fn read(path: &Path) -> Result<Vec<Override>, ArgsError> {
-    let file = |source| ArgsError::File {
+    let file = |reason| ArgsError::File {
         path: path.to_owned(),
-        source,
+        reason,
     };
     let content = |problem| ArgsError::FileContent {
         path: path.to_owned(),

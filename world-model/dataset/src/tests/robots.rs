@@ -77,6 +77,16 @@ fn pictures_of_two_cameras_lie_side_by_side_and_frames_without_a_partner_are_cou
     };
     let text = Outcome::of(&bag, options).err().unwrap().to_string();
     assert!(text.contains("no camera /back/image_raw"), "{text}");
+    let options = DataOptions {
+        cameras: vec!["/front/image_raw".into()],
+        action_topic: Some("/arm/action".into()),
+        ..DataOptions::default()
+    };
+    let text = Outcome::of(&bag, options).err().unwrap().to_string();
+    assert!(
+        text.contains("expected messages on /arm/action; --action-topic could be /wm/action"),
+        "{text}"
+    );
 }
 
 #[test]

@@ -34,15 +34,24 @@ pub struct TrainIdmArgs {
 }
 
 impl TrainIdmArgs {
+    /// The recipe that these arguments ask for.
+    ///
+    /// # Errors
+    /// Names what is wrong in it.
+    pub fn recipe(&self) -> Result<IdmRecipe> {
+        let run = &self.run;
+        Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
+    }
+
     /// Trains until the last step, or until `stop` asks for the end.
     ///
     /// # Errors
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        let recipe = self.recipe()?;
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let run = &self.run;
         let on = run.encoded(&*encoder)?;
-        let recipe: IdmRecipe = crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?;
         carry_encoder(&self.encoder, &run.out)?;
         train_on(run, &recipe, &on.train, on.held_out.as_ref(), stop)
     }

@@ -37,15 +37,23 @@ pub struct TrainProbeArgs {
 }
 
 impl TrainProbeArgs {
+    /// The recipe that these arguments ask for.
+    ///
+    /// # Errors
+    /// Names what is wrong in it.
+    pub fn recipe(&self) -> Result<ProbeRecipe> {
+        let run = &self.run;
+        Ok(crate::recipe::load(RECIPES, &run.recipe, &run.overrides())?)
+    }
+
     /// Trains until the last step, or until `stop` asks for the end.
     ///
     /// # Errors
     /// When data, recipe, checkpoint or weights cannot be read or written, or the training diverges.
     pub fn run(&self, stop: &Stop) -> Result<Ended> {
+        let recipe = self.recipe()?;
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
         let on = self.run.encoded(&*encoder)?;
-        let recipe: ProbeRecipe =
-            crate::recipe::load(RECIPES, &self.run.recipe, &self.run.overrides())?;
         carry_encoder(&self.encoder, &self.run.out)?;
         let latents = (&on.train, on.held_out.as_ref());
         let things = Things::of(&on.data.training);
