@@ -4,6 +4,7 @@ predicted to end closest to the goal.
 usage: python examples/choosing_policy.py [--goal IMAGE] [--images N]        (ROS 2 sourced, wm_msgs built)
 
 It needs `wm encoder`, `wm evaluator` and a camera: the robot's, or `wm env`. Without --goal, publish the goal yourself.
+It prints a line of JSON for each choice; one without costs was taken without a prediction.
 """
 
 import argparse
@@ -23,6 +24,7 @@ PERIOD = Duration(nanosec=200_000_000)  # time that one action takes; here that 
 PREDICTED = 6  # actions per candidate: three model steps of the bundled model
 TAKEN = 2  # actions taken of the best one before the next image: one model step
 SIDEWAYS = [0.02, 0.0, -0.02]  # dy of each action [m]: left, none, right
+PATIENCE = 10  # times that the env repeats an image before the policy moves without a prediction
 
 parser = argparse.ArgumentParser()
 parser.add_argument("--goal", type=pathlib.Path, help="JPEG or PNG of how the scene should look in the end")
@@ -33,6 +35,7 @@ node = rclpy.create_node("choosing_policy")
 candidates = node.create_publisher(ActionCandidates, "/wm/action_candidates", 10)
 actions = node.create_publisher(Action, "/wm/action", 10)
 seen, answered = [], set()
+asked = 0  # how often candidates were published for the newest image
 
 
 def stamp_of(stamp):
@@ -50,20 +53,30 @@ def chunk_of(image, sideways):
     return chunk
 
 
-def take(chunk):
-    answered.add(stamp_of(chunk.header.stamp))
-    for action in chunk.actions[:TAKEN]:
+def take(image, index, costs):
+    stamp = stamp_of(image.header.stamp)
+    if stamp not in answered:
+        print(json.dumps({"stamp": stamp, "costs": costs, "best": index}), flush=True)
+    answered.add(stamp)
+    for action in chunk_of(image, SIDEWAYS[index]).actions[:TAKEN]:
         actions.publish(action)
 
 
 def see(image):
+    global asked
     if not seen or stamp_of(image.header.stamp) > stamp_of(seen[-1].header.stamp):
         seen.append(image)
-    chunks = [chunk_of(image, sideways) for sideways in SIDEWAYS]
+        asked = 0
     if len(seen) == 1:
-        take(chunks[1])  # a prediction needs two images and the action between them
-    elif stamp_of(image.header.stamp) not in answered:
+        take(image, 1, [])  # a prediction needs two images and the action between them
+    elif stamp_of(image.header.stamp) in answered:
+        return
+    elif asked == PATIENCE:
+        take(image, 1, [])  # the encoder came too late for an image before this one: go on, it has this one
+    else:
         # the env repeats an image until it is answered; the evaluator may not have been ready the first time
+        asked += 1
+        chunks = [chunk_of(image, sideways) for sideways in SIDEWAYS]
         candidates.publish(ActionCandidates(header=image.header, policy="choosing_policy", chunks=chunks))
 
 
@@ -71,9 +84,7 @@ def choose(assessment):
     stamp = stamp_of(assessment.candidates_stamp)
     if assessment.best < 0 or stamp in answered or stamp != stamp_of(seen[-1].header.stamp):
         return
-    take(chunk_of(seen[-1], SIDEWAYS[assessment.best]))
-    costs = [candidate.cost for candidate in assessment.candidates]
-    print(json.dumps({"stamp": stamp, "costs": costs, "best": assessment.best}), flush=True)
+    take(seen[-1], assessment.best, [candidate.cost for candidate in assessment.candidates])
 
 
 if arguments.goal:

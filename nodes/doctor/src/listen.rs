@@ -126,6 +126,7 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
     let began = Instant::now();
     let end = tokio::time::Instant::from_std(began + span);
     let mut changes = node.graph_changes();
+    let shutdown = node.shutdown();
     let mut topics: BTreeSet<(String, String)> = BTreeSet::new();
     let mut tasks = JoinSet::new();
     loop {
@@ -147,7 +148,7 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
         }
         tokio::select! {
             () = tokio::time::sleep_until(end) => break,
-            () = node.shutdown().wait() => break,
+            () = shutdown.wait() => break,
             changed = changes.changed() => if changed.is_err() { break },
         }
     }
