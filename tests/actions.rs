@@ -5,22 +5,11 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use wm_msgs::wm_msgs::action::{Plan, PlanFeedback, PlanGoal, PlanResult};
-use wm_ros::{ActionServer, Context, Environment, GoalStatus, Node, NodeArgs, Reach, ServerGoal};
+use wm_ros::{ActionServer, GoalStatus, ServerGoal};
 
-use crate::harness::{Process, fresh_domain, peers, rclpy};
+use crate::harness::{Process, fresh_domain, join, peers, rclpy};
 
 const PERIOD: Duration = Duration::from_millis(100);
-
-fn join(domain_id: u16, name: &str) -> (Context, Node) {
-    let environment = Environment {
-        domain_id,
-        reach: Reach::Localhost,
-    };
-    let context = Context::new(&environment).expect("a context");
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).expect("no arguments");
-    let node = Node::new(&context, name, "/wm", &args).expect("a node");
-    (context, node)
-}
 
 /// Ten numbers a second, as the example `count` of wm_ros.
 async fn count(goal: ServerGoal<Plan>) {

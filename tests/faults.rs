@@ -17,10 +17,11 @@ use wm_msgs::{
     std_msgs,
     wm_msgs::{Latent, Prediction},
 };
-use wm_ros::{Context, Environment, Node, NodeArgs, Qos, Reach, Subscription};
+use wm_ros::{Qos, Subscription};
 
 use crate::harness::{
-    Process, Signal, bundled_bag, children, fresh_domain, resident, wait_until, whole_suite, wm,
+    Process, Signal, bundled_bag, children, fresh_domain, join, resident, wait_until, whole_suite,
+    wm,
 };
 
 /// Far above anything that a working suite takes; it only ends a test that hangs.
@@ -32,17 +33,6 @@ const BACK: Duration = Duration::from_secs(5);
 const GONE: Duration = Duration::from_secs(2);
 /// How long a subscriber is stopped.
 const STOP: Duration = Duration::from_secs(12);
-
-fn observer(domain_id: u16) -> (Context, Node) {
-    let context = Context::new(&Environment {
-        domain_id,
-        reach: Reach::Localhost,
-    })
-    .expect("a place in the graph");
-    let args = NodeArgs::parse(Vec::<String>::new()).expect("no arguments");
-    let node = Node::new(&context, "observer", "/test", &args).expect("a node");
-    (context, node)
-}
 
 async fn next<M: Message>(subscription: &mut Subscription<M>) -> M {
     let received = tokio::time::timeout(PATIENCE, subscription.recv()).await;
@@ -122,7 +112,7 @@ async fn stopped_subscriber(heavy: Heavy) {
     let (bag, recorded) = (dir.path().join("heavy"), dir.path().join("recorded"));
     heavy_bag(&bag, &heavy);
     let domain = fresh_domain();
-    let (_context, node) = observer(domain);
+    let (_context, node) = join(domain, "observer");
     let is_reliable = heavy.qos.reliability == Reliability::Reliable;
     let qos = |depth| match is_reliable {
         true => Qos::reliable(depth),
@@ -226,7 +216,7 @@ async fn a_killed_node_is_back_at_work_within_five_seconds() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let (log, output) = (dir.path().join("log"), dir.path().join("out"));
     let domain = fresh_domain();
-    let (_context, node) = observer(domain);
+    let (_context, node) = join(domain, "observer");
     let mut latents = node
         .subscription::<Latent>("/wm/latent", Qos::best_effort(100))
         .expect("a subscription");
@@ -304,7 +294,7 @@ async fn a_killed_node_is_back_at_work_within_five_seconds() {
 async fn who_misses_a_killed_node_says_so() {
     let _alone = whole_suite();
     let domain = fresh_domain();
-    let (_context, node) = observer(domain);
+    let (_context, node) = join(domain, "observer");
     let mut diagnostics = node
         .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(100))
         .expect("a subscription");
@@ -354,7 +344,7 @@ async fn every_node_ends_within_two_seconds_of_either_signal() {
     let bag = format!("bag:=\"{}\"", bundled_bag().display());
     for (index, signal) in [Signal::INT, Signal::TERM].into_iter().enumerate() {
         let domain = fresh_domain();
-        let (_context, node) = observer(domain);
+        let (_context, node) = join(domain, "observer");
         let mut diagnostics = node
             .subscription::<DiagnosticArray>("/diagnostics", Qos::reliable(100))
             .expect("a subscription");

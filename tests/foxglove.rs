@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 
 use crate::{
     harness::{Process, Signal, bundled_bag, fresh_domain, resident, root, whole_suite, wm},
-    view::{PATIENCE, View, body, frame_of, free_port, player},
-    websocket::{Message, Socket, open_at},
+    view_process::{PATIENCE, View, body, free_port, player},
+    websocket::{Message, Socket, frame_of, open_at},
 };
 
 const NEWER: (&str, &str) = ("Sec-WebSocket-Protocol", "foxglove.sdk.v1");

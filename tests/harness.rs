@@ -15,6 +15,7 @@ use std::{
 
 use rustix::process::Pid;
 pub use rustix::process::Signal;
+use wm_ros::{Context, Environment, Node, NodeArgs, Reach};
 
 /// The binary under test.
 pub const WM: &str = env!("CARGO_BIN_EXE_wm");
@@ -51,6 +52,18 @@ pub fn in_domain(command: &mut Command, domain: u16) {
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .env_remove("ROS_LOCALHOST_ONLY")
         .env_remove("ROS_STATIC_PEERS");
+}
+
+/// A node of this process in ROS domain `domain_id`, on loopback.
+pub fn join(domain_id: u16, name: &str) -> (Context, Node) {
+    let environment = Environment {
+        domain_id,
+        reach: Reach::Localhost,
+    };
+    let context = Context::new(&environment).expect("a context");
+    let args = NodeArgs::parse(std::iter::empty::<&str>()).expect("no arguments");
+    let node = Node::new(&context, name, "/wm", &args).expect("a node");
+    (context, node)
 }
 
 /// The right to run all nodes at once: two suites side by side are more than two processors can keep up with.

@@ -4,9 +4,11 @@ use std::{collections::BTreeSet, time::Duration};
 
 use serde_json::Value;
 use wm_msgs::sensor_msgs::Image;
-use wm_ros::{Context, Environment, Node, NodeArgs, Qos, Reach};
+use wm_ros::Qos;
 
-use crate::harness::{Process, Signal, bundled_bag, fresh_domain, peers, rclpy, whole_suite, wm};
+use crate::harness::{
+    Process, Signal, bundled_bag, fresh_domain, join, peers, rclpy, whole_suite, wm,
+};
 
 /// One model step of the embedded default: two frames of a 5 Hz camera.
 const MODEL_STEP_NS: i64 = 400_000_000;
@@ -117,14 +119,7 @@ fn a_large_message_reaches_its_own_kind_each_time_and_a_real_ros_2_as_it_can() {
     let Some(peers) = peers() else { return };
     let _alone = whole_suite();
     let domain = fresh_domain();
-    let environment = Environment {
-        domain_id: domain,
-        reach: Reach::Localhost,
-    };
-    let [here, there] = [(); 2].map(|()| Context::new(&environment).expect("a context"));
-    let args = NodeArgs::parse(std::iter::empty::<&str>()).expect("no arguments");
-    let node = |context, name| Node::new(context, name, "/wm", &args).expect("a node");
-    let (camera, viewer) = (node(&here, "camera"), node(&there, "viewer"));
+    let [(here, camera), (there, viewer)] = ["camera", "viewer"].map(|name| join(domain, name));
     let qos = Qos::sensor_data();
     let publisher = camera
         .publisher::<Image>("large", qos)

@@ -19,5 +19,7 @@ mod packages;
 mod policy;
 mod replay;
 mod view;
+mod view_clients;
+mod view_process;
 mod viewers;
 mod websocket;

@@ -9,9 +9,9 @@ use std::{
 
 use wm_bag::BagReader;
 use wm_msgs::{diagnostic_msgs::DiagnosticArray, std_msgs};
-use wm_ros::{Context, Environment, Node, NodeArgs, Qos, Reach};
+use wm_ros::Qos;
 
-use crate::harness::{Process, Signal, fresh_domain, wm};
+use crate::harness::{Process, Signal, fresh_domain, join, wm};
 
 /// Far above anything that a working node takes; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -30,10 +30,7 @@ fn full_pipe() -> (PipeReader, Stdio) {
 /// Starts `wm` on full pipes, lets it record what is published on /told, and asks it to end.
 async fn records_although_nobody_reads(args: &[&str], bag: &Path) {
     let domain_id = fresh_domain();
-    let reach = Reach::Localhost;
-    let context = Context::new(&Environment { domain_id, reach }).expect("a place in the graph");
-    let no_args = NodeArgs::parse(Vec::<String>::new()).expect("no arguments");
-    let node = Node::new(&context, "observer", "/test", &no_args).expect("a node");
+    let (_context, node) = join(domain_id, "observer");
     let told = node
         .publisher::<std_msgs::String>("/told", Qos::reliable(10))
         .expect("a publisher");

@@ -1,72 +1,21 @@
-//! The page of `wm view`, in a real browser; and clients that are slow, many or hostile.
+//! The page of `wm view`, in a real browser.
 
-use std::{
-    collections::BTreeSet,
-    io::Read as _,
-    net::TcpListener,
-    path::PathBuf,
-    time::{Duration, Instant},
+use std::{net::TcpListener, path::PathBuf};
+
+use serde_json::json;
+use wm_msgs::{
+    builtin_interfaces::{self, Time},
+    std_msgs::Header,
+    wm_msgs::{Action, ActionCandidates, ActionChunk},
 };
-
-use serde_json::{Value, json};
+use wm_ros::Qos;
 
 use crate::{
     browser::Browser,
-    harness::{Process, Signal, bundled_bag, fresh_domain, resident, wait_until, whole_suite, wm},
-    websocket::{Message, Socket, open, request},
+    harness::{Process, Signal, bundled_bag, fresh_domain, join, wait_until, whole_suite, wm},
+    view_process::{PATIENCE, View, free_port, player},
+    websocket::{Message, Socket},
 };
-
-/// Far above what anything here takes; it only ends a test that hangs.
-pub const PATIENCE: Duration = Duration::from_secs(120);
-
-/// A port that is free.
-pub fn free_port() -> u16 {
-    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
-    listener.local_addr().expect("an address").port()
-}
-
-/// A running view, once its page is served.
-pub struct View {
-    pub port: u16,
-    pub process: Process,
-}
-
-impl View {
-    pub fn start(domain: u16, port: u16, args: &[&str]) -> Self {
-        let port_text = port.to_string();
-        let all = [&["view", "--port", &port_text], args].concat();
-        let process = Process::start(wm(domain, &all));
-        wait_until("the page is served", PATIENCE, || {
-            std::net::TcpStream::connect(("127.0.0.1", port)).is_ok()
-        });
-        Self { port, process }
-    }
-
-    fn url(&self) -> String {
-        format!("http://127.0.0.1:{}/", self.port)
-    }
-
-    pub fn open(&self) -> Socket {
-        let (status, socket) = open(self.port, &[]);
-        socket.unwrap_or_else(|| panic!("the socket is refused with {status}"))
-    }
-}
-
-/// A camera: the bundled bag, again and again, with stamps of now, at so many times its 5 Hz.
-pub fn player(domain: u16, rate: &str) -> Process {
-    let bag = bundled_bag();
-    let bag = bag.to_string_lossy();
-    let args = ["bag", "play", "--loop", "--restamp", "--rate", rate, &bag];
-    Process::start(wm(domain, &args))
-}
-
-/// The body of what is served under a path.
-pub fn body(port: u16, path: &str, headers: &[(&str, &str)]) -> (u16, Vec<u8>) {
-    let (status, mut stream) = request(port, path, &[headers, &[("Connection", "close")]].concat());
-    let mut body = Vec::new();
-    stream.read_to_end(&mut body).expect("a body");
-    (status, body)
-}
 
 /// Where pictures of the page are left for somebody to look at; nowhere, unless asked for.
 fn gallery() -> Option<PathBuf> {
@@ -325,6 +274,60 @@ fn a_goal_is_set_from_a_frame_that_was_seen_where_that_is_permitted() {
     );
 }
 
+#[test]
+fn a_candidate_is_picked_where_that_is_permitted() {
+    let domain = fresh_domain();
+    let view = View::start(domain, free_port(), &["--control", "goals"]);
+    let Some(mut browser) = Browser::open(&view.url()) else {
+        return;
+    };
+    let (_context, policy) = join(domain, "policy");
+    let offers = policy.publisher::<ActionCandidates>("action_candidates", Qos::reliable(4));
+    let offers = offers.expect("a publisher");
+    let chunks = policy.subscription::<ActionChunk>("action_chunk", Qos::reliable(4));
+    let mut chunks = chunks.expect("a subscription");
+    // The page forgets what is older than a minute.
+    let stamp = Time::from_nanos(policy.clock().now().to_nanos());
+    let chunk = |dy: f32| {
+        let header = Header {
+            stamp,
+            frame_id: "base_link".to_owned(),
+        };
+        ActionChunk {
+            header: header.clone(),
+            period: builtin_interfaces::Duration::from_nanos(200_000_000),
+            actions: vec![Action {
+                header,
+                values: vec![0.0, dy, 0.0, 0.0, 0.0, 0.0, 1.0],
+            }],
+            ..ActionChunk::default()
+        }
+    };
+    let offer = ActionCandidates {
+        header: chunk(0.0).header,
+        policy: "two ways".to_owned(),
+        chunks: vec![chunk(0.01), chunk(-0.02)],
+    };
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(async {
+        offers.wait_for_subscribers(1).await;
+        chunks.wait_for_publishers(1).await;
+        offers.publish(&offer).expect("published");
+    });
+    let buttons = "document.querySelectorAll('#candidate-list button')";
+    browser.wait_for(&format!("{buttons}.length === 2"), PATIENCE);
+    assert_eq!(text(&mut browser, "#candidates-text"), "2 of two ways");
+    picture(&mut browser, "candidates");
+    browser.evaluate(&format!("{buttons}[1].click()"));
+    browser.wait_for(
+        "document.querySelector('#toast').innerText === 'candidate 1 is published on /wm/action_chunk'",
+        PATIENCE,
+    );
+    let picked = runtime.block_on(tokio::time::timeout(PATIENCE, chunks.recv()));
+    let picked = picked.expect("it comes in time").expect("no shutdown");
+    assert_eq!(picked.message, offer.chunks[1]);
+}
+
 /// What the executor does, by the next status that tells of one and satisfies `is_so`.
 fn executor_state(socket: &mut Socket, is_so: impl Fn(&str) -> bool) -> String {
     loop {
@@ -433,143 +436,6 @@ fn a_bag_is_looked_at_in_the_same_page() {
 }
 
 #[test]
-fn a_client_that_stands_still_costs_nothing_and_slows_nobody() {
-    let domain = fresh_domain();
-    let view = View::start(domain, free_port(), &[]);
-    // 750 KB/s: within seconds more than the kernel holds for a client that does not read.
-    let _player = player(domain, "10");
-    let mut others: Vec<Socket> = (0..10).map(|_| view.open()).collect();
-    others[0].frame();
-    let mut stalled = view.open();
-    stalled.frame();
-    let before = resident(view.process.pid());
-    // Ten clients get the frames while the eleventh reads nothing.
-    let start = Instant::now();
-    let mut seen = vec![BTreeSet::new(); others.len()];
-    while start.elapsed() < Duration::from_secs(6) {
-        for (socket, seen) in others.iter_mut().zip(&mut seen) {
-            seen.insert(socket.frame().0);
-        }
-    }
-    let common = seen
-        .iter()
-        .skip(1)
-        .fold(seen[0].clone(), |all, one| &all & one);
-    assert!(common.len() > 50, "{}", common.len());
-    let grown = resident(view.process.pid()).saturating_sub(before);
-    // What is kept is kept once, for the minute, and not for each client.
-    assert!(grown < 24 << 20, "{grown} bytes more");
-    // When it reads again, it is soon at the present: what came in between it never gets.
-    let newest = *seen[0].last().expect("frames");
-    let mut read = 1;
-    while stalled.frame().0 < newest {
-        read += 1;
-    }
-    assert!(read < common.len(), "{read} of {}", common.len());
-}
-
-/// The header of a frame of this many bytes that never come.
-pub fn frame_of(bytes: u64) -> Vec<u8> {
-    let mut header = vec![0x81, 0x80 | 127];
-    header.extend(bytes.to_be_bytes());
-    header.extend([0; 4]);
-    header
-}
-
-#[test]
-fn hostile_clients_are_refused_and_harm_nobody() {
-    let domain = fresh_domain();
-    let folder = tempfile::tempdir().expect("a temporary directory");
-    let token = folder.path().join("token");
-    std::fs::write(&token, "0123456789abcdef\n").expect("the folder is writable");
-    let args = [
-        "--token-file",
-        &token.to_string_lossy(),
-        "--max-clients",
-        "3",
-    ];
-    let view = View::start(domain, free_port(), &args);
-    let _player = player(domain, "1");
-    let port = view.port;
-    let own = format!("http://127.0.0.1:{port}");
-    let protocols = (
-        "Sec-WebSocket-Protocol",
-        "wm.view.v1, wm.token.0123456789abcdef",
-    );
-    let wrong = (
-        "Sec-WebSocket-Protocol",
-        "wm.view.v1, wm.token.0123456789abcdee",
-    );
-    let cases: [(u16, &[(&str, &str)]); 7] = [
-        (101, &[protocols, ("Origin", &own)]),
-        (401, &[("Origin", &own)]),
-        (401, &[wrong, ("Origin", &own)]),
-        (403, &[protocols, ("Origin", "http://evil.example")]),
-        (403, &[protocols, ("Origin", "null")]),
-        (
-            421,
-            &[
-                protocols,
-                ("Host", "evil.example"),
-                ("Origin", "http://evil.example"),
-            ],
-        ),
-        (
-            400,
-            &[("Sec-WebSocket-Protocol", "other, wm.token.0123456789abcdef")],
-        ),
-    ];
-    for (expected, headers) in cases {
-        assert_eq!(open(port, headers).0, expected, "{headers:?}");
-    }
-    assert_eq!(body(port, "/access", &[]).0, 401);
-    let bearer = ("Authorization", "Bearer 0123456789abcdef");
-    assert_eq!(body(port, "/access", &[bearer]).0, 204);
-    assert_eq!(body(port, "/picture/camera/1/1/0", &[]).0, 401);
-    assert_eq!(body(port, "/picture/camera/1/1/0", &[bearer]).0, 404);
-    assert_eq!(body(port, "/", &[("Host", "evil.example")]).0, 421);
-    let (status, page) = body(port, "/", &[]);
-    assert!(status == 200 && page.starts_with(b"<!doctype html>"));
-
-    let client = || open(port, &[protocols]);
-    let mut good = client().1.expect("a socket");
-    good.frame();
-    let before = resident(view.process.pid());
-    let long = format!("{{\"number\":1,\"command\":\"{}\"}}", "x".repeat(20_000));
-    let hostile: [&[u8]; 4] = [
-        &frame_of(1 << 30),
-        &frame_of(u64::MAX),
-        &[0xff; 64],
-        &[&frame_of(20_000)[..], long.as_bytes()].concat(),
-    ];
-    for bytes in hostile {
-        let mut socket = client().1.expect("a socket");
-        // The server may have closed it before all is sent.
-        let _ = socket.send_raw(bytes);
-        while !matches!(socket.receive(), Message::Closed) {}
-    }
-    for text in ["{}", "[1]", r#"{"number":1,"command":{"op":"launch"}}"#] {
-        let mut socket = client().1.expect("a socket");
-        socket.send(text);
-        while !matches!(socket.receive(), Message::Closed) {}
-    }
-    let grown = resident(view.process.pid()).saturating_sub(before);
-    assert!(grown < 16 << 20, "{grown} bytes more");
-    let (first, _) = good.frame();
-    assert!(good.frame().0 > first, "the good client is served on");
-
-    // One more than there may be, once those that were refused are gone.
-    let mut held = Vec::new();
-    let start = Instant::now();
-    while held.len() < 2 && start.elapsed() < PATIENCE {
-        held.extend(client().1);
-    }
-    assert_eq!((held.len(), client().0), (2, 503));
-    drop(held);
-    wait_until("places are free again", PATIENCE, || client().0 == 101);
-}
-
-#[test]
 fn a_port_that_is_taken_and_a_bag_that_is_none_are_named() {
     let listener = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     let port = listener
@@ -591,49 +457,4 @@ fn a_port_that_is_taken_and_a_bag_that_is_none_are_named() {
     assert!(error.contains("no bag at /no/such/bag"), "{error}");
     let error = failed(&["view", "--address", "robot"]);
     assert!(error.contains("\"robot\""), "{error}");
-}
-
-#[test]
-fn beyond_loopback_the_page_needs_the_token_that_is_printed() {
-    let port = free_port();
-    let port_text = port.to_string();
-    let args = ["view", "--port", &port_text, "--address", "0.0.0.0"];
-    let process = Process::start(wm(fresh_domain(), &args));
-    wait_until("the page is served", PATIENCE, || {
-        std::net::TcpStream::connect(("127.0.0.1", port)).is_ok()
-    });
-    assert_eq!(body(port, "/access", &[]).0, 401);
-    let url = format!("http://127.0.0.1:{port}/");
-    let found = Browser::open(&url).map(|mut browser| {
-        browser.wait_for("document.body.dataset.state === 'refused' && !document.querySelector('#token-form').hidden", PATIENCE);
-        browser
-    });
-    process.signal(Signal::INT);
-    let (_, stdout) = process.finish(PATIENCE);
-    let token = stdout.split("#token=").nth(1).map(str::trim);
-    let token = token
-        .unwrap_or_else(|| panic!("no token: {stdout}"))
-        .to_owned();
-    assert_eq!(token.len(), 32);
-    drop(found);
-
-    // With it, in the address, the page opens; and the address no longer shows it.
-    let folder = tempfile::tempdir().expect("a temporary directory");
-    let file = folder.path().join("token");
-    std::fs::write(&file, &token).expect("the folder is writable");
-    let view = View::start(
-        fresh_domain(),
-        port,
-        &[
-            "--address",
-            "0.0.0.0",
-            "--token-file",
-            &file.to_string_lossy(),
-        ],
-    );
-    let Some(mut browser) = Browser::open(&format!("{}#token={token}", view.url())) else {
-        return;
-    };
-    browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
-    assert_eq!(browser.evaluate("location.hash"), Value::from(""));
 }

@@ -159,3 +159,11 @@ impl Socket {
         }
     }
 }
+
+/// The header of a frame of this many bytes that never come.
+pub fn frame_of(bytes: u64) -> Vec<u8> {
+    let mut header = vec![0x81, 0x80 | 127];
+    header.extend(bytes.to_be_bytes());
+    header.extend([0; 4]);
+    header
+}

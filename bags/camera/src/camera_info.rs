@@ -2,6 +2,14 @@
 
 use wm_msgs::sensor_msgs::{CameraInfo, RegionOfInterest};
 
+/// The topic of camera_info beside a topic of images, as image_transport has it.
+pub fn topic_beside(images: &str) -> String {
+    match images.rsplit_once('/') {
+        Some((folder, _)) => format!("{folder}/camera_info"),
+        None => "camera_info".to_owned(),
+    }
+}
+
 /// How the camera of `info` sees a picture that is all of its own, resized to `width` x `height` pixels. It has the
 /// header of `info`.
 ///
@@ -89,6 +97,17 @@ mod tests {
     /// Where a direction (x / z, y / z) is in the picture \[pixel\].
     fn place(info: &CameraInfo, x: f64, y: f64) -> (f64, f64) {
         (info.k[0] * x + info.k[2], info.k[4] * y + info.k[5])
+    }
+
+    #[test]
+    fn camera_info_lies_beside_the_images() {
+        for (images, expected) in [
+            ("/front/image_raw", "/front/camera_info"),
+            ("/image", "/camera_info"),
+            ("image", "camera_info"),
+        ] {
+            assert_eq!(topic_beside(images), expected);
+        }
     }
 
     #[test]

@@ -10,7 +10,6 @@
 //! - For a period of which nothing is known, nothing is published; how many there were is counted.
 //! - What is no number, no rotation, or in another frame is refused by name, and what came before still counts.
 
-mod frames;
 mod gripper;
 mod node;
 mod outlets;
@@ -20,7 +19,6 @@ mod problem;
 mod step;
 mod twists;
 
-pub use frames::{Frames, Unknown};
 pub use gripper::GripperSource;
 pub use node::{NODE, body};
 pub use problem::Problem;

@@ -134,26 +134,32 @@ export function timeline(canvas, { x, record, cursor, isLive }) {
   }
 }
 
-/** Arrows of a plan in the picture, each from the end of the one before, from the picture's middle. */
-export function arrows(canvas, actions, axes) {
+/** Where a plan leads from the picture's middle, by where the axes point: right and down for x, y and z [picture widths per m]. */
+function alongAxes(values, axes, width, height) {
+  let [x, y] = [width / 2, height / 2];
+  return [[x, y], ...values.map(([dx, dy, dz]) => [
+    (x += width * (axes[0] * dx + axes[2] * dy + axes[4] * dz)),
+    (y += width * (axes[1] * dx + axes[3] * dy + axes[5] * dz)),
+  ])];
+}
+
+/** Arrows of a plan in the picture: along `way`, in fractions of its width and height, or else along its `axes`. */
+export function arrows(canvas, { values, way, axes } = {}) {
   const { context, width, height } = prepare(canvas);
-  if (!actions) return;
-  let [px, py] = [width / 2, height / 2];
-  actions.values.forEach((values, index) => {
-    const [dx, dy, dz] = values;
-    const right = width * (axes[0] * dx + axes[2] * dy + axes[4] * dz);
-    const down = width * (axes[1] * dx + axes[3] * dy + axes[5] * dz);
-    const [qx, qy] = [px + right, py + down];
-    const length = Math.hypot(right, down);
+  if (!values) return;
+  const points = way ? way.map(([u, v]) => [u * width, v * height]) : alongAxes(values, axes, width, height);
+  for (let index = 0; index + 1 < points.length; index++) {
+    const [[px, py], [qx, qy]] = [points[index], points[index + 1]];
+    const [right, down] = [qx - px, qy - py];
     for (const [tone, thick] of [["panel", 5], ["bad", 2.5]]) {
       context.strokeStyle = context.fillStyle = colour(tone);
-      context.globalAlpha = 1 - 0.5 * (index / actions.values.length);
+      context.globalAlpha = 1 - 0.5 * (index / points.length);
       context.lineWidth = thick;
       context.lineCap = "round";
       context.beginPath();
       context.moveTo(px, py);
       context.lineTo(qx, qy);
-      if (length > 6) {
+      if (Math.hypot(right, down) > 6) {
         const turn = Math.atan2(down, right);
         for (const side of [-2.6, 2.6]) {
           context.moveTo(qx, qy);
@@ -162,7 +168,6 @@ export function arrows(canvas, actions, axes) {
       }
       context.stroke();
     }
-    [px, py] = [qx, qy];
-  });
+  }
   context.globalAlpha = 1;
 }

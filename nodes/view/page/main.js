@@ -31,6 +31,8 @@ const page = {
   playing: null,
   /** From a frame's capture until it was drawn here, the last ones [ms]. */
   latencies: [],
+  /** Where the plan that is shown leads in the picture, if that is known. */
+  way: null,
   /** When the first picture was drawn, since the page was opened [ms]. */
   firstPicture: null,
   labels: {},
@@ -271,7 +273,9 @@ function drawArrows() {
   const now = page.at?.t ?? page.now;
   // A plan that is over is no longer of this picture.
   const isCurrent = plan && now < Number(plan.actions.begin) / 1e6 + (plan.actions.values.length + 2) * plan.actions.period_ms;
-  arrows(canvas, isCurrent ? plan.actions : null, page.hello?.axes ?? []);
+  if (!isCurrent) return arrows(canvas);
+  page.way = record.wayOf(plan);
+  arrows(canvas, { values: plan.actions.values, way: page.way?.points, axes: page.hello?.axes ?? [] });
 }
 
 /** The span of the time line: of a live page the last minute, of a bag all of it. */

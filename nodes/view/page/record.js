@@ -29,10 +29,10 @@ function last(items, t) {
 /** What names a picture. */
 export const key = (label) => `${label.source}/${label.stamp}/${label.observed}/${label.k}`;
 
-const SERIES = ["frames", "predicted", "errors", "plans", "actions", "chunks", "candidates", "assessments", "goals", "outcomes",
+const SERIES = ["frames", "predicted", "errors", "plans", "ways", "actions", "chunks", "candidates", "assessments", "goals", "outcomes",
   "candidatePictures", "latencies", "log"];
 const OF_SOURCE = { camera: "frames", predicted: "predicted", plan: "outcomes", candidates: "candidatePictures", goal: "goals" };
-const OF_KIND = { error: "errors", plan: "plans", action: "actions", chunk: "chunks", candidates: "candidates",
+const OF_KIND = { error: "errors", plan: "plans", way: "ways", action: "actions", chunk: "chunks", candidates: "candidates",
   assessment: "assessments" };
 
 export class Record {
@@ -78,7 +78,7 @@ export class Record {
     for (const name of SERIES) {
       const items = this[name];
       // A goal holds until the next.
-      const keep = name === "goals" || name === "plans" || name === "outcomes" ? 1 : 0;
+      const keep = name === "goals" || name === "plans" || name === "ways" || name === "outcomes" ? 1 : 0;
       let old = 0;
       while (old < items.length - keep && items[old].t < from) old++;
       if (old > 0) items.splice(0, old);
@@ -149,6 +149,13 @@ export class Record {
 
   before(name, t) {
     return last(this[name], t);
+  }
+
+  /** Where a plan leads in the picture; null where that is not known. */
+  wayOf(plan) {
+    const { begin } = plan.actions;
+    const way = this.before("ways", milliseconds(begin));
+    return way?.stamp === begin ? way : null;
   }
 
   within(name, from, to) {

@@ -14,9 +14,12 @@ use std::{
 };
 use tokio::sync::Semaphore;
 use wm_bag::{BagError, BagMessage, BagReader};
-use wm_camera::camera_frame::CameraFrame;
+use wm_camera::{camera_frame::CameraFrame, camera_info::topic_beside};
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
+    sensor_msgs::CameraInfo,
+    tf2_msgs::TFMessage,
+    visualization_msgs::MarkerArray,
     wm_msgs::{
         Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, Plan, Prediction,
         PredictionError,
@@ -28,10 +31,16 @@ const READERS: usize = 2;
 /// After so many messages clients are told what was found.
 const STRIDE: usize = 500;
 
+/// The topics of tf.
+const TRANSFORMS: &str = "/tf";
+const STATIC_TRANSFORMS: &str = "/tf_static";
+
 /// A bag that is shown.
 pub struct Bag {
     reader: BagReader,
     topics: BTreeMap<String, Topic>,
+    /// Where it is told how the camera sees.
+    camera_info: String,
     places: Mutex<HashMap<Label, Place>>,
     readers: Semaphore,
 }
@@ -85,6 +94,9 @@ impl Bag {
                 topics.insert(name.clone(), *topic);
             }
         }
+        let camera = heard.iter().find(|heard| heard.topic == Topic::Camera);
+        let camera_info = camera.map(|camera| topic_beside(&camera.name));
+        let camera_info = camera_info.unwrap_or_default();
         // Goals of other kinds have a topic of their own, which counts as the same.
         if let Some((name, _)) = topics.iter().find(|(_, topic)| **topic == Topic::Goal) {
             let name = name
@@ -95,6 +107,7 @@ impl Bag {
         Ok(Self {
             reader,
             topics,
+            camera_info,
             places: Mutex::default(),
             readers: Semaphore::new(READERS),
         })
@@ -113,7 +126,9 @@ impl Bag {
     /// Reads all of it, and tells the clients of what it finds on the way. It takes as long as reading the file.
     pub fn read(&self, shared: &Shared) {
         let mut unusable: BTreeMap<String, (u64, String)> = BTreeMap::new();
-        let messages = self.reader.messages().only_topics(self.topics.keys());
+        let scene = [&*self.camera_info, TRANSFORMS, STATIC_TRANSFORMS];
+        let topics = self.topics.keys().map(String::as_str).chain(scene);
+        let messages = self.reader.messages().only_topics(topics);
         for (number, message) in messages.enumerate() {
             let (topic, told) = match message {
                 Ok(message) => {
@@ -140,7 +155,7 @@ impl Bag {
     fn tell(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
         let now_ns = i64::try_from(message.log_time_ns).unwrap_or(i64::MAX);
         let Some(topic) = self.topics.get(&*message.topic) else {
-            return Ok(());
+            return self.place(state, message);
         };
         match topic {
             Topic::Camera => self.picture_in(state, Source::Camera, message, now_ns)?,
@@ -157,6 +172,7 @@ impl Bag {
             Topic::Errors => state.error(&message.decode::<PredictionError>()?, now_ns),
             Topic::Action => state.action(&message.decode::<Action>()?, now_ns),
             Topic::Chunk => state.chunk(&message.decode::<ActionChunk>()?, now_ns),
+            Topic::Markers => state.markers(&message.decode::<MarkerArray>()?, now_ns),
             Topic::Plan => state.plan(&message.decode::<Plan>()?, now_ns),
             Topic::Candidates => {
                 state.candidates(Arc::new(message.decode::<ActionCandidates>()?), now_ns)?;
@@ -165,6 +181,17 @@ impl Bag {
             Topic::Executor => state.executor(&message.decode::<ExecutorStatus>()?, now_ns),
             Topic::Diagnostics => state.diagnostics(&message.decode::<DiagnosticArray>()?, now_ns),
             Topic::Log => state.log(&message.decode::<wm_ros::Log>()?, now_ns),
+        }
+        Ok(())
+    }
+
+    /// What says where things are in the picture.
+    fn place(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
+        let scene = &mut state.scene;
+        match &*message.topic {
+            TRANSFORMS => scene.transforms(&message.decode::<TFMessage>()?, false),
+            STATIC_TRANSFORMS => scene.transforms(&message.decode::<TFMessage>()?, true),
+            _ => scene.camera(&message.decode::<CameraInfo>()?),
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! What a client's page is told of the past and the present, as JSON. Stamps are texts: nanoseconds since 1970 are more than
 //! a number of JavaScript holds.
 
-use crate::{clip, picture::Label};
+use crate::{clip, picture::Label, scene::Way};
 use serde::{Serialize, Serializer};
 use wm_msgs::wm_msgs::{
     Action, ActionCandidates, ActionChunk, Assessment, Goal, Plan, Prediction, PredictionError,
@@ -90,6 +90,13 @@ pub enum Event {
         goal_index: u32,
         taken_ms: f64,
         cut: bool,
+    },
+    /// Where a plan leads in the camera's picture.
+    Way {
+        /// When the plan's first action begins.
+        stamp: Stamp,
+        /// From the left and from above, in fractions of the picture's width and height.
+        points: Vec<[f32; 2]>,
     },
     /// A policy offers candidates.
     Candidates {
@@ -215,6 +222,13 @@ impl Event {
             goal_index: plan.goal_index,
             taken_ms: milliseconds(plan.time_taken.to_nanos()),
             cut: plan.deadline_cut,
+        }
+    }
+
+    pub fn way(way: Way) -> Self {
+        Self::Way {
+            stamp: Stamp(way.begin_ns),
+            points: way.points,
         }
     }
 

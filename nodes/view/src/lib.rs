@@ -29,6 +29,7 @@ mod page;
 mod picture;
 mod picture_subscription;
 mod rate;
+mod scene;
 mod server;
 mod socket;
 mod state;

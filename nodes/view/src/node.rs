@@ -11,6 +11,7 @@ use crate::{
     foxglove::{hub::Hub, offer::Offer},
     picture::{Label, Picture, PictureError, Source},
     picture_subscription::{PictureSubscription, Publishers, publishers},
+    scene::Scene,
     server::{self, Asked, Settings, Shared},
     socket,
     state::{Left, State, Topic},
@@ -26,9 +27,12 @@ use std::{
     time::Duration,
 };
 use tokio::{sync::mpsc, time::MissedTickBehavior};
-use wm_camera::camera_frame::CameraFrame;
+use wm_camera::{camera_frame::CameraFrame, camera_info::topic_beside};
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
+    sensor_msgs::CameraInfo,
+    tf2_msgs::TFMessage,
+    visualization_msgs::MarkerArray,
     wm_msgs::{
         Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, Plan, Prediction,
         PredictionError,
@@ -105,7 +109,8 @@ wm_ros::parameters! {
         /// Origins whose pages may connect as such a viewer. file:// is that of desktop applications, and of no website; for
         /// Foxglove in a browser add https://app.foxglove.dev.
         foxglove_origins: Vec<String> = vec!["file://".to_owned()];
-        /// Where the axes of actions point in the picture: right and down for x, y and z [picture widths per m].
+        /// Where the axes of actions point in the picture: right and down for x, y and z [picture widths per m]. For the
+        /// arrows of a plan where the camera's place or the end effector's is not known.
         axes: Vec<f64> = AXES.to_vec();
     }
 }
@@ -118,6 +123,15 @@ wm_ros::endpoints! {
             let topic: String = node.parameter("camera_topic")?;
             PictureSubscription::new(node, &topic, qos)
         });
+        /// How it sees, beside its frames.
+        camera_infos: Subscription<CameraInfo> = "/camera/camera_info", qos(Qos::best_effort(1)), made(|node, _, qos| {
+            let images: String = node.parameter("camera_topic")?;
+            node.subscription(&topic_beside(&images), qos)
+        });
+        /// Where it is, and where the arm is.
+        transforms: Subscription<TFMessage> = "/tf", qos(BURST);
+        /// The same, of what does not move.
+        static_transforms: Subscription<TFMessage> = "/tf_static", qos(BURST), made(Node::subscription_catching_up);
         /// Predicted latents, of which only the stamps and steps are used.
         predicted: Subscription<Prediction> = "predicted", qos(BURST);
         /// Predicted pictures.
@@ -134,6 +148,8 @@ wm_ros::endpoints! {
         goals: Subscription<Goal> = "goal", qos(Qos::best_effort(1)), made(Node::subscription_catching_up);
         /// Plans.
         plans: Subscription<Plan> = "plan", qos(NEWEST);
+        /// Where a plan leads.
+        markers: Subscription<MarkerArray> = "markers", qos(BURST);
         /// What the camera would see after a plan.
         outcomes: PictureSubscription = "plan/image", qos(NEWEST);
         /// A policy's candidates.
@@ -169,6 +185,7 @@ fn topics(node: &Node, camera_topic: &str) -> Result<Vec<Heard>> {
         (Topic::Chunk, "action_chunk"),
         (Topic::Goal, "goal/image"),
         (Topic::Plan, "plan"),
+        (Topic::Markers, "markers"),
         (Topic::Outcome, "plan/image"),
         (Topic::Candidates, "action_candidates"),
         (Topic::CandidatePictures, "candidates/image"),
@@ -324,6 +341,10 @@ impl Hearing {
                 Some(received) = inputs.chunks.recv_shared() => self.tell(&received, of(State::chunk)),
                 Some(received) = inputs.goals.recv_shared() => self.tell(&received, of(State::goal)),
                 Some(received) = inputs.plans.recv_shared() => self.tell(&received, of(State::plan)),
+                Some(received) = inputs.markers.recv_shared() => self.tell(&received, of(State::markers)),
+                Some(received) = inputs.camera_infos.recv_shared() => self.place(|scene| scene.camera(&received.message)),
+                Some(received) = inputs.transforms.recv_shared() => self.place(|scene| scene.transforms(&received.message, false)),
+                Some(received) = inputs.static_transforms.recv_shared() => self.place(|scene| scene.transforms(&received.message, true)),
                 Some(received) = inputs.candidates.recv_shared() => {
                     let now_ns = received.received.to_nanos();
                     let told = self.shared.known().state.candidates(received.message, now_ns);
@@ -366,6 +387,11 @@ impl Hearing {
         let now_ns = received.received.to_nanos();
         let told = tell(&mut self.shared.known().state, &received.message, now_ns);
         self.complain(told);
+    }
+
+    /// Tells of where things are in the picture.
+    fn place(&self, tell: impl FnOnce(&mut Scene)) {
+        tell(&mut self.shared.known().state.scene);
     }
 
     fn complain(&mut self, told: Result<(), Left>) {

@@ -6,6 +6,7 @@ use crate::{
     journal::{Journal, Limits},
     picture::{Label, Picture, Source},
     rate::Rate,
+    scene::Scene,
     status::{Executor, Nodes},
 };
 use std::{
@@ -14,6 +15,7 @@ use std::{
 };
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
+    visualization_msgs::MarkerArray,
     wm_msgs::{
         Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, Plan, Prediction,
         PredictionError,
@@ -33,6 +35,7 @@ pub enum Topic {
     Chunk,
     Goal,
     Plan,
+    Markers,
     Outcome,
     Candidates,
     CandidatePictures,
@@ -114,6 +117,8 @@ pub struct State {
     pub nodes: Nodes,
     /// What the executor does.
     pub executor: Option<Executor>,
+    /// How the camera sees, and where it is.
+    pub scene: Scene,
     rates: BTreeMap<Topic, Rate>,
     pairings: Pairings,
     offers: VecDeque<Arc<ActionCandidates>>,
@@ -150,6 +155,7 @@ impl State {
             journal: Journal::new(limits),
             nodes: Nodes::default(),
             executor: None,
+            scene: Scene::default(),
             rates: BTreeMap::new(),
             pairings: Pairings::default(),
             offers: VecDeque::new(),
@@ -266,6 +272,14 @@ impl State {
     pub fn plan(&mut self, plan: &Plan, now_ns: i64) {
         self.heard(Topic::Plan, now_ns);
         self.journal.add(&Event::plan(plan), now_ns);
+    }
+
+    /// Shapes, a plan among them.
+    pub fn markers(&mut self, markers: &MarkerArray, now_ns: i64) {
+        self.heard(Topic::Markers, now_ns);
+        if let Some(way) = self.scene.way(markers) {
+            self.journal.add(&Event::way(way), now_ns);
+        }
     }
 
     /// A goal.

@@ -1,6 +1,7 @@
 //! Displacements by periods, of poses.
 
 use nalgebra::Isometry3;
+use wm_frames::pose::between;
 
 use super::{Problem, step::Period};
 use crate::displacement::Displacement;
@@ -100,14 +101,4 @@ impl Poses {
         (state.last_ns, state.last) = (stamp_ns, pose);
         Ok(over)
     }
-}
-
-/// `share` of the way from one pose to another: in a line, and by a turn about one axis.
-pub(super) fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, share: f64) -> Isometry3<f64> {
-    let way = to.translation.vector - from.translation.vector;
-    let turn = (to.rotation * from.rotation.inverse()).powf(share);
-    Isometry3::from_parts(
-        (from.translation.vector + way * share).into(),
-        turn * from.rotation,
-    )
 }

@@ -1,6 +1,7 @@
 //! What cannot become an action, and why.
 
 use thiserror::Error;
+use wm_frames::{LeftOut, pose::PoseError};
 use wm_motion::actions::ActionError;
 
 /// What cannot become an action, and why.
@@ -88,7 +89,27 @@ pub enum Problem {
     Frames(String),
 }
 
+impl From<LeftOut> for Problem {
+    fn from(left_out: LeftOut) -> Self {
+        match left_out {
+            LeftOut::Older { before_s } => Self::Older {
+                what: "tf",
+                before_s,
+            },
+            LeftOut::TooMany(frame) => Self::Frames(frame),
+        }
+    }
+}
+
 impl Problem {
+    /// Of a pose in a message of this kind.
+    pub(super) fn of_pose(what: &'static str, error: PoseError) -> Self {
+        match error {
+            PoseError::NotFinite(value) => Self::NotFinite { what, value },
+            PoseError::NotUnit(norm) => Self::NotUnit { what, norm },
+        }
+    }
+
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
         match self {

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::Isometry3;
+use wm_frames::{Frames, Unknown, bare, pose};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{self, PoseStamped, TwistStamped},
@@ -10,17 +11,11 @@ use wm_msgs::{
     tf2_msgs::TFMessage,
 };
 
-use super::{
-    Frames, GripperSource, Problem, Unknown, frames::bare, gripper::Gripper, poses::Poses,
-    twists::Twists,
-};
+use super::{GripperSource, Problem, gripper::Gripper, poses::Poses, twists::Twists};
 use crate::{
     displacement::Displacement,
     executor::{Layout, Velocity},
 };
-
-/// How far the norm of an orientation may be from 1: publishers round.
-const NORM_SLACK: f64 = 1e-3;
 
 /// Where motions come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -98,15 +93,7 @@ fn isometry(
     at: [f64; 3],
     turn: &geometry_msgs::Quaternion,
 ) -> Result<Isometry3<f64>, Problem> {
-    let [x, y, z] = at;
-    let turn = Quaternion::new(turn.w, turn.x, turn.y, turn.z);
-    finite(what, &[x, y, z, turn.w, turn.i, turn.j, turn.k])?;
-    let norm = turn.norm();
-    if (norm - 1.0).abs() > NORM_SLACK {
-        return Err(Problem::NotUnit { what, norm });
-    }
-    let turn = UnitQuaternion::from_quaternion(turn);
-    Ok(Isometry3::from_parts(Translation3::new(x, y, z), turn))
+    pose::isometry(at, turn).map_err(|error| Problem::of_pose(what, error))
 }
 
 /// Where motions come from, and what is known of them.
@@ -211,12 +198,12 @@ impl AdapterStep {
             return Vec::new();
         };
         let taken = message.transforms.iter().map(|one| {
-            let at = one.transform.translation;
-            let transform = isometry("tf", [at.x, at.y, at.z], &one.transform.rotation)?;
+            let transform = pose::of_transform(&one.transform);
+            let transform = transform.map_err(|error| Problem::of_pose("tf", error))?;
             // Nobody knows when one without a stamp was received but its sender.
             let stamp_ns = stamp_of("tf", one.header.stamp, 0)?;
             let names = (&*one.header.frame_id, &*one.child_frame_id);
-            frames.take(names, is_static, stamp_ns, transform)
+            Ok(frames.take(names, is_static, stamp_ns, transform)?)
         });
         taken.filter_map(Result::err).collect()
     }

@@ -1,7 +1,7 @@
 //! `wm model check`.
 
 use crate::output::print;
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use clap::Args;
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};

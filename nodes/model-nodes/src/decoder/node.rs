@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_camera::camera_info::resized;
+use wm_camera::camera_info::{resized, topic_beside};
 use wm_msgs::{sensor_msgs::CameraInfo, wm_msgs::Prediction};
 use wm_ros::{
     Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Subscription,
@@ -81,7 +81,7 @@ wm_ros::endpoints! {
         /// How the camera sees: beside its images, wherever /camera/image_raw is remapped to.
         camera_infos: Subscription<CameraInfo> = "/camera/camera_info", qos(Qos::best_effort(1)), made(|node, _, qos| {
             let images = node.resolve("/camera/image_raw")?;
-            node.subscription(&beside(&images, "camera_info"), qos)
+            node.subscription(&topic_beside(&images), qos)
         });
         /// The same for pictures of the size of the predicted ones, with each of them; none where none was heard.
         infos: Publisher<CameraInfo> = "predicted/camera_info", qos(Qos::reliable(WAITING));
@@ -267,14 +267,6 @@ impl ModelNode for Decoder {
     }
 }
 
-/// The topic `name` beside `topic`, as image_transport has it.
-fn beside(topic: &str, name: &str) -> String {
-    match topic.rsplit_once('/') {
-        Some((folder, _)) => format!("{folder}/{name}"),
-        None => name.to_owned(),
-    }
-}
-
 /// How `camera` sees the predicted pictures, which have this size; none where they are another camera's.
 fn info_of(camera: &CameraInfo, pictures: &Pictures, size: (u32, u32)) -> Option<CameraInfo> {
     let header = match pictures {
@@ -372,16 +364,6 @@ mod tests {
     use wm_msgs::{sensor_msgs::Image, std_msgs::Header};
 
     use super::*;
-
-    #[test]
-    fn camera_info_lies_beside_the_images() {
-        assert_eq!(
-            beside("/front/image_raw", "camera_info"),
-            "/front/camera_info"
-        );
-        assert_eq!(beside("/image", "camera_info"), "/camera_info");
-        assert_eq!(beside("image", "camera_info"), "camera_info");
-    }
 
     #[test]
     fn how_a_camera_sees_is_told_of_its_own_pictures_alone() {

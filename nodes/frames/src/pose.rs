@@ -1,0 +1,93 @@
+//! Positions with orientations.
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use thiserror::Error;
+use wm_msgs::geometry_msgs;
+
+/// How far the norm of an orientation may be from 1: publishers round.
+const NORM_SLACK: f64 = 1e-3;
+
+/// Numbers that are no pose.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum PoseError {
+    /// A value that is no number, or infinite.
+    #[error("a pose has {0}; expected finite numbers")]
+    NotFinite(f64),
+    /// Four numbers that are no orientation.
+    #[error("the quaternion of a pose has the norm {0}; expected 1")]
+    NotUnit(f64),
+}
+
+/// A position (x, y, z) \[m\] with an orientation.
+///
+/// # Errors
+/// A number is not finite, or the quaternion's norm is not 1.
+pub fn isometry(
+    position: [f64; 3],
+    orientation: &geometry_msgs::Quaternion,
+) -> Result<Isometry3<f64>, PoseError> {
+    let [x, y, z] = position;
+    let turn = Quaternion::new(orientation.w, orientation.x, orientation.y, orientation.z);
+    let values = [x, y, z, turn.w, turn.i, turn.j, turn.k];
+    if let Some(value) = values.into_iter().find(|value| !value.is_finite()) {
+        return Err(PoseError::NotFinite(value));
+    }
+    let norm = turn.norm();
+    if (norm - 1.0).abs() > NORM_SLACK {
+        return Err(PoseError::NotUnit(norm));
+    }
+    let turn = UnitQuaternion::from_quaternion(turn);
+    Ok(Isometry3::from_parts(Translation3::new(x, y, z), turn))
+}
+
+/// A transform as tf has it.
+///
+/// # Errors
+/// As of [`isometry`].
+pub fn of_transform(transform: &geometry_msgs::Transform) -> Result<Isometry3<f64>, PoseError> {
+    let at = transform.translation;
+    isometry([at.x, at.y, at.z], &transform.rotation)
+}
+
+/// `share` of the way from one pose to another: in a line, and by a turn about one axis.
+pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, share: f64) -> Isometry3<f64> {
+    let way = to.translation.vector - from.translation.vector;
+    let turn = (to.rotation * from.rotation.inverse()).powf(share);
+    Isometry3::from_parts(
+        (from.translation.vector + way * share).into(),
+        turn * from.rotation,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    #[test]
+    fn what_is_no_pose_is_named() {
+        let mut turn = geometry_msgs::Quaternion {
+            w: 1.0005,
+            ..Default::default()
+        };
+        assert!(isometry([1.0, 2.0, 3.0], &turn).is_ok());
+        assert_eq!(
+            isometry([1.0, f64::INFINITY, 3.0], &turn),
+            Err(PoseError::NotFinite(f64::INFINITY))
+        );
+        turn.w = 0.0;
+        assert_eq!(isometry([0.0; 3], &turn), Err(PoseError::NotUnit(0.0)));
+    }
+
+    #[test]
+    fn half_of_the_way_is_half_of_the_line_and_half_of_the_turn() {
+        let from = Isometry3::translation(1.0, 0.0, 0.0);
+        let to = Isometry3::new(Vector3::new(3.0, 2.0, 0.0), Vector3::z() * FRAC_PI_2);
+        let half = between(&from, &to, 0.5);
+        let expected = Isometry3::new(Vector3::new(2.0, 1.0, 0.0), Vector3::z() * FRAC_PI_2 / 2.0);
+        assert!((half.to_homogeneous() - expected.to_homogeneous()).norm() < 1e-12);
+    }
+}

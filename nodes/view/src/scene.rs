@@ -1,0 +1,210 @@
+//! Where the way of a plan lies in the camera's picture.
+
+use nalgebra::Point3;
+use wm_camera::camera_info::resized;
+use wm_frames::{Frames, pose};
+use wm_msgs::{
+    geometry_msgs::Point,
+    sensor_msgs::CameraInfo,
+    tf2_msgs::TFMessage,
+    visualization_msgs::{Marker, MarkerArray},
+};
+
+/// The markers of the planner (docs/viewers.md).
+const PLAN: &str = "plan";
+/// Points of a way that are shown: one more than actions of a plan.
+const MAX_POINTS: usize = 65;
+/// What is nearer than this to the camera, or behind it, is in no picture \[m\].
+const NEAREST_M: f64 = 0.01;
+
+/// How the camera sees, and where it is.
+#[derive(Debug, Default)]
+pub struct Scene {
+    frames: Frames,
+    camera: Option<Pinhole>,
+}
+
+/// A camera in fractions of its picture's width and height; distortion is not looked at.
+#[derive(Clone, Debug, PartialEq)]
+struct Pinhole {
+    frame: String,
+    focal: [f64; 2],
+    skew: f64,
+    middle: [f64; 2],
+}
+
+impl Pinhole {
+    fn of(info: &CameraInfo) -> Option<Self> {
+        let unit = resized(info, (1, 1))?;
+        let [fx, skew, cx, _, fy, cy, ..] = unit.k;
+        Some(Self {
+            frame: unit.header.frame_id,
+            focal: [fx, fy],
+            skew,
+            // ROS has 0 in the middle of the first pixel, which here is the only one.
+            middle: [cx + 0.5, cy + 0.5],
+        })
+    }
+
+    /// Where a point of the optical frame (REP 103: x right, y down, z ahead) is seen.
+    fn see(&self, point: &Point3<f64>) -> Option<[f32; 2]> {
+        if point.z < NEAREST_M {
+            return None;
+        }
+        let (x, y) = (point.x / point.z, point.y / point.z);
+        let [fx, fy] = self.focal;
+        let [u, v] = [
+            fx * x + self.skew * y + self.middle[0],
+            fy * y + self.middle[1],
+        ];
+        (u.is_finite() && v.is_finite()).then_some([u as f32, v as f32])
+    }
+}
+
+/// Where the end effector is before the first action of a plan and after each, in fractions of the picture's width and
+/// height.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Way {
+    /// When the first action begins \[ns\].
+    pub begin_ns: i64,
+    /// From the left and from above.
+    pub points: Vec<[f32; 2]>,
+}
+
+impl Scene {
+    /// Takes how the camera sees; one that is not calibrated sees nothing.
+    pub fn camera(&mut self, info: &CameraInfo) {
+        self.camera = Pinhole::of(info);
+    }
+
+    /// Takes where frames are in each other. What is no pose, or older than what is known, is left out: the arrows of a plan
+    /// are all that depends on it.
+    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) {
+        for one in &message.transforms {
+            let Ok(transform) = pose::of_transform(&one.transform) else {
+                continue;
+            };
+            let names = (&*one.header.frame_id, &*one.child_frame_id);
+            let stamp_ns = one.header.stamp.to_nanos();
+            self.frames.take(names, is_static, stamp_ns, transform).ok();
+        }
+    }
+
+    /// The way of a plan among these markers, as the camera sees it; none where there is no plan among them, where it is not
+    /// known where the camera is, or where a part of the way is behind it.
+    pub fn way(&self, markers: &MarkerArray) -> Option<Way> {
+        let is_way = |marker: &&Marker| {
+            marker.ns == PLAN && marker.r#type == Marker::LINE_STRIP && marker.action == Marker::ADD
+        };
+        let marker = markers.markers.iter().find(is_way)?;
+        let camera = self.camera.as_ref()?;
+        let (_, to_camera) = self
+            .frames
+            .find(&camera.frame, &marker.header.frame_id)
+            .ok()?;
+        let way = pose::isometry(
+            [
+                marker.pose.position.x,
+                marker.pose.position.y,
+                marker.pose.position.z,
+            ],
+            &marker.pose.orientation,
+        );
+        let to_camera = to_camera * way.ok()?;
+        let see = |at: &Point| camera.see(&(to_camera * Point3::new(at.x, at.y, at.z)));
+        let points = marker.points.iter().take(MAX_POINTS).map(see);
+        Some(Way {
+            begin_ns: marker.header.stamp.to_nanos(),
+            points: points.collect::<Option<_>>()?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use wm_msgs::{
+        builtin_interfaces::Time,
+        geometry_msgs::{Pose, Quaternion},
+        std_msgs::Header,
+    };
+    use wm_sim::{message, render::Camera, render::IMAGE_SIZE};
+
+    use super::*;
+
+    fn header(frame: &str) -> Header {
+        Header {
+            stamp: Time::from_nanos(7),
+            frame_id: frame.to_owned(),
+        }
+    }
+
+    fn way(points: &[[f64; 3]]) -> MarkerArray {
+        let point = |[x, y, z]: [f64; 3]| Point { x, y, z };
+        let way = Marker {
+            header: header("base_link"),
+            ns: PLAN.to_owned(),
+            r#type: Marker::LINE_STRIP,
+            pose: Pose {
+                orientation: Quaternion {
+                    w: 1.0,
+                    ..Quaternion::default()
+                },
+                ..Pose::default()
+            },
+            points: points.iter().copied().map(point).collect(),
+            ..Marker::default()
+        };
+        let box_of_workspace = Marker {
+            ns: "workspace".to_owned(),
+            ..way.clone()
+        };
+        MarkerArray {
+            markers: vec![box_of_workspace, way],
+        }
+    }
+
+    fn scene(camera: &Camera) -> Scene {
+        let mut scene = Scene::default();
+        scene.camera(&message::camera_info(camera, header("camera")));
+        let place = message::transform(&camera.base_from_optical(), header("base_link"), "camera");
+        scene.transforms(
+            &TFMessage {
+                transforms: vec![place],
+            },
+            true,
+        );
+        scene
+    }
+
+    #[test]
+    fn a_way_is_seen_where_the_simulator_draws_it() {
+        let camera = Camera::beside_the_arm();
+        let points = [[0.262, 0.0, 0.095], [0.3, 0.05, 0.02], [0.2, -0.1, 0.15]];
+        let found = scene(&camera).way(&way(&points)).unwrap();
+        assert_eq!((found.begin_ns, found.points.len()), (7, 3));
+        for (point, seen) in points.into_iter().zip(found.points) {
+            // Edges of pixels, from 0 to the size.
+            let pixel = camera.pixel(&point.into()).unwrap();
+            for (exact, fraction) in pixel.into_iter().zip(seen) {
+                assert!((exact - fraction * IMAGE_SIZE as f32).abs() < 0.01);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_not_known_or_not_seen_has_no_way() {
+        let camera = Camera::beside_the_arm();
+        let good = way(&[[0.26, 0.0, 0.1]]);
+        assert_eq!(Scene::default().way(&good), None);
+        let mut scene = scene(&camera);
+        assert!(scene.way(&good).is_some());
+        let eye = camera.base_from_optical().translation.vector;
+        assert_eq!(scene.way(&way(&[[eye.x, eye.y, eye.z]])), None);
+        assert_eq!(scene.way(&MarkerArray::default()), None);
+        let mut elsewhere = good.clone();
+        elsewhere.markers[1].header.frame_id = "another_robot".to_owned();
+        assert_eq!(scene.way(&elsewhere), None);
+        scene.camera(&CameraInfo::default());
+        assert_eq!(scene.way(&good), None);
+    }
+}

@@ -1,0 +1,189 @@
+//! Clients of `wm view` that are slow, many, hostile, or on another machine.
+
+use std::{
+    collections::BTreeSet,
+    time::{Duration, Instant},
+};
+
+use serde_json::Value;
+
+use crate::{
+    browser::Browser,
+    harness::{Process, Signal, fresh_domain, resident, wait_until, wm},
+    view_process::{PATIENCE, View, body, free_port, player},
+    websocket::{Message, Socket, frame_of, open},
+};
+
+#[test]
+fn a_client_that_stands_still_costs_nothing_and_slows_nobody() {
+    let domain = fresh_domain();
+    let view = View::start(domain, free_port(), &[]);
+    // 750 KB/s: within seconds more than the kernel holds for a client that does not read.
+    let _player = player(domain, "10");
+    let mut others: Vec<Socket> = (0..10).map(|_| view.open()).collect();
+    others[0].frame();
+    let mut stalled = view.open();
+    stalled.frame();
+    let before = resident(view.process.pid());
+    // Ten clients get the frames while the eleventh reads nothing.
+    let start = Instant::now();
+    let mut seen = vec![BTreeSet::new(); others.len()];
+    while start.elapsed() < Duration::from_secs(6) {
+        for (socket, seen) in others.iter_mut().zip(&mut seen) {
+            seen.insert(socket.frame().0);
+        }
+    }
+    let common = seen
+        .iter()
+        .skip(1)
+        .fold(seen[0].clone(), |all, one| &all & one);
+    assert!(common.len() > 50, "{}", common.len());
+    let grown = resident(view.process.pid()).saturating_sub(before);
+    // What is kept is kept once, for the minute, and not for each client.
+    assert!(grown < 24 << 20, "{grown} bytes more");
+    // When it reads again, it is soon at the present: what came in between it never gets.
+    let newest = *seen[0].last().expect("frames");
+    let mut read = 1;
+    while stalled.frame().0 < newest {
+        read += 1;
+    }
+    assert!(read < common.len(), "{read} of {}", common.len());
+}
+
+#[test]
+fn hostile_clients_are_refused_and_harm_nobody() {
+    let domain = fresh_domain();
+    let folder = tempfile::tempdir().expect("a temporary directory");
+    let token = folder.path().join("token");
+    std::fs::write(&token, "0123456789abcdef\n").expect("the folder is writable");
+    let args = [
+        "--token-file",
+        &token.to_string_lossy(),
+        "--max-clients",
+        "3",
+    ];
+    let view = View::start(domain, free_port(), &args);
+    let _player = player(domain, "1");
+    let port = view.port;
+    let own = format!("http://127.0.0.1:{port}");
+    let protocols = (
+        "Sec-WebSocket-Protocol",
+        "wm.view.v1, wm.token.0123456789abcdef",
+    );
+    let wrong = (
+        "Sec-WebSocket-Protocol",
+        "wm.view.v1, wm.token.0123456789abcdee",
+    );
+    let cases: [(u16, &[(&str, &str)]); 7] = [
+        (101, &[protocols, ("Origin", &own)]),
+        (401, &[("Origin", &own)]),
+        (401, &[wrong, ("Origin", &own)]),
+        (403, &[protocols, ("Origin", "http://evil.example")]),
+        (403, &[protocols, ("Origin", "null")]),
+        (
+            421,
+            &[
+                protocols,
+                ("Host", "evil.example"),
+                ("Origin", "http://evil.example"),
+            ],
+        ),
+        (
+            400,
+            &[("Sec-WebSocket-Protocol", "other, wm.token.0123456789abcdef")],
+        ),
+    ];
+    for (expected, headers) in cases {
+        assert_eq!(open(port, headers).0, expected, "{headers:?}");
+    }
+    assert_eq!(body(port, "/access", &[]).0, 401);
+    let bearer = ("Authorization", "Bearer 0123456789abcdef");
+    assert_eq!(body(port, "/access", &[bearer]).0, 204);
+    assert_eq!(body(port, "/picture/camera/1/1/0", &[]).0, 401);
+    assert_eq!(body(port, "/picture/camera/1/1/0", &[bearer]).0, 404);
+    assert_eq!(body(port, "/", &[("Host", "evil.example")]).0, 421);
+    let (status, page) = body(port, "/", &[]);
+    assert!(status == 200 && page.starts_with(b"<!doctype html>"));
+
+    let client = || open(port, &[protocols]);
+    let mut good = client().1.expect("a socket");
+    good.frame();
+    let before = resident(view.process.pid());
+    let long = format!("{{\"number\":1,\"command\":\"{}\"}}", "x".repeat(20_000));
+    let hostile: [&[u8]; 4] = [
+        &frame_of(1 << 30),
+        &frame_of(u64::MAX),
+        &[0xff; 64],
+        &[&frame_of(20_000)[..], long.as_bytes()].concat(),
+    ];
+    for bytes in hostile {
+        let mut socket = client().1.expect("a socket");
+        // The server may have closed it before all is sent.
+        let _ = socket.send_raw(bytes);
+        while !matches!(socket.receive(), Message::Closed) {}
+    }
+    for text in ["{}", "[1]", r#"{"number":1,"command":{"op":"launch"}}"#] {
+        let mut socket = client().1.expect("a socket");
+        socket.send(text);
+        while !matches!(socket.receive(), Message::Closed) {}
+    }
+    let grown = resident(view.process.pid()).saturating_sub(before);
+    assert!(grown < 16 << 20, "{grown} bytes more");
+    let (first, _) = good.frame();
+    assert!(good.frame().0 > first, "the good client is served on");
+
+    // One more than there may be, once those that were refused are gone.
+    let mut held = Vec::new();
+    let start = Instant::now();
+    while held.len() < 2 && start.elapsed() < PATIENCE {
+        held.extend(client().1);
+    }
+    assert_eq!((held.len(), client().0), (2, 503));
+    drop(held);
+    wait_until("places are free again", PATIENCE, || client().0 == 101);
+}
+
+#[test]
+fn beyond_loopback_the_page_needs_the_token_that_is_printed() {
+    let port = free_port();
+    let port_text = port.to_string();
+    let args = ["view", "--port", &port_text, "--address", "0.0.0.0"];
+    let process = Process::start(wm(fresh_domain(), &args));
+    wait_until("the page is served", PATIENCE, || {
+        std::net::TcpStream::connect(("127.0.0.1", port)).is_ok()
+    });
+    assert_eq!(body(port, "/access", &[]).0, 401);
+    let url = format!("http://127.0.0.1:{port}/");
+    let found = Browser::open(&url).map(|mut browser| {
+        browser.wait_for("document.body.dataset.state === 'refused' && !document.querySelector('#token-form').hidden", PATIENCE);
+        browser
+    });
+    process.signal(Signal::INT);
+    let (_, stdout) = process.finish(PATIENCE);
+    let token = stdout.split("#token=").nth(1).map(str::trim);
+    let token = token
+        .unwrap_or_else(|| panic!("no token: {stdout}"))
+        .to_owned();
+    assert_eq!(token.len(), 32);
+    drop(found);
+
+    // With it, in the address, the page opens; and the address no longer shows it.
+    let folder = tempfile::tempdir().expect("a temporary directory");
+    let file = folder.path().join("token");
+    std::fs::write(&file, &token).expect("the folder is writable");
+    let view = View::start(
+        fresh_domain(),
+        port,
+        &[
+            "--address",
+            "0.0.0.0",
+            "--token-file",
+            &file.to_string_lossy(),
+        ],
+    );
+    let Some(mut browser) = Browser::open(&format!("{}#token={token}", view.url())) else {
+        return;
+    };
+    browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
+    assert_eq!(browser.evaluate("location.hash"), Value::from(""));
+}
