@@ -1,6 +1,6 @@
 //! What holds for the adapter.
 
-use nalgebra::Vector3;
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
