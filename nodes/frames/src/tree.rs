@@ -226,6 +226,8 @@ impl Frames {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     #[test]
@@ -238,14 +240,14 @@ mod tests {
         }
         let (stamp_ns, pose) = frames.find("camera", "base").unwrap();
         assert_eq!(stamp_ns, None);
-        assert_eq!(pose.translation.vector, [0.0, -2.0, 1.0].into());
+        assert_eq!(pose.translation.vector, Vector3::new(0.0, -2.0, 1.0));
         let never = frames.newest("camera", "base");
         assert!(matches!(never, Err(Unknown::Static { .. })), "{never:?}");
         let hand = Isometry3::translation(0.5, 0.0, 0.0);
         assert_eq!(frames.take(("base", "hand"), false, 9, hand), Ok(()));
         let (stamp_ns, pose) = frames.newest("camera", "hand").unwrap();
         assert_eq!(stamp_ns, 9);
-        assert_eq!(pose.translation.vector, [0.5, -2.0, 1.0].into());
+        assert_eq!(pose.translation.vector, Vector3::new(0.5, -2.0, 1.0));
         assert_eq!(
             frames.find("camera", "moon").unwrap_err().to_string(),
             "no transforms lead from \"camera\" to \"moon\" yet; \"moon\" hangs on \"moon\""
