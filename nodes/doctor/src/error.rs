@@ -24,7 +24,7 @@ pub enum DoctorError {
         /// The part, for example `the encoder`.
         part: &'static str,
         /// What it said.
-        source: wm_zoo::Error,
+        source: Box<wm_zoo::Error>,
     },
 }
 
@@ -33,7 +33,7 @@ impl DoctorError {
     pub(crate) fn of<E: Into<wm_zoo::Error>>(part: &'static str) -> impl FnOnce(E) -> Self {
         move |source| Self::Model {
             part,
-            source: source.into(),
+            source: Box::new(source.into()),
         }
     }
 
