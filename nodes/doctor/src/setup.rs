@@ -12,7 +12,7 @@ const LAUNCH: &str = include_str!("../../../launch-configs/live.launch.yaml");
 /// Its name.
 const LAUNCH_NAME: &str = "live.launch.yaml";
 /// Name and text of the parameter files that it names, as the nodes print them.
-const CONFIGS: [(&str, &str); 7] = [
+const CONFIGS: [(&str, &str); 8] = [
     (
         "encoder",
         include_str!("../../../launch-configs/config/encoder.yaml"),
@@ -40,6 +40,10 @@ const CONFIGS: [(&str, &str); 7] = [
     (
         "monitor",
         include_str!("../../../launch-configs/config/monitor.yaml"),
+    ),
+    (
+        "view",
+        include_str!("../../../launch-configs/config/view.yaml"),
     ),
 ];
 /// As [`CONFIGS`], of the adapter.
@@ -359,6 +363,19 @@ mod tests {
             assert!(plan.contains(part), "{part} is missing:\n{plan}");
         }
         assert!(!plan.contains("action_adapter"));
+    }
+
+    #[test]
+    fn every_parameter_file_that_the_launch_names_is_written() {
+        let setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
+        let files: BTreeMap<_, _> = setup.files().unwrap().into_iter().collect();
+        let launch = &files[Path::new(LAUNCH_NAME)];
+        let named = launch.split("$(dirname)/").skip(1);
+        let named: Vec<_> = named.filter_map(|rest| rest.split('"').next()).collect();
+        assert!(named.len() >= CONFIGS.len(), "{named:?}");
+        for name in named {
+            assert!(files.contains_key(Path::new(name)), "{name}");
+        }
     }
 
     #[test]
