@@ -270,15 +270,19 @@ mod tests {
     }
 
     #[test]
-    fn the_bundled_model_knows_no_noise() {
+    fn the_bundled_model_knows_no_patchwork() {
         let mut state = 1u32;
-        let noise = RgbImage::from_fn(128, 128, |_, _| {
+        let mut colour = || {
             image::Rgb(std::array::from_fn(|_| {
                 state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 (state >> 24) as u8
             }))
-        });
-        let facts = gather("tiny", &[&Picture::of(noise)]).unwrap();
+        };
+        // Patches as large as objects: noise of single pixels is averaged away.
+        let patches: Vec<_> = (0..64).map(|_| colour()).collect();
+        let patch = |x: u32, y: u32| patches[(y / 16 * 8 + x / 16) as usize];
+        let picture = RgbImage::from_fn(128, 128, patch);
+        let facts = gather("tiny", &[&Picture::of(picture)]).unwrap();
         assert!(facts.far_out.unwrap() > UNLIKE, "{facts:?}");
         assert_eq!(facts.period_s(), 0.2);
         assert!(facts.trial.predict.is_some() && facts.trial.decode.is_some());

@@ -72,7 +72,9 @@ pub enum SetupError {
     #[error("several topics of actions were heard: {}; choose one with --action", .0.join(", "))]
     SeveralActions(Vec<String>),
     /// A name that a launch file would read as something else.
-    #[error("{what} `{text}` has `$(` in it, which a launch file replaces")]
+    #[error(
+        "the name of the {what}, `{text}`, has a `$` in it, which means something else in a launch file"
+    )]
     Substitution {
         /// What it names.
         what: &'static str,
@@ -182,7 +184,7 @@ impl Setup {
             ("action", &self.action),
             ("model", &self.model),
         ];
-        if let Some((what, text)) = names.into_iter().find(|(_, text)| text.contains("$(")) {
+        if let Some((what, text)) = names.into_iter().find(|(_, text)| text.contains('$')) {
             let text = text.clone();
             return Err(SetupError::Substitution { what, text });
         }
@@ -444,13 +446,16 @@ mod tests {
     #[test]
     fn names_that_a_launch_file_would_replace_are_refused() {
         let mut setup = Setup::new(&heard(), &facts(), (None, None)).unwrap();
-        setup.model = "/models/\"quoted\" and $5".into();
+        setup.model = "/models/\"quoted\" and 5".into();
         let plan = plan(&setup);
         assert!(plan.contains("quoted"), "{plan}");
-        setup.model = "$(env HOME)".into();
-        assert!(matches!(
-            setup.files(),
-            Err(SetupError::Substitution { .. })
-        ));
+        for model in ["$(env HOME)", "/models/$5"] {
+            setup.model = model.into();
+            let files = setup.files();
+            assert!(
+                matches!(files, Err(SetupError::Substitution { .. })),
+                "{model}"
+            );
+        }
     }
 }
