@@ -5,7 +5,9 @@ use std::time::Duration;
 use serde_json::Value;
 use wm_bag::BagReader;
 
-use crate::harness::{Process, fresh_domain, peers, rclpy, root, whole_suite, wm};
+use crate::harness::{
+    Process, fresh_domain, peers, rclpy, root, wait_for_publishers, whole_suite, wm,
+};
 
 /// Far above anything that happens here; it only ends a test that hangs.
 const PATIENCE: Duration = Duration::from_secs(240);
@@ -106,6 +108,15 @@ fn a_program_of_twenty_lines_brings_the_arm_to_its_goal() {
             "arm_on_start:=true",
         ]),
     ];
+    wait_for_publishers(
+        domain,
+        &[
+            "/wm/task_goal",
+            "/wm/latent",
+            "/wm/plan",
+            "/wm/executor/status",
+        ],
+    );
     let program = root().join("examples/send_goal.py").display().to_string();
     let (status, stdout) = Process::start(rclpy(&peers, domain, &program, &[])).finish(PATIENCE);
     assert!(status.success(), "{status}: {stdout}");

@@ -66,6 +66,19 @@ pub fn join(domain_id: u16, name: &str) -> (Context, Node) {
     (context, node)
 }
 
+/// Waits until somebody publishes each of these topics: the nodes are up, and not to be met in the middle of their start.
+pub fn wait_for_publishers(domain_id: u16, topics: &[&str]) {
+    let (_context, node) = join(domain_id, "observer");
+    wait_until("the nodes are up", Duration::from_secs(60), || {
+        let seen = node.topics();
+        let is_published = |name: &&str| {
+            let mut of_name = seen.iter().filter(|topic| topic.name == **name);
+            of_name.any(|topic| !topic.publishers.is_empty())
+        };
+        topics.iter().all(is_published)
+    });
+}
+
 /// The right to run all nodes at once: two suites side by side are more than two processors can keep up with.
 pub fn whole_suite() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());

@@ -11,7 +11,9 @@ use serde_json::Value;
 use wm_bag::BagReader;
 use wm_msgs::{sensor_msgs::CompressedImage, wm_msgs::Action};
 
-use crate::harness::{Process, bundled_bag, fresh_domain, peers, rclpy, root, whole_suite, wm};
+use crate::harness::{
+    Process, bundled_bag, fresh_domain, peers, rclpy, root, wait_for_publishers, whole_suite, wm,
+};
 
 const STEPS: u64 = 50;
 /// One model step of the embedded default, and the camera-rate actions that it takes.
@@ -231,6 +233,14 @@ fn a_policy_takes_the_candidate_that_is_predicted_to_end_nearest_to_the_goal() {
             &output,
         ],
     ));
+    wait_for_publishers(
+        domain,
+        &[
+            "/wm/latent",
+            "/wm/assessment",
+            "/camera/image_raw/compressed",
+        ],
+    );
     let images = (CHOICES + 2).to_string();
     let goal = goal.to_str().unwrap();
     let policy = Process::start(rclpy(

@@ -323,7 +323,7 @@ fn a_candidate_is_picked_where_that_is_permitted() {
         "document.querySelector('#toast').innerText === 'candidate 1 is published on /wm/action_chunk'",
         PATIENCE,
     );
-    let picked = runtime.block_on(tokio::time::timeout(PATIENCE, chunks.recv()));
+    let picked = runtime.block_on(async { tokio::time::timeout(PATIENCE, chunks.recv()).await });
     let picked = picked.expect("it comes in time").expect("no shutdown");
     assert_eq!(picked.message, offer.chunks[1]);
 }

@@ -11,11 +11,13 @@
 //! - large answers are sent by ourselves ([`wire`]), since rustdds spoils them;
 //! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
 //! - what is believed of the graph is compared with what rustdds knows ([`reconcile`]), since its events may be lost;
+//! - endpoints wait while a Fast DDS participant catches up ([`catch_up`]), since it would never hear of some;
 //! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would be deaf;
 //! - a writer stays for a moment after its last sample ([`writer`]), since rustdds' readers forget it too early;
 //! - the participant goes last, after its readers and writers, or the others never hear that it left.
 
 mod answers;
+mod catch_up;
 mod codec;
 mod confine;
 mod datagram;
@@ -44,6 +46,7 @@ use crate::{
 };
 pub(crate) use parts::decode_part;
 
+use catch_up::CatchUp;
 use futures::FutureExt as _;
 use local::Local;
 use lock::lock;
@@ -96,6 +99,7 @@ impl Dds {
             mismatches: Mismatches::default(),
             own: OwnEndpoints::default(),
             suspects: Suspects::default(),
+            catch_up: CatchUp::default(),
             wire,
             failure: Arc::default(),
             is_on_loopback: environment.is_on_loopback(),
@@ -184,6 +188,7 @@ impl Backend for Dds {
     }
 
     fn writer(&self, node: &str, endpoint: &Endpoint) -> Result<Box<dyn Writer>, Error> {
+        self.shared.catch_up.wait();
         let qos = qos::for_writer(endpoint.qos);
         let announced = qos.clone();
         let failed = |error| Error::middleware(format!("publish {}", endpoint.name), error);
@@ -208,6 +213,7 @@ impl Backend for Dds {
         endpoint: &Endpoint,
         sink: Sink,
     ) -> Result<Box<dyn Reader>, Error> {
+        self.shared.catch_up.wait();
         let qos = qos::for_reader(endpoint.qos);
         let topic = self.topic(endpoint, &qos)?;
         let began = rustdds::Timestamp::now();

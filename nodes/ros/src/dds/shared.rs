@@ -1,6 +1,7 @@
 //! What a participant's endpoints share: the record of endpoints and their connections.
 
 use super::{
+    catch_up::CatchUp,
     datagram,
     failure::Failure,
     local::Local,
@@ -53,6 +54,7 @@ pub(super) struct Shared {
     /// Own readers and writers of topics and services.
     pub(super) own: OwnEndpoints,
     pub(super) suspects: Suspects,
+    pub(super) catch_up: CatchUp,
     pub(super) wire: Wire,
     pub(super) failure: Arc<Failure>,
     pub(super) is_on_loopback: bool,
@@ -176,6 +178,11 @@ pub(super) async fn follow(
             }
             Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
                 shared.forget_other(&guid.to_bytes());
+            }
+            Event::ParticipantDiscovered { dpd } => {
+                let id = dpd.guid.to_bytes();
+                shared.catch_up.discovered(&id, Instant::now());
+                continue;
             }
             // what a participant had is not lost one by one when its lease runs out
             Event::ParticipantLost { id, .. } => {

@@ -158,6 +158,9 @@ impl Shared {
                 continue;
             };
             let reader = postbox.reader;
+            if postbox.writer.is_none() && self.catch_up.is_pending() {
+                continue; // not yet
+            }
             let sent = self.writer_of(postbox, &to).and_then(|writer| {
                 let matches = lock(&self.matches);
                 let connected = matches.get(&writer.guid().to_bytes());
