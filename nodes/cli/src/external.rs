@@ -41,15 +41,28 @@ fn exec(program: &str, args: impl IntoIterator<Item = OsString>) -> Result<ExitC
     let path = std::env::var_os("PATH").unwrap_or_default();
     let folders = beside.parent().map(Path::to_path_buf).into_iter();
     let Some(found) = find(program, folders.chain(std::env::split_paths(&path))) else {
-        let package = program.replace('-', "_");
         bail!(
-            "the program {program} was found neither next to {} nor on the PATH; build it with\n    \
-             cargo build --release -p {package}",
-            beside.display()
+            "the program {program} was found neither next to {} nor on the PATH; in the repository of wm,\n    {}",
+            beside.display(),
+            way_to(program, &beside)
         );
     };
     let error = Command::new(&found).args(args).exec();
     Err(error).with_context(|| format!("starting {}", found.display()))
+}
+
+/// The command that puts the program beside this one: where cargo builds, or where it installs.
+fn way_to(program: &str, beside: &Path) -> String {
+    if beside.iter().any(|part| part == "target") {
+        return format!("cargo build --release -p {}", program.replace('-', "_"));
+    }
+    let name = program.trim_start_matches("wm-");
+    let folder = match name {
+        "training" => "world-model",
+        "datasets" => "bags",
+        _ => "nodes",
+    };
+    format!("cargo install --path {folder}/{name}")
 }
 
 fn find(program: &str, folders: impl IntoIterator<Item = PathBuf>) -> Option<PathBuf> {
@@ -70,6 +83,13 @@ mod tests {
             std::fs::write(folder.path().join("wm-x"), "").unwrap();
         }
         assert_eq!(find("wm-x", paths()), Some(folders[1].path().join("wm-x")));
+    }
+
+    #[test]
+    fn a_program_beside_an_installed_one_is_installed() {
+        let way = |program| way_to(program, Path::new("/home/me/.cargo/bin/wm"));
+        assert_eq!(way("wm-datasets"), "cargo install --path bags/datasets");
+        assert_eq!(way("wm-bridge"), "cargo install --path nodes/bridge");
     }
 
     #[test]

@@ -121,7 +121,7 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
         findings.push(
             Finding::warning(CHECK, format!("nobody else in domain {domain}, but participants of this host listen in others: {}", domains.join(", ")))
                 .because("nodes hear each other within one domain only")
-                .fix(format!("export ROS_DOMAIN_ID={}", others.first().map_or(0, |(other, _)| **other))),
+                .fix(format!("if your drivers are there: export ROS_DOMAIN_ID={}", others.first().map_or(0, |(other, _)| **other))),
         );
     } else if is_silent && network.reach != Reach::Process {
         findings.push(

@@ -104,7 +104,8 @@ pub(crate) fn check(processor: &Processor) -> Vec<Finding> {
                 .fix("give this process more processors (taskset, docker --cpus, CPUQuota of systemd)"),
         );
     }
-    if *load >= *count as f64 {
+    // About as many as there are processors are no overload.
+    if *load > *count as f64 + 0.5 {
         findings.push(
             Finding::warning(CHECK, format!("{load:.1} processes want to run, on {count} processors"))
                 .because("what was measured here is slower than it would be, and predictions will be late")

@@ -185,7 +185,7 @@ function drawPictures() {
   if (isLive) screens.camera.say(panels.missingIn(page.status, "camera"));
   drawPair(frame, isLive);
   drawStrip(frame);
-  const [goal, outcome] = [record.before("goals", Math.max(frame.t, isLive ? page.now : 0)), record.before("outcomes", isLive ? Infinity : frame.t + AN_HOUR)];
+  const [goal, outcome] = [record.before("goals", isLive ? Infinity : frame.t), record.before("outcomes", isLive ? Infinity : frame.t + AN_HOUR)];
   if (goal) show("goal", goal);
   if (outcome) {
     show("outcome", outcome);

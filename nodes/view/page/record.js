@@ -50,10 +50,12 @@ export class Record {
 
   add(event) {
     this.count++;
-    const t = milliseconds(event.stamp);
+    let t = milliseconds(event.stamp);
     switch (event.t) {
       case "picture": {
         const { stamp, observed, k, source } = event;
+        // The stamp of a goal may be of any time, such as a bag's end: it holds from when it came.
+        if (source === "goal") t = milliseconds(event.at);
         insert(this[OF_SOURCE[source]], { t, at: milliseconds(event.at), stamp, observed, k, source, from: milliseconds(observed) });
         break;
       }

@@ -9,7 +9,7 @@ use thiserror::Error;
 pub enum ViewError {
     /// The address is taken, or none of this machine's.
     #[error(
-        "cannot serve the page on {address}: {reason}; another port is `port:=PORT`, any free one `port:=0`"
+        "cannot serve the page on {address}: {reason}; choose another port with `--port PORT` (in a launch file `view_port:=PORT`); 0 is any free one"
     )]
     Listen {
         /// Where.

@@ -101,11 +101,13 @@ impl Shared {
         if unknown.is_empty() && ghosts.is_empty() {
             return false;
         }
-        tracing::warn!(
-            "discovery events were lost: {} connections were unknown, {} endpoints are gone; this is corrected now",
-            unknown.len(),
-            ghosts.len()
-        );
+        // What is gone without leave is nobody's loss: a process was killed, or took leave as a whole.
+        match unknown.len() {
+            0 => tracing::debug!("{} endpoints are gone that did not say so", ghosts.len()),
+            unknown => tracing::warn!(
+                "discovery events were lost: {unknown} connections were unknown, and work from now on"
+            ),
+        }
         ghosts.iter().for_each(|id| self.forget_other(id));
         for (own, other) in unknown {
             lock(&self.matches).entry(*own).or_default().insert(*other);
