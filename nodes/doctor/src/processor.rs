@@ -175,7 +175,7 @@ mod tests {
         };
         assert!(check(&old)[0].what.contains("no avx2, fma"));
         let busy = Processor {
-            load: 4.0,
+            load: 5.0,
             ..good.clone()
         };
         assert_eq!(levels(&busy), [Level::Ok, Level::Warning]);
