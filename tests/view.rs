@@ -114,6 +114,11 @@ fn the_page_shows_the_main_job_live() {
         "document.querySelector('#goal canvas').width > 100",
         PATIENCE,
     );
+    // The arrows of a plan begin where the camera sees the gripper, in the upper half of the picture.
+    browser.wait_for(
+        "wmView.page.way?.points[0].every((at) => at > 0 && at < 1) && wmView.page.way.points[0][1] < 0.6",
+        PATIENCE,
+    );
     picture(&mut browser, "live");
     let horizon = browser.evaluate("document.querySelectorAll('#strip button').length");
     assert_eq!(horizon, 8);

@@ -18,11 +18,7 @@ pub enum PoseError {
     NotUnit(f64),
 }
 
-/// A position (x, y, z) \[m\] with an orientation.
-///
-/// # Errors
-/// A number is not finite, or the quaternion's norm is not 1.
-pub fn isometry(
+fn isometry(
     position: [f64; 3],
     orientation: &geometry_msgs::Quaternion,
 ) -> Result<Isometry3<f64>, PoseError> {
@@ -40,10 +36,19 @@ pub fn isometry(
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), turn))
 }
 
-/// A transform as tf has it.
+/// A pose of a message \[m\].
 ///
 /// # Errors
-/// As of [`isometry`].
+/// A number is not finite, or the quaternion's norm is not 1.
+pub fn of_pose(pose: &geometry_msgs::Pose) -> Result<Isometry3<f64>, PoseError> {
+    let at = pose.position;
+    isometry([at.x, at.y, at.z], &pose.orientation)
+}
+
+/// A transform as tf has it \[m\].
+///
+/// # Errors
+/// As of [`of_pose`].
 pub fn of_transform(transform: &geometry_msgs::Transform) -> Result<Isometry3<f64>, PoseError> {
     let at = transform.translation;
     isometry([at.x, at.y, at.z], &transform.rotation)

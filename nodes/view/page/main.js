@@ -273,9 +273,8 @@ function drawArrows() {
   const now = page.at?.t ?? page.now;
   // A plan that is over is no longer of this picture.
   const isCurrent = plan && now < Number(plan.actions.begin) / 1e6 + (plan.actions.values.length + 2) * plan.actions.period_ms;
-  if (!isCurrent) return arrows(canvas);
-  page.way = record.wayOf(plan);
-  arrows(canvas, { values: plan.actions.values, way: page.way?.points, axes: page.hello?.axes ?? [] });
+  page.way = isCurrent ? record.wayOf(plan) : null;
+  arrows(canvas, isCurrent ? { values: plan.actions.values, way: page.way?.points, axes: page.hello?.axes ?? [] } : {});
 }
 
 /** The span of the time line: of a live page the last minute, of a bag all of it. */

@@ -189,8 +189,8 @@ impl Bag {
     fn place(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
         let scene = &mut state.scene;
         match &*message.topic {
-            TRANSFORMS => scene.transforms(&message.decode::<TFMessage>()?, false),
-            STATIC_TRANSFORMS => scene.transforms(&message.decode::<TFMessage>()?, true),
+            TRANSFORMS => scene.transforms(&message.decode::<TFMessage>()?, false)?,
+            STATIC_TRANSFORMS => scene.transforms(&message.decode::<TFMessage>()?, true)?,
             _ => scene.camera(&message.decode::<CameraInfo>()?),
         }
         Ok(())

@@ -342,7 +342,7 @@ impl Hearing {
                 Some(received) = inputs.goals.recv_shared() => self.tell(&received, of(State::goal)),
                 Some(received) = inputs.plans.recv_shared() => self.tell(&received, of(State::plan)),
                 Some(received) = inputs.markers.recv_shared() => self.tell(&received, of(State::markers)),
-                Some(received) = inputs.camera_infos.recv_shared() => self.place(|scene| scene.camera(&received.message)),
+                Some(received) = inputs.camera_infos.recv_shared() => self.place(|scene| { scene.camera(&received.message); Ok(()) }),
                 Some(received) = inputs.transforms.recv_shared() => self.place(|scene| scene.transforms(&received.message, false)),
                 Some(received) = inputs.static_transforms.recv_shared() => self.place(|scene| scene.transforms(&received.message, true)),
                 Some(received) = inputs.candidates.recv_shared() => {
@@ -390,8 +390,9 @@ impl Hearing {
     }
 
     /// Tells of where things are in the picture.
-    fn place(&self, tell: impl FnOnce(&mut Scene)) {
-        tell(&mut self.shared.known().state.scene);
+    fn place(&mut self, tell: impl FnOnce(&mut Scene) -> Result<(), Left>) {
+        let told = tell(&mut self.shared.known().state.scene);
+        self.complain(told);
     }
 
     fn complain(&mut self, told: Result<(), Left>) {

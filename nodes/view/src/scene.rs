@@ -1,5 +1,6 @@
 //! Where the way of a plan lies in the camera's picture.
 
+use crate::state::Left;
 use nalgebra::Point3;
 use wm_camera::camera_info::resized;
 use wm_frames::{Frames, pose};
@@ -53,11 +54,9 @@ impl Pinhole {
         }
         let (x, y) = (point.x / point.z, point.y / point.z);
         let [fx, fy] = self.focal;
-        let [u, v] = [
-            fx * x + self.skew * y + self.middle[0],
-            fy * y + self.middle[1],
-        ];
-        (u.is_finite() && v.is_finite()).then_some([u as f32, v as f32])
+        let u = (fx * x + self.skew * y + self.middle[0]) as f32;
+        let v = (fy * y + self.middle[1]) as f32;
+        (u.is_finite() && v.is_finite()).then_some([u, v])
     }
 }
 
@@ -77,17 +76,24 @@ impl Scene {
         self.camera = Pinhole::of(info);
     }
 
-    /// Takes where frames are in each other. What is no pose, or older than what is known, is left out: the arrows of a plan
-    /// are all that depends on it.
-    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) {
+    /// Takes where frames are in each other.
+    ///
+    /// # Errors
+    /// Some of them are left out; the others count.
+    pub fn transforms(&mut self, message: &TFMessage, is_static: bool) -> Result<(), Left> {
+        let mut taken = Ok(());
         for one in &message.transforms {
-            let Ok(transform) = pose::of_transform(&one.transform) else {
-                continue;
-            };
             let names = (&*one.header.frame_id, &*one.child_frame_id);
             let stamp_ns = one.header.stamp.to_nanos();
-            self.frames.take(names, is_static, stamp_ns, transform).ok();
+            let is_taken = pose::of_transform(&one.transform).is_ok_and(|transform| {
+                let taken = self.frames.take(names, is_static, stamp_ns, transform);
+                taken.is_ok()
+            });
+            if !is_taken {
+                taken = Err(Left::BadTransform);
+            }
         }
+        taken
     }
 
     /// The way of a plan among these markers, as the camera sees it; none where there is no plan among them, where it is not
@@ -102,15 +108,7 @@ impl Scene {
             .frames
             .find(&camera.frame, &marker.header.frame_id)
             .ok()?;
-        let way = pose::isometry(
-            [
-                marker.pose.position.x,
-                marker.pose.position.y,
-                marker.pose.position.z,
-            ],
-            &marker.pose.orientation,
-        );
-        let to_camera = to_camera * way.ok()?;
+        let to_camera = to_camera * pose::of_pose(&marker.pose).ok()?;
         let see = |at: &Point| camera.see(&(to_camera * Point3::new(at.x, at.y, at.z)));
         let points = marker.points.iter().take(MAX_POINTS).map(see);
         Some(Way {
@@ -167,12 +165,10 @@ mod tests {
         let mut scene = Scene::default();
         scene.camera(&message::camera_info(camera, header("camera")));
         let place = message::transform(&camera.base_from_optical(), header("base_link"), "camera");
-        scene.transforms(
-            &TFMessage {
-                transforms: vec![place],
-            },
-            true,
-        );
+        let message = TFMessage {
+            transforms: vec![place],
+        };
+        assert_eq!(scene.transforms(&message, true), Ok(()));
         scene
     }
 
@@ -198,6 +194,12 @@ mod tests {
         assert_eq!(Scene::default().way(&good), None);
         let mut scene = scene(&camera);
         assert!(scene.way(&good).is_some());
+        let mut nowhere = message::transform(&camera.base_from_optical(), header("a"), "b");
+        nowhere.transform.rotation.w = f64::NAN;
+        let message = TFMessage {
+            transforms: vec![nowhere],
+        };
+        assert_eq!(scene.transforms(&message, false), Err(Left::BadTransform));
         let eye = camera.base_from_optical().translation.vector;
         assert_eq!(scene.way(&way(&[[eye.x, eye.y, eye.z]])), None);
         assert_eq!(scene.way(&MarkerArray::default()), None);

@@ -80,6 +80,8 @@ pub enum Left {
     BadPrediction,
     /// More candidates than are kept.
     LargeOffer,
+    /// A transform that is none, that is older than the last one, or of one frame too many.
+    BadTransform,
 }
 
 impl Left {
@@ -89,6 +91,7 @@ impl Left {
             Self::Unpaired => "unpaired_picture",
             Self::BadPrediction => "bad_prediction",
             Self::LargeOffer => "large_offer",
+            Self::BadTransform => "bad_transform",
         }
     }
 
@@ -102,6 +105,9 @@ impl Left {
                 "a prediction whose step is not 1 to 64, or whose step period is not positive"
             }
             Self::LargeOffer => "candidates with more actions than are kept",
+            Self::BadTransform => {
+                "a transform that is none, or older than the last one of its frame"
+            }
         }
     }
 }

@@ -6,7 +6,7 @@ use nalgebra::Isometry3;
 use wm_frames::{Frames, Unknown, bare, pose};
 use wm_msgs::{
     builtin_interfaces::Time,
-    geometry_msgs::{self, PoseStamped, TwistStamped},
+    geometry_msgs::{PoseStamped, TwistStamped},
     sensor_msgs::JointState,
     tf2_msgs::TFMessage,
 };
@@ -86,14 +86,6 @@ fn finite(what: &'static str, values: &[f64]) -> Result<(), Problem> {
             value: *value,
         }),
     }
-}
-
-fn isometry(
-    what: &'static str,
-    at: [f64; 3],
-    turn: &geometry_msgs::Quaternion,
-) -> Result<Isometry3<f64>, Problem> {
-    pose::isometry(at, turn).map_err(|error| Problem::of_pose(what, error))
 }
 
 /// Where motions come from, and what is known of them.
@@ -182,8 +174,7 @@ impl AdapterStep {
         let what = "ee_pose";
         self.expect_frame(what, &pose.header.frame_id)?;
         let stamp_ns = stamp_of(what, pose.header.stamp, received_ns)?;
-        let at = pose.pose.position;
-        let pose = isometry(what, [at.x, at.y, at.z], &pose.pose.orientation)?;
+        let pose = pose::of_pose(&pose.pose).map_err(|error| Problem::of_pose(what, error))?;
         let Course::Poses(poses) = &mut self.course else {
             return Ok(());
         };

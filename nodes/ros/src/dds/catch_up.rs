@@ -2,9 +2,10 @@
 //!
 //! A participant that has just been discovered asks for the announcements of all endpoints so far. rustdds sends a new one
 //! at once, which then arrives before them, and without a timestamp, as all of rustdds 0.15.1's announcements. Fast DDS
-//! (3.x, as with ROS 2 Kilted) then keeps them in the order of arrival, looks for each by its number, and gives up at the
-//! first larger one: it drops the earlier ones, of other participants too, and acknowledges them. Its node would never
-//! hear of those endpoints. So nothing is announced until it has what there is.
+//! sorts what it holds by timestamps alone (`ReaderHistory::add_change`), so these stay in the order of arrival; it looks
+//! for one by its number, and gives up at a larger one of the same writer (`History::get_change_nts`). So it never looks at
+//! the earlier announcements, and acknowledges them all the same: its nodes never hear of these endpoints. Here nothing is
+//! announced until it has what there is.
 
 use std::{
     sync::Mutex,
@@ -54,7 +55,7 @@ impl CatchUp {
         !self.remaining(Instant::now()).is_zero()
     }
 
-    /// Waits until an endpoint may be announced.
+    /// Holds the thread until an endpoint may be announced: endpoints are made while a node starts, and rarely after.
     pub(super) fn wait(&self) {
         loop {
             let remaining = self.remaining(Instant::now());

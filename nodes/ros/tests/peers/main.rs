@@ -1,5 +1,5 @@
 //! One participant here and others in processes, clocks and networks of their own: peers that stop, strangers on the
-//! network, real ROS 2 clients, a clock that is set back.
+//! network, newcomers, real ROS 2 clients, a clock that is set back.
 
 #![allow(
     clippy::unwrap_used,
@@ -7,8 +7,10 @@
     reason = "a test's helpers may fail the test"
 )]
 
+mod announcement;
 mod answers;
 mod clock;
 mod harness;
 mod laggards;
+mod newcomers;
 mod strangers;

@@ -2,9 +2,12 @@
 //!
 //! The node and the stranger are in network namespaces of their own, with an Ethernet between them.
 
-use super::harness::{Process, domain, given, node, peers, role, root};
+use super::{
+    announcement::announcement,
+    harness::{Process, domain, given, node, peers, role, root},
+};
 use std::{
-    net::{Ipv4Addr, UdpSocket},
+    net::UdpSocket,
     path::Path,
     process::Command,
     time::{Duration, Instant},
@@ -14,6 +17,8 @@ use wm_ros::{Context, Environment, Qos, Reach};
 
 const NODE: &str = "10.213.7.1";
 const STRANGER: &str = "10.213.7.2";
+/// A vendor of DDS.
+const SOMEBODY: u8 = 0x10;
 /// Longer than discovery takes.
 const SEARCH: &str = "8";
 
@@ -121,10 +126,11 @@ fn listener() {
 fn forger() {
     let (domain, _) = given();
     let socket = UdpSocket::bind((STRANGER, 0)).unwrap();
-    let port = u32::from(socket.local_addr().unwrap().port());
+    let port = socket.local_addr().unwrap().port();
+    let message = announcement(SOMEBODY, STRANGER.parse().unwrap(), port);
     for participant in 0..12 {
         let to = 7400 + 250 * domain + 10 + 2 * participant;
-        socket.send_to(&announcement(port), (NODE, to)).unwrap();
+        socket.send_to(&message, (NODE, to)).unwrap();
     }
     socket
         .set_read_timeout(Some(Duration::from_secs(5)))
@@ -134,38 +140,6 @@ fn forger() {
         came += 1;
     }
     println!("came: {came}");
-}
-
-/// An SPDP announcement (DDSI-RTPS 2.5, 8.5.3) of a participant that listens at [`STRANGER`] on this port.
-fn announcement(port: u32) -> Vec<u8> {
-    const PREFIX: [u8; 12] = [1, 0x10, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
-    let address: Ipv4Addr = STRANGER.parse().unwrap();
-    let words =
-        |words: &[u32]| -> Vec<u8> { words.iter().flat_map(|word| word.to_le_bytes()).collect() };
-    let locator = [words(&[1, port, 0, 0, 0]), address.octets().to_vec()].concat();
-    let guid = [&PREFIX[..], &[0, 0, 1, 0xc1]].concat();
-    let parameters: [(u16, Vec<u8>); 7] = [
-        (0x15, vec![2, 4, 0, 0]),
-        (0x16, vec![1, 0x10, 0, 0]),
-        (0x50, guid),
-        (0x32, locator.clone()),
-        (0x31, locator),
-        (0x02, words(&[20, 0])),
-        (0x58, words(&[0x0c3f])),
-    ];
-    let mut message = b"RTPS\x02\x04\x01\x10".to_vec();
-    message.extend(PREFIX);
-    // DATA with a payload, to any reader, from the announcing writer, number 1; parameters in little-endian CDR
-    message.extend([0x15, 5, 0, 0, 0, 0, 16, 0, 0, 0, 0, 0, 0, 1, 0, 0xc2]);
-    message.extend(words(&[0, 1]));
-    message.extend([0, 3, 0, 0]);
-    for (parameter, value) in parameters {
-        message.extend(parameter.to_le_bytes());
-        message.extend((value.len() as u16).to_le_bytes());
-        message.extend(value);
-    }
-    message.extend([1, 0, 0, 0]);
-    message
 }
 
 #[test]
