@@ -1,5 +1,6 @@
 //! Lines where there is no terminal.
 
+use crate::SharedPace;
 use indicatif::{BinaryBytes, HumanDuration, ProgressBar};
 use std::io::Write;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
@@ -16,6 +17,7 @@ impl Log {
     /// None where there is no thread to be had: then there is no progress to see, and that is all.
     pub fn start(
         bar: ProgressBar,
+        pace: SharedPace,
         things: &'static str,
         period: Duration,
         mut output: Box<dyn Write + Send>,
@@ -23,9 +25,8 @@ impl Log {
         let (stop, stopped) = mpsc::channel();
         let write = move || {
             while stopped.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
-                bar.tick(); // for the pace
                 // That nobody can be told is no reason to stop the work.
-                writeln!(output, "{}", line(&bar, things))
+                writeln!(output, "{}", line(&bar, &pace, things))
                     .and_then(|()| output.flush())
                     .ok();
             }
@@ -48,7 +49,7 @@ impl Drop for Log {
 }
 
 /// `reading: 3 of 12 bags, loss 0.5, 40s left`.
-fn line(bar: &ProgressBar, things: &str) -> String {
+fn line(bar: &ProgressBar, pace: &SharedPace, things: &str) -> String {
     let count = |number: u64| match things {
         "bytes" => BinaryBytes(number).to_string(),
         _ => number.to_string(),
@@ -68,11 +69,9 @@ fn line(bar: &ProgressBar, things: &str) -> String {
     if !bar.message().is_empty() {
         text.push_str(&format!(", {}", bar.message()));
     }
-    let left = bar.eta();
-    if bar.length().is_none() {
-        text.push_str(&format!(", {:#} so far", HumanDuration(bar.elapsed())));
-    } else if !left.is_zero() {
-        text.push_str(&format!(", {:#} left", HumanDuration(left)));
+    match bar.length() {
+        None => text.push_str(&format!(", {:#} so far", HumanDuration(bar.elapsed()))),
+        total => text.push_str(&pace.in_words(total)),
     }
     text
 }
@@ -117,7 +116,14 @@ mod tests {
         let (sender, told) = mpsc::channel();
         let bar = hidden(Some(4));
         let output = Box::new(Told(sender));
-        let log = Log::start(bar.clone(), "bags", Duration::from_millis(1), output).unwrap();
+        let log = Log::start(
+            bar.clone(),
+            SharedPace::default(),
+            "bags",
+            Duration::from_millis(1),
+            output,
+        )
+        .unwrap();
         until(&told, "reading: 0 of 4 bags\n");
         bar.inc(3);
         bar.set_message("loss 0.5");
@@ -130,8 +136,14 @@ mod tests {
     #[test]
     fn what_has_no_end_tells_how_long_it_has_taken() {
         let bar = hidden(None).with_elapsed(Duration::from_secs(70));
-        assert_eq!(line(&bar, "bytes"), "reading, 70s so far");
+        assert_eq!(
+            line(&bar, &SharedPace::default(), "bytes"),
+            "reading, 70s so far"
+        );
         bar.inc(3 << 20);
-        assert_eq!(line(&bar, "bytes"), "reading: 3.00 MiB, 70s so far");
+        assert_eq!(
+            line(&bar, &SharedPace::default(), "bytes"),
+            "reading: 3.00 MiB, 70s so far"
+        );
     }
 }
