@@ -4,7 +4,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
-    geometry_msgs::{Transform, TransformStamped},
+    geometry_msgs::{self, Transform, TransformStamped},
     std_msgs::Header,
 };
 
