@@ -9,7 +9,9 @@ use std::{
 use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};
 use wm_msgs::wm_msgs::Prediction;
 
-use crate::harness::{Process, Signal, bundled_bag, fresh_domain, wait_until, whole_suite, wm};
+use crate::harness::{
+    Process, Signal, bundled_bag, fresh_domain, root, wait_until, whole_suite, wm,
+};
 
 /// Exit code, standard output and standard error of `wm` with these arguments.
 fn run(args: &[&str]) -> (Option<i32>, String, String) {
@@ -109,8 +111,17 @@ fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
     }
     assert!(!stderr.contains("[recorder"), "{stderr}");
 
-    // So are actions that it does not have, and a model that is not there.
+    // So are actions that it does not have, a camera's sibling in its place, and a model that is not there or not whole.
+    let half = tempfile::tempdir().expect("a temporary directory");
+    let tiny = root().join("world-model/model/weights/tiny/autoencoder.safetensors");
+    std::fs::copy(tiny, half.path().join("autoencoder.safetensors")).expect("a new file");
+    let half = format!("model:={}", half.path().display());
     for (wrong, told) in [
+        (half.as_str(), "no transition model"),
+        (
+            "camera:=/camera/image_raw/compressed",
+            "belongs to, /camera/image_raw:",
+        ),
         ("action:=/front/action", "it has them on: /wm/action"),
         ("model:=nowhere", "nowhere: no such folder"),
         ("model:=launch-configs", "no model.json"),

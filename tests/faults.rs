@@ -337,6 +337,27 @@ async fn who_misses_a_killed_node_says_so() {
     diagnosed(&mut diagnostics, input, comes).await;
 }
 
+#[test]
+fn a_camera_on_another_topic_is_named_in_the_log() {
+    let _alone = whole_suite();
+    let domain = fresh_domain();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let log = dir.path().join("log");
+    let mut encoder = wm(domain, &["encoder"]);
+    encoder.stderr(std::fs::File::create(&log).expect("a new file"));
+    let _encoder = Process::start(encoder);
+    let bag = bundled_bag();
+    let front = "/camera/image_raw/compressed:=/front/image_raw/compressed";
+    let play = ["bag", "play", "--loop", &bag.to_string_lossy(), "-m", front];
+    let _player = Process::start(wm(domain, &play));
+    let said = || std::fs::read_to_string(&log).unwrap_or_default();
+    wait_until("a warning", PATIENCE, || {
+        said().contains("no camera images on")
+    });
+    let camera = "there are camera images on /front/image_raw/compressed";
+    assert!(said().contains(camera), "{}", said());
+}
+
 #[tokio::test(flavor = "current_thread")]
 async fn every_node_ends_within_two_seconds_of_either_signal() {
     let _alone = whole_suite();

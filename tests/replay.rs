@@ -9,7 +9,9 @@ use std::{
 use wm_bag::{BagReader, BagWriter, WriterOptions};
 use wm_msgs::diagnostic_msgs::DiagnosticArray;
 
-use crate::harness::{Process, Signal, bundled_bag, fresh_domain, wait_until, whole_suite, wm};
+use crate::harness::{
+    Process, Signal, bundled_bag, children, fresh_domain, wait_until, whole_suite, wm,
+};
 
 /// The main job, which must end well, into `out`; at half its rate, so that a busy machine decodes some of each step too.
 fn main_job(out: &Path, arguments: &[&str]) {
@@ -209,6 +211,31 @@ fn a_killed_recorder_loses_at_most_its_last_chunk() {
     let lost = killed_at.duration_since(end).unwrap_or_default();
     // A chunk is closed after a second; the rest is what a busy machine takes.
     assert!(lost < Duration::from_secs(4), "{lost:?} are lost");
+}
+
+/// Without it there is nothing to wait for, and a bag may be long.
+#[test]
+fn the_end_of_a_node_that_computes_ends_the_job() {
+    let _alone = whole_suite();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let output = format!("output:={}", dir.path().display());
+    let launch = "launch-configs/replay.launch.yaml";
+    let job = Process::start_with_output(wm(
+        fresh_domain(),
+        &["launch", launch, "loop:=true", &output],
+    ));
+    let encoder = || {
+        let nodes = children(job.pid()).into_iter();
+        let named = nodes.filter(|(_, words)| words.iter().any(|word| word == "encoder"));
+        named.map(|(pid, _)| pid).next()
+    };
+    wait_until("the encoder", Duration::from_secs(20), || {
+        encoder().is_some()
+    });
+    let encoder = encoder().expect("it runs");
+    rustix::process::kill_process(encoder, Signal::KILL).expect("it runs");
+    let (status, said) = job.finish(Duration::from_secs(60));
+    assert_eq!(status.code(), Some(1), "{said}");
 }
 
 #[test]

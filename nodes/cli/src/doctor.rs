@@ -3,6 +3,7 @@
 use crate::output::print;
 use anyhow::Result;
 use clap::Args;
+use std::convert::Infallible;
 use std::process::ExitCode;
 use std::time::Duration;
 use wm_doctor::{DoctorError, Heard, Level, Machine, ModelFacts, Report};
@@ -28,10 +29,10 @@ pub struct DoctorCommand {
 #[derive(Args, Debug)]
 pub struct Listening {
     /// Image topic of the camera; without it, the default or the first that sends pictures
-    #[arg(long, value_name = "TOPIC")]
+    #[arg(long, value_name = "TOPIC", value_parser = parse_camera)]
     pub camera: Option<String>,
     /// Topic of the actions
-    #[arg(long, value_name = "TOPIC")]
+    #[arg(long, value_name = "TOPIC", alias = "action-topic")]
     pub action: Option<String>,
     /// A model folder, or `tiny`, as for the parameter `model` of a node
     #[arg(long, value_name = "DIR", default_value = "tiny")]
@@ -42,6 +43,11 @@ pub struct Listening {
     /// Network interface, by name or address; without it, this host only
     #[arg(long, value_name = "INTERFACE")]
     interface: Option<String>,
+}
+
+/// A camera is its image topic and the sibling `/compressed`, by whichever of the two it was named.
+fn parse_camera(text: &str) -> Result<String, Infallible> {
+    Ok(text.strip_suffix("/compressed").unwrap_or(text).to_owned())
 }
 
 /// Long enough to discover others, and short enough to remember what came.

@@ -1,6 +1,6 @@
 //! `wm launch`.
 
-use crate::output::print;
+use crate::{node, output::print};
 use anyhow::{Context as _, Result};
 use clap::Args;
 use std::collections::BTreeMap;
@@ -13,8 +13,12 @@ use wm_launch::{
     runner,
 };
 use wm_model::trained_folder::EMBEDDED;
-use wm_ros::NodeArgs;
+use wm_model_nodes::{decoder, encoder};
+use wm_ros::{NAMESPACE, NodeArgs};
 use wm_zoo::ModelFolder;
+
+/// The nodes' topic of the camera.
+const CAMERA: &str = "/camera/image_raw";
 
 /// Starts the nodes of a launch file.
 #[derive(Args, Debug)]
@@ -58,8 +62,8 @@ impl LaunchCommand {
             print(describe(&plan)?)?;
             return Ok(ExitCode::SUCCESS);
         }
+        check_nodes(&plan)?;
         check_bags(&plan)?;
-        check_models(&plan)?;
         // one thread: the kernel ties the processes' fate to the thread that started them
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -85,32 +89,51 @@ fn check_bags(plan: &Plan) -> Result<()> {
     Ok(())
 }
 
-/// Whether the models of a plan's nodes are there is known before anything starts: a node that is started again and again
-/// would only repeat that its model is not.
-fn check_models(plan: &Plan) -> Result<()> {
+/// Whether the models and the cameras of a plan's nodes can be used is known before anything starts: a node that is started
+/// again and again would only repeat that its model is not there.
+fn check_nodes(plan: &Plan) -> Result<()> {
     let is_own = |process: &&Process| process.program == Program::Own;
     for process in plan.processes.iter().filter(is_own) {
         let Some((name, _)) = process.arguments.split_first() else {
             continue;
         };
-        if name != "run" && !wm_model_nodes::NODES.iter().any(|node| node.name == name) {
+        if name != node::TOGETHER && !node::is_node(name) {
             continue;
         }
         let args = NodeArgs::parse(&process.arguments)?;
-        let nodes = args.rest().iter().filter_map(|word| {
-            let mut nodes = wm_model_nodes::NODES.iter();
-            nodes.find(|node| node.name == word)
-        });
-        for node in nodes {
-            let given: Option<String> = args.given(node.name, wm_ros::NAMESPACE, "model")?;
-            let Some(model) = given.filter(|model| model != EMBEDDED) else {
-                continue;
-            };
-            let folder = process.working_directory.as_deref();
-            let model = folder.unwrap_or(Path::new("")).join(model);
-            ModelFolder::require(&model.to_string_lossy())
+        for node in args.rest().iter().filter(|word| node::is_node(word)) {
+            check_camera(node, &args).with_context(|| format!("{} has no camera", process.name))?;
+            check_model(node, &args, process.working_directory.as_deref())
                 .with_context(|| format!("{} has no model", process.name))?;
         }
+    }
+    Ok(())
+}
+
+/// Nodes take a camera's topic, and its sibling `/compressed` with it.
+fn check_camera(node: &str, args: &NodeArgs) -> Result<()> {
+    let given: Option<String> = args.given(node, NAMESPACE, "camera_topic")?;
+    for topic in given.as_deref().into_iter().chain([CAMERA]) {
+        args.resolve_sibling(node, NAMESPACE, topic, "compressed")?;
+    }
+    Ok(())
+}
+
+/// A model is there, and with all that the node needs of it.
+fn check_model(node: &str, args: &NodeArgs, folder: Option<&Path>) -> Result<()> {
+    if !wm_model_nodes::NODES.iter().any(|known| known.name == node) {
+        return Ok(());
+    }
+    let given: Option<String> = args.given(node, NAMESPACE, "model")?;
+    let Some(model) = given.filter(|model| model != EMBEDDED) else {
+        return Ok(());
+    };
+    let model = folder.unwrap_or(Path::new("")).join(model);
+    let model = model.to_string_lossy();
+    ModelFolder::require(&model)?;
+    // Those two know latents alone.
+    if ![encoder::NODE.name, decoder::NODE.name].contains(&node) {
+        ModelFolder::open(&model)?.require_transition()?;
     }
     Ok(())
 }

@@ -37,7 +37,7 @@ pub fn is_node(name: &str) -> bool {
 }
 
 /// Several nodes in one process.
-const TOGETHER: &str = "run";
+pub const TOGETHER: &str = "run";
 /// What there is.
 const LIST: &str = "nodes";
 

@@ -206,7 +206,7 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
                 .because("plans from frames older than max_age are not sent, and latencies are meaningless")
                 .fix(match has_clock {
                     true => simulated,
-                    false => "play bags with restamp:=true; for a driver, stamp with the time of capture",
+                    false => "play bags with --restamp (player: restamp:=true); for a driver, stamp with the time of capture",
                 }),
         );
     } else if delay_s > LATE_S {

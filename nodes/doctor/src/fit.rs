@@ -77,6 +77,15 @@ impl ModelFacts {
 /// What is to be said of it, for the camera of this name.
 pub(crate) fn check(model: &ModelFacts, camera: Option<(&str, &Camera)>) -> Vec<Finding> {
     let mut findings = Vec::new();
+    if model.action_space.is_none() {
+        findings.push(
+            Finding::warning(CHECK, format!("{} has no transition model", model.name))
+                .because(
+                    "it encodes and decodes only: predictor, planner and evaluator do not start",
+                )
+                .fix("train one (docs/models.md), or go on with a training that was stopped"),
+        );
+    }
     let stream = camera.and_then(|(_, camera)| camera.best());
     let camera_s = stream.and_then(|stream| stream.timeline.period_s());
     findings.push(speed(model, camera_s));

@@ -153,7 +153,8 @@ impl Cadence {
             return None;
         }
         self.told = self.nth;
-        Some((self.taken.median().or(self.estimate)?, self.gap()))
+        let taken = self.taken.median();
+        Some((taken.or(self.taken.at_most(self.estimate))?, self.gap()))
     }
 
     /// From one input that is used to the next: what the work should be done in.
@@ -168,7 +169,7 @@ impl Cadence {
     fn adapt(&mut self) {
         let gap = self.gap();
         let (Some(median), Some(longest)) = (self.taken.median(), self.taken.longest()) else {
-            self.nth = believed(self.estimate, gap);
+            self.nth = believed(self.taken.at_most(self.estimate), gap);
             return;
         };
         let (up, down) = (periods(median, gap), periods(longest.mul_f64(MARGIN), gap));

@@ -2,6 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+/// The nodes' default `frame_period` \[s\].
+const USUAL_PERIOD_S: f64 = 0.2;
+/// A camera is too slow for it from this many times the period on; less is jitter of a mean over a short bag.
+const SLOWER: f64 = 1.25;
+
 /// A whole report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
@@ -56,22 +61,42 @@ impl Report {
         ))
     }
 
-    /// The frames and their rate, and what to do about a rate that is no usual one of a model.
+    /// The frames and their rate, and what could be the reason that there is no prediction: a rate that is no usual one
+    /// of a model, and what the nodes left out.
     #[must_use]
     pub fn frames_in_words(&self) -> String {
-        let Self {
-            frames,
-            frame_rate_hz,
-            ..
-        } = self;
-        match frame_rate_hz {
-            rate if *rate > 0.0 => format!(
-                "{frames} frames arrived at {rate:.2} Hz; encoder, predictor and planner expect one every \"frame_period\" \
-                 (0.2 s by default): if the camera is slower, set that parameter of all three to {:.3} s",
-                1.0 / rate
-            ),
-            _ => format!("{frames} frame(s) arrived"),
+        let (frames, rate) = (self.frames, self.frame_rate_hz);
+        if rate <= 0.0 {
+            return format!("{frames} frame(s) arrived");
         }
+        let mut text = format!("{frames} frames arrived at {rate:.2} Hz");
+        if rate * USUAL_PERIOD_S * SLOWER < 1.0 {
+            text.push_str(&format!(
+                "; encoder, predictor and planner expect one every \"frame_period\" ({USUAL_PERIOD_S} s by default): for a \
+                 slower camera, set that parameter of all three to {:.3} s",
+                1.0 / rate
+            ));
+        }
+        for line in self.left_out() {
+            text.push_str(&format!("; {line}"));
+        }
+        text
+    }
+
+    /// What the nodes dropped, and what they left out by choice: a line for each node and reason.
+    pub(crate) fn left_out(&self) -> impl Iterator<Item = String> {
+        let drops = self.drops.iter().map(|drops| ("dropped", drops));
+        let skips = self.skips.iter().map(|skips| ("left out by choice", skips));
+        drops.chain(skips).map(
+            |(
+                how,
+                Drops {
+                    node,
+                    reason,
+                    total,
+                },
+            )| format!("{how} by {node}: {total} ({reason})"),
+        )
     }
 }
 

@@ -31,6 +31,10 @@ pub fn terminal_table(report: &Report) -> String {
         .doubt()
         .map_or_else(String::new, |doubt| format!("{doubt}\n"));
     text.push_str(&heading(report));
+    if report.steps.is_empty() {
+        text.push_str(&remarks(report, ""));
+        return text;
+    }
     let line = |cells: &mut dyn Iterator<Item = &str>| {
         let padded: Vec<String> = cells
             .zip(widths)
@@ -57,13 +61,15 @@ pub fn markdown(report: &Report, has_strip: bool) -> String {
         heading(report)
     );
     // writing to a String cannot fail
-    writeln!(
-        text,
-        "| {} |\n|{}",
-        HEADINGS.join(" | "),
-        "---:|".repeat(HEADINGS.len())
-    )
-    .ok();
+    if !report.steps.is_empty() {
+        writeln!(
+            text,
+            "| {} |\n|{}",
+            HEADINGS.join(" | "),
+            "---:|".repeat(HEADINGS.len())
+        )
+        .ok();
+    }
     for step in &report.steps {
         writeln!(text, "| {} |", row(step).join(" | ")).ok();
     }
@@ -79,6 +85,10 @@ fn is_compared(report: &Report) -> bool {
 }
 
 fn heading(report: &Report) -> String {
+    if report.steps.is_empty() {
+        let (source, frames, rate) = (&report.source, report.frames, report.frame_rate_hz);
+        return format!("{source}: {frames} frames at {rate:.2} Hz, no prediction\n");
+    }
     let hash: String = report.model_hash.chars().take(12).collect();
     format!(
         "{}: {} frames at {:.2} Hz, {} observations, model {} {hash}, K = {} steps of {:.2} s\n",
@@ -119,11 +129,13 @@ fn remarks(report: &Report, bullet: &str) -> String {
         // writing to a String cannot fail
         writeln!(text, "{bullet}{line}").ok();
     };
-    add("n: pictures compared with the frame of the same time; held: the persistence baseline, which repeats the last \
-         observed frame; latent ratio: latent error of the model over that of the persistence baseline; ms: from the \
-         capture of the observed frame to the arrival of the prediction"
-        .to_owned());
-    if !is_compared(report) {
+    if !report.steps.is_empty() {
+        add("n: pictures compared with the frame of the same time; held: the persistence baseline, which repeats the \
+             last observed frame; latent ratio: latent error of the model over that of the persistence baseline; ms: \
+             from the capture of the observed frame to the arrival of the prediction"
+            .to_owned());
+    }
+    if !report.steps.is_empty() && !is_compared(report) {
         add("nothing was compared: no predicted picture has a frame of the same time; an env's bag has no predicted \
              pictures, since its frames are the predictions"
             .to_owned());
@@ -143,18 +155,7 @@ fn remarks(report: &Report, bullet: &str) -> String {
     if report.drops.is_empty() {
         add("drops: none".to_owned());
     }
-    for drops in &report.drops {
-        add(format!(
-            "dropped by {}: {} ({})",
-            drops.node, drops.total, drops.reason
-        ));
-    }
-    for skips in &report.skips {
-        add(format!(
-            "left out by choice by {}: {} ({})",
-            skips.node, skips.total, skips.reason
-        ));
-    }
+    report.left_out().for_each(add);
     text
 }
 
@@ -207,6 +208,34 @@ mod tests {
         );
         assert!(table.contains("dropped by wm/encoder: 2 (late)"));
         assert!(table.contains("left out by choice by wm/predictor: 35 (pace)"));
+    }
+
+    #[test]
+    fn without_predictions_there_is_no_table_and_the_drops_are_told() {
+        let empty = Report {
+            frames: 50,
+            frame_rate_hz: 5.0,
+            steps: Vec::new(),
+            ..report()
+        };
+        for text in [terminal_table(&empty), markdown(&empty, false)] {
+            assert!(
+                text.contains("50 frames at 5.00 Hz, no prediction"),
+                "{text}"
+            );
+            assert!(
+                !text.contains("PSNR") && text.contains("wm/encoder: 2"),
+                "{text}"
+            );
+        }
+        let words = empty.frames_in_words();
+        assert!(words.contains("by wm/predictor: 35 (pace)"), "{words}");
+        assert!(!words.contains("frame_period"), "{words}");
+        let slow = Report {
+            frame_rate_hz: 2.0,
+            ..empty
+        };
+        assert!(slow.frames_in_words().contains("to 0.500 s"));
     }
 
     #[test]

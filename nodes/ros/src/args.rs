@@ -155,6 +155,22 @@ impl NodeArgs {
         Ok(Some(T::from_value(&given.value).ok_or_else(wrong)?))
     }
 
+    /// The absolute name that the sibling `topic/suffix` has for the node that has these defaults, before there is such
+    /// a node: [`Node::resolve_sibling`](crate::Node::resolve_sibling).
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or a topic that is remapped to a sibling.
+    pub fn resolve_sibling(
+        &self,
+        default_name: &str,
+        default_namespace: &str,
+        topic: &str,
+        suffix: &str,
+    ) -> Result<String, Error> {
+        NodeName::new(default_name, default_namespace, self)?
+            .resolve_sibling(topic, suffix, "topic")
+    }
+
     /// For nodes that have no command line of their own.
     ///
     /// # Errors

@@ -11,11 +11,11 @@ pub use watchdog::{Deadline, Input};
 use crate::backend::EndpointId;
 use rate::Rate;
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
-use watchdog::{Finding, Watchdog};
+use watchdog::{Finding, Publishers, Watchdog};
 use wm_msgs::diagnostic_msgs::{DiagnosticStatus, KeyValue};
 
 /// Subject of the condition that messages are too large.
@@ -77,6 +77,8 @@ pub(crate) trait Graph {
     fn foreign(&self, endpoint: &EndpointId) -> usize;
     /// Why others are not connected to this one, in words.
     fn mismatches(&self, endpoint: &EndpointId) -> Vec<String>;
+    /// The other topics on which messages of the type of this endpoint are published.
+    fn published_alike(&self, endpoint: &EndpointId) -> BTreeSet<String>;
 }
 
 impl Diagnostics {
@@ -223,6 +225,17 @@ impl Diagnostics {
         self.state().oversized.insert(id, len);
     }
 
+    /// Says in the log which inputs are missing since the last report, and which are back.
+    pub(crate) fn say_news(&self) {
+        let news = self.state().watchdog.take_news();
+        for Finding { level, message, .. } in news {
+            match level {
+                Level::Ok => tracing::info!("{message}"),
+                Level::Warn | Level::Error => tracing::warn!("{message}"),
+            }
+        }
+    }
+
     /// The report, and the start of the next second: the node's own status, then one for each thing that is watched.
     pub(crate) fn report(&self, now: Instant, graph: &dyn Graph) -> Vec<DiagnosticStatus> {
         self.state().report(now, graph, watchdog::resident())
@@ -237,6 +250,47 @@ fn count(rates: &mut BTreeMap<String, Rate>, name: &str) {
             .or_default()
             .count(Instant::now()),
     }
+}
+
+/// What the watchdog asks of the graph, by the names of the node's inputs.
+struct PublishersOf<'a> {
+    endpoints: &'a BTreeMap<EndpointId, (String, bool)>,
+    /// The node's, which its suite shares.
+    namespace: &'a str,
+    graph: &'a dyn Graph,
+}
+
+impl PublishersOf<'_> {
+    /// The subscriptions of `topic`.
+    fn subscriptions(&self, topic: &str) -> impl Iterator<Item = &EndpointId> {
+        let own = self.endpoints.iter();
+        own.filter(move |(_, (name, is_publisher))| !is_publisher && name == topic)
+            .map(|(id, _)| id)
+    }
+}
+
+impl Publishers for PublishersOf<'_> {
+    fn connected(&self, topic: &str) -> usize {
+        let ids = self.subscriptions(topic);
+        ids.map(|id| self.graph.matched(id)).sum()
+    }
+
+    fn elsewhere(&self, topic: &str) -> BTreeSet<String> {
+        let ids = self.subscriptions(topic);
+        let alike = ids.flat_map(|id| self.graph.published_alike(id));
+        alike.filter(|name| self.is_from_outside(name)).collect()
+    }
+
+    fn is_from_outside(&self, topic: &str) -> bool {
+        let rest = topic.strip_prefix('/').unwrap_or(topic);
+        let inside = rest.strip_prefix(self.namespace);
+        self.namespace.is_empty() || inside.is_none_or(|rest| !rest.starts_with('/'))
+    }
+}
+
+/// `wm` of `wm/encoder`; nothing for a node without namespace.
+fn namespace(name: &str) -> &str {
+    name.rsplit_once('/').map_or("", |(namespace, _)| namespace)
 }
 
 impl State {
@@ -339,13 +393,12 @@ impl State {
 
     /// What the watchdog finds, and what is wrong with the connections.
     fn findings(&mut self, now: Instant, graph: &dyn Graph, resident: Option<u64>) -> Vec<Finding> {
-        let connected = |topic: &str| {
-            let own = self.endpoints.iter();
-            own.filter(|(_, (name, is_publisher))| !is_publisher && name == topic)
-                .map(|(id, _)| graph.matched(id))
-                .sum::<usize>()
+        let publishers = PublishersOf {
+            endpoints: &self.endpoints,
+            namespace: namespace(&self.name),
+            graph,
         };
-        let mut findings = self.watchdog.report(now, &connected, resident);
+        let mut findings = self.watchdog.report(now, &publishers, resident);
         for (id, (topic, _)) in &self.endpoints {
             findings.extend(graph.mismatches(id).into_iter().map(|message| Finding {
                 subject: format!("connections of {topic}"),
@@ -391,6 +444,10 @@ mod tests {
                 .then(|| "incompatible reliability".to_owned())
                 .into_iter()
                 .collect()
+        }
+
+        fn published_alike(&self, _: &EndpointId) -> BTreeSet<String> {
+            BTreeSet::from(["/front".to_owned(), "/wm/predicted".to_owned()])
         }
     }
 
@@ -493,6 +550,30 @@ mod tests {
         diagnostics.stand_down();
         let later = status(&diagnostics, now + Duration::from_secs(99));
         assert_eq!(later.level, DiagnosticStatus::OK);
+    }
+
+    #[test]
+    fn a_missing_input_names_the_topics_that_could_be_it() {
+        let endpoints = BTreeMap::from([([1; 16], ("/image".to_owned(), false))]);
+        for (name, expected) in [
+            ("wm/encoder", &["/front"][..]),
+            ("encoder", &["/front", "/wm/predicted"]),
+        ] {
+            let publishers = PublishersOf {
+                endpoints: &endpoints,
+                namespace: namespace(name),
+                graph: &Pairs,
+            };
+            let elsewhere = publishers.elsewhere("/image");
+            assert!(elsewhere.iter().eq(expected), "{name}: {elsewhere:?}");
+            assert_eq!(
+                (
+                    publishers.elsewhere("/other").len(),
+                    publishers.connected("/image")
+                ),
+                (0, 2)
+            );
+        }
     }
 
     #[test]

@@ -72,19 +72,25 @@ impl NodeName {
         Ok(rule.map_or(expanded, |(_, to)| to.clone()))
     }
 
-    /// The name of `name`'s sibling `name/suffix`: by a rule of its own, or beside what `name` is remapped to.
+    /// The name of `name`'s sibling `name/suffix`: by a rule of its own, or beside what `name` is remapped to. A `name`
+    /// that is remapped to such a sibling itself, as `/front/image_raw/compressed`, is refused.
     pub(crate) fn resolve_sibling(
         &self,
         name: &str,
         suffix: &str,
         kind: &'static str,
     ) -> Result<String, Error> {
-        let sibling = self.expand(&format!("{name}/{suffix}"), kind)?;
-        let rule = self.rules.iter().find(|(from, _)| *from == sibling);
-        match rule {
-            Some((_, to)) => Ok(to.clone()),
-            None => Ok(format!("{}/{suffix}", self.resolve(name, kind)?)),
+        let base = self.resolve(name, kind)?;
+        let end = format!("/{suffix}");
+        if let Some(wanted) = base.strip_suffix(&end).filter(|rest| !rest.is_empty()) {
+            let reason = format!(
+                "give the topic that it belongs to, {wanted}: its sibling {end} is used too"
+            );
+            return Err(invalid(&base, kind, &reason));
         }
+        let sibling = self.expand(&format!("{name}{end}"), kind)?;
+        let rule = self.rules.iter().find(|(from, _)| *from == sibling);
+        Ok(rule.map_or_else(|| base + &end, |(_, to)| to.clone()))
     }
 
     /// `~` and relative names made absolute.
@@ -307,6 +313,23 @@ mod tests {
         assert_eq!(compressed(with), "/front/image_raw/compressed");
         let apart = format!("{with} -r /camera/image_raw/compressed:=/jpeg");
         assert_eq!(compressed(&apart), "/jpeg");
+    }
+
+    #[test]
+    fn a_sibling_is_not_taken_for_its_topic() {
+        let to = "/front/image_raw/compressed";
+        for line in [
+            format!("--ros-args -r /camera/image_raw:={to}"),
+            // As a launch file has it that remaps both.
+            format!(
+                "--ros-args -r /camera/image_raw:={to} -r /camera/image_raw/compressed:={to}/compressed"
+            ),
+        ] {
+            let name = node(&line).unwrap();
+            let error = name.resolve_sibling("/camera/image_raw", "compressed", "topic");
+            let error = error.unwrap_err().to_string();
+            assert!(error.contains("belongs to, /front/image_raw:"), "{error}");
+        }
     }
 
     #[test]

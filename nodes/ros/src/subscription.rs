@@ -426,6 +426,7 @@ impl<M: Message> Subscription<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
     use wm_msgs::{cdr, std_msgs};
 
     fn sample(sequence: i64, bytes: Vec<u8>) -> Result<Sample, String> {
@@ -451,6 +452,10 @@ mod tests {
 
             fn mismatches(&self, _: &crate::backend::EndpointId) -> Vec<String> {
                 Vec::new()
+            }
+
+            fn published_alike(&self, _: &crate::backend::EndpointId) -> BTreeSet<String> {
+                BTreeSet::new()
             }
         }
         let now = std::time::Instant::now();

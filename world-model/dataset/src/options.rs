@@ -39,7 +39,7 @@ pub struct DataOptions {
     pub cameras: Vec<String>,
     /// Topic of the actions: wm_msgs/Action, or sensor_msgs/JointState whose joints the action space names
     /// [default: /wm/action]
-    #[arg(long, value_name = "TOPIC")]
+    #[arg(long, value_name = "TOPIC", visible_alias = "action")]
     pub action_topic: Option<String>,
     /// Action space: a JSON or YAML file with name, rate in Hz and 1 to 32 dimensions, like "space" in model.json, or the
     /// action_space.json of a prepared folder [default: that of the bags]

@@ -45,6 +45,13 @@ impl Recent {
         sorted.get(sorted.len() / 2).copied()
     }
 
+    /// An estimate from before the runs, or the shortest of them: where one run took less, the estimate was wrong, and
+    /// to wait for [`FEWEST_RUNS`] so far apart as it asks for would take long.
+    pub fn at_most(&self, estimate: Option<Duration>) -> Option<Duration> {
+        let shortest = self.0.iter().min().copied();
+        estimate.map(|estimate| shortest.map_or(estimate, |shortest| shortest.min(estimate)))
+    }
+
     /// The longest; none while there are too few.
     pub fn longest(&self) -> Option<Duration> {
         let longest = self.0.iter().max().copied();

@@ -191,6 +191,15 @@ fn what_is_measured_while_everything_starts_is_believed_only_if_it_is_slow() {
     assert_eq!(Cadence::new(PERIOD, Some(PERIOD * 5 / 2)).nth(), 3);
 }
 
+/// A machine that was busy while the node started: the first run shows that the estimate was wrong.
+#[test]
+fn an_estimate_that_was_far_too_long_costs_one_run_and_not_a_whole_bag() {
+    let mut cadence = Cadence::new(PERIOD, Some(PERIOD * 20));
+    assert_eq!(cadence.nth(), 20);
+    let found = run(&mut cadence, 50, PERIOD, |_| PERIOD / 2);
+    assert_eq!((cadence.nth(), found.used.len()), (1, 50), "{found:?}");
+}
+
 #[test]
 fn twice_the_work_takes_twice_as_long_at_once() {
     let mut cadence = Cadence::new(PERIOD, Some(PERIOD * 4));

@@ -246,10 +246,10 @@ impl Choice {
         let pace = stamps.map_or(1.0, |gap_ns| gap.as_secs_f64() / (gap_ns as f64 / 1e9));
         let fitting = |taken| Mode::fitting(taken, gap, pace, &needs);
         let slower = self.taken.median().map(fitting);
-        let faster = self
-            .taken
-            .longest()
-            .map(|longest| fitting(longest.mul_f64(MARGIN)));
+        let longest = self.taken.longest();
+        // Too few to be sure of how long it takes, but one shows where the estimate was too long.
+        let likely = longest.or(self.taken.at_most(self.estimate));
+        let faster = likely.map(|taken| fitting(taken.mul_f64(MARGIN)));
         let change = slower.filter(|mode| *mode > self.mode);
         if let Some(mode) = change.or(faster.filter(|mode| *mode < self.mode)) {
             self.mode = mode;
@@ -263,7 +263,8 @@ impl Choice {
             return None;
         }
         self.told = self.mode;
-        self.taken.median().or(self.estimate)
+        let taken = self.taken.median();
+        taken.or(self.taken.at_most(self.estimate))
     }
 
     /// The next frame begins anew: it is of another time or another camera.

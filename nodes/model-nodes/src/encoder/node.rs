@@ -40,7 +40,7 @@ const SILENCE: Duration = Duration::from_secs(1);
 /// What raises the rate.
 const FASTER: &str = "for more: a smaller encoder, or a faster processor";
 /// Advice for a missing camera.
-const NO_CAMERA: &str = "start the camera's driver, or remap /camera/image_raw to its topic";
+const NO_CAMERA: &str = "start the camera's driver, or name its topic: camera:=TOPIC for wm launch, -r /camera/image_raw:=TOPIC for the node";
 
 /// The node itself, in a process that may run other nodes too.
 ///

@@ -40,7 +40,7 @@ pub enum Wait {
         step_s: f64,
     },
     /// Nothing says what the robot does.
-    #[error("no action has arrived for {} or before", seconds_of(*.needed_ns))]
+    #[error("no action has arrived that is stamped {} or earlier, which the newest frame needs", seconds_of(*.needed_ns))]
     NoAction {
         /// The moment whose action is needed.
         needed_ns: i64,

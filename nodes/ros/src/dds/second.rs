@@ -22,9 +22,21 @@ use crate::{
 use bytes::Bytes;
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity as _,
-    dds::result::CreateResult, no_key::DataWriter,
+    dds::result::{CreateError, CreateResult},
+    no_key::DataWriter,
 };
 use std::sync::Arc;
+
+/// rustdds calls it a panic where it cannot have the sockets, timers and threads that a participant needs.
+fn cannot_join(environment: &Environment, error: CreateError) -> Error {
+    let reason = match error {
+        CreateError::Poisoned { reason } => reason,
+        other => other.to_string(),
+    };
+    let advice = "the process may have reached its limit of open files (`ulimit -n`) or of threads";
+    let action = format!("join DDS domain {}", environment.domain_id);
+    Error::middleware(action, format_args!("{reason}; {advice}"))
+}
 
 /// A participant of the domain, not yet in anybody's book, which hears nothing from outside the environment's reach.
 pub(super) fn participant(
@@ -41,9 +53,9 @@ pub(super) fn participant(
         // without it, it would announce itself to the first participants of this host
         builder = builder.same_host_loopback(false);
     }
-    let participant = builder.build().map_err(|error| {
-        Error::middleware(format!("join DDS domain {}", environment.domain_id), error)
-    })?;
+    let participant = builder
+        .build()
+        .map_err(|error| cannot_join(environment, error))?;
     let ports = confine::Ports::new(environment.domain_id, participant.participant_id());
     if let Some(addresses) = environment.addresses() {
         confine::confine(&ports, &before, &addresses).map_err(of_sockets)?;

@@ -15,7 +15,7 @@ use deadline::DeadlineWatch;
 use input::InputWatch;
 use memory::MemoryWatch;
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     time::{Duration, Instant},
 };
 
@@ -43,6 +43,16 @@ struct Condition {
     seen: Instant,
 }
 
+/// Who publishes what, as the watchdog asks of it.
+pub(super) trait Publishers {
+    /// How many are connected to the node's subscription of `topic`.
+    fn connected(&self, topic: &str) -> usize;
+    /// Topics of the same type from outside the suite.
+    fn elsewhere(&self, topic: &str) -> BTreeSet<String>;
+    /// Whether no other node of the suite publishes `topic`: it is not in the node's namespace.
+    fn is_from_outside(&self, topic: &str) -> bool;
+}
+
 /// The watches of one node. It has no clock: every call brings the time.
 #[derive(Debug, Default)]
 pub(super) struct Watchdog {
@@ -50,6 +60,8 @@ pub(super) struct Watchdog {
     deadlines: BTreeMap<&'static str, DeadlineWatch>,
     memory: MemoryWatch,
     conditions: BTreeMap<String, Condition>,
+    /// What the log has not said yet.
+    news: Vec<Finding>,
 }
 
 impl Watchdog {
@@ -62,6 +74,7 @@ impl Watchdog {
     pub(super) fn stand_down(&mut self) {
         self.inputs.clear();
         self.deadlines.clear();
+        self.news.clear();
         self.memory = MemoryWatch::default();
     }
 
@@ -93,17 +106,26 @@ impl Watchdog {
         self.conditions.insert(subject.to_owned(), condition);
     }
 
-    /// Everything that is watched, well or not. `publishers`: how many are connected to a topic; `resident`: the
-    /// process's memory \[byte\], where it is known.
+    /// Inputs from outside the suite that are missing or back since the report before the last. The others are missing
+    /// because another node of the suite misses something, and that one says so.
+    pub(super) fn take_news(&mut self) -> Vec<Finding> {
+        std::mem::take(&mut self.news)
+    }
+
+    /// Everything that is watched, well or not. `resident`: the process's memory \[byte\], where it is known.
     pub(super) fn report(
         &mut self,
         now: Instant,
-        publishers: &dyn Fn(&str) -> usize,
+        publishers: &dyn Publishers,
         resident: Option<u64>,
     ) -> Vec<Finding> {
         let mut findings: Vec<Finding> = Vec::new();
-        for input in self.inputs.values() {
-            findings.push(input.judge(now, publishers));
+        for input in self.inputs.values_mut() {
+            let finding = input.judge(now, publishers);
+            if input.is_news(&finding, publishers) {
+                self.news.push(finding.clone());
+            }
+            findings.push(finding);
         }
         for deadline in self.deadlines.values_mut() {
             findings.push(deadline.judge());
@@ -126,13 +148,53 @@ impl Watchdog {
 mod tests {
     use super::*;
 
+    /// A graph in which nobody publishes.
+    struct Nobody;
+
+    impl Publishers for Nobody {
+        fn connected(&self, _: &str) -> usize {
+            0
+        }
+
+        fn elsewhere(&self, _: &str) -> BTreeSet<String> {
+            BTreeSet::new()
+        }
+
+        fn is_from_outside(&self, topic: &str) -> bool {
+            !topic.starts_with("/wm/")
+        }
+    }
+
+    #[test]
+    fn the_log_has_what_comes_from_outside_once_and_again_when_it_is_back() {
+        let (mut watchdog, start) = (Watchdog::default(), Instant::now());
+        watchdog.expect(Input::new("images", ["/image"], "start the camera"), start);
+        watchdog.expect(Input::new("latents", ["/wm/latent"], "start it"), start);
+        let news = |watchdog: &mut Watchdog, seconds| -> Vec<String> {
+            let now = start + Duration::from_secs(seconds);
+            watchdog.report(now, &Nobody, None);
+            let news = watchdog.take_news();
+            news.into_iter().map(|finding| finding.message).collect()
+        };
+        assert_eq!(news(&mut watchdog, 1), [""; 0]);
+        let said = news(&mut watchdog, 9);
+        assert!(
+            said.len() == 1 && said[0].contains("no images on /image"),
+            "{said:?}"
+        );
+        assert_eq!(news(&mut watchdog, 10), [""; 0]);
+        watchdog.arrived("/image", start + Duration::from_secs(11));
+        assert_eq!(news(&mut watchdog, 11), ["images come"]);
+        assert_eq!(news(&mut watchdog, 12), [""; 0]);
+    }
+
     #[test]
     fn a_condition_holds_while_it_is_said_and_ends_by_itself() {
         let (mut watchdog, start) = (Watchdog::default(), Instant::now());
         watchdog.raise("latent space", Level::Error, "wrong".to_owned(), start);
         let at = |watchdog: &mut Watchdog, seconds| {
             let now = start + Duration::from_secs(seconds);
-            watchdog.report(now, &|_| 0, None).len()
+            watchdog.report(now, &Nobody, None).len()
         };
         assert_eq!((at(&mut watchdog, 4), at(&mut watchdog, 6)), (1, 0));
         for index in 0..100 {
@@ -147,8 +209,8 @@ mod tests {
         let input = Input::new("latents", ["/wm/latent"], "start the encoder");
         watchdog.expect(input, start);
         let now = start + Duration::from_secs(60);
-        assert_eq!(watchdog.report(now, &|_| 0, None).len(), 1);
+        assert_eq!(watchdog.report(now, &Nobody, None).len(), 1);
         watchdog.stand_down();
-        assert_eq!(watchdog.report(now, &|_| 0, None), []);
+        assert_eq!(watchdog.report(now, &Nobody, None), []);
     }
 }

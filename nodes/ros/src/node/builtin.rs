@@ -4,7 +4,7 @@
 use super::Node;
 use crate::{
     Clock, Descriptor, Error, NodeArgs, Qos,
-    backend::{Backend, Channel, Endpoint, EndpointId, Reader, WhenFull},
+    backend::{Backend, Channel, Endpoint, EndpointId, Reader, Seen, WhenFull},
     diagnostics::Graph,
     logging::{self, levels},
     names::TypeName,
@@ -15,6 +15,7 @@ use crate::{
 };
 use serde::{Serialize, de::DeserializeOwned};
 use std::{
+    collections::BTreeSet,
     sync::{Arc, Mutex, PoisonError},
     time::{Duration, Instant},
 };
@@ -250,6 +251,19 @@ impl Graph for Of<'_> {
     fn mismatches(&self, endpoint: &EndpointId) -> Vec<String> {
         self.0.mismatches(endpoint)
     }
+
+    fn published_alike(&self, endpoint: &EndpointId) -> BTreeSet<String> {
+        let seen = self.0.seen();
+        let Some(own) = seen.iter().find(|seen| seen.id == *endpoint) else {
+            return BTreeSet::new();
+        };
+        let is_alike = |seen: &&Seen| {
+            let is_its_type = seen.channel == own.channel && seen.type_name == own.type_name;
+            seen.is_writer && is_its_type && seen.name != own.name
+        };
+        let alike = seen.iter().filter(is_alike);
+        alike.map(|seen| seen.name.clone()).collect()
+    }
 }
 
 fn diagnostics(node: &Node) -> Result<(), Error> {
@@ -266,6 +280,7 @@ fn diagnostics(node: &Node) -> Result<(), Error> {
                 dropped => diagnostics.count_drops("unread log lines", dropped),
             }
             let status = diagnostics.report(Instant::now(), &Of(&*backend));
+            diagnostics.say_news();
             let header = Header {
                 stamp: clock.now(),
                 frame_id: String::new(),

@@ -156,6 +156,17 @@ fn a_slow_encoder_that_was_never_measured_settles() {
     assert!(found.contexts(&needs).len() > 25, "{found:?}");
 }
 
+/// A machine that was busy while the node started: the first frame shows that the estimate was wrong.
+#[test]
+fn an_estimate_that_was_far_too_long_costs_few_frames_and_not_a_whole_bag() {
+    let needs = needs(2, 2);
+    let mut choice = Choice::new(needs, Some(PERIOD * 20));
+    assert_eq!(choice.mode(), Mode::Contexts(20));
+    let found = run(&mut choice, &stamps(50), 1.0, PERIOD / 2);
+    assert_eq!(choice.mode(), Mode::All);
+    assert!(found.encoded.len() >= 48, "{found:?}");
+}
+
 #[test]
 fn of_a_fast_camera_an_encoder_that_is_fast_enough_for_the_model_takes_the_model_s_frames() {
     let needs = needs(2, 2);

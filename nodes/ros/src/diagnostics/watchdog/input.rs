@@ -1,6 +1,7 @@
 //! An input that should arrive regularly.
 
-use super::{Finding, Level};
+use super::{Finding, Level, Publishers};
+use crate::logging::of_others;
 use std::time::{Duration, Instant};
 
 /// Silent periods after which an input is missed.
@@ -59,6 +60,8 @@ pub(super) struct InputWatch {
     last: Option<Instant>,
     /// How far apart messages come.
     period: Option<Duration>,
+    /// Whether the log says that it is missing.
+    is_said: bool,
 }
 
 impl InputWatch {
@@ -68,6 +71,7 @@ impl InputWatch {
             since: now,
             last: None,
             period: None,
+            is_said: false,
         }
     }
 
@@ -88,7 +92,7 @@ impl InputWatch {
         self.last = Some(now);
     }
 
-    pub(super) fn judge(&self, now: Instant, publishers: &dyn Fn(&str) -> usize) -> Finding {
+    pub(super) fn judge(&self, now: Instant, publishers: &dyn Publishers) -> Finding {
         let (name, topics) = (self.input.name, self.input.topics.join(" and "));
         let (level, message) = match self.last {
             None => {
@@ -131,10 +135,36 @@ impl InputWatch {
         }
     }
 
-    fn cause(&self, publishers: &dyn Fn(&str) -> usize) -> String {
+    /// Whether the log should have it: the first time that an input from outside the suite is missing, and when it is
+    /// back.
+    pub(super) fn is_news(&mut self, finding: &Finding, publishers: &dyn Publishers) -> bool {
+        let is_missing = finding.level > Level::Ok;
+        let mut topics = self.input.topics.iter();
+        let is_news =
+            is_missing != self.is_said && topics.any(|topic| publishers.is_from_outside(topic));
+        if is_news {
+            self.is_said = is_missing;
+        }
+        is_news
+    }
+
+    fn cause(&self, publishers: &dyn Publishers) -> String {
         let topics = self.input.topics.iter();
-        match topics.map(|topic| publishers(topic)).sum::<usize>() {
-            0 => format!("it has no publisher; {}", self.input.advice),
+        let connected = topics.clone().map(|topic| publishers.connected(topic));
+        match connected.sum::<usize>() {
+            0 => {
+                let elsewhere: Vec<String> =
+                    topics.flat_map(|topic| publishers.elsewhere(topic)).collect();
+                let advice = self.input.advice;
+                match elsewhere.is_empty() {
+                    true => format!("it has no publisher; {advice}"),
+                    false => format!(
+                        "it has no publisher, but there are {} on {}; {advice}",
+                        self.input.name,
+                        of_others(&elsewhere.join(", "))
+                    ),
+                }
+            }
             1 => "its publisher is connected but silent; check whether it waits for its own input, hangs or was killed"
                 .to_owned(),
             many => format!(
@@ -148,8 +178,29 @@ impl InputWatch {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
 
     const PERIOD: Duration = Duration::from_millis(200);
+
+    /// So many publishers of each topic, and a camera on another one.
+    struct Each(usize);
+
+    impl Publishers for Each {
+        fn connected(&self, _: &str) -> usize {
+            self.0
+        }
+
+        fn elsewhere(&self, topic: &str) -> BTreeSet<String> {
+            (topic == "/image")
+                .then(|| "/front".to_owned())
+                .into_iter()
+                .collect()
+        }
+
+        fn is_from_outside(&self, _: &str) -> bool {
+            true
+        }
+    }
 
     /// A camera that has sent 20 images, and when it sent the last.
     fn camera(start: Instant) -> (InputWatch, Instant) {
@@ -165,7 +216,7 @@ mod tests {
     #[test]
     fn three_periods_warn_and_ten_are_an_error() {
         let (watch, last) = camera(Instant::now());
-        let level = |periods| watch.judge(last + PERIOD * periods, &|_| 1).level;
+        let level = |periods| watch.judge(last + PERIOD * periods, &Each(1)).level;
         assert_eq!(
             [3, 4, 10, 11].map(level),
             [Level::Ok, Level::Warn, Level::Warn, Level::Error]
@@ -177,11 +228,11 @@ mod tests {
         let (watch, last) = camera(Instant::now());
         let message = |publishers: usize| {
             let now = last + Duration::from_secs(3);
-            watch.judge(now, &move |_| publishers / 2).message
+            watch.judge(now, &Each(publishers / 2)).message
         };
         assert_eq!(
             message(0),
-            "no camera images on /image and /image/compressed for 3.0 s; before, one arrived every 0.20 s: it has no publisher; start it"
+            "no camera images on /image and /image/compressed for 3.0 s; before, one arrived every 0.20 s: it has no publisher, but there are camera images on /front; start it"
         );
         assert!(message(2).contains("2 publishers are connected but silent"));
     }
@@ -190,7 +241,7 @@ mod tests {
     fn one_that_never_came_is_a_warning_and_a_dispensable_one_never_more() {
         let start = Instant::now();
         let watch = InputWatch::new(Input::new("latents", ["/latent"], "start it"), start);
-        let judge = |seconds| watch.judge(start + Duration::from_secs(seconds), &|_| 0);
+        let judge = |seconds| watch.judge(start + Duration::from_secs(seconds), &Each(0));
         assert_eq!(judge(4).level, Level::Ok);
         assert_eq!(judge(9).level, Level::Warn);
         assert!(
@@ -202,7 +253,7 @@ mod tests {
         let input = Input::new("actions", ["/action"], "start it").dispensable();
         let mut watch = InputWatch::new(input, start);
         watch.arrived("/action", start);
-        let finding = watch.judge(start + Duration::from_secs(60), &|_| 0);
+        let finding = watch.judge(start + Duration::from_secs(60), &Each(0));
         assert_eq!(finding.level, Level::Warn);
     }
 
