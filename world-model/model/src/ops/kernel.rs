@@ -137,6 +137,15 @@ impl<P: Product> Row<P> {
                     input = input.add(P::Weight::GROUP);
                 }
             }
+            if self.is_plain() && self.channels >= N * LANES {
+                let output = self.output.add(x * self.output_step);
+                for (i, sums) in sums.iter().enumerate() {
+                    for (j, sum) in sums.iter().enumerate() {
+                        sum.store(output.add(i * self.output_step + j * LANES));
+                    }
+                }
+                return;
+            }
             // By way of memory, in two loops: what indexes `sums` must be small enough to be
             // unrolled, or the compiler keeps the sums in memory in the loop above as well.
             let mut values = [[[0.0f32; LANES]; N]; M];
@@ -151,6 +160,12 @@ impl<P: Product> Row<P> {
                 }
             }
         }
+    }
+
+    /// Whether the sums are written as they are.
+    #[inline(always)]
+    fn is_plain(&self) -> bool {
+        P::SUMS_ARE_OUTPUTS && self.residual.is_null() && self.mask.is_null() && !self.relu
     }
 
     /// Makes the outputs of vector `vector` of pixel `x` of their sums.

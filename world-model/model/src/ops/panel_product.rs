@@ -8,6 +8,8 @@ use super::element::{Element, widen};
 use super::kernel::Row;
 use super::panels::Panels;
 use super::product::{Bf16, F32, Product};
+#[cfg(target_arch = "x86_64")]
+use super::simd::InstructionSet;
 use super::simd::{Bf16Unit, LANES, prefetch};
 
 thread_local! {
@@ -182,7 +184,14 @@ pub(super) fn check<T: Element>(
 }
 
 /// All weights of a model do not fit into the caches that are near: the next panel comes while this one is computed with.
+///
+/// Not with AVX2, whose panels are small: on Zen 3 a product that waits for these requests is 3 to 9 % slower than one that
+/// leaves them to the processor.
 pub(super) fn ahead<T: Element>(panels: &Panels<T>, (vectors, start, _): (usize, usize, usize)) {
+    #[cfg(target_arch = "x86_64")]
+    if panels.set == InstructionSet::Avx2 {
+        return;
+    }
     let count = panels.whole_depth() * vectors * LANES;
     if let Some(next) = panels.values.get(start + count..start + 2 * count) {
         prefetch(next);

@@ -26,6 +26,8 @@ pub(crate) trait Product: Copy + Send + Sync + 'static {
     type Unit: Copy + Send + Sync;
     /// What makes outputs of the sums, besides the bias: nothing where the sums are outputs.
     type Scales: Copy;
+    /// Whether the sums are outputs.
+    const SUMS_ARE_OUTPUTS: bool = size_of::<Self::Scales>() == 0;
 
     /// Computes a row.
     ///
