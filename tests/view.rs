@@ -161,8 +161,8 @@ fn the_page_shows_the_main_job_live() {
     browser.press("l");
     browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
 
-    // On a phone, and at night.
-    browser.size(390, 844);
+    // On a phone, so high that all is seen, and at night.
+    browser.size(390, 2700);
     for scheme in ["light", "dark"] {
         browser.prefer(scheme);
         browser.wait_for("document.documentElement.scrollWidth <= 390", PATIENCE);
@@ -355,7 +355,7 @@ fn a_candidate_is_picked_where_that_is_permitted() {
         offers.publish(&offer).expect("published");
         std::thread::sleep(Duration::from_millis(100));
     }
-    assert_eq!(text(&mut browser, "#candidates-text"), "2 of two ways");
+    assert_eq!(text(&mut browser, "#candidates-text"), "2 offered by two ways");
     picture(&mut browser, "candidates");
     browser.evaluate(&format!("{buttons}[1].click()"));
     browser.wait_for(

@@ -55,7 +55,11 @@ export function lines(canvas, { x, y, now, zero, unit, series, marks = [], curso
   context.textAlign = "center";
   for (const second of ticks((x[0] - now) / 1000, (x[1] - now) / 1000)) {
     const at = across(now + second * 1000);
-    if (at > LEFT + 8 && at < width - 12) context.fillText(second === 0 ? zero : `${Number(second.toPrecision(6))} s`, at, height - 2);
+    if (at < LEFT + 8) continue;
+    // The last one, at the right edge, ends there.
+    const isLast = at > width - 16;
+    context.textAlign = isLast ? "right" : "center";
+    context.fillText(second === 0 ? zero : `${Number(second.toPrecision(6))} s`, isLast ? width : at, height - 2);
   }
   context.textAlign = "left";
   context.fillText(unit, LEFT + 4, TOP + 9);

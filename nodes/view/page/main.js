@@ -211,17 +211,14 @@ function drawPictures() {
     drawArrows();
   });
   const age = page.status?.topics[0]?.age_ms ?? 0;
-  const newestText = age > SILENT ? `the last frame, ${wholeSeconds(age)} ago` : "now";
+  const newestText = age > SILENT ? "the last frame" : "now";
   screens.camera.caption.textContent = isLive ? newestText : new Date(frame.t).toLocaleTimeString();
   if (isLive) screens.camera.say(panels.missingIn(page.status, "camera"));
   drawPair(frame, isLive);
   drawStrip(frame);
   const [goal, outcome] = [record.before("goals", isLive ? Infinity : frame.t), record.before("outcomes", isLive ? Infinity : frame.t + AN_HOUR)];
   if (goal) show("goal", goal);
-  if (outcome) {
-    show("outcome", outcome);
-    screens.outcome.caption.textContent = "after the plan";
-  }
+  if (outcome) show("outcome", outcome);
   const candidates = record.before("candidatePictures", isLive ? Infinity : frame.t);
   if (candidates) show("candidate-pictures", candidates);
 }

@@ -136,7 +136,7 @@ export function candidatesPanel({ offer, assessment, canPick, pick }) {
   const words = `${offer.stamp}/${isOf ? assessment.stamp : ""}/${canPick}`;
   if (panel.dataset.words === words) return;
   panel.dataset.words = words;
-  say(element("candidates-text"), `${offer.chunks.length} of ${offer.policy || "a policy"}`);
+  say(element("candidates-text"), `${offer.chunks.length} offered by ${offer.policy || "a policy"}`);
   const items = offer.chunks.map((chunk, index) => {
     const [cost, success] = isOf ? (assessment.costs[index] ?? [null, null]) : [null, null];
     const item = make("li", "", isOf && assessment.best === index ? { class: "best" } : {});
@@ -189,7 +189,7 @@ export function nodesPanel({ status, isBag }) {
   const panel = element("nodes");
   // What a node says of a part of itself is shown where it is not well.
   const nodes = status.nodes.filter((node) => node.level > 0 || !node.name.includes(": "));
-  say(panel.querySelector(".missing"), nodes.length ? "" : "no node has said anything on /diagnostics yet");
+  say(panel.querySelector(".missing"), nodes.length ? "" : isBag ? "the bag has nothing on /diagnostics" : "no node has said anything on /diagnostics yet");
   const begin = (node) => {
     const [row, name, text, details] = ["tr", "td", "td", "details"].map((tag) => make(tag));
     name.append(make("span"), node.name.replace(/^\/?wm\//, ""));
