@@ -168,6 +168,13 @@ fn the_page_shows_the_main_job_live() {
         browser.wait_for("document.documentElement.scrollWidth <= 390", PATIENCE);
         picture(&mut browser, &format!("phone-{scheme}"));
     }
+    // There prediction and difference share a place.
+    let is_seen = |id: &str| format!("document.querySelector('#{id}').offsetParent !== null");
+    for [shown, hidden] in [["predicted", "difference"], ["difference", "predicted"]] {
+        browser.wait_for(&is_seen(shown), PATIENCE);
+        assert_eq!(browser.evaluate(&is_seen(hidden)), false, "{hidden}");
+        browser.evaluate(&format!("document.querySelector('#{shown} .swap').click()"));
+    }
     browser.size(1400, 1000);
     picture(&mut browser, "dark");
 
@@ -355,7 +362,10 @@ fn a_candidate_is_picked_where_that_is_permitted() {
         offers.publish(&offer).expect("published");
         std::thread::sleep(Duration::from_millis(100));
     }
-    assert_eq!(text(&mut browser, "#candidates-text"), "2 offered by two ways");
+    assert_eq!(
+        text(&mut browser, "#candidates-text"),
+        "2 offered by two ways"
+    );
     picture(&mut browser, "candidates");
     browser.evaluate(&format!("{buttons}[1].click()"));
     browser.wait_for(

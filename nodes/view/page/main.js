@@ -385,12 +385,16 @@ element("back").onclick = () => page.step(-1);
 element("forward").onclick = () => page.step(1);
 element("live").onclick = () => page.live();
 element("difference").querySelector(".screen").onclick = () => page.gain();
+for (const button of document.querySelectorAll("button.swap")) button.onclick = () => document.body.classList.toggle("difference");
 element("log-level").onchange = () => (drawn = "");
 element("token-form").onsubmit = (event) => {
   event.preventDefault();
   connection.use(element("token").value.trim());
 };
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (drawn = ""));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  drawn = "";
+  drawPanels();
+});
 setInterval(drawPanels, PANEL_PERIOD);
 
 // For benchmarks and tests.
