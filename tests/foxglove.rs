@@ -1,18 +1,14 @@
 //! Viewers that speak Foxglove's protocol, on the port of `wm view`: by hand, so that they can be slow and hostile, and with
 //! Foxglove's own client library.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    process::Command,
-    time::{Duration, Instant, SystemTime},
-};
+use std::{collections::BTreeMap, process::Command, time::SystemTime};
 
 use serde_json::{Value, json};
 
 use crate::{
     harness::{Process, Signal, bundled_bag, fresh_domain, resident, root, whole_suite, wm},
     view_process::{PATIENCE, View, body, free_port, player},
-    websocket::{Message, Socket, frame_of, open_at},
+    websocket::{Message, Socket, catch_up, frame_of, open_at, read_beside},
 };
 
 const NEWER: (&str, &str) = ("Sec-WebSocket-Protocol", "foxglove.sdk.v1");
@@ -43,41 +39,21 @@ impl Viewer {
         }
     }
 
-    /// Keeps what a message tells of channels; whether it did.
-    fn learn(&mut self, message: &Message) -> bool {
-        let Message::Text(text) = message else {
-            return false;
-        };
-        let list = |key: &str| text[key].as_array().cloned().unwrap_or_default();
-        for channel in list("channels") {
-            let topic = channel["topic"].as_str().expect("a topic").to_owned();
-            self.channels.insert(topic, channel);
-        }
-        let gone = list("channelIds");
-        self.channels
-            .retain(|_, channel| !gone.contains(&channel["id"]));
-        text["op"] == "advertise" || text["op"] == "unadvertise"
-    }
-
-    /// The next message that tells of no channels.
-    fn receive(&mut self) -> Message {
-        loop {
-            let message = self.socket.receive();
-            if !self.learn(&message) {
-                return message;
-            }
-        }
+    /// What `pick` makes of the first message that it is for and that tells of no channels.
+    fn until<T>(&mut self, what: &str, mut pick: impl FnMut(Message) -> Option<T>) -> T {
+        let Self { socket, channels } = self;
+        socket.until(what, |message| match learn(channels, &message) {
+            true => None,
+            false => pick(message),
+        })
     }
 
     /// Waits for the next message that tells of channels.
     fn news(&mut self) {
-        loop {
-            let message = self.socket.receive();
-            assert!(!matches!(message, Message::Closed), "the socket was closed");
-            if self.learn(&message) {
-                return;
-            }
-        }
+        let Self { socket, channels } = self;
+        socket.until("news of channels", |message| {
+            learn(channels, &message).then_some(())
+        });
     }
 
     /// The channel of a topic, once it is advertised.
@@ -102,33 +78,42 @@ impl Viewer {
 
     /// The next message of a topic: its subscription, its time \[ns\], and its CDR.
     fn data(&mut self) -> (u32, u64, Vec<u8>) {
-        loop {
-            match self.receive() {
-                Message::Bytes(bytes) => {
-                    assert_eq!(bytes[0], 1);
-                    let id = u32::from_le_bytes(bytes[1..5].try_into().expect("4 bytes"));
-                    let time = u64::from_le_bytes(bytes[5..13].try_into().expect("8 bytes"));
-                    return (id, time, bytes[13..].to_vec());
-                }
-                Message::Closed => panic!("the socket was closed"),
-                Message::Text(_) => {}
-            }
-        }
+        self.until("a message of a topic", |message| {
+            let Message::Bytes(bytes) = message else {
+                return None;
+            };
+            assert_eq!(bytes[0], 1);
+            let id = u32::from_le_bytes(bytes[1..5].try_into().expect("4 bytes"));
+            let time = u64::from_le_bytes(bytes[5..13].try_into().expect("8 bytes"));
+            Some((id, time, bytes[13..].to_vec()))
+        })
     }
 
     /// The next status.
     fn status(&mut self) -> (u64, String) {
-        loop {
-            match self.receive() {
-                Message::Text(text) if text["op"] == "status" => {
-                    let message = text["message"].as_str().expect("text").to_owned();
-                    return (text["level"].as_u64().expect("a level"), message);
-                }
-                Message::Closed => panic!("the socket was closed"),
-                _ => {}
+        self.until("a status", |message| match message {
+            Message::Text(text) if text["op"] == "status" => {
+                let message = text["message"].as_str().expect("text").to_owned();
+                Some((text["level"].as_u64().expect("a level"), message))
             }
-        }
+            _ => None,
+        })
     }
+}
+
+/// Keeps what a message tells of channels; whether it did.
+fn learn(channels: &mut BTreeMap<String, Value>, message: &Message) -> bool {
+    let Message::Text(text) = message else {
+        return false;
+    };
+    let list = |key: &str| text[key].as_array().cloned().unwrap_or_default();
+    for channel in list("channels") {
+        let topic = channel["topic"].as_str().expect("a topic").to_owned();
+        channels.insert(topic, channel);
+    }
+    let gone = list("channelIds");
+    channels.retain(|_, channel| !gone.contains(&channel["id"]));
+    text["op"] == "advertise" || text["op"] == "unadvertise"
 }
 
 fn text_of(message: Message) -> Value {
@@ -138,31 +123,23 @@ fn text_of(message: Message) -> Value {
     }
 }
 
-/// Whether the view's node is subscribed to a topic, by the next status of the page that tells of the node.
-fn is_subscribed(page: &mut Socket, topic: &str) -> bool {
+/// Whether the view's node is subscribed to a topic, by a status of the page; nothing where it does not tell of the node.
+fn told_subscription(status: &Value, topic: &str) -> Option<bool> {
     let key = format!("publishers of {topic}");
-    loop {
-        let status = match page.receive() {
-            Message::Text(text) => text,
-            Message::Closed => panic!("the page's socket was closed"),
-            Message::Bytes(_) => continue,
-        };
-        let nodes = status["nodes"].as_array().cloned().unwrap_or_default();
-        if let Some(node) = nodes.iter().find(|node| node["name"] == "wm/view") {
-            let values = node["values"].as_array().expect("values");
-            return values.iter().any(|pair| pair[0] == key);
-        }
-    }
+    let mut nodes = status["nodes"].as_array()?.iter();
+    let node = nodes.find(|node| node["name"] == "wm/view")?;
+    let values = node["values"].as_array().expect("values");
+    Some(values.iter().any(|pair| pair[0] == key))
+}
+
+fn is_subscribed(page: &mut Socket, topic: &str) -> bool {
+    page.until_op("status", |status| told_subscription(&status, topic))
 }
 
 fn wait_for_subscription(page: &mut Socket, topic: &str, is_so: bool) {
-    let start = Instant::now();
-    while is_subscribed(page, topic) != is_so {
-        assert!(
-            start.elapsed() < PATIENCE,
-            "{topic}: not {is_so} in {PATIENCE:?}"
-        );
-    }
+    page.until_op("status", |status| {
+        (told_subscription(&status, topic) == Some(is_so)).then_some(())
+    });
 }
 
 #[test]
@@ -353,7 +330,7 @@ fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
         let mut socket = client();
         // The server may have closed it before all is sent.
         let _ = socket.send_raw(bytes);
-        while !matches!(socket.receive(), Message::Closed) {}
+        socket.until_closed();
     }
     for text in [
         "{}",
@@ -362,7 +339,7 @@ fn pages_of_others_and_hostile_viewers_are_refused_and_harm_nobody() {
     ] {
         let mut socket = client();
         socket.send(text);
-        while !matches!(socket.receive(), Message::Closed) {}
+        socket.until_closed();
     }
     // What is well formed and not offered, or too much, is answered, and the client is served on.
     let mut viewer = Viewer::open(plain.port);
@@ -413,28 +390,14 @@ fn a_viewer_that_stands_still_costs_little_and_slows_nobody() {
     page.frame();
     let mut stalled = viewer();
     let before = resident(view.process.pid());
-    let start = Instant::now();
-    let mut seen = vec![BTreeSet::new(); others.len()];
-    while start.elapsed() < Duration::from_secs(6) {
-        for (viewer, seen) in others.iter_mut().zip(&mut seen) {
-            seen.insert(viewer.data().1);
-        }
+    let stamp = |viewer: &mut Viewer| viewer.data().1;
+    let common = read_beside(&mut others, stamp, || {
         page.frame();
-    }
-    let common = seen
-        .iter()
-        .skip(1)
-        .fold(seen[0].clone(), |all, one| &all & one);
-    assert!(common.len() > 50, "{}", common.len());
+    });
     let grown = resident(view.process.pid()).saturating_sub(before);
     assert!(grown < 32 << 20, "{grown} bytes more");
-    // When it reads again, it is soon at the present; what came in between it never gets, and is told so.
-    let newest = *seen[0].last().expect("messages");
-    let mut read = 1;
-    while stalled.data().1 < newest {
-        read += 1;
-    }
-    assert!(read < common.len(), "{read} of {}", common.len());
+    catch_up(&mut stalled, stamp, &common);
+    // It is told that something was left out.
     let (level, message) = stalled.status();
     assert!(
         level == 1 && message.contains("left out") && message.contains(CAMERA),

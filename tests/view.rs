@@ -18,7 +18,7 @@ use crate::{
     browser::Browser,
     harness::{Process, Signal, bundled_bag, fresh_domain, join, wait_until, whole_suite, wm},
     view_process::{PATIENCE, View, free_port, player},
-    websocket::{Message, Socket},
+    websocket::Socket,
 };
 
 /// Where pictures of the page are left for somebody to look at; nowhere, unless asked for.
@@ -161,11 +161,20 @@ fn the_page_shows_the_main_job_live() {
     browser.press("l");
     browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
 
-    // On a phone, and at night.
-    browser.size(390, 844);
-    browser.prefer("dark");
-    browser.wait_for("document.documentElement.scrollWidth <= 390", PATIENCE);
-    picture(&mut browser, "phone");
+    // On a phone, so high that all is seen, and at night.
+    browser.size(390, 2700);
+    for scheme in ["light", "dark"] {
+        browser.prefer(scheme);
+        browser.wait_for("document.documentElement.scrollWidth <= 390", PATIENCE);
+        picture(&mut browser, &format!("phone-{scheme}"));
+    }
+    // There prediction and difference share a place.
+    let is_seen = |id: &str| format!("document.querySelector('#{id}').offsetParent !== null");
+    for [shown, hidden] in [["predicted", "difference"], ["difference", "predicted"]] {
+        browser.wait_for(&is_seen(shown), PATIENCE);
+        assert_eq!(browser.evaluate(&is_seen(hidden)), false, "{hidden}");
+        browser.evaluate(&format!("document.querySelector('#{shown} .swap').click()"));
+    }
     browser.size(1400, 1000);
     picture(&mut browser, "dark");
 
@@ -208,11 +217,37 @@ fn a_page_without_data_says_what_is_missing_and_finds_its_node_again() {
         "document.querySelector('#error .missing').innerText !== ''",
         PATIENCE,
     );
+    assert_eq!(
+        text(&mut browser, "#state"),
+        "connected, waiting for /camera/image_raw"
+    );
     picture(&mut browser, "empty");
 
-    let _player = player(domain, "1");
+    let camera = player(domain, "1");
     browser.wait_for("wmView.page.latencies.length > 3", PATIENCE);
     assert!(colours(&mut browser, "camera") > 100);
+    assert_eq!(text(&mut browser, "#state"), "live");
+    // A camera that has stopped is not live, and the page says since when.
+    drop(camera);
+    browser.wait_for("document.body.dataset.state === 'stale'", PATIENCE);
+    let state = text(&mut browser, "#state");
+    assert!(state.starts_with("no frame for "), "{state}");
+    picture(&mut browser, "stale");
+    let _player = player(domain, "1");
+    browser.wait_for("document.body.dataset.state === 'live'", PATIENCE);
+
+    // What is no command is answered, and its answer is in the log; the connection stays.
+    let answer = browser.evaluate("wmView.connection.ask({ op: 'arm' })");
+    let reason = "op \"arm\": the field \"armed\" is missing; expected true or false";
+    assert_eq!(
+        (&answer["done"], &answer["text"]),
+        (&json!(false), &json!(reason))
+    );
+    browser.wait_for(
+        "document.querySelector('#log ol').innerText.includes('\"armed\" is missing')",
+        PATIENCE,
+    );
+    assert_eq!(text(&mut browser, "#state"), "live");
 
     view.process.signal(Signal::INT);
     let (status, _) = view.process.finish(PATIENCE);
@@ -327,7 +362,10 @@ fn a_candidate_is_picked_where_that_is_permitted() {
         offers.publish(&offer).expect("published");
         std::thread::sleep(Duration::from_millis(100));
     }
-    assert_eq!(text(&mut browser, "#candidates-text"), "2 of two ways");
+    assert_eq!(
+        text(&mut browser, "#candidates-text"),
+        "2 offered by two ways"
+    );
     picture(&mut browser, "candidates");
     browser.evaluate(&format!("{buttons}[1].click()"));
     browser.wait_for(
@@ -339,20 +377,13 @@ fn a_candidate_is_picked_where_that_is_permitted() {
     assert_eq!(picked.message, offer.chunks[1]);
 }
 
-/// What the executor does, by the next status that tells of one and satisfies `is_so`.
-fn executor_state(socket: &mut Socket, is_so: impl Fn(&str) -> bool) -> String {
-    loop {
-        match socket.receive() {
-            Message::Text(text) if text["op"] == "status" => {
-                match text["executor"]["state"].as_str() {
-                    Some(state) if is_so(state) => return state.to_owned(),
-                    _ => {}
-                }
-            }
-            Message::Closed => panic!("the socket was closed"),
-            _ => {}
-        }
-    }
+/// What the executor does, and why, by the next status that tells of one and satisfies `is_so`.
+fn executor_state(socket: &mut Socket, is_so: impl Fn(&str) -> bool) -> (String, String) {
+    socket.until_op("status", |status| {
+        let text = |key: &str| status["executor"][key].as_str().map(str::to_owned);
+        let state = text("state").filter(|state| is_so(state))?;
+        Some((state, text("reason")?))
+    })
 }
 
 #[test]
@@ -376,7 +407,7 @@ fn anybody_who_may_look_stops_the_executor_and_only_who_may_arms_it() {
     );
     let (stop, release) = (r#"{"op":"stop"}"#, r#"{"op":"release"}"#);
     for socket in [&mut looker, &mut armer] {
-        assert_eq!(executor_state(socket, |_| true), "dry run");
+        assert_eq!(executor_state(socket, |_| true).0, "dry run");
     }
     for command in [arm, release] {
         let (is_done, text) = ask(&mut looker, command);
@@ -386,7 +417,12 @@ fn anybody_who_may_look_stops_the_executor_and_only_who_may_arms_it() {
     executor_state(&mut looker, |state| state == "idle");
     let (is_done, text) = ask(&mut looker, stop);
     assert!(is_done, "{text}");
-    executor_state(&mut looker, |state| state == "stopped");
+    // Whoever reads that does not know a `~`, and wants to know who it was.
+    let (_, reason) = executor_state(&mut looker, |state| state == "stopped");
+    assert_eq!(
+        reason,
+        "/wm/view called /wm/executor/stop; to go on, call /wm/executor/reset, then /wm/executor/arm"
+    );
     // It stays so until somebody who may says otherwise.
     assert!(!ask(&mut armer, arm).0);
     assert!(ask(&mut armer, release).0);
@@ -465,7 +501,10 @@ fn a_port_that_is_taken_and_a_bag_that_is_none_are_named() {
         "{error}"
     );
     let error = failed(&["view", "/no/such/bag"]);
-    assert!(error.contains("no bag at /no/such/bag"), "{error}");
+    assert!(
+        error.contains("no bag at /no/such/bag") && error.matches("/no/such/bag").count() == 1,
+        "{error}"
+    );
     let error = failed(&["view", "--address", "robot"]);
     assert!(error.contains("\"robot\""), "{error}");
 }

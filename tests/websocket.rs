@@ -1,10 +1,13 @@
 //! A client of a WebSocket that does only what it is told, so that it can be as slow and as hostile as a test wants.
 
 use std::{
+    collections::BTreeSet,
     io::{BufRead as _, BufReader, Read as _, Write as _},
     net::TcpStream,
-    time::Duration,
+    time::{Duration, Instant},
 };
+
+use crate::view_process::PATIENCE;
 
 /// How long the server may take to say anything.
 const LIMIT: Duration = Duration::from_secs(20);
@@ -132,32 +135,96 @@ impl Socket {
         }
     }
 
-    /// The next answer to a command.
-    pub fn answer(&mut self) -> serde_json::Value {
+    /// What `pick` makes of the first message that it is for; until then messages are passed over.
+    pub fn until<T>(&mut self, what: &str, mut pick: impl FnMut(Message) -> Option<T>) -> T {
+        let start = Instant::now();
         loop {
             match self.receive() {
-                Message::Text(text) if text["op"] == "answer" => return text,
-                Message::Closed => panic!("the socket was closed"),
-                _ => {}
+                Message::Closed => panic!("{what}: the socket was closed, or silent for {LIMIT:?}"),
+                message => {
+                    if let Some(picked) = pick(message) {
+                        return picked;
+                    }
+                }
             }
+            assert!(start.elapsed() < PATIENCE, "{what}: not in {PATIENCE:?}");
         }
+    }
+
+    /// The same of texts with this `op`.
+    pub fn until_op<T>(
+        &mut self,
+        op: &str,
+        mut pick: impl FnMut(serde_json::Value) -> Option<T>,
+    ) -> T {
+        self.until(op, |message| match message {
+            Message::Text(text) if text["op"] == op => pick(text),
+            _ => None,
+        })
+    }
+
+    /// Reads until the server has closed the socket.
+    pub fn until_closed(&mut self) {
+        let start = Instant::now();
+        while !matches!(self.receive(), Message::Closed) {
+            assert!(start.elapsed() < PATIENCE, "still open after {PATIENCE:?}");
+        }
+    }
+
+    /// The next answer to a command.
+    pub fn answer(&mut self) -> serde_json::Value {
+        self.until_op("answer", Some)
     }
 
     /// The next camera picture: its stamp \[ns\], and when it arrived at the node.
     pub fn frame(&mut self) -> (i64, i64) {
-        loop {
-            match self.receive() {
-                Message::Bytes(bytes) if bytes[1] == 0 => {
-                    let stamp = |at: usize| {
-                        i64::from_le_bytes(bytes[at..at + 8].try_into().expect("8 bytes"))
-                    };
-                    return (stamp(4), stamp(20));
-                }
-                Message::Closed => panic!("the socket was closed"),
-                _ => {}
-            }
-        }
+        self.until("a camera picture", |message| {
+            let Message::Bytes(bytes) = message else {
+                return None;
+            };
+            let stamp =
+                |at: usize| i64::from_le_bytes(bytes[at..at + 8].try_into().expect("8 bytes"));
+            (bytes[1] == 0).then(|| (stamp(4), stamp(20)))
+        })
     }
+}
+
+/// How long clients read beside one that stands still.
+const BESIDE: Duration = Duration::from_secs(6);
+
+/// Lets clients read, each by `next`, which gives the stamp of what came, and `beside` between them; gives the stamps that
+/// came to all of them, which are many.
+pub fn read_beside<C, S: Copy + Ord>(
+    clients: &mut [C],
+    next: impl Fn(&mut C) -> S,
+    mut beside: impl FnMut(),
+) -> BTreeSet<S> {
+    let start = Instant::now();
+    let mut seen = vec![BTreeSet::new(); clients.len()];
+    while start.elapsed() < BESIDE {
+        for (client, seen) in clients.iter_mut().zip(&mut seen) {
+            seen.insert(next(client));
+        }
+        beside();
+    }
+    let common = seen.into_iter().reduce(|all, one| &all & &one);
+    let common = common.expect("clients");
+    assert!(common.len() > 50, "{}", common.len());
+    common
+}
+
+/// Lets a client that stood still read on: it is soon at `newest`, and what came to the others in between it never gets.
+pub fn catch_up<C, S: Copy + Ord>(
+    client: &mut C,
+    next: impl Fn(&mut C) -> S,
+    common: &BTreeSet<S>,
+) {
+    let newest = *common.last().expect("messages");
+    let mut read = 1;
+    while next(client) < newest {
+        read += 1;
+    }
+    assert!(read < common.len(), "{read} of {}", common.len());
 }
 
 /// The header of a frame of this many bytes that never come.

@@ -7,7 +7,9 @@ use wm_msgs::cdr::CdrError;
 #[non_exhaustive]
 pub enum BagError {
     /// Nothing is at this path.
-    #[error("no bag at {0}: no such file or directory")]
+    #[error(
+        "no bag at {0}: no such file or directory; expected the folder of a bag, or one of its .mcap files"
+    )]
     NotFound(PathBuf),
     /// The path is neither a bag directory nor an MCAP file.
     #[error("{path} is not a bag: {reason}")]

@@ -236,6 +236,6 @@ mod tests {
     #[test]
     fn a_bag_that_is_not_there_is_named_once() {
         let error = format!("{:#}", score_bag(Path::new("/no/such/bag")).unwrap_err());
-        assert_eq!(error, "no bag at /no/such/bag: no such file or directory");
+        assert_eq!(error.matches("/no/such/bag").count(), 1, "{error}");
     }
 }

@@ -9,6 +9,11 @@ use tokio::sync::watch;
 /// Identity of a reader or writer in the whole graph.
 pub(crate) type EndpointId = [u8; 16];
 
+/// The first twelve bytes of an endpoint's GUID name its participant.
+pub(crate) fn participant_of(id: &EndpointId) -> [u8; 12] {
+    std::array::from_fn(|index| id[index])
+}
+
 /// What an endpoint carries, which decides how the middleware spells its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Channel {

@@ -2,7 +2,10 @@
 
 use crate::{
     Error, Shutdown,
-    backend::{Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, Writer, Written},
+    backend::{
+        Backend, EndpointId, Reader, RequestId, Sample, Sink, WhenFull, Writer, Written,
+        participant_of,
+    },
     lifecycle::{Gate, Gated},
     mailbox::Mailbox,
     payload::Payload,
@@ -301,6 +304,11 @@ impl<S: wm_msgs::Service> Service<S> {
 }
 
 impl<S: wm_msgs::Service> Call<S> {
+    /// The GUID prefix of the participant that calls, of which [`Node::node_of`](crate::Node::node_of) may know the name.
+    pub fn participant(&self) -> [u8; 12] {
+        participant_of(&self.raw.id.client)
+    }
+
     /// Answers the call.
     ///
     /// # Errors

@@ -358,6 +358,10 @@ async fn services_answer_and_parameters_hold_what_is_given() {
     let (answer, ()) = soon("the answer", async {
         tokio::join!(slow.call(&asked), async {
             let call = resets.recv().await.unwrap();
+            assert_eq!(
+                server.node_of(call.participant()).as_deref(),
+                Some("/wm/client")
+            );
             let message = format!("seed {}", call.request.seed);
             call.respond(&ResetResponse {
                 success: true,
@@ -368,6 +372,19 @@ async fn services_answer_and_parameters_hold_what_is_given() {
     })
     .await;
     assert_eq!(answer.unwrap().message, "seed 11");
+
+    // Of several nodes in a participant, it is not known which one it was.
+    let (own, other) = (server.participant(), client_node.participant());
+    assert_eq!(server.node_of(own).as_deref(), Some("/wm/server"));
+    let mut changes = server.graph_changes();
+    let _second = node(&there, "second", "");
+    soon("the second node", async {
+        while server.node_of(other).is_some() {
+            changes.changed().await.unwrap();
+        }
+    })
+    .await;
+    assert_eq!(server.node_of([0; 12]), None);
 }
 
 #[tokio::test(flavor = "current_thread")]

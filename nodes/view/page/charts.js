@@ -31,10 +31,10 @@ const BOTTOM = 14;
 const TOP = 4;
 
 /**
- * Draws lines over time. `x` and `y` are [from, to], x in ms; `now` is where 0 s is. A line has points [t, value], a colour,
+ * Draws lines over time. `x` and `y` are [from, to], x in ms, y in `unit`; `now` is where 0 s is, and `zero` its name. A line has points [t, value], a colour,
  * and may be bold, faint or stepped; a mark is a horizontal line with a label.
  */
-export function lines(canvas, { x, y, now, series, marks = [], cursor = null }) {
+export function lines(canvas, { x, y, now, zero, unit, series, marks = [], cursor = null }) {
   const { context, width, height } = prepare(canvas);
   if (width < 2 * LEFT || !(x[1] > x[0]) || !(y[1] > y[0])) return;
   const across = (t) => LEFT + ((t - x[0]) / (x[1] - x[0])) * (width - LEFT - 2);
@@ -55,8 +55,14 @@ export function lines(canvas, { x, y, now, series, marks = [], cursor = null }) 
   context.textAlign = "center";
   for (const second of ticks((x[0] - now) / 1000, (x[1] - now) / 1000)) {
     const at = across(now + second * 1000);
-    if (at > LEFT + 8 && at < width - 12) context.fillText(`${Number(second.toPrecision(6))} s`, at, height - 2);
+    if (at < LEFT + 8) continue;
+    // The last one, at the right edge, ends there.
+    const isLast = at > width - 16;
+    context.textAlign = isLast ? "right" : "center";
+    context.fillText(second === 0 ? zero : `${Number(second.toPrecision(6))} s`, isLast ? width : at, height - 2);
   }
+  context.textAlign = "left";
+  context.fillText(unit, LEFT + 4, TOP + 9);
   context.save();
   context.beginPath();
   context.rect(LEFT, 0, width - LEFT, height - BOTTOM);

@@ -11,6 +11,10 @@ const element = (id) => document.getElementById(id);
 const GAINS = [1, 4, 16];
 /** How often what is not a picture is drawn anew [ms]. */
 const PANEL_PERIOD = 250;
+/** Without anything new for so long, what is shown is not live [ms]; the node says the same of a camera. */
+const SILENT = 3000;
+/** A pair of pictures that is older than this is marked as old [ms]. */
+const OLD = 5000;
 const AN_HOUR = 3_600_000;
 const MOST_LATENCIES = 600;
 
@@ -27,6 +31,8 @@ const page = {
   hello: null,
   status: null,
   isConnected: false,
+  /** When anything came from the node, since the page was opened [ms]. */
+  heard: 0,
   /** Where a bag is played from, and when that began. */
   playing: null,
   /** From a frame's capture until it was drawn here, the last ones [ms]. */
@@ -98,9 +104,11 @@ const page = {
 
 const connection = new Connection({
   message(message) {
+    page.heard = performance.now();
     if (message.op === "hello") {
       page.hello = message;
       page.isConnected = true;
+      page.status = page.newest = null;
       record.clear();
       pictures.clear();
       element("notice").hidden = true;
@@ -113,10 +121,16 @@ const connection = new Connection({
     changed();
   },
   picture({ label, blob }) {
+    page.heard = performance.now();
     pictures.add(label, blob);
     const t = Number(label.stamp) / 1e6;
     if (label.source === "camera") page.newest = { ...label, t };
     changed();
+  },
+  failed(text) {
+    const stamp = page.isBag && page.at ? page.at.stamp : `${Date.now()}000000`;
+    record.add({ t: "log", stamp, at: stamp, level: 30, node: "this page", text });
+    drawn = "";
   },
   state() {
     page.isConnected = false;
@@ -125,7 +139,7 @@ const connection = new Connection({
   refused(status, text) {
     page.isConnected = false;
     document.body.dataset.state = "refused";
-    element("state").textContent = "refused";
+    sayState();
     element("notice").textContent = text;
     element("notice").hidden = false;
     element("token-form").hidden = status !== 401;
@@ -151,21 +165,36 @@ function show(id, label, name = key(label), drawn) {
   screens[id].show(name, () => pictures.get(label), drawn);
 }
 
-const ago = (from, to) => {
-  const seconds = (to - from) / 1000;
-  return seconds < 0.05 ? "" : `, ${seconds.toFixed(1)} s ago`;
-};
+const wholeSeconds = (milliseconds) => `${Math.floor(milliseconds / 1000)} s`;
+
+/** How the page stands: a state, what it is called, and for how long it has been so, if that matters. */
+function stateOf() {
+  if (!page.isConnected) return document.body.dataset.state === "refused" ? ["refused", "refused"] : ["connecting", "not connected, trying again"];
+  if (page.isBag) return ["bag", page.playing ? "bag, playing" : "bag"];
+  if (page.at) return ["paused", "paused"];
+  const silence = performance.now() - page.heard;
+  if (silence > SILENT) return ["stale", "no message", silence];
+  const camera = page.status?.topics[0];
+  const age = camera?.age_ms ?? null;
+  if (age === null) return page.newest ? ["live", "live"] : ["waiting", `connected, waiting for ${camera?.name ?? "the node"}`];
+  return age > SILENT ? ["stale", "no frame", age] : ["live", "live"];
+}
+
+function sayState() {
+  const [state, words, age] = stateOf();
+  document.body.dataset.state = state;
+  const [text, time] = element("state").children;
+  if (text.textContent !== words) text.textContent = words;
+  // Of its own, so that not every second is read out.
+  time.textContent = age === undefined ? "" : ` for ${wholeSeconds(age)}`;
+}
 
 function drawPictures() {
   const isLive = !page.at && !page.isBag;
   // The picture itself comes before the event that tells of it.
   const newest = page.newest && page.newest.t >= (record.newest()?.t ?? 0) ? page.newest : record.newest();
   const frame = isLive ? newest : page.at;
-  document.body.dataset.state = !page.isConnected ? (document.body.dataset.state === "refused" ? "refused" : "connecting") : page.isBag ? "bag" : isLive ? "live" : "paused";
-  if (document.body.dataset.state !== "refused") {
-    const words = { bag: page.playing ? "bag, playing" : "bag", connecting: "connecting" };
-    element("state").textContent = words[document.body.dataset.state] ?? document.body.dataset.state;
-  }
+  sayState();
   if (!frame) {
     for (const id of ["camera", "predicted", "difference"]) screens[id].blank(panels.missingIn(page.status, id === "camera" ? id : "predicted") || (page.isConnected ? "" : "not connected"));
     return;
@@ -181,16 +210,15 @@ function drawPictures() {
     }
     drawArrows();
   });
-  screens.camera.caption.textContent = isLive ? "now" : new Date(frame.t).toLocaleTimeString();
+  const age = page.status?.topics[0]?.age_ms ?? 0;
+  const newestText = age > SILENT ? "the last frame" : "now";
+  screens.camera.caption.textContent = isLive ? newestText : new Date(frame.t).toLocaleTimeString();
   if (isLive) screens.camera.say(panels.missingIn(page.status, "camera"));
   drawPair(frame, isLive);
   drawStrip(frame);
   const [goal, outcome] = [record.before("goals", isLive ? Infinity : frame.t), record.before("outcomes", isLive ? Infinity : frame.t + AN_HOUR)];
   if (goal) show("goal", goal);
-  if (outcome) {
-    show("outcome", outcome);
-    screens.outcome.caption.textContent = "after the plan";
-  }
+  if (outcome) show("outcome", outcome);
   const candidates = record.before("candidatePictures", isLive ? Infinity : frame.t);
   if (candidates) show("candidate-pictures", candidates);
 }
@@ -211,7 +239,10 @@ function drawPair(frame, isLive) {
   }
   show("predicted", pair.picture);
   const ahead = ((k * record.period) / 1000).toFixed(1);
-  screens.predicted.caption.textContent = `${ahead} s before${isLive ? ago(pair.frame.t, frame.t) : ""}`;
+  const age = isLive ? frame.t - pair.frame.t : 0;
+  const ofWhat = age < 50 ? "this frame" : `the frame of ${(age / 1000).toFixed(1)} s ago`;
+  screens.predicted.caption.textContent = `${ahead} s in advance: ${ofWhat}`;
+  screens.predicted.caption.classList.toggle("old", age > OLD);
   const gain = GAINS[page.gainIndex];
   const difference = screens.difference;
   const name = `${key(pair.frame)} ${key(pair.picture)} ${gain}`;
@@ -225,7 +256,7 @@ function drawPair(frame, isLive) {
     difference.shown = name;
     difference.say("");
     page.psnr = psnr;
-    difference.caption.textContent = `${psnr.toFixed(1)} dB${heldPsnr === null ? "" : `, held frame ${heldPsnr.toFixed(1)} dB`}${gain > 1 ? `; × ${gain}` : ""}`;
+    difference.caption.textContent = `× ${gain}, PSNR ${psnr.toFixed(1)} dB${heldPsnr === null ? "" : ` (held frame: ${heldPsnr.toFixed(1)} dB)`}`;
   });
 }
 
@@ -287,6 +318,7 @@ let drawn = "";
 
 function drawPanels() {
   if (document.hidden || !page.hello) return;
+  sayState();
   const { status, k } = page;
   // What is said of a bag changes only with what is looked at.
   const view = `${page.at?.stamp}/${k}/${record.count}/${status?.now}/${innerWidth}`;
@@ -299,7 +331,7 @@ function drawPanels() {
   const screenLatency = page.at ? null : panels.median(page.latencies.slice(-25));
   panels.figures({ status, record, now: cursor ?? page.now, screenLatency });
   panels.errorPanel({ status, record, now, x, k, cursor, canTrust: !page.isBag });
-  panels.planPanel({ status, record, now: page.now, cursor, plan: planShown() });
+  panels.planPanel({ status, record, now: page.now, cursor, isLive: !page.at && !page.isBag, plan: planShown() });
   const until = page.at?.t ?? Infinity;
   panels.candidatesPanel({ offer: record.before("candidates", until), assessment: record.before("assessments", until + 2000), canPick: controls.canSteer, pick: (stamp, index) => controls.pick(stamp, index) });
   panels.logPanel({ record, until: page.isBag ? until : Infinity });
@@ -353,13 +385,17 @@ element("back").onclick = () => page.step(-1);
 element("forward").onclick = () => page.step(1);
 element("live").onclick = () => page.live();
 element("difference").querySelector(".screen").onclick = () => page.gain();
+for (const button of document.querySelectorAll("button.swap")) button.onclick = () => document.body.classList.toggle("difference");
 element("log-level").onchange = () => (drawn = "");
 element("token-form").onsubmit = (event) => {
   event.preventDefault();
   connection.use(element("token").value.trim());
 };
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (drawn = ""));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  drawn = "";
+  drawPanels();
+});
 setInterval(drawPanels, PANEL_PERIOD);
 
 // For benchmarks and tests.
-window.wmView = { page, record };
+window.wmView = { page, record, connection };

@@ -72,7 +72,7 @@ export function errorPanel({ status, record, now, x, k, cursor, canTrust = true 
   series.unshift({ points: band, gap, colour: colour("real"), wide: true });
   const highest = Math.max(1.5, ...errors.filter((error) => error.k === k).map((error) => error.ratio ?? 0));
   const marks = [{ value: 1, colour: colour("soft"), label: "held frame" }];
-  lines(panel.querySelector(".chart"), { x, y: [0, Math.min(4, highest * 1.1)], now, series, marks, cursor });
+  lines(panel.querySelector(".chart"), { x, y: [0, Math.min(4, highest * 1.1)], now, zero: canTrust ? "now" : "0 s", unit: "error ratio", series, marks, cursor });
   say(panel.querySelector(".missing"), errors.length ? "" : missingIn(status, "error"));
   const ratio = record.ratio(cursor ?? now);
   const doubt = status?.nodes.find((node) => node.name.endsWith("predictor") && /unlike those|no better than/.test(node.message));
@@ -82,25 +82,23 @@ export function errorPanel({ status, record, now, x, k, cursor, canTrust = true 
   trust.style.color = doubt || ratio >= 1 ? colour("bad") : ratio === null ? "" : colour("good");
 }
 
-const DIMENSIONS = [
-  ["dx", "x", 1000],
-  ["dy", "y", 1000],
-  ["dz", "z", 1000],
-];
+/** The colours of dx, dy and dz [m], the first three values of an action; the page's legend names them. */
+const AXES = ["x", "y", "z"];
+const MM = 1000;
 
 /** The actions that were taken, and those of the plan, in mm per s: an action lasts as long as it says. */
-export function planPanel({ status, record, now, cursor, plan }) {
+export function planPanel({ status, record, now, cursor, isLive, plan }) {
   const panel = element("plan");
   const at = cursor ?? now;
   const x = [at - 8000, at + 4000];
   const taken = record.within("actions", x[0], at);
   const series = [];
   let highest = 20;
-  for (const [index, [, tone, scale]] of DIMENSIONS.entries()) {
+  for (const [index, tone] of AXES.entries()) {
     const points = [];
     for (let number = 0; number + 1 < taken.length; number++) {
       const seconds = (taken[number + 1].t - taken[number].t) / 1000;
-      const speed = seconds > 0 ? (taken[number].values[index] * scale) / seconds : null;
+      const speed = seconds > 0 ? (taken[number].values[index] * MM) / seconds : null;
       points.push([taken[number].t, speed]);
       highest = Math.max(highest, Math.abs(speed ?? 0));
     }
@@ -108,35 +106,25 @@ export function planPanel({ status, record, now, cursor, plan }) {
     if (!plan) continue;
     const begin = Number(plan.actions.begin) / 1e6;
     const planned = plan.actions.values.map((values, number) => {
-      const speed = (values[index] * scale) / (plan.actions.period_ms / 1000);
+      const speed = (values[index] * MM) / (plan.actions.period_ms / 1000);
       highest = Math.max(highest, Math.abs(speed));
       return [begin + number * plan.actions.period_ms, speed];
     });
     if (planned.length) planned.push([begin + planned.length * plan.actions.period_ms, planned.at(-1)[1]]);
     series.push({ points: planned, stepped: true, bold: true, colour: colour(tone) });
   }
-  lines(panel.querySelector(".chart"), { x, y: [-highest * 1.1, highest * 1.1], now: at, series, cursor: at });
+  lines(panel.querySelector(".chart"), { x, y: [-highest * 1.1, highest * 1.1], now: at, zero: isLive ? "now" : "shown", unit: "mm/s", series, cursor: at });
   const note = panel.querySelector(":scope > .missing");
   say(note, plan ? "" : missingIn(status, "plan"));
   if (!plan) {
     say(element("plan-cost"), "");
-    element("plan-text").replaceChildren();
+    say(element("plan-text"), "");
     return;
   }
   const terms = plan.terms.length > 1 ? ` = ${plan.terms.map(([name, cost]) => `${name} ${fixed(cost)}`).join(" + ")}` : "";
   say(element("plan-cost"), `cost ${fixed(plan.cost)}${terms}`);
-  const text = element("plan-text");
-  const words = `${plan.planner}: ${plan.candidates} candidates in ${plan.taken_ms.toFixed(0)} ms${plan.cut ? ", cut by the deadline" : ""}; ` +
-    `distance to the goal ${fixed(plan.distance)}; cost by iteration ${plan.iterations.map((cost) => fixed(cost)).join(" → ")}. ` +
-    "Thin: taken, bold: planned, mm/s.";
-  if (text.dataset.words === words) return;
-  text.dataset.words = words;
-  text.replaceChildren(words);
-  for (const [name, tone] of DIMENSIONS) {
-    const swatch = make("span", "", { class: "swatch" });
-    swatch.style.background = colour(tone);
-    text.append(swatch, name);
-  }
+  say(element("plan-text"), `${plan.planner}: ${plan.candidates} candidates in ${plan.taken_ms.toFixed(0)} ms${plan.cut ? ", cut by the deadline" : ""}; ` +
+    `distance to the goal ${fixed(plan.distance)}; cost by iteration ${plan.iterations.map((cost) => fixed(cost)).join(" → ")}.`);
 }
 
 /** The candidates on offer, with a button each where one may be picked. */
@@ -148,7 +136,7 @@ export function candidatesPanel({ offer, assessment, canPick, pick }) {
   const words = `${offer.stamp}/${isOf ? assessment.stamp : ""}/${canPick}`;
   if (panel.dataset.words === words) return;
   panel.dataset.words = words;
-  say(element("candidates-text"), `${offer.chunks.length} of ${offer.policy || "a policy"}`);
+  say(element("candidates-text"), `${offer.chunks.length} offered by ${offer.policy || "a policy"}`);
   const items = offer.chunks.map((chunk, index) => {
     const [cost, success] = isOf ? (assessment.costs[index] ?? [null, null]) : [null, null];
     const item = make("li", "", isOf && assessment.best === index ? { class: "best" } : {});
@@ -174,8 +162,8 @@ export function executorPanel({ status, control, isBag }) {
   if (!executor) return;
   const isSilent = status.executor_age_ms > 3000;
   say(element("executor-state"), isSilent ? `${executor.state}, silent for ${(status.executor_age_ms / 1000).toFixed(0)} s` : executor.state);
-  say(element("executor-text"), `${executor.reason ? `${executor.reason}. ` : ""}begun ${executor.begun}, refused ${executor.refused}, ` +
-    `vetoed ${executor.vetoed}, interrupted ${executor.interrupted}`);
+  say(element("executor-text"), `${executor.reason ? `${executor.reason}. ` : ""}Chunks and plans: ${executor.begun} begun, ${executor.refused} refused, ` +
+    `${executor.vetoed} vetoed, ${executor.interrupted} interrupted.`);
   element("arm").hidden = control !== "all" || executor.state !== "dry run";
   element("release").hidden = control !== "all" || executor.state !== "stopped";
   element("disarm").hidden = executor.state === "dry run" || executor.state === "stopped";
@@ -201,7 +189,7 @@ export function nodesPanel({ status, isBag }) {
   const panel = element("nodes");
   // What a node says of a part of itself is shown where it is not well.
   const nodes = status.nodes.filter((node) => node.level > 0 || !node.name.includes(": "));
-  say(panel.querySelector(".missing"), nodes.length ? "" : "no node has said anything on /diagnostics yet");
+  say(panel.querySelector(".missing"), nodes.length ? "" : isBag ? "the bag has nothing on /diagnostics" : "no node has said anything on /diagnostics yet");
   const begin = (node) => {
     const [row, name, text, details] = ["tr", "td", "td", "details"].map((tag) => make(tag));
     name.append(make("span"), node.name.replace(/^\/?wm\//, ""));

@@ -30,7 +30,7 @@ export function parsePicture(buffer) {
 }
 
 export class Connection {
-  /** `on` has message(json), picture({label, blob}), state(text) and refused(status, text). */
+  /** `on` has message(json), picture({label, blob}), failed(text), state(text) and refused(status, text). */
   constructor(on) {
     this.on = on;
     this.wait = FIRST_WAIT;
@@ -74,6 +74,8 @@ export class Connection {
       }
       const message = JSON.parse(data);
       if (message.op === "answer") {
+        // One without a number is to what was no command at all.
+        if (!message.done) this.on.failed(message.text);
         this.answers.get(message.number)?.(message);
         this.answers.delete(message.number);
         return;

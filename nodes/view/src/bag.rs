@@ -6,7 +6,7 @@ use crate::{
     state::{Left, State, Topic},
     status::Heard,
 };
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use std::{
     collections::{BTreeMap, HashMap},
     path::Path,
@@ -72,8 +72,8 @@ impl Bag {
     ///
     /// # Errors
     /// It cannot be read.
-    pub fn open(path: &Path, heard: &[Heard]) -> Result<Self> {
-        let reader = BagReader::open(path).with_context(|| format!("bag {}", path.display()))?;
+    pub fn open(path: &Path, heard: &[Heard]) -> Result<Self, BagError> {
+        let reader = BagReader::open(path)?;
         for warning in reader.warnings() {
             tracing::warn!("{warning}");
         }

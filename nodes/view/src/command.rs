@@ -1,6 +1,9 @@
 //! What a client may ask for.
 
-use serde::{Deserialize, Deserializer, de::Error as _};
+use crate::picture::{Label, Source};
+use serde_json::{Map, Value};
+use std::fmt;
+use thiserror::Error;
 
 /// What the page may do beyond looking.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -24,48 +27,182 @@ impl Permission {
     }
 }
 
-/// A command of a client, as JSON. Those without fields have braces, without which serde would let any field pass.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(tag = "op", rename_all = "snake_case", deny_unknown_fields)]
+/// A command of a client.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
     /// Predictor, planner and evaluator forget what they observed.
-    Reset {},
+    Reset,
     /// A picture that was seen becomes the goal.
-    Goal {
-        source: String,
-        #[serde(deserialize_with = "stamp")]
-        stamp: i64,
-        #[serde(deserialize_with = "stamp")]
-        observed: i64,
-        k: u8,
-    },
+    Goal(Label),
     /// A candidate is what the policy is going to do.
-    Choose {
-        #[serde(deserialize_with = "stamp")]
-        stamp: i64,
-        index: usize,
-    },
+    Choose { stamp: i64, index: usize },
     /// The executor may send commands, or no longer.
     Arm { armed: bool },
     /// Emergency stop of the executor.
-    Stop {},
+    Stop,
     /// The emergency stop is over; the executor is not armed.
-    Release {},
+    Release,
 }
 
-fn stamp<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Error> {
-    let text = String::deserialize(deserializer)?;
-    text.parse().map_err(D::Error::custom)
+/// What can be asked for.
+const OPERATIONS: &str = "reset, goal, choose, arm, stop or release";
+/// How times are written: JavaScript's numbers do not hold them.
+const STAMP: &str = "a time in ns as a text, such as \"1732000000123456789\"";
+/// Characters of a value of a client's that an answer repeats.
+const LONGEST_QUOTE: usize = 40;
+
+/// Why a message of a client is no command. Each text names the operation and the field, what was expected and what came.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum Malformed {
+    /// No JSON, or none of this shape.
+    #[error("not a command: {0}; expected {{\"number\":1,\"command\":{{\"op\":\"stop\"}}}}")]
+    Shape(String),
+    /// The command says no operation.
+    #[error("the command has no \"op\"; expected {OPERATIONS}")]
+    NoOperation,
+    /// There is no such operation.
+    #[error("the command's \"op\" is {0}; expected {OPERATIONS}")]
+    Operation(String),
+    /// A field is missing.
+    #[error("op \"{op}\": the field \"{field}\" is missing; expected {expected}")]
+    Missing {
+        op: &'static str,
+        field: &'static str,
+        expected: &'static str,
+    },
+    /// A field has another value.
+    #[error("op \"{op}\": the field \"{field}\" is {came}; expected {expected}")]
+    Value {
+        op: &'static str,
+        field: &'static str,
+        came: String,
+        expected: &'static str,
+    },
+    /// A field that the operation does not have: it may have been meant to change what is done.
+    #[error("op \"{op}\" has no field {field}")]
+    Field { op: &'static str, field: String },
+}
+
+/// A value of a client's, as an answer repeats it.
+fn quoted(value: &Value) -> String {
+    let text = value.to_string();
+    match text.char_indices().nth(LONGEST_QUOTE) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text,
+    }
+}
+
+/// The fields of a command that are not taken yet.
+struct Fields {
+    op: &'static str,
+    left: Map<String, Value>,
+}
+
+impl Fields {
+    /// Takes a field, of which `read` makes a value if it is what is expected.
+    fn take<T>(
+        &mut self,
+        field: &'static str,
+        expected: &'static str,
+        read: impl FnOnce(&Value) -> Option<T>,
+    ) -> Result<T, Malformed> {
+        let op = self.op;
+        let value = self.left.remove(field).ok_or(Malformed::Missing {
+            op,
+            field,
+            expected,
+        })?;
+        read(&value).ok_or_else(|| Malformed::Value {
+            op,
+            field,
+            came: quoted(&value),
+            expected,
+        })
+    }
+
+    fn stamp(&mut self, field: &'static str) -> Result<i64, Malformed> {
+        self.take(field, STAMP, |value| value.as_str()?.parse().ok())
+    }
+
+    fn nothing_else(self) -> Result<(), Malformed> {
+        match self.left.keys().next() {
+            None => Ok(()),
+            Some(field) => Err(Malformed::Field {
+                op: self.op,
+                field: quoted(&Value::from(field.as_str())),
+            }),
+        }
+    }
+}
+
+/// As the log tells it.
+impl fmt::Display for Command {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Reset => f.write_str("reset what predictor, planner and evaluator observed"),
+            Self::Goal(label) => write!(
+                f,
+                "set as goal the picture {} of {} ns",
+                label.source.name(),
+                label.stamp_ns
+            ),
+            Self::Choose { stamp, index } => write!(f, "pick candidate {index} of {stamp} ns"),
+            Self::Arm { armed: true } => f.write_str("arm the executor"),
+            Self::Arm { armed: false } => f.write_str("disarm the executor"),
+            Self::Stop => f.write_str("stop the executor"),
+            Self::Release => f.write_str("release the stop of the executor"),
+        }
+    }
 }
 
 impl Command {
     /// What has to be permitted for it.
     pub const fn needs(&self) -> Permission {
         match self {
-            Self::Stop {} | Self::Arm { armed: false } => Permission::Nothing,
-            Self::Reset {} | Self::Goal { .. } | Self::Choose { .. } => Permission::Goals,
-            Self::Arm { armed: true } | Self::Release {} => Permission::All,
+            Self::Stop | Self::Arm { armed: false } => Permission::Nothing,
+            Self::Reset | Self::Goal(_) | Self::Choose { .. } => Permission::Goals,
+            Self::Arm { armed: true } | Self::Release => Permission::All,
         }
+    }
+
+    fn parse(command: Value) -> Result<Self, Malformed> {
+        let Value::Object(mut left) = command else {
+            let came = quoted(&command);
+            return Err(Malformed::Shape(format!("\"command\" is {came}")));
+        };
+        let named = left.remove("op").ok_or(Malformed::NoOperation)?;
+        let names = ["reset", "goal", "choose", "arm", "stop", "release"];
+        let op = names.into_iter().find(|name| named == **name);
+        let op = op.ok_or_else(|| Malformed::Operation(quoted(&named)))?;
+        let mut fields = Fields { op, left };
+        let command = match op {
+            "reset" => Self::Reset,
+            "goal" => Self::Goal(Label {
+                source: fields.take(
+                    "source",
+                    "camera, predicted, plan, candidates or goal",
+                    |value| Source::named(value.as_str()?),
+                )?,
+                stamp_ns: fields.stamp("stamp")?,
+                observed_ns: fields.stamp("observed")?,
+                step: fields.take("k", "an integer from 0 to 255", |value| {
+                    value.as_u64()?.try_into().ok()
+                })?,
+            }),
+            "choose" => Self::Choose {
+                stamp: fields.stamp("stamp")?,
+                index: fields.take("index", "an integer from 0", |value| {
+                    value.as_u64()?.try_into().ok()
+                })?,
+            },
+            "arm" => Self::Arm {
+                armed: fields.take("armed", "true or false", Value::as_bool)?,
+            },
+            "stop" => Self::Stop,
+            _ => Self::Release,
+        };
+        fields.nothing_else()?;
+        Ok(command)
     }
 }
 
@@ -80,20 +217,30 @@ impl Numbered {
     /// What a client has sent.
     ///
     /// # Errors
-    /// What is wrong with it, in words.
-    pub fn parse(text: &str) -> Result<Self, String> {
-        #[derive(Deserialize)]
-        #[serde(deny_unknown_fields)]
-        struct Raw {
-            number: u32,
-            command: Command,
+    /// What is wrong with it, and its number if it has one.
+    pub fn parse(text: &str) -> Result<Self, (Option<u32>, Malformed)> {
+        let shape = |reason: String| (None, Malformed::Shape(reason));
+        let message = serde_json::from_str(text).map_err(|error| shape(error.to_string()))?;
+        let Value::Object(mut message) = message else {
+            return Err(shape(format!("it is {}", quoted(&message))));
+        };
+        let number = match message.remove("number") {
+            None => return Err(shape("\"number\" is missing".to_owned())),
+            Some(number) => number
+                .as_u64()
+                .and_then(|number| u32::try_from(number).ok())
+                .ok_or_else(|| shape(format!("\"number\" is {}", quoted(&number))))?,
+        };
+        let numbered = |malformed| (Some(number), malformed);
+        let missing = || numbered(Malformed::Shape("\"command\" is missing".to_owned()));
+        let command = message.remove("command").ok_or_else(missing)?;
+        if let Some(field) = message.keys().next() {
+            let field = quoted(&Value::from(field.as_str()));
+            let reason = format!("{field} is no part of it");
+            return Err(numbered(Malformed::Shape(reason)));
         }
-        let raw: Raw =
-            serde_json::from_str(text).map_err(|error| format!("not a command: {error}"))?;
-        Ok(Self {
-            number: raw.number,
-            command: raw.command,
-        })
+        let command = Command::parse(command).map_err(numbered)?;
+        Ok(Self { number, command })
     }
 }
 
@@ -102,9 +249,12 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn read(command: &str) -> Result<Numbered, (Option<u32>, Malformed)> {
+        Numbered::parse(&format!("{{\"number\":7,\"command\":{command}}}"))
+    }
+
     #[test]
     fn commands_are_read_and_need_what_they_do() {
-        let read = |text: &str| Numbered::parse(&format!("{{\"number\":7,\"command\":{text}}}"));
         let expected = [
             (r#"{"op":"stop"}"#, Permission::Nothing),
             (r#"{"op":"arm","armed":false}"#, Permission::Nothing),
@@ -128,21 +278,109 @@ mod tests {
                 "{text}"
             );
         }
-        for wrong in [
-            r#"{"op":"launch"}"#,
-            r#"{"op":"stop","now":true}"#,
-            r#"{"op":"goal","source":"camera","stamp":17,"observed":"1","k":0}"#,
-            r#"{"op":"choose","stamp":"5","index":-1}"#,
-            "[]",
-        ] {
-            assert!(read(wrong).is_err(), "{wrong}");
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_command_is_named_with_its_operation_and_field() {
+        let cases = [
+            (
+                r#"{"op":"arm"}"#,
+                r#"op "arm": the field "armed" is missing; expected true or false"#,
+            ),
+            (
+                r#"{"op":"arm","armed":"yes"}"#,
+                r#"op "arm": the field "armed" is "yes"; expected true or false"#,
+            ),
+            (
+                r#"{"op":"stop","now":true}"#,
+                r#"op "stop" has no field "now""#,
+            ),
+            (
+                r#"{"op":"reset","armed":1}"#,
+                r#"op "reset" has no field "armed""#,
+            ),
+            (
+                r#"{"op":"release","":0}"#,
+                r#"op "release" has no field """#,
+            ),
+            (
+                r#"{"op":"goal","source":"sky","stamp":"1","observed":"1","k":0}"#,
+                r#"op "goal": the field "source" is "sky"; expected camera, predicted, plan, candidates or goal"#,
+            ),
+            (
+                r#"{"op":"goal","source":"camera","stamp":17,"observed":"1","k":0}"#,
+                r#"op "goal": the field "stamp" is 17; expected a time in ns as a text, such as "1732000000123456789""#,
+            ),
+            (
+                r#"{"op":"goal","source":"camera","stamp":"17","k":0}"#,
+                r#"op "goal": the field "observed" is missing; expected a time in ns as a text, such as "1732000000123456789""#,
+            ),
+            (
+                r#"{"op":"goal","source":"camera","stamp":"17","observed":"1","k":256}"#,
+                r#"op "goal": the field "k" is 256; expected an integer from 0 to 255"#,
+            ),
+            (
+                r#"{"op":"choose","stamp":"5"}"#,
+                r#"op "choose": the field "index" is missing; expected an integer from 0"#,
+            ),
+            (
+                r#"{"op":"choose","stamp":"5","index":-1}"#,
+                r#"op "choose": the field "index" is -1; expected an integer from 0"#,
+            ),
+            (
+                r#"{"op":"launch"}"#,
+                r#"the command's "op" is "launch"; expected reset, goal, choose, arm, stop or release"#,
+            ),
+            (
+                r#"{"armed":true}"#,
+                r#"the command has no "op"; expected reset, goal, choose, arm, stop or release"#,
+            ),
+            (
+                r#""stop""#,
+                r#"not a command: "command" is "stop"; expected {"number":1,"command":{"op":"stop"}}"#,
+            ),
+        ];
+        for (text, expected) in cases {
+            let error = read(text).unwrap_err();
+            assert_eq!((error.0, error.1.to_string().as_str()), (Some(7), expected));
         }
+    }
+
+    #[test]
+    fn what_is_no_message_of_this_shape_is_answered_without_a_number() {
+        let cases = [
+            ("[]", "it is []"),
+            ("{}", "\"number\" is missing"),
+            ("stop", "expected value at line 1 column 1"),
+            (r#"{"number":-1,"command":{}}"#, "\"number\" is -1"),
+        ];
+        for (text, reason) in cases {
+            let (number, malformed) = Numbered::parse(text).unwrap_err();
+            assert_eq!(
+                (number, malformed),
+                (None, Malformed::Shape(reason.to_owned()))
+            );
+        }
+        let (number, malformed) = Numbered::parse(r#"{"number":7}"#).unwrap_err();
+        assert!(number == Some(7) && malformed.to_string().contains("\"command\" is missing"));
+        let more = r#"{"number":7,"command":{"op":"stop"},"token":"x"}"#;
+        let (_, malformed) = Numbered::parse(more).unwrap_err();
+        assert!(malformed.to_string().contains("\"token\" is no part of it"));
     }
 
     proptest! {
         #[test]
-        fn whatever_a_client_sends_is_a_command_or_an_error(text in ".{0,200}") {
-            let _ = Numbered::parse(&text);
+        fn whatever_a_client_sends_is_a_command_or_a_short_error(text in ".{0,200}") {
+            if let Err((_, malformed)) = Numbered::parse(&text) {
+                prop_assert!(malformed.to_string().len() < 600);
+            }
+        }
+
+        #[test]
+        fn a_value_of_any_length_is_repeated_in_short(value in ".{0,2000}") {
+            let command = serde_json::json!({ "op": "arm", "armed": value });
+            let (_, malformed) = read(&command.to_string()).unwrap_err();
+            prop_assert!(malformed.to_string().len() < 600, "{malformed}");
         }
     }
 }

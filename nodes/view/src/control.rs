@@ -2,7 +2,7 @@
 
 use crate::{
     command::{Command, Permission},
-    picture::{Format, Label, Picture, Source},
+    picture::{Format, Picture},
     server::Shared,
 };
 use futures::future::join_all;
@@ -86,21 +86,8 @@ impl Control {
         // Published from here, where the publishers are; what a goal takes was looked up by then.
         let published = match &command {
             Command::Choose { stamp, index } => Some(self.choose(&shared, *stamp, *index)),
-            Command::Goal {
-                source,
-                stamp,
-                observed,
-                k,
-            } => {
-                let source = Source::named(source);
-                let label = source.map(|source| Label {
-                    source,
-                    step: *k,
-                    stamp_ns: *stamp,
-                    observed_ns: *observed,
-                });
-                let picture =
-                    label.and_then(|label| shared.known().state.album.find(&label).cloned());
+            Command::Goal(label) => {
+                let picture = shared.known().state.album.find(label).cloned();
                 Some(self.set_goal(picture.as_deref()))
             }
             _ => None,
@@ -110,7 +97,7 @@ impl Control {
                 return published;
             }
             match command {
-                Command::Reset {} => reset(&resets.ok_or_else(not_permitted)?).await,
+                Command::Reset => reset(&resets.ok_or_else(not_permitted)?).await,
                 command => {
                     let executor = executor.ok_or("no executor has been heard of")?;
                     executor.run(&command).await
@@ -218,9 +205,9 @@ impl ExecutorClients {
     async fn run(&self, command: &Command) -> Answer {
         let outcome: Outcome = match command {
             Command::Arm { armed } => ask(&self.arm, &SetBoolRequest { data: *armed }).await?,
-            Command::Stop {} => ask(&self.stop, &TriggerRequest::default()).await?,
-            Command::Release {} => ask(&self.release, &TriggerRequest::default()).await?,
-            Command::Reset {} | Command::Goal { .. } | Command::Choose { .. } => {
+            Command::Stop => ask(&self.stop, &TriggerRequest::default()).await?,
+            Command::Release => ask(&self.release, &TriggerRequest::default()).await?,
+            Command::Reset | Command::Goal(_) | Command::Choose { .. } => {
                 return Err("not a command for the executor".to_owned());
             }
         };

@@ -444,13 +444,13 @@ impl Hearing {
             command,
             answers,
         } = asked;
-        tracing::info!("a client asks: {command:?}");
+        tracing::info!("a client of the page asks to {command}");
         let answer = self.control.run(command, &self.shared);
         self.running.push(Box::pin(async move {
             let answer: Answer = answer.await;
             let answer = answer.as_deref().map_err(String::as_str);
             // A client that is gone needs none.
-            answers.try_send(socket::answer(number, answer)).ok();
+            answers.try_send(socket::answer(Some(number), answer)).ok();
         }));
     }
 }

@@ -26,7 +26,10 @@ const ANSWERS: usize = 16;
 /// The shortest time from one delivery to the next: at a camera of 200 Hz, a client still gets 60 pictures a second.
 const PACE: Duration = Duration::from_millis(16);
 
-/// Serves a client until it goes, stands still, or says something that is no command.
+/// Messages of a client that are no commands and are answered; with the next one it is let go, which can only mean harm.
+const MALFORMED: usize = 20;
+
+/// Serves a client until it goes, stands still, or has sent too much that is no command.
 pub async fn serve(socket: WebSocket, shared: &Shared) {
     // So that it does not wait for the next one.
     shared.renew_status();
@@ -92,10 +95,26 @@ async fn receive(
     shared: &Shared,
     answers: mpsc::Sender<String>,
 ) -> Result<(), String> {
+    let mut malformed = 0;
+    let mut refuse = |number, reason: &str| {
+        malformed += 1;
+        if malformed > MALFORMED {
+            return Err(format!("{malformed} messages were no commands; {reason}"));
+        }
+        // A client that does not read them misses some.
+        answers.try_send(answer(number, Err(reason))).ok();
+        Ok(())
+    };
     while let Some(message) = stream.next().await {
         match message.map_err(|error| error.to_string())? {
             Message::Text(text) => {
-                let Numbered { number, command } = Numbered::parse(&text)?;
+                let Numbered { number, command } = match Numbered::parse(&text) {
+                    Ok(numbered) => numbered,
+                    Err((number, malformed)) => {
+                        refuse(number, &malformed.to_string())?;
+                        continue;
+                    }
+                };
                 let permission = shared.settings().permission;
                 let refused = if command.needs() > permission {
                     Some("not permitted: the parameter control says what is")
@@ -111,10 +130,10 @@ async fn receive(
                     sent.is_err().then_some("too many commands wait")
                 };
                 if let Some(reason) = refused {
-                    answers.try_send(answer(number, Err(reason))).ok();
+                    answers.try_send(answer(Some(number), Err(reason))).ok();
                 }
             }
-            Message::Binary(_) => return Err("it sent bytes".to_owned()),
+            Message::Binary(_) => refuse(None, "not a command: it is binary; expected text")?,
             Message::Close(_) => break,
             Message::Ping(_) | Message::Pong(_) => {}
         }
@@ -122,8 +141,8 @@ async fn receive(
     Ok(())
 }
 
-/// The answer to a command.
-pub fn answer(number: u32, result: Result<&str, &str>) -> String {
+/// The answer to a command; without a number where the message had none.
+pub fn answer(number: Option<u32>, result: Result<&str, &str>) -> String {
     let (is_done, text) = match result {
         Ok(text) => (true, text),
         Err(text) => (false, text),

@@ -281,7 +281,7 @@ fn missing(state: &mut State, heard: &[Heard], now_ns: i64) -> Vec<Missing> {
         let text = if has_predictions {
             "no error yet: it takes the frame of the predicted time"
         } else {
-            "no predictions, no errors"
+            "no predictions yet, so no errors"
         };
         miss("error", text.to_owned());
     }

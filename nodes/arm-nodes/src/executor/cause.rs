@@ -85,8 +85,8 @@ pub enum Cause {
     ClockJump,
     /// The node ends.
     Shutdown,
-    /// An emergency stop, and who asked for it.
-    Emergency(&'static str),
+    /// An emergency stop, and who asked for it how.
+    Emergency(String),
     /// It moves, but not along these axes (x, y, z): the workspace box ends there.
     Cut([bool; 3]),
     /// It moves, but not all joints: some are at their limits.
@@ -106,7 +106,7 @@ impl fmt::Display for Cause {
             Self::Disarmed => f.write_str("disarmed"),
             Self::ClockJump => f.write_str("the clock jumped back: disarmed"),
             Self::Shutdown => f.write_str("the node ends"),
-            Self::Emergency(by) => write!(f, "emergency stop by {by}: until ~/reset and ~/arm"),
+            Self::Emergency(by) => write!(f, "{by}; to go on, call ~/reset, then ~/arm"),
             Self::Cut(axes) => {
                 f.write_str("the workspace box ends at")?;
                 for (name, is_cut) in ["x", "y", "z"].iter().zip(axes) {

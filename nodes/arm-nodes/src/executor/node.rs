@@ -230,6 +230,7 @@ pub async fn body(node: Node) -> Result<()> {
             status,
         },
         told: None,
+        node: node.clone(),
     };
     let name = node.fully_qualified_name();
     if parameters.arm_on_start {
@@ -253,7 +254,7 @@ pub async fn body(node: Node) -> Result<()> {
                 is_ending = true;
                 if beat.is_clock() {
                     // Its clock may stand still for ever.
-                    executor.step.stop("shutdown");
+                    executor.step.stop("the node ends");
                     executor.tick(beat.now())?;
                     return executor.outlets.settle().await;
                 }
@@ -322,6 +323,7 @@ impl Outlets {
 }
 
 struct Executor {
+    node: Node,
     step: ExecutorStep,
     outlets: Outlets,
     complaints: Complaints,
@@ -332,6 +334,8 @@ struct Executor {
 
 /// The status goes out at least this often.
 pub(super) const STATUS_PERIOD: Duration = Duration::from_secs(1);
+/// Who calls where the graph does not tell.
+const SOMEBODY: &str = "somebody";
 /// How long the last command may take to arrive: less than a process has to end after a signal.
 const FAREWELL: Duration = Duration::from_millis(300);
 
@@ -343,11 +347,19 @@ impl Executor {
         }
     }
 
-    /// Sends the command of this period; whether the arm moves.
+    /// Sends the command of this period, and tells of it; whether the arm moves.
     fn tick(&mut self, now: Now) -> Result<bool> {
+        let is_moving = self.act(now)?;
+        self.tell(now)?;
+        Ok(is_moving)
+    }
+
+    /// Sends the command of this period; whether the arm moves.
+    fn act(&mut self, now: Now) -> Result<bool> {
         let tick = self.step.tick(now);
         for refusal in &tick.refused {
-            self.complaints.left_out(refusal.reason(), refusal);
+            let text = self.spelled(&refusal.to_string());
+            self.complaints.left_out(refusal.reason(), &text);
         }
         let header = self.header(now.stamp_ns);
         let mut is_moving = false;
@@ -366,7 +378,6 @@ impl Executor {
                 self.send(&header, command)?;
             }
         }
-        self.tell(now)?;
         Ok(is_moving)
     }
 
@@ -425,7 +436,7 @@ impl Executor {
                 return Ok(());
             }
             if told.state != status.state {
-                let text = format!("{}: {}", name(status.state), status.reason);
+                let text = format!("{}: {}", name(status.state), self.spelled(&status.reason));
                 match status.state {
                     State::Stopped => error!("{text}"),
                     _ => info!("{}", text.trim_end_matches(": ")),
@@ -437,12 +448,14 @@ impl Executor {
             State::Stopping => Level::Warn,
             State::DryRun | State::Idle | State::Executing => Level::Ok,
         };
-        let text = match status.reason.as_str() {
+        let reason = self.spelled(&status.reason);
+        let text = match reason.as_str() {
             "" => name(status.state).to_owned(),
             reason => format!("{}: {reason}", name(status.state)),
         };
         self.diagnostics.set_status(level, text);
-        let message = message::status(self.header(now.stamp_ns), &status);
+        let mut message = message::status(self.header(now.stamp_ns), &status);
+        message.reason = reason;
         self.outlets.status.publish(&message)?;
         self.draw(message.header)?;
         self.told = Some((status, now.at));
@@ -461,9 +474,22 @@ impl Executor {
         Ok(())
     }
 
+    /// Names of this node's own, in full: who reads a log or a page does not know whose `~` is.
+    fn spelled(&self, text: &str) -> String {
+        text.replace("~/", &format!("{}/", self.node.fully_qualified_name()))
+    }
+
+    /// Logs who called a service of this node, as far as the graph tells; gives the same text.
+    fn log_call(&self, participant: [u8; 12], service: &str) -> String {
+        let node = self.node.node_of(participant);
+        let text = format!("{} called ~/{service}", node.as_deref().unwrap_or(SOMEBODY));
+        info!("{}", self.spelled(&text));
+        text
+    }
+
     fn take(&mut self, source: Source, taken: Result<Taken, Refusal>) {
         if let Err(refusal) = taken {
-            let text = format!("{}: {refusal}", source.name());
+            let text = self.spelled(&format!("{}: {refusal}", source.name()));
             self.complaints.left_out(refusal.reason(), &text);
         }
     }
@@ -504,37 +530,48 @@ impl Executor {
         Ok(())
     }
 
-    fn obey(&mut self, request: Request, now: Now) -> Result<()> {
-        let outcome = |done: Result<(), super::ArmError>, what: &str| match done {
-            Ok(()) => Outcome {
-                success: true,
-                message: what.to_owned(),
-            },
+    /// The answer to a call; why it is refused is in the log too.
+    fn outcome(&self, done: Result<(), super::ArmError>, what: &str) -> Outcome {
+        let message = match &done {
+            Ok(()) => what.to_owned(),
             Err(refused) => {
-                warn!("{refused}");
-                Outcome {
-                    success: false,
-                    message: refused.to_string(),
-                }
+                let message = self.spelled(&refused.to_string());
+                warn!("{message}");
+                message
             }
         };
+        Outcome {
+            success: done.is_ok(),
+            message,
+        }
+    }
+
+    fn obey(&mut self, request: Request, now: Now) -> Result<()> {
+        // Each is obeyed before the graph is searched for who called: an arm does not wait for that.
         match request {
             Request::Arm(call) if call.request.data => {
-                answer(call, &outcome(self.step.arm(), "armed"));
+                let armed = self.step.arm();
+                self.log_call(call.participant(), "arm (true)");
+                answer(call, &self.outcome(armed, "armed"));
             }
             Request::Arm(call) => {
                 self.step.disarm(Cause::Disarmed);
-                answer(call, &outcome(Ok(()), "disarmed"));
+                self.log_call(call.participant(), "arm (false)");
+                answer(call, &self.outcome(Ok(()), "disarmed"));
             }
             Request::Stop(call) => {
-                self.step.stop("~/stop");
-                self.tick(now)?;
-                answer(call, &outcome(Ok(()), "stopped"));
-                return Ok(());
+                let is_first = self.step.stop(&format!("{SOMEBODY} called ~/stop"));
+                self.act(now)?;
+                let by = self.log_call(call.participant(), "stop");
+                if is_first {
+                    self.step.name_stopper(by);
+                }
+                answer(call, &self.outcome(Ok(()), "stopped"));
             }
             Request::Reset(call) => {
                 let reset = self.step.reset();
-                answer(call, &outcome(reset, "reset: not armed"));
+                self.log_call(call.participant(), "reset");
+                answer(call, &self.outcome(reset, "reset: not armed"));
             }
         }
         self.tell(now)

@@ -13,7 +13,7 @@ pub enum Refusal {
     #[error("not armed: expected a call of ~/arm")]
     NotArmed,
     /// An emergency stop is latched.
-    #[error("emergency stop: expected a call of ~/reset")]
+    #[error("stopped: expected a call of ~/reset, then ~/arm")]
     Stopped,
     /// Nobody knows what time it is: with `use_sim_time`, nothing has come on `/clock`.
     #[error("no message on /clock yet; expected one, since use_sim_time is set")]

@@ -154,13 +154,13 @@ pub struct Counts {
 #[non_exhaustive]
 pub enum ArmError {
     /// An emergency stop is latched.
-    #[error("emergency stop: call ~/reset first")]
+    #[error("stopped: call ~/reset first")]
     Stopped,
     /// It has been disarmed, and has yet to stand still.
     #[error("still coming to a stop: call again in a moment")]
     Stopping,
     /// Somebody still asks for the emergency stop.
-    #[error("emergency_stop still says true")]
+    #[error("the topic emergency_stop still says true")]
     Pressed,
 }
 
@@ -479,15 +479,15 @@ impl ExecutorStep {
     pub fn emergency(&mut self, is_pressed: bool) {
         self.is_pressed = is_pressed;
         if is_pressed {
-            self.stop("emergency_stop");
+            self.stop("the topic emergency_stop says true");
         }
     }
 
-    /// The emergency stop, asked for by `by`: the next command is zero, and the node is disarmed until
-    /// [`Self::reset`] and [`Self::arm`].
-    pub fn stop(&mut self, by: &'static str) {
+    /// The emergency stop; `by` says who asked for it how. The next command is zero, and the node is disarmed until
+    /// [`Self::reset`] and [`Self::arm`]. False where it was stopped already.
+    pub fn stop(&mut self, by: &str) -> bool {
         if matches!(self.phase, Phase::Stopped(_)) {
-            return;
+            return false;
         }
         self.is_busy = self.phase != Phase::DryRun;
         self.rest = None;
@@ -498,7 +498,15 @@ impl ExecutorStep {
         }
         self.gripper = None;
         self.forget();
-        self.phase = Phase::Stopped(Cause::Emergency(by));
+        self.phase = Phase::Stopped(Cause::Emergency(by.to_owned()));
+        true
+    }
+
+    /// Who asked for the emergency stop, once that is known.
+    pub fn name_stopper(&mut self, by: String) {
+        if let Phase::Stopped(cause) = &mut self.phase {
+            *cause = Cause::Emergency(by);
+        }
     }
 
     /// Ends an emergency stop, and forgets all that is known of offers and predictions. The node is not armed.

@@ -3,7 +3,7 @@
 use super::Node;
 use crate::{
     Error, Qos,
-    backend::{Channel, EndpointId, Seen},
+    backend::{Channel, Seen, participant_of},
 };
 use std::collections::BTreeMap;
 
@@ -67,11 +67,6 @@ impl RemoteEndpoint {
     }
 }
 
-/// The first twelve bytes of an endpoint's GUID name its participant.
-fn participant_of(id: &EndpointId) -> [u8; 12] {
-    std::array::from_fn(|index| id[index])
-}
-
 impl Node {
     /// The GUID prefix of this context's participant.
     pub fn participant(&self) -> [u8; 12] {
@@ -82,6 +77,20 @@ impl Node {
     pub fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
         let seen = self.inner.backend().seen();
         seen.into_iter().filter_map(RemoteEndpoint::of).collect()
+    }
+
+    /// The full name of the node of a participant, this context's included. Nodes tell of themselves by the services of
+    /// their parameters; `None` where the participant has several nodes, or none that has these services.
+    pub fn node_of(&self, participant: [u8; 12]) -> Option<String> {
+        let seen = self.inner.backend().seen().into_iter();
+        let mut nodes = seen.filter_map(|seen| {
+            let is_server = seen.channel == Channel::Request && !seen.is_writer;
+            let is_its = is_server && participant_of(&seen.id) == participant;
+            let name = is_its.then(|| seen.name.strip_suffix("/get_parameters"));
+            name.flatten().map(str::to_owned)
+        });
+        let node = nodes.next()?;
+        nodes.all(|other| other == node).then_some(node)
     }
 
     /// The endpoints of topics.

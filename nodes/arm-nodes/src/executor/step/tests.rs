@@ -449,9 +449,15 @@ fn the_emergency_stop_is_at_once_and_latches() {
 #[test]
 fn an_emergency_stop_while_not_armed_sends_nothing() {
     let mut bench = Bench::new(settings());
-    bench.step.stop("~/stop");
+    assert!(bench.step.stop("somebody called ~/stop"));
     assert_eq!(bench.run(0, 500), None);
-    assert!(bench.reason().contains("~/stop"), "{}", bench.reason());
+    // Who it was is known after the stop; a second one changes nothing.
+    bench.step.name_stopper("/wm/view called ~/stop".to_owned());
+    assert!(!bench.step.stop("the node ends"));
+    assert_eq!(
+        bench.reason(),
+        "/wm/view called ~/stop; to go on, call ~/reset, then ~/arm"
+    );
 }
 
 #[test]
