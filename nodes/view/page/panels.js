@@ -82,38 +82,48 @@ export function errorPanel({ status, record, now, x, k, cursor, canTrust = true 
   trust.style.color = doubt || ratio >= 1 ? colour("bad") : ratio === null ? "" : colour("good");
 }
 
-/** The colours of dx, dy and dz [m], the first three values of an action; the page's legend names them. */
+/** The colours of the first three values of an action: of Bridge V2's seven these are dx, dy and dz [m]. */
 const AXES = ["x", "y", "z"];
+const BRIDGE_VALUES = 7;
 const MM = 1000;
+const LEGENDS = {
+  bridge: ["dx forward", "dy left", "dz up: the end effector's velocity along the axes of the robot's base. Turns and gripper are not drawn."],
+  other: ["first", "second", "third value of the actions, as the robot means it. Further values are not drawn."],
+};
 
-/** The actions that were taken, and those of the plan, in mm per s: an action lasts as long as it says. */
+/** The actions that were taken, and those of the plan: motions of the end effector in mm per s, an action lasting as long as
+    it says; actions of another kind as they are. */
 export function planPanel({ status, record, now, cursor, isLive, plan }) {
   const panel = element("plan");
   const at = cursor ?? now;
   const x = [at - 8000, at + 4000];
   const taken = record.within("actions", x[0], at);
+  const count = (plan?.actions.values[0] ?? taken.at(-1)?.values)?.length ?? BRIDGE_VALUES;
+  const isMotion = count === BRIDGE_VALUES;
   const series = [];
-  let highest = 20;
-  for (const [index, tone] of AXES.entries()) {
+  let highest = isMotion ? 20 : 0.01;
+  const drawn = (value, ms) => {
+    const height = isMotion && ms > 0 ? (value * MM) / (ms / 1000) : value;
+    highest = Math.max(highest, Math.abs(height));
+    return height;
+  };
+  for (const [index, tone] of AXES.slice(0, count).entries()) {
     const points = [];
     for (let number = 0; number + 1 < taken.length; number++) {
-      const seconds = (taken[number + 1].t - taken[number].t) / 1000;
-      const speed = seconds > 0 ? (taken[number].values[index] * MM) / seconds : null;
-      points.push([taken[number].t, speed]);
-      highest = Math.max(highest, Math.abs(speed ?? 0));
+      const { t, values } = taken[number];
+      const ms = taken[number + 1].t - t;
+      points.push([t, ms > 0 && index in values ? drawn(values[index], ms) : null]);
     }
     series.push({ points, stepped: true, gap: 2000, colour: colour(tone) });
     if (!plan) continue;
-    const begin = Number(plan.actions.begin) / 1e6;
-    const planned = plan.actions.values.map((values, number) => {
-      const speed = (values[index] * MM) / (plan.actions.period_ms / 1000);
-      highest = Math.max(highest, Math.abs(speed));
-      return [begin + number * plan.actions.period_ms, speed];
-    });
-    if (planned.length) planned.push([begin + planned.length * plan.actions.period_ms, planned.at(-1)[1]]);
+    const { begin: beginNs, period_ms: period } = plan.actions;
+    const begin = Number(beginNs) / 1e6;
+    const planned = plan.actions.values.map((values, number) => [begin + number * period, drawn(values[index], period)]);
+    if (planned.length) planned.push([begin + planned.length * period, planned.at(-1)[1]]);
     series.push({ points: planned, stepped: true, bold: true, colour: colour(tone) });
   }
-  lines(panel.querySelector(".chart"), { x, y: [-highest * 1.1, highest * 1.1], now: at, zero: isLive ? "now" : "shown", unit: "mm/s", series, cursor: at });
+  lines(panel.querySelector(".chart"), { x, y: [-highest * 1.1, highest * 1.1], now: at, zero: isLive ? "now" : "shown", unit: isMotion ? "mm/s" : "", series, cursor: at });
+  for (const [index, text] of LEGENDS[isMotion ? "bridge" : "other"].entries()) say(element(`plan-legend-${index}`), text);
   const note = panel.querySelector(":scope > .missing");
   say(note, plan ? "" : missingIn(status, "plan"));
   if (!plan) {
