@@ -41,6 +41,17 @@ pub enum Error {
         found: &'static str,
     },
 
+    /// A model of which only the parts before the transition model are there.
+    #[error(
+        "{name}: there is no transition model in it, so it encodes and decodes but predicts nothing; if its training was \
+         stopped, the same command goes on with it; else `wm train transition --data BAGS --encoder {name} --out {name}` \
+         adds one"
+    )]
+    NoTransition {
+        /// What was asked for.
+        name: String,
+    },
+
     /// The file is neither safetensors nor a torch checkpoint, or is damaged.
     #[error("{file}: not a readable checkpoint: {reason}")]
     Corrupt {

@@ -404,11 +404,8 @@ impl DescribedFolder {
     }
 
     fn described_transition(&self) -> Result<&Opened<Dynamics>> {
-        self.transition.as_ref().ok_or_else(|| Error::ConfigFile {
-            file: Path::new(&self.name).join(FILE).display().to_string(),
-            reason: format!(
-                "it names no transition, and there is no {TRANSITION_FILE} beside it; `wm train transition` makes one"
-            ),
+        self.transition.as_ref().ok_or_else(|| Error::NoTransition {
+            name: self.name.clone(),
         })
     }
 

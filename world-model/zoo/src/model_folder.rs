@@ -150,6 +150,17 @@ impl ModelFolder {
         }
     }
 
+    /// Refuses a model that cannot predict, for those who need one that can. Reads no weights.
+    ///
+    /// # Errors
+    /// [`Error::NoTransition`], which says what to do about it.
+    pub fn require_transition(&self) -> Result<()> {
+        match self.has_transition() {
+            true => Ok(()),
+            false => Err(Error::NoTransition { name: self.name() }),
+        }
+    }
+
     /// Camera frames of a model step, told without loading the transition model; `None` where there is none.
     ///
     /// # Errors
@@ -168,7 +179,7 @@ impl ModelFolder {
     /// Loads the transition model with what is needed to use it.
     ///
     /// # Errors
-    /// Names what is missing or wrong in the weights.
+    /// [`Error::NoTransition`], or what is missing or wrong in the weights.
     pub fn world_model(&self) -> Result<WorldModel> {
         self.world_model_on(&Place::default())
     }
@@ -178,6 +189,7 @@ impl ModelFolder {
     /// # Errors
     /// As [`Self::world_model`]; or that the device has no memory for it.
     pub fn world_model_on(&self, place: &Place) -> Result<WorldModel> {
+        self.require_transition()?;
         match self {
             Self::Trained(folder) => Ok(folder.world_model_on(place)?),
             Self::Described(folder) => folder.world_model_on(place),
@@ -310,5 +322,27 @@ mod tests {
         ModelFolder::require(&at("bag")).unwrap();
         ModelFolder::require(&at("bag/idm.safetensors")).unwrap();
         ModelFolder::require(EMBEDDED).unwrap();
+    }
+    #[test]
+    fn an_autoencoder_alone_is_refused_with_what_to_do() {
+        let scratch = tempfile::tempdir().unwrap();
+        let name = scratch.path().display().to_string();
+        let tiny = TrainedFolder::Embedded.autoencoder().unwrap();
+        let file = scratch.path().join("autoencoder.safetensors");
+        tiny.save(file, wm_model::weights::Precision::F16).unwrap();
+        let model = ModelFolder::open(&name).unwrap();
+        model.encoder().unwrap();
+        for error in [
+            model.require_transition().unwrap_err(),
+            model.world_model().unwrap_err(),
+        ] {
+            assert!(matches!(error, Error::NoTransition { .. }), "{error}");
+            let way = format!("wm train transition --data BAGS --encoder {name} --out {name}");
+            assert!(error.to_string().contains(&way), "{error}");
+        }
+        ModelFolder::open(EMBEDDED)
+            .unwrap()
+            .require_transition()
+            .unwrap();
     }
 }
