@@ -74,9 +74,12 @@ impl Argument {
             .visible_aliases(self.aliases)
             .hide(self.is_hidden)
             .required(self.is_required)
-            .last(self.is_last)
-            .help_heading(self.heading.map(clap::builder::Str::from));
+            .last(self.is_last);
         let arg = self.takes.add_to(arg);
+        let arg = match self.heading {
+            Some(heading) => arg.help_heading(heading),
+            None => arg,
+        };
         let arg = match self.short {
             Some(short) => arg.short(short),
             None => arg,
