@@ -389,3 +389,21 @@ fn what_a_later_part_cannot_take_is_named_before_the_first_begins() {
     let error = train();
     assert!(error.contains("idm.safetensors is there"), "{error}");
 }
+
+/// What `wm` has of it in its completions and man pages.
+#[test]
+fn the_program_tells_its_command_line() {
+    let program = Path::new(env!("CARGO_BIN_EXE_wm-training"));
+    let told = wm_command_line::ask(program).unwrap();
+    told.clone().debug_assert();
+    let model = ["train", "model"]
+        .iter()
+        .try_fold(&told, |command, word| command.find_subcommand(word));
+    let flags = model.unwrap().get_arguments();
+    let flags: Vec<&str> = flags.filter_map(clap::Arg::get_long).collect();
+    for flag in ["data", "out", "share", "validation"] {
+        assert!(flags.contains(&flag), "{flag}: {flags:?}");
+    }
+    let eval = told.find_subcommand("eval").unwrap();
+    assert!(eval.find_subcommand("imagined").is_some());
+}
