@@ -69,14 +69,16 @@ pub struct Described {
 /// The folder of this program is unknown.
 pub fn described(command: clap::Command) -> Result<Described> {
     let beside = std::env::current_exe()?;
-    described_by(command, &beside, &folders(&beside))
+    let asked = |program: &Path| wm_command_line::ask(program);
+    Ok(described_by(command, &beside, &folders(&beside), asked))
 }
 
 fn described_by(
     mut command: clap::Command,
     beside: &Path,
     folders: &[PathBuf],
-) -> Result<Described> {
+    asked: impl Fn(&Path) -> Result<clap::Command, wm_command_line::Error>,
+) -> Described {
     let mut left_out = Vec::new();
     let mut programs: Vec<&str> = TOLD.iter().map(|told| told.program).collect();
     programs.dedup();
@@ -86,7 +88,7 @@ fn described_by(
             left_out.push(format!("{program} is not there ({way})"));
             continue;
         };
-        match wm_command_line::ask(&found) {
+        match asked(&found) {
             Ok(own) => {
                 let of_it = TOLD.iter().filter(|told| told.program == program);
                 for Told { words, .. } in of_it {
@@ -98,7 +100,7 @@ fn described_by(
             Err(error) => left_out.push(error.to_string()),
         }
     }
-    Ok(Described { command, left_out })
+    Described { command, left_out }
 }
 
 /// The command of these words in a definition.
@@ -202,41 +204,37 @@ mod tests {
         let wm = || crate::cli::definition();
         let folder = tempfile::tempdir().unwrap();
         let folders = [folder.path().to_path_buf()];
-        let none = described_by(wm(), beside, &folders).unwrap();
+        let program = folder.path().join("wm-training");
+        let tells = |asked: &Path| {
+            assert_eq!(asked, program);
+            let eval = clap::Command::new("eval").subcommand(clap::Command::new("all"));
+            Ok(clap::Command::new("wm-training").subcommand(eval))
+        };
+        let none = described_by(wm(), beside, &folders, tells);
         let way = "wm-training is not there (cargo build --release -p wm_training)";
         assert_eq!(none.left_out, [way]);
-        assert!(
-            at(&none.command, &["eval"])
-                .unwrap()
-                .get_arguments()
-                .next()
-                .is_some()
-        );
+        assert!(at(&none.command, &["eval", "all"]).is_none());
 
-        let program = folder.path().join("wm-training");
-        let of = |name: &str, commands: &str| {
-            format!(
-                r#"{{"name": "{name}", "aliases": [], "about": null, "long_about": null, "after_help": null,
-                "is_hidden": false, "is_command_required": true, "arguments": [], "commands": [{commands}]}}"#
-            )
+        std::fs::write(&program, "").unwrap();
+        let told = described_by(wm(), beside, &folders, tells);
+        assert_eq!(told.left_out, Vec::<String>::new());
+        assert!(at(&told.command, &["eval", "all"]).is_some());
+        let about = |words| {
+            let command = at(&told.command, words).unwrap();
+            command.get_about().unwrap().to_string()
         };
-        let told = of("wm-training", &of("eval", &of("all", "")));
-        let script = format!("#!/bin/sh\ncat << 'END'\n{told}\nEND\n");
-        std::fs::write(&program, script).unwrap();
-        let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
-        std::fs::set_permissions(&program, executable).unwrap();
-        let described = described_by(wm(), beside, &folders).unwrap();
-        assert_eq!(described.left_out, Vec::<String>::new());
-        let eval = at(&described.command, &["eval"]).unwrap();
-        assert!(at(eval, &["all"]).is_some());
-        let about = eval.get_about().unwrap().to_string();
-        assert!(about.contains("runs wm-training"), "{about}");
-        assert!(at(&described.command, &["train"]).is_some());
+        assert!(about(&["eval"]).contains("runs wm-training"));
+        assert!(about(&["train"]).contains("runs wm-training"));
 
         // Of another version.
-        std::fs::write(&program, "#!/bin/sh\nexit 2\n").unwrap();
-        let left_out = described_by(wm(), beside, &folders).unwrap().left_out;
-        assert!(left_out[0].contains("does not describe"), "{left_out:?}");
+        let left_out = described_by(wm(), beside, &folders, |program| {
+            Err(wm_command_line::Error::NoAnswer {
+                program: program.to_owned(),
+                reason: "exit status: 2".to_owned(),
+            })
+        });
+        assert!(left_out.left_out[0].contains("does not describe"));
+        assert!(at(&left_out.command, &["eval", "all"]).is_none());
     }
 
     /// Else they would never be put in.
