@@ -105,10 +105,8 @@ fn described_by(
 
 /// The command of these words in a definition.
 fn at<'a>(command: &'a clap::Command, words: &[&str]) -> Option<&'a clap::Command> {
-    let below = |command: &'a clap::Command, word| command.find_subcommand(word);
-    words
-        .iter()
-        .try_fold(command, |command, word| below(command, word))
+    let mut words = words.iter();
+    words.try_fold(command, |command, word| command.find_subcommand(word))
 }
 
 /// A definition whose command of these words is `own`, under the words that `wm` has for it: they name the program.
