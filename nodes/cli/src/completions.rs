@@ -1,6 +1,10 @@
 //! `wm completions`.
 
-use crate::{cli, output::print};
+use crate::{
+    cli,
+    external::{self, Described},
+    output::print,
+};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use clap_complete::{Shell, generate};
@@ -28,17 +32,21 @@ pub struct CompletionsCommand {
 impl CompletionsCommand {
     /// Runs it.
     pub fn run(self) -> Result<()> {
-        print(self.script())
+        let Described { command, left_out } = external::described(cli::definition())?;
+        for left in left_out {
+            eprintln!("wm: without its commands: {left}; run this again then");
+        }
+        print(self.script(command))
     }
 
-    fn script(&self) -> String {
+    fn script(&self, mut command: clap::Command) -> String {
         let shell = match self.shell {
             Known::Bash => Shell::Bash,
             Known::Zsh => Shell::Zsh,
             Known::Fish => Shell::Fish,
         };
         let mut script = Vec::new();
-        generate(shell, &mut cli::definition(), "wm", &mut script);
+        generate(shell, &mut command, "wm", &mut script);
         String::from_utf8_lossy(&script).into_owned()
     }
 }
@@ -50,7 +58,7 @@ mod tests {
     use std::process::{Command, Stdio};
 
     fn script(shell: Known) -> String {
-        CompletionsCommand { shell }.script()
+        CompletionsCommand { shell }.script(cli::definition())
     }
 
     /// What bash offers for `wm WORDS` with the cursor at its end.

@@ -1,6 +1,10 @@
 //! `wm man`.
 
-use crate::{cli, output::print};
+use crate::{
+    cli,
+    external::{self, Described},
+    output::print,
+};
 use anyhow::{Context as _, Result};
 use clap::Args;
 use std::path::PathBuf;
@@ -16,9 +20,13 @@ pub struct ManCommand {
 impl ManCommand {
     /// Runs it. Pages of an older version are replaced.
     pub fn run(self) -> Result<()> {
+        let Described { command, left_out } = external::described(cli::definition())?;
+        for left in left_out {
+            eprintln!("wm: without the pages of its commands: {left}; run this again then");
+        }
         let failed = || format!("cannot write man pages into {}", self.folder.display());
         std::fs::create_dir_all(&self.folder).with_context(failed)?;
-        clap_mangen::generate_to(cli::definition(), &self.folder).with_context(failed)?;
+        clap_mangen::generate_to(command, &self.folder).with_context(failed)?;
         let pages = std::fs::read_dir(&self.folder)
             .with_context(failed)?
             .count();

@@ -16,7 +16,7 @@ use std::process::ExitCode;
 /// The model library.
 #[derive(Debug, Subcommand)]
 pub enum ModelCommand {
-    /// Count parameters and operations of the paper's systems on the built models
+    /// Say what a model has and lacks; or count parameters and operations of the paper's systems on the built models
     Info(info::InfoCommand),
     /// Load a model as the nodes do, run it once, and report what it is or what is wrong
     Check(check::CheckCommand),

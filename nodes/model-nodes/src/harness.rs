@@ -210,6 +210,9 @@ impl<N: ModelNode> Managed for Harness<N> {
         let load = move || {
             let load = || {
                 let folder = ModelFolder::open(&name)?;
+                for mark in folder.unfinished()? {
+                    tracing::warn!("{name}: the training of its {} is {mark}", mark.part);
+                }
                 N::load(PlacedModel::new(folder, placement), &parameters)
             };
             span.in_scope(load)

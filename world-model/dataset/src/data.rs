@@ -10,7 +10,7 @@ use super::{
     preparation::{Preparation, identity},
     search::{Found, find_others},
     split::split,
-    store::{Folder, cache_name, if_another_was_first, is_prepared},
+    store::{Folder, cache_name, if_another_was_first, is_prepared, read_manifest},
 };
 
 /// Most things that were left out that are named one by one.
@@ -26,6 +26,29 @@ pub struct Data {
 }
 
 impl Data {
+    /// Holds paths and options against what is on the disk, before anything long begins: no recording is read.
+    ///
+    /// # Errors
+    /// Names a path where there are no data, or options that cannot be used.
+    pub fn require(paths: &[PathBuf], options: &DataOptions) -> Result<(), DatasetError> {
+        expect_effect(paths, options)?;
+        options.with_config()?.split_rule()?;
+        let is_bags = |path: &&PathBuf| !is_prepared(path);
+        let bags =
+            |paths: &[PathBuf]| -> Vec<PathBuf> { paths.iter().filter(is_bags).cloned().collect() };
+        find_others(&bags(paths), &bags(&options.held_out)).or_else(|error| match error {
+            // All is prepared: there is nothing to look for.
+            DatasetError::Nothing(_) if bags(paths).is_empty() => Ok(Found::default()),
+            error => Err(error),
+        })?;
+        for dir in paths.iter().chain(&options.held_out) {
+            if is_prepared(dir) {
+                read_manifest(dir)?;
+            }
+        }
+        Ok(())
+    }
+
     /// The data at `paths`: bags (folders with `metadata.yaml`, or `.mcap` files), folders that are searched for bags, and
     /// folders that `wm dataset` prepared. Bags are prepared into `cache`, or taken from there where an earlier call has
     /// left them. Frames have `size` (height, width); with several cameras that is all of them side by side.

@@ -2,14 +2,21 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+/// What recordings are read from.
+const EXPECTED: &str = "bags (folders with metadata.yaml, or .mcap files), a folder of them, or one that \
+                        `wm dataset BAGS --out FOLDER` prepared";
+
 /// Why recordings cannot be trained on.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum DatasetError {
-    /// No bag under the folder.
+    /// There is nothing of this name.
     #[error(
-        "{0}: expected bags of episodes (folders with metadata.yaml, or .mcap files), found none"
+        "{0}: no such file or folder; expected {EXPECTED}; `wm bag record` makes a bag, `wm sim --out FOLDER` simulated ones"
     )]
+    Missing(PathBuf),
+    /// No bag under the folder.
+    #[error("{0}: found no recording; expected {EXPECTED}; `wm bag info PATH` says what is in one")]
     Empty(PathBuf),
     /// There are bags, but nothing in them can be used.
     #[error("no episode can be used:\n{0}")]

@@ -27,8 +27,8 @@ pub(super) fn find(paths: &[PathBuf]) -> Result<Found, DatasetError> {
             found.bags.push(path.clone());
         } else if path.is_dir() {
             search(path, DEPTH, &mut found)?;
-        } else {
-            fs::metadata(path).map_err(DatasetError::io(path))?;
+        } else if !path.exists() {
+            return Err(DatasetError::Missing(path.clone()));
         }
         if found.bags.len() == before {
             return Err(DatasetError::Empty(path.clone()));

@@ -22,6 +22,7 @@ pub mod optimiser;
 pub mod probe;
 pub mod recipe;
 pub mod run;
+pub mod stopped;
 mod trained_weights;
 pub mod transition;
 pub mod workers;

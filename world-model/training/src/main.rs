@@ -22,6 +22,7 @@ use wm_training::{
     model_card,
     probe::{EvaluateProbeArgs, TrainProbeArgs},
     run::{Ended, Stop},
+    stopped,
     transition::{EvaluateTransitionArgs, TrainTransitionArgs},
 };
 
@@ -120,18 +121,26 @@ impl TrainCommand {
     fn run(self) -> anyhow::Result<ExitCode> {
         let stop = Stop::on_signals()?;
         let (ended, of) = match self {
-            // Its card is of all parts.
+            // Its card and its summary are of all parts.
             Self::Model(arguments) => (arguments.run(&stop)?, None),
-            Self::Autoencoder(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
-            Self::Encoder(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
-            Self::Transition(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
-            Self::Adapter(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
-            Self::Distill(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
-            Self::Idm(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
-            Self::Probe(arguments) => (arguments.run(&stop)?, Some(arguments.run)),
+            Self::Autoencoder(arguments) => {
+                (arguments.run(&stop)?, Some((arguments.run, "autoencoder")))
+            }
+            Self::Encoder(arguments) => (arguments.run(&stop)?, Some((arguments.run, "encoder"))),
+            Self::Transition(arguments) => {
+                (arguments.run(&stop)?, Some((arguments.run, "transition")))
+            }
+            Self::Adapter(arguments) => (arguments.run(&stop)?, Some((arguments.run, "adapter"))),
+            Self::Distill(arguments) => (arguments.run(&stop)?, Some((arguments.run, "distill"))),
+            Self::Idm(arguments) => (arguments.run(&stop)?, Some((arguments.run, "idm"))),
+            Self::Probe(arguments) => (arguments.run(&stop)?, Some((arguments.run, "probe"))),
         };
-        if let (Ended::Finished, Some(run)) = (ended, of) {
-            model_card::write(&run);
+        match (ended, of) {
+            (Ended::Finished, Some((run, _))) => model_card::write(&run),
+            (Ended::Stopped, Some((run, part))) => {
+                println!("{}", stopped::summary(&run.out, &[part])?);
+            }
+            (_, None) => {}
         }
         Ok(match ended {
             Ended::Finished => ExitCode::SUCCESS,
@@ -191,6 +200,9 @@ fn with_task(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
 }
 
 fn main() -> ExitCode {
+    if wm_command_line::tell_if_asked::<Command>() {
+        return ExitCode::SUCCESS;
+    }
     wm_process::prepare();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
     tracing_subscriber::fmt()

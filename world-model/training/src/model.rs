@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use candle_core::DType;
 use clap::Args;
-use wm_dataset::DataOptions;
+use wm_dataset::{Data, DataOptions};
 use wm_zoo::{DeviceName, IDM_FILE, ModelFolder, PROBE_FILE};
 
 use crate::{
@@ -15,7 +15,8 @@ use crate::{
     idm::TrainIdmArgs,
     probe::TrainProbeArgs,
     recipe::Override,
-    run::{Ended, Stop},
+    run::{Ended, Stop, checkpoint, expect_nothing_to_overwrite},
+    stopped,
     transition::TrainTransitionArgs,
 };
 
@@ -82,10 +83,7 @@ impl TrainModelArgs {
         let encoder = self.encoder.clone().unwrap_or(own);
         self.check(&encoder)?;
         let mut ended = Ended::Finished;
-        for part in PARTS {
-            if part == "autoencoder" && self.encoder.is_some() {
-                continue;
-            }
+        for part in self.parts() {
             let run = self.of(part)?;
             let encoder = encoder.clone();
             println!("== {part}");
@@ -101,6 +99,7 @@ impl TrainModelArgs {
                 .run_if_labelled(stop)?,
             };
             if ended == Ended::Stopped {
+                println!("{}", stopped::summary(&self.out, &self.parts())?);
                 return Ok(ended);
             }
         }
@@ -113,7 +112,13 @@ impl TrainModelArgs {
         Ok(ended)
     }
 
-    /// Reads what all parts take, before hours go into the first of them.
+    /// The parts to train.
+    fn parts(&self) -> Vec<&'static str> {
+        let is_given = |part: &str| part == "autoencoder" && self.encoder.is_some();
+        PARTS.into_iter().filter(|part| !is_given(part)).collect()
+    }
+
+    /// Holds what all parts take against what is there, before hours go into the first of them.
     fn check(&self, encoder: &str) -> Result<()> {
         for model in self.encoder.iter().chain(&self.from) {
             ModelFolder::require(model)?;
@@ -139,6 +144,14 @@ impl TrainModelArgs {
             text_tower: None,
         };
         probe.recipe()?;
+        Data::require(&self.data, &self.options)?;
+        self.device.open()?;
+        for part in self.parts() {
+            if !checkpoint(&self.out, part).is_file() {
+                let weights = format!("{part}.safetensors");
+                expect_nothing_to_overwrite(&self.out, &[&weights])?;
+            }
+        }
         Ok(())
     }
 

@@ -4,6 +4,8 @@
 //! earlier run of the same training left, saves on SIGINT and SIGTERM, skips steps whose loss is not finite, and keeps a
 //! journal (a line per step and per validation) with pictures of it, and event files for TensorBoard. All files begin with the task's name, so that the
 //! trainings of a model share its folder.
+//!
+//! The model is written at each validation, at a stop and at the end; before the end, with the mark [`Unfinished`].
 
 mod events;
 mod journal;
@@ -25,6 +27,7 @@ pub use journal::Journal;
 use progress::Progress;
 pub use stop::Stop;
 use wm_evaluation::Figure;
+use wm_zoo::Unfinished;
 
 /// Steps in a row whose loss is not finite, after which a run gives up.
 const MOST_SKIPPED: u32 = 10;
@@ -161,6 +164,13 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
                 false => "among steps that are not finite, with the checkpoint from before them,",
             };
             println!("stopped {saved} after step {done} of {all}; the same command resumes");
+            // Without a checkpoint of them the weights would be in the way of the next run; at step 0 they are noise.
+            if is_saved
+                && done > 0
+                && let Err(error) = run.write()
+            {
+                tracing::warn!("what is saved is not written as a model: {error:#}");
+            }
             return Ok(Ended::Stopped);
         }
         let line = run.step()?;
@@ -183,6 +193,26 @@ pub fn train(task: &mut dyn Task, settings: &RunSettings, stop: &Stop) -> Result
         run.write()?;
     }
     Ok(Ended::Finished)
+}
+
+/// The checkpoint of the training `name` in its folder.
+pub(crate) fn checkpoint(out: &Path, name: &str) -> PathBuf {
+    out.join(format!("{name}.checkpoint.safetensors"))
+}
+
+/// A training that begins must not replace files that are not its own, as the model that it begins from.
+///
+/// # Errors
+/// Names the first of `files` that is in `out`.
+pub(crate) fn expect_nothing_to_overwrite(out: &Path, files: &[&str]) -> Result<()> {
+    let mut paths = files.iter().map(|file| out.join(file));
+    if let Some(path) = paths.find(|path| path.exists()) {
+        bail!(
+            "{} is there, but no checkpoint of a training that made it; use another --out, or move it",
+            path.display()
+        );
+    }
+    Ok(())
 }
 
 struct Run<'a> {
@@ -212,9 +242,7 @@ impl<'a> Run<'a> {
     }
 
     fn checkpoint(&self) -> PathBuf {
-        self.settings
-            .out
-            .join(format!("{}.checkpoint.safetensors", self.task.name()))
+        checkpoint(&self.settings.out, self.task.name())
     }
 
     fn resume(&mut self) -> Result<()> {
@@ -234,7 +262,7 @@ impl<'a> Run<'a> {
             self.assign()?;
             println!("resumes after step {done} from {}", checkpoint.display());
         } else {
-            self.expect_nothing_to_overwrite()?;
+            expect_nothing_to_overwrite(&self.settings.out, self.task.files())?;
         }
         self.journal = Journal::resume(
             &self.settings.out,
@@ -247,22 +275,6 @@ impl<'a> Run<'a> {
     fn assign(&mut self) -> Result<()> {
         self.task.assign(&mut self.optimiser.weights())?;
         self.task.assign_averaged(&mut self.optimiser.averaged())
-    }
-
-    /// A training that begins must not replace files that are not its own, as the model that it begins from.
-    fn expect_nothing_to_overwrite(&self) -> Result<()> {
-        let mut paths = self
-            .task
-            .files()
-            .iter()
-            .map(|file| self.settings.out.join(file));
-        if let Some(path) = paths.find(|path| path.exists()) {
-            bail!(
-                "{} is there, but no checkpoint of a training that made it; use another --out, or move it",
-                path.display()
-            );
-        }
-        Ok(())
     }
 
     fn announce(&self) {
@@ -336,9 +348,18 @@ impl<'a> Run<'a> {
         Ok(true)
     }
 
+    /// Writes the model, with the mark of an unfinished one before the last step.
     fn write(&mut self) -> Result<()> {
-        self.task
-            .write(&mut self.optimiser.averaged(), &self.settings.out)?;
+        let (out, name) = (&self.settings.out, self.task.name());
+        let (step, steps) = (self.optimiser.steps_taken(), self.settings.steps);
+        if step < steps {
+            let part = name.to_owned();
+            Unfinished { part, step, steps }.write(out)?;
+        }
+        self.task.write(&mut self.optimiser.averaged(), out)?;
+        if step >= steps {
+            Unfinished::remove(out, name)?;
+        }
         self.has_written = true;
         Ok(())
     }

@@ -8,6 +8,8 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
+use wm_zoo::ModelFolder;
+
 fn wm_training() -> Command {
     Command::new(env!("CARGO_BIN_EXE_wm-training"))
 }
@@ -29,6 +31,30 @@ fn done(command: &mut Command) -> String {
     stdout
 }
 
+/// What a training tells that is sent a signal once it has taken steps of a part.
+fn stopped(command: &mut Command, signal: &str, part: &str) -> String {
+    let mut training = command.stdout(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(training.stdout.take().unwrap()).lines();
+    let announced = format!("{part}:");
+    let mut has_asked = false;
+    let mut told = String::new();
+    for line in lines {
+        let line = line.unwrap();
+        // It is said before the first step, in which the signal comes.
+        if !has_asked && line.starts_with(&announced) {
+            let pid = training.id().to_string();
+            let asked = Command::new("kill").args(["-s", signal, &pid]).status();
+            assert!(asked.unwrap().success());
+            has_asked = true;
+        }
+        told += &line;
+        told.push('\n');
+    }
+    assert_eq!(training.wait().unwrap().code(), Some(130), "{told}");
+    assert!(told.contains("the same command resumes"), "{told}");
+    told
+}
+
 /// `wm train model` of every part with small networks and few steps.
 fn train_model(data: &Path, cache: &Path, out: &Path) -> Command {
     let mut command = wm_training();
@@ -37,14 +63,14 @@ fn train_model(data: &Path, cache: &Path, out: &Path) -> Command {
         command.arg(flag).arg(path);
     }
     for setting in [
-        "autoencoder.length=6 steps",
+        "autoencoder.length=20 steps",
         "autoencoder.batch=2",
         "autoencoder.whole_picture_share=0.34",
         "autoencoder.model.name=small",
         "autoencoder.model.widths=[8, 8, 16, 16]",
         "autoencoder.model.encoder_blocks=[0, 0, 0, 1]",
         "autoencoder.model.decoder_blocks=[0, 0, 0, 1]",
-        "transition.length=4 steps",
+        "transition.length=12 steps",
         "transition.batch=2",
         "transition.model.hidden=32",
         "transition.model.depth=1",
@@ -96,30 +122,47 @@ fn a_model_is_trained_by_one_command_and_an_interrupted_one_gives_the_same_bytes
     let told = done(&mut train_model(&data, &cache, &whole));
     assert!(told.contains("model:="), "{told}");
 
-    // Stopped by a signal when it has begun to step, and started again until it is through.
+    // Stopped by a signal in its first part and in its second, and started again until it is through.
     let parts = at("parts");
-    let mut first = train_model(&data, &cache, &parts)
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let lines = BufReader::new(first.stdout.take().unwrap()).lines();
-    let mut has_asked = false;
-    let mut told = String::new();
-    for line in lines {
-        let line = line.unwrap();
-        if !has_asked && line.starts_with("transition:") {
-            let pid = first.id().to_string();
-            let asked = Command::new("kill").args(["-TERM", &pid]).status();
-            assert!(asked.unwrap().success());
-            has_asked = true;
-        }
-        told += &line;
-        told.push('\n');
-    }
-    let status = first.wait().unwrap();
-    assert_eq!(status.code(), Some(130), "{told}");
-    assert!(told.contains("the same command resumes"), "{told}");
+    let model = || ModelFolder::open(parts.to_str().unwrap()).unwrap();
+    let told = stopped(
+        &mut train_model(&data, &cache, &parts),
+        "INT",
+        "autoencoder",
+    );
+    assert!(told.contains("no transition model yet"), "{told}");
+    assert!(told.contains("transition   not begun"), "{told}");
+    let [autoencoder] = &model().unfinished().unwrap()[..] else {
+        panic!("{told}");
+    };
+    assert_eq!((&*autoencoder.part, autoencoder.steps), ("autoencoder", 20));
+    assert!(
+        told.contains(&format!("autoencoder  {autoencoder}")),
+        "{told}"
+    );
+    model().decoder().unwrap();
+    assert!(model().require_transition().is_err());
+
+    let told = stopped(
+        &mut train_model(&data, &cache, &parts),
+        "TERM",
+        "transition",
+    );
+    assert!(told.contains("autoencoder  done"), "{told}");
+    assert!(told.contains("idm          not begun"), "{told}");
+    assert!(
+        told.contains(&format!("wm model info {}", parts.display())),
+        "{told}"
+    );
+    let [transition] = &model().unfinished().unwrap()[..] else {
+        panic!("{told}");
+    };
+    assert_eq!((&*transition.part, transition.steps), ("transition", 12));
+    // It is no less a model.
+    model().world_model().unwrap();
+
     let told = done(&mut train_model(&data, &cache, &parts));
+    assert!(model().unfinished().unwrap().is_empty(), "{told}");
     assert!(told.contains("resumes after step"), "{told}");
     for file in [
         "autoencoder.safetensors",
@@ -321,11 +364,46 @@ fn what_a_later_part_cannot_take_is_named_before_the_first_begins() {
         assert!(output.stdout.is_empty(), "{wrong:?}: a part has begun");
         assert!(!out.exists(), "{wrong:?}");
     }
-    // What is wrong with the data is said once.
-    let mut train = wm_training();
-    train.args(["train", "model"]);
-    train.arg("--data").arg(&data).arg("--out").arg(&out);
-    let output = train.output().unwrap();
-    let error = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(error.matches("No such file").count(), 1, "{error}");
+    // So are the data: once, by name, and with what is expected.
+    let train = || {
+        let mut train = wm_training();
+        train.args(["train", "model"]);
+        train.arg("--data").arg(&data).arg("--out").arg(&out);
+        let output = train.output().unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        assert!(output.stdout.is_empty(), "a part has begun");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let error = train();
+    assert_eq!(error.matches("no such file").count(), 1, "{error}");
+    assert!(error.contains(data.to_str().unwrap()), "{error}");
+    assert!(error.contains("wm dataset BAGS --out FOLDER"), "{error}");
+    std::fs::create_dir(&data).unwrap();
+    let error = train();
+    assert!(error.contains("found no recording"), "{error}");
+    // And what a later part would replace.
+    std::fs::create_dir(&out).unwrap();
+    std::fs::write(out.join("idm.safetensors"), "theirs").unwrap();
+    std::fs::create_dir(data.join("bag")).unwrap();
+    std::fs::write(data.join("bag/metadata.yaml"), "").unwrap();
+    let error = train();
+    assert!(error.contains("idm.safetensors is there"), "{error}");
+}
+
+/// What `wm` has of it in its completions and man pages.
+#[test]
+fn the_program_tells_its_command_line() {
+    let program = Path::new(env!("CARGO_BIN_EXE_wm-training"));
+    let told = wm_command_line::ask(program).unwrap();
+    told.clone().debug_assert();
+    let model = ["train", "model"]
+        .iter()
+        .try_fold(&told, |command, word| command.find_subcommand(word));
+    let flags = model.unwrap().get_arguments();
+    let flags: Vec<&str> = flags.filter_map(clap::Arg::get_long).collect();
+    for flag in ["data", "out", "share", "validation"] {
+        assert!(flags.contains(&flag), "{flag}: {flags:?}");
+    }
+    let eval = told.find_subcommand("eval").unwrap();
+    assert!(eval.find_subcommand("imagined").is_some());
 }

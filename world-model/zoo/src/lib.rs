@@ -38,6 +38,7 @@ mod placed_model;
 mod placement;
 mod precision;
 mod sizes;
+mod unfinished;
 
 pub mod calibration;
 pub mod checkpoint;
@@ -70,5 +71,6 @@ pub use packed_cache::PackedCache;
 pub use placed_model::PlacedModel;
 pub use placement::Placement;
 pub use precision::Precision;
+pub use unfinished::Unfinished;
 pub use wm_model::ops::Engine;
 pub use wm_model::trained_folder::{IDM_FILE, PROBE_FILE};

@@ -15,7 +15,7 @@ use wm_motion::actions::ActionEncoding;
 use crate::folder::{DescribedFolder, NativeDecoder};
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
-use crate::{Engine, Error, Result};
+use crate::{Engine, Error, Result, Unfinished};
 
 /// The tensors of a transition model, and what it is.
 #[derive(Clone, Debug)]
@@ -158,6 +158,19 @@ impl ModelFolder {
         match self.has_transition() {
             true => Ok(()),
             false => Err(Error::NoTransition { name: self.name() }),
+        }
+    }
+
+    /// The parts whose training has not taken its last step.
+    ///
+    /// # Errors
+    /// If a mark cannot be read.
+    pub fn unfinished(&self) -> Result<Vec<Unfinished>> {
+        let name = self.name();
+        let path = Path::new(&name);
+        match name == EMBEDDED || path.is_file() {
+            true => Ok(Vec::new()),
+            false => Unfinished::all(path),
         }
     }
 

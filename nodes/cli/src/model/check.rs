@@ -51,6 +51,12 @@ impl CheckCommand {
             ))?,
             None => print("no transition: encoder and decoder only\n")?,
         }
+        for mark in model.unfinished()? {
+            print(format_args!(
+                "the training of its {} is {mark}\n",
+                mark.part
+            ))?;
+        }
         print(format_args!("loaded in {loading:.0} ms\n"))?;
         print(format_args!(
             "{}",

@@ -1,17 +1,20 @@
 //! `wm model info`.
 
+mod folder;
+
 use crate::output::print;
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use clap::Args;
+use folder::Folder;
 use serde_json::{Map, json};
 use std::fmt::Write as _;
 use wm_zoo::cost::Row;
 
-/// Counts parameters and operations.
+/// Says what a model's folder has, or counts the parameters and operations of the paper's systems.
 #[derive(Args, Debug)]
 pub struct InfoCommand {
-    /// Show only this system, which is a row of the table
-    #[arg(value_name = "NAME")]
+    /// A model: `tiny`, or a folder; or a system of the paper, by the name of its row; without one, all of these
+    #[arg(value_name = "MODEL")]
     name: Option<String>,
     /// Print JSON
     #[arg(long)]
@@ -21,6 +24,17 @@ pub struct InfoCommand {
 impl InfoCommand {
     /// Runs it.
     pub fn run(self) -> Result<()> {
+        let is_model = |name: &&String| !Row::NAMES.contains(&name.as_str());
+        if let Some(name) = self.name.as_ref().filter(is_model) {
+            let folder = Folder::open(name).with_context(|| {
+                let rows = Row::NAMES.join(", ");
+                format!("`{name}` is none of the table's rows ({rows}), and as a model")
+            })?;
+            return match self.json {
+                true => print(format_args!("{:#}\n", folder.json())),
+                false => print(folder),
+            };
+        }
         let names = match &self.name {
             Some(name) => vec![name.as_str()],
             None => Row::NAMES.to_vec(),

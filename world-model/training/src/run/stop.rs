@@ -22,7 +22,9 @@ impl Stop {
                 // As a shell reports a process that SIGINT ended.
                 std::process::exit(130);
             }
-            eprintln!("\nsaves and ends; once more to end at once");
+            eprintln!(
+                "\nfinishes the step, saves, and writes the model as it is; once more to end at once"
+            );
         })
         .context("the handler of SIGINT and SIGTERM")?;
         Ok(stop)

@@ -108,8 +108,19 @@ fn a_run_that_is_stopped_and_resumed_gives_the_same_bytes() {
     };
     let ended = train(&mut first, &settings(&parts, 40), &stop).unwrap();
     assert_eq!(ended, Ended::Stopped);
+    // What there is by then is written, and marked.
+    let mark = Unfinished {
+        part: "descent".to_owned(),
+        step: 21,
+        steps: 40,
+    };
+    assert_eq!(Unfinished::all(&parts).unwrap(), [mark]);
+    assert!(!first.written.is_empty() && parts.join("weights").is_file());
     let mut second = descent();
     train(&mut second, &settings(&parts, 40), &Stop::default()).unwrap();
+    for folder in [&whole, &parts] {
+        assert_eq!(Unfinished::all(folder).unwrap(), []);
+    }
     for file in [
         "weights",
         "descent.journal.jsonl",

@@ -2,6 +2,7 @@ use candle_core::{DType, Device, Tensor};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use wm_model::sampler::Rollout;
+use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition};
 use wm_model::weights::{Precision as Stored, WeightsBuilder};
 use wm_motion::actions::Accumulation;
