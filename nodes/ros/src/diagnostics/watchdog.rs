@@ -122,7 +122,7 @@ impl Watchdog {
         let mut findings: Vec<Finding> = Vec::new();
         for input in self.inputs.values_mut() {
             let finding = input.judge(now, publishers);
-            if input.is_news(&finding, publishers) {
+            if input.is_news(now, publishers) {
                 self.news.push(finding.clone());
             }
             findings.push(finding);
@@ -185,7 +185,9 @@ mod tests {
         assert_eq!(news(&mut watchdog, 10), [""; 0]);
         watchdog.arrived("/image", start + Duration::from_secs(11));
         assert_eq!(news(&mut watchdog, 11), ["images come"]);
+        // A hiccup is on /diagnostics alone.
         assert_eq!(news(&mut watchdog, 12), [""; 0]);
+        assert!(news(&mut watchdog, 17)[0].contains("no images on /image for 6.0 s"));
     }
 
     #[test]

@@ -53,6 +53,17 @@ impl Input {
     }
 }
 
+/// How long an input has been silent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Silence {
+    /// No longer than usual.
+    Short,
+    /// It is missed.
+    Long,
+    /// It does not come any more, or never came.
+    Gone,
+}
+
 #[derive(Debug)]
 pub(super) struct InputWatch {
     input: Input,
@@ -94,34 +105,26 @@ impl InputWatch {
 
     pub(super) fn judge(&self, now: Instant, publishers: &dyn Publishers) -> Finding {
         let (name, topics) = (self.input.name, self.input.topics.join(" and "));
-        let (level, message) = match self.last {
-            None => {
-                let waited = now.saturating_duration_since(self.since);
-                let text = format!(
-                    "no {name} on {topics} in the {:.0} s since the node subscribed",
-                    waited.as_secs_f64()
-                );
-                if waited <= FIRST {
-                    (Level::Ok, format!("waiting for the first {name}"))
-                } else {
-                    (Level::Warn, text)
-                }
+        let (level, message) = match (self.last, self.silence(now)) {
+            (None, Silence::Short) => (Level::Ok, format!("waiting for the first {name}")),
+            (None, Silence::Long | Silence::Gone) => {
+                let waited = now.saturating_duration_since(self.since).as_secs_f64();
+                let text =
+                    format!("no {name} on {topics} in the {waited:.0} s since the node subscribed");
+                (Level::Warn, text)
             }
-            Some(last) => {
-                let silent = now.saturating_duration_since(last);
-                let period = self.period.unwrap_or(MISSED_LEAST);
+            (Some(_), Silence::Short) => (Level::Ok, format!("{name} come")),
+            (Some(last), silence) => {
                 let text = format!(
                     "no {name} on {topics} for {:.1} s; before, one arrived every {:.2} s",
-                    silent.as_secs_f64(),
-                    period.as_secs_f64()
+                    now.saturating_duration_since(last).as_secs_f64(),
+                    self.period().as_secs_f64()
                 );
-                if silent <= (period * MISSED_PERIODS).max(MISSED_LEAST) {
-                    (Level::Ok, format!("{name} come"))
-                } else if silent <= (period * GONE_PERIODS).max(GONE_LEAST) {
-                    (Level::Warn, text)
-                } else {
-                    (Level::Error, text)
-                }
+                let level = match silence {
+                    Silence::Gone => Level::Error,
+                    Silence::Short | Silence::Long => Level::Warn,
+                };
+                (level, text)
             }
         };
         let message = match level {
@@ -135,16 +138,36 @@ impl InputWatch {
         }
     }
 
-    /// Whether the log should have it: the first time that an input from outside the suite is missing, and when it is
-    /// back.
-    pub(super) fn is_news(&mut self, finding: &Finding, publishers: &dyn Publishers) -> bool {
-        let is_missing = finding.level > Level::Ok;
-        let mut topics = self.input.topics.iter();
-        let is_news =
-            is_missing != self.is_said && topics.any(|topic| publishers.is_from_outside(topic));
-        if is_news {
-            self.is_said = is_missing;
+    fn period(&self) -> Duration {
+        self.period.unwrap_or(MISSED_LEAST)
+    }
+
+    fn silence(&self, now: Instant) -> Silence {
+        let (silent, missed, gone) = match self.last {
+            None => (now.saturating_duration_since(self.since), FIRST, FIRST),
+            Some(last) => (
+                now.saturating_duration_since(last),
+                (self.period() * MISSED_PERIODS).max(MISSED_LEAST),
+                (self.period() * GONE_PERIODS).max(GONE_LEAST),
+            ),
+        };
+        match () {
+            () if silent > gone => Silence::Gone,
+            () if silent > missed => Silence::Long,
+            () => Silence::Short,
         }
+    }
+
+    /// Whether the log should have what was found: the first time that an input from outside the suite is gone or has not
+    /// come at all, and when it is back. A hiccup is no news.
+    pub(super) fn is_news(&mut self, now: Instant, publishers: &dyn Publishers) -> bool {
+        let mut topics = self.input.topics.iter();
+        let is_news = match self.silence(now) {
+            Silence::Gone => !self.is_said,
+            Silence::Long => false,
+            Silence::Short => self.is_said,
+        } && topics.any(|topic| publishers.is_from_outside(topic));
+        self.is_said ^= is_news;
         is_news
     }
 
