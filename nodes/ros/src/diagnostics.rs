@@ -2,6 +2,7 @@
 //! thing that the watchdog monitors has a separate status: `wm/encoder: memory`.
 
 mod latency;
+mod publishers;
 mod rate;
 mod watchdog;
 
@@ -9,13 +10,14 @@ pub use latency::Latency;
 pub use watchdog::{Deadline, Input};
 
 use crate::backend::EndpointId;
+use publishers::PublishersOf;
 use rate::Rate;
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
-use watchdog::{Finding, Publishers, Watchdog};
+use watchdog::{Finding, Watchdog};
 use wm_msgs::diagnostic_msgs::{DiagnosticStatus, KeyValue};
 
 /// Subject of the condition that messages are too large.
@@ -252,47 +254,6 @@ fn count(rates: &mut BTreeMap<String, Rate>, name: &str) {
     }
 }
 
-/// What the watchdog asks of the graph, by the names of the node's inputs.
-struct PublishersOf<'a> {
-    endpoints: &'a BTreeMap<EndpointId, (String, bool)>,
-    /// The node's, which its suite shares.
-    namespace: &'a str,
-    graph: &'a dyn Graph,
-}
-
-impl PublishersOf<'_> {
-    /// The subscriptions of `topic`.
-    fn subscriptions(&self, topic: &str) -> impl Iterator<Item = &EndpointId> {
-        let own = self.endpoints.iter();
-        own.filter(move |(_, (name, is_publisher))| !is_publisher && name == topic)
-            .map(|(id, _)| id)
-    }
-}
-
-impl Publishers for PublishersOf<'_> {
-    fn connected(&self, topic: &str) -> usize {
-        let ids = self.subscriptions(topic);
-        ids.map(|id| self.graph.matched(id)).sum()
-    }
-
-    fn elsewhere(&self, topic: &str) -> BTreeSet<String> {
-        let ids = self.subscriptions(topic);
-        let alike = ids.flat_map(|id| self.graph.published_alike(id));
-        alike.filter(|name| self.is_from_outside(name)).collect()
-    }
-
-    fn is_from_outside(&self, topic: &str) -> bool {
-        let rest = topic.strip_prefix('/').unwrap_or(topic);
-        let inside = rest.strip_prefix(self.namespace);
-        self.namespace.is_empty() || inside.is_none_or(|rest| !rest.starts_with('/'))
-    }
-}
-
-/// `wm` of `wm/encoder`; nothing for a node without namespace.
-fn namespace(name: &str) -> &str {
-    name.rsplit_once('/').map_or("", |(namespace, _)| namespace)
-}
-
 impl State {
     fn report(
         &mut self,
@@ -393,11 +354,7 @@ impl State {
 
     /// What the watchdog finds, and what is wrong with the connections.
     fn findings(&mut self, now: Instant, graph: &dyn Graph, resident: Option<u64>) -> Vec<Finding> {
-        let publishers = PublishersOf {
-            endpoints: &self.endpoints,
-            namespace: namespace(&self.name),
-            graph,
-        };
+        let publishers = PublishersOf::new(&self.name, &self.endpoints, graph);
         let mut findings = self.watchdog.report(now, &publishers, resident);
         for (id, (topic, _)) in &self.endpoints {
             findings.extend(graph.mismatches(id).into_iter().map(|message| Finding {
@@ -428,7 +385,7 @@ mod tests {
     use super::*;
 
     /// A graph in which each endpoint has two others, one of them foreign.
-    struct Pairs;
+    pub(super) struct Pairs;
 
     impl Graph for Pairs {
         fn matched(&self, _: &EndpointId) -> usize {
@@ -550,30 +507,6 @@ mod tests {
         diagnostics.stand_down();
         let later = status(&diagnostics, now + Duration::from_secs(99));
         assert_eq!(later.level, DiagnosticStatus::OK);
-    }
-
-    #[test]
-    fn a_missing_input_names_the_topics_that_could_be_it() {
-        let endpoints = BTreeMap::from([([1; 16], ("/image".to_owned(), false))]);
-        for (name, expected) in [
-            ("wm/encoder", &["/front"][..]),
-            ("encoder", &["/front", "/wm/predicted"]),
-        ] {
-            let publishers = PublishersOf {
-                endpoints: &endpoints,
-                namespace: namespace(name),
-                graph: &Pairs,
-            };
-            let elsewhere = publishers.elsewhere("/image");
-            assert!(elsewhere.iter().eq(expected), "{name}: {elsewhere:?}");
-            assert_eq!(
-                (
-                    publishers.elsewhere("/other").len(),
-                    publishers.connected("/image")
-                ),
-                (0, 2)
-            );
-        }
     }
 
     #[test]
