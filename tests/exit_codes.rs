@@ -133,6 +133,13 @@ fn a_mistyped_bag_leaves_an_older_job_as_it_was() {
             assert_eq!(stderr.lines().count(), 1, "{stderr}");
         }
     }
+
+    // And a page whose port another program has.
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let port = taken.local_addr().expect("it is bound").port();
+    let (code, _, stderr) = launch(&["view:=true", &format!("view_port:={port}")]);
+    assert_eq!((code, stderr.lines().count()), (Some(1), 1), "{stderr}");
+    assert!(stderr.contains(&format!("127.0.0.1:{port}")), "{stderr}");
     assert_eq!(contents(out.path()), before);
 }
 

@@ -20,7 +20,7 @@ pub enum BagError {
         reason: String,
     },
     /// An empty file, or a directory with no `.mcap` in it.
-    #[error("{path} is empty: {reason}")]
+    #[error("{path} is no bag: {reason}")]
     Empty {
         /// What was opened.
         path: PathBuf,

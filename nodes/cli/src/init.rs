@@ -37,9 +37,18 @@ impl InitCommand {
         for path in &paths {
             print(format_args!("{}\n", path.display()))?;
         }
+        let camera = &setup.camera;
+        let not_heard = match heard.camera(Some(camera)) {
+            Some(_) => "",
+            None => " (NOT heard: nobody publishes it at present)",
+        };
+        let adapted = match setup.adapter {
+            Some(source) => format!(" (made into actions by the action adapter, source {source})"),
+            None => String::new(),
+        };
         print(format_args!(
-            "camera {}, actions {}, model {}\n",
-            setup.camera, setup.action, setup.model
+            "camera {camera}{not_heard}, actions {}{adapted}, model {}\n",
+            setup.action, setup.model
         ))?;
         if let Some(period_s) = setup.frame_period_s {
             print(format_args!(

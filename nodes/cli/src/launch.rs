@@ -89,7 +89,7 @@ fn check_bags(plan: &Plan) -> Result<()> {
     Ok(())
 }
 
-/// Whether the models and the cameras of a plan's nodes can be used is known before anything starts: a node that is started
+/// Whether the models, cameras and ports of a plan's nodes can be used is known before anything starts: a node that is started
 /// again and again would only repeat that its model is not there.
 fn check_nodes(plan: &Plan) -> Result<()> {
     let is_own = |process: &&Process| process.program == Program::Own;
@@ -105,6 +105,9 @@ fn check_nodes(plan: &Plan) -> Result<()> {
             check_camera(node, &args).with_context(|| format!("{} has no camera", process.name))?;
             check_model(node, &args, process.working_directory.as_deref())
                 .with_context(|| format!("{} has no model", process.name))?;
+            if node == wm_view::NODE.name {
+                wm_view::check(&args)?;
+            }
         }
     }
     Ok(())

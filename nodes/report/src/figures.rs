@@ -7,6 +7,11 @@ const USUAL_PERIOD_S: f64 = 0.2;
 /// A camera is too slow for it from this many times the period on; less is jitter of a mean over a short bag.
 const SLOWER: f64 = 1.25;
 
+/// Fewest predictions that are judged.
+const LEAST: u64 = 8;
+/// PSNR of the held frame beyond which nothing moves \[dB\]: 40 dB is an error of 1 % of the full scale.
+const STILL_DB: f64 = 40.0;
+
 /// A whole report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
@@ -43,8 +48,15 @@ impl Report {
     #[must_use]
     pub fn doubt(&self) -> Option<String> {
         let first = self.steps.iter().find(|step| step.step == 1)?;
+        if first.predictions.max(first.compared) < LEAST {
+            return None;
+        }
         let ratio = first.latent_error_ratio.filter(|ratio| *ratio >= 1.0);
         let pictures = first.psnr_db.zip(first.persistence_psnr_db);
+        // Where nothing moves, holding still cannot be beaten.
+        if pictures.is_some_and(|(_, held)| held > STILL_DB) {
+            return None;
+        }
         let pictures = pictures.filter(|(predicted, held)| predicted < held);
         let why = match (pictures, ratio) {
             (Some((predicted, held)), _) => {

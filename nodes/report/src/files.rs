@@ -7,7 +7,7 @@ use wm_bag::free_name;
 
 const JSON: &str = "report.json";
 const MARKDOWN: &str = "report.md";
-const STRIP: &str = "strip.png";
+pub(super) const STRIP: &str = "strip.png";
 
 /// Writes the scorer's report into `folder`, which is made where it is missing. An older report there is kept in a
 /// folder beside it, which has its time. There is no strip where no predicted picture has a frame of the same time.

@@ -27,6 +27,12 @@ pub const PSNR_CAP_DB: f64 = 60.0;
 /// Pictures that wait for their frame.
 const WAITING_LIMIT: usize = 512;
 
+/// Why a predicted picture is not compared: it came when its frame was gone.
+pub(super) const LATE_PICTURE: &str = "late_picture";
+
+/// Squared latent change, normalised, below which nothing moves, so that holding still cannot be beaten; as the predictor's.
+const STILL: f32 = 1e-3;
+
 /// Steps of a rollout that are distinguished.
 const STEP_LIMIT: u32 = 64;
 
@@ -161,7 +167,7 @@ impl Scorer {
         let prediction = match self.pairings.pictured(stamp_ns, arrived_ns) {
             Pairing::Found(prediction) => prediction,
             Pairing::Late => {
-                let late = ("report".to_owned(), "late_picture".to_owned());
+                let late = ("report".to_owned(), LATE_PICTURE.to_owned());
                 *self.drops.entry(late).or_default() += 1;
                 return;
             }
@@ -179,7 +185,8 @@ impl Scorer {
         if error.step == 0 || error.step > STEP_LIMIT {
             return;
         }
-        if error.step == 1 && error.ratio.is_finite() {
+        let is_moving = error.persistence_mse > STILL;
+        if error.step == 1 && error.ratio.is_finite() && is_moving {
             self.last_error_ratio = Some(error.ratio);
         }
         self.steps

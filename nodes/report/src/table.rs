@@ -1,6 +1,8 @@
 //! The report as a table for the terminal, and as Markdown.
 
 use super::figures::{Percentiles, Report, StepFigures};
+use super::files::STRIP;
+use super::scorer::LATE_PICTURE;
 use std::fmt::Write as _;
 
 const HEADINGS: [&str; 11] = [
@@ -136,9 +138,21 @@ fn remarks(report: &Report, bullet: &str) -> String {
             .to_owned());
     }
     if !report.steps.is_empty() && !is_compared(report) {
-        add("nothing was compared: no predicted picture has a frame of the same time; an env's bag has no predicted \
-             pictures, since its frames are the predictions"
-            .to_owned());
+        let late = report
+            .drops
+            .iter()
+            .find(|drops| drops.reason == LATE_PICTURE);
+        add(match late {
+            Some(late) => format!(
+                "nothing was compared, and there is no {STRIP}: {} predicted pictures came too late, since this machine \
+                 has too much to do; end other programs, or take a smaller model",
+                late.total
+            ),
+            None => format!(
+                "nothing was compared, and there is no {STRIP}: no predicted picture has a frame of the same time; an \
+                 env's bag has no predicted pictures, since its frames are the predictions"
+            ),
+        });
     }
     if let Some(plans) = &report.plans {
         let times = plans.time_taken.unwrap_or_default();
@@ -236,6 +250,19 @@ mod tests {
             ..empty
         };
         assert!(slow.frames_in_words().contains("to 0.500 s"));
+    }
+
+    #[test]
+    fn pictures_that_came_too_late_are_said_to_be_the_reason() {
+        let mut report = report();
+        report.steps[0].compared = 0;
+        assert!(terminal_table(&report).contains("an env's bag"));
+        report.drops[0].reason = LATE_PICTURE.to_owned();
+        let text = terminal_table(&report);
+        assert!(
+            text.contains("no strip.png: 2 predicted pictures came too late"),
+            "{text}"
+        );
     }
 
     #[test]

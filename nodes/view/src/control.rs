@@ -154,7 +154,7 @@ impl Control {
 }
 
 fn not_permitted() -> String {
-    "not permitted: the parameter control says what is".to_owned()
+    "not permitted: start the page with the parameter control (goals, or all)".to_owned()
 }
 
 impl Steering {

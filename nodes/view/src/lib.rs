@@ -14,6 +14,7 @@
 mod access;
 mod album;
 mod bag;
+mod check;
 mod clip;
 mod command;
 mod control;
@@ -36,5 +37,6 @@ mod state;
 mod status;
 mod subprotocol;
 
+pub use check::check;
 pub use error::ViewError;
 pub use node::NODE;

@@ -69,6 +69,8 @@ const AXES: [f64; 6] = [2.93, -0.15, -0.23, -1.84, 0.0, -2.29];
 const TICK: Duration = Duration::from_millis(100);
 /// Every so many ticks, how things are.
 const STATUS_TICKS: u64 = 5;
+/// The page's port, unless a parameter names another.
+pub(crate) const PORT: u16 = 8765;
 /// Commands that may wait for the node.
 const COMMANDS: usize = 16;
 
@@ -80,7 +82,7 @@ wm_ros::parameters! {
         /// Address that the page is served on. On another one than loopback, a token is needed, which the node prints.
         address: String = "127.0.0.1";
         /// Port that the page is served on; 0: any free one.
-        port: u16 = 8765;
+        port: u16 = PORT;
         /// File whose first line is the token that clients must have; empty: none on loopback, elsewhere a new one.
         token_file: PathBuf = "";
         /// Names that this host is called by, beside its addresses and localhost.

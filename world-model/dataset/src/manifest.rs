@@ -195,12 +195,14 @@ impl fmt::Display for Manifest {
             }
             writeln!(f)?;
         }
-        write!(
-            f,
-            "{}; {} in the list of what was left out",
-            counted(self.sources.len(), "bag"),
-            counted(self.left_out.len(), "entry")
-        )
+        let bags = counted(self.sources.len(), "bag");
+        match self.left_out.len() {
+            0 => write!(f, "{bags}; nothing was left out"),
+            count => {
+                let entries = counted(count, "entry");
+                write!(f, "{bags}; {entries} in the list of what was left out")
+            }
+        }
     }
 }
 

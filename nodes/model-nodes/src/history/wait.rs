@@ -27,9 +27,9 @@ pub enum Wait {
     },
     /// The camera is slower than the model's frames.
     #[error(
-        "there is a frame every {camera_s:.2} s, but the model needs one every {frame_s:.2} s: use a faster camera, or \
-         set frame_period:={camera_s:.2} on all nodes of the model to predict in steps of {step_s:.2} s; if the camera \
-         is faster than this, set frame_period and context_frames of the encoder as on this node"
+        "there is a frame every {camera_s:.2} s, but the model needs one every {frame_s:.2} s: if the camera is that slow, \
+         use a faster one, or set frame_period:={camera_s:.2} on all nodes of the model to predict in steps of {step_s:.2} \
+         s; if the camera is faster, the encoder leaves frames out: its log says why"
     )]
     SlowCamera {
         /// From one of its frames to the next \[s\].

@@ -57,8 +57,8 @@ impl LiveLine {
             self.latencies.pop_front();
         }
         let mut parts = vec![
-            format!("camera {:.1} Hz", rate(&self.frames)),
-            format!("predicted {:.1} Hz", rate(&self.predictions)),
+            format!("camera {:.1} Hz", rate(&self.frames, now)),
+            format!("predicted {:.1} Hz", rate(&self.predictions, now)),
         ];
         let mut sorted: Vec<f64> = self
             .latencies
@@ -92,22 +92,35 @@ fn push<T>(events: &mut VecDeque<T>, event: T) {
     events.push_back(event);
 }
 
-/// Events a second, from the first to the last of them.
-fn rate(events: &VecDeque<Instant>) -> f64 {
-    let (Some(first), Some(last)) = (events.front(), events.back()) else {
+/// The shortest time that a rate is told of: the steps of a rollout may come within a millisecond.
+const SHORTEST: Duration = Duration::from_secs(1);
+
+/// Events a second, since the first of them.
+fn rate(events: &VecDeque<Instant>, now: Instant) -> f64 {
+    let Some(first) = events.front() else {
         return 0.0;
     };
-    let span = last.duration_since(*first).as_secs_f64();
-    if span > 0.0 {
-        (events.len() - 1) as f64 / span
-    } else {
-        0.0
-    }
+    let span = now.saturating_duration_since(*first).max(SHORTEST);
+    (events.len() - 1) as f64 / span.as_secs_f64()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_burst_of_steps_is_no_rate_of_a_hundred_kilohertz() {
+        let (mut line, now) = (LiveLine::default(), Instant::now());
+        (1..=8).for_each(|step| line.prediction(step, 0, now));
+        for tick in 0..=10 {
+            line.frame(now + Duration::from_millis(200) * tick);
+        }
+        let text = line.text(now + Duration::from_secs(2), None, 0);
+        assert!(
+            text.starts_with("camera 5.0 Hz | predicted 3.5 Hz"),
+            "{text}"
+        );
+    }
 
     #[test]
     fn stamps_of_another_clock_give_no_latency() {
