@@ -30,7 +30,7 @@ wm_ros::endpoints! {
         latency_k8: Publisher<Float64> = "prediction_latency/k8", qos(QOS);
         /// The ratio one step ahead over the last 5 s: from 1 on, /diagnostics warns while something moves.
         trust_ratio: Publisher<Float64> = "trust/error_ratio", qos(QOS);
-        /// Part of the latents' values that are far from the training's, over the last 5 s: above 0.015, /diagnostics
+        /// Part of the latents' values that are far from the training's, over the last 5 s: above 0.02, /diagnostics
         /// warns.
         trust_far: Publisher<Float64> = "trust/unlike_training", qos(QOS);
     }
