@@ -46,7 +46,9 @@ from transformers import Dinov2Config, Dinov2Model
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "world-model/zoo/fixtures"))
 
-import generate  # noqa: E402
+from cases.autoencoder import SD3, to_signed, to_unit  # noqa: E402
+from cases.case import channels_first, channels_last, pictures, randomised, resized, saved  # noqa: E402
+from cases.transition import dit_input  # noqa: E402
 from machine import processor  # noqa: E402
 from reference import dit, pixel_decoder, vjepa  # noqa: E402
 
@@ -122,7 +124,7 @@ class Velocity(Case):
         super().__init__()
 
     def build(self):
-        return self.config, generate.randomised(dit.dit(**self.config)), generate.dit_input(self.config, 1, 10)
+        return self.config, randomised(dit.dit(**self.config)), dit_input(self.config, 1, 10)
 
     def ready(self):
         c, self.module = self.config, dit.transition_module()
@@ -212,8 +214,8 @@ class Step(Case):
         # A multiplication and an addition are two; of the attention that within frames.
         of_token = 2 * (4 * d * d + 3 * d * h) + 2 * tokens * d
         self.operations = 2 * self.candidates * tokens * config["depth"] * of_token
-        model = generate.randomised(dit.dit(**config))
-        return config, model, generate.dit_input(config, self.candidates, self.cached + 1)
+        model = randomised(dit.dit(**config))
+        return config, model, dit_input(config, self.candidates, self.cached + 1)
 
 
 class Frame(Case):
@@ -231,7 +233,7 @@ class Frame(Case):
         super().__init__()
 
     def build(self):
-        model = generate.randomised(dit.dit(**DIT_S))
+        model = randomised(dit.dit(**DIT_S))
         # A small velocity, as of a trained model: else errors grow over the Euler steps, and nothing can be compared.
         model.final_layer.linear.weight.data *= 0.25
         frame = (*DIT_S["grid"], DIT_S["channels"])
@@ -268,14 +270,14 @@ class VitL(Case):
                 patch_size=14, use_swiglu_ffn=False, layer_norm_eps=1e-6,
             )
         )
-        config, self.published = generate.saved(generate.randomised(model))
-        return config, model, dict(image=generate.pictures(1, 256, 256))
+        config, self.published = saved(randomised(model))
+        return config, model, dict(image=pictures(1, 256, 256))
 
     def weights(self):
         return self.published
 
     def step(self):
-        image = generate.resized(generate.channels_first(self.inputs["image"]), 224)
+        image = resized(channels_first(self.inputs["image"]), 224)
         mean, std = (torch.tensor(v, dtype=image.dtype).view(3, 1, 1) for v in (vjepa.MEAN, vjepa.STD))
         return self.model((image - mean) / std).last_hidden_state[:, 1:].unflatten(1, (16, 16))
 
@@ -289,14 +291,14 @@ class Convolutional(Case):
 
 class Sd3(Convolutional):
     def build(self):
-        options = dict(generate.SD3, widths=[128, 256, 512, 512], norm_num_groups=32, latent_channels=16)
+        options = dict(SD3, widths=[128, 256, 512, 512], norm_num_groups=32, latent_channels=16)
         widths = options.pop("widths")
         model = AutoencoderKL(
             block_out_channels=widths, down_block_types=["DownEncoderBlock2D"] * 4,
             up_block_types=["UpDecoderBlock2D"] * 4, **options,
         )
         self.shift, self.scale = options["shift_factor"], options["scaling_factor"]
-        generate.randomised(model)
+        randomised(model)
         return dict(model.config), model, self.input()
 
 
@@ -304,11 +306,11 @@ class Sd3Encoder(Sd3):
     ours, output = "sd3-vae", "latent"
 
     def input(self):
-        return dict(image=generate.pictures(1, 256, 256))
+        return dict(image=pictures(1, 256, 256))
 
     def step(self):
-        mean = self.model.encode(generate.to_signed(self.inputs["image"])).latent_dist.mean
-        return generate.channels_last((mean - self.shift) * self.scale)
+        mean = self.model.encode(to_signed(self.inputs["image"])).latent_dist.mean
+        return channels_last((mean - self.shift) * self.scale)
 
 
 class Sd3Decoder(Sd3):
@@ -318,8 +320,8 @@ class Sd3Decoder(Sd3):
         return dict(latent=torch.randn(1, 32, 32, 16))
 
     def step(self):
-        latent = generate.channels_first(self.inputs["latent"]) / self.scale + self.shift
-        return generate.to_unit(self.model.decode(latent).sample)
+        latent = channels_first(self.inputs["latent"]) / self.scale + self.shift
+        return to_unit(self.model.decode(latent).sample)
 
 
 class Pixel(Convolutional):
@@ -327,11 +329,11 @@ class Pixel(Convolutional):
 
     def build(self):
         config = pixel_decoder.PUBLISHED
-        model = generate.randomised(pixel_decoder.PixelDecoder(**config))
+        model = randomised(pixel_decoder.PixelDecoder(**config))
         return config, model, dict(latent=torch.randn(1, 16, 16, config["latent"]))
 
     def step(self):
-        return generate.channels_last(self.model(generate.channels_first(self.inputs["latent"])))
+        return channels_last(self.model(channels_first(self.inputs["latent"])))
 
 
 CASES = {
