@@ -96,7 +96,11 @@ impl Newcomer {
             match kind {
                 // DATA
                 0x15 if datagram[body + 8..body + 12] == WRITERS => {
-                    self.came.push(word(body + 16));
+                    // One that was asked for twice may come twice.
+                    let number = word(body + 16);
+                    if !self.came.contains(&number) {
+                        self.came.push(number);
+                    }
                 }
                 // HEARTBEAT
                 0x07 if datagram[body + 4..body + 8] == WRITERS => {
