@@ -48,16 +48,17 @@ impl Report {
     #[must_use]
     pub fn doubt(&self) -> Option<String> {
         let first = self.steps.iter().find(|step| step.step == 1)?;
-        if first.predictions.max(first.compared) < LEAST {
-            return None;
-        }
-        let ratio = first.latent_error_ratio.filter(|ratio| *ratio >= 1.0);
+        let is_scored = first.predictions.max(first.compared) >= LEAST;
+        let ratio = first
+            .latent_error_ratio
+            .filter(|ratio| is_scored && *ratio >= 1.0);
         let pictures = first.psnr_db.zip(first.persistence_psnr_db);
         // Where nothing moves, holding still cannot be beaten.
         if pictures.is_some_and(|(_, held)| held > STILL_DB) {
             return None;
         }
-        let pictures = pictures.filter(|(predicted, held)| predicted < held);
+        let is_compared = first.compared >= LEAST;
+        let pictures = pictures.filter(|(predicted, held)| is_compared && predicted < held);
         let why = match (pictures, ratio) {
             (Some((predicted, held)), _) => {
                 format!("PSNR {predicted:.1} dB one step ahead against {held:.1} dB")

@@ -290,6 +290,17 @@ mod tests {
                 "{text}"
             );
         }
+        let doubts = |change: fn(&mut StepFigures)| {
+            let mut report = report.clone();
+            change(&mut report.steps[0]);
+            report.doubt().is_some()
+        };
+        assert!(doubts(|_| {}));
+        // One picture is no verdict, however many predictions there are; nor is a scene in which nothing moves.
+        assert!(!doubts(
+            |first| (first.compared, first.predictions) = (1, 50)
+        ));
+        assert!(!doubts(|first| first.persistence_psnr_db = Some(60.0)));
         report.steps[0].persistence_psnr_db = None;
         report.steps[0].latent_error_ratio = Some(2.1);
         assert!(terminal_table(&report).starts_with("The predictions are no better"));

@@ -30,12 +30,12 @@ use std::sync::Arc;
 /// rustdds calls it a panic where it cannot have the sockets, timers and threads that a participant needs.
 fn cannot_join(environment: &Environment, error: CreateError) -> Error {
     let reason = match error {
-        CreateError::Poisoned { reason } => reason,
+        CreateError::Poisoned { reason } => format!(
+            "{reason}; the process may have reached its limit of open files (`ulimit -n`) or of threads"
+        ),
         other => other.to_string(),
     };
-    let advice = "the process may have reached its limit of open files (`ulimit -n`) or of threads";
-    let action = format!("join DDS domain {}", environment.domain_id);
-    Error::middleware(action, format_args!("{reason}; {advice}"))
+    Error::middleware(format!("join DDS domain {}", environment.domain_id), reason)
 }
 
 /// A participant of the domain, not yet in anybody's book, which hears nothing from outside the environment's reach.
