@@ -6,8 +6,8 @@ usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--no-compil
 Builds `world-model/zoo/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
 folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
 all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
-ours is faster), and how far our output is from PyTorch's in f32 (relative, Euclidean). Needs cargo, a C++ compiler, and
-what world-model/zoo/fixtures/requirements.txt names.
+ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). Needs cargo, a C++
+compiler, and what world-model/zoo/fixtures/requirements.txt names.
 
 Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames of which keys and values are
 cached, by both. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
@@ -460,12 +460,15 @@ def compare(name, case, folder, arguments, place):
             ratios.append(statistics.median(a) / min(map(statistics.median, b.values())))
         output = load_file(folder / "output.safetensors")[case.output].float()[: len(reference)]
         output = output.to(reference.device)
-        difference = ((output - reference).norm() / reference.norm()).item()
+        differences = [
+            f"{((found - reference).norm() / reference.norm()).item():.1e}"
+            for found in (output, firsts["eager"][0].float())
+        ]
         columns = ("eager", "compile", *(["tensorrt"] if place else []))
         medians = [statistics.median(theirs[peer]) if peer in theirs else None for peer in columns]
         cells = [f"{m:.1f}" if m else "-" for m in (statistics.median(all_ours), *medians)]
         ratio = f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
-        row = [name, number_format, *cells, ratio, f"{difference:.1e}", f"{rounds} x {runs}"]
+        row = [name, number_format, *cells, ratio, *differences, f"{rounds} x {runs}"]
         print("| " + " | ".join(row) + " |", flush=True)
 
 
@@ -539,8 +542,8 @@ def main():
     card = f"{torch.cuda.get_device_name()}, CUDA {torch.version.cuda}, " if on_cuda else ""
     print(f"{card}{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}\n")
     more = " TensorRT p50 ms |" if on_cuda else ""
-    print(f"| case | format | ours p50 ms | eager p50 ms | compile p50 ms |{more} ratio to the fastest | difference | runs |")
-    print("|---" * (9 if on_cuda else 8) + "|")
+    print(f"| case | format | ours p50 ms | eager p50 ms | compile p50 ms |{more} ratio to the fastest | difference | eager's | runs |")
+    print("|---" * (10 if on_cuda else 9) + "|")
     place = () if not on_cuda else ("cuda",) if arguments.no_graphs else ("cuda", "recorded")
     cases = arguments.cases or known
     for name in cases:

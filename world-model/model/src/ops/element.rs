@@ -3,7 +3,7 @@
 use bytemuck::Pod;
 use half::bf16;
 
-use super::simd::{Bf16Unit, InstructionSet, Int8Unit};
+use super::simd::{Bf16Unit, InstructionSet, Int8Unit, LANES, Lanes};
 use super::vectorised::vectorised;
 
 /// The largest absolute value of a weight, and of an input, of 8 bits. -128 does not occur: it has no opposite.
@@ -74,6 +74,21 @@ pub(crate) trait Element: Pod + Send + Sync + std::fmt::Debug {
 
     /// Rounds `values` to the front of `out`, which is at least as long.
     fn round(values: &[f32], out: &mut [Self]);
+
+    /// Rounds `lanes` to [`LANES`] values at `out`.
+    ///
+    /// # Safety
+    /// As many must be writable, and the instruction set of `lanes` enabled.
+    #[inline(always)]
+    unsafe fn store<L: Lanes>(lanes: L, out: *mut Self) {
+        let mut values = [0.0; LANES];
+        // SAFETY: there is room for all lanes in `values`, and as for this function.
+        unsafe {
+            lanes.store(values.as_mut_ptr());
+            out.cast::<[Self; LANES]>()
+                .write_unaligned(values.map(Self::from_f32));
+        }
+    }
 }
 
 impl Element for f32 {

@@ -159,7 +159,7 @@ impl Int8Panels {
     /// # Panics
     /// If the rows do not lie within the values, or their numbers differ.
     pub(super) fn product_of_rows(&self, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
-        let target = check(&self.panels, x, y);
+        let target = check((self.panels.depth, self.panels.outputs), x, y);
         ROUNDED.with_borrow_mut(|buffers| match self.unit {
             Int8Unit::Bytes(unit) => {
                 let Rounded { bytes, scales, .. } = buffers;

@@ -73,16 +73,7 @@ pub(crate) trait PanelProduct: Element {
 
 impl PanelProduct for f32 {
     fn product_of_rows(panels: &Panels<f32>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
-        let target = check(panels, x, y);
-        for place in panels.iter() {
-            ahead(panels, place);
-            let weights = panels.values.as_ptr().wrapping_add(place.1);
-            let input = (x.values.as_ptr(), x.step, panels.depth);
-            let row = row::<F32>(input, weights, panels, place, target, ());
-            // SAFETY: the lengths were checked above, and those of the panels hold by construction; the
-            // panels were cut for an instruction set that was detected.
-            unsafe { row.run(panels.set) };
-        }
+        product_as_is::<F32>(panels.set, panels, x, y);
     }
 }
 
@@ -97,7 +88,7 @@ impl PanelProduct for bf16 {
 
 /// With inputs rounded to bf16, by the processor's products of bf16.
 fn rounded(unit: Bf16Unit, panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
-    let target = check(panels, x, y);
+    let target = check((panels.depth, panels.outputs), x, y);
     let rows = x.count;
     let (depth, whole) = (panels.depth.max(1), panels.whole_depth().max(1));
     ROUNDED.with_borrow_mut(|buffer| {
@@ -118,20 +109,58 @@ fn rounded(unit: Bf16Unit, panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut 
                 }
             }
         }
-        for place in panels.iter() {
-            ahead(panels, place);
-            let weights = panels.values.as_ptr().wrapping_add(place.1);
-            let input = (buffer.as_ptr(), whole, whole);
-            let row = row::<Bf16>(input, weights, panels, place, target, ());
-            // SAFETY: as above; the buffer has `rows` rows of `whole` values.
-            unsafe { row.run(unit) };
-        }
+        // SAFETY: the buffer has `rows` rows of `whole` values, and the target as many of the outputs.
+        unsafe { by_panel::<Bf16>(unit, panels, (buffer.as_ptr(), whole), target) };
     });
+}
+
+/// `y` (rows of outputs) = `x` (as many rows of [`Panels::whole_depth`] inputs, as `unit` takes them) times a packed matrix,
+/// plus its bias.
+///
+/// # Panics
+/// If the rows do not lie within the values, or their numbers differ.
+pub(crate) fn product_as_is<P: Product<Scales = ()>>(
+    unit: P::Unit,
+    panels: &Panels<P::Weight>,
+    x: Rows<&[P::Input]>,
+    y: Rows<&mut [f32]>,
+) {
+    let whole = panels.whole_depth();
+    let target = check((whole, panels.outputs), x, y);
+    // SAFETY: the lengths were checked.
+    unsafe { by_panel::<P>(unit, panels, (x.values.as_ptr(), x.step), target) };
+}
+
+/// The products of rows, the first at `input.0` and `input.1` values apart, with all panels.
+///
+/// # Safety
+/// At `input` must be as many rows as `target` has, of [`Panels::whole_depth`] values, and the processor must have `unit`.
+unsafe fn by_panel<P: Product<Scales = ()>>(
+    unit: P::Unit,
+    panels: &Panels<P::Weight>,
+    input: (*const P::Input, usize),
+    target: Target,
+) {
+    let whole = panels.whole_depth();
+    for place in panels.iter() {
+        ahead(panels, place);
+        let weights = panels.values.as_ptr().wrapping_add(place.1);
+        let row = row::<P>(
+            (input.0, input.1, whole),
+            weights,
+            panels,
+            place,
+            target,
+            (),
+        );
+        // SAFETY: as for this function; the lengths of the panels hold by construction, and they were cut for the unit.
+        unsafe { row.run(unit) };
+    }
 }
 
 /// With weights widened to f32, a panel at a time, which all rows are multiplied with.
 fn widened(panels: &Panels<bf16>, x: Rows<&[f32]>, y: Rows<&mut [f32]>) {
-    let target = check(panels, x, y);
+    let target = check((panels.depth, panels.outputs), x, y);
     WIDENED.with_borrow_mut(|buffer| {
         for place in panels.iter() {
             ahead(panels, place);
@@ -159,21 +188,18 @@ pub(super) struct Target {
     count: usize,
 }
 
-/// Where a product is to be written. The kernel trusts the lengths.
-pub(super) fn check<T: Element>(
-    panels: &Panels<T>,
-    x: Rows<&[f32]>,
+/// Where a product of rows of these widths is to be written. The kernel trusts the lengths.
+pub(super) fn check<X>(
+    (inputs, outputs): (usize, usize),
+    x: Rows<&[X]>,
     y: Rows<&mut [f32]>,
 ) -> Target {
     let holds = |length: usize, step: usize, width: usize| {
         x.count == 0 || (step >= width && (x.count - 1) * step + width <= length)
     };
+    assert!(holds(x.values.len(), x.step, inputs), "input of a product");
     assert!(
-        holds(x.values.len(), x.step, panels.depth),
-        "input of a product"
-    );
-    assert!(
-        y.count == x.count && holds(y.values.len(), y.step, panels.outputs),
+        y.count == x.count && holds(y.values.len(), y.step, outputs),
         "output of a product"
     );
     Target {

@@ -17,11 +17,13 @@ use super::simd::amx::{
 use super::simd::{Avx2, Avx512};
 use super::simd::{Bf16Unit, BytesUnit, InstructionSet, Int8Unit, LANES, Lanes, Portable};
 
-/// Sums that are added to in turns: more than a processor's latency of an addition times its units, and no more than fit
-/// into its registers, with thirty-two of a vector each, and with sixteen of half a vector or thirty-two of a quarter.
+/// Inputs and weights of the tiles that are added to, as in the kernels: their sums are more than a processor's latency of an
+/// addition times its units, and fit into its registers. With an input for every product, Zen 4 reads inputs as long as it
+/// multiplies.
+const INPUTS: usize = 6;
 #[cfg(target_arch = "x86_64")]
-const WIDE: usize = 12;
-const NARROW: usize = 6;
+const WIDE: usize = 4;
+const NARROW: usize = 1;
 const ROUNDS: usize = 200_000;
 
 /// Operations a second that the products of a kernel for weights of `format` have at most, measured on the calling thread:
@@ -114,25 +116,27 @@ fn int8_steps(unit: Int8Unit) -> usize {
     }
 }
 
-/// Adds products to `SUMS` sums in turns, of inputs that are read anew each time, as the kernels do: of values that stay the
-/// same the compiler would compute the products once.
+/// Adds products to the sums of a tile in turns, of inputs that are read anew each time, as the kernels do: of values that
+/// stay the same the compiler would compute the products once.
 #[inline(always)]
-fn steps<P: Step<L>, L: Lanes, const SUMS: usize>(input: P::Input, weight: P::Weight) -> usize {
+fn steps<P: Step<L>, L: Lanes, const WEIGHTS: usize>(input: P::Input, weight: P::Weight) -> usize {
     let group = <P as Product>::Weight::GROUP;
-    let (inputs, weights) = (vec![input; SUMS * group], vec![weight; LANES * group]);
+    let (inputs, weights) = (vec![input; INPUTS * group], vec![weight; LANES * group]);
     // SAFETY: so many weights were written.
-    let weights = black_box(unsafe { P::load(weights.as_ptr()) });
-    let mut sums = [L::splat(0.0); SUMS];
+    let weights = black_box([unsafe { P::load(weights.as_ptr()) }; WEIGHTS]);
+    let mut sums = [[L::splat(0.0); WEIGHTS]; INPUTS];
     for _ in 0..ROUNDS {
         let inputs = black_box(inputs.as_ptr());
-        for (i, sum) in sums.iter_mut().enumerate() {
+        for (i, sums) in sums.iter_mut().enumerate() {
             // SAFETY: so many inputs were written.
             let input = unsafe { P::splat(inputs.add(i * group)) };
-            *sum = P::add(input, weights, *sum);
+            for (sum, weights) in sums.iter_mut().zip(weights) {
+                *sum = P::add(input, weights, *sum);
+            }
         }
     }
     black_box(sums);
-    ROUNDS * SUMS * LANES * group
+    ROUNDS * INPUTS * WEIGHTS * LANES * group
 }
 
 /// Four products of tiles a round, of loads from a first-level cache, which take half the time of the products.

@@ -5,7 +5,7 @@ use half::bf16;
 use super::band::Banded;
 use super::phase::Phase;
 use super::sweep::{Output, Sweep, whole_channels};
-use super::winograd::Winograd;
+use super::winograd::{self, Winograd};
 use super::{ConvShape, Fused, GridSize, check_length};
 use crate::ops::element::{Element, PackedFormat};
 use crate::ops::panels::Panels;
@@ -26,7 +26,8 @@ pub struct PackedConv {
 enum Parts {
     F32(Vec<Part<f32>>),
     Bf16(Bf16Unit, Vec<Part<bf16>>),
-    Winograd(Winograd),
+    WinogradF32(Winograd<F32>),
+    WinogradBf16(Winograd<Bf16>),
 }
 
 /// A convolution of the input as it is in memory that gives some of the outputs.
@@ -109,13 +110,30 @@ impl PackedConv {
         bias: Option<&[f32]>,
         format: PackedFormat,
     ) -> Result<Self> {
-        if format.bf16_unit().is_some() || !Winograd::suits(shape) {
-            return Self::new(shape, weight, bias, format);
+        Self::transformed(shape, weight, bias, format.bf16_unit())
+    }
+
+    /// As [`Self::of_unit`], transformed where that is faster.
+    pub(super) fn transformed(
+        shape: &ConvShape,
+        weight: &[f32],
+        bias: Option<&[f32]>,
+        unit: Option<Bf16Unit>,
+    ) -> Result<Self> {
+        if !winograd::suits(shape, unit.is_some()) {
+            return Self::of_unit(shape, weight, bias, unit);
         }
         check_weights(shape, weight, bias)?;
+        let parts = match unit {
+            Some(unit) => Parts::WinogradBf16(Winograd::new(unit, shape, weight, bias)),
+            None => {
+                let set = InstructionSet::detect();
+                Parts::WinogradF32(Winograd::new(set, shape, weight, bias))
+            }
+        };
         Ok(Self {
             shape: *shape,
-            parts: Parts::Winograd(Winograd::new(shape, weight, bias)),
+            parts,
             borders_lower_right: false,
         })
     }
@@ -140,7 +158,7 @@ impl PackedConv {
             Parts::F32(parts) => parts.iter_mut().for_each(|part| part.phase.pad = (0, 0)),
             Parts::Bf16(_, parts) => parts.iter_mut().for_each(|part| part.phase.pad = (0, 0)),
             // Of stride 1 only.
-            Parts::Winograd(_) => {}
+            Parts::WinogradF32(_) | Parts::WinogradBf16(_) => {}
         }
         packed.borders_lower_right = true;
         Ok(packed)
@@ -202,7 +220,10 @@ impl PackedConv {
             match &self.parts {
                 Parts::F32(parts) => run.all::<F32>(parts, InstructionSet::detect()),
                 Parts::Bf16(unit, parts) => run.all::<Bf16>(parts, *unit),
-                Parts::Winograd(winograd) => {
+                Parts::WinogradF32(winograd) => {
+                    winograd.run(input, grid, fused, output.as_mut_ptr(), length);
+                }
+                Parts::WinogradBf16(winograd) => {
                     winograd.run(input, grid, fused, output.as_mut_ptr(), length);
                 }
             }

@@ -377,7 +377,7 @@ fn inference_is_the_plain_sum() {
     };
     for (inputs, outputs, grid) in [
         (32, 48, grid(2, 19, 17)),
-        (64, 32, grid(1, 1, 33)),
+        (64, 48, grid(1, 1, 33)),
         (48, 32, grid(1, 16, 2)),
         (3, 20, grid(1, 7, 50)),
     ] {
@@ -423,9 +423,11 @@ fn inference_is_the_plain_sum() {
                 PackedConv::for_inference(&shape, weight, bias, format),
             ];
             if format == PackedFormat::Bf16 {
-                let of_unit = |unit| PackedConv::of_unit(&shape, weight, bias, Some(unit));
                 let units = Bf16Unit::ALL.iter().copied();
-                ways.extend(units.filter(|unit| unit.can_be_tested()).map(of_unit));
+                for unit in units.filter(|unit| unit.can_be_tested()) {
+                    ways.push(PackedConv::of_unit(&shape, weight, bias, Some(unit)));
+                    ways.push(PackedConv::transformed(&shape, weight, bias, Some(unit)));
+                }
             }
             for (way, packed) in ways.into_iter().enumerate() {
                 let packed = packed.unwrap();

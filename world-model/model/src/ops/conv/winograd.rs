@@ -2,7 +2,7 @@
 //!
 //! Source: Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", arXiv 1509.09308, section 4.1. Two by two
 //! outputs take 16 products of transformed inputs and weights instead of 36. Transforms are additions, in f32, of which
-//! the rounding is that of a sum in another order.
+//! the rounding is that of a sum in another order. Products of bf16 round what was transformed.
 
 use rayon::prelude::*;
 
@@ -10,9 +10,11 @@ use super::band::{Band, Banded};
 use super::tile::{Rectangle, Tile};
 use super::{ConvShape, Fused, GridSize};
 use crate::ops::buffer::Buffer;
+use crate::ops::element::Element;
 use crate::ops::group_norm::Normalisation;
-use crate::ops::panel_product::PanelProduct;
+use crate::ops::panel_product::{Rows, product_as_is};
 use crate::ops::panels::Panels;
+use crate::ops::product::Product;
 #[cfg(target_arch = "aarch64")]
 use crate::ops::simd::Neon;
 #[cfg(target_arch = "x86_64")]
@@ -29,14 +31,18 @@ const OUTPUTS: usize = 2;
 /// Rows and columns of outputs that one task computes: enough squares for weights to be used often once they are there.
 const TASK: usize = 16;
 
-/// Channels from which on the multiplications that are saved are more than the transforms cost.
+/// Channels from which on the multiplications that are saved are more than the transforms cost; products of bf16 cost half
+/// as much.
 const LEAST_CHANNELS: usize = 32;
+const LEAST_BF16_CHANNELS: usize = 48;
 
 /// Transformed weights.
 #[derive(Clone, Debug)]
-pub(super) struct Winograd {
+pub(super) struct Winograd<P: Product> {
+    /// What computes the products.
+    unit: P::Unit,
     /// A matrix (inputs x outputs) for each of the products.
-    matrices: Vec<Panels<f32>>,
+    matrices: Vec<Panels<P::Weight>>,
     bias: Vec<f32>,
     inputs: usize,
     outputs: usize,
@@ -58,19 +64,29 @@ impl Target {
     }
 }
 
-impl Winograd {
-    /// Whether it computes convolutions of `shape` faster than the direct way.
-    pub(super) fn suits(shape: &ConvShape) -> bool {
-        let suits = |channels: usize| channels >= LEAST_CHANNELS && channels.is_multiple_of(LANES);
-        shape.kernel == 3
-            && shape.stride == 1
-            && !shape.upsample
-            && suits(shape.inputs)
-            && suits(shape.outputs)
-    }
+/// Whether convolutions of `shape` are computed faster so than the direct way, in bf16 or in f32.
+pub(super) fn suits(shape: &ConvShape, is_bf16: bool) -> bool {
+    let least = if is_bf16 {
+        LEAST_BF16_CHANNELS
+    } else {
+        LEAST_CHANNELS
+    };
+    let suits = |channels: usize| channels >= least && channels.is_multiple_of(LANES);
+    shape.kernel == 3
+        && shape.stride == 1
+        && !shape.upsample
+        && suits(shape.inputs)
+        && suits(shape.outputs)
+}
 
-    /// Transforms `weight` (3, 3, inputs, outputs).
-    pub(super) fn new(shape: &ConvShape, weight: &[f32], bias: Option<&[f32]>) -> Self {
+impl<P: Product<Scales = ()>> Winograd<P> {
+    /// Transforms `weight` (3, 3, inputs, outputs), for `unit`.
+    pub(super) fn new(
+        unit: P::Unit,
+        shape: &ConvShape,
+        weight: &[f32],
+        bias: Option<&[f32]>,
+    ) -> Self {
         let ConvShape {
             inputs, outputs, ..
         } = *shape;
@@ -89,6 +105,7 @@ impl Winograd {
             })
         });
         Self {
+            unit,
             matrices: matrices.collect(),
             bias: bias.map_or_else(|| vec![0.0; outputs], <[f32]>::to_vec),
             inputs,
@@ -160,7 +177,9 @@ impl Winograd {
     ) -> Buffer {
         let (rows, columns) = squares(part);
         let count = rows * columns;
-        let mut inputs = Buffer::of(PRODUCTS * step(count, self.inputs));
+        let values = PRODUCTS * step(count, self.inputs);
+        let mut inputs = Buffer::of(values * size_of::<P::Input>() / size_of::<f32>());
+        let inputs: &mut [P::Input] = bytemuck::cast_slice_mut(&mut inputs);
         f32::with_buffer(|band| {
             let width = OUTPUTS * columns + OUTPUTS;
             Band {
@@ -177,15 +196,23 @@ impl Winograd {
                 squares: (rows, columns),
                 step: step(count, self.inputs),
             };
-            transform_inputs(&transform, &mut inputs);
+            transform_inputs(&transform, inputs);
         });
         let mut products = Buffer::of(PRODUCTS * step(count, self.outputs));
         let parts = products.chunks_exact_mut(step(count, self.outputs));
         let inputs = inputs.chunks_exact(step(count, self.inputs));
         for (matrix, (input, product)) in self.matrices.iter().zip(inputs.zip(parts)) {
-            let input = input.get(..count * self.inputs).unwrap_or_default();
-            let product = product.get_mut(..count * self.outputs).unwrap_or_default();
-            f32::product(matrix, input, product);
+            let input = Rows {
+                values: input,
+                step: self.inputs,
+                count,
+            };
+            let product = Rows {
+                values: product,
+                step: self.outputs,
+                count,
+            };
+            product_as_is::<P>(self.unit, matrix, input, product);
         }
         products
     }
@@ -284,7 +311,7 @@ struct Inputs<'a> {
 impl Inputs<'_> {
     /// Writes the transformed inputs (products, squares, channels).
     #[inline(always)]
-    fn transform<L: Lanes>(&self, out: &mut [f32]) {
+    fn transform<L: Lanes, T: Element>(&self, out: &mut [T]) {
         let (rows, columns) = self.squares;
         let pitch = self.width * self.channels;
         assert!(self.band.len() >= (OUTPUTS * rows + OUTPUTS) * pitch);
@@ -306,7 +333,7 @@ impl Inputs<'_> {
                     for y in 0..SIDE {
                         let row = to_products(columns.map(|column| column[y]));
                         for (x, values) in row.into_iter().enumerate() {
-                            values.store(to.add((y * SIDE + x) * self.step));
+                            T::store(values, to.add((y * SIDE + x) * self.step));
                         }
                     }
                 }
@@ -353,18 +380,18 @@ impl Products<'_> {
 
 /// Compiles a transform for every instruction set, and calls the machine's.
 macro_rules! on_lanes {
-    ($name:ident, $transform:ty, $($arg:ident: $type:ty),*) => {
-        fn $name(transform: &$transform, $($arg: $type),*) {
+    ($name:ident$(<$element:ident>)?, $transform:ty, $($arg:ident: $type:ty),*) => {
+        fn $name$(<$element: Element>)?(transform: &$transform, $($arg: $type),*) {
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx512f")]
-            fn avx512(transform: &$transform, $($arg: $type),*) {
-                transform.transform::<Avx512>($($arg),*);
+            fn avx512$(<$element: Element>)?(transform: &$transform, $($arg: $type),*) {
+                transform.transform::<Avx512$(, $element)?>($($arg),*);
             }
 
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma")]
-            fn avx2(transform: &$transform, $($arg: $type),*) {
-                transform.transform::<Avx2>($($arg),*);
+            fn avx2$(<$element: Element>)?(transform: &$transform, $($arg: $type),*) {
+                transform.transform::<Avx2$(, $element)?>($($arg),*);
             }
 
             match InstructionSet::detect() {
@@ -375,12 +402,12 @@ macro_rules! on_lanes {
                 // SAFETY: as above.
                 InstructionSet::Avx2 => unsafe { avx2(transform, $($arg),*) },
                 #[cfg(target_arch = "aarch64")]
-                InstructionSet::Neon => transform.transform::<Neon>($($arg),*),
-                InstructionSet::Portable => transform.transform::<Portable>($($arg),*),
+                InstructionSet::Neon => transform.transform::<Neon$(, $element)?>($($arg),*),
+                InstructionSet::Portable => transform.transform::<Portable$(, $element)?>($($arg),*),
             }
         }
     };
 }
 
-on_lanes!(transform_inputs, Inputs<'_>, out: &mut [f32]);
+on_lanes!(transform_inputs<T>, Inputs<'_>, out: &mut [T]);
 on_lanes!(transform_products, Products<'_>, number: usize, out: &mut [f32]);
