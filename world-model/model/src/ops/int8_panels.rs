@@ -12,7 +12,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::element::{Element, INT8_MOST};
-use super::panel_product::{Rows, Target, ahead, check, row};
+use super::panel_product::{Rows, Target, check, row};
 use super::panel_values::MappedBytes;
 use super::panels::Panels;
 #[cfg(target_arch = "x86_64")]
@@ -225,7 +225,6 @@ impl Int8Panels {
         let panels = &self.panels;
         let whole = panels.whole_depth();
         for place in panels.iter() {
-            ahead(panels, place);
             let (vectors, start, first) = place;
             let values = panels.values.get(start..start + whole * vectors * LANES);
             let weights = weights(values.unwrap_or_default());
