@@ -1,5 +1,7 @@
 //! Number formats that packed weights are kept in.
 
+use std::cell::RefCell;
+
 use bytemuck::Pod;
 use half::bf16;
 
@@ -148,6 +150,31 @@ impl Element for i8 {
         for (value, out) in values.iter().zip(out) {
             *out = Self::from_f32(*value);
         }
+    }
+}
+
+/// What inputs are rounded to before products of floats.
+pub(crate) trait Rounded: Element {
+    /// Calls `use_it` with `values`: as they are, or rounded in a buffer of the thread.
+    fn with_rounded<R>(values: &[f32], use_it: impl FnOnce(&[Self]) -> R) -> R;
+}
+
+impl Rounded for f32 {
+    fn with_rounded<R>(values: &[f32], use_it: impl FnOnce(&[Self]) -> R) -> R {
+        use_it(values)
+    }
+}
+
+impl Rounded for bf16 {
+    fn with_rounded<R>(values: &[f32], use_it: impl FnOnce(&[Self]) -> R) -> R {
+        thread_local! {
+            static ROUNDED: RefCell<Vec<bf16>> = const { RefCell::new(Vec::new()) };
+        }
+        ROUNDED.with_borrow_mut(|rounded| {
+            rounded.resize(values.len(), bf16::ZERO);
+            Self::round(values, rounded);
+            use_it(rounded)
+        })
     }
 }
 

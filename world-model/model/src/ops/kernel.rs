@@ -138,10 +138,16 @@ impl<P: Product> Row<P> {
                 }
             }
             if self.is_plain() && self.channels >= N * LANES {
-                let output = self.output.add(x * self.output_step);
+                let at = x * self.output_step;
                 for (i, sums) in sums.iter().enumerate() {
                     for (j, sum) in sums.iter().enumerate() {
-                        sum.store(output.add(i * self.output_step + j * LANES));
+                        let at = at + i * self.output_step + j * LANES;
+                        let sum = if self.residual.is_null() {
+                            *sum
+                        } else {
+                            sum.add(L::load(self.residual.add(at)))
+                        };
+                        sum.store(self.output.add(at));
                     }
                 }
                 return;
@@ -162,10 +168,10 @@ impl<P: Product> Row<P> {
         }
     }
 
-    /// Whether the sums are written as they are.
+    /// Whether the sums are written as they are, but for the residual.
     #[inline(always)]
     fn is_plain(&self) -> bool {
-        P::SUMS_ARE_OUTPUTS && self.residual.is_null() && self.mask.is_null() && !self.relu
+        P::SUMS_ARE_OUTPUTS && self.mask.is_null() && !self.relu
     }
 
     /// Makes the outputs of vector `vector` of pixel `x` of their sums.

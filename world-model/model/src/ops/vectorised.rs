@@ -6,34 +6,37 @@
 /// Without it the compiler must assume the oldest processor of the architecture, where even a
 /// fused multiply-add is a call.
 macro_rules! vectorised {
-    ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $body:block) => {
+    (
+        $(#[$meta:meta])*
+        $vis:vis fn $name:ident $(<$of:ident: $bound:path>)? ($($arg:ident: $type:ty),* $(,)?) $body:block
+    ) => {
         $(#[$meta])*
-        $vis fn $name($($arg: $type),*) {
+        $vis fn $name $(<$of: $bound>)? ($($arg: $type),*) {
             #[inline(always)]
-            fn body($($arg: $type),*) $body
+            fn body $(<$of: $bound>)? ($($arg: $type),*) $body
 
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx512f")]
-                fn avx512($($arg: $type),*) {
-                    body($($arg),*);
+                fn avx512 $(<$of: $bound>)? ($($arg: $type),*) {
+                    body $(::<$of>)? ($($arg),*);
                 }
 
                 #[target_feature(enable = "avx2,fma")]
-                fn avx2($($arg: $type),*) {
-                    body($($arg),*);
+                fn avx2 $(<$of: $bound>)? ($($arg: $type),*) {
+                    body $(::<$of>)? ($($arg),*);
                 }
 
                 use $crate::ops::simd::InstructionSet;
                 match InstructionSet::detect() {
                     // SAFETY: the processor was found to have these instructions.
-                    InstructionSet::Avx512 => return unsafe { avx512($($arg),*) },
+                    InstructionSet::Avx512 => return unsafe { avx512 $(::<$of>)? ($($arg),*) },
                     // SAFETY: as above.
-                    InstructionSet::Avx2 => return unsafe { avx2($($arg),*) },
+                    InstructionSet::Avx2 => return unsafe { avx2 $(::<$of>)? ($($arg),*) },
                     InstructionSet::Portable => {}
                 }
             }
-            body($($arg),*);
+            body $(::<$of>)? ($($arg),*);
         }
     };
 }

@@ -12,6 +12,9 @@ use super::sub_block::{Scratch, SubBlock, sized};
 use super::tasks::{Tasks, chunk};
 use super::{Layers, PackedTransition};
 use crate::ops::RotaryTable;
+use crate::ops::element::Rounded;
+use crate::ops::product::{Bf16, F32, Product};
+use crate::ops::simd::InstructionSet;
 use crate::ops::temporal_attention::{FrameRows, attend_rows, split_rows};
 use crate::{Error, Result};
 
@@ -70,9 +73,19 @@ impl PackedTransition {
         first_output: usize,
     ) -> Result<PassOutput> {
         self.check(earlier, frames, modulation)?;
-        let pass = Pass::new(self, earlier, frames, modulation, (keep, first_output));
+        let wanted = (keep, first_output);
         // One hand-over to the pool, not one at every barrier.
-        Ok(rayon::scope(|_| pass.run(frames)))
+        Ok(match self.layers.format.bf16_unit() {
+            Some(unit) => {
+                let pass = Pass::<Bf16>::new(unit, self, earlier, frames, modulation, wanted);
+                rayon::scope(|_| pass.run(frames))
+            }
+            None => {
+                let set = InstructionSet::detect();
+                let pass = Pass::<F32>::new(set, self, earlier, frames, modulation, wanted);
+                rayon::scope(|_| pass.run(frames))
+            }
+        })
     }
 
     fn check(
@@ -116,7 +129,9 @@ impl PackedTransition {
     }
 }
 
-struct Pass<'a> {
+struct Pass<'a, P: Product> {
+    /// What computes the products of the attention within a frame.
+    unit: P::Unit,
     model: &'a PackedTransition,
     earlier: &'a [&'a FrameContext],
     tasks: Tasks,
@@ -128,8 +143,12 @@ struct Pass<'a> {
     angles: Vec<RotaryTable>,
 }
 
-impl<'a> Pass<'a> {
+impl<'a, P: Product<Scales = ()>> Pass<'a, P>
+where
+    P::Input: Rounded,
+{
     fn new(
+        unit: P::Unit,
         model: &'a PackedTransition,
         earlier: &'a [&'a FrameContext],
         frames: &[(&[f32], usize)],
@@ -147,6 +166,7 @@ impl<'a> Pass<'a> {
             .map(|t| RotaryTable::sequence(&[earlier.len() + t], c.head_dim()))
             .collect();
         Self {
+            unit,
             model,
             earlier,
             tasks,
@@ -298,7 +318,7 @@ impl<'a> Pass<'a> {
         sub_block: &SubBlock,
         modulation: &[f32],
         x: &[f32],
-        projection: TaskProjection<'_>,
+        projection: TaskProjection<'_, P>,
         scratch: &mut Scratch,
     ) {
         let (blocks, tokens) = (&self.tasks.blocks, self.tasks.tokens_of(task));
@@ -310,12 +330,12 @@ impl<'a> Pass<'a> {
         let frames = scratch.qkv.chunks_exact(3 * size).take(self.tasks.times);
         for (qkv, (queries, (keys, values))) in frames.zip(queries.zip(keys.zip(values))) {
             let block = task % blocks.count();
-            blocks.pack(block, qkv, &self.layers().grid, queries, (keys, values));
+            blocks.pack::<P>(block, qkv, &self.layers().grid, queries, (keys, values));
         }
     }
 
     /// Attention within every frame, to `scratch.attended`.
-    fn attend_in_space(&self, task: usize, projection: &Projection, scratch: &mut Scratch) {
+    fn attend_in_space(&self, task: usize, projection: &Projection<P>, scratch: &mut Scratch) {
         let (blocks, times) = (&self.tasks.blocks, self.tasks.times);
         let size = self.tasks.tokens_of(task) * blocks.width();
         let queries = projection.queries(&self.tasks, task);
@@ -327,7 +347,7 @@ impl<'a> Pass<'a> {
             .zip(attended.chunks_exact_mut(size));
         for (t, (queries, out)) in frames.enumerate() {
             let packed = |other: usize| projection.packed(&self.tasks, first + other, t);
-            blocks.attend(queries, packed, scores, out);
+            blocks.attend::<P>(self.unit, queries, packed, scores, out);
         }
     }
 

@@ -4,29 +4,31 @@ use rayon::prelude::*;
 
 use super::tasks::{Tasks, chunk};
 use crate::ops::block_attention::Packed;
+use crate::ops::element::Element;
+use crate::ops::product::Product;
 
 /// Queries, keys and values of a spatial attention, of all tasks.
-pub(super) struct Projection {
-    queries: Vec<f32>,
-    keys: Vec<f32>,
-    values: Vec<f32>,
+pub(super) struct Projection<P: Product> {
+    queries: Vec<P::Input>,
+    keys: Vec<P::Weight>,
+    values: Vec<P::Weight>,
 }
 
 /// One task's part of a [`Projection`].
-pub(super) struct TaskProjection<'a> {
-    pub(super) queries: &'a mut [f32],
-    pub(super) keys: &'a mut [f32],
-    pub(super) values: &'a mut [f32],
+pub(super) struct TaskProjection<'a, P: Product> {
+    pub(super) queries: &'a mut [P::Input],
+    pub(super) keys: &'a mut [P::Weight],
+    pub(super) values: &'a mut [P::Weight],
 }
 
-impl Projection {
+impl<P: Product> Projection<P> {
     pub(super) fn new(tasks: &Tasks) -> Self {
         let frames = tasks.count() * tasks.times;
         let blocks = &tasks.blocks;
         Self {
-            queries: vec![0.0; frames * blocks.block() * blocks.width()],
-            keys: vec![0.0; frames * blocks.key_values()],
-            values: vec![0.0; frames * blocks.value_values()],
+            queries: vec![P::Input::ZERO; frames * blocks.block() * blocks.width()],
+            keys: vec![P::Weight::ZERO; frames * blocks.key_values()],
+            values: vec![P::Weight::ZERO; frames * blocks.value_values()],
         }
     }
 
@@ -34,7 +36,7 @@ impl Projection {
     pub(super) fn parts(
         &mut self,
         tasks: &Tasks,
-    ) -> impl IndexedParallelIterator<Item = TaskProjection<'_>> {
+    ) -> impl IndexedParallelIterator<Item = TaskProjection<'_, P>> {
         let n = tasks.count().max(1);
         let (queries, keys, values) = (
             self.queries.len() / n,
@@ -53,7 +55,7 @@ impl Projection {
     }
 
     /// A task's queries (frames, tokens, d).
-    pub(super) fn queries(&self, tasks: &Tasks, task: usize) -> &[f32] {
+    pub(super) fn queries(&self, tasks: &Tasks, task: usize) -> &[P::Input] {
         chunk(
             &self.queries,
             self.queries.len() / tasks.count().max(1),
@@ -62,7 +64,7 @@ impl Projection {
     }
 
     /// A task's packed keys and values of its t-th frame.
-    pub(super) fn packed(&self, tasks: &Tasks, task: usize, t: usize) -> Packed<'_> {
+    pub(super) fn packed(&self, tasks: &Tasks, task: usize, t: usize) -> Packed<'_, P::Weight> {
         let (blocks, frame) = (&tasks.blocks, task * tasks.times + t);
         (
             chunk(&self.keys, blocks.key_values(), frame),

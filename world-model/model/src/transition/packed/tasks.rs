@@ -41,6 +41,6 @@ impl Tasks {
 }
 
 /// Chunk `i` of those of `size`.
-pub(super) fn chunk(values: &[f32], size: usize, i: usize) -> &[f32] {
+pub(super) fn chunk<T>(values: &[T], size: usize, i: usize) -> &[T] {
     values.get(i * size..(i + 1) * size).unwrap_or_default()
 }
