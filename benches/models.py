@@ -6,14 +6,17 @@ usage: benches/models.py [--device cuda] [--rounds N] [--seconds S] [--no-compil
 Builds `world-model/zoo/examples/model_speed.rs`, and for each case writes random weights and an input to a temporary
 folder, then runs ours and PyTorch (eager, and with torch.compile) in turns, round by round, on all threads of each. Of
 all runs it prints the medians, of the rounds' ratios of ours to the faster PyTorch the median and the range (below 1:
-ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). Needs cargo, a C++
-compiler, and what world-model/zoo/fixtures/requirements.txt names.
+ours is faster), and how far our output and that of eager are from eager's in f32 (relative, Euclidean). `at the peak` is
+how long eager's multiplications and additions take at the peak that the processor was measured to have for the format,
+where ours computes the same: no arrangement of them is faster, but convolutions take fewer. Needs cargo, a C++ compiler, and
+what world-model/zoo/fixtures/requirements.txt names.
 
 Cases: velocity-dit-s, velocity-dit-l: one velocity of a new frame after nine frames of which keys and values are
 cached, by both. frame-dit-s: a predicted frame, ten Euler steps in a full window of ten, ours with its exact cache, the
 reference's loop without. plan-dit-s: the same for 64 candidates after two frames; the peers compute two of them, and
-their time counts 32 times. Those of one velocity and vit-l also in int8, beside PyTorch's dynamic quantisation. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Last, load: time and memory to load
-a model of 300 M parameters, packing its weights (first) and finding them packed (kept).
+their time counts 32 times. vit-l, sd3-encode, sd3-decode, pixel: one picture of 256 x 256. Those of one velocity and vit-l
+also in int8, beside PyTorch's dynamic quantisation. Last, load: time and memory to load a model of 300 M parameters, packing
+its weights (first) and finding them packed (kept).
 
 With --device cuda, all on an NVIDIA GPU: cargo needs nvcc then (tests/setup_cuda has one), and PyTorch its own CUDA. Ours
 repeats recorded passes (CUDA graphs) where few tokens are computed, unless --no-graphs is given. TensorRT is one more peer
@@ -41,6 +44,7 @@ import torch
 import torch.nn.functional as F
 from diffusers import AutoencoderKL
 from safetensors.torch import load_file, save_file
+from torch.utils.flop_counter import FlopCounterMode
 from transformers import Dinov2Config, Dinov2Model
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
@@ -77,6 +81,8 @@ class Case:
     share = 1
     # Of ours in a run, where a share of the card's peak is asked for.
     operations = None
+    # Whether the peers compute what ours does, operation by operation.
+    same_operations = True
 
     def __init__(self):
         torch.manual_seed(1)
@@ -221,7 +227,7 @@ class Step(Case):
 class Frame(Case):
     """The reference's loop: every Euler step computes the whole window of every candidate."""
 
-    ours, output = "frame", "predicted"
+    ours, output, same_operations = "frame", "predicted", False
     # In f32 only: the loop takes minutes in PyTorch's bf16 where the processor has no such arithmetic.
     formats = ("f32",)
 
@@ -387,6 +393,21 @@ def first_run(case):
     return output, timed(case.step, 1)[0]
 
 
+def processor_peaks(cores):
+    """Operations a second of every format, on all cores."""
+    binary = ROOT / "target/release/examples/kernel_speed"
+    lines = subprocess.run([binary, str(cores), "peaks"], check=True, capture_output=True, text=True).stdout.splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| peak")]
+    return {number_format: 1e9 * float(rate) for _, number_format, rate, _ in rows}
+
+
+def operations_of(case):
+    """Multiplications and additions of a step."""
+    with FlopCounterMode(display=False) as counter:
+        case.step()
+    return counter.get_total_flops()
+
+
 class CardMemory:
     """How much less memory the card has at some time than at the beginning, at most, in MiB."""
 
@@ -429,8 +450,8 @@ def step_on_card(name, case, folder, place, runs=10):
     )
 
 
-def compare(name, case, folder, arguments, place):
-    reference = None
+def compare(name, case, folder, arguments, place, peaks):
+    reference = operations = None
     for number_format in case.formats:
         if number_format not in FORMATS and place:
             continue
@@ -446,6 +467,7 @@ def compare(name, case, folder, arguments, place):
         firsts = {peer: first_run(of) for peer, of in peers.items()}
         if reference is None:
             reference = firsts["eager"][0].float()
+            operations = operations_of(at) if case.same_operations and peaks else None
         slowest = max(ms for _, ms in firsts.values()) / 1e3
         runs = max(1, min(10, int(arguments.seconds / slowest)))
         rounds = 1 if slowest > arguments.seconds else arguments.rounds
@@ -468,6 +490,9 @@ def compare(name, case, folder, arguments, place):
         medians = [statistics.median(theirs[peer]) if peer in theirs else None for peer in columns]
         cells = [f"{m:.1f}" if m else "-" for m in (statistics.median(all_ours), *medians)]
         ratio = f"{statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
+        if not place:
+            peak = peaks[number_format]
+            cells.append(f"{1e3 * operations / peak:.1f}" if operations and peak else "-")
         row = [name, number_format, *cells, ratio, *differences, f"{rounds} x {runs}"]
         print("| " + " | ".join(row) + " |", flush=True)
 
@@ -535,15 +560,19 @@ def main():
     build = ["cargo", "build", "--release", "-p", "wm_zoo", "--example", "model_speed"]
     build += ["--features", "cuda"] if on_cuda else []
     subprocess.run(build, cwd=ROOT, check=True)
+    if not on_cuda:
+        kernels = ["cargo", "build", "--release", "-p", "wm_model", "--example", "kernel_speed"]
+        subprocess.run(kernels, cwd=ROOT, check=True)
     cores = len(os.sched_getaffinity(0))
     torch.set_num_threads(cores)
     torch.set_grad_enabled(False)
     flags = "AVX-512" if torch.cpu._is_avx512_supported() else "AVX2" if torch.cpu._is_avx2_supported() else "baseline"
     card = f"{torch.cuda.get_device_name()}, CUDA {torch.version.cuda}, " if on_cuda else ""
     print(f"{card}{processor()}, {flags}, {cores} cores, {datetime.date.today()}, torch {torch.__version__}\n")
-    more = " TensorRT p50 ms |" if on_cuda else ""
+    peaks = {} if on_cuda else processor_peaks(cores)
+    more = " TensorRT p50 ms |" if on_cuda else " at the peak ms |"
     print(f"| case | format | ours p50 ms | eager p50 ms | compile p50 ms |{more} ratio to the fastest | difference | eager's | runs |")
-    print("|---" * (10 if on_cuda else 9) + "|")
+    print("|---" * 10 + "|")
     place = () if not on_cuda else ("cuda",) if arguments.no_graphs else ("cuda", "recorded")
     cases = arguments.cases or known
     for name in cases:
@@ -556,7 +585,7 @@ def main():
                 step_on_card(name, case, folder, place)
                 continue
             with torch.device(arguments.device):
-                compare(name, case, folder, arguments, place)
+                compare(name, case, folder, arguments, place, peaks)
     if "load" in cases:
         with tempfile.TemporaryDirectory() as folder:
             load(pathlib.Path(folder), arguments.rounds)

@@ -1,13 +1,13 @@
 //! How near to the processor's peak the matrix product and the convolution come, at the sizes of the published models.
 //!
 //! ```text
-//! cargo run --release -p wm_model --example kernel_speed -- [THREADS]
+//! cargo run --release -p wm_model --example kernel_speed -- [THREADS [peaks]]
 //! ```
 //!
 //! The peaks are measured first: multiply-adds of f32, of pairs of bf16 where the processor has them, and of bytes, of
-//! registers only. Then every product in f32, bf16 and int8, every convolution in f32 and bf16, and the product of the crate
-//! `gemm` in f32: billions of operations a second and the share of the peak. Of each the best of many runs, which are made in turns, because other guests of a shared machine
-//! come and go.
+//! registers only. Then, unless only `peaks` are asked for, every product in f32, bf16 and int8, every convolution in f32 and
+//! bf16, and the product of the crate `gemm` in f32: billions of operations a second and the share of the peak. Of each the
+//! best of many runs, which are made in turns, because other guests of a shared machine come and go.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -144,13 +144,16 @@ fn main() -> Result<()> {
         Some(Ok(threads)) => threads,
         Some(Err(error)) => return Err(Error::config("threads", format!("{error}"))),
     };
+    let only_peaks = std::env::args().nth(2).is_some_and(|word| word == "peaks");
     let mut cases = Vec::new();
     let mut peaks = FORMATS.map(|(_, packed)| (packed, 0.0));
-    for shape in LINEAR {
-        cases.extend(linear(shape)?);
-    }
-    for shape in CONVOLUTIONS {
-        cases.extend(convolution(shape)?);
+    if !only_peaks {
+        for shape in LINEAR {
+            cases.extend(linear(shape)?);
+        }
+        for shape in CONVOLUTIONS {
+            cases.extend(convolution(shape)?);
+        }
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|error| Error::config("threads", error.to_string()))?
