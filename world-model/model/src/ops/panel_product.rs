@@ -128,7 +128,7 @@ pub(crate) fn product_as_is<P: Product<Scales = ()>>(
 ) {
     let whole = panels.whole_depth();
     let target = check((whole, panels.outputs), x, y);
-    // SAFETY: the lengths were checked.
+    // SAFETY: the lengths were checked, and units are made of what the processor was found to have.
     unsafe { by_panel::<P>(unit, panels, (x.values.as_ptr(), x.step), target) };
 }
 
