@@ -3,7 +3,7 @@
 //!
 //! A node's `step` module holds its whole behaviour and knows neither DDS nor a clock: it is tested with messages alone.
 //! Its `node` module holds the wires: parameters, topics, QoS, threads, diagnostics. All public topics and their QoS
-//! are in the repository's README.
+//! are in `docs/topics.md`.
 //!
 //! Not here: the models (`wm_model`), the ROS runtime (`wm_ros`), bags (`wm_bag`).
 
