@@ -165,6 +165,7 @@ def main():
     parser.add_argument("--domain", type=int, default=94)
     parser.add_argument("--wm", default=str(ROOT / "target/release/wm"))
     arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
     env = dict(os.environ, ROS_DOMAIN_ID=str(arguments.domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     with tempfile.TemporaryDirectory() as directory:
         out, data = pathlib.Path(directory) / "out", pathlib.Path(directory) / "perf.data"

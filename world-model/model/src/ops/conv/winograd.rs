@@ -95,10 +95,15 @@ impl<P: Product<Scales = ()>> Winograd<P> {
             Panels::pack_rows(inputs, outputs, None, |k, first, row| {
                 for (y, by_row) in rows.iter().enumerate() {
                     for (x, by_column) in columns.iter().enumerate() {
+                        let factor = by_row * by_column;
+                        if factor == 0.0 {
+                            continue;
+                        }
                         let at = ((y * 3 + x) * inputs + k) * outputs + first;
                         let taps = weight.get(at..at + row.len()).unwrap_or_default();
                         for (sum, tap) in row.iter_mut().zip(taps) {
-                            *sum = (by_row * by_column).mul_add(*tap, *sum);
+                            // Exact, as factors are powers of two.
+                            *sum += factor * tap;
                         }
                     }
                 }

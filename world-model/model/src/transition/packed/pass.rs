@@ -75,17 +75,15 @@ impl PackedTransition {
         self.check(earlier, frames, modulation)?;
         let wanted = (keep, first_output);
         // One hand-over to the pool, not one at every barrier.
-        Ok(match self.layers.format.bf16_unit() {
+        Ok(rayon::scope(|_| match self.layers.format.bf16_unit() {
             Some(unit) => {
-                let pass = Pass::<Bf16>::new(unit, self, earlier, frames, modulation, wanted);
-                rayon::scope(|_| pass.run(frames))
+                Pass::<Bf16>::new(unit, self, earlier, frames, modulation, wanted).run(frames)
             }
             None => {
                 let set = InstructionSet::detect();
-                let pass = Pass::<F32>::new(set, self, earlier, frames, modulation, wanted);
-                rayon::scope(|_| pass.run(frames))
+                Pass::<F32>::new(set, self, earlier, frames, modulation, wanted).run(frames)
             }
-        })
+        }))
     }
 
     fn check(
