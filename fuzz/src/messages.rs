@@ -48,6 +48,7 @@ pub fn message(data: &[u8]) {
             wm::EnvObservation,
             wm::EnvResetRequest,
             wm::EnvStepRequest,
+            wm::CameraState,
             wm::ExecutorStatus,
             wm::Latent,
             wm::Plan,

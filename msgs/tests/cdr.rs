@@ -40,6 +40,8 @@ fn latent() -> impl Strategy<Value = Latent> {
             channels: 3,
             dtype: Latent::BF16,
             epoch,
+            change: 0.25,
+            frozen: true,
             data,
         })
 }

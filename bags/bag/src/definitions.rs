@@ -10,8 +10,8 @@ use wm_msgs::{
     rosgraph_msgs, sensor_msgs, std_msgs, tf2_msgs, trajectory_msgs, vision_msgs,
     visualization_msgs,
     wm_msgs::{
-        Action, ActionCandidates, ActionChunk, Assessment, EnvObservation, ExecutorStatus, Goal,
-        Latent, LatentSpace, Plan, Prediction, PredictionError,
+        Action, ActionCandidates, ActionChunk, Assessment, CameraState, EnvObservation,
+        ExecutorStatus, Goal, Latent, LatentSpace, Plan, Prediction, PredictionError,
     },
 };
 
@@ -83,6 +83,7 @@ fn own(type_name: &str) -> Option<Schema> {
         of::<Prediction>,
         of::<PredictionError>,
         of::<Plan>,
+        of::<CameraState>,
         of::<ExecutorStatus>,
     ];
     known.iter().find_map(|of| of(type_name))

@@ -35,6 +35,11 @@ pub struct Latent {
     pub dtype: u8,
     /// Epoch of the frame; a reset or a clock jump starts a new epoch with a greater number.
     pub epoch: u64,
+    /// Difference from the camera's previous frame, sensor noise removed: 0 (same) to 1;
+    /// [`CameraState::NOT_MEASURED`] if there is none.
+    pub change: f32,
+    /// The camera has stopped (see [`CameraState`]): do not act on this frame.
+    pub frozen: bool,
     /// `height` x `width` x `channels` little-endian numbers, row-major, channels last.
     #[serde(with = "serde_bytes")]
     pub data: Vec<u8>,
@@ -47,6 +52,31 @@ impl Latent {
     pub const F16: u8 = 1;
     /// bfloat16, little endian.
     pub const BF16: u8 = 2;
+}
+
+/// What the frames of a camera show about the camera itself. The encoder publishes one for each frame that it receives.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CameraState {
+    /// Of the newest frame. `stamp`: capture time; `frame_id`: the camera's optical frame.
+    pub header: Header,
+    /// Difference from the previous frame, sensor noise removed: 0 (same) to 1; [`NOT_MEASURED`](Self::NOT_MEASURED)
+    /// if there is none.
+    pub change: f32,
+    /// How long the frames have not changed.
+    pub unchanged: Duration,
+    /// Frames per second, by their stamps \[Hz\]; 0 if not known yet.
+    pub rate: f32,
+    /// Frames per second that differ from their predecessor \[Hz\]; 0 if not known yet.
+    pub distinct_rate: f32,
+    /// The camera has stopped: do not act on its frames.
+    pub frozen: bool,
+    /// Why the camera counts as frozen; empty if it does not.
+    pub reason: String,
+}
+
+impl CameraState {
+    /// The [`change`](Self::change) of a frame without a predecessor.
+    pub const NOT_MEASURED: f32 = -1.0;
 }
 
 /// One action of the robot, in physical units.
@@ -472,6 +502,12 @@ message!(
     "wm_msgs",
     include_str!("../../msg/ExecutorStatus.msg"),
     [Header, Time]
+);
+message!(
+    CameraState,
+    "wm_msgs",
+    include_str!("../../msg/CameraState.msg"),
+    [Header, Duration]
 );
 message!(
     Timing,

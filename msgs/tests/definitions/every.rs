@@ -20,7 +20,7 @@ macro_rules! every_message {
             lifecycle_msgs::TransitionEvent wm_msgs::LatentSpace wm_msgs::Latent wm_msgs::Action wm_msgs::ActionChunk
             wm_msgs::Prediction wm_msgs::PredictionError wm_msgs::Plan wm_msgs::Timing wm_msgs::ActionCandidates
             wm_msgs::CandidateAssessment wm_msgs::Assessment wm_msgs::EnvObservation
-            wm_msgs::ExecutorStatus wm_msgs::Goal unique_identifier_msgs::UUID action_msgs::GoalInfo
+            wm_msgs::ExecutorStatus wm_msgs::CameraState wm_msgs::Goal unique_identifier_msgs::UUID action_msgs::GoalInfo
             action_msgs::GoalStatus action_msgs::GoalStatusArray)
     };
     (@ $check:ident $arguments:tt $($package:ident :: $message:ident)*) => {

@@ -9,7 +9,7 @@ use thiserror::Error;
 use wm_model::LatentSpace;
 use wm_msgs::{
     std_msgs::Header,
-    wm_msgs::{Latent, LatentSpace as SpaceMessage},
+    wm_msgs::{CameraState, Latent, LatentSpace as SpaceMessage},
 };
 use wm_ros::Qos;
 
@@ -173,6 +173,8 @@ pub fn encode_latent(
         channels: side(space.channels),
         dtype: dtype.to_wire(),
         epoch: 0,
+        change: CameraState::NOT_MEASURED,
+        frozen: false,
         data,
     })
 }
