@@ -19,7 +19,7 @@ pub struct LatentSpace {
 }
 
 /// The latent grid of one camera frame, normalised per channel (mean 0, standard deviation 1 over the training data).
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Latent {
     /// `stamp`: capture time of the frame; `frame_id`: the camera's optical frame.
     pub header: Header,
@@ -253,7 +253,7 @@ pub struct PredictionError {
 }
 
 /// What the camera is to see: pictures or latents, reached one after the other, and what of them counts.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Goal {
     /// `stamp`: when the goal was set, which [`Plan::goal_stamp`] repeats; `frame_id`: the camera's optical frame.
     pub header: Header,
