@@ -62,6 +62,8 @@ fn messages() -> Seeds {
         channels: 3,
         dtype: Latent::BF16,
         epoch: 7,
+        change: 0.25,
+        frozen: true,
         data: vec![0; 12],
     };
     vec![
