@@ -31,7 +31,6 @@ use wm_motion::{
 };
 use wm_msgs::{
     builtin_interfaces::Time,
-    std_msgs::Header,
     wm_msgs::{Action, ActionChunk, Latent},
 };
 use wm_wire::latent_message::decode_latent;
@@ -40,7 +39,7 @@ pub use crate::{camera::WrongCamera, reception::Reception};
 pub use ahead::Ahead;
 pub use arrival::{Arrival, LateChunk};
 pub use error::HistoryError;
-pub use frames::Frame;
+pub use frames::{Frame, Observation};
 pub use moment::Moment;
 pub(crate) use moment::stack;
 pub(crate) use note::note;
@@ -58,6 +57,8 @@ use stamp::{seconds_of, stamp_of};
 /// A policy answers a frame before it has passed the encoder, and may be slow, but not by this much \[ns\]: its clock is
 /// not the frames'.
 const FAR_AHEAD_NS: i64 = 60_000_000_000;
+/// The name under which `/diagnostics` counts what is not done since the camera has stopped.
+pub(crate) const FROZEN_CAMERA: &str = "frozen_camera";
 /// A camera that is silent for this many frame periods, and at least a second, may be replaced by another.
 const SILENT_FRAMES: u32 = 5;
 /// Until a frame has said how late it comes, actions are kept for so long \[ns\].
@@ -160,21 +161,30 @@ impl History {
         latent: &Latent,
         reception: Reception,
     ) -> Result<Arrival, HistoryError> {
-        let values = decode_latent(latent, &self.space)?.into();
-        self.observe(&latent.header, values, latent.epoch, reception)
+        let observation = Observation {
+            header: &latent.header,
+            values: decode_latent(latent, &self.space)?.into(),
+            epoch: latent.epoch,
+            is_frozen: latent.frozen,
+        };
+        self.observe(observation, reception)
     }
 
-    /// Takes the values of a latent of the history's space, of its publisher's `source_epoch`.
+    /// Takes a latent of the history's space.
     ///
     /// # Errors
     /// As [`Self::latent`].
     pub fn observe(
         &mut self,
-        header: &Header,
-        values: Arc<[f32]>,
-        source_epoch: u64,
+        observation: Observation<'_>,
         reception: Reception,
     ) -> Result<Arrival, HistoryError> {
+        let Observation {
+            header,
+            values,
+            epoch: source_epoch,
+            is_frozen,
+        } = observation;
         let stamp_ns = stamp_of("frame", header.stamp, reception.stamp)?;
         let mut arrival = Arrival::default();
         let frame_id = header.frame_id.as_str();
@@ -209,6 +219,7 @@ impl History {
             stamp_ns,
             frame_id: frame_id.into(),
             values,
+            is_frozen,
             reception,
         };
         self.frame(frame, arrival)
@@ -374,6 +385,11 @@ impl History {
         self.frames.newest()
     }
 
+    /// Whether the camera had stopped by the newest frame.
+    pub fn is_frozen(&self) -> bool {
+        self.newest().is_some_and(|newest| newest.is_frozen)
+    }
+
     /// The frame nearest to a stamp, where one lies within the tolerance.
     pub fn near(&self, stamp_ns: i64) -> Option<&Frame> {
         self.frames.near(stamp_ns, self.timing().tolerance_ns)
@@ -423,6 +439,7 @@ impl History {
             past,
             base_frame: Arc::clone(&self.base_frame),
             timing: self.timing(),
+            is_frozen: self.is_frozen(),
         })
     }
 

@@ -21,7 +21,7 @@ use wm_msgs::{
 
 use super::{EnvError, EnvModel};
 use crate::{
-    history::{ChunkMerging, History, HistorySettings, Reception, Timing, Wait},
+    history::{ChunkMerging, History, HistorySettings, Observation, Reception, Timing, Wait},
     predictor::PredictorError,
 };
 use wm_camera::{
@@ -258,8 +258,15 @@ fn open_bag(
         let latent = world.see(&frame.decode()?)?;
         let header = frame.header();
         newest = Some(Arc::clone(&latent));
+        let observation = Observation {
+            header,
+            values: latent,
+            epoch: 0,
+            // The episode is imagined from there: no arm acts on it.
+            is_frozen: false,
+        };
         history
-            .observe(header, latent, 0, reception)
+            .observe(observation, reception)
             .map_err(PredictorError::from)?;
     }
     let mut opening = match (history.moment(), newest) {

@@ -17,7 +17,9 @@ use wm_zoo::success_probe::Instruction;
 use super::Task;
 use crate::{
     harness::follows,
-    history::{Arrival, History, HistoryError, Moment, Reception, Timing, Wait, seconds},
+    history::{
+        Arrival, FROZEN_CAMERA, History, HistoryError, Moment, Reception, Timing, Wait, seconds,
+    },
     planner::Goal,
     predictor::PredictorError,
 };
@@ -95,6 +97,7 @@ impl EvaluatorError {
             } => "late_candidates",
             Self::Count { .. } | Self::Candidate { .. } => "malformed_candidates",
             Self::Past { .. } => "late_candidates",
+            Self::Waiting(Wait::Frozen) => FROZEN_CAMERA,
             Self::Waiting(_) => "no_history",
             Self::Predictor(_) | Self::Model(_) => "model",
         }

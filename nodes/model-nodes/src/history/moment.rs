@@ -34,6 +34,8 @@ pub struct Moment {
     pub base_frame: Arc<str>,
     /// How stamps make model steps.
     pub timing: Timing,
+    /// Whether the camera had stopped by the newest frame, which may be later than the observed one.
+    pub is_frozen: bool,
 }
 
 impl Moment {
@@ -105,11 +107,14 @@ impl Moment {
         Duration::from_nanos(self.timing.step_ns())
     }
 
-    /// Whether the observed frame is fresh at `now`.
+    /// Whether the observed frame is fresh at `now`, so that an arm may act on it.
     ///
     /// # Errors
-    /// [`Wait::Stale`] where it was received longer ago than `max_age`.
+    /// [`Wait::Frozen`] if the camera has stopped; [`Wait::Stale`] if the frame was received longer ago than `max_age`.
     pub fn expect_fresh(&self, now: Instant, max_age: std::time::Duration) -> Result<(), Wait> {
+        if self.is_frozen {
+            return Err(Wait::Frozen);
+        }
         let age = now.saturating_duration_since(self.observed.reception.at);
         if age <= max_age {
             return Ok(());

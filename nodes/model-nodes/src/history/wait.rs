@@ -45,6 +45,12 @@ pub enum Wait {
         /// The moment whose action is needed.
         needed_ns: i64,
     },
+    /// The camera has stopped.
+    #[error(
+        "the camera has stopped: nothing is planned or assessed from its frames until its picture changes \
+         (/wm/camera_state and the encoder on /diagnostics say why)"
+    )]
+    Frozen,
     /// The newest frame is too old to act on.
     #[error(
         "the newest frame arrived {age_s:.1} s ago; at most {max_s:.1} s are accepted (max_age)"
@@ -66,6 +72,7 @@ impl Wait {
             Self::Gap { .. } => "gap",
             Self::SlowCamera { .. } => "slow camera",
             Self::NoAction { .. } => "no action",
+            Self::Frozen => "frozen camera",
             Self::Stale { .. } => "stale",
         }
     }

@@ -331,7 +331,11 @@ impl Predictor {
             if !self.is_doubtful {
                 tracing::warn!("{text}");
             }
-            self.shared.diagnostics.raise("trust", Level::Warn, text);
+            let level = match doubt {
+                Doubt::Frozen => Level::Error,
+                _ => Level::Warn,
+            };
+            self.shared.diagnostics.raise("trust", level, text);
         }
         self.is_doubtful = doubt.is_some();
     }

@@ -23,6 +23,8 @@ const STILL: f64 = 1e-3;
 /// What speaks against the predictions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Doubt {
+    /// The camera has stopped: a still picture is as easy to predict as it is wrong.
+    Frozen,
     /// The camera shows what the model was not trained on.
     UnlikeTraining {
         /// Part of the latents' values that are far from the training's.
@@ -38,6 +40,10 @@ pub enum Doubt {
 impl fmt::Display for Doubt {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Frozen => f.write_str(
+                "the camera has stopped: the predictions go on from a picture that is no longer true \
+                 (/wm/camera_state and the encoder on /diagnostics say why)",
+            ),
             Self::UnlikeTraining { part } => write!(
                 f,
                 "the camera shows pictures unlike those that the model was trained on ({:.1} % of the latent's values \
@@ -69,11 +75,14 @@ pub struct Trust {
     frames: VecDeque<(i64, f32)>,
     /// Stamp, error and persistence error of first steps.
     errors: VecDeque<(i64, f64, f64)>,
+    /// Whether the camera had stopped by the newest frame.
+    is_frozen: bool,
 }
 
 impl Trust {
     /// Takes note of an observed latent.
     pub fn seen(&mut self, frame: &Frame) {
+        self.is_frozen = frame.is_frozen;
         self.frames
             .push_back((frame.stamp_ns, part_far_out(&frame.values)));
         forget(&mut self.frames, |(stamp_ns, _)| *stamp_ns);
@@ -92,6 +101,9 @@ impl Trust {
 
     /// What speaks against the predictions of the last seconds, the cause before its effect.
     pub fn doubt(&self) -> Option<Doubt> {
+        if self.is_frozen {
+            return Some(Doubt::Frozen);
+        }
         if let Some(part) = self.far().filter(|part| *part > UNLIKE) {
             return Some(Doubt::UnlikeTraining { part });
         }
@@ -124,6 +136,7 @@ impl Trust {
     pub fn clear(&mut self) {
         self.frames.clear();
         self.errors.clear();
+        self.is_frozen = false;
     }
 }
 
@@ -158,6 +171,7 @@ mod tests {
             stamp_ns: index * PERIOD,
             frame_id: "camera".into(),
             values: values.into(),
+            is_frozen: false,
             reception: Reception {
                 stamp: Time::default(),
                 at: Instant::now(),
@@ -209,6 +223,24 @@ mod tests {
         }
         assert_eq!(trust.doubt(), None, "the span is over");
         assert!(trust.frames.len() <= 26);
+    }
+
+    #[test]
+    fn a_stopped_camera_is_doubted_until_it_shows_something_new() {
+        let mut trust = Trust::default();
+        for index in 0..200 {
+            trust.seen(&Frame {
+                is_frozen: true,
+                ..frame(index, 0)
+            });
+            // Nothing moves, and it is predicted well.
+            trust.scored(&error(index, 0.0, 0.0));
+            assert_eq!(trust.doubt(), Some(Doubt::Frozen));
+        }
+        let text = Doubt::Frozen.to_string();
+        assert!(text.contains("the camera has stopped"), "{text}");
+        trust.seen(&frame(200, 0));
+        assert_eq!(trust.doubt(), None);
     }
 
     #[test]

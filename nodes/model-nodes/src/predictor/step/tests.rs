@@ -167,6 +167,21 @@ fn a_rollout_says_what_it_was_computed_from() {
 }
 
 #[test]
+fn predictions_from_a_stopped_camera_are_doubted() {
+    let mut step = predictor();
+    feed(&mut step, 0..=3);
+    assert_eq!(step.doubt(), None);
+    let frozen = Latent {
+        frozen: true,
+        ..latent(4)
+    };
+    step.latent(&frozen, reception(4)).unwrap();
+    assert_eq!(step.doubt(), Some(Doubt::Frozen));
+    feed(&mut step, 5..=5);
+    assert_eq!(step.doubt(), None);
+}
+
+#[test]
 fn what_is_computed_before_the_observation_comes_changes_no_prediction() {
     let (model, mut step) = (model(), predictor());
     feed(&mut step, 0..=1);
