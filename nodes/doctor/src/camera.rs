@@ -7,8 +7,10 @@ use wm_ros::logging::of_others;
 
 /// This check.
 const CHECK: &str = "camera";
-/// What the nodes refuse as a stamp of the future, and what no pipeline takes \[s\].
+/// No pipeline takes so long \[s\].
 const CLOCKS_DIFFER_S: f64 = 10.0;
+/// The nodes refuse a stamp that is further ahead \[s\].
+const REFUSED_S: f64 = 0.1;
 /// Stamps ahead by more than a machine's clocks differ when they are in step \[s\].
 const AHEAD_S: f64 = 0.02;
 /// A frame that is older says little of now: a plan takes as long to compute \[s\].
@@ -205,16 +207,16 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
     };
     let clocks = "synchronise the clocks of the machines (chrony), or stamp by the system's clock";
     let simulated = "-p use_sim_time:=true on every node: the stamps are in the time of /clock";
-    if delay_s < -CLOCKS_DIFFER_S {
+    if delay_s < -REFUSED_S {
         findings.push(
             Finding::error(
                 CHECK,
                 format!(
-                    "{name}: stamps are {:.1} s ahead of this machine's clock",
+                    "{name}: stamps are {:.2} s ahead of this machine's clock",
                     -delay_s
                 ),
             )
-            .because("the nodes refuse what is more than 10 s ahead (bad_stamp)")
+            .because("the nodes refuse what is more than 0.1 s ahead (bad_stamp)")
             .fix(if has_clock { simulated } else { clocks }),
         );
     } else if delay_s < -AHEAD_S {
@@ -370,9 +372,10 @@ mod tests {
     #[test]
     fn stamps_are_held_against_the_clock() {
         assert!(worst(stream(9, 200, -20_000)).starts_with("Error"));
+        assert!(worst(stream(9, 200, -1_200)).contains("stamps are 1.20 s ahead"));
         assert!(
-            worst(stream(9, 200, -100))
-                .starts_with("Warning: /camera/image_raw: stamps are 100 ms ahead")
+            worst(stream(9, 200, -60))
+                .starts_with("Warning: /camera/image_raw: stamps are 60 ms ahead")
         );
         assert!(worst(stream(9, 200, 60_000)).contains("60 s old"));
         assert!(worst(stream(9, 200, 900)).contains("0.9 s after capture"));

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, time::Duration};
 use wm_msgs::builtin_interfaces::Time;
 
 /// Pictures that are remembered, as in the encoder.
-const REMEMBERED: usize = 16;
+const REMEMBERED: usize = 4;
 /// Part of the pictures that are new for a camera that repeats none.
 const MOSTLY_NEW: f64 = 0.8;
 
@@ -254,7 +254,10 @@ mod tests {
         close(stopped.picture_period_s(), 0.1);
         close(Some(stopped.longest_repeat_s()), 5.9);
         let mut actions = regular(20, 100, 0);
-        actions.0.iter_mut().for_each(|arrival| arrival.fingerprint = None);
+        actions
+            .0
+            .iter_mut()
+            .for_each(|arrival| arrival.fingerprint = None);
         close(actions.picture_period_s(), 0.1);
         close(Some(actions.longest_repeat_s()), 0.0);
     }

@@ -29,7 +29,7 @@ use crate::{
     cadence::{OPEN, PACE, SKIPPED, hertz, measured, rough},
     camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, Configured, ModelNode},
-    history::{Reception, epoch_after, seconds},
+    history::{Reception, epoch_after, seconds, stamp_of_frame},
     pool::Pool,
     work::Work,
 };
@@ -155,7 +155,9 @@ impl ModelNode for Encoder {
             // The range keeps it positive and within a minute.
             frame_period: Duration::from_secs_f64(parameters.frame_period),
             // Without a transition model nothing is predicted.
-            frame_skip: encoding.as_ref().map_or(1, |encoding| encoding.frame_skip()),
+            frame_skip: encoding
+                .as_ref()
+                .map_or(1, |encoding| encoding.frame_skip()),
             context_frames: parameters.context_frames,
         };
         let estimate = measured(|| step.try_out())
@@ -240,7 +242,7 @@ impl ModelNode for Encoder {
                 }
                 received = images.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let reception = Reception::from(&received);
+                    let reception = Reception::of(&received, &self.clock);
                     self.frame(received.message, &reception);
                 }
             }
@@ -282,6 +284,10 @@ impl Encoder {
             return;
         }
         let (stamp, is_raw) = (frame.header().stamp, matches!(frame, CameraFrame::Raw(_)));
+        if let Err(error) = stamp_of_frame(stamp, reception) {
+            self.complaints.left_out(error.reason(), &error);
+            return;
+        }
         match self.repeats.arrive(stamp, is_raw) {
             Arrival::New => {
                 frame_trace::passed_at("image received", stamp, reception.at);
@@ -314,7 +320,9 @@ impl Encoder {
             Fate::Skip => self.diagnostics.count_skipped(SKIPPED, 1),
             Fate::Late => self.late(stamp),
         }
-        let lost = self.looks.submit(frame, reception.at, self.epoch, (fate, repeat));
+        let lost = self
+            .looks
+            .submit(frame, reception.at, self.epoch, (fate, repeat));
         if let Some(Arrived { frame, fate, .. }) = lost
             && fate == Fate::Encode
         {
@@ -335,7 +343,7 @@ impl Encoder {
     /// Publishes what a frame shows about its camera, and has it encoded if it was chosen.
     fn looked(&mut self, looked: Looked, states: &Publisher<CameraState>) -> Result<()> {
         let Looked {
-            header,
+            mut header,
             is_raw,
             at,
             epoch,
@@ -351,6 +359,11 @@ impl Encoder {
                 return Ok(());
             }
         };
+        if let Some(camera) = &self.camera
+            && header.frame_id.is_empty()
+        {
+            header.frame_id = camera.frame_id().to_string();
+        }
         let sight = self
             .stillness
             .frame(header.stamp.to_nanos(), &repeat, grid.as_ref());
@@ -371,7 +384,9 @@ impl Encoder {
             rate: sight.rate.unwrap_or_default() as f32,
             distinct_rate: sight.distinct_rate.unwrap_or_default() as f32,
             frozen: is_frozen,
-            reason: sight.frozen.map_or_else(String::new, |frozen| frozen.to_string()),
+            reason: sight
+                .frozen
+                .map_or_else(String::new, |frozen| frozen.to_string()),
         })?;
         let Some(picture) = picture.filter(|_| fate == Fate::Encode) else {
             return Ok(());
@@ -381,7 +396,11 @@ impl Encoder {
             header,
             is_raw,
             received: at,
-            epoch: if epoch < self.begun { epoch } else { self.epoch },
+            epoch: if epoch < self.begun {
+                epoch
+            } else {
+                self.epoch
+            },
             change,
             is_frozen,
         });
@@ -404,7 +423,8 @@ impl Encoder {
         let Some((rate, distinct)) = rates else {
             return;
         };
-        self.diagnostics.set_value("camera rate [Hz]", format!("{rate:.1}"));
+        self.diagnostics
+            .set_value("camera rate [Hz]", format!("{rate:.1}"));
         self.diagnostics
             .set_value("camera rate of new pictures [Hz]", format!("{distinct:.1}"));
         if sight.is_repeating {

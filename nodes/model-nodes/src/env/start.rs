@@ -215,6 +215,7 @@ fn open_bag(
     );
     let reception = Reception {
         stamp: clock,
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId::default(),
     };

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::seconds_of;
+use super::{CameraStep, seconds_of};
 
 /// Why there is no context yet. None of these is a fault: each passes when more has arrived.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
@@ -51,6 +51,9 @@ pub enum Wait {
          (/wm/camera_state and the encoder on /diagnostics say why)"
     )]
     Frozen,
+    /// The camera's clock has stepped.
+    #[error("nothing is planned or assessed: {0}")]
+    CameraClock(CameraStep),
     /// The newest frame is too old to act on.
     #[error(
         "the newest frame arrived {age_s:.1} s ago; at most {max_s:.1} s are accepted (max_age)"
@@ -73,6 +76,7 @@ impl Wait {
             Self::SlowCamera { .. } => "slow camera",
             Self::NoAction { .. } => "no action",
             Self::Frozen => "frozen camera",
+            Self::CameraClock(_) => "camera clock",
             Self::Stale { .. } => "stale",
         }
     }

@@ -347,6 +347,11 @@ impl Planner {
                 self.diagnostics
                     .raise("camera", Level::Error, wait.to_string());
             }
+            Err(wait @ PlanWait::History(Wait::CameraClock(_))) => {
+                self.complaints.waiting("camera clock", false, &wait);
+                self.diagnostics
+                    .raise("camera clock", Level::Error, wait.to_string());
+            }
             Err(wait @ PlanWait::History(Wait::Context { .. })) => {
                 self.complaints.waiting("context", true, &wait);
             }

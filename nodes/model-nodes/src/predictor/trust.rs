@@ -4,7 +4,7 @@ use std::{collections::VecDeque, fmt};
 
 use wm_msgs::wm_msgs::PredictionError;
 
-use crate::history::Frame;
+use crate::history::{CameraStep, Frame};
 
 /// What is judged \[ns\]: a moment in which nothing moves, or a hand passes the camera, says nothing.
 const SPAN_NS: i64 = 5_000_000_000;
@@ -23,6 +23,8 @@ const STILL: f64 = 1e-3;
 /// What speaks against the predictions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Doubt {
+    /// The camera's clock has stepped: frames and actions may be of different moments.
+    CameraClock(CameraStep),
     /// The camera has stopped: a still picture is as easy to predict as it is wrong.
     Frozen,
     /// The camera shows what the model was not trained on.
@@ -40,6 +42,7 @@ pub enum Doubt {
 impl fmt::Display for Doubt {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::CameraClock(step) => write!(f, "{step}"),
             Self::Frozen => f.write_str(
                 "the camera has stopped: the predictions go on from a picture that is no longer true \
                  (/wm/camera_state and the encoder on /diagnostics say why)",
@@ -57,6 +60,18 @@ impl fmt::Display for Doubt {
                  error {ratio:.2} times as large, over the last seconds): check the model, and that the actions are \
                  those of this robot and stamped like its images"
             ),
+        }
+    }
+}
+
+impl Doubt {
+    /// In a few words.
+    pub fn in_short(&self) -> &'static str {
+        match self {
+            Self::CameraClock(_) => "the camera's clock has stepped",
+            Self::Frozen => "the camera has stopped",
+            Self::UnlikeTraining { .. } => "the pictures are unlike the training's",
+            Self::NoBetterThanPersistence { .. } => "no better than the persistence baseline",
         }
     }
 }
@@ -174,6 +189,7 @@ mod tests {
             is_frozen: false,
             reception: Reception {
                 stamp: Time::default(),
+                clock_step_ns: 0,
                 at: Instant::now(),
                 publisher: PublisherId::default(),
             },

@@ -105,6 +105,7 @@ fn see_of(step: &mut EvaluatorStep, index: i64, frozen: bool) {
     let latent = Latent { frozen, ..latent };
     let reception = Reception {
         stamp: Time::default(),
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId::default(),
     };

@@ -168,6 +168,7 @@ fn feed_of(
         let latent = Latent { frozen, ..latent };
         let reception = Reception {
             stamp: Time::default(),
+            clock_step_ns: 0,
             at: at(index),
             publisher: PublisherId::default(),
         };

@@ -81,6 +81,7 @@ fn stamp(index: i64) -> Time {
 fn reception(index: i64) -> Reception {
     Reception {
         stamp: stamp(index),
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId::default(),
     }
