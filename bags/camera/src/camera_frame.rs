@@ -1,5 +1,7 @@
 //! A camera's frame, by either transport.
 
+use std::hash::{DefaultHasher, Hasher as _};
+
 use image::RgbImage;
 use wm_bag::{BagError, BagMessage};
 use wm_msgs::{
@@ -40,6 +42,22 @@ impl CameraFrame {
         }
     }
 
+    /// A number that frames share if their pictures are the same, byte for byte: a live camera has sensor noise, so that no
+    /// two pictures of it do. Stamps are not part of it.
+    pub fn fingerprint(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        match self {
+            Self::Raw(image) => {
+                hasher.write_u32(image.width);
+                hasher.write_u32(image.step);
+                hasher.write(image.encoding.as_bytes());
+                hasher.write(&image.data);
+            }
+            Self::Compressed(image) => hasher.write(&image.data),
+        }
+        hasher.finish()
+    }
+
     /// The pixels.
     ///
     /// # Errors
@@ -49,5 +67,40 @@ impl CameraFrame {
             Self::Raw(image) => decode_image(image),
             Self::Compressed(image) => decode_compressed(image),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wm_msgs::builtin_interfaces::Time;
+
+    fn raw(sec: i32, width: u32, data: &[u8]) -> CameraFrame {
+        CameraFrame::Raw(Image {
+            header: Header {
+                stamp: Time { sec, nanosec: 0 },
+                ..Header::default()
+            },
+            width,
+            data: data.to_vec(),
+            ..Image::default()
+        })
+    }
+
+    #[test]
+    fn fingerprints_are_of_the_picture_alone() {
+        let picture = raw(1, 2, &[1, 2, 3, 4]).fingerprint();
+        assert_eq!(picture, raw(2, 2, &[1, 2, 3, 4]).fingerprint());
+        assert_ne!(picture, raw(1, 2, &[1, 2, 3, 5]).fingerprint());
+        assert_ne!(picture, raw(1, 1, &[1, 2, 3, 4]).fingerprint());
+        let jpeg = |data: &[u8]| {
+            let data = data.to_vec();
+            CameraFrame::Compressed(CompressedImage {
+                data,
+                ..CompressedImage::default()
+            })
+        };
+        assert_eq!(jpeg(&[7, 8]).fingerprint(), jpeg(&[7, 8]).fingerprint());
+        assert_ne!(jpeg(&[7, 8]).fingerprint(), jpeg(&[8, 7]).fingerprint());
     }
 }

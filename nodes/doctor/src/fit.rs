@@ -87,7 +87,7 @@ pub(crate) fn check(model: &ModelFacts, camera: Option<(&str, &Camera)>) -> Vec<
         );
     }
     let stream = camera.and_then(|(_, camera)| camera.best());
-    let camera_s = stream.and_then(|stream| stream.timeline.period_s());
+    let camera_s = stream.and_then(|stream| stream.timeline.picture_period_s());
     findings.push(speed(model, camera_s));
     if let Some(camera_s) = camera_s {
         findings.extend(rate(model, camera_s));

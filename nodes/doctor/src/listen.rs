@@ -91,6 +91,24 @@ fn adapter_source(type_name: &str) -> Option<&'static str> {
         .find_map(|(name, source)| (name == type_name).then_some(source))
 }
 
+/// What the timeline needs of a message.
+#[derive(Default)]
+struct Content {
+    /// If its type has one.
+    header: Option<Header>,
+    /// Of a picture.
+    fingerprint: Option<u64>,
+}
+
+impl Content {
+    fn of(header: Header) -> Self {
+        Self {
+            header: Some(header),
+            fingerprint: None,
+        }
+    }
+}
+
 /// What came on one topic.
 struct Taken {
     kind: Kind,
@@ -244,7 +262,11 @@ impl Taken {
         self.stream.largest = self.stream.largest.max(bytes.len());
         let at = received.at.saturating_duration_since(began);
         let received_ns = received.received.to_nanos();
-        let Ok(header) = self.content(bytes, received_ns, (at, span)) else {
+        let Ok(Content {
+            header,
+            fingerprint,
+        }) = self.content(bytes, received_ns, (at, span))
+        else {
             self.stream.undecodable += 1;
             return;
         };
@@ -258,49 +280,42 @@ impl Taken {
                 at,
                 received_ns,
                 stamp: header.map(|header| header.stamp),
+                fingerprint,
             });
         }
     }
 
-    /// Keeps what matters of a message; gives its header, if its type has one.
+    /// Keeps what matters of a message; gives what the timeline needs of it.
     fn content(
         &mut self,
         bytes: &[u8],
         received_ns: i64,
         (at, span): (Duration, Duration),
-    ) -> Result<Option<Header>, cdr::CdrError> {
+    ) -> Result<Content, cdr::CdrError> {
         // Evenly spaced over the time of listening.
         let is_due = at >= span * self.frames.len() as u32 / PICTURES
             && self.frames.len() < PICTURES as usize;
         Ok(match self.kind {
             Kind::Raw => {
                 let image: Image = cdr::from_bytes(bytes)?;
-                let header = image.header.clone();
                 self.encoding.get_or_insert_with(|| image.encoding.clone());
-                if is_due {
-                    self.frames.push(CameraFrame::Raw(image));
-                }
-                Some(header)
+                self.frame(CameraFrame::Raw(image), is_due)
             }
             Kind::Compressed => {
                 let image: CompressedImage = cdr::from_bytes(bytes)?;
-                let header = image.header.clone();
                 self.encoding.get_or_insert_with(|| image.format.clone());
-                if is_due {
-                    self.frames.push(CameraFrame::Compressed(image));
-                }
-                Some(header)
+                self.frame(CameraFrame::Compressed(image), is_due)
             }
             Kind::Action => {
                 let action: Action = cdr::from_bytes(bytes)?;
                 self.keep(action.values);
-                Some(action.header)
+                Content::of(action.header)
             }
-            Kind::Chunk => Some(cdr::from_bytes::<ActionChunk>(bytes)?.header),
+            Kind::Chunk => Content::of(cdr::from_bytes::<ActionChunk>(bytes)?.header),
             Kind::Clock => {
                 let clock: Clock = cdr::from_bytes(bytes)?;
                 self.clock_ns = Some((clock.clock.to_nanos(), received_ns));
-                None
+                Content::default()
             }
             Kind::Diagnostics => {
                 let array: DiagnosticArray = cdr::from_bytes(bytes)?;
@@ -308,9 +323,20 @@ impl Taken {
                     .status
                     .into_iter()
                     .for_each(|status| self.report(status));
-                None
+                Content::default()
             }
         })
+    }
+
+    fn frame(&mut self, frame: CameraFrame, is_due: bool) -> Content {
+        let content = Content {
+            header: Some(frame.header().clone()),
+            fingerprint: Some(frame.fingerprint()),
+        };
+        if is_due {
+            self.frames.push(frame);
+        }
+        content
     }
 
     fn keep(&mut self, values: Vec<f32>) {

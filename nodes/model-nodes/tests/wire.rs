@@ -52,9 +52,11 @@ fn header(index: i64, frame_id: &str) -> Header {
 
 fn picture(index: i64) -> RgbImage {
     RgbImage::from_fn(SIDE, SIDE, |x, y| {
-        let ball = (i64::from(x) - 4 * index).abs() < 6 && y.abs_diff(20) < 6;
+        // It goes round, and its colour changes: a picture that repeats is of a camera that has stopped.
+        let ball = (i64::from(x) - (4 * index).rem_euclid(i64::from(SIDE))).abs() < 6
+            && y.abs_diff(20) < 6;
         if ball {
-            Rgb([220, 40, 40])
+            Rgb([220, 40, index.rem_euclid(200) as u8])
         } else {
             Rgb([90, (2 * x) as u8, (3 * y) as u8])
         }

@@ -400,10 +400,10 @@ impl DescribedFolder {
         self.transition.is_some()
     }
 
-    /// Camera frames of a model step; `None` where there is no transition model.
-    pub fn frame_skip(&self) -> Option<usize> {
+    /// How the transition model takes actions; `None` if there is no transition model.
+    pub fn action_encoding(&self) -> Option<&ActionEncoding> {
         let transition = self.transition.as_ref()?;
-        Some(transition.config.encoding.frame_skip())
+        Some(&transition.config.encoding)
     }
 
     fn described_transition(&self) -> Result<&Opened<Dynamics>> {

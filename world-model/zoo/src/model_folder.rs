@@ -174,18 +174,17 @@ impl ModelFolder {
         }
     }
 
-    /// Camera frames of a model step, told without loading the transition model; `None` where there is none.
+    /// How the transition model takes actions, read without loading the model; `None` if there is no transition model.
     ///
     /// # Errors
     /// When its file is missing or corrupt.
-    pub fn frame_skip(&self) -> Result<Option<usize>> {
+    pub fn action_encoding(&self) -> Result<Option<ActionEncoding>> {
         match self {
             Self::Trained(folder) if folder.has_transition() => {
-                let encoding: ActionEncoding = folder.transition()?.json(ACTIONS_KEY)?;
-                Ok(Some(encoding.frame_skip()))
+                Ok(Some(folder.transition()?.json(ACTIONS_KEY)?))
             }
             Self::Trained(_) => Ok(None),
-            Self::Described(folder) => Ok(folder.frame_skip()),
+            Self::Described(folder) => Ok(folder.action_encoding().cloned()),
         }
     }
 

@@ -1,6 +1,7 @@
 //! A world model, and where its parts compute.
 
 use wm_model::{Decoder, Encoder, WorldModel};
+use wm_motion::actions::ActionEncoding;
 
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
@@ -26,12 +27,12 @@ impl PlacedModel {
         self.folder.name()
     }
 
-    /// As [`ModelFolder::frame_skip`].
+    /// As [`ModelFolder::action_encoding`].
     ///
     /// # Errors
     /// As there.
-    pub fn frame_skip(&self) -> Result<Option<usize>> {
-        self.folder.frame_skip()
+    pub fn action_encoding(&self) -> Result<Option<ActionEncoding>> {
+        self.folder.action_encoding()
     }
 
     /// As [`ModelFolder::encoder`].

@@ -4,7 +4,7 @@ use candle_core::Tensor;
 use image::RgbImage;
 use thiserror::Error;
 use wm_model::{Encoder, image::preprocess};
-use wm_msgs::wm_msgs::Latent;
+use wm_msgs::{std_msgs::Header, wm_msgs::Latent};
 
 use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
 use wm_ros::frame_trace;
@@ -59,10 +59,19 @@ impl EncoderStep {
     /// # Errors
     /// [`EncoderError`] says whether the image, the model or the latent is at fault.
     pub fn encode(&self, frame: &CameraFrame) -> Result<Latent, EncoderError> {
-        let header = frame.header();
-        let rgb = frame.decode()?;
-        frame_trace::passed("picture decoded", header.stamp);
-        let pixels = self.pixels(&rgb)?;
+        self.encode_picture(&frame.decode()?, frame.header())
+    }
+
+    /// The latent message of a picture.
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    pub fn encode_picture(
+        &self,
+        picture: &RgbImage,
+        header: &Header,
+    ) -> Result<Latent, EncoderError> {
+        let pixels = self.pixels(picture)?;
         frame_trace::passed("picture resized", header.stamp);
         let values = self.values(&pixels)?;
         frame_trace::passed("latent computed", header.stamp);

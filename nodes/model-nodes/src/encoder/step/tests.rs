@@ -2,7 +2,7 @@
 
 use candle_core::Tensor;
 use wm_model::LatentSpace;
-use wm_msgs::{builtin_interfaces::Time, sensor_msgs::Image, std_msgs::Header};
+use wm_msgs::{builtin_interfaces::Time, sensor_msgs::Image};
 
 use super::*;
 use wm_camera::image_message::{encode_image, encode_jpeg};

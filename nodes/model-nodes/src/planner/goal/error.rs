@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 use wm_camera::image_message::ImageError;
+use wm_msgs::builtin_interfaces::InvalidNanoseconds;
 use wm_wire::latent_message::LatentError;
 
 use super::MOST_LATENTS;
@@ -11,6 +12,9 @@ use crate::encoder::EncoderError;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum GoalError {
+    /// A stamp or a time whose nanoseconds are a second or more.
+    #[error("stamp or time of {0}")]
+    Time(#[from] InvalidNanoseconds),
     /// A picture that has no latent.
     #[error("picture {index}: {source}")]
     Picture {

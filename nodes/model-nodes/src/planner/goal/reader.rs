@@ -38,6 +38,7 @@ impl GoalReader {
     /// # Errors
     /// [`GoalError::Picture`].
     pub fn of_picture(&self, frame: &CameraFrame) -> Result<Goal, GoalError> {
+        frame.header().stamp.checked_nanos()?;
         let picture = frame.decode().map_err(EncoderError::from);
         let values = picture.and_then(|picture| self.encoded(&picture));
         let values = values.map_err(|source| GoalError::Picture { index: 0, source })?;
@@ -49,6 +50,7 @@ impl GoalReader {
     /// # Errors
     /// [`GoalError`] says what does not fit.
     pub fn of_message(&self, message: &GoalMessage) -> Result<Goal, GoalError> {
+        message.header.stamp.checked_nanos()?;
         let (images, latents) = (message.images.len(), message.latents.len());
         if images > 0 && latents > 0 {
             return Err(GoalError::Both { images, latents });
@@ -129,7 +131,8 @@ impl GoalReader {
 }
 
 fn times(message: &GoalMessage, goals: usize) -> Result<Vec<i64>, GoalError> {
-    let times: Vec<i64> = message.times.iter().map(|time| time.to_nanos()).collect();
+    let times = message.times.iter().map(|time| time.checked_nanos());
+    let times = times.collect::<Result<Vec<i64>, _>>()?;
     let fits = times.is_empty() || times.len() == goals;
     let is_ascending = times.is_sorted() && times.first().is_none_or(|first| *first >= 0);
     if fits && is_ascending {
