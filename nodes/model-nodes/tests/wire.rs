@@ -422,7 +422,7 @@ async fn bad_input_is_counted_and_survived(
     world
         .camera
         .publish(&Image {
-            encoding: "bayer_rggb8".into(),
+            encoding: "bayer_rggb16".into(),
             ..good.clone()
         })
         .unwrap();

@@ -412,18 +412,13 @@ impl Hearing {
             Ok(None) => return,
             Err(left) => return self.complain(Err(left)),
         };
-        match frame {
-            CameraFrame::Compressed(_) => {
-                self.seen(label, now_ns, Picture::of(&frame, label, now_ns));
-            }
-            CameraFrame::Raw(_) => {
-                if !self.conversions.begin(frame, label, now_ns) {
-                    // The next one is as good.
-                    self.node
-                        .diagnostics()
-                        .count_skipped("raw image while others are encoded", 1);
-                }
-            }
+        if !Picture::is_slow(&frame) {
+            self.seen(label, now_ns, Picture::of(&frame, label, now_ns));
+        } else if !self.conversions.begin(frame, label, now_ns) {
+            // The next one is as good.
+            self.node
+                .diagnostics()
+                .count_skipped("image while others are encoded", 1);
         }
     }
 

@@ -1,7 +1,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
-use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
+use wm_camera::camera_frame::CameraFrame;
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     Message as _,
@@ -189,7 +189,9 @@ impl Recording {
             if stream.pictures.is_empty() {
                 // What no picture of the topic will do is better known before hours of decoding.
                 let decoded = frame.decode();
-                if let Err(error @ (ImageError::Encoding(_) | ImageError::Format(_))) = decoded {
+                if let Err(error) = decoded
+                    && error.is_of_format()
+                {
                     return Err(Unusable::Lacks(at(error.to_string())));
                 }
             }
