@@ -19,10 +19,12 @@
 
 pub mod action;
 pub mod cdr;
+mod mapping;
 mod message;
 mod packages;
 mod type_description;
 
+pub use mapping::{ConvertError, Layout, Mapping, MappingError};
 pub use message::{Action, Message, Service};
 pub use packages::{
     action_msgs, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs,
