@@ -32,5 +32,5 @@ pub use packages::{
     trajectory_msgs, unique_identifier_msgs, vision_msgs, visualization_msgs, wm_msgs,
 };
 pub use type_description::{
-    DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash,
+    DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash, idl_definitions,
 };

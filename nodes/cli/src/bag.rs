@@ -1,5 +1,6 @@
 //! `wm bag`.
 
+mod convert;
 mod cut;
 mod play;
 mod record;
@@ -24,13 +25,15 @@ pub enum BagCommand {
     Record(record::RecordCommand),
     /// Show the contents of a bag
     Info {
-        /// Folder of the bag, or a single .mcap file
+        /// Folder of the bag, or one of its files
         bag: PathBuf,
     },
     /// Repair a truncated or damaged bag
     Recover(recover::RecoverCommand),
     /// Write part of a bag, selected by time and topics
     Cut(cut::CutCommand),
+    /// Convert a bag to MCAP: sqlite3, compressed files, compressed messages
+    Convert(convert::ConvertCommand),
     /// Convert a data set to bags: Bridge V2, DROID, LeRobot (runs wm-datasets)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Import(external::Arguments),
@@ -58,6 +61,7 @@ impl BagCommand {
             }
             Self::Recover(command) => command.run(),
             Self::Cut(command) => command.run(),
+            Self::Convert(command) => command.run(),
             Self::Import(own) => own.exec("wm-datasets", ["import"], Vec::new()),
             Self::Export(own) => own.exec("wm-datasets", ["export"], Vec::new()),
         }

@@ -14,7 +14,7 @@ use crate::{ending::Ending, keyboard::Keyboard};
 use anyhow::Result;
 use command::Command;
 use control::Asked;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
@@ -130,7 +130,7 @@ fn open(node: &Node, settings: &Settings) -> Result<(BagReader, Playlist)> {
 struct Player {
     node: Node,
     settings: Settings,
-    reader: BagReader,
+    reader: Arc<BagReader>,
     playlist: Playlist,
     clock: Option<Publisher<Clock>>,
     chunks: Option<Publisher<ActionChunk>>,
@@ -167,6 +167,7 @@ impl Player {
             Some(_) => Some(node.publisher(GOAL.0, GOAL.1)?),
             None => None,
         };
+        let reader = Arc::new(reader);
         let plan = settings.plan(&reader);
         let source = open_source(&reader, &playlist, &settings, plan.start_ns);
         Ok(Self {
@@ -254,6 +255,15 @@ impl Player {
                 }
                 Step::Publish => {
                     self.publish_next()?;
+                    continue;
+                }
+                Step::Jump { from_ns, to_ns } => {
+                    let seconds = (to_ns - from_ns) as f64 / 1e9;
+                    warn!(
+                        "skipped a gap of {seconds:.1} s without messages, from {:.3} to {:.3}",
+                        from_ns as f64 / 1e9,
+                        to_ns as f64 / 1e9
+                    );
                     continue;
                 }
                 Step::Rewind(bag_ns) => {
@@ -553,15 +563,25 @@ async fn sleep_until(moment: Option<Instant>) {
     std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
+/// Reads from this log time on. What holds then comes first: late subscribers want it, and those who follow a jump.
 fn open_source(
-    reader: &BagReader,
+    reader: &Arc<BagReader>,
     playlist: &Playlist,
     settings: &Settings,
     from_ns: u64,
 ) -> Source {
-    let messages = reader.messages().only_topics(playlist.tracks.keys());
-    Source::open(
-        messages.starting_at(from_ns),
-        settings.parameters.read_ahead,
-    )
+    let topics: HashSet<Arc<str>> = playlist.tracks.keys().cloned().collect();
+    let messages = reader.messages().only_topics(&topics).starting_at(from_ns);
+    let reader = Arc::clone(reader);
+    let latched = std::iter::once_with(move || {
+        if from_ns <= reader.start_ns() {
+            return (Vec::new(), Vec::new());
+        }
+        reader.latched_before(from_ns, |topic| topics.contains(&topic.name))
+    });
+    let latched = latched.flat_map(|(messages, unreadable)| {
+        let unreadable = unreadable.into_iter().map(Err);
+        unreadable.chain(messages.into_iter().map(Ok))
+    });
+    Source::open(latched.chain(messages), settings.parameters.read_ahead)
 }

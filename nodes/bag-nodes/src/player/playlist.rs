@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, bail};
 use std::collections::HashMap;
 use std::sync::Arc;
 use tracing::warn;
-use wm_bag::{BagReader, QosProfile, TopicInfo};
+use wm_bag::{BagReader, QosProfile, TopicInfo, kept_messages};
 use wm_camera::goal::{camera_topic, last_frame};
 use wm_msgs::{
     Message as _,
@@ -63,12 +63,17 @@ impl Playlist {
                     topic.type_name
                 );
             }
-            let qos = match settings.qos_overrides.get(topic.name.as_ref()) {
+            let mut qos = match settings.qos_overrides.get(topic.name.as_ref()) {
                 Some(qos) => *qos,
                 None => topic
                     .qos()
                     .map_or(Qos::reliable(10), |profile| offered(&profile)),
             };
+            if qos.durability == Durability::TransientLocal {
+                // Several nodes publish static frames, and one player all of them.
+                let held = usize::try_from(topic.message_count).unwrap_or(usize::MAX);
+                qos.depth = qos.depth.max(held.min(kept_messages(&topic.name)));
+            }
             // Services' events and actions' feedback are recorded too, with types that are no message of a package.
             if !topic.type_name.contains("/msg/") {
                 warn!("{}: {} is not played", topic.name, topic.type_name);
