@@ -37,6 +37,11 @@ fn split(nanos: i64) -> (i32, u32) {
     }
 }
 
+/// Nanoseconds, if `nanosec` is below one second.
+fn checked(sec: i32, nanosec: u32) -> Option<i64> {
+    (i64::from(nanosec) < NANOS).then(|| join(sec, nanosec))
+}
+
 /// Cannot overflow: 2^31 s x 10^9 + 2^32 ns < 2^63 ns.
 fn join(sec: i32, nanosec: u32) -> i64 {
     i64::from(sec) * NANOS + i64::from(nanosec)
@@ -53,6 +58,11 @@ impl Time {
     pub fn to_nanos(self) -> i64 {
         join(self.sec, self.nanosec)
     }
+
+    /// Nanoseconds since the epoch; `None` if the time is malformed: `nanosec` is a second or more.
+    pub fn checked_nanos(self) -> Option<i64> {
+        checked(self.sec, self.nanosec)
+    }
 }
 
 impl Duration {
@@ -65,6 +75,11 @@ impl Duration {
     /// The span in nanoseconds.
     pub fn to_nanos(self) -> i64 {
         join(self.sec, self.nanosec)
+    }
+
+    /// The span in nanoseconds; `None` if it is malformed: `nanosec` is a second or more.
+    pub fn checked_nanos(self) -> Option<i64> {
+        checked(self.sec, self.nanosec)
     }
 }
 
@@ -113,6 +128,20 @@ mod tests {
                 nanosec: 0
             }
         );
+    }
+
+    #[test]
+    fn nanosec_of_a_second_or_more_is_malformed() {
+        let (sec, nanosec) = (5, 999_999_999);
+        assert_eq!(Time { sec, nanosec }.checked_nanos(), Some(5_999_999_999));
+        assert_eq!(
+            Duration { sec, nanosec }.checked_nanos(),
+            Some(5_999_999_999)
+        );
+        for nanosec in [1_000_000_000, 1_999_999_999, u32::MAX] {
+            assert_eq!(Time { sec, nanosec }.checked_nanos(), None);
+            assert_eq!(Duration { sec, nanosec }.checked_nanos(), None);
+        }
     }
 
     proptest! {
