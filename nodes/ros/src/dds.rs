@@ -222,6 +222,9 @@ impl Backend for Dds {
             .create_simple_datareader_no_key(&topic, Some(qos.clone()))
             .map_err(|error| Error::middleware(format!("subscribe to {}", endpoint.name), error))?;
         let (shared, runtime) = (&self.shared, &self.runtime);
+        if endpoint.has_siblings {
+            shared.mismatches.tolerate(reader.guid().to_bytes());
+        }
         let reader = DdsReader::new(reader, began, endpoint, node, shared, sink, runtime);
         let name = dds_name(endpoint);
         shared.own.add(reader.id(), name, qos, false);

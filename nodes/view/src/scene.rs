@@ -84,11 +84,14 @@ impl Scene {
         let mut taken = Ok(());
         for one in &message.transforms {
             let names = (&*one.header.frame_id, &*one.child_frame_id);
-            let stamp_ns = one.header.stamp.to_nanos();
-            let is_taken = pose::of_transform(&one.transform).is_ok_and(|transform| {
-                let taken = self.frames.take(names, is_static, stamp_ns, transform);
-                taken.is_ok()
-            });
+            let transform = pose::of_transform(&one.transform).ok();
+            let stamp_ns = one.header.stamp.checked_nanos().ok();
+            let is_taken = stamp_ns
+                .zip(transform)
+                .is_some_and(|(stamp_ns, transform)| {
+                    let taken = self.frames.take(names, is_static, stamp_ns, transform);
+                    taken.is_ok()
+                });
             if !is_taken {
                 taken = Err(Left::BadTransform);
             }
