@@ -1,6 +1,6 @@
 //! A world model, and where its parts compute.
 
-use wm_model::{Decoder, Encoder, WorldModel};
+use wm_model::{Decoder, Encoder, Fit, PictureSize, WorldModel};
 
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
@@ -32,6 +32,22 @@ impl PlacedModel {
     /// As there.
     pub fn frame_skip(&self) -> Result<Option<usize>> {
         self.folder.frame_skip()
+    }
+
+    /// As [`ModelFolder::fit`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn fit(&self) -> Result<Fit> {
+        self.folder.fit()
+    }
+
+    /// As [`ModelFolder::trained_on`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn trained_on(&self) -> Result<Option<PictureSize>> {
+        self.folder.trained_on()
     }
 
     /// As [`ModelFolder::encoder`].
