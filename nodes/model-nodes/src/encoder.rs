@@ -5,9 +5,11 @@
 
 mod choice;
 mod node;
+mod picture_size;
 mod repeats;
 mod step;
 
 pub use choice::{Choice, Fate, Mode, Needs};
 pub use node::{NODE, body};
+pub use picture_size::Mismatch;
 pub use step::{EncoderError, EncoderStep};

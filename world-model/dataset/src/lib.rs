@@ -6,8 +6,8 @@
 //! decodes the frames that are in one, and writes each to its place in the file. So memory holds one picture a thread and
 //! about 15 MB for an hour of actions at 100 Hz, however long a recording is.
 //!
-//! What is prepared is keyed by the contents of the bags, the options, the picture size and the fit: other contents make a new
-//! folder in the cache.
+//! What is prepared is keyed by the contents of the bags, the options, the picture size and the fit: other contents make a
+//! new folder in the cache.
 
 mod action_log;
 mod arguments;

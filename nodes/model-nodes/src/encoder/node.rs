@@ -7,15 +7,17 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use tokio::sync::watch;
+use wm_model::PictureSize;
 use wm_msgs::wm_msgs::Latent;
 use wm_ros::{
-    Clock, Diagnostics, Input, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
+    Clock, Diagnostics, Input, Level, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
     frame_trace,
 };
 use wm_zoo::PlacedModel;
 
 use super::{
-    Choice, EncoderError, EncoderStep, Fate, Mode, Needs,
+    Choice, EncoderError, EncoderStep, Fate, Mismatch, Mode, Needs,
+    picture_size::{PictureSizes, SizeChange},
     repeats::{Arrival, Repeats},
 };
 use crate::{
@@ -78,7 +80,12 @@ wm_ros::endpoints! {
 }
 
 /// An encoded frame or why there is none, whether it came raw, how long it took, and when it came.
-type Encoded = (Result<Latent, EncoderError>, bool, Duration, Instant);
+type Encoded = (
+    Result<(Latent, PictureSize), EncoderError>,
+    bool,
+    Duration,
+    Instant,
+);
 
 /// What the node loads.
 struct Model {
@@ -86,6 +93,7 @@ struct Model {
     /// How long a frame took when it was tried out.
     estimate: Option<Duration>,
     needs: Needs,
+    sizes: PictureSizes,
 }
 
 struct Encoder {
@@ -97,6 +105,9 @@ struct Encoder {
     jumps: watch::Receiver<u64>,
     /// The epoch of the frames.
     epoch: u64,
+    /// The epoch that began when the aspect of the pictures changed.
+    aspect_epoch: u64,
+    sizes: PictureSizes,
     /// The camera that it follows, once a frame has arrived.
     camera: Option<Camera>,
     repeats: Repeats,
@@ -127,7 +138,9 @@ impl ModelNode for Encoder {
         if let Some(taken) = estimate {
             say(&Choice::new(needs, estimate), taken, &needs);
         }
+        let sizes = PictureSizes::new(step.framing(), folder.trained_on()?);
         Ok(Model {
+            sizes,
             step: Arc::new(Mutex::new(step)),
             estimate,
             needs,
@@ -139,6 +152,7 @@ impl ModelNode for Encoder {
             step,
             estimate,
             needs,
+            sizes,
         } = &at.model;
         let step = Arc::clone(step);
         let choice = Choice::new(*needs, *estimate);
@@ -149,7 +163,8 @@ impl ModelNode for Encoder {
                 let started = Instant::now();
                 frame_trace::passed("encoding begun", frame.header().stamp);
                 let is_raw = matches!(frame, CameraFrame::Raw(_));
-                let latent = step.encode(&frame).map(|latent| Latent { epoch, ..latent });
+                let latent = step.encode(&frame);
+                let latent = latent.map(|(latent, size)| (Latent { epoch, ..latent }, size));
                 (latent, is_raw, started.elapsed(), received)
             },
         )
@@ -165,6 +180,8 @@ impl ModelNode for Encoder {
             needs: *needs,
             jumps: clock.jumps(),
             epoch: epoch_after(0, clock.now()),
+            aspect_epoch: 0,
+            sizes: sizes.clone(),
             clock,
             camera: None,
             repeats: Repeats::default(),
@@ -200,7 +217,10 @@ impl Encoder {
         latents: &Publisher<Latent>,
     ) -> Result<()> {
         match latent {
-            Ok(latent) => {
+            Ok((mut latent, size)) => {
+                self.size(size);
+                // It may have been waiting when the epoch began.
+                latent.epoch = latent.epoch.max(self.aspect_epoch);
                 let stamp = latent.header.stamp;
                 frame_trace::passed("latent taken", stamp);
                 latents.publish_shared(Arc::new(latent))?;
@@ -217,6 +237,42 @@ impl Encoder {
             }
         }
         Ok(())
+    }
+
+    /// Compares the size of a picture with the one before and with the training's.
+    fn size(&mut self, size: PictureSize) {
+        let change = self.sizes.take(size);
+        let mismatch = self.sizes.mismatch();
+        if let Some(mismatch) = mismatch.filter(Mismatch::is_serious) {
+            let text = format!("{mismatch}; {}", mismatch.fix());
+            self.diagnostics.raise("camera pictures", Level::Warn, text);
+        }
+        let Some(change) = change else {
+            return;
+        };
+        self.diagnostics
+            .set_value("camera picture", self.sizes.in_words());
+        match change {
+            SizeChange::First => {}
+            SizeChange::Size { from } => {
+                tracing::info!("the camera's pictures changed from {from} to {size} pixels");
+            }
+            // Frames of another part of the scene are no past of these.
+            SizeChange::Aspect { from } => {
+                self.epoch = epoch_after(self.epoch, self.clock.now());
+                self.aspect_epoch = self.epoch;
+                tracing::warn!(
+                    "the camera's pictures changed from {from} to {size} pixels, another aspect: a new epoch begins"
+                );
+            }
+        }
+        match mismatch {
+            Some(mismatch) if mismatch.is_serious() => {
+                tracing::warn!("{mismatch}; {}", mismatch.fix());
+            }
+            Some(mismatch) => tracing::info!("{mismatch}"),
+            None => {}
+        }
     }
 
     fn frame(&mut self, frame: CameraFrame, reception: &Reception) {

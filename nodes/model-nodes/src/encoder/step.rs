@@ -3,7 +3,7 @@
 use candle_core::Tensor;
 use image::RgbImage;
 use thiserror::Error;
-use wm_model::{Encoder, image::preprocess};
+use wm_model::{Encoder, Framing, PictureSize};
 use wm_msgs::wm_msgs::Latent;
 
 use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
@@ -54,11 +54,11 @@ impl EncoderStep {
         Self { encoder, dtype }
     }
 
-    /// The latent message of a frame.
+    /// The latent message of a frame, and the size of its picture.
     ///
     /// # Errors
     /// [`EncoderError`] says whether the image, the model or the latent is at fault.
-    pub fn encode(&self, frame: &CameraFrame) -> Result<Latent, EncoderError> {
+    pub fn encode(&self, frame: &CameraFrame) -> Result<(Latent, PictureSize), EncoderError> {
         let header = frame.header();
         let rgb = frame.decode()?;
         frame_trace::passed("picture decoded", header.stamp);
@@ -67,7 +67,8 @@ impl EncoderStep {
         let values = self.values(&pixels)?;
         frame_trace::passed("latent computed", header.stamp);
         let space = self.encoder.space();
-        Ok(encode_latent(&values, space, self.dtype, header.clone())?)
+        let latent = encode_latent(&values, space, self.dtype, header.clone())?;
+        Ok((latent, PictureSize::of(&rgb)))
     }
 
     /// The latent of an image, row-major, channels last.
@@ -84,7 +85,7 @@ impl EncoderStep {
         if width.min(height) < LEAST_SIDE {
             return Err(EncoderError::Small { width, height });
         }
-        Ok(preprocess(rgb, self.encoder.input_size())?)
+        Ok(self.encoder.prepare(rgb)?)
     }
 
     fn values(&self, pixels: &Tensor) -> Result<Vec<f32>, EncoderError> {
@@ -101,6 +102,11 @@ impl EncoderStep {
         let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
         let grey = RgbImage::from_pixel(side(width), side(height), image::Rgb([128; 3]));
         self.encode_values(&grey).map(|_| ())
+    }
+
+    /// How it takes pictures.
+    pub fn framing(&self) -> Framing {
+        self.encoder.framing()
     }
 
     /// The space of its latents.

@@ -62,7 +62,8 @@ fn a_frame_becomes_the_latent_of_its_stamp() {
     let frame = CameraFrame::Raw(encode_image(&picture(), header()));
     for dtype in [LatentDtype::F32, LatentDtype::F16, LatentDtype::Bf16] {
         let step = step(dtype);
-        let latent = step.encode(&frame).unwrap();
+        let (latent, size) = step.encode(&frame).unwrap();
+        assert_eq!(size.to_string(), "8x8");
         assert_eq!(latent.header, header());
         assert_eq!(decode_latent(&latent, step.space()).unwrap(), EXPECTED);
     }
