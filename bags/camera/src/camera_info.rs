@@ -18,22 +18,50 @@ pub fn topic_beside(images: &str) -> String {
 /// and stays.
 ///
 /// `None` where the camera is not calibrated (its focal lengths are 0, as REP 104 has it) or its picture has no pixels.
-pub fn resized(info: &CameraInfo, (width, height): (u32, u32)) -> Option<CameraInfo> {
-    let roi = info.roi;
+pub fn resized(info: &CameraInfo, size: (u32, u32)) -> Option<CameraInfo> {
+    part(info, [0.0, 0.0, 1.0, 1.0], size)
+}
+
+/// Columns and rows of the picture that belongs to `info`: of its region of interest, after binning.
+pub fn picture_size(info: &CameraInfo) -> (u32, u32) {
+    let (width, height) = seen_size(info);
+    (
+        width / info.binning_x.max(1),
+        height / info.binning_y.max(1),
+    )
+}
+
+/// Columns and rows of the sensor that the picture shows.
+fn seen_size(info: &CameraInfo) -> (u32, u32) {
     // All zero: the whole sensor.
-    let (seen_width, seen_height) = match (roi.width, roi.height) {
+    match (info.roi.width, info.roi.height) {
         (0, 0) => (info.width, info.height),
         size => size,
-    };
+    }
+}
+
+/// As [`resized`], for a picture of a part of the camera's: left, top, width and height in fractions of the camera's
+/// picture. The part may reach beyond it, as a picture with bars does.
+pub fn part(
+    info: &CameraInfo,
+    [from_left, from_top, part_width, part_height]: [f64; 4],
+    (width, height): (u32, u32),
+) -> Option<CameraInfo> {
+    let roi = info.roi;
+    let (seen_width, seen_height) = seen_size(info);
     let [fx, skew, cx, _, fy, cy, ..] = info.k;
     if seen_width == 0 || seen_height == 0 || width == 0 || height == 0 || fx == 0.0 || fy == 0.0 {
         return None;
     }
+    let (seen_width, seen_height) = (f64::from(seen_width), f64::from(seen_height));
     let (x, y) = (
-        f64::from(width) / f64::from(seen_width),
-        f64::from(height) / f64::from(seen_height),
+        f64::from(width) / (seen_width * part_width),
+        f64::from(height) / (seen_height * part_height),
     );
-    let (left, top) = (f64::from(roi.x_offset), f64::from(roi.y_offset));
+    let (left, top) = (
+        f64::from(roi.x_offset) + from_left * seen_width,
+        f64::from(roi.y_offset) + from_top * seen_height,
+    );
     let column = |at: f64| (at - left + 0.5) * x - 0.5;
     let row = |at: f64| (at - top + 0.5) * y - 0.5;
     let [pfx, pskew, pcx, tx, _, pfy, pcy, ty, ..] = info.p;
@@ -168,5 +196,51 @@ mod tests {
         assert_eq!(resized(&blind, (256, 256)), None);
         assert_eq!(resized(&CameraInfo::default(), (256, 256)), None);
         assert_eq!(resized(&camera(), (0, 256)), None);
+    }
+
+    #[test]
+    fn a_part_moves_the_principal_point_and_keeps_the_directions() {
+        let before = CameraInfo {
+            width: 1280,
+            height: 720,
+            k: [900.0, 0.0, 639.5, 0.0, 900.0, 359.5, 0.0, 0.0, 1.0],
+            p: [
+                900.0, 0.0, 639.5, 0.0, 0.0, 900.0, 359.5, 0.0, 0.0, 0.0, 1.0, 0.0,
+            ],
+            ..CameraInfo::default()
+        };
+        assert_eq!(picture_size(&before), (1280, 720));
+        // The middle square, halved; and bars of 280 rows above and below, at a fifth.
+        let middle = [280.0 / 1280.0, 0.0, 720.0 / 1280.0, 1.0];
+        let cut = part(&before, middle, (360, 360)).unwrap();
+        let bars = [0.0, -280.0 / 720.0, 1.0, 1280.0 / 720.0];
+        let padded = part(&before, bars, (256, 256)).unwrap();
+        for (x, y) in [(0.0, 0.0), (-0.2, 0.3), (0.1, -0.1)] {
+            // Edges of pixels, so that scales apply.
+            let (column, row) = place(&before, x, y);
+            let (column, row) = (column + 0.5, row + 0.5);
+            let (u, v) = place(&cut, x, y);
+            assert!((u + 0.5 - (column - 280.0) / 2.0).abs() < 1e-9, "{u}");
+            assert!((v + 0.5 - row / 2.0).abs() < 1e-9, "{v}");
+            let (u, v) = place(&padded, x, y);
+            assert!((u + 0.5 - column / 5.0).abs() < 1e-9, "{u}");
+            assert!((v + 0.5 - (row + 280.0) / 5.0).abs() < 1e-9, "{v}");
+        }
+        assert_eq!((cut.p[2], cut.p[6]), (cut.k[2], cut.k[5]));
+    }
+
+    #[test]
+    fn a_binned_region_has_the_size_of_its_picture() {
+        let binned = CameraInfo {
+            binning_x: 2,
+            binning_y: 4,
+            roi: RegionOfInterest {
+                width: 320,
+                height: 240,
+                ..RegionOfInterest::default()
+            },
+            ..camera()
+        };
+        assert_eq!(picture_size(&binned), (160, 60));
     }
 }

@@ -9,6 +9,7 @@
 mod choice;
 mod looks;
 mod node;
+mod picture_size;
 mod repeats;
 mod repetition;
 mod step;
@@ -16,6 +17,7 @@ mod stillness;
 
 pub use choice::{Choice, Fate, Mode, Needs};
 pub use node::{NODE, body};
+pub use picture_size::Mismatch;
 pub(crate) use repetition::{Repeat, Repetition};
 pub use step::{EncoderError, EncoderStep};
 pub(crate) use stillness::{Grid, Sight, Stillness};

@@ -1,4 +1,5 @@
 mod cutting;
+mod fit;
 mod folder;
 mod options;
 mod outcome;

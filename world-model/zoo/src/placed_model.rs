@@ -1,6 +1,6 @@
 //! A world model, and where its parts compute.
 
-use wm_model::{Decoder, Encoder, WorldModel};
+use wm_model::{Decoder, Encoder, Fit, PictureSize, WorldModel};
 use wm_motion::actions::ActionEncoding;
 
 use crate::idm::TrainedIdm;
@@ -33,6 +33,22 @@ impl PlacedModel {
     /// As there.
     pub fn action_encoding(&self) -> Result<Option<ActionEncoding>> {
         self.folder.action_encoding()
+    }
+
+    /// As [`ModelFolder::fit`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn fit(&self) -> Result<Fit> {
+        self.folder.fit()
+    }
+
+    /// As [`ModelFolder::trained_on`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn trained_on(&self) -> Result<Option<PictureSize>> {
+        self.folder.trained_on()
     }
 
     /// As [`ModelFolder::encoder`].

@@ -6,8 +6,9 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_camera::camera_info::{resized, topic_beside};
-use wm_msgs::{sensor_msgs::CameraInfo, wm_msgs::Prediction};
+use wm_camera::camera_info::{part, picture_size, topic_beside};
+use wm_model::{Fit, PictureSize};
+use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::String as Text, wm_msgs::Prediction};
 use wm_ros::{
     Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Subscription,
     complaints::Complaints,
@@ -85,12 +86,15 @@ wm_ros::endpoints! {
         });
         /// The same for pictures of the size of the predicted ones, with each of them; none where none was heard.
         infos: Publisher<CameraInfo> = "predicted/camera_info", qos(Qos::reliable(WAITING));
+        /// How a camera picture becomes one of the predicted pictures' size and aspect: stretch, crop or pad.
+        fit: Publisher<Text> = "predicted/fit", qos(Qos::latched(1));
     }
 }
 
 /// What the node loads.
 struct Model {
     name: String,
+    fit: Fit,
     /// `None` where the model has no decoder.
     step: Option<Arc<Mutex<DecoderStep>>>,
     /// How long a picture took when one was tried out.
@@ -178,6 +182,7 @@ impl ModelNode for Decoder {
         }
         let model = Model {
             name: folder.name(),
+            fit: folder.fit()?,
             step: step.map(|step| Arc::new(Mutex::new(step))),
             estimate,
             pool,
@@ -218,7 +223,9 @@ impl ModelNode for Decoder {
             pictures,
             camera_infos,
             infos,
+            fit: announced,
         } = &mut at.endpoints;
+        let fit = at.model.fit;
         let Some(decoding) = &mut self.decoding else {
             // after the lifecycle has said that the node runs
             at.node
@@ -227,6 +234,9 @@ impl ModelNode for Decoder {
             while predictions.recv_shared().await.is_some() {}
             return Ok(());
         };
+        announced.publish(&Text {
+            data: fit.name().to_owned(),
+        })?;
         let latency = at.node.diagnostics().latency("decode");
         let mut camera: Option<CameraInfo> = None;
         loop {
@@ -237,7 +247,7 @@ impl ModelNode for Decoder {
                     let (decoded, taken) = finished.context("the decoder's thread")?;
                     match decoded {
                         Ok((decoded, size)) => {
-                            let info = camera.as_ref().and_then(|camera| info_of(camera, &decoded, size));
+                            let info = camera.as_ref().and_then(|camera| info_of(camera, &decoded, (size, fit)));
                             if let Some(info) = info {
                                 infos.publish(&info)?;
                             }
@@ -267,13 +277,33 @@ impl ModelNode for Decoder {
     }
 }
 
-/// How `camera` sees the predicted pictures, which have this size; none where they are another camera's.
-fn info_of(camera: &CameraInfo, pictures: &Pictures, size: (u32, u32)) -> Option<CameraInfo> {
+/// How `camera` sees the predicted pictures, which have this size; `None` if they are another camera's, or the camera is not
+/// calibrated.
+fn info_of(
+    camera: &CameraInfo,
+    pictures: &Pictures,
+    ((width, height), fit): ((u32, u32), Fit),
+) -> Option<CameraInfo> {
     let header = match pictures {
         Pictures { raw: Some(raw), .. } => &raw.header,
         Pictures { compressed, .. } => &compressed.as_ref()?.header,
     };
-    let info = resized(camera, size)?;
+    let (columns, rows) = picture_size(camera);
+    let from = PictureSize {
+        width: columns,
+        height: rows,
+    };
+    let to = PictureSize { width, height };
+    let view = fit.placement(from, to)?.view(to);
+    let (columns, rows) = (f64::from(columns), f64::from(rows));
+    let [left, top, of_width, of_height] = view;
+    let shown = [
+        left / columns,
+        top / rows,
+        of_width / columns,
+        of_height / rows,
+    ];
+    let info = part(camera, shown, (width, height))?;
     (header.frame_id == camera.header.frame_id).then(|| CameraInfo {
         header: header.clone(),
         ..info
@@ -389,10 +419,30 @@ mod tests {
             }),
             compressed: None,
         };
-        let info = info_of(&camera, &pictures("camera"), (128, 128)).unwrap();
+        let square = ((128, 128), Fit::Stretch);
+        let info = info_of(&camera, &pictures("camera"), square).unwrap();
         assert_eq!(info.header, header("camera", 3), "that of the picture");
         assert_eq!((info.width, info.k[0], info.k[2]), (128, 227.5, 63.5));
-        assert_eq!(info_of(&camera, &pictures("other"), (128, 128)), None);
-        assert_eq!(info_of(&camera, &Pictures::default(), (128, 128)), None);
+        assert_eq!(info_of(&camera, &pictures("other"), square), None);
+        assert_eq!(info_of(&camera, &Pictures::default(), square), None);
+        // 1280x720: the model sees the middle 720 columns, or all of them between bars.
+        let wide = CameraInfo {
+            width: 1280,
+            height: 720,
+            k: [900.0, 0.0, 679.5, 0.0, 900.0, 359.5, 0.0, 0.0, 1.0],
+            ..camera
+        };
+        let seen = |fit| {
+            info_of(&wide, &pictures("camera"), ((360, 360), fit))
+                .unwrap()
+                .k
+        };
+        let principal = |fit| [0, 2, 4, 5].map(|at| seen(fit)[at]);
+        assert_eq!(principal(Fit::Crop), [450.0, 199.5, 450.0, 179.5]);
+        // 202.5 rows round to 203, between bars of 78 and 79 rows.
+        let padded = [253.125, 190.75, 253.75, 179.0];
+        for (found, expected) in principal(Fit::Pad).into_iter().zip(padded) {
+            assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+        }
     }
 }

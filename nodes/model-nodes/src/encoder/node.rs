@@ -8,6 +8,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use image::RgbImage;
 use tokio::sync::watch;
+use wm_model::PictureSize;
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::{Duration as Span, Time},
@@ -21,8 +22,9 @@ use wm_ros::{
 use wm_zoo::PlacedModel;
 
 use super::{
-    Choice, EncoderError, EncoderStep, Fate, Mode, Needs, Repetition, Sight, Stillness,
+    Choice, EncoderError, EncoderStep, Fate, Mismatch, Mode, Needs, Repetition, Sight, Stillness,
     looks::{Arrived, Looked, Looks},
+    picture_size::{PictureSizes, SizeChange},
     repeats::{Arrival, Repeats},
 };
 use crate::{
@@ -113,6 +115,7 @@ struct Model {
     estimate: Option<Duration>,
     needs: Needs,
     actions: ActionSpace,
+    sizes: PictureSizes,
 }
 
 struct Encoder {
@@ -127,6 +130,7 @@ struct Encoder {
     epoch: u64,
     /// The epoch that began with the last jump of the clock or change of the camera: frames from before it stay in theirs.
     begun: u64,
+    sizes: PictureSizes,
     /// The camera that it follows, once a frame has arrived.
     camera: Option<Camera>,
     repeats: Repeats,
@@ -166,7 +170,9 @@ impl ModelNode for Encoder {
         if let Some(taken) = estimate {
             say(&Choice::new(needs, estimate), taken, &needs);
         }
+        let sizes = PictureSizes::new(step.framing(), folder.trained_on()?);
         Ok(Model {
+            sizes,
             step: Arc::new(Mutex::new(step)),
             estimate,
             needs,
@@ -180,6 +186,7 @@ impl ModelNode for Encoder {
             estimate,
             needs,
             actions,
+            sizes,
         } = &at.model;
         let step = Arc::clone(step);
         let choice = Choice::new(*needs, *estimate);
@@ -211,6 +218,7 @@ impl ModelNode for Encoder {
             jumps: clock.jumps(),
             epoch,
             begun: epoch,
+            sizes: sizes.clone(),
             clock,
             camera: None,
             repeats: Repeats::default(),
@@ -276,6 +284,41 @@ impl Encoder {
     fn unusable(&mut self, is_raw: bool, error: &EncoderError) {
         self.repeats.distrust(is_raw);
         self.complaints.left_out("bad_image", error);
+    }
+
+    /// Compares the size of a picture with the one before and with the training's.
+    fn size(&mut self, size: PictureSize) {
+        let change = self.sizes.take(size);
+        let mismatch = self.sizes.mismatch();
+        if let Some(mismatch) = mismatch.filter(Mismatch::is_serious) {
+            let text = format!("{mismatch}; {}", mismatch.fix());
+            self.diagnostics.raise("camera pictures", Level::Warn, text);
+        }
+        let Some(change) = change else {
+            return;
+        };
+        self.diagnostics
+            .set_value("camera picture", self.sizes.in_words());
+        match change {
+            SizeChange::First => {}
+            SizeChange::Size { from } => {
+                tracing::info!("the camera's pictures changed from {from} to {size} pixels");
+            }
+            // Frames of another part of the scene are no past of these.
+            SizeChange::Aspect { from } => {
+                self.epoch = epoch_after(self.epoch, self.clock.now());
+                tracing::warn!(
+                    "the camera's pictures changed from {from} to {size} pixels, another aspect: a new epoch begins"
+                );
+            }
+        }
+        match mismatch {
+            Some(mismatch) if mismatch.is_serious() => {
+                tracing::warn!("{mismatch}; {}", mismatch.fix());
+            }
+            Some(mismatch) => tracing::info!("{mismatch}"),
+            None => {}
+        }
     }
 
     fn frame(&mut self, frame: CameraFrame, reception: &Reception) {
@@ -359,6 +402,9 @@ impl Encoder {
                 return Ok(());
             }
         };
+        if let Some(picture) = &picture {
+            self.size(PictureSize::of(picture));
+        }
         if let Some(camera) = &self.camera
             && header.frame_id.is_empty()
         {

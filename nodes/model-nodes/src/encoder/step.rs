@@ -3,7 +3,7 @@
 use candle_core::Tensor;
 use image::RgbImage;
 use thiserror::Error;
-use wm_model::{Encoder, image::preprocess};
+use wm_model::{Encoder, Framing};
 use wm_msgs::{std_msgs::Header, wm_msgs::Latent};
 
 use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
@@ -93,7 +93,7 @@ impl EncoderStep {
         if width.min(height) < LEAST_SIDE {
             return Err(EncoderError::Small { width, height });
         }
-        Ok(preprocess(rgb, self.encoder.input_size())?)
+        Ok(self.encoder.prepare(rgb)?)
     }
 
     fn values(&self, pixels: &Tensor) -> Result<Vec<f32>, EncoderError> {
@@ -110,6 +110,11 @@ impl EncoderStep {
         let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
         let grey = RgbImage::from_pixel(side(width), side(height), image::Rgb([128; 3]));
         self.encode_values(&grey).map(|_| ())
+    }
+
+    /// How it takes pictures.
+    pub fn framing(&self) -> Framing {
+        self.encoder.framing()
     }
 
     /// The space of its latents.

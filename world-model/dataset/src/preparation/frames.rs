@@ -1,18 +1,28 @@
-use std::{fs::File, os::unix::fs::FileExt as _, path::PathBuf};
+use std::{
+    fs::File,
+    os::unix::fs::FileExt as _,
+    path::PathBuf,
+    sync::{Mutex, PoisonError},
+};
 
-use image::{GrayImage, RgbImage, imageops::FilterType};
+use image::{
+    GrayImage, RgbImage,
+    imageops::{self, FilterType},
+};
 use rayon::prelude::*;
 use wm_bag::BagReader;
 use wm_camera::camera_frame::CameraFrame;
+use wm_model::{Fit, Framing, Part, PictureSize, Placement};
 use wm_progress::Progress;
 
 use super::Planned;
 use crate::{
     DatasetError, Manifest, Size, cameras::MASK, cutting::Draft, recording::Broken,
-    store::NewFolder,
+    source_sizes::SizeCounts, store::NewFolder,
 };
 
-/// Decodes the frames of all episodes into the folder's files; gives the pictures of each source that cannot be decoded.
+/// Decodes the frames of all episodes into the folder's files; gives the pictures of each source that cannot be decoded,
+/// and the sizes of the others.
 ///
 /// Episodes are decoded at the same time, each on one thread and by one picture at a time: a picture goes to its place in
 /// the file as it comes, so that memory does not grow with the length of an episode.
@@ -21,7 +31,7 @@ pub(super) fn write(
     readers: &[Option<BagReader>],
     manifest: &Manifest,
     folder: &NewFolder,
-) -> Result<Vec<Broken>, DatasetError> {
+) -> Result<(Vec<Broken>, SizeCounts), DatasetError> {
     let total: usize = manifest.episodes.iter().map(|episode| episode.frames).sum();
     let progress = Progress::of("decoding", "frames", total as u64);
     let files = Files {
@@ -31,7 +41,9 @@ pub(super) fn write(
             false => None,
         },
         view: manifest.size,
+        fit: manifest.fit,
         views: manifest.cameras.len(),
+        sizes: Mutex::default(),
     };
     let mut jobs = Vec::new();
     let mut first_frame = 0;
@@ -56,7 +68,8 @@ pub(super) fn write(
         }
     }
     drop(progress);
-    Ok(all)
+    let sizes = files.sizes.into_inner();
+    Ok((all, sizes.unwrap_or_else(PoisonError::into_inner)))
 }
 
 /// The files that pictures go to, with their paths.
@@ -64,7 +77,10 @@ struct Files {
     frames: (File, PathBuf),
     masks: Option<(File, PathBuf)>,
     view: Size,
+    fit: Fit,
     views: usize,
+    /// The sizes of the pictures so far.
+    sizes: Mutex<SizeCounts>,
 }
 
 /// The pictures of a stream that an episode still waits for.
@@ -124,7 +140,7 @@ impl Files {
             if frames.is_empty() {
                 continue;
             }
-            let Ok(shown) = self.decoded(&frame, awaited.topic == MASK) else {
+            let Ok(shown) = self.decoded(&frame, view, awaited.topic == MASK) else {
                 broken.insert((awaited.topic.to_owned(), stamp_ns));
                 continue;
             };
@@ -143,16 +159,19 @@ impl Files {
         Ok(broken)
     }
 
-    /// A picture at the size of a view.
-    fn decoded(&self, frame: &CameraFrame, is_mask: bool) -> Result<Shown, String> {
+    /// A picture of camera `view` at the size of a view.
+    fn decoded(&self, frame: &CameraFrame, view: usize, is_mask: bool) -> Result<Shown, String> {
         let Size { height, width } = self.view;
         if let (true, CameraFrame::Compressed(mask)) = (is_mask, frame) {
             let mask = image::load_from_memory(&mask.data).map_err(|error| error.to_string())?;
-            return Ok(Shown::Mask(shrink(&mask.into_luma8(), self.view)));
+            return Ok(Shown::Mask(place(&mask.into_luma8(), self.view, self.fit)));
         }
         let picture = frame.decode().map_err(|error| error.to_string())?;
-        let resized = wm_model::image::resize(&picture, (height, width));
-        Ok(Shown::View(resized.map_err(|error| error.to_string())?))
+        let placed = Framing::new((height, width), self.fit).apply(&picture);
+        let placed = placed.map_err(|error| error.to_string())?;
+        let mut sizes = self.sizes.lock().unwrap_or_else(PoisonError::into_inner);
+        *sizes.entry((view, PictureSize::of(&picture))).or_default() += 1;
+        Ok(Shown::View(placed))
     }
 
     /// Writes a picture to its place: a view to its columns of the frame.
@@ -187,9 +206,40 @@ enum Shown {
     Mask(GrayImage),
 }
 
+/// A mask as the picture beside it is placed: its bars are background.
+fn place(mask: &GrayImage, size: Size, fit: Fit) -> GrayImage {
+    let (width, height) = mask.dimensions();
+    let to = PictureSize::from(size);
+    let Some(Placement { source, target }) = fit.placement(PictureSize { width, height }, to)
+    else {
+        return GrayImage::new(to.width, to.height);
+    };
+    let cut = |Part {
+                   x,
+                   y,
+                   width,
+                   height,
+               }: Part| imageops::crop_imm(mask, x, y, width, height);
+    let scaled = shrink(
+        &cut(source).to_image(),
+        Size {
+            height: target.height as usize,
+            width: target.width as usize,
+        },
+    );
+    let mut placed = GrayImage::new(to.width, to.height);
+    imageops::replace(
+        &mut placed,
+        &scaled,
+        i64::from(target.x),
+        i64::from(target.y),
+    );
+    placed
+}
+
 /// Class numbers may not be blended: nearest neighbour.
 pub(crate) fn shrink(mask: &GrayImage, size: Size) -> GrayImage {
     // A side is at most 4096.
     let (width, height) = (size.width as u32, size.height as u32);
-    image::imageops::resize(mask, width, height, FilterType::Nearest)
+    imageops::resize(mask, width, height, FilterType::Nearest)
 }

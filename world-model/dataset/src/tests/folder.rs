@@ -8,12 +8,13 @@ use std::{
 
 use clap::Parser;
 use proptest::prelude::*;
+use wm_model::{Fit, Framing};
 use wm_motion::actions::ActionSpace;
 
 use super::{
     super::{
         Cut, Data, DataOptions, DataStatistics, Dataset, DatasetArgs, LeftOut, Manifest,
-        ManifestEpisode, Settings, Size, Source, Split, SplitRule, Thing,
+        ManifestEpisode, Settings, Size, Source, SourceSize, Split, SplitRule, Thing,
         store::{NewFolder, is_prepared, read_manifest},
     },
     outcome::Outcome,
@@ -26,7 +27,7 @@ struct Cli {
     arguments: DatasetArgs,
 }
 
-fn wm_dataset(arguments: &[&str]) -> anyhow::Result<()> {
+pub(super) fn wm_dataset(arguments: &[&str]) -> anyhow::Result<()> {
     let arguments = ["wm dataset"].iter().chain(arguments);
     Cli::try_parse_from(arguments)?.arguments.run()
 }
@@ -83,8 +84,9 @@ fn a_prepared_folder_is_what_the_bags_are() {
         validation: Some(0.3),
         ..DataOptions::default()
     };
-    let direct = Data::open(from_ref(&bags), (16, 16), &cache, &options).unwrap();
-    let prepared = Data::open(from_ref(&out), (16, 16), &cache, &DataOptions::default()).unwrap();
+    let framing = Framing::new((16, 16), Fit::Crop);
+    let direct = Data::open(from_ref(&bags), framing, &cache, &options).unwrap();
+    let prepared = Data::open(from_ref(&out), framing, &cache, &DataOptions::default()).unwrap();
     let validation = direct.validation.unwrap();
     for (direct, prepared) in [
         (&direct.training, &prepared.training),
@@ -186,6 +188,8 @@ fn prepared_pictures_are_made_smaller_and_never_larger() {
         out.to_str().unwrap(),
         "--size",
         "32x24",
+        "--fit",
+        "stretch",
     ])
     .unwrap();
     let cache = dir.path().join("cache");
@@ -434,6 +438,11 @@ prop_compose! {
             version: 3,
             digest: "ab".repeat(32),
             size: Size { height, width },
+            fit: Fit::ALL[height % 3],
+            source_sizes: cameras
+                .iter()
+                .map(|camera| SourceSize { camera: camera.clone(), size: Size { height, width }.into(), pictures: seed })
+                .collect(),
             cameras: cameras.clone(),
             has_masks,
             settings: Settings {

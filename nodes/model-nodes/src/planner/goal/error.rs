@@ -58,8 +58,13 @@ pub enum GoalError {
     /// A mask that is none.
     #[error("mask: {0}")]
     Mask(#[from] ImageError),
+    /// A mask that cannot be placed in the encoder's picture.
+    #[error("mask: {0}")]
+    MaskPlace(#[from] wm_model::Error),
     /// A mask of nothing.
-    #[error("the mask is 0 everywhere: nothing would count")]
+    #[error(
+        "the mask is 0 everywhere in the part of the picture that the model sees: nothing would count"
+    )]
     NothingMarked,
     /// Words without a probe that reads them.
     #[error(
