@@ -12,8 +12,8 @@
 //! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
 //! - what is believed of the graph is compared with what rustdds knows ([`reconcile`]), since its events may be lost;
 //! - endpoints wait while a Fast DDS participant catches up ([`catch_up`]), since it would never hear of some;
-//! - participants that return after their lease has run out are met and connected anew ([`lease`], [`rematch`]), since
-//!   rustdds does not;
+//! - participants that return after their lease has run out are met and connected anew ([`lease`], [`rematch`]), and so
+//!   are those that have lost this one alone ([`one_way`]), since rustdds does not;
 //! - participants on loopback are announced to all others of the host ([`introduction`]), since rustdds announces them
 //!   to twelve;
 //! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would be deaf, and so does
@@ -36,6 +36,7 @@ mod lock;
 mod mismatches;
 mod names;
 mod nodes;
+mod one_way;
 mod parts;
 mod qos;
 mod reader;
@@ -65,6 +66,7 @@ use lock::lock;
 use mismatches::Mismatches;
 use names::{dds_name, dds_type, ros_names};
 use nodes::Nodes;
+use one_way::OneWay;
 use parts::{Parts, peer_of};
 use reader::DdsReader;
 use reconcile::{Own, OwnEndpoints, Suspects, parts_endpoint};
@@ -116,6 +118,8 @@ impl Dds {
             matches: Mutex::default(),
             writers: Mutex::default(),
             mismatches: Mismatches::default(),
+            one_way: OneWay::default(),
+            own_port: OnceLock::new(),
             own: OwnEndpoints::default(),
             suspects: Suspects::default(),
             has_returned: Notify::default(),

@@ -68,9 +68,10 @@ impl Line {
         &self.writer
     }
 
-    /// Updates the window by what the readers have acknowledged.
-    pub(super) fn look(&mut self) {
+    /// Updates the window by what the readers have acknowledged; whether they have acknowledged something.
+    pub(super) fn look(&mut self) -> bool {
         let mut context = Context::from_waker(noop_waker_ref());
+        let mut is_acknowledged = false;
         while self.window.unacknowledged() > 0 {
             let (number, wait) = self.wait.get_or_insert_with(|| {
                 let writer = Arc::clone(&self.writer);
@@ -81,12 +82,14 @@ impl Line {
                 (self.window.last(), wait.boxed())
             });
             if wait.poll_unpin(&mut context).is_pending() {
-                return;
+                break;
             }
             let number = *number;
             self.window.acknowledged(number);
             self.wait = None;
+            is_acknowledged = true;
         }
+        is_acknowledged
     }
 }
 

@@ -88,21 +88,21 @@ impl Shared {
             return Ok(None);
         };
         let failed = |error| Error::middleware(format!("connect {}", own.topic), error);
+        // A reader that requests nothing fits every writer. A writer has to offer what the own one does.
         let qos = for_reader(Qos::best_effort(1));
         let (name, type_name) = (own.topic.clone(), own.type_name.clone());
         let topic = participant
             .create_topic(name, type_name, &qos, TopicKind::NoKey)
             .map_err(failed)?;
-        let qos = Some(qos);
         Ok(Some(match own.is_writer {
             true => Passing::Writer(
                 publisher
-                    .create_datawriter_no_key(&topic, qos)
+                    .create_datawriter_no_key(&topic, Some(own.qos.clone()))
                     .map_err(failed)?,
             ),
             false => Passing::Reader(
                 self.subscriber
-                    .create_simple_datareader_no_key(&topic, qos)
+                    .create_simple_datareader_no_key(&topic, Some(qos))
                     .map_err(failed)?,
             ),
         }))

@@ -94,77 +94,107 @@ pub(super) fn answer(
 /// The first announcement of the participant `own`, which is reached on loopback at these ports (8.5.3).
 pub(super) fn announcement(own: &EndpointId, discovery: u16, user: u16) -> Bytes {
     let mut message = header(own);
-    submessage(&mut message, DATA, LITTLE_ENDIAN | PAYLOAD, 0);
-    message.put_u16_le(0);
-    message.put_u16_le(OCTETS_TO_INLINE_QOS);
-    message.put_slice(&ANY_READER);
-    message.put_slice(&SPDP_WRITER);
-    put_number(&mut message, 1);
-    message.put_slice(&PL_CDR_LE);
-    let locator = |port: u16| {
-        let mut locator = BytesMut::new();
-        locator.put_u32_le(UDP_V4);
-        locator.put_u32_le(port.into());
-        locator.put_slice(&[0; 12]);
-        locator.put_slice(&Ipv4Addr::LOCALHOST.octets());
-        locator.to_vec()
-    };
-    let [high, low] = [LEASE, 0].map(u32::to_le_bytes);
-    let parameters: [(u16, Vec<u8>); 7] = [
-        (PID_PROTOCOL_VERSION, vec![MAGIC[4], MAGIC[5], 0, 0]),
-        (PID_VENDOR_ID, vec![own[0], own[1], 0, 0]),
-        (PID_PARTICIPANT_GUID, own.to_vec()),
-        (PID_METATRAFFIC_UNICAST_LOCATOR, locator(discovery)),
-        (PID_DEFAULT_UNICAST_LOCATOR, locator(user)),
-        (PID_LEASE_DURATION, [high, low].concat()),
-        (
-            PID_BUILTIN_ENDPOINT_SET,
-            BUILTIN_ENDPOINTS.to_le_bytes().to_vec(),
-        ),
-    ];
-    for (parameter, value) in parameters {
-        message.put_u16_le(parameter);
-        message.put_u16_le(value.len() as u16); // at most 24
-        message.put_slice(&value);
-    }
-    message.put_u16_le(PID_SENTINEL);
-    message.put_u16_le(0);
+    let data = participant(own, BUILTIN_ENDPOINTS, LEASE, Some([discovery, user]));
+    announced(&mut message, ANY_READER, PAYLOAD, &data, 1);
     message.freeze()
+}
+
+/// The data of a participant (9.6.2.2). `lease` in seconds; `ports`: for discovery and for samples, on loopback.
+fn participant(id: &EndpointId, endpoints: u32, lease: u32, ports: Option<[u16; 2]>) -> BytesMut {
+    let mut data = BytesMut::new();
+    data.put_slice(&PL_CDR_LE);
+    let mut put = |parameter: u16, value: &[u8]| {
+        data.put_u16_le(parameter);
+        data.put_u16_le(value.len() as u16); // at most 24
+        data.put_slice(value);
+    };
+    put(PID_PROTOCOL_VERSION, &[MAGIC[4], MAGIC[5], 0, 0]);
+    put(PID_VENDOR_ID, &[id[0], id[1], 0, 0]);
+    put(PID_PARTICIPANT_GUID, id);
+    if let Some([discovery, user]) = ports {
+        put(PID_METATRAFFIC_UNICAST_LOCATOR, &locator(discovery));
+        put(PID_DEFAULT_UNICAST_LOCATOR, &locator(user));
+    }
+    let lease = [lease, 0].map(u32::to_le_bytes).concat();
+    put(PID_LEASE_DURATION, &lease);
+    put(PID_BUILTIN_ENDPOINT_SET, &endpoints.to_le_bytes());
+    put(PID_SENTINEL, &[]);
+    data
+}
+
+fn locator(port: u16) -> BytesMut {
+    let mut locator = BytesMut::new();
+    locator.put_u32_le(UDP_V4);
+    locator.put_u32_le(port.into());
+    locator.put_slice(&[0; 12]);
+    locator.put_slice(&Ipv4Addr::LOCALHOST.octets());
+    locator
 }
 
 /// A sign of life of the participant `own`: an announcement without content.
 pub(super) fn life_sign(own: &EndpointId) -> Bytes {
     let mut message = header(own);
-    announced(&mut message, LITTLE_ENDIAN, &[], 1);
+    announced(&mut message, SPDP_READER, 0, &[], 1);
     message.freeze()
 }
 
-/// Tells the participant that receives it, once for each of `numbers`, that a participant has gone that never existed.
-pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
+/// Nobody: a participant that only the one that receives it is told of.
+fn nobody(own: &EndpointId) -> EndpointId {
     let mut nobody = *own;
     nobody[2..12].fill(0xff);
     nobody[12..].copy_from_slice(&PARTICIPANT);
-    let mut key = BytesMut::new();
-    key.put_slice(&PL_CDR_LE);
-    key.put_u16_le(PID_PARTICIPANT_GUID);
-    key.put_u16_le(16);
-    key.put_slice(&nobody);
-    key.put_u16_le(PID_SENTINEL);
-    key.put_u16_le(0);
+    nobody
+}
+
+/// A visit of nobody, who comes and goes: announcements of this number and the next.
+pub(super) fn visit(own: &EndpointId, number: i64) -> Bytes {
+    let nobody = nobody(own);
+    let mut message = header(&nobody);
+    let data = participant(&nobody, 0, 1, None);
+    announced(&mut message, SPDP_READER, PAYLOAD, &data, number);
+    announced(&mut message, SPDP_READER, KEY, &key(&nobody), number + 1);
+    message.freeze()
+}
+
+/// That nobody has gone, once for each of `numbers`.
+pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
+    let nobody = nobody(own);
     let mut message = header(&nobody);
     for number in numbers {
-        announced(&mut message, LITTLE_ENDIAN | KEY, &key, number);
+        announced(&mut message, SPDP_READER, KEY, &key(&nobody), number);
     }
     message.freeze()
 }
 
+/// That the lease of the participant `peer` ends within a second.
+pub(super) fn expiry(own: &EndpointId, peer: &Peer, number: i64) -> Bytes {
+    let mut id = nobody(own);
+    let mut message = header(&id);
+    id[..12].copy_from_slice(peer);
+    let data = participant(&id, 0, 1, None);
+    announced(&mut message, SPDP_READER, PAYLOAD, &data, number);
+    message.freeze()
+}
+
+fn key(participant: &EndpointId) -> BytesMut {
+    let mut key = BytesMut::new();
+    key.put_slice(&PL_CDR_LE);
+    key.put_u16_le(PID_PARTICIPANT_GUID);
+    key.put_u16_le(16);
+    key.put_slice(participant);
+    key.put_u16_le(PID_SENTINEL);
+    key.put_u16_le(0);
+    key
+}
+
 /// An announcement of this number.
-fn announced(message: &mut BytesMut, flags: u8, payload: &[u8], number: i64) {
+fn announced(message: &mut BytesMut, reader: [u8; 4], flags: u8, payload: &[u8], number: i64) {
     const HEADER: u16 = 4 + OCTETS_TO_INLINE_QOS;
-    submessage(message, DATA, flags, HEADER + payload.len() as u16);
+    let len = HEADER + payload.len() as u16; // at most 120
+    submessage(message, DATA, LITTLE_ENDIAN | flags, len);
     message.put_u16_le(0);
     message.put_u16_le(OCTETS_TO_INLINE_QOS);
-    message.put_slice(&SPDP_READER);
+    message.put_slice(&reader);
     message.put_slice(&SPDP_WRITER);
     put_number(message, number);
     message.put_slice(payload);

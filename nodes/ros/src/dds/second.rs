@@ -118,6 +118,7 @@ impl Dds {
         if let Some(address) = self.addresses.first() {
             let port = confine::Ports::new(domain, number).discovery();
             let port = Arc::new(OwnPort::new(own, address, port).map_err(failed)?);
+            self.shared.own_port.get_or_init(|| Arc::clone(&port));
             own_port = Some(Arc::clone(&port));
             let lease = async move { port.keep_alive().await };
             failure.watch(runtime, "own lease", lease);

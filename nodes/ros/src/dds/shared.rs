@@ -11,6 +11,7 @@ use super::{
     mismatches::Mismatches,
     names::ros_names,
     nodes::Nodes,
+    one_way::OneWay,
     parts::{Parts, Peer, peer_of},
     reconcile::{OwnEndpoints, Suspects},
     wire::Wire,
@@ -63,6 +64,9 @@ pub(super) struct Shared {
     /// Writers of other participants that have not gone.
     pub(super) writers: Mutex<BTreeSet<EndpointId>>,
     pub(super) mismatches: Mismatches,
+    pub(super) one_way: OneWay,
+    /// The way to the first participant itself, unless it is on loopback.
+    pub(super) own_port: OnceLock<Arc<OwnPort>>,
     /// Own readers and writers of topics and services.
     pub(super) own: OwnEndpoints,
     pub(super) suspects: Suspects,
@@ -165,6 +169,7 @@ impl Shared {
     /// One of the DDS writers of a publisher has gone.
     pub(super) fn forget_line(&self, line: &EndpointId) {
         self.lines.remove(line);
+        self.one_way.forget_line(line);
         self.parts.forget_own(line);
         lock(&self.matches).remove(line);
         self.nodes.remove_endpoint(line);
@@ -231,6 +236,7 @@ pub(super) async fn follow(
                 if let Some(prefix) = id.as_ref().get(..peer.len()) {
                     peer.copy_from_slice(prefix);
                     shared.forget_participant(&peer);
+                    shared.one_way.lost(&peer);
                     if matches!(reason, LostReason::Timeout { .. }) {
                         if silent.len() >= MOST_SILENT {
                             silent.pop_first();

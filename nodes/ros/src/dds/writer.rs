@@ -6,6 +6,7 @@ use super::{
     line::{Line, Maker, Patience, RETIREMENT},
     lock::lock,
     names::{dds_name, dds_type},
+    one_way::Waiting,
     parts::{Keep, LARGEST, Offered, peer_of},
     reconcile::Own,
     rtps::LARGEST_ANSWER,
@@ -79,6 +80,7 @@ struct Sent {
     /// Takes over as soon as the readers of `line` are connected to it.
     successor: Option<Line>,
     patience: Patience,
+    waiting: Waiting,
     /// Of a latched topic: the last samples with their times, for the late readers of the next DDS writer.
     history: VecDeque<(Bytes, Timestamp)>,
     /// To readers of this participant: those elsewhere may miss what nobody there heard, these do not.
@@ -298,7 +300,11 @@ impl WriterCore {
     /// Looks whether some reader has fallen behind; whether a sample may be sent all the same. The next DDS writer of a
     /// publisher takes over as soon as it can.
     fn has_room(&self, when_full: WhenFull, sent: &mut Sent) -> bool {
-        sent.line.look();
+        let is_acknowledged = sent.line.look();
+        let is_waiting = sent.line.window.unacknowledged() > 0;
+        let looked = [is_acknowledged, is_waiting];
+        let line = sent.line.id();
+        self.shared.note(&line, &mut sent.waiting, looked);
         // calls are known by their DDS writer
         if !self.is_topic {
             return !sent.line.window.is_full();
@@ -438,6 +444,7 @@ impl DdsWriter {
                 line,
                 successor: None,
                 patience: Patience::default(),
+                waiting: Waiting::default(),
                 history: VecDeque::new(),
                 here: 0,
                 last: None,

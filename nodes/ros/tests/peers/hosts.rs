@@ -300,13 +300,16 @@ fn side_by_side(peers: &Path, cases: &[Case], run: impl Fn(&mut Pair, &str) + Sy
 #[test]
 fn what_a_cut_ends_returns_with_the_network() {
     let Some(peers) = peers() else { return };
-    let cases = [
-        ("wm and wm", Other::Wm, SUBNET, (10.0, 1000)),
-        ("wm and rclpy", Other::Rclpy, SUBNET, (10.0, 1000)),
+    let cuts = [
+        ("wm and wm, both directions", Other::Wm, Cut::Both, 58),
+        ("wm and rclpy, both directions", Other::Rclpy, Cut::Both, 35),
+        ("wm and rclpy, to rclpy", Other::Rclpy, Cut::ToSecond, 58),
     ];
+    let cases = cuts.map(|(name, other, ..)| (name, other, SUBNET, (10.0, 1000)));
     side_by_side(&peers, &cases, |pair, name| {
-        let length = if name.contains("rclpy") { 35 } else { 58 };
-        pair.survive(name, Cut::Both, Duration::from_secs(length));
+        for (_, _, cut, seconds) in cuts.iter().filter(|cut| cut.0 == name) {
+            pair.survive(name, *cut, Duration::from_secs(*seconds));
+        }
     });
 }
 
