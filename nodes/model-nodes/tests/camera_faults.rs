@@ -49,7 +49,7 @@ fn picture(index: i64, noise: i64) -> RgbImage {
     RgbImage::from_fn(SIDE, SIDE, |x, y| {
         let ball = (i64::from(x) - (4 * index).rem_euclid(i64::from(SIDE))).abs() < 6
             && y.abs_diff(20) < 6;
-        let place = u64::from(x) << 40 | u64::from(y) << 20;
+        let place = (u64::from(x) << 40) | (u64::from(y) << 20);
         let mixed = (place ^ noise.unsigned_abs()).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         // As if it were one grey level more or less.
         let noisy = (mixed >> 33) as u8 % 3;
@@ -62,7 +62,7 @@ fn picture(index: i64, noise: i64) -> RgbImage {
 
 /// The robot and its camera, and all that the nodes publish.
 struct World {
-    _node: Node,
+    node: Node,
     ticks: Interval,
     begin_ns: i64,
     index: i64,
@@ -104,7 +104,7 @@ impl World {
         let args = NodeArgs::parse(Vec::<String>::new()).unwrap();
         let node = Node::new(context, "world", wm_ros::NAMESPACE, &args).unwrap();
         let many = Qos::reliable(1000);
-        let world = Self {
+        let mut world = Self {
             ticks: tokio::time::interval(PERIOD),
             begin_ns: node.now().to_nanos(),
             index: 0,
@@ -120,7 +120,7 @@ impl World {
             plans: node.subscription("plan", many).unwrap(),
             diagnostics: node.subscription("/diagnostics", many).unwrap(),
             seen: Seen::default(),
-            _node: node,
+            node,
         };
         let met = async {
             world.camera.wait_for_subscribers(1).await;
@@ -134,6 +134,8 @@ impl World {
         tokio::time::timeout(PATIENCE, met)
             .await
             .expect("the nodes did not meet");
+        (world.ticks, world.begin_ns) =
+            (tokio::time::interval(PERIOD), world.node.now().to_nanos());
         world
     }
 

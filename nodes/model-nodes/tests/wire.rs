@@ -125,7 +125,8 @@ impl World {
         let met = async {
             world.camera.wait_for_subscribers(1).await;
             world.other_camera.wait_for_subscribers(1).await;
-            world.actions.wait_for_subscribers(2).await;
+            // Of encoder, predictor and planner.
+            world.actions.wait_for_subscribers(3).await;
             world.chunks.wait_for_subscribers(2).await;
             world.goals.wait_for_subscribers(1).await;
             // This node itself, the predictor and the planner.

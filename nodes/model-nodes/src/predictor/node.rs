@@ -7,6 +7,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
+use tokio::time::Interval;
 use wm_model::WorldModel;
 use wm_msgs::{
     std_msgs::String as Text,
@@ -45,6 +46,8 @@ const NO_ACTIONS: &str =
     "start the arm's driver, or remap /wm/action to its topic; until then the last action is held";
 const SLOW: &str = "observations are dropped; reduce the parameter horizon or integration_steps, or give the predictor \
                     more processor time";
+/// From one report of a doubt to the next.
+const REMINDER: Duration = Duration::from_secs(2);
 /// What raises the rate.
 const FASTER: &str =
     "for more: a smaller horizon, fewer integration_steps, a smaller model, or a faster processor";
@@ -131,6 +134,8 @@ struct Predictor {
     unscored: u64,
     /// Whether the log has warned against trusting the predictions.
     is_doubtful: bool,
+    /// When the doubt is reported again: a slow encoder's latents are further apart than a report is valid.
+    reminder: Interval,
     complaints: Complaints,
 }
 
@@ -221,6 +226,7 @@ impl ModelNode for Predictor {
             size: horizon * settings.integration_steps,
             unscored: 0,
             is_doubtful: false,
+            reminder: tokio::time::interval(REMINDER),
             complaints: Complaints::new(node.diagnostics()),
         })
     }
@@ -235,6 +241,12 @@ impl ModelNode for Predictor {
                         self.complaints.left_out("rollout", &format_args!("{error:#}"));
                     }
                     self.say_pace(&at.parameters);
+                }
+                _ = self.reminder.tick() => {
+                    let doubt = self.shared.step().doubt();
+                    if matches!(doubt, Some(Doubt::Frozen | Doubt::CameraClock(_))) {
+                        self.say_doubt(doubt);
+                    }
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };

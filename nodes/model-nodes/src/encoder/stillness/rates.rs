@@ -19,14 +19,12 @@ const REPEATED: f64 = 0.2;
 pub(in crate::encoder) struct Rates(VecDeque<(i64, bool)>);
 
 impl Rates {
-    /// Takes a frame. Where stamps go back, measuring begins anew.
+    /// Takes a frame. Where stamps go back, measuring begins anew; a stamp that comes again is the same frame.
     pub fn push(&mut self, stamp_ns: i64, is_new: bool) {
-        if self
-            .0
-            .back()
-            .is_some_and(|(last_ns, _)| stamp_ns <= *last_ns)
-        {
-            self.0.clear();
+        match self.0.back() {
+            Some((last_ns, _)) if stamp_ns == *last_ns => return,
+            Some((last_ns, _)) if stamp_ns < *last_ns => self.0.clear(),
+            _ => {}
         }
         self.0.push_back((stamp_ns, is_new));
         let oldest_ns = stamp_ns.saturating_sub(SPAN_NS);
@@ -116,6 +114,13 @@ mod tests {
     #[test]
     fn stamps_that_go_back_begin_anew_and_memory_is_bounded() {
         let mut rates = rates(90, |_| true);
+        let before = rates.rate();
+        rates.push(89 * 1_000_000_000 / 30, false);
+        assert_eq!(
+            rates.rate(),
+            before,
+            "the same frame by the other transport"
+        );
         rates.push(0, true);
         assert_eq!(rates.rate(), None);
         for index in 1..10_000 {
