@@ -1,6 +1,8 @@
 //! A camera's frame, by either transport.
 
-use image::RgbImage;
+use std::io::Cursor;
+
+use image::{ImageReader, RgbImage};
 use wm_bag::{BagError, BagMessage};
 use wm_msgs::{
     Message as _,
@@ -37,6 +39,17 @@ impl CameraFrame {
         match self {
             Self::Raw(image) => &image.header,
             Self::Compressed(image) => &image.header,
+        }
+    }
+
+    /// Columns and rows, without decoding; none if they cannot be found.
+    pub fn size(&self) -> Option<(u32, u32)> {
+        match self {
+            Self::Raw(image) => Some((image.width, image.height)),
+            Self::Compressed(image) => {
+                let reader = ImageReader::new(Cursor::new(&image.data));
+                reader.with_guessed_format().ok()?.into_dimensions().ok()
+            }
         }
     }
 

@@ -273,7 +273,7 @@ fn info_of(camera: &CameraInfo, pictures: &Pictures, size: (u32, u32)) -> Option
         Pictures { raw: Some(raw), .. } => &raw.header,
         Pictures { compressed, .. } => &compressed.as_ref()?.header,
     };
-    let info = resized(camera, size)?;
+    let info = resized(camera, size).ok()?;
     (header.frame_id == camera.header.frame_id).then(|| CameraInfo {
         header: header.clone(),
         ..info
