@@ -1,8 +1,11 @@
 //! A camera's frame, by either transport.
 
-use std::hash::{DefaultHasher, Hasher as _};
+use std::{
+    hash::{DefaultHasher, Hasher as _},
+    io::Cursor,
+};
 
-use image::RgbImage;
+use image::{ImageReader, RgbImage};
 use wm_bag::{BagError, BagMessage};
 use wm_msgs::{
     Message as _,
@@ -56,6 +59,17 @@ impl CameraFrame {
             Self::Compressed(image) => hasher.write(&image.data),
         }
         hasher.finish()
+    }
+
+    /// Columns and rows, without decoding; none if they cannot be found.
+    pub fn size(&self) -> Option<(u32, u32)> {
+        match self {
+            Self::Raw(image) => Some((image.width, image.height)),
+            Self::Compressed(image) => {
+                let reader = ImageReader::new(Cursor::new(&image.data));
+                reader.with_guessed_format().ok()?.into_dimensions().ok()
+            }
+        }
     }
 
     /// The pixels.

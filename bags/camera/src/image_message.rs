@@ -136,18 +136,18 @@ pub fn decode_compressed(image: &CompressedImage) -> Result<RgbImage, ImageError
     }
 }
 
-/// Whether a compressed image message is a complete picture that [`decode_compressed`] decodes; its format. A JPEG is
-/// not decoded for it, which takes a fraction of the time.
+/// Format, columns and rows of a compressed image message that is a complete picture, and that [`decode_compressed`]
+/// decodes. A JPEG is not decoded for it, which takes a fraction of the time.
 ///
 /// # Errors
 /// As [`decode_compressed`].
-pub fn check_compressed(image: &CompressedImage) -> Result<Format, ImageError> {
+pub fn check_compressed(image: &CompressedImage) -> Result<(Format, (u32, u32)), ImageError> {
     let format = Format::of(image)?;
-    match format {
+    let size = match format {
         Format::Jpeg => jpeg::check(&image.data)?,
-        Format::Png => drop(png(&image.data)?),
-    }
-    Ok(format)
+        Format::Png => png(&image.data)?.dimensions(),
+    };
+    Ok((format, size))
 }
 
 fn png(data: &[u8]) -> Result<RgbImage, ImageError> {

@@ -56,12 +56,12 @@ pub fn decode(data: &[u8]) -> Result<RgbImage, JpegError> {
     decoder::decode(picture, &survey)
 }
 
-/// Whether a JPEG is complete, and of a layout that [`decode`] decodes.
+/// Columns and rows of a JPEG that is complete, and of a layout that [`decode`] decodes.
 ///
 /// # Errors
 /// [`JpegError`].
-pub fn check(data: &[u8]) -> Result<(), JpegError> {
-    survey(data).map(|_: Survey| ())
+pub fn check(data: &[u8]) -> Result<(u32, u32), JpegError> {
+    survey(data).map(|Survey { frame, .. }| (frame.width, frame.height))
 }
 
 /// The picture with the standard Huffman tables after its start marker.

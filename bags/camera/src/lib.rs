@@ -10,4 +10,7 @@ pub mod goal;
 pub mod image_message;
 pub mod jpeg;
 pub mod raw_image;
+pub mod transport;
+#[cfg(feature = "video")]
+pub mod video;
 pub mod yuv;

@@ -132,6 +132,8 @@ pub struct Picture {
     pub label: Label,
     /// How it is compressed.
     pub format: Format,
+    /// Columns and rows.
+    pub size: (u32, u32),
     /// Its optical frame.
     pub frame_id: String,
     /// Header and data.
@@ -167,7 +169,8 @@ impl Picture {
         if data.len() > MAX_BYTES {
             return Err(PictureError::Size { actual: data.len() });
         }
-        let format = match check_compressed(image)? {
+        let (format, size) = check_compressed(image)?;
+        let format = match format {
             wm_camera::format::Format::Jpeg => Format::Jpeg,
             wm_camera::format::Format::Png => Format::Png,
         };
@@ -180,6 +183,7 @@ impl Picture {
         Ok(Self {
             label,
             format,
+            size,
             frame_id: clip::text(&image.header.frame_id, 256),
             message: message.into(),
         })

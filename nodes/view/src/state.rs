@@ -228,6 +228,9 @@ impl State {
     /// Takes a picture whose label it gave.
     pub fn picture(&mut self, picture: Arc<Picture>, now_ns: i64) {
         self.seen(&picture.label, now_ns);
+        if picture.label.source == Source::Camera {
+            self.scene.picture(picture.size);
+        }
         self.album.add(picture, now_ns);
     }
 

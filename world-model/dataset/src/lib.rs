@@ -11,6 +11,7 @@
 
 mod action_log;
 mod arguments;
+mod camera_message;
 mod cameras;
 mod clips;
 mod cutting;

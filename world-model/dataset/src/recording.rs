@@ -1,7 +1,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
-use wm_camera::camera_frame::CameraFrame;
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     Message as _,
@@ -12,6 +11,7 @@ use wm_msgs::{
 use super::{
     Settings,
     action_log::ActionLog,
+    camera_message::CameraMessage,
     cameras::{CAMERA, MASK, base, cameras},
     manifest::Thing,
 };
@@ -28,6 +28,8 @@ pub(super) struct Stream {
     pub pictures: Vec<Picture>,
     /// Pictures that were not later than the one before.
     unordered: u64,
+    /// Pictures of a video before its first keyframe.
+    before_keyframe: u64,
 }
 
 /// When a picture was taken and recorded.
@@ -181,18 +183,19 @@ impl Recording {
             self.labels.push((place, classes.collect()));
         }
         if let Some(stream) = self.streams.iter_mut().find(|s| s.topic == topic) {
-            let frame = CameraFrame::of_bag(message).map_err(lacks)?;
+            let frame = CameraMessage::of_bag(message).map_err(|what| Unusable::Lacks(at(what)))?;
             let stamp_ns = frame.header().stamp.to_nanos();
             if broken.contains(&(topic.to_owned(), stamp_ns)) {
                 return Ok(false);
             }
             if stream.pictures.is_empty() {
                 // What no picture of the topic will do is better known before hours of decoding.
-                let decoded = frame.decode();
-                if let Err(error) = decoded
-                    && error.is_of_format()
-                {
-                    return Err(Unusable::Lacks(at(error.to_string())));
+                frame
+                    .check_format()
+                    .map_err(|what| Unusable::Lacks(at(what)))?;
+                if !frame.begins() {
+                    stream.before_keyframe += 1;
+                    return Ok(true);
                 }
             }
             stream.push(stamp_ns, message.log_time_ns);
@@ -207,6 +210,11 @@ impl Recording {
                 let why = why.map_or(String::new(), |(_, _, what)| format!(" ({what})"));
                 let what = format!("no camera: no frame on {} can be used{why}", stream.topic);
                 return Err(Unusable::Lacks(what));
+            }
+            if stream.before_keyframe > 0 {
+                let what = format!("come before the first keyframe on {}", stream.topic);
+                self.complaints
+                    .push((stream.before_keyframe, Thing::Picture, what));
             }
             if stream.unordered > 0 {
                 let what = format!(
@@ -276,6 +284,7 @@ impl Stream {
             topic: topic.to_owned(),
             pictures: Vec::new(),
             unordered: 0,
+            before_keyframe: 0,
         }
     }
 

@@ -4,6 +4,7 @@ mod folder;
 mod options;
 mod outcome;
 mod robots;
+mod video;
 
 use std::path::Path;
 

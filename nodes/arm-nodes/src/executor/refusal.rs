@@ -205,14 +205,15 @@ pub(super) fn stamp_of(what: &'static str, stamp: Time) -> Result<i64, Refusal> 
     let nanosec = stamp.nanosec;
     stamp
         .checked_nanos()
-        .ok_or(Refusal::Stamp { what, nanosec })
+        .map_err(|_| Refusal::Stamp { what, nanosec })
 }
 
 impl Refusal {
     /// A span in nanoseconds.
     pub(super) fn expect_span(what: &'static str, span: Duration) -> Result<i64, Self> {
         let nanosec = span.nanosec;
-        span.checked_nanos().ok_or(Self::Stamp { what, nanosec })
+        span.checked_nanos()
+            .map_err(|_| Self::Stamp { what, nanosec })
     }
 
     /// Whether it is about lateness, which is reported once for all.

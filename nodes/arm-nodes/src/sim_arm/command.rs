@@ -177,7 +177,7 @@ fn check_finite(values: &[f64]) -> Result<(), CommandError> {
 /// A client may leave the frame open, as teleoperation does.
 fn check_header(header: &Header, base_frame: &str) -> Result<(), CommandError> {
     let Header { stamp, frame_id } = header;
-    if stamp.checked_nanos().is_none() {
+    if stamp.checked_nanos().is_err() {
         return Err(CommandError::Stamp(stamp.nanosec));
     }
     if frame_id.is_empty() || base_frame.is_empty() || frame_id == base_frame {

@@ -288,7 +288,7 @@ fn info_of(
         Pictures { raw: Some(raw), .. } => &raw.header,
         Pictures { compressed, .. } => &compressed.as_ref()?.header,
     };
-    let (columns, rows) = picture_size(camera);
+    let (columns, rows) = picture_size(camera).ok()?;
     let from = PictureSize {
         width: columns,
         height: rows,
@@ -303,7 +303,7 @@ fn info_of(
         of_width / columns,
         of_height / rows,
     ];
-    let info = part(camera, shown, (width, height))?;
+    let info = part(camera, shown, (width, height)).ok()?;
     (header.frame_id == camera.header.frame_id).then(|| CameraInfo {
         header: header.clone(),
         ..info

@@ -11,14 +11,22 @@ use image::{
 };
 use rayon::prelude::*;
 use wm_bag::BagReader;
-use wm_camera::camera_frame::CameraFrame;
+use wm_camera::{
+    camera_frame::CameraFrame,
+    video::{Shown as VideoPicture, VideoStream},
+};
 use wm_model::{Fit, Framing, Part, PictureSize, Placement};
 use wm_progress::Progress;
 
 use super::Planned;
 use crate::{
-    DatasetError, Manifest, Size, cameras::MASK, cutting::Draft, recording::Broken,
-    source_sizes::SizeCounts, store::NewFolder,
+    DatasetError, Manifest, Size,
+    camera_message::{CameraMessage, first_needed},
+    cameras::MASK,
+    cutting::Draft,
+    recording::Broken,
+    source_sizes::SizeCounts,
+    store::NewFolder,
 };
 
 /// Decodes the frames of all episodes into the folder's files; gives the pictures of each source that cannot be decoded,
@@ -89,6 +97,8 @@ struct Awaited<'a> {
     /// Stamps of its frames, in order; a slow camera's picture may be in several.
     stamps: &'a [i64],
     is_there: Vec<bool>,
+    /// The decoder, if the stream is a video.
+    video: VideoStream,
 }
 
 impl Awaited<'_> {
@@ -118,11 +128,19 @@ impl Files {
                 topic,
                 stamps,
                 is_there: vec![false; stamps.len()],
+                video: VideoStream::new(),
             })
             .collect();
         let mut broken = Broken::new();
         let (from_ns, to_ns) = draft.logged_ns;
-        let messages = reader.messages().only_topics(topics).starting_at(from_ns);
+        let begin_ns = topics
+            .iter()
+            .map(|topic| first_needed(reader, topic, from_ns))
+            .min();
+        let messages = reader
+            .messages()
+            .only_topics(topics)
+            .starting_at(begin_ns.unwrap_or(from_ns));
         // Messages that cannot be read were counted at the first reading.
         for message in messages.flatten() {
             if message.log_time_ns > to_ns {
@@ -132,8 +150,15 @@ impl Files {
             let Some((view, awaited)) = (0..).zip(&mut awaited).find(|(_, a)| of_topic(a)) else {
                 continue;
             };
-            let Ok(frame) = CameraFrame::of_bag(&message) else {
-                continue;
+            let frame = match CameraMessage::of_bag(&message) {
+                Ok(CameraMessage::Still(frame)) => frame,
+                Ok(CameraMessage::Packet(packet)) => {
+                    // A video of another format was refused at the first reading.
+                    let pictures = awaited.video.feed(&packet).unwrap_or_default();
+                    self.take(awaited, (first_frame, view), pictures)?;
+                    continue;
+                }
+                Err(_) => continue,
             };
             let stamp_ns = frame.header().stamp.to_nanos();
             let frames = awaited.frames(stamp_ns);
@@ -144,12 +169,11 @@ impl Files {
                 broken.insert((awaited.topic.to_owned(), stamp_ns));
                 continue;
             };
-            for frame in frames {
-                self.write(first_frame + frame, view, &shown)?;
-                if let Some(is_there) = awaited.is_there.get_mut(frame) {
-                    *is_there = true;
-                }
-            }
+            self.place(awaited, (first_frame, view), frames, &shown)?;
+        }
+        for (view, awaited) in awaited.iter_mut().enumerate() {
+            let pictures = awaited.video.finish();
+            self.take(awaited, (first_frame, view), pictures)?;
         }
         for stream in &awaited {
             let missing = stream.stamps.iter().zip(&stream.is_there);
@@ -159,19 +183,60 @@ impl Files {
         Ok(broken)
     }
 
+    /// Writes the pictures of a video that the episode waits for.
+    fn take(
+        &self,
+        awaited: &mut Awaited<'_>,
+        place: (usize, usize),
+        pictures: Vec<VideoPicture>,
+    ) -> Result<(), DatasetError> {
+        for VideoPicture { header, picture } in pictures {
+            let frames = awaited.frames(header.stamp.to_nanos());
+            if frames.is_empty() {
+                continue;
+            }
+            if let Ok(view) = self.placed(&picture, place.1) {
+                self.place(awaited, place, frames, &Shown::View(view))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a picture to the frames of an episode that show it; the episode's first frame and the view say where.
+    fn place(
+        &self,
+        awaited: &mut Awaited<'_>,
+        (first_frame, view): (usize, usize),
+        frames: std::ops::Range<usize>,
+        shown: &Shown,
+    ) -> Result<(), DatasetError> {
+        for frame in frames {
+            self.write(first_frame + frame, view, shown)?;
+            if let Some(is_there) = awaited.is_there.get_mut(frame) {
+                *is_there = true;
+            }
+        }
+        Ok(())
+    }
+
+    /// A picture of camera `view` at the size of a view.
+    fn placed(&self, picture: &RgbImage, view: usize) -> Result<RgbImage, String> {
+        let Size { height, width } = self.view;
+        let placed = Framing::new((height, width), self.fit).apply(picture);
+        let placed = placed.map_err(|error| error.to_string())?;
+        let mut sizes = self.sizes.lock().unwrap_or_else(PoisonError::into_inner);
+        *sizes.entry((view, PictureSize::of(picture))).or_default() += 1;
+        Ok(placed)
+    }
+
     /// A picture of camera `view` at the size of a view.
     fn decoded(&self, frame: &CameraFrame, view: usize, is_mask: bool) -> Result<Shown, String> {
-        let Size { height, width } = self.view;
         if let (true, CameraFrame::Compressed(mask)) = (is_mask, frame) {
             let mask = image::load_from_memory(&mask.data).map_err(|error| error.to_string())?;
             return Ok(Shown::Mask(place(&mask.into_luma8(), self.view, self.fit)));
         }
         let picture = frame.decode().map_err(|error| error.to_string())?;
-        let placed = Framing::new((height, width), self.fit).apply(&picture);
-        let placed = placed.map_err(|error| error.to_string())?;
-        let mut sizes = self.sizes.lock().unwrap_or_else(PoisonError::into_inner);
-        *sizes.entry((view, PictureSize::of(&picture))).or_default() += 1;
-        Ok(Shown::View(placed))
+        Ok(Shown::View(self.placed(&picture, view)?))
     }
 
     /// Writes a picture to its place: a view to its columns of the frame.
