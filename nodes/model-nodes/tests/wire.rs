@@ -566,7 +566,7 @@ async fn another_aspect_begins_an_epoch(world: &mut World) {
 async fn late_joiner_gets_the_fit(world: &World) {
     let mut fits = world
         .node
-        .subscription_catching_up::<Text>("predicted/fit", Qos::best_effort(1))
+        .subscription_catching_up::<Text>("predicted/fit", Qos::reliable(1))
         .unwrap();
     assert_eq!(soon("the fit", &mut fits).await.data, "stretch");
 }

@@ -140,7 +140,7 @@ wm_ros::endpoints! {
         /// Predicted pictures.
         pictures: PictureSubscription = "predicted/image", qos(BURST);
         /// How a camera picture becomes one of their size and aspect.
-        fit: Subscription<Text> = "predicted/fit", qos(Qos::best_effort(1)), made(Node::subscription_catching_up);
+        fit: Subscription<Text> = "predicted/fit", qos(Qos::reliable(1)), made(Node::subscription_catching_up);
         /// Errors of the predictions.
         errors: Subscription<PredictionError> = "prediction_error", qos(BURST);
         /// Actions that the robot takes.

@@ -123,7 +123,7 @@ wm_ros::endpoints! {
             ImageSubscription::new(node, topic, Transports::BOTH, qos)
         });
         /// How a camera picture becomes one of their size and aspect.
-        fit: Subscription<Text> = "predicted/fit", qos(Qos::best_effort(1)), made(Node::subscription_catching_up);
+        fit: Subscription<Text> = "predicted/fit", qos(Qos::reliable(1)), made(Node::subscription_catching_up);
         /// Errors of the predictions.
         errors: Subscription<PredictionError> = "prediction_error", qos(QOS);
         /// Plans.
