@@ -171,6 +171,20 @@ enum Open {
     Sqlite(Rows),
 }
 
+/// What is wrong with single messages of a segment.
+#[derive(Default)]
+struct Problems {
+    first: Option<String>,
+    count: u64,
+}
+
+impl Problems {
+    fn add(&mut self, reason: impl FnOnce() -> String) {
+        self.first.get_or_insert_with(reason);
+        self.count += 1;
+    }
+}
+
 impl Messages {
     pub(super) fn new(index: Arc<Vec<FileIndex>>) -> Self {
         let mut ahead: Vec<(u64, usize, usize)> = Vec::new();
@@ -250,28 +264,29 @@ impl Messages {
             offset: segment.place.offset(),
             reason,
         };
-        let mut others = 0_u64;
-        let mut wants = |messages: &Self, header: &MessageHeader| {
+        // The other messages of the segment are read all the same.
+        let mut problems = Problems::default();
+        let wants = |messages: &Self, problems: &mut Problems, header: &MessageHeader| {
             let Some(channel) = file_index.channels.get(&header.channel_id) else {
-                if file_index.skipped.contains_key(&header.channel_id) {
-                    return Ok(false);
+                if !file_index.skipped.contains_key(&header.channel_id) {
+                    let id = header.channel_id;
+                    problems.add(|| format!("it has a message of the unknown channel {id}"));
                 }
-                return Err(damaged(format!(
-                    "it has a message of the unknown channel {}",
-                    header.channel_id
-                )));
+                return false;
             };
             if !(segment.start_ns..=segment.end_ns).contains(&header.log_time) {
-                others += 1;
+                problems.add(|| {
+                    "the file's indexes deny the log time of a message, which may come late".into()
+                });
             }
-            Ok(header.log_time >= messages.starting_at_ns
+            header.log_time >= messages.starting_at_ns
                 && messages
                     .ending_before_ns
                     .is_none_or(|end_ns| header.log_time < end_ns)
                 && messages
                     .topics
                     .as_ref()
-                    .is_none_or(|topics| topics.contains(&*channel.topic.name)))
+                    .is_none_or(|topics| topics.contains(&*channel.topic.name))
         };
         match segment.place {
             SegmentPlace::Bytes { offset, length } => {
@@ -288,12 +303,16 @@ impl Messages {
                     if record.opcode != op::MESSAGE {
                         continue;
                     }
-                    let parsed = parse(op::MESSAGE, &record.body).map_err(damaged)?;
-                    if let Record::Message { header, data } = parsed
-                        && wants(self, &header)?
-                    {
-                        let data = Bytes::copy_from_slice(&data);
-                        self.wait(file_index, segment, (file, number, place), (header, data))?;
+                    match parse(op::MESSAGE, &record.body) {
+                        Ok(Record::Message { header, data }) => {
+                            if wants(self, &mut problems, &header) {
+                                let data = Bytes::copy_from_slice(&data);
+                                let place = (file, number, place);
+                                self.wait(file_index, segment, place, (header, data))?;
+                            }
+                        }
+                        Ok(_) => {}
+                        Err(reason) => problems.add(|| reason),
                     }
                 }
             }
@@ -301,18 +320,21 @@ impl Messages {
                 let rows = self.rows(file, file_index)?;
                 let found = rows.read(first, last).map_err(damaged)?;
                 for (place, (header, data)) in found.into_iter().enumerate() {
-                    if wants(self, &header)? {
-                        self.wait(file_index, segment, (file, number, place), (header, data))?;
+                    if wants(self, &mut problems, &header) {
+                        let place = (file, number, place);
+                        self.wait(file_index, segment, place, (header, data))?;
                     }
                 }
             }
         }
-        if others > 0 {
-            return Err(damaged(format!(
-                "{others} of its messages have log times that the file's indexes deny: they may come late"
-            )));
+        match problems.first {
+            Some(first) if problems.count > 1 => {
+                let others = problems.count - 1;
+                Err(damaged(format!("{first}, and {others} more")))
+            }
+            Some(first) => Err(damaged(first)),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Puts a message among those that wait.

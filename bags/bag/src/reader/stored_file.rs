@@ -225,6 +225,12 @@ pub(crate) fn numbered_files(dir: &Path) -> Result<(Vec<PathBuf>, Vec<BagWarning
     Ok((kept.into_iter().map(|(_, path)| path).collect(), warnings))
 }
 
+/// Whether a file of this name is one of a bag: MCAP or sqlite3, compressed by rosbag2 or not.
+#[must_use]
+pub fn is_bag_file(path: &Path) -> bool {
+    storage_stem(path).is_some()
+}
+
 /// Name of a bag's file without its endings, and its rank among files of that name; none for other files.
 fn storage_stem(path: &Path) -> Option<(String, usize)> {
     let name = path.file_name()?.to_string_lossy();
@@ -260,4 +266,25 @@ pub(crate) fn listed_file(dir: &Path, listed: &Path) -> Option<PathBuf> {
         .iter()
         .map(|name| dir.join(name))
         .find(|path| path.exists())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_a_bag_are_known_by_their_names() {
+        for name in [
+            "a.mcap",
+            "a/b_0.mcap.zstd",
+            "b.mcap.zst",
+            "c.db3",
+            "c.db3.zstd",
+        ] {
+            assert!(is_bag_file(Path::new(name)), "{name}");
+        }
+        for name in ["a.zstd", "metadata.yaml", "mcap", "a.db3-wal", "a.mcap.tmp"] {
+            assert!(!is_bag_file(Path::new(name)), "{name}");
+        }
+    }
 }

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
 use tracing::{error, info, warn};
-use wm_bag::{BagMessage, BagReader};
+use wm_bag::{BagMessage, BagReader, BagWarning};
 use wm_msgs::{
     builtin_interfaces::Time, rosgraph_msgs::Clock, sensor_msgs::CompressedImage,
     wm_msgs::ActionChunk,
@@ -144,6 +144,8 @@ struct Player {
     /// The next message; none where the source has yet to be asked for it, or has none.
     next: Option<Ahead>,
     is_read_to_the_end: bool,
+    /// Whether nothing has been read since the last jump.
+    is_at_a_jump: bool,
     /// The first is being published.
     asked: VecDeque<Asked>,
     published: u64,
@@ -183,6 +185,7 @@ impl Player {
             source,
             next: None,
             is_read_to_the_end: false,
+            is_at_a_jump: true,
             asked: VecDeque::new(),
             settings,
             reader,
@@ -351,9 +354,14 @@ impl Player {
         self.source = open_source(&self.reader, &self.playlist, &self.settings, bag_ns);
         self.next = None;
         self.is_read_to_the_end = false;
+        self.is_at_a_jump = true;
     }
 
     fn take(&mut self, next: Option<Ahead>) {
+        // What holds at a time may take a while to be found, which delays no message after the first.
+        if std::mem::take(&mut self.is_at_a_jump) {
+            self.playback.begin_late(self.epoch.elapsed());
+        }
         match next {
             None => self.is_read_to_the_end = true,
             Some(next) => match &next.message {
@@ -511,7 +519,8 @@ impl Player {
 
     /// Says what was lost, topic by topic.
     fn report(&self) -> Ending {
-        let mut is_lost = self.unreadable > 0 || self.reader.truncated();
+        let is_incomplete = self.reader.warnings().iter().any(BagWarning::is_loss);
+        let mut is_lost = self.unreadable > 0 || is_incomplete;
         for (topic, messages) in &self.left_out {
             warn!(
                 "{topic}: {messages} message(s) dropped: they are not in a format that can be sent"

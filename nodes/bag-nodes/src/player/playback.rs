@@ -277,6 +277,13 @@ impl Playback {
         true
     }
 
+    /// The first message after a jump is there: if that took a while, the bag's time goes on from this moment.
+    pub fn begin_late(&mut self, now: Duration) {
+        if self.is_playing() && !self.is_paused {
+            self.anchor.at = self.anchor.at.max(now);
+        }
+    }
+
     /// Publishes the next `messages` although it is paused; false where it is not, or is over.
     pub fn burst(&mut self, messages: u64) -> bool {
         let can = self.is_paused && !self.is_ended();

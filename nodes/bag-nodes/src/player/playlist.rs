@@ -79,9 +79,18 @@ impl Playlist {
                 warn!("{}: {} is not played", topic.name, topic.type_name);
                 continue;
             }
-            let publisher = node
-                .raw_publisher(&topic.name, &topic.type_name, qos)
-                .with_context(|| format!("topic {} of the bag", topic.name))?;
+            let publisher = match node.raw_publisher(&topic.name, &topic.type_name, qos) {
+                Ok(publisher) => publisher,
+                // A bag may have names that ROS does not allow.
+                Err(wm_ros::Error::Name { kind, reason, .. }) => {
+                    let name = &topic.name;
+                    warn!("{name} is not played: not a valid {kind} name: {reason}");
+                    continue;
+                }
+                Err(error) => {
+                    return Err(error).with_context(|| format!("topic {} of the bag", topic.name));
+                }
+            };
             let track = Track {
                 publisher,
                 stamped: stamped.filter(|_| settings.parameters.is_restamping),

@@ -131,6 +131,16 @@ fn longer_gaps_are_jumped_over_and_told() {
 }
 
 #[test]
+fn messages_after_a_slow_jump_keep_their_distances() {
+    let mut run = Run::new(plan(), 1.0, false);
+    assert_eq!(run.playback.step(at(0), None), Step::Begin(START));
+    run.playback.begin_late(at(700));
+    run.now = at(700);
+    assert!(run.until(10_000));
+    assert_eq!(run.published[..2], [(700, 0), (900, 200)]);
+}
+
+#[test]
 fn a_round_does_not_wait_for_an_end_without_messages() {
     let plan = Plan {
         last_ns: u64::MAX,
