@@ -148,7 +148,8 @@ impl ActionLog {
         let Some((_, at_ns, error)) = found.first() else {
             return;
         };
-        self.first_implausible = Some(format!("at {at_ns} ns: {error}"));
+        self.first_implausible
+            .get_or_insert_with(|| format!("at {at_ns} ns: {error}"));
         self.implausible
             .extend(found.iter().map(|(_, at_ns, _)| *at_ns));
         let mut is_dropped = vec![false; self.stamps.len()];

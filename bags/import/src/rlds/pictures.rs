@@ -30,7 +30,7 @@ impl Pictures {
     }
 
     /// The frames; none of a camera that was not there, with a note of its feature's name: RLDS fills its images with one
-    /// flat colour. (The flags `has_image_N` cannot tell: published files have them all false.)
+    /// flat colour. (The flags `has_image_N` are no help: published files have them all false.)
     pub fn unless_flat(self, name: &str, notes: &mut Vec<String>) -> Option<Vec<Vec<u8>>> {
         if !self.is_flat {
             return Some(self.frames);

@@ -371,7 +371,7 @@ fn success_is_the_last_reward_of_a_whole_episode() {
 }
 
 #[test]
-fn actions_that_contradict_their_kinds_are_refused_with_the_option() {
+fn contradicting_actions_are_refused_with_the_option() {
     let dir = tempfile::tempdir().unwrap();
     let import = |name: &str, rows: &[[f32; VALUES]], mapping: ActionMapping| {
         let src = dir.path().join(name);

@@ -78,7 +78,7 @@ pub(super) fn place(times: &Times<'_>, fps: f64, members: &[Member]) -> Placemen
     if rows == total {
         return by_lengths(times, fps, period_s, &members);
     }
-    // Times that leave frames out tell where one is missing.
+    // Times with a gap show where a frame is missing.
     let last_s = times.0.last().copied().unwrap_or(0.0);
     let begin_s = times.0.first().copied().unwrap_or(0.0);
     let spanned = ((last_s - begin_s) / period_s).round() as usize + 1;
@@ -239,7 +239,7 @@ fn by_begins(times: &Times<'_>, period_s: f64, rows: usize, members: &[Member]) 
         .map(|member| member.length)
         .min()
         .unwrap_or(1);
-    // Fewer frames after the last than an episode has: they belong to some episode, and who knows to which.
+    // Fewer frames after the last than an episode has: to which of the episodes they belong is unknown.
     if end > total || (1..shortest).contains(&(total - end.min(total))) {
         for (index, result) in &mut placement {
             if result.is_ok() {

@@ -143,7 +143,7 @@ fn files_that_are_cut_are_named() {
 }
 
 #[test]
-fn a_bad_episode_is_left_out_by_name_and_the_others_are_imported() {
+fn bad_episode_is_left_out_by_name_and_others_imported() {
     let scratch = TempDir::new().unwrap();
     let bags: Vec<_> = (0..3)
         .map(|n| scratch.path().join(format!("bag_{n}")))
@@ -184,7 +184,7 @@ fn a_bad_episode_is_left_out_by_name_and_the_others_are_imported() {
 }
 
 #[test]
-fn actions_that_contradict_their_kinds_name_column_range_and_option() {
+fn contradicting_actions_name_column_range_and_option() {
     let scratch = TempDir::new().unwrap();
     let bag = scratch.path().join("bag");
     let grippers = [-1.0, 0.0, 1.0, 1.0];
