@@ -5,6 +5,7 @@
 
 mod choice;
 mod node;
+mod other_transports;
 mod repeats;
 mod step;
 
