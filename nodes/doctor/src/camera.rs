@@ -30,7 +30,9 @@ const FLAT: f64 = 0.01;
 /// What is to be said of the camera that the nodes would use, and of others.
 pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
     let Some((name, camera)) = heard.camera(wanted) else {
-        return vec![absent(heard, wanted)];
+        let unread = heard.unread.iter();
+        let unread = unread.map(|advice| Finding::note(CHECK, advice.clone()));
+        return [absent(heard, wanted)].into_iter().chain(unread).collect();
     };
     let shown = of_others(name);
     let Some(stream) = camera.best().filter(|stream| !stream.timeline.is_empty()) else {
@@ -346,6 +348,17 @@ mod tests {
             .max_by_key(|finding| finding.level)
             .unwrap();
         format!("{:?}: {}", worst.level, worst.what)
+    }
+
+    #[test]
+    fn topics_of_other_transports_are_named() {
+        let heard = Heard {
+            unread: vec!["/camera/ffmpeg is compressed video".to_owned()],
+            ..Heard::default()
+        };
+        let findings = check(&heard, None);
+        assert_eq!(findings.len(), 2, "{findings:?}");
+        assert!(format!("{findings:?}").contains("/camera/ffmpeg is compressed video"));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::{Actions, Arrival, Camera, DoctorError, Heard, Motion, Picture, Strea
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
-use wm_camera::camera_frame::CameraFrame;
+use wm_camera::{camera_frame::CameraFrame, transport::Transport};
 use wm_msgs::{
     Message, cdr,
     diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},
@@ -15,6 +15,7 @@ use wm_msgs::{
     tf2_msgs::TFMessage,
     wm_msgs::{Action, ActionChunk},
 };
+use wm_ros::logging::of_others;
 use wm_ros::{
     Error, NAMESPACE, Node, NodeArgs, Qos, RawSubscription, Received, Reliability, RemoteEndpoint,
     Role,
@@ -152,6 +153,10 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
             let Some(kind) = Kind::of(&topic.1).filter(|_| topics.len() < MOST_TOPICS) else {
                 continue;
             };
+            let transport = Transport::of(&topic.0, &topic.1);
+            if transport.is_some_and(|transport| !transport.is_read()) {
+                continue;
+            }
             if is_own(&topic.0) || !topics.insert(topic.clone()) {
                 continue;
             }
@@ -195,6 +200,15 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
             source,
         })
     };
+    let advice = |(topic, type_name): &(String, String)| {
+        let transport = Transport::of(topic, type_name)?;
+        transport.advice(&of_others(topic))
+    };
+    heard.unread = published
+        .keys()
+        .filter_map(advice)
+        .take(MOST_TOPICS)
+        .collect();
     heard.motions = published
         .keys()
         .filter_map(motion)

@@ -9,6 +9,7 @@
 mod choice;
 mod looks;
 mod node;
+mod other_transports;
 mod picture_size;
 mod repeats;
 mod repetition;

@@ -6,8 +6,8 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_camera::camera_info::{part, picture_size, topic_beside};
-use wm_model::{Fit, PictureSize};
+use wm_camera::camera_info::topic_beside;
+use wm_model::Fit;
 use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::String as Text, wm_msgs::Prediction};
 use wm_ros::{
     Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Subscription,
@@ -17,6 +17,7 @@ use wm_zoo::PlacedModel;
 
 use super::{
     DecoderError, DecoderStep,
+    camera_view::CameraView,
     held::Held,
     jpeg_message, raw_message,
     rollouts::{Choice, Rollouts},
@@ -84,7 +85,8 @@ wm_ros::endpoints! {
             let images = node.resolve("/camera/image_raw")?;
             node.subscription(&topic_beside(&images), qos)
         });
-        /// The same for pictures of the size of the predicted ones, with each of them; none where none was heard.
+        /// The same for pictures of the size of the predicted ones, with each of them. Not published if camera_info does
+        /// not fit the camera's pictures.
         infos: Publisher<CameraInfo> = "predicted/camera_info", qos(Qos::reliable(WAITING));
         /// How a camera picture becomes one of the predicted pictures' size and aspect: stretch, crop or pad.
         fit: Publisher<Text> = "predicted/fit", qos(Qos::latched(1));
@@ -238,7 +240,7 @@ impl ModelNode for Decoder {
             data: fit.name().to_owned(),
         })?;
         let latency = at.node.diagnostics().latency("decode");
-        let mut camera: Option<CameraInfo> = None;
+        let mut camera = CameraView::default();
         loop {
             let due = decoding.held.due();
             tokio::select! {
@@ -247,8 +249,7 @@ impl ModelNode for Decoder {
                     let (decoded, taken) = finished.context("the decoder's thread")?;
                     match decoded {
                         Ok((decoded, size)) => {
-                            let info = camera.as_ref().and_then(|camera| info_of(camera, &decoded, (size, fit)));
-                            if let Some(info) = info {
+                            if let Some(info) = camera.of(&decoded, size, fit) {
                                 infos.publish(&info)?;
                             }
                             pictures.publish(&decoded)?;
@@ -270,44 +271,12 @@ impl ModelNode for Decoder {
                         decoding.release();
                     }
                 }
-                Some(received) = camera_infos.recv() => camera = Some(received.message),
+                Some(received) = camera_infos.recv() => camera.take_info(&at.node, received.message)?,
+                Some(frame) = camera.frame() => camera.take_frame(&frame),
                 () = until(due) => decoding.release(),
             }
         }
     }
-}
-
-/// How `camera` sees the predicted pictures, which have this size; `None` if they are another camera's, or the camera is not
-/// calibrated.
-fn info_of(
-    camera: &CameraInfo,
-    pictures: &Pictures,
-    ((width, height), fit): ((u32, u32), Fit),
-) -> Option<CameraInfo> {
-    let header = match pictures {
-        Pictures { raw: Some(raw), .. } => &raw.header,
-        Pictures { compressed, .. } => &compressed.as_ref()?.header,
-    };
-    let (columns, rows) = picture_size(camera).ok()?;
-    let from = PictureSize {
-        width: columns,
-        height: rows,
-    };
-    let to = PictureSize { width, height };
-    let view = fit.placement(from, to)?.view(to);
-    let (columns, rows) = (f64::from(columns), f64::from(rows));
-    let [left, top, of_width, of_height] = view;
-    let shown = [
-        left / columns,
-        top / rows,
-        of_width / columns,
-        of_height / rows,
-    ];
-    let info = part(camera, shown, (width, height)).ok()?;
-    (header.frame_id == camera.header.frame_id).then(|| CameraInfo {
-        header: header.clone(),
-        ..info
-    })
 }
 
 /// Never, where nothing is due.
@@ -387,62 +356,4 @@ fn pictures_of(horizon: u32, steps: &[i64]) -> u32 {
     let within = |step: &&i64| (1..=i64::from(horizon)).contains(*step);
     // At most the horizon.
     steps.iter().filter(within).count() as u32
-}
-
-#[cfg(test)]
-mod tests {
-    use wm_msgs::{sensor_msgs::Image, std_msgs::Header};
-
-    use super::*;
-
-    #[test]
-    fn how_a_camera_sees_is_told_of_its_own_pictures_alone() {
-        let header = |frame_id: &str, sec| {
-            let mut header = Header {
-                frame_id: frame_id.to_owned(),
-                ..Header::default()
-            };
-            header.stamp.sec = sec;
-            header
-        };
-        let camera = CameraInfo {
-            header: header("camera", 1),
-            width: 256,
-            height: 256,
-            k: [455.0, 0.0, 127.5, 0.0, 455.0, 127.5, 0.0, 0.0, 1.0],
-            ..CameraInfo::default()
-        };
-        let pictures = |frame_id| Pictures {
-            raw: Some(Image {
-                header: header(frame_id, 3),
-                ..Image::default()
-            }),
-            compressed: None,
-        };
-        let square = ((128, 128), Fit::Stretch);
-        let info = info_of(&camera, &pictures("camera"), square).unwrap();
-        assert_eq!(info.header, header("camera", 3), "that of the picture");
-        assert_eq!((info.width, info.k[0], info.k[2]), (128, 227.5, 63.5));
-        assert_eq!(info_of(&camera, &pictures("other"), square), None);
-        assert_eq!(info_of(&camera, &Pictures::default(), square), None);
-        // 1280x720: the model sees the middle 720 columns, or all of them between bars.
-        let wide = CameraInfo {
-            width: 1280,
-            height: 720,
-            k: [900.0, 0.0, 679.5, 0.0, 900.0, 359.5, 0.0, 0.0, 1.0],
-            ..camera
-        };
-        let seen = |fit| {
-            info_of(&wide, &pictures("camera"), ((360, 360), fit))
-                .unwrap()
-                .k
-        };
-        let principal = |fit| [0, 2, 4, 5].map(|at| seen(fit)[at]);
-        assert_eq!(principal(Fit::Crop), [450.0, 199.5, 450.0, 179.5]);
-        // 202.5 rows round to 203, between bars of 78 and 79 rows.
-        let padded = [253.125, 190.75, 253.75, 179.0];
-        for (found, expected) in principal(Fit::Pad).into_iter().zip(padded) {
-            assert!((found - expected).abs() < 1e-9, "{found} {expected}");
-        }
-    }
 }

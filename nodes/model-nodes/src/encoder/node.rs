@@ -24,6 +24,7 @@ use wm_zoo::PlacedModel;
 use super::{
     Choice, EncoderError, EncoderStep, Fate, Mismatch, Mode, Needs, Repetition, Sight, Stillness,
     looks::{Arrived, Looked, Looks},
+    other_transports,
     picture_size::{PictureSizes, SizeChange},
     repeats::{Arrival, Repeats},
 };
@@ -46,6 +47,8 @@ pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>()
 
 /// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
 const SILENCE: Duration = Duration::from_secs(1);
+/// A camera that is silent for longer after the start is looked for by other transports.
+const MISSING: Duration = Duration::from_secs(5);
 /// What raises the rate.
 const FASTER: &str = "for more: a smaller encoder, or a faster processor";
 /// Advice for a missing camera.
@@ -238,10 +241,18 @@ impl ModelNode for Encoder {
             latents,
             states,
         } = &mut at.endpoints;
+        let mut missing = std::pin::pin!(tokio::time::sleep(MISSING));
+        let mut is_looked_for = false;
         loop {
             tokio::select! {
                 biased;
                 finished = self.work.finished() => self.encoded(finished.context("the encoder's thread")?, latents)?,
+                () = &mut missing, if !is_looked_for => {
+                    is_looked_for = true;
+                    if self.camera.is_none() {
+                        other_transports::warn(&at.node);
+                    }
+                }
                 looked = self.looks.work.finished() => self.looked(looked.context("the decoder's thread")?, states)?,
                 Ok(()) = self.jumps.changed() => self.restart(),
                 received = actions.recv() => {
