@@ -257,7 +257,10 @@ impl ModelNode for Encoder {
                 Ok(()) = self.jumps.changed() => self.restart(),
                 received = actions.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    self.stillness.action(&received.message.values);
+                    let Action { header, values } = received.message;
+                    if let Ok(stamp_ns) = header.stamp.checked_nanos() {
+                        self.stillness.action(stamp_ns, values);
+                    }
                 }
                 received = images.recv() => {
                     let Some(received) = received else { return Ok(()) };

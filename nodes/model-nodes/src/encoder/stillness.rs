@@ -12,7 +12,7 @@ mod grid;
 mod movement;
 mod rates;
 
-use std::{fmt, time::Duration};
+use std::{collections::VecDeque, fmt, time::Duration};
 
 use wm_motion::actions::ActionSpace;
 
@@ -22,6 +22,8 @@ pub(super) use rates::Rates;
 
 use super::Repeat;
 
+/// Actions that wait for their frame: 30 s of them at 30 Hz.
+const MOST_COMING: usize = 1000;
 /// A change so many times as strong as noise explains is one of the scene, not of a slow drift.
 const CLEAR: f32 = 4.0;
 
@@ -83,6 +85,8 @@ pub(crate) struct Stillness {
     since: Option<(Grid, i64)>,
     newest_ns: Option<i64>,
     movement: Movement,
+    /// Stamps and values of actions that are later than the newest frame: a picture may come long after its capture.
+    coming: VecDeque<(i64, Vec<f32>)>,
     /// The frame by which the arm had moved \[ns\].
     moved_ns: Option<i64>,
     /// Whether frames differ clearly from the one before.
@@ -99,14 +103,30 @@ impl Stillness {
             since: None,
             newest_ns: None,
             movement: Movement::new(space),
+            coming: VecDeque::new(),
             moved_ns: None,
             visible: Rates::default(),
         }
     }
 
-    /// Takes the values of an action that the arm takes.
-    pub fn action(&mut self, values: &[f32]) {
-        self.movement.action(values);
+    /// Takes an action of the stamp `stamp_ns` that the arm takes.
+    pub fn action(&mut self, stamp_ns: i64, values: Vec<f32>) {
+        if self.coming.len() == MOST_COMING {
+            self.coming.pop_front();
+        }
+        self.coming.push_back((stamp_ns, values));
+    }
+
+    /// Takes the actions up to a frame.
+    fn move_until(&mut self, stamp_ns: i64) {
+        let movement = &mut self.movement;
+        self.coming.retain(|(action_ns, values)| {
+            let is_coming = *action_ns > stamp_ns;
+            if !is_coming {
+                movement.action(values);
+            }
+            is_coming
+        });
     }
 
     /// Takes a frame of the stamp `stamp_ns`, as it is among the last ones. `picture`: what it shows; none for one that
@@ -116,6 +136,7 @@ impl Stillness {
             self.restart();
         }
         self.newest_ns = Some(stamp_ns);
+        self.move_until(stamp_ns);
         let change = picture.map(|picture| self.picture(stamp_ns, picture));
         let since_ns = match &self.since {
             Some((_, since_ns)) => *since_ns,

@@ -75,8 +75,14 @@ impl Camera {
         self.stillness.frame(stamp_ns, &repeat, Some(&grid))
     }
 
+    /// An action before the next frame.
     fn act(&mut self, dx: f32) {
-        self.stillness.action(&[dx, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        self.act_at(0, dx);
+    }
+
+    fn act_at(&mut self, stamp_ns: i64, dx: f32) {
+        let values = vec![dx, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+        self.stillness.action(stamp_ns, values);
     }
 }
 
@@ -138,9 +144,7 @@ fn still_arm_before_a_still_scene_is_no_fault() {
             assert_eq!(sight.frozen, None, "{index}");
         }
         // The gripper may close on nothing in sight, and a first motion is not late.
-        camera
-            .stillness
-            .action(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        camera.stillness.action(0, vec![0.0; 7]);
         camera.act(0.03);
         let sight = camera.frame(20 * SECOND, &random.on(&picture, noise));
         assert_eq!(sight.frozen, None);
@@ -163,6 +167,24 @@ fn live_camera_is_not_frozen_however_slow_the_arm() {
             }
         }
     }
+}
+
+/// Pictures that come two seconds after their capture show the motions of then.
+#[test]
+fn late_pictures_are_compared_with_the_motions_before_them() {
+    let (mut camera, mut random) = (Camera::new(None), Noise(4));
+    let x = |index: i64| 0.2 + 0.02 * (index - 20).max(0) as f32;
+    for index in 10..50_i64 {
+        camera.act_at(index * SECOND / 5, x(index + 1) - x(index));
+        let seen = index - 10;
+        let picture = random.on(&table((256, 256), x(seen)), 1);
+        let sight = camera.frame(seen * SECOND / 5, &picture);
+        assert_eq!(sight.frozen, None, "{index}");
+    }
+    for index in 50..100 {
+        camera.act_at(i64::MAX, index as f32);
+    }
+    assert!(camera.stillness.coming.len() < MOST_COMING);
 }
 
 #[test]
