@@ -106,6 +106,8 @@ async fn run(arguments: Arguments) -> ExitCode {
         let seed = rng.random_range(0..1_000_000);
         let wait = Duration::from_millis(rng.random_range(100..1_000));
         let mut round = Round::new(kind, begin.elapsed());
+        // A process that was stopped and goes on ends a moment later.
+        round.deaths = suite.revive();
         let ready = tokio::time::timeout(READY, async {
             world.begin(seed).await;
             while watch.speed() < MOVING {
@@ -118,7 +120,7 @@ async fn run(arguments: Arguments) -> ExitCode {
             tokio::time::sleep(wait).await;
             inject(kind, &middle, &watch, &world, &mut suite, &mut round).await;
         }
-        round.deaths = suite.revive();
+        round.deaths.extend(suite.revive());
         println!("{round}");
         report.add(round, &watch, suite.resident());
         let next = round_begin + Duration::from_secs(arguments.every);
