@@ -131,10 +131,12 @@ pub fn cut(
     };
     let all: Vec<&str> = wanted().map(|topic| &*topic.name).collect();
     let messages = reader.stored_messages(|messages| {
-        messages
-            .only_topics(all)
-            .starting_at(start_ns)
-            .ending_before(end_ns)
+        let messages = messages.only_topics(all).starting_at(start_ns);
+        match end {
+            // The last time may be the largest there is.
+            CutEnd::End => messages,
+            _ => messages.ending_before(end_ns),
+        }
     });
     for message in messages {
         if let Some(message) = part.readable(message)? {

@@ -162,6 +162,8 @@ struct Copier<'a> {
     file: BufReader<File>,
     /// Number in the new bag of each channel of the file.
     numbers: HashMap<u16, usize>,
+    /// Topics of the channels that the new bag does not have.
+    skipped: HashMap<u16, String>,
     writer: &'a mut BagWriter,
     losses: &'a mut Losses,
 }
@@ -175,12 +177,14 @@ impl<'a> Copier<'a> {
     ) -> Result<Self, BagError> {
         let path = stored.path.as_path();
         let file = stored.file().map_err(|source| BagError::io(path, source))?;
-        let mut numbers = HashMap::new();
+        let (mut numbers, mut skipped) = (HashMap::new(), HashMap::new());
         for id in found.definitions.ids() {
             let Some(channel) = found.definitions.channel(id) else {
                 continue;
             };
+            let topic = channel.topic.clone();
             if channel.message_encoding != CDR {
+                skipped.insert(id, topic);
                 continue;
             }
             // Outside of chunks nothing says whether a definition is what was written: one that cannot be true is
@@ -191,7 +195,9 @@ impl<'a> Copier<'a> {
                 }
                 Err(
                     BagError::NoType { .. } | BagError::TypeName(_) | BagError::TypeConflict { .. },
-                ) => {}
+                ) => {
+                    skipped.insert(id, topic);
+                }
                 Err(error) => return Err(error),
             }
         }
@@ -200,6 +206,7 @@ impl<'a> Copier<'a> {
             stretches: &found.stretches,
             file: BufReader::new(file),
             numbers,
+            skipped,
             writer,
             losses,
         })
@@ -263,6 +270,9 @@ impl<'a> Copier<'a> {
         };
         let Some(number) = self.numbers.get(&header.channel_id) else {
             self.losses.messages += 1;
+            if let Some(topic) = self.skipped.get(&header.channel_id) {
+                *self.losses.by_topic.entry(topic.clone()).or_default() += 1;
+            }
             return Ok(());
         };
         // The new bag's metadata say nothing of compressed messages.

@@ -253,7 +253,8 @@ impl BagWarning {
                 log_time_ns: first.start_ns,
             });
         }
-        if let Some((main, messages @ 1..)) = main_part(stretches) {
+        let main = main_part(stretches);
+        if let Some((main, messages @ 1..)) = main {
             warnings.push(Self::Apart {
                 path: path(),
                 messages,
@@ -261,7 +262,14 @@ impl BagWarning {
                 main_ns: (main.start_ns, main.end_ns),
             });
         }
-        let gaps = stretches.iter().zip(stretches.iter().skip(1));
+        // Those to messages that are not part of the recording are told above.
+        let is_within = |stretch: &&Stretch| {
+            main.is_none_or(|(main, _)| {
+                main.start_ns <= stretch.start_ns && stretch.end_ns <= main.end_ns
+            })
+        };
+        let within = || stretches.iter().filter(is_within);
+        let gaps = within().zip(within().skip(1));
         let gaps = gaps.map(|(one, next)| (one.end_ns, next.start_ns));
         if let Some(longest_ns) = gaps.clone().max_by_key(|(end, start)| start - end) {
             warnings.push(Self::Gaps {
@@ -322,14 +330,14 @@ impl fmt::Display for BagWarning {
             Self::NoMetadata { dir } => {
                 write!(
                     f,
-                    "{} has no metadata.yaml: its .mcap files are read in the order of their names",
+                    "{} has no metadata.yaml: its files are read in the order of their names",
                     dir.display()
                 )
             }
             Self::BadMetadata { file, reason } => {
                 write!(
                     f,
-                    "{} is damaged ({reason}): the .mcap files beside it are read in the order of their names",
+                    "{} is damaged ({reason}): the files beside it are read in the order of their names",
                     file.display()
                 )
             }

@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, fs, path::PathBuf};
 
 use mcap::{WriteOptions, records::MessageHeader};
 use tempfile::TempDir;
-use wm_bag::{BagReader, BagWarning, CutEnd, CutStart, TopicFilter, cut};
+use wm_bag::{BagReader, BagWarning, CutEnd, CutStart, TopicFilter, cut, recover};
 use wm_msgs::{cdr, std_msgs::String as Text, wm_msgs::Action};
 
 const START_NS: u64 = 1_750_000_000_000_000_000;
@@ -30,7 +30,7 @@ impl File {
         schema: Option<(&str, &str, &str)>,
         encoding: &str,
         messages: &[Vec<u8>],
-    ) {
+    ) -> u16 {
         let schema = schema.map_or(0, |(name, encoding, text)| {
             self.writer
                 .add_schema(name, encoding, text.as_bytes())
@@ -50,6 +50,7 @@ impl File {
             };
             self.writer.write_to_known_channel(&header, data).unwrap();
         }
+        channel_id
     }
 
     fn write(mut self, scratch: &TempDir) -> PathBuf {
@@ -135,6 +136,19 @@ fn unreadable_channels_are_left_out_by_name() {
     let all = TopicFilter::default();
     cut(&path, &part, CutStart::Beginning, CutEnd::End, &all).unwrap();
     assert_eq!(texts(&BagReader::open(&part).unwrap()), ["a", "b", "c"]);
+    let recovered = recover(&path, scratch.path().join("recovered")).unwrap();
+    let text = recovered.losses.to_string();
+    assert_eq!(
+        (
+            recovered.losses.messages,
+            recovered.losses.by_topic["/protobuf"]
+        ),
+        (6, 2)
+    );
+    assert!(
+        text.contains("/json: 1") && text.contains("/odd: 1"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -217,4 +231,65 @@ fn other_fields_are_told_and_values_stay_in_their_places() {
         warnings[1].contains("/double/action") && warnings[1].contains("values"),
         "{warnings:?}"
     );
+}
+
+/// A channel whose record is damaged: its messages are named, and those around them are read.
+#[test]
+fn messages_of_an_unknown_channel_hide_no_others() {
+    let scratch = TempDir::new().unwrap();
+    let options = WriteOptions::new()
+        .compression(None)
+        .calculate_chunk_crcs(false)
+        .emit_summary_records(false);
+    let mut file = File {
+        writer: options.create(std::io::Cursor::new(Vec::new())).unwrap(),
+    };
+    let string = ("std_msgs/msg/String", "ros2msg", "string data");
+    file.channel("/a", Some(string), "cdr", &[text("1"), text("2")]);
+    file.channel("/damaged", Some(string), "cdr", &[text("x"), text("y")]);
+    file.channel("/c", Some(string), "cdr", &[text("3")]);
+    let path = file.write(&scratch);
+    let mut bytes = fs::read(&path).unwrap();
+    let topic = bytes
+        .windows(8)
+        .position(|window| window == b"/damaged")
+        .unwrap();
+    // Opcode, length, two ids and the length of the topic are before it.
+    assert_eq!(bytes[topic - 17], 4);
+    bytes[topic - 17] = 0x90;
+    fs::write(&path, bytes).unwrap();
+    let reader = BagReader::open(&path).unwrap();
+    let (good, bad): (Vec<_>, Vec<_>) = reader.messages().partition(Result::is_ok);
+    assert_eq!((good.len(), bad.len()), (3, 1));
+    let error = bad[0].as_ref().unwrap_err().to_string();
+    assert!(
+        error.contains("unknown channel") && error.contains("1 more"),
+        "{error}"
+    );
+}
+
+/// rosbag2 has no time after 2^63 - 1 ns, and MCAP has.
+#[test]
+fn a_message_of_a_time_that_rosbag2_lacks_is_left_out_of_a_part_by_name() {
+    let scratch = TempDir::new().unwrap();
+    let mut file = File::new();
+    let string = ("std_msgs/msg/String", "ros2msg", "string data");
+    let channel_id = file.channel("/text", Some(string), "cdr", &[text("a")]);
+    let header = MessageHeader {
+        channel_id,
+        sequence: 1,
+        log_time: u64::MAX,
+        publish_time: 0,
+    };
+    file.writer
+        .write_to_known_channel(&header, &text("b"))
+        .unwrap();
+    let path = file.write(&scratch);
+    assert_eq!(texts(&BagReader::open(&path).unwrap()), ["a", "b"]);
+    let part = scratch.path().join("part");
+    let all = TopicFilter::default();
+    let cut = cut(&path, &part, CutStart::Beginning, CutEnd::End, &all).unwrap();
+    assert_eq!(texts(&BagReader::open(&part).unwrap()), ["a"]);
+    let skipped = cut.warnings.iter().filter(|warning| warning.is_loss());
+    assert_eq!(skipped.count(), 1, "{:?}", cut.warnings);
 }

@@ -5,6 +5,9 @@ pub(crate) const GAP_NS: u64 = 10_000_000_000;
 /// Messages that are further from all others than this are not part of the recording \[ns\]: a stamp of zero, or a clock
 /// that was not set.
 const APART_NS: u64 = 86_400_000_000_000;
+/// Between these times a robot's clock is set \[ns\].
+const YEAR_2000_NS: u64 = 946_684_800_000_000_000;
+const YEAR_2100_NS: u64 = 4_102_444_800_000_000_000;
 /// Stretches that are kept; with more, the smallest gaps between them are forgotten.
 const MOST_STRETCHES: usize = 4096;
 
@@ -145,8 +148,11 @@ fn merged(mut stretches: Vec<Stretch>, gap_ns: u64) -> Vec<Stretch> {
 pub(crate) fn main_part(stretches: &[Stretch]) -> Option<(Stretch, u64)> {
     let total: u64 = stretches.iter().map(|stretch| stretch.messages).sum();
     let parts = merged(stretches.to_vec(), APART_NS);
-    // Of two with as many, the later one: a clock that was not set is early.
-    let main = parts.into_iter().max_by_key(|part| part.messages)?;
+    // Of two with as many, the one of a clock that was set.
+    let is_set = |part: &Stretch| part.start_ns >= YEAR_2000_NS && part.end_ns <= YEAR_2100_NS;
+    let main = parts
+        .into_iter()
+        .max_by_key(|part| (part.messages, is_set(part)))?;
     Some((main, total - main.messages))
 }
 
@@ -199,6 +205,10 @@ mod tests {
             let times = of(&[outlier, T0, T0 + S, T0 + 100 * S]);
             let (main, others) = main_part(&times.stretches()).unwrap();
             assert_eq!((main.start_ns, main.end_ns, others), (T0, T0 + 100 * S, 1));
+        }
+        for outlier in [0, u64::MAX] {
+            let (main, _) = main_part(&of(&[outlier, T0]).stretches()).unwrap();
+            assert_eq!(main.start_ns, T0, "of two with one message each");
         }
         assert_eq!(main_part(&[]), None);
     }
