@@ -23,6 +23,8 @@ use std::{
 
 /// How far the slowest reader may fall behind before a new writer is started \[samples\].
 const PATIENCE: usize = 256;
+/// It has also acknowledged nothing for this long: acknowledgements of a burst are under way.
+pub(super) const LULL: Duration = Duration::from_millis(100);
 /// And at most, where one reader lets writer after writer go by: each is announced to all participants.
 const MOST_PATIENCE: usize = 2048;
 

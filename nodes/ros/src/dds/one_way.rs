@@ -1,8 +1,8 @@
 //! Participants that no longer receive anything from here, while they are received: packets are lost in one direction.
 //!
 //! Once their lease for this participant has run out, they have lost it, and would never be connected again
-//! ([`super::lease`]). They are found by what their reliable readers do not acknowledge. rustdds 0.15.1 tells when all
-//! readers of a writer have acknowledged something, not which has not. So a participant is suspected that has readers of
+//! ([`super::lease`]). They are found by what their reliable readers do not acknowledge. rustdds 0.15.1 reports when
+//! all readers of a writer have acknowledged something, not which one has not. So a participant is suspected that has readers of
 //! a writer without acknowledgements, and of no writer with recent ones.
 
 use super::{
@@ -52,6 +52,13 @@ impl OneWay {
 pub(super) struct Waiting {
     since: Option<Instant>,
     reported: Option<Instant>,
+}
+
+impl Waiting {
+    /// Whether it has waited for this long.
+    pub(super) fn is_long(&self, time: Duration) -> bool {
+        self.since.is_some_and(|since| since.elapsed() >= time)
+    }
 }
 
 impl Shared {

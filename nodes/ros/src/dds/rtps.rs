@@ -138,7 +138,7 @@ pub(super) fn life_sign(own: &EndpointId) -> Bytes {
     message.freeze()
 }
 
-/// Nobody: a participant that only the one that receives it is told of.
+/// The identity of nobody: a participant that does not exist, and that only the own participant learns of.
 fn nobody(own: &EndpointId) -> EndpointId {
     let mut nobody = *own;
     nobody[2..12].fill(0xff);

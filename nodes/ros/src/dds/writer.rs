@@ -3,7 +3,7 @@
 use super::{
     answers::WaitingRoom,
     codec::HEADER_LEN,
-    line::{Line, Maker, Patience, RETIREMENT},
+    line::{LULL, Line, Maker, Patience, RETIREMENT},
     lock::lock,
     names::{dds_name, dds_type},
     one_way::Waiting,
@@ -322,8 +322,9 @@ impl WriterCore {
         if when_full == WhenFull::Refuse {
             return false;
         }
+        let is_stuck = sent.waiting.is_long(LULL);
         match sent.successor.take() {
-            None if self.shared.catch_up.is_pending() => {}
+            None if !is_stuck || self.shared.catch_up.is_pending() => {}
             None => match self.start() {
                 Ok(line) => sent.successor = Some(line),
                 Err(error) => tracing::debug!("{}: {error}", self.endpoint.name),
