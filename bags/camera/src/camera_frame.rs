@@ -1,6 +1,11 @@
 //! A camera's frame, by either transport.
 
-use image::RgbImage;
+use std::{
+    hash::{DefaultHasher, Hasher as _},
+    io::Cursor,
+};
+
+use image::{ImageReader, RgbImage};
 use wm_bag::{BagError, BagMessage};
 use wm_msgs::{
     Message as _,
@@ -40,6 +45,34 @@ impl CameraFrame {
         }
     }
 
+    /// A number that frames share if their pictures are the same, byte for byte: a live camera has sensor noise, so that no
+    /// two pictures of it do. Stamps are not part of it.
+    pub fn fingerprint(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        match self {
+            Self::Raw(image) => {
+                hasher.write_u32(image.width);
+                hasher.write_u32(image.step);
+                hasher.write(image.encoding.as_bytes());
+                hasher.write(&image.data);
+            }
+            Self::Compressed(image) => hasher.write(&image.data),
+        }
+        hasher.finish()
+    }
+
+    /// Width and height \[px\], without decoding the picture; `None` if its bytes do not begin like a picture.
+    pub fn size(&self) -> Option<(u32, u32)> {
+        match self {
+            Self::Raw(image) => Some((image.width, image.height)),
+            Self::Compressed(image) => {
+                let bytes = ImageReader::new(Cursor::new(&image.data));
+                let reader = bytes.with_guessed_format().ok()?;
+                reader.into_dimensions().ok()
+            }
+        }
+    }
+
     /// The pixels.
     ///
     /// # Errors
@@ -49,5 +82,61 @@ impl CameraFrame {
             Self::Raw(image) => decode_image(image),
             Self::Compressed(image) => decode_compressed(image),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wm_msgs::builtin_interfaces::Time;
+
+    fn raw(sec: i32, width: u32, data: &[u8]) -> CameraFrame {
+        CameraFrame::Raw(Image {
+            header: Header {
+                stamp: Time { sec, nanosec: 0 },
+                ..Header::default()
+            },
+            width,
+            data: data.to_vec(),
+            ..Image::default()
+        })
+    }
+
+    #[test]
+    fn sizes_are_known_without_decoding() {
+        assert_eq!(raw(1, 2, &[]).size(), Some((2, 0)));
+        let mut png = Cursor::new(Vec::new());
+        RgbImage::new(7, 5)
+            .write_to(&mut png, image::ImageFormat::Png)
+            .unwrap();
+        let mut compressed = CompressedImage {
+            format: "jpeg".into(),
+            data: png.into_inner(),
+            ..CompressedImage::default()
+        };
+        // A format that is wrong does not hide the size.
+        assert_eq!(
+            CameraFrame::Compressed(compressed.clone()).size(),
+            Some((7, 5))
+        );
+        compressed.data.truncate(6);
+        assert_eq!(CameraFrame::Compressed(compressed).size(), None);
+    }
+
+    #[test]
+    fn fingerprints_are_of_the_picture_alone() {
+        let picture = raw(1, 2, &[1, 2, 3, 4]).fingerprint();
+        assert_eq!(picture, raw(2, 2, &[1, 2, 3, 4]).fingerprint());
+        assert_ne!(picture, raw(1, 2, &[1, 2, 3, 5]).fingerprint());
+        assert_ne!(picture, raw(1, 1, &[1, 2, 3, 4]).fingerprint());
+        let jpeg = |data: &[u8]| {
+            let data = data.to_vec();
+            CameraFrame::Compressed(CompressedImage {
+                data,
+                ..CompressedImage::default()
+            })
+        };
+        assert_eq!(jpeg(&[7, 8]).fingerprint(), jpeg(&[7, 8]).fingerprint());
+        assert_ne!(jpeg(&[7, 8]).fingerprint(), jpeg(&[8, 7]).fingerprint());
     }
 }

@@ -5,3 +5,4 @@ pub mod camera_frame;
 pub mod camera_info;
 pub mod goal;
 pub mod image_message;
+pub mod signature;
