@@ -19,8 +19,10 @@ const LEAST_EPISODE: usize = 5;
 const LEAST_ACTIONS: usize = 50;
 /// The values of a dimension that are taken for usual, as a quantile of their magnitudes.
 const USUAL: f64 = 0.95;
-/// A value this many times beyond the usual ones is an outlier. Of 33,000 real actions none is.
+/// A change this many times beyond the usual ones is an outlier. Of 17,000 real actions none is.
 const OUTLIER: f32 = 10.0;
+/// As [`OUTLIER`], of targets, which may jump: a real hand's do by 14 times.
+const OUTLIER_OF_TARGETS: f32 = 25.0;
 /// A dimension that moves little is measured by this share of those of its kind that move much.
 const OF_KIND: f32 = 1.0 / 3.0;
 /// An end effector that is faster is none \[m/s\].
@@ -129,7 +131,11 @@ fn outliers(all: Episodes<'_>) -> Vec<Finding> {
         let like = like.filter(|(other, _)| (other.kind, &other.unit) == (dimension.kind, &dimension.unit));
         let of_kind = like.map(|(_, usual)| *usual).fold(0.0, f32::max) * OF_KIND;
         let own = usual.get(index).copied().unwrap_or(0.0);
-        let limit = own.max(of_kind) * OUTLIER;
+        let times = match Effect::of(dimension.kind) {
+            Effect::Target => OUTLIER_OF_TARGETS,
+            _ => OUTLIER,
+        };
+        let limit = own.max(of_kind) * times;
         let beyond = column(index).filter(|value| limit > 0.0 && *value > limit).count();
         (beyond > 0).then(|| {
             let most = column(index).fold(0.0, f32::max);

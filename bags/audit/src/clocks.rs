@@ -280,7 +280,10 @@ impl Clocks {
             );
             return Some(apart(what).figure("apart_s", apart_s));
         }
-        if is_logged && camera.log.seconds() > LEAST_S && actions.log.seconds() > LEAST_S {
+        // Messages without a stamp are no part of the header's span.
+        let is_stamped = camera.zero <= 1 && actions.zero <= 1;
+        let is_long = camera.log.seconds() > LEAST_S && actions.log.seconds() > LEAST_S;
+        if is_logged && is_stamped && is_long {
             let rate = |clocks: &Self| clocks.header.seconds() / clocks.log.seconds();
             let ratio = rate(camera) / rate(actions);
             if (ratio - 1.0).abs() > RATES_APART {
@@ -418,6 +421,7 @@ mod tests {
             "{findings:?}"
         );
         assert_eq!(half.unusable(), None);
+        assert_eq!(Clocks::check_pair(&half, &good("/action")), None);
         // A simulated clock begins at 0.
         assert_eq!(clocks("/camera", |at| at - START, |at| at).check(), []);
     }
