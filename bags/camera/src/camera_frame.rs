@@ -61,7 +61,7 @@ impl CameraFrame {
         hasher.finish()
     }
 
-    /// Columns and rows, without decoding; none if they cannot be found.
+    /// Width and height \[px\], without decoding the picture; `None` if its bytes do not begin like a picture.
     pub fn size(&self) -> Option<(u32, u32)> {
         match self {
             Self::Raw(image) => Some((image.width, image.height)),
@@ -99,6 +99,27 @@ mod tests {
             data: data.to_vec(),
             ..Image::default()
         })
+    }
+
+    #[test]
+    fn sizes_are_known_without_decoding() {
+        assert_eq!(raw(1, 2, &[]).size(), Some((2, 0)));
+        let mut png = Cursor::new(Vec::new());
+        RgbImage::new(7, 5)
+            .write_to(&mut png, image::ImageFormat::Png)
+            .unwrap();
+        let mut compressed = CompressedImage {
+            format: "jpeg".into(),
+            data: png.into_inner(),
+            ..CompressedImage::default()
+        };
+        // A format that is wrong does not hide the size.
+        assert_eq!(
+            CameraFrame::Compressed(compressed.clone()).size(),
+            Some((7, 5))
+        );
+        compressed.data.truncate(6);
+        assert_eq!(CameraFrame::Compressed(compressed).size(), None);
     }
 
     #[test]

@@ -10,6 +10,7 @@ pub mod goal;
 pub mod image_message;
 pub mod jpeg;
 pub mod raw_image;
+pub mod signature;
 pub mod transport;
 #[cfg(feature = "video")]
 pub mod video;

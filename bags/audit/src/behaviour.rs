@@ -1,0 +1,190 @@
+//! The actions by themselves: idle time, zeros at the end, outliers, units.
+
+use crate::{
+    Finding,
+    episode::{Effect, Episode, Episodes},
+    quantile::quantile,
+};
+use wm_motion::actions::{Dimension, Kind};
+
+/// Share of idle frames from which on it is a fault. Of four real data sets it is 0 to .12.
+const IDLE: f64 = 0.5;
+/// Share of the frames that are idle at the starts, or at the ends, of episodes, from which on it is a fault.
+const IDLE_END: f64 = 0.2;
+/// An idle start or end of this length is worth a note \[s\].
+const LONG_S: f64 = 1.0;
+/// Shortest episode whose last action is looked at \[frames\].
+const LEAST_EPISODE: usize = 5;
+/// Actions below which no outliers are looked for.
+const LEAST_ACTIONS: usize = 50;
+/// The values of a dimension that are taken for usual, as a quantile of their magnitudes.
+const USUAL: f64 = 0.95;
+/// A change this many times beyond the usual ones is an outlier. Of 17,000 real actions none is.
+const OUTLIER: f32 = 10.0;
+/// As [`OUTLIER`], of targets, which may jump: a real hand's do by 14 times.
+const OUTLIER_OF_TARGETS: f32 = 25.0;
+/// A dimension that moves little is measured by this share of those of its kind that move much.
+const OF_KIND: f32 = 1.0 / 3.0;
+/// An end effector that is faster is none \[m/s\].
+const FASTEST: f64 = 2.0;
+/// Share of actions that may be so.
+const FAST: f64 = 0.1;
+
+/// What is to be said of the actions by themselves.
+pub(crate) fn check(all: Episodes<'_>) -> Vec<Finding> {
+    let mut findings = vec![idle(all)];
+    findings.extend(last_action(all));
+    findings.extend(outliers(all));
+    findings.extend(units(all));
+    findings
+}
+
+fn idle(all: Episodes<'_>) -> Finding {
+    let idle = all.idle();
+    let frames = all.frames().max(1) as f64;
+    let count = idle.iter().flatten().filter(|idle| **idle).count() as f64;
+    let starts = idle
+        .iter()
+        .map(|episode| episode.iter().take_while(|idle| **idle).count());
+    let ends = idle.iter().map(|episode| {
+        // An episode that is idle as a whole has a start and no end.
+        let is_moving = episode.iter().any(|idle| !idle);
+        let end = episode.iter().rev().take_while(|idle| **idle).count();
+        if is_moving { end } else { 0 }
+    });
+    let (starts, ends): (Vec<usize>, Vec<usize>) = (starts.collect(), ends.collect());
+    let share = count / frames;
+    let sum_share = |frames_idle: &[usize]| frames_idle.iter().sum::<usize>() as f64 / frames;
+    let median_s = |frames_idle: &[usize]| {
+        let values = frames_idle.iter().map(|count| *count as f32);
+        f64::from(quantile(values, 0.5).unwrap_or(0.0)) * all.period_s
+    };
+    let (start_s, end_s) = (median_s(&starts), median_s(&ends));
+    let (start_share, end_share) = (sum_share(&starts), sum_share(&ends));
+    let what = format!(
+        "the robot is idle in {:.0} % of the frames; the median episode begins with {start_s:.1} s and ends with {end_s:.1} s \
+         of it",
+        share * 100.0
+    );
+    let is_long = |seconds: f64, share: f64| seconds >= LONG_S && share >= IDLE_END;
+    let is_fault = share >= IDLE || is_long(start_s, start_share) || is_long(end_s, end_share);
+    let finding = if is_fault {
+        Finding::warning("idle", what)
+            .because("a model learns standstill instead of motion")
+            .fix("leave idle parts out: wm bag cut, or --cut-topic with a topic that has a message when the task begins")
+    } else if start_s >= LONG_S || end_s >= LONG_S {
+        Finding::note("idle", what)
+    } else {
+        Finding::ok("idle", what)
+    };
+    finding
+        .figure("idle_share", share)
+        .figure("idle_start_s", start_s)
+        .figure("idle_end_s", end_s)
+        .figure("idle_start_share", start_share)
+        .figure("idle_end_share", end_share)
+}
+
+/// Actions that change the state are zero in the last frame, and were not before.
+fn last_action(all: Episodes<'_>) -> Option<Finding> {
+    let changes = all.changes();
+    let is_change = |dimension: &&Dimension| Effect::of(dimension.kind) == Effect::Change;
+    all.space.dimensions().iter().find(is_change)?;
+    let judged = changes.iter().filter(|episode| {
+        let frames = episode.first().map_or(0, Vec::len);
+        frames >= LEAST_EPISODE && episode.iter().flatten().any(|value| *value != 0.0)
+    });
+    let judged: Vec<_> = judged.collect();
+    let is_zero = |episode: &&&Vec<Vec<f32>>| {
+        episode
+            .iter()
+            .all(|values| values.last().is_none_or(|value| *value == 0.0))
+    };
+    let zero = judged.iter().filter(is_zero).count();
+    (zero > 0 && zero * 2 >= judged.len()).then(|| {
+        let what = format!(
+            "the last action is zero in {zero} of {} episodes",
+            judged.len()
+        );
+        Finding::note("last", what)
+            .because("nothing follows the last frame, so that no model is trained on this action")
+            .fix("nothing")
+            .figure("last_action_zero", zero as f64)
+    })
+}
+
+fn outliers(all: Episodes<'_>) -> Vec<Finding> {
+    if all.frames() < LEAST_ACTIONS {
+        return Vec::new();
+    }
+    let changes = all.changes();
+    let dimensions = all.space.dimensions();
+    let column = |index: usize| {
+        let episodes = changes.iter().filter_map(move |episode| episode.get(index));
+        episodes.flatten().map(|value| value.abs())
+    };
+    let usual: Vec<f32> = (0..dimensions.len())
+        .map(|index| quantile(column(index), USUAL).unwrap_or(0.0))
+        .collect();
+    let findings = dimensions.iter().enumerate().filter_map(|(index, dimension)| {
+        let like = dimensions.iter().zip(&usual);
+        let like = like.filter(|(other, _)| (other.kind, &other.unit) == (dimension.kind, &dimension.unit));
+        let of_kind = like.map(|(_, usual)| *usual).fold(0.0, f32::max) * OF_KIND;
+        let own = usual.get(index).copied().unwrap_or(0.0);
+        let times = match Effect::of(dimension.kind) {
+            Effect::Target => OUTLIER_OF_TARGETS,
+            _ => OUTLIER,
+        };
+        let limit = own.max(of_kind) * times;
+        let beyond = column(index).filter(|value| limit > 0.0 && *value > limit).count();
+        (beyond > 0).then(|| {
+            let most = column(index).fold(0.0, f32::max);
+            let unit = &dimension.unit;
+            let name = &dimension.name;
+            let what = format!(
+                "{name}: {beyond} actions are far beyond the others: up to {most:.3} {unit}, while 95 % are below \
+                 {own:.3} {unit}"
+            );
+            Finding::warning("outliers", what)
+                .because("a few wrong values widen the scale that all actions are trained with")
+                .fix("look at these moments (wm view BAG), and leave them out (wm bag cut)")
+                .figure("outliers", beyond as f64)
+                .figure("greatest", f64::from(most))
+        })
+    });
+    findings.collect()
+}
+
+/// Changes of position that no arm makes: positions, or another unit.
+fn units(all: Episodes<'_>) -> Option<Finding> {
+    let dimensions = all.space.dimensions();
+    let is_metre = |d: &Dimension| d.kind == Kind::TranslationDelta && d.unit == "m";
+    let axes = (0..dimensions.len()).filter(|index| dimensions.get(*index).is_some_and(is_metre));
+    let axes: Vec<usize> = axes.collect();
+    let speeds = |episode: &Episode| -> Vec<f64> {
+        let columns: Vec<Vec<f32>> = axes.iter().map(|axis| episode.actions(*axis)).collect();
+        let squares = (0..episode.len()).map(|frame| {
+            let values = columns.iter().filter_map(|column| column.get(frame));
+            values.map(|value| f64::from(*value).powi(2)).sum::<f64>()
+        });
+        squares.map(|square| square.sqrt() / all.period_s).collect()
+    };
+    let speeds: Vec<f64> = all.episodes.iter().flat_map(speeds).collect();
+    let fast = speeds.iter().filter(|speed| **speed > FASTEST).count();
+    let share = fast as f64 / speeds.len().max(1) as f64;
+    (share > FAST).then(|| {
+        let most = speeds.iter().copied().fold(0.0, f64::max);
+        let what = format!(
+            "{:.0} % of the actions move the end effector by more than {FASTEST} m/s, up to {most:.1} m/s",
+            share * 100.0
+        );
+        Finding::warning("units", what)
+            .because("no arm does: the values may be positions instead of changes, or of another unit")
+            .fix("give an --action-space whose kinds and units are those of the recording")
+            .figure("fast_share", share)
+            .figure("fastest_m_s", most)
+    })
+}
+
+#[cfg(test)]
+mod tests;

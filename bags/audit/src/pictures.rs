@@ -1,0 +1,369 @@
+//! The pictures of a camera: repeats, standstill, sizes, rate.
+
+use crate::{Finding, gaps::Gaps};
+use std::collections::BTreeMap;
+use wm_camera::signature::Signature;
+
+/// Pictures that are remembered of a camera: an hour at 30 Hz, 1.3 MB.
+const MOST: usize = 108_000;
+/// Mean change below which a picture shows the same as another, but for noise \[levels\]. Of 48,000 real frames
+/// with the arm in motion, none stayed below it for more than 0.9 s.
+const STILL: f32 = 0.3;
+/// A picture that changed by less than this share of the changes around it repeats the one before. Of 25,000 real frames
+/// in motion 0.7 % do, at most 1.5 % of one camera's.
+const REPEAT_SHARE: f32 = 0.08;
+/// Change around it that is motion and no noise \[levels\].
+const IN_MOTION: f32 = 1.0;
+/// Pictures on each side among which motion is looked for: those that are compared, and those that are equal byte for byte.
+const AROUND: usize = 3;
+/// As [`AROUND`].
+const AROUND_EQUAL: usize = 12;
+/// Share of repeats from which on they are a fault.
+const REPEATS: f64 = 0.05;
+/// Pairs of pictures in motion below which repeats are not judged.
+const LEAST_PAIRS: u64 = 10;
+/// A camera is frozen if it stands still for so long while the robot acts \[s\].
+const FROZEN_S: f64 = 2.0;
+/// As [`FROZEN_S`], in pictures.
+const FROZEN_PICTURES: usize = 12;
+/// Activity of the robot from which on pictures should change, as a share of its strong actions.
+const ACTS: f32 = 0.3;
+/// Activity below which the robot is idle, as a share of its strong actions.
+pub(crate) const IDLE: f32 = 0.05;
+/// Share of missing frames from which on it is a fault. A real arm whose stamps jitter by a third of a period (Dobot CR5)
+/// seems to miss up to 7 %.
+const MISSING: f64 = 0.08;
+
+/// How much a picture differs from the one before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Change {
+    /// The bytes differ; the pictures were not compared.
+    Unknown,
+    /// The bytes are the same.
+    Equal,
+    /// Mean absolute difference \[levels\].
+    Levels(f32),
+}
+
+impl Change {
+    /// In levels; pictures that were not compared differ without bound.
+    fn levels(self) -> f32 {
+        match self {
+            Self::Unknown => f32::INFINITY,
+            Self::Equal => 0.0,
+            Self::Levels(levels) => levels,
+        }
+    }
+}
+
+/// A picture and the one before.
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    /// When this picture was taken \[ns\].
+    at_ns: i64,
+    change: Change,
+    /// Whether it shows the same as the first picture of the standstill.
+    is_still: bool,
+}
+
+/// The pictures of a camera in the order in which they came; what is kept of each is a few numbers.
+#[derive(Clone, Debug, Default)]
+pub struct Pictures {
+    /// The topic.
+    pub topic: String,
+    first_ns: Option<i64>,
+    pairs: Vec<Pair>,
+    beyond: u64,
+    gaps: Gaps,
+    sizes: BTreeMap<(u32, u32), u64>,
+    last: Option<(u64, Option<Signature>)>,
+    last_ns: i64,
+    /// The first picture of a standstill.
+    anchor: Option<Signature>,
+}
+
+/// How active the robot is from one moment to another \[ns\], as a share of its strong actions; `None` if that is unknown.
+pub type Activity<'a> = &'a dyn Fn(i64, i64) -> Option<f32>;
+
+impl Pictures {
+    /// Of a camera without pictures so far.
+    #[must_use]
+    pub fn new(topic: &str) -> Self {
+        Self {
+            topic: topic.to_owned(),
+            ..Self::default()
+        }
+    }
+
+    /// Takes the next picture: when it was taken \[ns\], a fingerprint of its bytes, its width and height \[px\] and, if
+    /// it was decoded, its signature. Gives the mean change since the picture before, if both were decoded \[levels\].
+    pub fn push(
+        &mut self,
+        at_ns: i64,
+        fingerprint: u64,
+        size: Option<(u32, u32)>,
+        signature: Option<Signature>,
+    ) -> Option<f32> {
+        if let Some(size) = size {
+            *self.sizes.entry(size).or_default() += 1;
+        }
+        let change = self.last.as_ref().map(|(before, shown)| {
+            if *before == fingerprint {
+                return Change::Equal;
+            }
+            let both = shown.as_ref().zip(signature.as_ref());
+            let levels = both.and_then(|(before, now)| before.change(now));
+            levels.map_or(Change::Unknown, Change::Levels)
+        });
+        let of_anchor = self.anchor.as_ref().zip(signature.as_ref());
+        let of_anchor = of_anchor.and_then(|(anchor, now)| anchor.change(now));
+        let is_still = change == Some(Change::Equal) || of_anchor.is_some_and(|of| of < STILL);
+        if !is_still {
+            self.anchor.clone_from(&signature);
+        }
+        self.last = Some((fingerprint, signature));
+        match change {
+            None => self.first_ns = Some(at_ns),
+            Some(_) if self.pairs.len() >= MOST => self.beyond += 1,
+            Some(change) => {
+                self.gaps.push(at_ns.saturating_sub(self.last_ns));
+                self.pairs.push(Pair {
+                    at_ns,
+                    change,
+                    is_still,
+                });
+            }
+        }
+        self.last_ns = at_ns;
+        change
+            .map(Change::levels)
+            .filter(|levels| levels.is_finite())
+    }
+
+    /// The number of pictures.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.first_ns
+            .map_or(0, |_| 1 + self.pairs.len() as u64 + self.beyond)
+    }
+
+    /// The sizes of the pictures, width and height \[px\], and how many have each.
+    #[must_use]
+    pub fn sizes(&self) -> &BTreeMap<(u32, u32), u64> {
+        &self.sizes
+    }
+
+    /// Pairs of a picture and the next one, with when they were taken \[ns\].
+    fn spans(&self) -> impl Iterator<Item = (i64, &Pair)> {
+        let begins = self.pairs.iter().map(|pair| pair.at_ns);
+        let begins = self.first_ns.into_iter().chain(begins);
+        begins.zip(&self.pairs)
+    }
+
+    /// The number of repeats among pictures in motion, and of all pictures in motion.
+    fn repeats(&self, activity: Option<Activity<'_>>) -> (u64, u64) {
+        let (mut repeats, mut in_motion) = (0, 0);
+        for (index, (from_ns, pair)) in self.spans().enumerate() {
+            let around = if pair.change == Change::Equal {
+                AROUND_EQUAL
+            } else {
+                AROUND
+            };
+            let most = |pairs: Option<&[Pair]>| {
+                let levels = pairs.unwrap_or_default().iter().map(|p| p.change.levels());
+                levels.fold(0.0, f32::max)
+            };
+            let before = most(self.pairs.get(index.saturating_sub(around)..index));
+            let end = self.pairs.len().min(index + 1 + around);
+            let after = most(self.pairs.get(index + 1..end));
+            let moved = before.min(after);
+            let acts = activity.and_then(|activity| activity(from_ns, pair.at_ns));
+            // An idle robot in a picture without noise looks the same twice.
+            if acts.is_some_and(|acts| acts < IDLE) {
+                continue;
+            }
+            let levels = pair.change.levels();
+            let is_near = moved.is_finite() && levels < REPEAT_SHARE * moved;
+            let is_repeat = moved >= IN_MOTION && (pair.change == Change::Equal || is_near);
+            repeats += u64::from(is_repeat);
+            in_motion += u64::from(is_repeat || levels >= IN_MOTION);
+        }
+        (repeats, in_motion)
+    }
+
+    /// The standstills in which the robot acts: begin, end \[ns\] and number of pictures.
+    fn frozen(&self, activity: Option<Activity<'_>>) -> Vec<(i64, i64, usize)> {
+        let spans: Vec<(i64, &Pair)> = self.spans().collect();
+        let runs = spans.chunk_by(|(_, a), (_, b)| a.is_still == b.is_still);
+        let runs = runs.filter(|run| run.first().is_some_and(|(_, pair)| pair.is_still));
+        let frozen = runs.filter_map(|run| {
+            let (from_ns, _) = run.first()?;
+            let (_, last) = run.last()?;
+            let seconds = last.at_ns.saturating_sub(*from_ns) as f64 / 1e9;
+            if seconds < FROZEN_S || run.len() < FROZEN_PICTURES {
+                return None;
+            }
+            let acts = run.iter().filter(|(from_ns, pair)| {
+                let acts = activity.and_then(|activity| activity(*from_ns, pair.at_ns));
+                acts.is_some_and(|acts| acts > ACTS)
+            });
+            (acts.count() * 2 > run.len()).then_some((*from_ns, last.at_ns, run.len()))
+        });
+        frozen.collect()
+    }
+
+    /// What is wrong with the pictures; `activity` is what the robot does, if that is known.
+    #[must_use]
+    pub fn check(&self, activity: Option<Activity<'_>>) -> Vec<Finding> {
+        let mut findings: Vec<Finding> = self.check_sizes().into_iter().collect();
+        findings.extend(self.check_standstill(activity));
+        findings.extend(self.check_repeats(activity));
+        findings.extend(self.check_missing());
+        if self.beyond > 0 {
+            let what = format!(
+                "{}: the first {} pictures were examined, {} more were not",
+                self.topic,
+                self.count() - self.beyond,
+                self.beyond
+            );
+            findings.push(Finding::note("frames", what));
+        }
+        findings
+    }
+
+    fn check_sizes(&self) -> Option<Finding> {
+        if self.sizes.len() < 2 {
+            return None;
+        }
+        let mut sizes: Vec<_> = self.sizes.iter().collect();
+        sizes.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+        let shown = sizes.iter().take(4);
+        let shown = shown.map(|((width, height), count)| format!("{count} of {width}x{height}"));
+        let shown = shown.collect::<Vec<_>>().join(", ");
+        let what = format!("{}: the size of the pictures changes: {shown}", self.topic);
+        Some(
+            Finding::warning("sizes", what)
+                .because("pictures of other sizes are scaled in another way: the view jumps")
+                .fix("record one size; split this recording where the size changes (wm bag cut)")
+                .figure("sizes", self.sizes.len() as f64),
+        )
+    }
+
+    fn check_standstill(&self, activity: Option<Activity<'_>>) -> Option<Finding> {
+        let frozen = self.frozen(activity);
+        let pictures: usize = frozen.iter().map(|(_, _, pictures)| pictures).sum();
+        let seconds = |(from_ns, to_ns, _): &(i64, i64, usize)| (to_ns - from_ns) as f64 / 1e9;
+        let total_s: f64 = frozen.iter().map(seconds).sum();
+        let share = pictures as f64 / self.pairs.len().max(1) as f64;
+        let topic = &self.topic;
+        if let Some(first) = frozen.first() {
+            let (level, what): (fn(_, String) -> Finding, _) = if share > 0.9 {
+                let what = format!(
+                    "{topic}: frozen: {pictures} pictures show the same for {total_s:.1} s while the robot acts"
+                );
+                (Finding::error, what)
+            } else {
+                let what = format!(
+                    "{topic}: frozen for {total_s:.1} s ({:.0} % of the pictures) while the robot acts, first from {} ns on",
+                    share * 100.0,
+                    first.0
+                );
+                (Finding::warning, what)
+            };
+            let finding = level("frozen", what)
+                .because("a model learns from it that actions change nothing")
+                .fix("look at driver and cable of the camera; leave these parts out (wm bag cut)");
+            return Some(
+                finding
+                    .figure("frozen_s", total_s)
+                    .figure("frozen_share", share),
+            );
+        }
+        let is_standing = self.pairs.len() >= FROZEN_PICTURES
+            && self.pairs.iter().all(|pair| pair.is_still)
+            && activity.is_none();
+        is_standing.then(|| {
+            let what = format!(
+                "{topic}: all {} pictures show the same, and no actions are known: the camera is frozen, or nothing moves",
+                self.count()
+            );
+            Finding::note("frozen", what)
+                .fix("move something in front of the camera and look again")
+        })
+    }
+
+    fn check_repeats(&self, activity: Option<Activity<'_>>) -> Option<Finding> {
+        let (repeats, in_motion) = self.repeats(activity);
+        let period_s = self.gaps.median_s()?;
+        if in_motion < LEAST_PAIRS {
+            return None;
+        }
+        let share = repeats as f64 / in_motion as f64;
+        if share < REPEATS {
+            return None;
+        }
+        let rate = 1.0 / period_s;
+        let true_rate = rate * (1.0 - share);
+        let what = format!(
+            "{}: {:.0} % of the pictures repeat the one before: {rate:.1} Hz come, {true_rate:.1} Hz differ",
+            self.topic,
+            share * 100.0
+        );
+        Some(
+            Finding::warning("repeats", what)
+                .because("a model learns from a repeated picture that its action changes nothing")
+                .fix(format!(
+                    "set the rate of the driver to that of the camera ({true_rate:.0} Hz), or prepare the data at a rate that \
+                     is no higher (rate in --action-space)"
+                ))
+                .figure("repeated_share", share)
+                .figure("rate_hz", rate)
+                .figure("true_rate_hz", true_rate),
+        )
+    }
+
+    fn check_missing(&self) -> Option<Finding> {
+        let (missing, longest_s) = self.gaps.missing();
+        let came = self.count();
+        let share = missing as f64 / (came + missing).max(1) as f64;
+        let what = format!(
+            "{}: {missing} of {} frames are missing ({:.1} %); the longest gap lasts {longest_s:.2} s",
+            self.topic,
+            came + missing,
+            share * 100.0
+        );
+        let finding = if share > MISSING {
+            Finding::warning("dropped", what)
+                .because("an episode ends at a missing frame")
+                .fix("record on a faster disk, publish /compressed, or lower the rate (wm doctor shows lost frames)")
+        } else if missing > 0 {
+            Finding::note("dropped", what)
+        } else {
+            return None;
+        };
+        Some(
+            finding
+                .figure("missing", missing as f64)
+                .figure("missing_share", share)
+                .figure("longest_gap_s", longest_s),
+        )
+    }
+
+    /// A line for a camera without a fault.
+    #[must_use]
+    pub fn summary(&self) -> Finding {
+        let rate = self.gaps.median_s().map(|period_s| 1.0 / period_s);
+        let sizes = self.sizes.keys().next();
+        let size = sizes.map_or(String::new(), |(width, height)| {
+            format!("{width}x{height}, ")
+        });
+        let rate_text = rate.map_or(String::new(), |rate| format!(" at {rate:.1} Hz"));
+        let what = format!("{}: {size}{} pictures{rate_text}", self.topic, self.count());
+        Finding::ok("frames", what)
+            .figure("pictures", self.count() as f64)
+            .figure("rate_hz", rate.unwrap_or(f64::NAN))
+    }
+}
+
+#[cfg(test)]
+mod tests;
