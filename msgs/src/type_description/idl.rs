@@ -33,13 +33,11 @@ fn tokens(text: &str) -> Vec<String> {
     let mut rest = text;
     let mut is_line_start = true;
     while let Some(first) = rest.chars().next() {
-        let skip_line = |rest: &str| rest.find('\n').unwrap_or(rest.len());
-        let length = if is_line_start
-            && (first == '#' || rest.starts_with("IDL: ") || rest.starts_with("===="))
-        {
-            skip_line(rest)
-        } else if rest.starts_with("//") {
-            skip_line(rest)
+        let is_remark = rest.starts_with("//")
+            || is_line_start
+                && (first == '#' || rest.starts_with("IDL: ") || rest.starts_with("===="));
+        let length = if is_remark {
+            rest.find('\n').unwrap_or(rest.len())
         } else if rest.starts_with("/*") {
             rest.find("*/").map_or(rest.len(), |end| end + 2)
         } else if matches!(first, '"' | '\'') {
