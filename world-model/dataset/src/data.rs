@@ -4,13 +4,15 @@ use std::{
     sync::Arc,
 };
 
+use wm_audit::Audit;
+
 use super::{
     DataOptions, Dataset, DatasetError, Manifest, Size, SplitRule,
     manifest::Split,
     preparation::{Preparation, identity},
     search::{Found, find_others},
     split::split,
-    store::{Folder, cache_name, if_another_was_first, is_prepared, read_manifest},
+    store::{Folder, cache_name, if_another_was_first, is_prepared, read_audit, read_manifest},
 };
 
 /// Most things that were left out that are named one by one.
@@ -239,6 +241,7 @@ fn open_all(
         }
         let folder = Folder::open(&dir)?;
         name_left_out(folder.manifest(), &dir);
+        name_faults(&dir)?;
         opened.push(Opened {
             folder: Arc::new(folder),
             is_given: false,
@@ -272,6 +275,16 @@ pub(super) fn name_left_out(manifest: &Manifest, dir: &Path) {
         let path = dir.join("dataset.json");
         tracing::warn!("left out: {more} more; all are named in {}", path.display());
     }
+}
+
+/// Logs what the audit found wrong with a folder of a cache, whose audit nobody has seen.
+fn name_faults(dir: &Path) -> Result<(), DatasetError> {
+    let audit = read_audit(dir)?;
+    for finding in audit.iter().flat_map(Audit::faults) {
+        let fix = finding.fix.as_deref().unwrap_or_default();
+        tracing::warn!("audit: {}: {}; {fix}", finding.check, finding.what);
+    }
+    Ok(())
 }
 
 /// Refuses an episode that is for both.

@@ -2,17 +2,26 @@ use std::{fs::File, os::unix::fs::FileExt as _, path::PathBuf};
 
 use image::{GrayImage, RgbImage, imageops::FilterType};
 use rayon::prelude::*;
+use wm_audit::Stamps;
 use wm_bag::BagReader;
-use wm_camera::camera_frame::CameraFrame;
+use wm_camera::{camera_frame::CameraFrame, signature::Signature};
 use wm_progress::Progress;
 
 use super::Planned;
 use crate::{
-    DatasetError, Manifest, Size, cameras::MASK, cutting::Draft, recording::Broken,
+    DatasetError, Manifest, Size, StampSource, cameras::MASK, cutting::Draft, recording::Broken,
     store::NewFolder,
 };
 
-/// Decodes the frames of all episodes into the folder's files; gives the pictures of each source that cannot be decoded.
+/// What decoding gave.
+pub(super) struct Decoded {
+    /// The pictures of each source that cannot be decoded.
+    pub broken: Vec<Broken>,
+    /// For each episode: how much each picture of the first camera differs from the one before \[levels\], if that is known.
+    pub changes: Vec<Vec<Option<f32>>>,
+}
+
+/// Decodes the frames of all episodes into the folder's files.
 ///
 /// Episodes are decoded at the same time, each on one thread and by one picture at a time: a picture goes to its place in
 /// the file as it comes, so that memory does not grow with the length of an episode.
@@ -21,7 +30,7 @@ pub(super) fn write(
     readers: &[Option<BagReader>],
     manifest: &Manifest,
     folder: &NewFolder,
-) -> Result<Vec<Broken>, DatasetError> {
+) -> Result<Decoded, DatasetError> {
     let total: usize = manifest.episodes.iter().map(|episode| episode.frames).sum();
     let progress = Progress::of("decoding", "frames", total as u64);
     let files = Files {
@@ -32,6 +41,7 @@ pub(super) fn write(
         },
         view: manifest.size,
         views: manifest.cameras.len(),
+        stamps: manifest.settings.stamps,
     };
     let mut jobs = Vec::new();
     let mut first_frame = 0;
@@ -43,20 +53,24 @@ pub(super) fn write(
     }
     let results = jobs.par_iter().map(|(bag, draft, first_frame)| {
         let Some(reader) = readers.get(bag.source).and_then(Option::as_ref) else {
-            return Ok((bag.source, Broken::new()));
+            return Ok((bag.source, Broken::new(), Vec::new()));
         };
-        let broken = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
+        let (broken, changes) = files.write_episode(reader, &bag.topics, draft, *first_frame)?;
         progress.inc(draft.actions.len() as u64);
-        Ok((bag.source, broken))
+        Ok((bag.source, broken, changes))
     });
-    let mut all = vec![Broken::new(); readers.len()];
-    for (source, broken) in results.collect::<Result<Vec<_>, DatasetError>>()? {
-        if let Some(all) = all.get_mut(source) {
+    let mut decoded = Decoded {
+        broken: vec![Broken::new(); readers.len()],
+        changes: Vec::new(),
+    };
+    for (source, broken, changes) in results.collect::<Result<Vec<_>, DatasetError>>()? {
+        if let Some(all) = decoded.broken.get_mut(source) {
             all.extend(broken);
         }
+        decoded.changes.push(changes);
     }
     drop(progress);
-    Ok(all)
+    Ok(decoded)
 }
 
 /// The files that pictures go to, with their paths.
@@ -65,6 +79,7 @@ struct Files {
     masks: Option<(File, PathBuf)>,
     view: Size,
     views: usize,
+    stamps: StampSource,
 }
 
 /// The pictures of a stream that an episode still waits for.
@@ -94,7 +109,9 @@ impl Files {
         topics: &[String],
         draft: &Draft,
         first_frame: usize,
-    ) -> Result<Broken, DatasetError> {
+    ) -> Result<(Broken, Vec<Option<f32>>), DatasetError> {
+        let mut changes = vec![None; draft.actions.len()];
+        let mut last: Option<(usize, Signature)> = None;
         let mut awaited: Vec<Awaited<'_>> = topics
             .iter()
             .zip(&draft.stamps)
@@ -119,7 +136,8 @@ impl Files {
             let Ok(frame) = CameraFrame::of_bag(&message) else {
                 continue;
             };
-            let stamp_ns = frame.header().stamp.to_nanos();
+            let header_ns = frame.header().stamp.to_nanos();
+            let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
             let frames = awaited.frames(stamp_ns);
             if frames.is_empty() {
                 continue;
@@ -128,6 +146,15 @@ impl Files {
                 broken.insert((awaited.topic.to_owned(), stamp_ns));
                 continue;
             };
+            if let (0, Shown::View(_, signature)) = (view, &shown) {
+                // Messages come in the order of recording, which is that of the stamps but for a few.
+                let before = last.as_ref().filter(|(frame, _)| frame + 1 == frames.start);
+                let change = before.and_then(|(_, before)| before.change(signature));
+                if let Some(place) = changes.get_mut(frames.start) {
+                    *place = change;
+                }
+                last = Some((frames.start, signature.clone()));
+            }
             for frame in frames {
                 self.write(first_frame + frame, view, &shown)?;
                 if let Some(is_there) = awaited.is_there.get_mut(frame) {
@@ -140,7 +167,7 @@ impl Files {
             let missing = missing.filter(|(_, is_there)| !**is_there);
             broken.extend(missing.map(|(stamp_ns, _)| (stream.topic.to_owned(), *stamp_ns)));
         }
-        Ok(broken)
+        Ok((broken, changes))
     }
 
     /// A picture at the size of a view.
@@ -152,7 +179,8 @@ impl Files {
         }
         let picture = frame.decode().map_err(|error| error.to_string())?;
         let resized = wm_model::image::resize(&picture, (height, width));
-        Ok(Shown::View(resized.map_err(|error| error.to_string())?))
+        let resized = resized.map_err(|error| error.to_string())?;
+        Ok(Shown::View(resized, Signature::of(&picture)))
     }
 
     /// Writes a picture to its place: a view to its columns of the frame.
@@ -166,10 +194,10 @@ impl Files {
         match (shown, &self.masks) {
             (Shown::Mask(mask), Some(masks)) => to(masks, mask.as_raw(), frame * height * width),
             (Shown::Mask(_), None) => Ok(()),
-            (Shown::View(picture), _) if self.views == 1 => {
+            (Shown::View(picture, _), _) if self.views == 1 => {
                 to(&self.frames, picture.as_raw(), frame * height * row_bytes)
             }
-            (Shown::View(picture), _) => {
+            (Shown::View(picture, _), _) => {
                 let rows = picture.as_raw().chunks_exact(row_bytes).enumerate();
                 for (row, bytes) in rows {
                     let row = frame * height + row;
@@ -183,7 +211,8 @@ impl Files {
 }
 
 enum Shown {
-    View(RgbImage),
+    /// At the size of a view, and the signature of the whole picture.
+    View(RgbImage, Signature),
     Mask(GrayImage),
 }
 
