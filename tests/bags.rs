@@ -419,3 +419,69 @@ fn a_snapshot_holds_what_came_before_it() {
         "the last few of a second's 50, not {count}"
     );
 }
+
+/// A bag whose writer knew no QoS, played from its middle: the recorder is a subscriber of latched topics as any other.
+#[test]
+fn a_replay_from_the_middle_publishes_what_holds_there() {
+    const START_NS: u64 = 1_750_000_000_000_000_000;
+    let domain = fresh_domain();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let at = |name: &str| dir.path().join(name).to_string_lossy().into_owned();
+    let text = |data: &str| wm_msgs::std_msgs::String { data: data.into() };
+    let options = wm_bag::WriterOptions::default();
+    let mut writer = wm_bag::BagWriter::create(at("old"), options).expect("a new bag");
+    let schema = wm_bag::type_schema::<wm_msgs::std_msgs::String>();
+    for (second, topic, data) in [
+        (0, "/task/instruction", "push"),
+        (1, "/task/instruction", "pull"),
+        (2, "/note", "before"),
+        // An hour without a message, which is not waited for.
+        (3600, "/note", "after"),
+    ] {
+        let type_name = "std_msgs/msg/String";
+        let added = writer.add_topic_raw(topic, type_name, &schema, "");
+        added.expect("a topic without QoS");
+        let time_ns = START_NS + second * 1_000_000_000;
+        writer
+            .write(topic, &text(data), time_ns)
+            .expect("a message");
+    }
+    writer.finish().expect("the bag's end");
+
+    let new = at("new");
+    let args = ["bag", "record", "/task/instruction", "/note", "-o", &new];
+    let recorder = Process::start(wm(domain, &args));
+    let (old, wait) = (at("old"), "--wait-for");
+    let args = [
+        "bag",
+        "play",
+        &old,
+        "--start-offset",
+        "1.5",
+        wait,
+        "/note",
+        wait,
+        "/task/instruction",
+    ];
+    let player = Process::start(wm(domain, &args));
+    let (status, stdout) = player.finish(Duration::from_secs(60));
+    assert!(status.success(), "{status}: {stdout}");
+    recorder.signal(Signal::INT);
+    let (status, stdout) = recorder.finish(Duration::from_secs(10));
+    assert!(status.success(), "{status}: {stdout}");
+
+    let reader = BagReader::open(&new).expect("a bag");
+    let mut came: Vec<String> = reader
+        .messages()
+        .map(|message| message.expect("a message").decode())
+        .map(|text: Result<wm_msgs::std_msgs::String, _>| text.expect("text").data)
+        .collect();
+    came.sort();
+    assert_eq!(came, ["after", "before", "pull"]);
+    assert!(
+        reader
+            .topic("/task/instruction")
+            .expect("the topic")
+            .is_latched()
+    );
+}

@@ -7,6 +7,7 @@ mod arm;
 mod bags;
 mod browser;
 mod cyclone;
+mod determinism;
 mod docs;
 mod doctor;
 mod exit_codes;

@@ -62,6 +62,8 @@ fn messages() -> Seeds {
         channels: 3,
         dtype: Latent::BF16,
         epoch: 7,
+        change: 0.25,
+        frozen: true,
         data: vec![0; 12],
     };
     vec![
@@ -77,6 +79,10 @@ fn messages() -> Seeds {
         ),
     ]
 }
+
+const PROGRESSIVE: &[u8] =
+    include_bytes!("../../bags/camera/fixtures/jpeg/420-progressive-restart=420.jpg");
+const SCANS: &[u8] = include_bytes!("../../bags/camera/fixtures/jpeg/422-scans-restart=422.jpg");
 
 fn pictures() -> Seeds {
     let raw = |encoding: &str, step, len| Image {
@@ -115,6 +121,8 @@ fn pictures() -> Seeds {
             compressed("rgb8; jpeg compressed bgr8", image::ImageFormat::Jpeg),
         ),
         ("picture/png", compressed("png", image::ImageFormat::Png)),
+        ("picture/progressive.jpg", PROGRESSIVE.to_vec()),
+        ("picture/scans.jpg", SCANS.to_vec()),
     ]
 }
 

@@ -2,7 +2,8 @@
 
 use crate::scratch;
 use std::{fs, path::Path};
-use wm_bag::{BagReader, QosProfile};
+use wm_bag::{BagReader, QosProfile, Schema, SchemaEncoding};
+use wm_msgs::{Layout, Mapping, Message as _, TypeDescription, cdr, wm_msgs::Action};
 
 /// An MCAP file with one message, which [`metadata`] describes.
 const MCAP: &[u8] = include_bytes!("../corpus/bag/one_message.mcap");
@@ -40,6 +41,41 @@ pub fn metadata(data: &[u8]) {
     }
     if let Ok(text) = std::str::from_utf8(data) {
         QosProfile::parse_yaml(text).ok();
+    }
+}
+
+/// Reads a definition, up to the first zero byte, as `.msg` text and as IDL, and what follows as messages of it.
+///
+/// # Panics
+/// If a message that was converted to an action is longer than an action, or shorter.
+pub fn definition(data: &[u8]) {
+    let mut parts = data.splitn(2, |byte| *byte == 0);
+    let text = String::from_utf8_lossy(parts.next().unwrap_or_default()).into_owned();
+    let body = parts.next().unwrap_or_default();
+    let Ok(action) = TypeDescription::of::<Action>() else {
+        return;
+    };
+    for encoding in [SchemaEncoding::Ros2Msg, SchemaEncoding::Ros2Idl] {
+        let text = text.clone();
+        let schema = Schema { encoding, text };
+        let Ok(Some(description)) = schema.description(&Action::ros_name()) else {
+            continue;
+        };
+        let layout = Layout::of(&description);
+        let mapping = Mapping::new(&description, &action);
+        for representation in [0, 1, 6, 7] {
+            let message = [&[0, representation, 0, 0], body].concat();
+            if let Ok(layout) = &layout {
+                layout.check(&message).ok();
+            }
+            if let Ok(converted) = mapping.as_ref().map(|mapping| mapping.convert(&message))
+                && let Ok(converted) = converted
+                && let Err(error) = cdr::from_bytes::<Action>(&converted)
+            {
+                let is_shape = matches!(error, cdr::CdrError::Trailing { .. });
+                assert!(!is_shape, "a converted action does not fit: {error}");
+            }
+        }
     }
 }
 

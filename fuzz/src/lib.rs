@@ -10,7 +10,7 @@ mod messages;
 mod scratch;
 mod tensors;
 
-pub use bags::{bag, metadata, recover};
+pub use bags::{bag, definition, metadata, recover};
 pub use configuration::{launch, parameters};
 pub use messages::{message, part, picture, request};
 pub use tensors::{actions, checkpoint, model, pickle, torch_file, weights};
@@ -19,10 +19,11 @@ pub use tensors::{actions, checkpoint, model, pickle, torch_file, weights};
 pub type Target = fn(&[u8]);
 
 /// All targets. Their seeds lie in `fuzz/corpus/NAME`.
-pub const TARGETS: [(&str, Target); 14] = [
+pub const TARGETS: [(&str, Target); 15] = [
     ("actions", actions),
     ("bag", bag),
     ("checkpoint", checkpoint),
+    ("definition", definition),
     ("launch", launch),
     ("message", message),
     ("metadata", metadata),

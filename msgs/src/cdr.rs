@@ -9,9 +9,8 @@ const CDR_BE: [u8; 2] = [0x00, 0x00];
 const CDR_LE: [u8; 2] = [0x00, 0x01];
 /// Representation identifier and two bytes of options.
 const HEADER_LEN: usize = 4;
-/// Writers may pad a sample to a multiple of four bytes, and CDR aligns to at most eight; more left over means that the
-/// bytes have a different type.
-const MAX_PADDING: usize = 7;
+/// RTPS pads a payload to a multiple of four bytes; more left over means that the bytes have a different type.
+const MAX_PADDING: usize = 3;
 
 /// Why bytes are not a message, or a message cannot be bytes.
 #[derive(Debug, thiserror::Error)]

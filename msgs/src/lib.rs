@@ -19,10 +19,12 @@
 
 pub mod action;
 pub mod cdr;
+mod mapping;
 mod message;
 mod packages;
 mod type_description;
 
+pub use mapping::{ConvertError, Layout, Mapping, MappingError};
 pub use message::{Action, Message, Service};
 pub use packages::{
     action_msgs, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs,
@@ -30,5 +32,5 @@ pub use packages::{
     trajectory_msgs, unique_identifier_msgs, vision_msgs, visualization_msgs, wm_msgs,
 };
 pub use type_description::{
-    DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash,
+    DescriptionError, Field, FieldType, IndividualType, TypeDescription, TypeHash, idl_definitions,
 };

@@ -15,10 +15,12 @@ mod definition;
 mod error;
 mod field;
 mod hash;
+mod idl;
 
 pub use error::DescriptionError;
 pub use field::{Field, FieldType};
 pub use hash::TypeHash;
+pub use idl::idl_definitions;
 
 use crate::{
     Action, Message, Service, builtin_interfaces,

@@ -4,8 +4,9 @@
 
 The layouts are those of lerobot 0.4.4 and of its converter from v2.1: lists of fixed size, tasks as an unnamed pandas
 index, in v3.0 several episodes in a file (the tables in one row group) and the second file of a camera begun anew. The camera
-`front` is AV1 with LeRobot's own settings, `wrist.left` is h264 with pictures that depend on later ones, `still` is PNG
-in the table. Prints JSON: [{"action", "state", "task", "cameras": {name: [[mean R, G, B of each quarter] of each
+`front` is AV1 with LeRobot's own settings, `wrist.left` is h264 with pictures that depend on later ones, `still` is PNG,
+in v2.1 in the table, in v3.0 by path. As in filtered datasets, v3.0 has another order of columns in its second table, whose
+number and first row `meta/episodes` gets wrong. Prints JSON: [{"action", "state", "task", "cameras": {name: [[mean R, G, B of each quarter] of each
 frame]}}] of each episode.
 """
 
@@ -100,6 +101,19 @@ def table(episode, index):
     return pyarrow.table(columns), {"action": action.tolist(), "state": state.tolist(), "task": TASKS[task]}
 
 
+def by_path(rows, episode, root):
+    """The same rows, their pictures as files of the dataset."""
+    name = "observation.images.still"
+    paths = []
+    for frame, still in enumerate(rows.column(name).to_pylist()):
+        paths.append(f"images/{name}/episode_{episode:06d}/frame_{frame:06d}.png")
+        path = root / paths[-1]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(still["bytes"])
+    column = pyarrow.array([{"bytes": None, "path": path} for path in paths], type=rows.column(name).type)
+    return rows.set_column(rows.column_names.index(name), name, column)
+
+
 def info(version, **more):
     column = {"shape": [1], "names": None}
     video = {"dtype": "video", "shape": [HEIGHT, WIDTH, 3], "names": ["height", "width", "channels"]}
@@ -177,8 +191,10 @@ def main(root):
     for file in set(data_files):
         path = v30 / data_path.format(chunk_index=0, file_index=file)
         path.parent.mkdir(parents=True, exist_ok=True)
-        parts = [tables[episode] for episode in range(len(LENGTHS)) if data_files[episode] == file]
-        pyarrow.parquet.write_table(pyarrow.concat_tables(parts).combine_chunks(), path, compression="zstd")
+        parts = [by_path(tables[episode], episode, v30) for episode in range(len(LENGTHS)) if data_files[episode] == file]
+        whole = pyarrow.concat_tables(parts).combine_chunks()
+        names = whole.column_names if file == 0 else whole.column_names[::-1]
+        pyarrow.parquet.write_table(whole.select(names), path, compression="zstd")
     rows = []
     for episode, length in enumerate(LENGTHS):
         row = {
@@ -186,9 +202,9 @@ def main(root):
             "tasks": [expected[episode]["task"]],
             "length": length,
             "data/chunk_index": 0,
-            "data/file_index": data_files[episode],
-            "dataset_from_index": starts[episode],
-            "dataset_to_index": starts[episode] + length,
+            "data/file_index": 0,
+            "dataset_from_index": starts[episode] + 500,
+            "dataset_to_index": starts[episode] + 500 + length,
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
         }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use wm_bag::{BagMessage, BagReader, TopicInfo};
-use wm_camera::{camera_frame::CameraFrame, signature::Signature};
+use wm_camera::{camera_frame::CameraFrame, signature::Signature, transport::Transport};
 use wm_motion::{
     actions::ActionSpace,
     motion::{Motion, MotionSettings, Pace},
@@ -138,7 +138,7 @@ fn cameras(reader: &BagReader, named: &[String], findings: &mut Vec<Finding>) ->
     if named.is_empty() {
         found.sort_by_key(|name| base(name) != CAMERA);
         if found.is_empty() {
-            findings.push(Finding::error("camera", "no pictures on any topic"));
+            findings.push(no_camera(reader));
         }
         return found;
     }
@@ -153,6 +153,24 @@ fn cameras(reader: &BagReader, named: &[String], findings: &mut Vec<Finding>) ->
         of.cloned()
     });
     named.collect()
+}
+
+/// The finding for a bag without pictures that are read here.
+fn no_camera(reader: &BagReader) -> Finding {
+    let video = reader.topics().iter().find(|topic| {
+        let transport = Transport::of(&topic.name, &topic.type_name);
+        topic.message_count > 0 && transport == Some(Transport::Video)
+    });
+    match video {
+        Some(topic) => {
+            let what = format!(
+                "not examined: {} is compressed video; wm dataset examines it",
+                topic.name
+            );
+            Finding::note("camera", what)
+        }
+        None => Finding::error("camera", "no pictures on any topic"),
+    }
 }
 
 fn base(topic: &str) -> &str {

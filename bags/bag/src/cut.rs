@@ -1,12 +1,8 @@
-use std::{
-    collections::{BTreeMap, HashMap},
-    path::Path,
-    time::Duration,
-};
+use std::{collections::BTreeSet, path::Path, time::Duration};
 
 use crate::{
-    BagError, BagReader, BagSummary, BagWarning, BagWriter, Compression, Durability, TopicFilter,
-    WriterOptions, reader::StoredMessage,
+    BagError, BagReader, BagSummary, BagWarning, BagWriter, Compression, TopicFilter, TopicInfo,
+    WriterOptions, part::Part,
 };
 
 /// Where a part of a bag begins.
@@ -50,8 +46,9 @@ pub struct Cut {
 /// channels, and what the bag's metadata note of it: its action space, where it came from.
 ///
 /// What holds until it is replaced would be missing from a part that begins later: of each topic that is offered
-/// as transient local, the last message before the start is kept too, with the start as its log time, so that it is
-/// played first; its publish time stays.
+/// as transient local, the last message before the start is kept too (of `/tf_static` all that differ), with the start as
+/// its log time, so that it is played first; its publish time stays. Offsets count from the recording itself
+/// ([`BagReader::main_span_ns`]).
 ///
 /// # Errors
 /// No bag, a topic that is named and not there, a time in which the bag has nothing, an `output` that exists, or files
@@ -79,14 +76,15 @@ pub fn cut(
                 .collect(),
         });
     }
-    let start_ns = match start {
-        CutStart::Beginning => reader.start_ns(),
-        CutStart::After(offset) => reader.start_ns().saturating_add(nanoseconds(offset)),
-        CutStart::At(time_ns) => time_ns,
+    // Offsets count from the recording itself, from which a message without a time may be far.
+    let (start_ns, origin_ns) = match start {
+        CutStart::Beginning => (reader.start_ns(), reader.time_at(Duration::ZERO)),
+        CutStart::After(offset) => (reader.time_at(offset), reader.time_at(offset)),
+        CutStart::At(time_ns) => (time_ns, time_ns),
     };
     let end_ns = match end {
         CutEnd::End => reader.end_ns().saturating_add(1),
-        CutEnd::After(duration) => start_ns.saturating_add(nanoseconds(duration)),
+        CutEnd::After(duration) => origin_ns.saturating_add(nanoseconds(duration)),
         CutEnd::Before(time_ns) => time_ns,
     };
     if start_ns >= end_ns || start_ns > reader.end_ns() || end_ns <= reader.start_ns() {
@@ -110,52 +108,35 @@ pub fn cut(
         ros_distro: old.ros_distro,
         ..WriterOptions::default()
     };
-    let mut part = Part {
-        writer: BagWriter::create(output, options)?,
-        numbers: HashMap::new(),
-        warnings: reader.warnings().to_vec(),
-    };
-    for (key, note) in old.notes {
-        part.writer.note(&key, note);
-    }
-    for (file, channel) in reader.definitions() {
-        if topics.wants(&channel.topic) {
-            let number = part.writer.add_channel(channel.clone())?;
-            part.numbers.insert((file, channel.id), number);
+    let mut part = Part::new(&reader, BagWriter::create(output, options)?, old.notes);
+    part.add_channels(&reader, |topic| topics.wants(topic))?;
+
+    let mut kept = BTreeSet::new();
+    if start_ns > reader.start_ns() {
+        let wants = |topic: &TopicInfo| topics.wants(&topic.name);
+        let (messages, unreadable) = reader.stored_latched_before(start_ns, wants);
+        for error in unreadable {
+            part.readable(Err(error))?;
+        }
+        for (topic, message) in messages {
+            let mut header = message.header;
+            header.log_time = start_ns;
+            part.write(&message, header)?;
+            kept.insert(topic.to_string());
         }
     }
-
-    let is_latched = |topic: &&crate::TopicInfo| {
-        topic
-            .qos()
-            .is_some_and(|qos| qos.durability == Durability::TransientLocal)
-    };
     let wanted = || {
-        reader
-            .topics()
-            .iter()
-            .filter(|topic| topics.wants(&topic.name))
+        let all = reader.topics().iter();
+        all.filter(|topic| topics.wants(&topic.name))
     };
-    let latched: Vec<&str> = wanted()
-        .filter(is_latched)
-        .map(|topic| &*topic.name)
-        .collect();
-    let kept = if latched.is_empty() || start_ns <= reader.start_ns() {
-        BTreeMap::new()
-    } else {
-        part.last_before(&reader, start_ns, &latched)?
-    };
-    for message in kept.values() {
-        let mut header = message.header;
-        header.log_time = start_ns;
-        part.write(message, header)?;
-    }
     let all: Vec<&str> = wanted().map(|topic| &*topic.name).collect();
     let messages = reader.stored_messages(|messages| {
-        messages
-            .only_topics(all)
-            .starting_at(start_ns)
-            .ending_before(end_ns)
+        let messages = messages.only_topics(all).starting_at(start_ns);
+        match end {
+            // The last time may be the largest there is.
+            CutEnd::End => messages,
+            _ => messages.ending_before(end_ns),
+        }
     });
     for message in messages {
         if let Some(message) = part.readable(message)? {
@@ -164,81 +145,9 @@ pub fn cut(
     }
     Ok(Cut {
         summary: part.writer.finish()?,
-        latched: kept.into_keys().collect(),
+        latched: kept.into_iter().collect(),
         warnings: part.warnings,
     })
-}
-
-/// The new bag.
-struct Part {
-    writer: BagWriter,
-    /// Number in it of each file's channels.
-    numbers: HashMap<(usize, u16), usize>,
-    warnings: Vec<BagWarning>,
-}
-
-impl Part {
-    /// The last message of each of these topics before `start_ns`.
-    fn last_before(
-        &mut self,
-        reader: &BagReader,
-        start_ns: u64,
-        topics: &[&str],
-    ) -> Result<BTreeMap<String, StoredMessage>, BagError> {
-        let names: HashMap<(usize, u16), &str> = reader
-            .definitions()
-            .map(|(file, channel)| ((file, channel.id), channel.topic.as_str()))
-            .collect();
-        let mut last = BTreeMap::new();
-        let messages =
-            reader.stored_messages(|messages| messages.only_topics(topics).ending_before(start_ns));
-        for message in messages {
-            let Some(message) = self.readable(message)? else {
-                continue;
-            };
-            if let Some(topic) = names.get(&(message.file, message.header.channel_id)) {
-                last.insert((*topic).to_owned(), message);
-            }
-        }
-        Ok(last)
-    }
-
-    /// The message, or none for a damaged chunk, which becomes a warning.
-    fn readable(
-        &mut self,
-        message: Result<StoredMessage, BagError>,
-    ) -> Result<Option<StoredMessage>, BagError> {
-        match message {
-            Ok(message) => Ok(Some(message)),
-            Err(BagError::Chunk {
-                path: file,
-                offset,
-                reason,
-            }) => {
-                let warning = BagWarning::Damaged {
-                    file,
-                    offset,
-                    reason,
-                };
-                if !self.warnings.contains(&warning) {
-                    self.warnings.push(warning);
-                }
-                Ok(None)
-            }
-            Err(error) => Err(error),
-        }
-    }
-
-    fn write(
-        &mut self,
-        message: &StoredMessage,
-        header: mcap::records::MessageHeader,
-    ) -> Result<(), BagError> {
-        match self.numbers.get(&(message.file, header.channel_id)) {
-            Some(number) => self.writer.copy(*number, header, &message.data),
-            None => Ok(()),
-        }
-    }
 }
 
 /// More than 584 years saturate.

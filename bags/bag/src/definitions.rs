@@ -3,12 +3,13 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 use crate::{Schema, SchemaEncoding, type_schema};
 use wm_msgs::{
-    Message, builtin_interfaces, diagnostic_msgs, geometry_msgs, lifecycle_msgs, rcl_interfaces,
-    rosgraph_msgs, sensor_msgs, std_msgs, tf2_msgs, trajectory_msgs, vision_msgs,
-    visualization_msgs,
+    DescriptionError, Message, TypeDescription, builtin_interfaces, diagnostic_msgs, geometry_msgs,
+    lifecycle_msgs, rcl_interfaces, rosgraph_msgs, sensor_msgs, std_msgs, tf2_msgs,
+    trajectory_msgs, vision_msgs, visualization_msgs,
     wm_msgs::{
         Action, ActionCandidates, ActionChunk, Assessment, CameraState, EnvObservation,
         ExecutorStatus, Goal, Latent, LatentSpace, Plan, Prediction, PredictionError,
@@ -26,6 +27,23 @@ const PARTS_LIMIT: usize = 256;
 #[must_use]
 pub fn definition(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {
     own(type_name).or_else(|| installed(type_name, prefixes))
+}
+
+/// The definitions that may be that of a type's publisher, which DDS does not send: that of this suite, then another that is
+/// installed. Bytes say which of them fits.
+#[must_use]
+pub fn candidates(type_name: &str, prefixes: &[PathBuf]) -> Vec<Schema> {
+    let mut found: Vec<Schema> = own(type_name).into_iter().collect();
+    if let Some(installed) = installed(type_name, prefixes) {
+        let description = |schema: &Schema| schema.description(type_name).ok().flatten();
+        let is_known = found
+            .iter()
+            .any(|own| description(own) == description(&installed));
+        if !is_known {
+            found.push(installed);
+        }
+    }
+    found
 }
 
 /// What stands for a definition that was not found.
@@ -46,47 +64,80 @@ pub fn prefixes() -> Vec<PathBuf> {
         .collect()
 }
 
-fn own(type_name: &str) -> Option<Schema> {
-    fn of<M: Message>(type_name: &str) -> Option<Schema> {
-        (M::ros_name() == type_name).then(type_schema::<M>)
+/// A type of this suite.
+struct Own {
+    name: String,
+    dependencies: Vec<(&'static str, &'static str)>,
+    schema: fn() -> Schema,
+    description: fn() -> Result<TypeDescription, DescriptionError>,
+}
+
+fn own_type<M: Message>() -> Own {
+    Own {
+        name: M::ros_name(),
+        dependencies: M::dependencies(),
+        schema: type_schema::<M>,
+        description: TypeDescription::of::<M>,
     }
-    let known = [
-        of::<std_msgs::Header>,
-        of::<std_msgs::String>,
-        of::<std_msgs::Bool>,
-        of::<std_msgs::Float32>,
-        of::<std_msgs::Float64>,
-        of::<std_msgs::Float64MultiArray>,
-        of::<sensor_msgs::Image>,
-        of::<sensor_msgs::CompressedImage>,
-        of::<sensor_msgs::CameraInfo>,
-        of::<sensor_msgs::JointState>,
-        of::<geometry_msgs::Pose>,
-        of::<geometry_msgs::PoseStamped>,
-        of::<geometry_msgs::TwistStamped>,
-        of::<geometry_msgs::PoseArray>,
-        of::<diagnostic_msgs::DiagnosticArray>,
-        of::<rosgraph_msgs::Clock>,
-        of::<tf2_msgs::TFMessage>,
-        of::<trajectory_msgs::JointTrajectory>,
-        of::<vision_msgs::LabelInfo>,
-        of::<visualization_msgs::MarkerArray>,
-        of::<lifecycle_msgs::TransitionEvent>,
-        of::<LatentSpace>,
-        of::<Latent>,
-        of::<Action>,
-        of::<ActionChunk>,
-        of::<ActionCandidates>,
-        of::<Assessment>,
-        of::<EnvObservation>,
-        of::<Goal>,
-        of::<Prediction>,
-        of::<PredictionError>,
-        of::<Plan>,
-        of::<CameraState>,
-        of::<ExecutorStatus>,
-    ];
-    known.iter().find_map(|of| of(type_name))
+}
+
+static OWN: LazyLock<Vec<Own>> = LazyLock::new(|| {
+    vec![
+        own_type::<std_msgs::Header>(),
+        own_type::<std_msgs::String>(),
+        own_type::<std_msgs::Bool>(),
+        own_type::<std_msgs::Float32>(),
+        own_type::<std_msgs::Float64>(),
+        own_type::<std_msgs::Float64MultiArray>(),
+        own_type::<sensor_msgs::Image>(),
+        own_type::<sensor_msgs::CompressedImage>(),
+        own_type::<sensor_msgs::CameraInfo>(),
+        own_type::<sensor_msgs::JointState>(),
+        own_type::<geometry_msgs::Pose>(),
+        own_type::<geometry_msgs::PoseStamped>(),
+        own_type::<geometry_msgs::TwistStamped>(),
+        own_type::<geometry_msgs::PoseArray>(),
+        own_type::<diagnostic_msgs::DiagnosticArray>(),
+        own_type::<rosgraph_msgs::Clock>(),
+        own_type::<tf2_msgs::TFMessage>(),
+        own_type::<trajectory_msgs::JointTrajectory>(),
+        own_type::<vision_msgs::LabelInfo>(),
+        own_type::<visualization_msgs::MarkerArray>(),
+        own_type::<lifecycle_msgs::TransitionEvent>(),
+        own_type::<LatentSpace>(),
+        own_type::<Latent>(),
+        own_type::<Action>(),
+        own_type::<ActionChunk>(),
+        own_type::<ActionCandidates>(),
+        own_type::<Assessment>(),
+        own_type::<EnvObservation>(),
+        own_type::<Goal>(),
+        own_type::<Prediction>(),
+        own_type::<PredictionError>(),
+        own_type::<Plan>(),
+        own_type::<CameraState>(),
+        own_type::<ExecutorStatus>(),
+    ]
+});
+
+fn own(type_name: &str) -> Option<Schema> {
+    let own = OWN.iter().find(|own| own.name == type_name)?;
+    Some((own.schema)())
+}
+
+/// What this suite's own type of this name is made of; none for other types.
+pub(crate) fn own_description(type_name: &str) -> Option<TypeDescription> {
+    let own = OWN.iter().find(|own| own.name == type_name)?;
+    // A test holds every type of the suite.
+    (own.description)().ok()
+}
+
+/// Name and `.msg` text of this suite's own type of this name, or of one that such a type names.
+pub(crate) fn known_text(type_name: &str) -> Option<(&'static str, &'static str)> {
+    OWN.iter().find_map(|own| {
+        let named = own.dependencies.iter().find(|(name, _)| *name == type_name);
+        named.copied()
+    })
 }
 
 fn installed(type_name: &str, prefixes: &[PathBuf]) -> Option<Schema> {

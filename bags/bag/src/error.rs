@@ -27,9 +27,9 @@ pub enum BagError {
         /// What is missing.
         reason: &'static str,
     },
-    /// A storage other than MCAP.
+    /// A storage that is not read here.
     #[error(
-        "{path} is stored as {storage}, but only mcap can be read; convert it to mcap with `ros2 bag convert`"
+        "{path} is stored as {storage}, expected mcap or sqlite3; convert it to mcap with `ros2 bag convert`"
     )]
     Storage {
         /// What was opened.
@@ -37,18 +37,58 @@ pub enum BagError {
         /// The storage identifier.
         storage: String,
     },
-    /// rosbag2's own compression of whole files or of each message, which hides the MCAP or the CDR from a reader.
+    /// A bag that has to be converted before it can be recovered.
     #[error(
-        "{path} uses rosbag2's {mode} compression ({format}), which cannot be read; convert it to chunk compression \
-         with `ros2 bag convert`"
+        "{path} is stored as sqlite3, and only MCAP files are recovered byte by byte; read what is left of it with `wm bag convert`"
+    )]
+    NotRecoverable {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A compression of rosbag2 that is not read here.
+    #[error(
+        "{path} uses rosbag2's {mode} compression in the format {format:?}, expected zstd; convert it with `ros2 bag convert`"
     )]
     RosbagCompression {
         /// What was opened.
         path: PathBuf,
         /// `file` or `message`.
         mode: String,
-        /// For example `zstd`.
+        /// For example `lz4`.
         format: String,
+    },
+    /// A temporary file cannot be written.
+    #[error(
+        "{path} is read from a temporary file, which cannot be written in {folder}: {reason}; set TMPDIR to a folder with \
+         enough room"
+    )]
+    NoRoom {
+        /// The file of the bag.
+        path: PathBuf,
+        /// The folder.
+        folder: PathBuf,
+        /// What the system said.
+        reason: String,
+    },
+    /// sqlite3 cannot read the file.
+    #[error("{path}: {reason}")]
+    Sqlite {
+        /// The file.
+        path: PathBuf,
+        /// What it said.
+        reason: String,
+    },
+    /// A message that was compressed by itself and cannot be decompressed. The others can still be read.
+    #[error(
+        "topic {topic}: the message of log time {log_time_ns} ns cannot be decompressed: {reason}"
+    )]
+    Message {
+        /// The topic.
+        topic: String,
+        /// Its log time, in ns since the epoch.
+        log_time_ns: u64,
+        /// What the decoder met.
+        reason: String,
     },
     /// `metadata.yaml` cannot be understood.
     #[error("{path}: {reason}")]
@@ -66,16 +106,6 @@ pub enum BagError {
         /// The file, relative to the bag.
         file: PathBuf,
     },
-    /// Messages of a topic are not CDR.
-    #[error("{path}: topic {topic} has messages in {encoding:?}, but only \"cdr\" can be read")]
-    MessageEncoding {
-        /// The file.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-        /// The encoding that the file names.
-        encoding: String,
-    },
     /// A topic whose type the file does not name.
     #[error("{path}: topic {topic} has no schema, so its type is unknown")]
     NoType {
@@ -83,18 +113,6 @@ pub enum BagError {
         path: PathBuf,
         /// The topic.
         topic: String,
-    },
-    /// A topic whose type has no name that ROS knows.
-    #[error(
-        "{path}: topic {topic} has the type {name:?}, expected a message type as package/msg/Type"
-    )]
-    SchemaName {
-        /// The file.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-        /// The type's name in the file.
-        name: String,
     },
     /// A topic with two types.
     #[error("{path}: topic {topic} has two types: {first} and {second}")]
@@ -215,6 +233,16 @@ pub enum BagError {
         topic: String,
         /// What the codec met.
         reason: CdrError,
+    },
+    /// A message whose definition in the bag does not fit the type that was requested.
+    #[error("topic {topic}: the bag's definition of {type_name} does not fit: {reason}")]
+    Definition {
+        /// The topic.
+        topic: String,
+        /// The type.
+        type_name: String,
+        /// What does not fit.
+        reason: String,
     },
     /// The MCAP library could not write.
     #[error("cannot write {path}: {reason}")]

@@ -2,8 +2,8 @@
 //!
 //! A bag is a directory with `metadata.yaml` and one or more `.mcap` files (profile `ros2`, messages in CDR, schemas in
 //! `ros2msg` with their dependencies). The reader also takes a lone `.mcap`, a bag whose recorder was killed (no
-//! `metadata.yaml`, no footer), and files without chunks or without a summary. [`recover`] repairs such a bag,
-//! [`cut`](fn@cut) shortens one.
+//! `metadata.yaml`, no footer), files without chunks or without a summary, sqlite3 files, and what rosbag2 compresses. [`recover`] repairs such a bag,
+//! [`cut`](fn@cut) shortens one, [`convert`](fn@convert) makes MCAP of any.
 //!
 //! ```
 //! use wm_bag::{BagReader, BagWriter, QosProfile, WriterOptions};
@@ -33,15 +33,22 @@
 //!   and with a [`sync_interval`](WriterOptions::sync_interval) a power cut at most that interval and the open chunk.
 //! - Any bytes in a file give messages or an error, never a panic; every length is held against a named limit.
 //!
+//! - A message is decoded by the definition that the bag carries, its fields by their names.
+//! - A channel that cannot be read is left out by name, and the others are read.
+//!
 //! # What it does not do
-//! sqlite3 bags, the file and message compression of rosbag2 (chunk compression of MCAP is read), attachments. No ROS
-//! and no clock: playing and recording live in the nodes.
+//! Attachments; writing sqlite3, or with the file and message compression of rosbag2 (both are read). No ROS and no clock:
+//! playing and recording live in the nodes.
 
 mod aside;
+mod convert;
 mod cut;
+mod decoding;
 pub mod definitions;
 mod error;
+mod latched;
 mod metadata;
+mod part;
 mod qos;
 mod reader;
 mod recover;
@@ -54,10 +61,12 @@ mod warning;
 mod writer;
 
 pub use aside::{free_name, set_aside};
+pub use convert::{Converted, NewMessage, NewTopic, TopicTransform, Transform, convert};
 pub use cut::{Cut, CutEnd, CutStart, cut};
 pub use error::BagError;
+pub use latched::{Latched, kept_messages, known_qos};
 pub use qos::{Durability, QosProfile, Reliability};
-pub use reader::{BagMessage, BagReader, Messages};
+pub use reader::{BagMessage, BagReader, Messages, stored_file::is_bag_file};
 pub use recover::{Loss, Losses, Recovery, recover};
 pub use schema::{Schema, SchemaEncoding, type_schema};
 pub use shard::Shard;

@@ -1,24 +1,36 @@
 pub(crate) mod chunk;
+mod chunk_index;
 pub(crate) mod definitions;
 mod file_index;
 pub(crate) mod indexing;
+mod latched;
 mod messages;
+pub(crate) mod payload;
+pub(crate) mod record;
 mod scan;
+mod sqlite;
+pub(crate) mod stored_file;
+pub(crate) mod times;
+mod topics;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
     path::{Path, PathBuf},
     sync::Arc,
+    time::Duration,
 };
 
 use crate::{
-    BagError, BagSummary, BagWarning, CDR, Schema, TopicInfo, TopicSummary, metadata::Metadata,
-    schema::canonical_type_name, writer::LOST_PREFIX,
+    BagError, BagSummary, BagWarning, CDR, TopicInfo, TopicSummary,
+    metadata::Metadata,
+    writer::{LOST_PREFIX, REPEATED_PREFIX},
 };
 use file_index::FileIndex;
 pub use messages::{BagMessage, Messages};
 pub(crate) use messages::{StoredMessage, StoredMessages};
+use stored_file::{StoredFile, listed_file, numbered_files};
+use times::{Stretch, Times, main_part};
 
 /// A bag that has been opened: its files are indexed, its messages not yet read.
 #[derive(Debug)]
@@ -28,6 +40,9 @@ pub struct BagReader {
     topics: Vec<TopicInfo>,
     /// The first and the last log time, in ns.
     span: Option<(u64, u64)>,
+    /// Those of the recording itself.
+    main_span: Option<(u64, u64)>,
+    stretches: Vec<Stretch>,
     lost: BTreeMap<String, u64>,
     custom: BTreeMap<String, String>,
     ros_distro: String,
@@ -35,47 +50,34 @@ pub struct BagReader {
 }
 
 impl BagReader {
-    /// Opens a bag directory or one `.mcap` file.
+    /// Opens a bag directory, or one of its files: MCAP or sqlite3, as they are or compressed by rosbag2.
     ///
-    /// A file with a summary is not read beyond it; one without (truncated, or not indexed) is scanned once.
+    /// A file with a summary whose indexes agree is not read beyond these; one without (truncated, or not indexed) is
+    /// scanned once. A file that is compressed as a whole is decompressed to a temporary file for as long as this reader and
+    /// its messages live.
     ///
     /// # Errors
-    /// No such path, not a bag, empty, another storage than MCAP, rosbag2's file or message compression, messages
-    /// in another encoding than CDR, or a topic with two types. A truncated or partly damaged file is no error, nor is a
-    /// damaged `metadata.yaml` beside `.mcap` files: see [`warnings`](Self::warnings).
+    /// No such path, not a bag, empty, another storage or compression, or no room for a decompressed file. Not an error, but
+    /// named in [`warnings`](Self::warnings): a truncated or partly damaged file, a damaged `metadata.yaml`, a file that it
+    /// lists and that is missing while others are there, and channels that cannot be read (another encoding than CDR, no
+    /// type, a second type on a topic).
     pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
         let path = path.as_ref();
         let found = fs::metadata(path).map_err(|source| BagError::io(path, source))?;
         let mut warnings = Vec::new();
         let (files, metadata) = if found.is_dir() {
-            match Metadata::read(path) {
-                Ok(Some(metadata)) => (listed_files(path, &metadata)?, Some(metadata)),
-                Ok(None) => {
-                    warnings.push(BagWarning::NoMetadata {
-                        dir: path.to_owned(),
-                    });
-                    (mcap_files(path)?, None)
-                }
-                Err(BagError::Metadata { path: file, reason }) => match mcap_files(path) {
-                    Ok(files) => {
-                        warnings.push(BagWarning::BadMetadata { file, reason });
-                        (files, None)
-                    }
-                    // There is nothing else to read.
-                    Err(BagError::Empty { .. }) => {
-                        return Err(BagError::Metadata { path: file, reason });
-                    }
-                    Err(error) => return Err(error),
-                },
-                Err(error) => return Err(error),
-            }
+            files_of(path, &mut warnings)?
         } else {
             (vec![path.to_owned()], None)
         };
         let (is_unfinished, is_one_of_several) = (metadata.is_none(), files.len() > 1);
         let mut index = Vec::with_capacity(files.len());
         for file in files {
-            match indexing::index(&file) {
+            let indexed = StoredFile::open(&file).and_then(|(stored, warning)| {
+                warnings.extend(warning);
+                indexing::index(&stored)
+            });
+            match indexed {
                 Ok((file_index, file_warnings)) => {
                     index.push(file_index);
                     warnings.extend(file_warnings);
@@ -91,25 +93,35 @@ impl BagReader {
             }
         }
 
-        let mut topics = merged_topics(path, &index)?;
+        let mut topics = topics::merged(&mut index);
+        for warning in index.iter().flat_map(FileIndex::channel_warnings) {
+            // The same of each file of a bag.
+            if !warnings.contains(&warning) {
+                warnings.push(warning);
+            }
+        }
         let counted: u64 = topics.values().map(|topic| topic.message_count).sum();
         let mut lost = BTreeMap::new();
         let mut custom = BTreeMap::new();
         let mut ros_distro = String::new();
         if let Some(metadata) = metadata {
-            if metadata.message_count != counted {
+            let skipped = index.iter().flat_map(|file| file.skipped.values());
+            let skipped: u64 = skipped.map(|channel| channel.messages).sum();
+            if metadata.message_count != counted + skipped {
                 warnings.push(BagWarning::CountDiffers {
                     dir: path.to_owned(),
                     metadata: metadata.message_count,
-                    files: counted,
+                    files: counted + skipped,
                 });
             }
-            add_from_metadata(&mut topics, &metadata, path)?;
+            topics::take_repeated(&mut topics, &metadata, index.len());
+            topics::add_from_metadata(&mut topics, &metadata, &index, &mut warnings);
             for (key, count) in metadata.custom_data.unwrap_or_default() {
                 match (key.strip_prefix(LOST_PREFIX), count.parse()) {
                     (Some(topic), Ok(count)) => {
                         lost.insert(topic.to_owned(), count);
                     }
+                    _ if key.starts_with(REPEATED_PREFIX) => {}
                     _ => {
                         custom.insert(key, count);
                     }
@@ -120,11 +132,18 @@ impl BagReader {
         let span = index.iter().filter_map(|file| file.span).reduce(
             |(start, end), (next_start, next_end)| (start.min(next_start), end.max(next_end)),
         );
+        let mut times = Times::default();
+        index.iter().for_each(|file| times.append(&file.times));
+        let stretches = times.stretches();
+        warnings.extend(BagWarning::of_times(path, &times, &stretches));
+        let main = main_part(&stretches);
         Ok(Self {
             path: path.to_owned(),
             index: Arc::new(index),
             topics: topics.into_values().collect(),
             span,
+            main_span: main.map(|(part, _)| (part.start_ns, part.end_ns)),
+            stretches,
             lost,
             custom,
             ros_distro,
@@ -168,6 +187,29 @@ impl BagReader {
         self.span.map_or(0, |(_, end)| end)
     }
 
+    /// First and last log time of the recording itself, in ns since the epoch: without the messages that are more than a day
+    /// from most others, because of a stamp of zero or a clock that was not set. None for a bag without messages.
+    #[must_use]
+    pub fn main_span_ns(&self) -> Option<(u64, u64)> {
+        self.main_span
+    }
+
+    /// The log time that is so long after the beginning of the recording itself ([`main_span_ns`](Self::main_span_ns)), in
+    /// ns since the epoch.
+    #[must_use]
+    pub fn time_at(&self, offset: Duration) -> u64 {
+        let start_ns = self.main_span.map_or(0, |(start, _)| start);
+        let offset_ns = u64::try_from(offset.as_nanos()).unwrap_or(u64::MAX);
+        start_ns.saturating_add(offset_ns)
+    }
+
+    /// The gaps of more than ten seconds between messages, in order: log times of the message before and of the one after,
+    /// in ns since the epoch. Of a bag with thousands of gaps, the largest.
+    pub fn gaps_ns(&self) -> impl Iterator<Item = (u64, u64)> + '_ {
+        let pairs = self.stretches.iter().zip(self.stretches.iter().skip(1));
+        pairs.map(|(one, next)| (one.end_ns, next.start_ns))
+    }
+
     /// Messages of all topics. Where a file is damaged, those that can be read.
     #[must_use]
     pub fn message_count(&self) -> u64 {
@@ -203,6 +245,17 @@ impl BagReader {
         StoredMessages(select(self.messages()))
     }
 
+    /// The same message with its topic; none of a channel that is left out.
+    pub(crate) fn message_of(&self, stored: &StoredMessage) -> Option<BagMessage> {
+        let file = self.index.get(stored.file)?;
+        let channel = file.channels.get(&stored.header.channel_id)?;
+        Some(BagMessage::new(
+            channel,
+            &stored.header,
+            stored.data.clone(),
+        ))
+    }
+
     /// The channels of the files, each with the number of its file, as the files define them.
     pub(crate) fn definitions(
         &self,
@@ -220,12 +273,19 @@ impl BagReader {
             .flat_map(|file| &file.compressions)
             .map(|name| if name.is_empty() { "none" } else { name })
             .collect();
+        let storages: BTreeSet<&str> = self.index.iter().map(|file| file.storage).collect();
         BagSummary {
             path: self.path.clone(),
-            files: self.index.iter().map(|file| file.path.clone()).collect(),
+            files: self
+                .index
+                .iter()
+                .map(|file| file.path().to_owned())
+                .collect(),
             size_bytes: self.index.iter().map(|file| file.size_bytes).sum(),
             start_ns: self.start_ns(),
             end_ns: self.end_ns(),
+            main_span_ns: self.main_span,
+            storage: storages.into_iter().collect::<Vec<_>>().join(", "),
             message_count: self.message_count(),
             topics: self
                 .topics
@@ -250,16 +310,52 @@ impl BagReader {
     }
 }
 
-/// Refuses what is not stored as MCAP, or hidden from an MCAP reader by rosbag2's own compression.
+/// The files of a folder, and its metadata where they can be read.
+fn files_of(
+    dir: &Path,
+    warnings: &mut Vec<BagWarning>,
+) -> Result<(Vec<PathBuf>, Option<Metadata>), BagError> {
+    let mut by_name = || -> Result<Vec<PathBuf>, BagError> {
+        let (files, twice) = numbered_files(dir)?;
+        warnings.extend(twice);
+        Ok(files)
+    };
+    match Metadata::read(dir) {
+        Ok(Some(metadata)) => {
+            let files = listed_files(dir, &metadata, warnings)?;
+            Ok((files, Some(metadata)))
+        }
+        Ok(None) => {
+            let files = by_name()?;
+            warnings.push(BagWarning::NoMetadata {
+                dir: dir.to_owned(),
+            });
+            Ok((files, None))
+        }
+        Err(BagError::Metadata { path: file, reason }) => match by_name() {
+            Ok(files) => {
+                warnings.push(BagWarning::BadMetadata { file, reason });
+                Ok((files, None))
+            }
+            // There is nothing else to read.
+            Err(BagError::Empty { .. }) => Err(BagError::Metadata { path: file, reason }),
+            Err(error) => Err(error),
+        },
+        Err(error) => Err(error),
+    }
+}
+
+/// Refuses storages and compressions that this crate does not know.
 pub(crate) fn check_storage(dir: &Path, metadata: &Metadata) -> Result<(), BagError> {
-    if metadata.storage_identifier != "mcap" {
+    if !["mcap", "sqlite3"].contains(&metadata.storage_identifier.as_str()) {
         return Err(BagError::Storage {
             path: dir.to_owned(),
             storage: metadata.storage_identifier.clone(),
         });
     }
     let mode = metadata.compression_mode.to_lowercase();
-    if !mode.is_empty() && mode != "none" {
+    let is_plain = mode.is_empty() || mode == "none";
+    if !is_plain && metadata.compression_format != "zstd" {
         return Err(BagError::RosbagCompression {
             path: dir.to_owned(),
             mode,
@@ -270,152 +366,36 @@ pub(crate) fn check_storage(dir: &Path, metadata: &Metadata) -> Result<(), BagEr
 }
 
 /// The files that `metadata.yaml` lists, in its order.
-fn listed_files(dir: &Path, metadata: &Metadata) -> Result<Vec<PathBuf>, BagError> {
+fn listed_files(
+    dir: &Path,
+    metadata: &Metadata,
+    warnings: &mut Vec<BagWarning>,
+) -> Result<Vec<PathBuf>, BagError> {
     check_storage(dir, metadata)?;
-    if metadata.relative_file_paths.is_empty() {
+    let listed = &metadata.relative_file_paths;
+    let Some(first) = listed.first() else {
         return Err(BagError::Empty {
             path: dir.to_owned(),
             reason: "its metadata.yaml lists no files",
         });
-    }
-    metadata
-        .relative_file_paths
-        .iter()
-        .map(|file| {
-            // A bag is its own directory: a path that leads elsewhere is taken by its name, as rosbag2 does for
-            // bags that were moved.
-            let inside = file
-                .file_name()
-                .map(|name| dir.join(name))
-                .filter(|path| path.exists());
-            inside.ok_or_else(|| BagError::MissingFile {
+    };
+    let mut files = Vec::with_capacity(listed.len());
+    for file in listed {
+        match listed_file(dir, file) {
+            Some(found) => files.push(found),
+            None => warnings.push(BagWarning::MissingFile {
                 dir: dir.to_owned(),
                 file: file.clone(),
-            })
-        })
-        .collect()
-}
-
-/// The `.mcap` files of a directory, in the order in which a recorder numbers them (`bag_2` before `bag_10`).
-pub(crate) fn mcap_files(dir: &Path) -> Result<Vec<PathBuf>, BagError> {
-    let mut files = Vec::new();
-    for entry in fs::read_dir(dir).map_err(|source| BagError::io(dir, source))? {
-        let path = entry.map_err(|source| BagError::io(dir, source))?.path();
-        match path.extension().and_then(|extension| extension.to_str()) {
-            Some("mcap") => files.push(path),
-            Some("db3") => {
-                return Err(BagError::Storage {
-                    path: dir.to_owned(),
-                    storage: "sqlite3".to_owned(),
-                });
-            }
-            _ => {}
+            }),
         }
     }
     if files.is_empty() {
-        return Err(BagError::Empty {
-            path: dir.to_owned(),
-            reason: "it has no metadata.yaml and no .mcap file",
+        return Err(BagError::MissingFile {
+            dir: dir.to_owned(),
+            file: first.clone(),
         });
     }
-    files.sort_by_key(|path| {
-        let stem = path
-            .file_stem()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        let number = stem
-            .rsplit('_')
-            .next()
-            .and_then(|digits| digits.parse::<u64>().ok());
-        (number, stem)
-    });
     Ok(files)
-}
-
-/// The topics of all files, by name.
-fn merged_topics(
-    path: &Path,
-    index: &[FileIndex],
-) -> Result<BTreeMap<Arc<str>, TopicInfo>, BagError> {
-    let mut topics: BTreeMap<Arc<str>, TopicInfo> = BTreeMap::new();
-    for channel in index.iter().flat_map(|file| file.channels.values()) {
-        match topics.get_mut(&channel.name) {
-            Some(known) if known.type_name != channel.type_name => {
-                return Err(BagError::TypeConflict {
-                    path: path.to_owned(),
-                    topic: channel.name.to_string(),
-                    first: known.type_name.to_string(),
-                    second: channel.type_name.to_string(),
-                });
-            }
-            Some(known) => known.message_count += channel.message_count,
-            None => {
-                topics.insert(Arc::clone(&channel.name), channel.clone());
-            }
-        }
-    }
-    Ok(topics)
-}
-
-/// Adds what only `metadata.yaml` knows: topics without a message, QoS and type hashes that the files
-/// do not name.
-fn add_from_metadata(
-    topics: &mut BTreeMap<Arc<str>, TopicInfo>,
-    metadata: &Metadata,
-    path: &Path,
-) -> Result<(), BagError> {
-    for listed in &metadata.topics_with_message_count {
-        let listed = &listed.topic_metadata;
-        if listed.serialization_format != CDR {
-            return Err(BagError::MessageEncoding {
-                path: path.to_owned(),
-                topic: listed.name.clone(),
-                encoding: listed.serialization_format.clone(),
-            });
-        }
-        let qos_yaml: Arc<str> = match &listed.offered_qos_profiles {
-            serde_yaml_ng::Value::Null => "".into(),
-            serde_yaml_ng::Value::String(text) => text.as_str().into(),
-            profiles => serde_yaml_ng::to_string(profiles)
-                .unwrap_or_default()
-                .into(),
-        };
-        let type_hash: Arc<str> = listed.type_description_hash.as_str().into();
-        let name: Arc<str> = listed.name.as_str().into();
-        if let Some(known) = topics.get_mut(&name) {
-            if known.qos_yaml.is_empty() {
-                known.qos_yaml = qos_yaml;
-            }
-            if known.type_hash.is_empty() {
-                known.type_hash = type_hash;
-            }
-        } else {
-            let type_name = canonical_type_name(&listed.type_name)
-                .map_err(|_| BagError::SchemaName {
-                    path: path.to_owned(),
-                    topic: listed.name.clone(),
-                    name: listed.type_name.clone(),
-                })?
-                .into();
-            let schema = Arc::new(Schema {
-                encoding: "".into(),
-                text: String::new(),
-            });
-            topics.insert(
-                Arc::clone(&name),
-                TopicInfo {
-                    name,
-                    type_name,
-                    schema,
-                    qos_yaml,
-                    type_hash,
-                    message_count: 0,
-                },
-            );
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

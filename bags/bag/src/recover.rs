@@ -10,19 +10,17 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use bytes::Bytes;
-use mcap::{
-    parse_record,
-    records::{Record, op},
-};
+use mcap::records::{Record, op};
 
 use crate::{
-    BagError, BagSummary, BagWriter, CDR, WriterOptions,
+    BagError, BagSummary, BagWarning, BagWriter, CDR, WriterOptions,
     metadata::Metadata,
     reader::{
         check_storage,
         chunk::{RECORD_HEADER_BYTES, Records, decompressed, record_header},
-        mcap_files,
+        payload,
+        record::parse,
+        stored_file::{StoredFile, numbered_files},
     },
     writer::LOST_PREFIX,
 };
@@ -40,6 +38,8 @@ pub struct Recovery {
     /// Files that had no end: their recorder was killed, or a copy was cut short. What is behind their last byte is
     /// nowhere and not counted in `losses`.
     pub without_end: Vec<PathBuf>,
+    /// What the user should know of its files.
+    pub warnings: Vec<BagWarning>,
 }
 
 impl fmt::Display for Recovery {
@@ -53,6 +53,9 @@ impl fmt::Display for Recovery {
         )?;
         for file in &self.without_end {
             writeln!(f, "{} has no end: it was truncated", file.display())?;
+        }
+        for warning in &self.warnings {
+            writeln!(f, "Warning: {warning}")?;
         }
         write!(f, "{}", self.losses)
     }
@@ -68,18 +71,20 @@ impl fmt::Display for Recovery {
 /// copied, which counts as a loss.
 ///
 /// # Errors
-/// No bag at all, a bag that rosbag2 compressed as a whole, an `output` that exists, or files that cannot be read or
-/// written.
+/// No bag at all, sqlite3 files, an `output` that exists, or files that cannot be read or written.
 pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Recovery, BagError> {
     let input = input.as_ref();
     let found = fs::metadata(input).map_err(|source| BagError::io(input, source))?;
+    let mut warnings = Vec::new();
     let (files, metadata) = if found.is_dir() {
         // Metadata that cannot be read is one of the things that are made anew.
         let metadata = Metadata::read(input).ok().flatten();
         if let Some(metadata) = &metadata {
             check_storage(input, metadata)?;
         }
-        (mcap_files(input)?, metadata)
+        let (files, twice) = numbered_files(input)?;
+        warnings.extend(twice);
+        (files, metadata)
     } else {
         (vec![input.to_owned()], None)
     };
@@ -88,8 +93,19 @@ pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Reco
     let mut surveys = Vec::new();
     let mut first_error = None;
     for path in files {
-        match survey(&path, &mut losses) {
-            Ok(found) => surveys.push((path, found)),
+        let (stored, warning) = StoredFile::open(&path)?;
+        if let Some(BagWarning::CompressedEnd { reason, .. }) = &warning {
+            losses.add(
+                &path,
+                0,
+                0,
+                0,
+                &format!("its compressed end is damaged: {reason}"),
+            );
+        }
+        warnings.extend(warning);
+        match survey(&stored, &mut losses) {
+            Ok(found) => surveys.push((stored, found)),
             // One file of several; the others are a bag still.
             Err(error @ (BagError::Empty { .. } | BagError::NotABag { .. })) => {
                 let bytes = fs::metadata(&path).map_or(0, |found| found.len());
@@ -106,6 +122,8 @@ pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Reco
     let mut options = WriterOptions::default();
     let compression = surveys.iter().find_map(|(_, found)| found.compression);
     options.compression = compression.unwrap_or_default();
+    // The files have them already, if they were written so.
+    options.repeats_latched = false;
     let metadata = metadata.as_ref();
     options.ros_distro = metadata.map_or_else(String::new, |old| old.ros_distro.clone());
     let mut writer = BagWriter::create(output, options)?;
@@ -119,11 +137,11 @@ pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Reco
         }
     }
     let mut is_first = true;
-    for (path, found) in &surveys {
+    for (stored, found) in &surveys {
         if !std::mem::take(&mut is_first) {
             writer.split()?;
         }
-        Copier::new(path, found, &mut writer, &mut losses)?.run()?;
+        Copier::new(stored, found, &mut writer, &mut losses)?.run()?;
     }
     Ok(Recovery {
         summary: writer.finish()?,
@@ -131,8 +149,9 @@ pub fn recover(input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<Reco
         without_end: surveys
             .into_iter()
             .filter(|(_, found)| !found.has_end)
-            .map(|(path, _)| path)
+            .map(|(stored, _)| stored.path)
             .collect(),
+        warnings,
     })
 }
 
@@ -143,24 +162,29 @@ struct Copier<'a> {
     file: BufReader<File>,
     /// Number in the new bag of each channel of the file.
     numbers: HashMap<u16, usize>,
+    /// Topics of the channels that the new bag does not have.
+    skipped: HashMap<u16, String>,
     writer: &'a mut BagWriter,
     losses: &'a mut Losses,
 }
 
 impl<'a> Copier<'a> {
     fn new(
-        path: &'a Path,
+        stored: &'a StoredFile,
         found: &'a Survey,
         writer: &'a mut BagWriter,
         losses: &'a mut Losses,
     ) -> Result<Self, BagError> {
-        let file = File::open(path).map_err(|source| BagError::io(path, source))?;
-        let mut numbers = HashMap::new();
+        let path = stored.path.as_path();
+        let file = stored.file().map_err(|source| BagError::io(path, source))?;
+        let (mut numbers, mut skipped) = (HashMap::new(), HashMap::new());
         for id in found.definitions.ids() {
             let Some(channel) = found.definitions.channel(id) else {
                 continue;
             };
+            let topic = channel.topic.clone();
             if channel.message_encoding != CDR {
+                skipped.insert(id, topic);
                 continue;
             }
             // Outside of chunks nothing says whether a definition is what was written: one that cannot be true is
@@ -171,7 +195,9 @@ impl<'a> Copier<'a> {
                 }
                 Err(
                     BagError::NoType { .. } | BagError::TypeName(_) | BagError::TypeConflict { .. },
-                ) => {}
+                ) => {
+                    skipped.insert(id, topic);
+                }
                 Err(error) => return Err(error),
             }
         }
@@ -180,6 +206,7 @@ impl<'a> Copier<'a> {
             stretches: &found.stretches,
             file: BufReader::new(file),
             numbers,
+            skipped,
             writer,
             losses,
         })
@@ -221,7 +248,7 @@ impl<'a> Copier<'a> {
             self.message(&body)?;
             return Ok(size);
         }
-        let records: Bytes = decompressed(&body).map_err(changed)?;
+        let records = decompressed(&body).map_err(changed)?;
         for record in Records::new(records) {
             let record = record.map_err(|reason| BagError::Chunk {
                 path: self.path.to_owned(),
@@ -236,16 +263,31 @@ impl<'a> Copier<'a> {
     }
 
     fn message(&mut self, body: &[u8]) -> Result<(), BagError> {
-        let parsed = parse_record(op::MESSAGE, body);
+        let parsed = parse(op::MESSAGE, body);
         let Ok(Record::Message { header, data }) = parsed else {
             self.losses.messages += 1;
             return Ok(());
         };
         let Some(number) = self.numbers.get(&header.channel_id) else {
             self.losses.messages += 1;
+            if let Some(topic) = self.skipped.get(&header.channel_id) {
+                *self.losses.by_topic.entry(topic.clone()).or_default() += 1;
+            }
             return Ok(());
         };
-        match self.writer.copy(*number, header, &data) {
+        // The new bag's metadata say nothing of compressed messages.
+        let plain = match payload::decompressed(&data) {
+            Some(Ok(plain)) => Some(plain),
+            None => None,
+            Some(Err(_)) => {
+                self.losses.messages += 1;
+                return Ok(());
+            }
+        };
+        match self
+            .writer
+            .copy(*number, header, plain.as_deref().unwrap_or(&data))
+        {
             Err(BagError::LogTime { .. }) => {
                 self.losses.messages += 1;
                 Ok(())

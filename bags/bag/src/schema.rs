@@ -1,6 +1,8 @@
-use wm_msgs::{DescriptionError, Message, TypeDescription, TypeHash};
+use std::borrow::Cow;
 
-use crate::BagError;
+use wm_msgs::{DescriptionError, Message, TypeDescription, TypeHash, idl_definitions};
+
+use crate::{BagError, definitions::known_text};
 
 /// Equal signs on the line before each dependency.
 const DELIMITER: usize = 80;
@@ -70,6 +72,85 @@ impl Schema {
         let description = TypeDescription::message(type_name, own, dependencies)?;
         Ok(Some(description.hash()))
     }
+
+    /// What messages of the type `package/msg/Type` with this schema are made of; none for a schema without a text, or in
+    /// an encoding other than `ros2msg` and `ros2idl`.
+    ///
+    /// Types that the text names and does not define are those of this suite, and `Header` without a package is that of
+    /// `std_msgs`: some writers leave both to the reader.
+    ///
+    /// # Errors
+    /// The text is no definition, or lacks that of a type that this suite does not know.
+    pub fn description(
+        &self,
+        type_name: &str,
+    ) -> Result<Option<TypeDescription>, DescriptionError> {
+        if self.text.trim().is_empty() {
+            return Ok(None);
+        }
+        let (text, definitions);
+        let (own, mut dependencies): (&str, Vec<(&str, &str)>) = match self.encoding {
+            SchemaEncoding::Ros2Msg => {
+                text = with_header_package(&self.text);
+                parts(&text)
+            }
+            SchemaEncoding::Ros2Idl => {
+                definitions = idl_definitions(&self.text)?;
+                let all = definitions.iter();
+                let all: Vec<(&str, &str)> = all
+                    .map(|(name, text)| (name.as_str(), text.as_str()))
+                    .collect();
+                let own = all.iter().find(|(name, _)| *name == type_name);
+                let (_, own) = own.ok_or_else(|| DescriptionError::Missing {
+                    name: type_name.to_owned(),
+                    by: "the schema".to_owned(),
+                })?;
+                (own, all)
+            }
+            SchemaEncoding::Other(_) => return Ok(None),
+        };
+        loop {
+            let described = TypeDescription::message(type_name, own, dependencies.iter().copied());
+            // Each round adds a type that was missing, of which there are few.
+            match &described {
+                Err(DescriptionError::Missing { name, .. }) => match known_text(name) {
+                    Some(known) => dependencies.push(known),
+                    None => return described.map(Some),
+                },
+                _ => return described.map(Some),
+            }
+        }
+    }
+
+    /// Whether messages with this schema have the fields of `M`: by their definition, or, if there is none, by name.
+    #[must_use]
+    pub fn has_fields_of<M: Message>(&self) -> bool {
+        match (self.description(&M::ros_name()), TypeDescription::of::<M>()) {
+            (Ok(Some(theirs)), Ok(ours)) => theirs == ours,
+            (Ok(None), Ok(_)) => true,
+            _ => false,
+        }
+    }
+}
+
+/// The text with `std_msgs/Header` for `Header`, as in ROS 1, unless a package defines a `Header` of its own.
+fn with_header_package(text: &str) -> Cow<'_, str> {
+    let is_bare = |line: &str| {
+        let rest = line.trim_start().strip_prefix("Header");
+        rest.is_some_and(|rest| rest.starts_with([' ', '\t', '[']))
+    };
+    let defines_own = |line: &str| {
+        let name = line.strip_prefix("MSG: ").map(str::trim);
+        name.is_some_and(|name| name.ends_with("/Header") && !name.starts_with("std_msgs/"))
+    };
+    if !text.lines().any(is_bare) || text.lines().any(defines_own) {
+        return Cow::Borrowed(text);
+    }
+    let lines = text.split_inclusive('\n').map(|line| match is_bare(line) {
+        true => Cow::Owned(line.replacen("Header", "std_msgs/Header", 1)),
+        false => Cow::Borrowed(line),
+    });
+    Cow::Owned(lines.collect())
 }
 
 /// The type's own text, and name and text of each dependency.
@@ -120,6 +201,14 @@ pub fn type_schema<M: Message>() -> Schema {
         text.push('\n');
     }
     Schema::ros2msg(text)
+}
+
+/// A topic's name with the slash that ROS puts before it, and some writers do not.
+pub(crate) fn absolute(topic: &str) -> Cow<'_, str> {
+    match topic.starts_with('/') {
+        true => Cow::Borrowed(topic),
+        false => Cow::Owned(format!("/{topic}")),
+    }
 }
 
 /// A type's name as `package/msg/Type`; takes the short form `package/Type` too.

@@ -28,6 +28,10 @@ pub struct BagSummary {
     pub start_ns: u64,
     /// Log time of the last message in ns since the epoch; 0 for a bag without messages.
     pub end_ns: u64,
+    /// First and last log time of the recording itself: without messages that are more than a day from most others.
+    pub main_span_ns: Option<(u64, u64)>,
+    /// How the files are stored: `mcap`, `sqlite3` or both.
+    pub storage: String,
     /// Messages of all topics.
     pub message_count: u64,
     /// The topics, by name.
@@ -58,10 +62,11 @@ pub struct TopicSummary {
 }
 
 impl BagSummary {
-    /// Time from the first to the last message, in ns.
+    /// Time from the first to the last message of the recording itself, in ns.
     #[must_use]
     pub fn duration_ns(&self) -> u64 {
-        self.end_ns.saturating_sub(self.start_ns)
+        let (start_ns, end_ns) = self.main_span_ns.unwrap_or((self.start_ns, self.end_ns));
+        end_ns.saturating_sub(start_ns)
     }
 }
 
@@ -82,8 +87,8 @@ impl fmt::Display for BagSummary {
         writeln!(f, "Size:         {}", Size(self.size_bytes))?;
         writeln!(
             f,
-            "Storage:      mcap, chunk compression {}",
-            self.compression
+            "Storage:      {}, chunk compression {}",
+            self.storage, self.compression
         )?;
         if !self.ros_distro.is_empty() {
             writeln!(f, "ROS distro:   {}", self.ros_distro)?;
@@ -176,7 +181,7 @@ impl fmt::Display for Size {
 }
 
 /// A time in ns since the epoch, as a date in UTC and as a number.
-struct Instant(u64);
+pub(crate) struct Instant(pub u64);
 
 impl fmt::Display for Instant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -203,6 +208,8 @@ mod tests {
             size_bytes: 1_572_864,
             start_ns: 1_700_000_000_000_000_000,
             end_ns: 1_700_000_009_800_000_000,
+            main_span_ns: None,
+            storage: "mcap".into(),
             message_count: 12,
             topics: vec![TopicSummary {
                 name: "/task/success".into(),

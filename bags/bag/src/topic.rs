@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use crate::{QosProfile, Schema};
+use crate::{Durability, QosProfile, Schema, known_qos};
 
 /// A topic of a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -20,12 +20,19 @@ pub struct TopicInfo {
 }
 
 impl TopicInfo {
-    /// The first QoS profile that the recorded publishers offered; none when absent or unreadable.
+    /// The first QoS profile that the recorded publishers offered. If it is absent or unreadable, that for which the topic
+    /// is known ([`known_qos`]), if there is one.
     #[must_use]
     pub fn qos(&self) -> Option<QosProfile> {
-        QosProfile::parse_yaml(&self.qos_yaml)
-            .ok()?
-            .into_iter()
-            .next()
+        let recorded = QosProfile::parse_yaml(&self.qos_yaml).ok();
+        let recorded = recorded.and_then(|profiles| profiles.into_iter().next());
+        recorded.or_else(|| known_qos(&self.name))
+    }
+
+    /// Whether a late subscriber receives the last message too.
+    #[must_use]
+    pub fn is_latched(&self) -> bool {
+        self.qos()
+            .is_some_and(|qos| qos.durability == Durability::TransientLocal)
     }
 }

@@ -9,14 +9,17 @@ use std::{
     sync::Arc,
 };
 
+use bytes::Bytes;
 use mcap::records::MessageHeader;
 use wm_msgs::{Message, cdr};
 
 use crate::{
-    BagError, BagSummary, CDR, QOS_KEY, QosProfile, Schema, TYPE_HASH_KEY, TopicSummary,
+    BagError, BagSummary, CDR, Durability, Latched, QOS_KEY, QosProfile, Schema, TYPE_HASH_KEY,
+    TopicSummary, known_qos,
     metadata::{
         FileInformation, Metadata, Nanoseconds, SinceEpoch, TopicMetadata, TopicWithMessageCount,
     },
+    reader::times::{Times, main_part},
     schema::canonical_type_name,
     type_schema,
 };
@@ -25,6 +28,8 @@ pub use options::{Compression, StoragePreset, WriterOptions};
 
 /// Prefix of the keys in `custom_data` that hold the messages lost of each topic.
 pub(crate) const LOST_PREFIX: &str = "lost_messages.";
+/// Prefix of the keys that hold how many messages of a topic the bag's later files begin with once more.
+pub(crate) const REPEATED_PREFIX: &str = "wm.repeated_messages.";
 
 /// A channel that is being written; several may share a topic, as in a bag that is copied.
 struct Channel {
@@ -32,6 +37,17 @@ struct Channel {
     /// The type, as `package/msg/Type`.
     type_name: String,
     message_count: u64,
+    is_latched: bool,
+    /// Messages that were written again at the beginning of a file.
+    repeated: u64,
+}
+
+/// A message that is written again at the beginning of the next file.
+struct Kept {
+    /// Number of its channel.
+    number: usize,
+    header: MessageHeader,
+    data: Bytes,
 }
 
 /// Writes a bag: a directory `NAME` with `NAME_0.mcap` and, at [`finish`](Self::finish), `metadata.yaml`. With a limit
@@ -48,6 +64,12 @@ pub struct BagWriter {
     channels: Vec<Channel>,
     /// Number of each topic's first channel.
     by_topic: HashMap<String, usize>,
+    /// The same of channels without a definition.
+    undefined: HashMap<String, usize>,
+    latched: Latched<Kept>,
+    /// Whether the file has begun, and has yet to get what holds.
+    is_new_file: bool,
+    times: Times,
     message_count: u64,
     lost: BTreeMap<String, u64>,
     custom: BTreeMap<String, String>,
@@ -85,6 +107,10 @@ impl BagWriter {
             written: Vec::new(),
             channels: Vec::new(),
             by_topic: HashMap::new(),
+            undefined: HashMap::new(),
+            latched: Latched::default(),
+            is_new_file: false,
+            times: Times::default(),
             message_count: 0,
             lost: BTreeMap::new(),
             custom: BTreeMap::new(),
@@ -187,10 +213,14 @@ impl BagWriter {
         self.by_topic
             .entry(definition.topic.clone())
             .or_insert(number);
+        let qos = definition.metadata.get(QOS_KEY);
+        let is_latched = is_latched(&definition.topic, qos.map_or("", String::as_str));
         self.channels.push(Channel {
             definition,
             type_name,
             message_count: 0,
+            is_latched,
+            repeated: 0,
         });
         Ok(number)
     }
@@ -231,6 +261,38 @@ impl BagWriter {
         self.append(topic, type_name, log_time_ns, data)
     }
 
+    /// Writes a message whose definition is not known to a topic that has another definition: on a channel of its own, with
+    /// the topic's type and QoS, so that nothing is said of its bytes that is not true.
+    ///
+    /// # Errors
+    /// The topic has not been added, the bytes cannot be CDR, the time is past 2^63 - 1 ns, or the file cannot be written.
+    pub fn write_undefined(
+        &mut self,
+        topic: &str,
+        log_time_ns: u64,
+        data: &[u8],
+    ) -> Result<(), BagError> {
+        let number = match self.undefined.get(topic) {
+            Some(number) => *number,
+            None => {
+                let known = self.by_topic.get(topic).and_then(|n| self.channels.get(*n));
+                let known = known.ok_or_else(|| BagError::TopicName(topic.to_owned()))?;
+                let mut definition = mcap::Channel::clone(&known.definition);
+                definition.metadata.remove(TYPE_HASH_KEY);
+                definition.schema = Some(Arc::new(mcap::Schema {
+                    id: 0,
+                    name: known.type_name.clone(),
+                    encoding: String::new(),
+                    data: Cow::Owned(Vec::new()),
+                }));
+                let number = self.add_channel(Arc::new(definition))?;
+                self.undefined.insert(topic.to_owned(), number);
+                number
+            }
+        };
+        self.append_to(number, topic, log_time_ns, data)
+    }
+
     /// Counts messages that were lost before they came here (a full queue), so that the bag says so.
     pub fn count_lost(&mut self, topic: &str, messages: u64) {
         if messages > 0 {
@@ -256,6 +318,7 @@ impl BagWriter {
             |(start, end), (next_start, next_end)| (start.min(next_start), end.max(next_end)),
         );
         let (start_ns, end_ns) = span.unwrap_or((0, 0));
+        let main = main_part(&self.times.stretches());
         let mut topics: BTreeMap<&str, TopicWithMessageCount> = BTreeMap::new();
         for channel in &self.channels {
             topics
@@ -266,16 +329,25 @@ impl BagWriter {
         let mut metadata = Metadata::of_files(self.written.iter().map(file_information).collect());
         metadata.ros_distro.clone_from(&self.options.ros_distro);
         let mut custom = self.custom.clone();
+        for channel in self.channels.iter().filter(|channel| channel.repeated > 0) {
+            let key = format!("{REPEATED_PREFIX}{}", channel.definition.topic);
+            custom.insert(key, channel.repeated.to_string());
+        }
         let losses = self.lost.iter();
         custom.extend(
             losses.map(|(topic, count)| (format!("{LOST_PREFIX}{topic}"), count.to_string())),
         );
         metadata.custom_data = (!custom.is_empty()).then_some(custom);
+        let repeated = |topic: &str| -> u64 {
+            let channels = self.channels.iter();
+            let of_topic = channels.filter(|channel| channel.definition.topic == topic);
+            of_topic.map(|channel| channel.repeated).sum()
+        };
         let summaries = topics.values().map(|topic| TopicSummary {
             name: topic.topic_metadata.name.clone(),
             type_name: topic.topic_metadata.type_name.clone(),
             serialization_format: CDR.to_owned(),
-            message_count: topic.message_count,
+            message_count: topic.message_count - repeated(&topic.topic_metadata.name),
         });
         let summaries = summaries.collect();
         metadata.topics_with_message_count = topics.into_values().collect();
@@ -287,6 +359,8 @@ impl BagWriter {
             files: self.written.into_iter().map(|file| file.path).collect(),
             start_ns,
             end_ns,
+            main_span_ns: main.map(|(part, _)| (part.start_ns, part.end_ns)),
+            storage: "mcap".to_owned(),
             message_count: self.message_count,
             topics: summaries,
             lost: self.lost,
@@ -322,20 +396,32 @@ impl BagWriter {
         log_time_ns: u64,
         data: &[u8],
     ) -> Result<(), BagError> {
+        let known = self.known_channel(topic, type_name)?;
+        let number = known.ok_or_else(|| BagError::TopicName(topic.to_owned()))?;
+        self.append_to(number, topic, log_time_ns, data)
+    }
+
+    /// Writes to the channel of this number.
+    fn append_to(
+        &mut self,
+        number: usize,
+        topic: &str,
+        log_time_ns: u64,
+        data: &[u8],
+    ) -> Result<(), BagError> {
         if data.len() < 4 {
             return Err(BagError::NotCdr {
                 topic: topic.to_owned(),
                 len: data.len(),
             });
         }
-        let known = self.known_channel(topic, type_name)?;
-        let Some((number, channel)) = known.and_then(|n| Some((n, self.channels.get(n)?))) else {
+        let Some(channel) = self.channels.get(number) else {
             return Err(BagError::TopicName(topic.to_owned()));
         };
         let header = MessageHeader {
             channel_id: 0,
             // MCAP's sequence is 32 bits wide and may wrap.
-            sequence: (channel.message_count + 1) as u32,
+            sequence: (channel.message_count - channel.repeated + 1) as u32,
             log_time: log_time_ns,
             publish_time: log_time_ns,
         };
@@ -365,11 +451,40 @@ impl BagWriter {
         if self.file.is_full(header.log_time, &self.options)? {
             self.split()?;
         }
+        if std::mem::take(&mut self.is_new_file) && self.options.repeats_latched {
+            self.repeat_latched(header.log_time)?;
+        }
         self.file.write(number, header, data, &self.options)?;
         if let Some(channel) = self.channels.get_mut(number) {
             channel.message_count += 1;
+            if channel.is_latched {
+                let topic = channel.definition.topic.as_str().into();
+                let data = Bytes::copy_from_slice(data);
+                let kept = Kept {
+                    number,
+                    header,
+                    data: data.clone(),
+                };
+                self.latched.keep(&topic, &data, kept);
+            }
         }
         self.message_count += 1;
+        self.times.push(header.log_time);
+        Ok(())
+    }
+
+    /// Begins a file with what holds, at the log time of its first message; the publish times stay.
+    fn repeat_latched(&mut self, log_time_ns: u64) -> Result<(), BagError> {
+        for (_, kept) in self.latched.iter() {
+            let mut header = kept.header;
+            header.log_time = log_time_ns;
+            self.file
+                .write(kept.number, header, &kept.data, &self.options)?;
+            if let Some(channel) = self.channels.get_mut(kept.number) {
+                channel.message_count += 1;
+                channel.repeated += 1;
+            }
+        }
         Ok(())
     }
 
@@ -386,8 +501,16 @@ impl BagWriter {
         }
         let full = std::mem::replace(&mut self.file, next);
         self.written.push(full.finish()?);
+        self.is_new_file = true;
         Ok(())
     }
+}
+
+/// Whether a topic with these profiles is latched; without any, by what it is known for.
+fn is_latched(topic: &str, qos_yaml: &str) -> bool {
+    let profiles = QosProfile::parse_yaml(qos_yaml).unwrap_or_default();
+    let profile = profiles.into_iter().next().or_else(|| known_qos(topic));
+    profile.is_some_and(|qos| qos.durability == Durability::TransientLocal)
 }
 
 fn topic_with_count(channel: &Channel) -> TopicWithMessageCount {

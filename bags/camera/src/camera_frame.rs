@@ -66,9 +66,8 @@ impl CameraFrame {
         match self {
             Self::Raw(image) => Some((image.width, image.height)),
             Self::Compressed(image) => {
-                let bytes = ImageReader::new(Cursor::new(&image.data));
-                let reader = bytes.with_guessed_format().ok()?;
-                reader.into_dimensions().ok()
+                let reader = ImageReader::new(Cursor::new(&image.data));
+                reader.with_guessed_format().ok()?.into_dimensions().ok()
             }
         }
     }

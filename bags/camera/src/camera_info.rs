@@ -1,5 +1,6 @@
 //! How a camera sees what a picture of another size shows.
 
+use thiserror::Error;
 use wm_msgs::sensor_msgs::{CameraInfo, RegionOfInterest};
 
 /// The topic of camera_info beside a topic of images, as image_transport has it.
@@ -10,6 +11,85 @@ pub fn topic_beside(images: &str) -> String {
     }
 }
 
+/// Why it is not known how a camera sees its pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum CameraInfoError {
+    /// Focal lengths of 0, as REP 104 has it, or a picture without pixels.
+    #[error("the camera is not calibrated: its focal lengths are 0")]
+    NotCalibrated,
+    /// A matrix or a distortion with NaN or infinity.
+    #[error("camera_info has values that are not finite")]
+    NotFinite,
+    /// A region outside of the sensor.
+    #[error("camera_info has a region of interest beyond its {width}x{height} pixels")]
+    Region {
+        /// Columns of the sensor.
+        width: u32,
+        /// Rows of the sensor.
+        height: u32,
+    },
+    /// Of pictures of another size.
+    #[error(
+        "camera_info is of pictures of {}x{} pixels, with binning and region of interest; the camera's have {}x{}",
+        .expected.0, .expected.1, .found.0, .found.1
+    )]
+    Size {
+        /// Columns and rows by camera_info.
+        expected: (u32, u32),
+        /// Columns and rows of the picture.
+        found: (u32, u32),
+    },
+}
+
+/// Whether `info` is of the camera that takes pictures of this size.
+///
+/// # Errors
+/// [`CameraInfoError`].
+pub fn check(info: &CameraInfo, picture: (u32, u32)) -> Result<(), CameraInfoError> {
+    let expected = picture_size(info)?;
+    // Drivers round odd sizes up or down.
+    let fits = |a: u32, b: u32| a.abs_diff(b) <= 1;
+    match fits(expected.0, picture.0) && fits(expected.1, picture.1) {
+        true => Ok(()),
+        false => Err(CameraInfoError::Size {
+            expected,
+            found: picture,
+        }),
+    }
+}
+
+/// The part of the sensor that pictures show, in pixels before binning.
+fn seen(info: &CameraInfo) -> Result<(u32, u32), CameraInfoError> {
+    let values = info.k.iter().chain(&info.p).chain(&info.r).chain(&info.d);
+    if values.into_iter().any(|value| !value.is_finite()) {
+        return Err(CameraInfoError::NotFinite);
+    }
+    let roi = info.roi;
+    let fits =
+        |offset: u32, side: u32, all: u32| offset.checked_add(side).is_some_and(|end| end <= all);
+    // All zero: the whole sensor.
+    let size = match (roi.width, roi.height) {
+        (0, 0) => (info.width, info.height),
+        size if fits(roi.x_offset, size.0, info.width)
+            && fits(roi.y_offset, size.1, info.height) =>
+        {
+            size
+        }
+        _ => {
+            return Err(CameraInfoError::Region {
+                width: info.width,
+                height: info.height,
+            });
+        }
+    };
+    let [fx, _, _, _, fy, ..] = info.k;
+    match size.0 == 0 || size.1 == 0 || fx == 0.0 || fy == 0.0 {
+        true => Err(CameraInfoError::NotCalibrated),
+        false => Ok(size),
+    }
+}
+
 /// How the camera of `info` sees a picture that is all of its own, resized to `width` x `height` pixels. It has the
 /// header of `info`.
 ///
@@ -17,23 +97,49 @@ pub fn topic_beside(images: &str) -> String {
 /// binning and region of interest do to the picture is in the result, which has neither. Distortion is about directions,
 /// and stays.
 ///
-/// `None` where the camera is not calibrated (its focal lengths are 0, as REP 104 has it) or its picture has no pixels.
-pub fn resized(info: &CameraInfo, (width, height): (u32, u32)) -> Option<CameraInfo> {
+/// # Errors
+/// [`CameraInfoError`]: not calibrated, not finite, or a region beyond the sensor.
+pub fn resized(info: &CameraInfo, size: (u32, u32)) -> Result<CameraInfo, CameraInfoError> {
+    part(info, [0.0, 0.0, 1.0, 1.0], size)
+}
+
+/// Columns and rows of the picture that belongs to `info`: of its region of interest, after binning.
+///
+/// # Errors
+/// [`CameraInfoError`]: not calibrated, not finite, or a region beyond the sensor.
+pub fn picture_size(info: &CameraInfo) -> Result<(u32, u32), CameraInfoError> {
+    let (width, height) = seen(info)?;
+    Ok((
+        width / info.binning_x.max(1),
+        height / info.binning_y.max(1),
+    ))
+}
+
+/// As [`resized`], for a picture of a part of the camera's: left, top, width and height in fractions of the camera's
+/// picture. The part may reach beyond it, as a picture with bars does.
+///
+/// # Errors
+/// [`CameraInfoError`]: not calibrated, not finite, or a region beyond the sensor.
+pub fn part(
+    info: &CameraInfo,
+    [from_left, from_top, part_width, part_height]: [f64; 4],
+    (width, height): (u32, u32),
+) -> Result<CameraInfo, CameraInfoError> {
     let roi = info.roi;
-    // All zero: the whole sensor.
-    let (seen_width, seen_height) = match (roi.width, roi.height) {
-        (0, 0) => (info.width, info.height),
-        size => size,
-    };
+    let (seen_width, seen_height) = seen(info)?;
     let [fx, skew, cx, _, fy, cy, ..] = info.k;
-    if seen_width == 0 || seen_height == 0 || width == 0 || height == 0 || fx == 0.0 || fy == 0.0 {
-        return None;
+    if width == 0 || height == 0 {
+        return Err(CameraInfoError::NotCalibrated);
     }
+    let (seen_width, seen_height) = (f64::from(seen_width), f64::from(seen_height));
     let (x, y) = (
-        f64::from(width) / f64::from(seen_width),
-        f64::from(height) / f64::from(seen_height),
+        f64::from(width) / (seen_width * part_width),
+        f64::from(height) / (seen_height * part_height),
     );
-    let (left, top) = (f64::from(roi.x_offset), f64::from(roi.y_offset));
+    let (left, top) = (
+        f64::from(roi.x_offset) + from_left * seen_width,
+        f64::from(roi.y_offset) + from_top * seen_height,
+    );
     let column = |at: f64| (at - left + 0.5) * x - 0.5;
     let row = |at: f64| (at - top + 0.5) * y - 0.5;
     let [pfx, pskew, pcx, tx, _, pfy, pcy, ty, ..] = info.p;
@@ -55,7 +161,7 @@ pub fn resized(info: &CameraInfo, (width, height): (u32, u32)) -> Option<CameraI
             0.0,
         ],
     };
-    Some(CameraInfo {
+    Ok(CameraInfo {
         width,
         height,
         k: [
@@ -132,7 +238,7 @@ mod tests {
             after.p
         );
         assert_eq!(after.d, before.d);
-        assert_eq!(resized(&before, (640, 480)), Some(before));
+        assert_eq!(resized(&before, (640, 480)), Ok(before));
     }
 
     #[test]
@@ -165,8 +271,106 @@ mod tests {
             k: [0.0; 9],
             ..camera()
         };
-        assert_eq!(resized(&blind, (256, 256)), None);
-        assert_eq!(resized(&CameraInfo::default(), (256, 256)), None);
-        assert_eq!(resized(&camera(), (0, 256)), None);
+        let none = Err(CameraInfoError::NotCalibrated);
+        assert_eq!(resized(&blind, (256, 256)), none);
+        assert_eq!(resized(&CameraInfo::default(), (256, 256)), none);
+        assert_eq!(resized(&camera(), (0, 256)), none);
+    }
+
+    #[test]
+    fn camera_info_of_other_pictures_is_refused() {
+        assert_eq!(check(&camera(), (640, 480)), Ok(()));
+        for size in [(1280, 720), (320, 240), (480, 640), (64, 64)] {
+            let wrong = check(&camera(), size);
+            assert!(
+                matches!(wrong, Err(CameraInfoError::Size { .. })),
+                "{size:?}: {wrong:?}"
+            );
+        }
+        let region = |x_offset, width| RegionOfInterest {
+            x_offset,
+            y_offset: 0,
+            width,
+            height: 240,
+            do_rectify: false,
+        };
+        let binned = CameraInfo {
+            binning_x: 2,
+            binning_y: 2,
+            roi: region(10, 321),
+            ..camera()
+        };
+        assert_eq!(check(&binned, (160, 120)), Ok(()));
+        assert!(check(&binned, (320, 240)).is_err());
+        for (x_offset, width) in [(400, 320), (u32::MAX, 2)] {
+            let beyond = CameraInfo {
+                roi: region(x_offset, width),
+                ..camera()
+            };
+            let wrong = resized(&beyond, (64, 64));
+            assert!(
+                matches!(wrong, Err(CameraInfoError::Region { .. })),
+                "{wrong:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn values_that_are_not_finite_are_refused() {
+        let mut infos = vec![camera(); 4];
+        infos[0].k[2] = f64::NAN;
+        infos[1].p[3] = f64::INFINITY;
+        infos[2].d[0] = f64::NAN;
+        infos[3].r[8] = f64::NEG_INFINITY;
+        for info in infos {
+            assert_eq!(check(&info, (640, 480)), Err(CameraInfoError::NotFinite));
+            assert_eq!(resized(&info, (64, 64)), Err(CameraInfoError::NotFinite));
+        }
+    }
+
+    #[test]
+    fn a_part_moves_the_principal_point_and_keeps_the_directions() {
+        let before = CameraInfo {
+            width: 1280,
+            height: 720,
+            k: [900.0, 0.0, 639.5, 0.0, 900.0, 359.5, 0.0, 0.0, 1.0],
+            p: [
+                900.0, 0.0, 639.5, 0.0, 0.0, 900.0, 359.5, 0.0, 0.0, 0.0, 1.0, 0.0,
+            ],
+            ..CameraInfo::default()
+        };
+        assert_eq!(picture_size(&before), Ok((1280, 720)));
+        // The middle square, halved; and bars of 280 rows above and below, at a fifth.
+        let middle = [280.0 / 1280.0, 0.0, 720.0 / 1280.0, 1.0];
+        let cut = part(&before, middle, (360, 360)).unwrap();
+        let bars = [0.0, -280.0 / 720.0, 1.0, 1280.0 / 720.0];
+        let padded = part(&before, bars, (256, 256)).unwrap();
+        for (x, y) in [(0.0, 0.0), (-0.2, 0.3), (0.1, -0.1)] {
+            // Edges of pixels, so that scales apply.
+            let (column, row) = place(&before, x, y);
+            let (column, row) = (column + 0.5, row + 0.5);
+            let (u, v) = place(&cut, x, y);
+            assert!((u + 0.5 - (column - 280.0) / 2.0).abs() < 1e-9, "{u}");
+            assert!((v + 0.5 - row / 2.0).abs() < 1e-9, "{v}");
+            let (u, v) = place(&padded, x, y);
+            assert!((u + 0.5 - column / 5.0).abs() < 1e-9, "{u}");
+            assert!((v + 0.5 - (row + 280.0) / 5.0).abs() < 1e-9, "{v}");
+        }
+        assert_eq!((cut.p[2], cut.p[6]), (cut.k[2], cut.k[5]));
+    }
+
+    #[test]
+    fn a_binned_region_has_the_size_of_its_picture() {
+        let binned = CameraInfo {
+            binning_x: 2,
+            binning_y: 4,
+            roi: RegionOfInterest {
+                width: 320,
+                height: 240,
+                ..RegionOfInterest::default()
+            },
+            ..camera()
+        };
+        assert_eq!(picture_size(&binned), Ok((160, 60)));
     }
 }

@@ -7,7 +7,10 @@ use wm_msgs::{
     sensor_msgs::{CompressedImage, Image},
 };
 
-use crate::image_message::{ImageError, decode_image, encode_jpeg};
+use crate::{
+    image_message::{ImageError, decode_image, encode_jpeg},
+    transport::Transport,
+};
 
 /// JPEG quality of a goal that the bag has as raw image: artefacts well below what an encoder sees.
 const QUALITY: u8 = 95;
@@ -21,17 +24,19 @@ const TAIL_NS: u64 = 5_000_000_000;
 pub enum GoalError {
     /// No camera.
     #[error(
-        "the bag {bag} has no camera images (no topic of sensor_msgs/msg/Image or CompressedImage); its topics: {topics}"
+        "the bag {bag} has no camera images (no topic of sensor_msgs/msg/Image or CompressedImage); its topics: {topics}{advice}"
     )]
     NoCamera {
         /// The bag.
         bag: String,
         /// Its topics.
         topics: String,
+        /// What to do about topics with pictures that are not read.
+        advice: String,
     },
     /// A topic that is not there, or no camera's.
     #[error(
-        "the bag {bag} has no camera images on {topic} or {topic}/compressed; it has them on: {cameras}"
+        "the bag {bag} has no camera images on {topic} or {topic}/compressed; it has them on: {cameras}{advice}"
     )]
     Topic {
         /// The topic that was requested.
@@ -40,6 +45,8 @@ pub enum GoalError {
         bag: String,
         /// Its camera topics.
         cameras: String,
+        /// What to do about topics with pictures that are not read.
+        advice: String,
     },
     /// The camera's topic is empty.
     #[error("topic {0:?} has no readable messages")]
@@ -63,26 +70,34 @@ pub enum GoalError {
 /// # Errors
 /// Where there is none.
 pub fn camera_topic(reader: &BagReader, wanted: &str) -> Result<String, GoalError> {
-    let (compressed, raw) = (CompressedImage::ros_name(), Image::ros_name());
     let bag = reader.path().display().to_string();
     let mut cameras: Vec<_> = reader
         .topics()
         .iter()
         .filter(|topic| {
-            let type_name = topic.type_name.as_ref();
-            (type_name == compressed || type_name == raw) && topic.message_count > 0
+            let transport = Transport::of(&topic.name, &topic.type_name);
+            transport.is_some_and(Transport::is_read) && topic.message_count > 0
         })
         .collect();
     cameras.sort_by_key(|topic| {
         (
             topic.name.contains("mask"),
-            topic.type_name.as_ref() != compressed,
+            *topic.type_name != CompressedImage::ros_name(),
             topic.name.clone(),
         )
     });
+    let advice = reader.topics().iter().filter_map(|topic| {
+        let transport = Transport::of(&topic.name, &topic.type_name)?;
+        transport.advice(&topic.name)
+    });
+    let advice: String = advice.map(|advice| format!("; {advice}")).collect();
     if cameras.is_empty() {
         let topics = names(reader.topics().iter());
-        return Err(GoalError::NoCamera { bag, topics });
+        return Err(GoalError::NoCamera {
+            bag,
+            topics,
+            advice,
+        });
     }
     let is_wanted = |name: &str| {
         wanted.is_empty() || name == wanted || name.strip_suffix("/compressed") == Some(wanted)
@@ -93,6 +108,7 @@ pub fn camera_topic(reader: &BagReader, wanted: &str) -> Result<String, GoalErro
             topic: wanted.to_owned(),
             bag,
             cameras: names(cameras.into_iter()),
+            advice,
         }),
     }
 }
@@ -183,6 +199,28 @@ mod tests {
         let error = camera_topic(&reader, "/other").unwrap_err().to_string();
         assert!(
             error.contains("on /other or") && error.ends_with("on: /camera/image_raw"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn topics_of_other_transports_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer =
+            BagWriter::create(folder.path().join("bag"), WriterOptions::default()).unwrap();
+        let depth = CompressedImage::default();
+        writer.write("/depth/compressedDepth", &depth, 1).unwrap();
+        let schema = wm_bag::Schema::ros2msg("std_msgs/Header header");
+        let video = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket";
+        writer
+            .write_raw("/camera/image_raw/ffmpeg", video, &schema, 1, &[0, 1, 0, 0])
+            .unwrap();
+        writer.finish().unwrap();
+        let reader = BagReader::open(folder.path().join("bag")).unwrap();
+        let error = camera_topic(&reader, "").unwrap_err().to_string();
+        assert!(
+            error.contains("/depth/compressedDepth has distances")
+                && error.contains("/camera/image_raw/ffmpeg is compressed video"),
             "{error}"
         );
     }

@@ -1,18 +1,25 @@
 //! Camera images between ROS messages and [`RgbImage`].
 //!
-//! Raw images are viewed in place through their row step ([`RosImage`] as an array view), compressed ones are decoded
-//! within bounds. Every message comes from outside: sizes are checked before anything is allocated, and each error names
-//! what was wrong.
+//! Every message comes from outside: sizes are checked before anything is allocated, and each error names what was wrong.
 
 use std::io::Cursor;
 
-use cv_convert::{TryAsRefCv, TryToCv, ndarray};
-use image::{ImageFormat, ImageReader, Limits, RgbImage, codecs::jpeg::JpegEncoder};
-use ndarray::{ArrayView3, ShapeBuilder as _, s};
+use cv_convert::TryToCv;
+use image::{
+    ColorType, DynamicImage, ImageDecoder as _, Limits, RgbImage,
+    codecs::{jpeg::JpegEncoder, png::PngDecoder},
+};
 use thiserror::Error;
 use wm_msgs::{
     sensor_msgs::{CompressedImage, Image},
     std_msgs::Header,
+};
+
+use crate::{
+    encoding::SUPPORTED,
+    format::Format,
+    jpeg::{self, JpegError},
+    raw_image::RosImage,
 };
 
 /// Longest side of an image that is accepted \[px\]: 8K cameras and no more.
@@ -27,10 +34,14 @@ const MAX_DECODED: u64 = 256 << 20;
 #[non_exhaustive]
 pub enum ImageError {
     /// A pixel format that is not supported.
-    #[error(
-        "image encoding \"{0}\" is not supported; expected rgb8, bgr8, rgba8, bgra8, mono8 or mono16"
-    )]
+    #[error("image encoding \"{0}\" is not supported; expected {SUPPORTED}")]
     Encoding(String),
+    /// Distances, or other values of more than 8 bits: almost black as a picture.
+    #[error(
+        "\"{0}\" is a depth picture, or grey of more than 8 bits, and not supported as a camera; choose the colour camera's \
+         topic, or publish mono8"
+    )]
+    Depth(String),
     /// No pixel, or too many.
     #[error("image of {width}x{height} pixels; each side must be 1 to {MAX_SIDE}")]
     Size {
@@ -59,19 +70,29 @@ pub enum ImageError {
         /// Bytes that were announced.
         expected: usize,
         /// Row step \[byte\].
-        step: u32,
+        step: usize,
         /// Rows.
         height: u32,
     },
-    /// A codec that is not supported.
-    #[error("compressed image format \"{0}\" is not supported; expected jpeg or png")]
-    Format(String),
+    /// Bytes of a codec that is not supported, and what the message says of them.
+    #[error(
+        "compressed image is {found} (format \"{format}\"), which is not supported; expected JPEG or PNG"
+    )]
+    Format {
+        /// What the bytes are.
+        found: &'static str,
+        /// The message's `format`.
+        format: String,
+    },
     /// More compressed data than any frame needs.
     #[error("compressed image has {actual} bytes; expected at most {MAX_COMPRESSED}")]
     TooLarge {
         /// Bytes that came.
         actual: usize,
     },
+    /// The JPEG is incomplete, damaged or of a layout that is not supported.
+    #[error("compressed image (jpeg): {0}")]
+    Jpeg(#[from] JpegError),
     /// The codec refused the data, or the codec could not encode.
     #[error("compressed image ({format}): {source}")]
     Codec {
@@ -82,115 +103,21 @@ pub enum ImageError {
     },
 }
 
-/// A raw image message, to be read with cv-convert's traits.
-#[derive(Clone, Copy, Debug)]
-pub struct RosImage<'a>(pub &'a Image);
-
-/// Where the colours of an encoding lie within a pixel.
-struct PixelLayout {
-    /// Bytes of a pixel.
-    bytes: usize,
-    /// Offsets of red, green and blue \[byte\].
-    rgb: [usize; 3],
-}
-
-impl PixelLayout {
-    fn of(image: &Image) -> Result<Self, ImageError> {
-        Ok(match image.encoding.as_str() {
-            "rgb8" => Self {
-                bytes: 3,
-                rgb: [0, 1, 2],
-            },
-            "bgr8" => Self {
-                bytes: 3,
-                rgb: [2, 1, 0],
-            },
-            "rgba8" => Self {
-                bytes: 4,
-                rgb: [0, 1, 2],
-            },
-            "bgra8" => Self {
-                bytes: 4,
-                rgb: [2, 1, 0],
-            },
-            "mono8" => Self {
-                bytes: 1,
-                rgb: [0; 3],
-            },
-            // The high byte is what 8 bits can show.
-            "mono16" if image.is_bigendian != 0 => Self {
-                bytes: 2,
-                rgb: [0; 3],
-            },
-            "mono16" => Self {
-                bytes: 2,
-                rgb: [1; 3],
-            },
-            _ => return Err(ImageError::Encoding(image.encoding.clone())),
-        })
+impl ImageError {
+    /// Whether all pictures of the same camera will have it: it is of their format, not of their bytes.
+    pub fn is_of_format(&self) -> bool {
+        matches!(
+            self,
+            Self::Encoding(_)
+                | Self::Depth(_)
+                | Self::Format { .. }
+                | Self::Jpeg(JpegError::Layout(_))
+        )
     }
 }
 
-/// The bytes of every pixel, (height, width, bytes of a pixel), in place.
-impl<'a> TryAsRefCv<'a, ArrayView3<'a, u8>> for RosImage<'a> {
-    type Error = ImageError;
-
-    fn try_as_ref_cv(&'a self) -> Result<ArrayView3<'a, u8>, ImageError> {
-        let image = self.0;
-        let (width, height) = (image.width, image.height);
-        let layout = PixelLayout::of(image)?;
-        if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
-            return Err(ImageError::Size { width, height });
-        }
-        // Sides are bounded above: no product below overflows but step x height, which is widened.
-        let (columns, rows, step) = (width as usize, height as usize, image.step as usize);
-        let needed = columns * layout.bytes;
-        if step < needed {
-            return Err(ImageError::Step {
-                step: image.step,
-                width,
-                encoding: image.encoding.clone(),
-                needed,
-            });
-        }
-        let wrong_data = |expected| ImageError::Data {
-            actual: image.data.len(),
-            expected,
-            step: image.step,
-            height,
-        };
-        let expected = step.saturating_mul(rows);
-        if image.data.len() != expected {
-            return Err(wrong_data(expected));
-        }
-        let shape = (rows, columns, layout.bytes).strides((step, layout.bytes, 1));
-        ArrayView3::from_shape(shape, &image.data).map_err(|_| wrong_data(expected))
-    }
-}
-
-impl TryToCv<RgbImage> for RosImage<'_> {
-    type Error = ImageError;
-
-    fn try_to_cv(&self) -> Result<RgbImage, ImageError> {
-        let pixels = self.try_as_ref_cv()?;
-        let rgb = PixelLayout::of(self.0)?.rgb;
-        let mut data = vec![0; self.0.width as usize * self.0.height as usize * 3];
-        for (channel, offset) in rgb.into_iter().enumerate() {
-            let source = pixels.slice(s![.., .., offset]);
-            data.iter_mut()
-                .skip(channel)
-                .step_by(3)
-                .zip(source)
-                .for_each(|(out, value)| *out = *value);
-        }
-        RgbImage::from_raw(self.0.width, self.0.height, data).ok_or(ImageError::Size {
-            width: self.0.width,
-            height: self.0.height,
-        })
-    }
-}
-
-/// A raw image message as RGB.
+/// A raw image message as RGB. YUV is taken as BT.601 in the limited range, as cv_bridge does; Bayer patterns are
+/// interpolated linearly.
 ///
 /// # Errors
 /// [`ImageError`] names the field that is wrong.
@@ -198,35 +125,47 @@ pub fn decode_image(image: &Image) -> Result<RgbImage, ImageError> {
     RosImage(image).try_to_cv()
 }
 
-/// A compressed image message (JPEG or PNG) as RGB.
+/// A compressed image message (JPEG or PNG) as RGB. The bytes decide which it is: drivers write many things into `format`.
 ///
 /// # Errors
-/// [`ImageError::Format`], [`ImageError::TooLarge`], [`ImageError::Codec`].
+/// [`ImageError::Format`], [`ImageError::Depth`], [`ImageError::TooLarge`], [`ImageError::Jpeg`], [`ImageError::Codec`].
 pub fn decode_compressed(image: &CompressedImage) -> Result<RgbImage, ImageError> {
-    // image_transport's longer form is "rgb8; jpeg compressed bgr8".
-    let named = image.format.to_ascii_lowercase();
-    let (format, name) = if named.contains("jpeg") || named.contains("jpg") {
-        (ImageFormat::Jpeg, "jpeg")
-    } else if named.contains("png") {
-        (ImageFormat::Png, "png")
-    } else {
-        return Err(ImageError::Format(image.format.clone()));
-    };
-    if image.data.len() > MAX_COMPRESSED {
-        return Err(ImageError::TooLarge {
-            actual: image.data.len(),
-        });
+    match Format::of(image)? {
+        Format::Jpeg => Ok(jpeg::decode(&image.data)?),
+        Format::Png => png(&image.data),
     }
+}
+
+/// Format, columns and rows of a compressed image message that is a complete picture, and that [`decode_compressed`]
+/// decodes. A JPEG is not decoded for it, which takes a fraction of the time.
+///
+/// # Errors
+/// As [`decode_compressed`].
+pub fn check_compressed(image: &CompressedImage) -> Result<(Format, (u32, u32)), ImageError> {
+    let format = Format::of(image)?;
+    let size = match format {
+        Format::Jpeg => jpeg::check(&image.data)?,
+        Format::Png => png(&image.data)?.dimensions(),
+    };
+    Ok((format, size))
+}
+
+fn png(data: &[u8]) -> Result<RgbImage, ImageError> {
+    let wrong = |source| ImageError::Codec {
+        format: "png",
+        source,
+    };
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
     limits.max_image_height = Some(MAX_SIDE);
     limits.max_alloc = Some(MAX_DECODED);
-    let mut reader = ImageReader::with_format(Cursor::new(&image.data), format);
-    reader.limits(limits);
-    let decoded = reader.decode().map_err(|source| ImageError::Codec {
-        format: name,
-        source,
-    })?;
+    let decoder = PngDecoder::with_limits(Cursor::new(data), limits.clone()).map_err(wrong)?;
+    if matches!(decoder.color_type(), ColorType::L16 | ColorType::La16) {
+        return Err(ImageError::Depth("PNG of 16 bits grey".to_owned()));
+    }
+    let mut decoder = decoder;
+    decoder.set_limits(limits).map_err(wrong)?;
+    let decoded = DynamicImage::from_decoder(decoder).map_err(wrong)?;
     Ok(decoded.into_rgb8())
 }
 

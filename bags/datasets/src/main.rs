@@ -1,7 +1,9 @@
 //! `wm-datasets`: imports data sets as bags, and exports bags as data sets. `wm bag import` and `wm bag export` call
 //! it. It is a separate program because the video codecs and parquet take long to build.
 //!
-//! Exit codes: 0 done, 1 failed, 2 wrong usage.
+//! Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done without some of the episodes.
+
+mod mapping;
 
 use std::{
     io::Write as _,
@@ -11,11 +13,15 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use mapping::MappingOptions;
 use tracing_subscriber::EnvFilter;
-use wm_import::{Shard, import_bridge, import_droid};
+use wm_import::{Imported, Shard, import_bridge, import_droid};
 use wm_motion::actions::ActionSpace;
 use wm_progress::Progress;
+
+/// Exit code of an import without some of the episodes.
+const LEFT_OUT: u8 = 3;
 
 /// Imports data sets as bags, and exports bags as data sets.
 #[derive(Debug, Parser)]
@@ -31,9 +37,9 @@ enum Command {
 
 #[derive(Debug, Subcommand)]
 enum ImportCommand {
-    /// Bridge V2: the mp4 and npz layout, or the RLDS TFRecord layout
+    /// Bridge V2 and SOAR: the mp4 and npz layout, or the RLDS TFRecord layout
     Bridge(EpisodesCommand),
-    /// DROID: annotation/SPLIT/NAME.json with three videos per episode
+    /// DROID: annotation/SPLIT/NAME.json with three videos per episode, or the RLDS TFRecord layout
     Droid(EpisodesCommand),
     /// LeRobot, v2.1 or v3.0
     Lerobot(FromLerobot),
@@ -71,8 +77,18 @@ struct FromLerobot {
     /// stored with the bags. Without it, only Bridge V2's names (dx dy dz droll dpitch dyaw gripper) are recognised
     #[arg(long, value_name = "FILE")]
     action_space: Option<PathBuf>,
+    /// Stamps of frames: recorded, by the column timestamp, or rate, by frame_index and fps alone
+    #[arg(long, value_enum, default_value_t = Stamps::Recorded)]
+    stamps: Stamps,
     #[command(flatten)]
     common: Common,
+}
+
+/// What frames are stamped by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Stamps {
+    Recorded,
+    Rate,
 }
 
 #[derive(Args, Debug)]
@@ -84,6 +100,8 @@ struct Common {
     /// another I. A bag keeps its number, so that all may write to one folder
     #[arg(long, value_name = "I/N", default_value = "0/1")]
     shard: Shard,
+    #[command(flatten)]
+    mapping: MappingOptions,
 }
 
 #[derive(Args, Debug)]
@@ -139,14 +157,14 @@ impl EpisodesCommand {
             episodes: self.episodes,
             jpeg_quality: self.common.jpeg_quality,
             shard: self.common.shard,
+            actions: self.common.mapping.mapping(),
             ..wm_import::ImportOptions::default()
         }
     }
 }
 
 impl ImportCommand {
-    /// The bags made.
-    fn run(self) -> Result<Vec<PathBuf>> {
+    fn run(self) -> Result<Imported> {
         let _progress = Progress::open_ended("importing", "episodes");
         Ok(match self {
             Self::Bridge(from) => import_bridge(&from.source, &from.output, &from.options())?,
@@ -157,6 +175,8 @@ impl ImportCommand {
                     action_space: from.action_space.as_deref().map(action_space).transpose()?,
                     jpeg_quality: from.common.jpeg_quality,
                     shard: from.common.shard,
+                    actions: from.common.mapping.mapping(),
+                    is_nominal: from.stamps == Stamps::Rate,
                     ..wm_lerobot::ImportOptions::default()
                 };
                 wm_lerobot::import(&from.source, &from.output, &options)?
@@ -191,17 +211,35 @@ impl ToLerobot {
     }
 }
 
-fn run(command: Command) -> Result<()> {
+/// Prints the bags, and on standard error what was found about the data.
+fn report(imported: &Imported) -> Result<ExitCode> {
     let mut out = std::io::stdout().lock();
-    match command {
-        Command::Import(command) => {
-            for bag in command.run()? {
-                writeln!(out, "{}", bag.display())?;
-            }
-        }
-        Command::Export(ExportCommand::Lerobot(command)) => writeln!(out, "{}", command.run()?)?,
+    for bag in &imported.bags {
+        writeln!(out, "{}", bag.display())?;
     }
-    Ok(())
+    let ranges = imported.ranges.iter().cloned();
+    for line in ranges.chain(imported.notes.lines()) {
+        eprintln!("wm-datasets: {line}");
+    }
+    if imported.skipped.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    for reason in &imported.skipped {
+        eprintln!("wm-datasets: left out: {reason}");
+    }
+    let (made, skipped) = (imported.bags.len(), imported.skipped.len());
+    eprintln!("wm-datasets: {made} episodes imported, {skipped} left out");
+    Ok(ExitCode::from(LEFT_OUT))
+}
+
+fn run(command: Command) -> Result<ExitCode> {
+    match command {
+        Command::Import(command) => report(&command.run()?),
+        Command::Export(ExportCommand::Lerobot(command)) => {
+            writeln!(std::io::stdout().lock(), "{}", command.run()?)?;
+            Ok(ExitCode::SUCCESS)
+        }
+    }
 }
 
 fn main() -> ExitCode {
@@ -211,7 +249,7 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .init();
     match run(Command::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             eprintln!("wm-datasets: {error:#}");
             ExitCode::FAILURE

@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use wm_bag::{BagWriter, ORIGIN, QosProfile, WriterOptions};
-use wm_motion::actions::ActionSpace;
+use wm_motion::actions::{ActionSpace, ActionSurvey};
 use wm_msgs::{
     builtin_interfaces::Time,
     geometry_msgs::{Point, Pose, PoseStamped, Quaternion},
@@ -10,17 +10,60 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use crate::{ImportError, origin};
+use crate::{ActionMapping, ImportError, imported::write_whole, mapping::contradiction, origin};
 
 /// Numbers of an action and of a state: three of position, three of rotation, the gripper.
 pub(crate) const VALUES: usize = 7;
 /// Bridge V2 is controlled and recorded at 5 Hz (BridgeData V2, arXiv 2308.12952, section 3).
-const BRIDGE_PERIOD_NS: u64 = 200_000_000;
+pub(crate) const BRIDGE_PERIOD_NS: u64 = 200_000_000;
 /// REP-105's name for the frame that the robot is mounted in.
 const BASE_FRAME: &str = "base_link";
 
-/// Reads an episode that was found.
-pub(crate) type Unread = Box<dyn FnOnce() -> Result<Episode, ImportError>>;
+/// An episode that was found, and not read yet.
+pub(crate) trait Unread {
+    /// Its actions and states, without its pictures.
+    fn recorded(&self, mapping: &ActionMapping) -> Result<Recorded, ImportError>;
+    /// All of it.
+    fn read(&self, mapping: &ActionMapping) -> Result<Episode, ImportError>;
+}
+
+/// An episode, or a part of the data set in which none can be found.
+pub(crate) type Found = Result<Box<dyn Unread>, ImportError>;
+
+/// The actions of an episode, and the states beside them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Recorded {
+    /// Time from one frame to the next.
+    pub period_ns: u64,
+    /// dx dy dz in m, droll dpitch dyaw in rad, gripper 0 closed to 1 open; one a frame.
+    pub actions: Vec<[f32; VALUES]>,
+    /// x y z in m, roll pitch yaw in rad, gripper 0 closed to 1 open; one a frame, or none at all.
+    pub states: Vec<[f32; VALUES]>,
+    /// Whether the actions were made of the states, so that a comparison says nothing.
+    pub is_of_states: bool,
+}
+
+impl Recorded {
+    /// Adds it to a survey of Bridge V2's kinds.
+    pub fn survey(&self, survey: &mut ActionSurvey) {
+        match self.is_of_states {
+            true => survey.add(&self.actions, &[] as &[[f32; VALUES]]),
+            false => survey.add(&self.actions, &self.states),
+        }
+    }
+
+    /// A survey of it alone.
+    pub fn alone(&self) -> ActionSurvey {
+        let mut survey = ActionSurvey::new(ActionSpace::bridge(), self.rate());
+        self.survey(&mut survey);
+        survey
+    }
+
+    /// Frames per second.
+    pub fn rate(&self) -> f64 {
+        1e9 / self.period_ns.max(1) as f64
+    }
+}
 
 /// The frames of a camera.
 #[derive(Debug)]
@@ -40,46 +83,30 @@ pub(crate) struct Joints {
 }
 
 /// One episode, decoded.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Episode {
     /// The file it came from.
     pub source: PathBuf,
     /// Its number in that file, from 0, where the file holds several.
     pub record: Option<u64>,
-    /// Time from one frame to the next.
-    pub period_ns: u64,
-    /// Each with as many frames as there are `actions`.
+    pub recorded: Recorded,
+    /// Each with as many frames as there are actions.
     pub cameras: Vec<Camera>,
-    /// dx dy dz in m, droll dpitch dyaw in rad, gripper 0 closed to 1 open; one a frame.
-    pub actions: Vec<[f32; VALUES]>,
-    /// x y z in m, roll pitch yaw in rad, gripper 0 closed to 1 open; one a frame, or none at all.
-    pub states: Vec<[f32; VALUES]>,
     pub joints: Option<Joints>,
     pub instruction: Option<String>,
-    /// Whether the task was carried out, where that is known.
+    /// Whether the task was carried out, if that is known.
     pub success: Option<bool>,
-}
-
-impl Default for Episode {
-    fn default() -> Self {
-        Self {
-            source: PathBuf::new(),
-            record: None,
-            period_ns: BRIDGE_PERIOD_NS,
-            cameras: Vec::new(),
-            actions: Vec::new(),
-            states: Vec::new(),
-            joints: None,
-            instruction: None,
-            success: None,
-        }
-    }
+    /// What is unusual about it; the same words for each episode of its kind.
+    pub notes: Vec<String>,
 }
 
 impl Episode {
-    /// Holds the parts against each other.
+    /// Compares the parts with each other, and the actions with what an arm can do.
     pub fn check(self) -> Result<Self, ImportError> {
-        let frames = self.actions.len();
+        let Recorded {
+            actions, states, ..
+        } = &self.recorded;
+        let frames = actions.len();
         let corrupt = |reason: String| Err(ImportError::corrupt(&self.source, reason));
         if frames == 0 || self.cameras.is_empty() {
             return corrupt(format!(
@@ -96,8 +123,8 @@ impl Episode {
                 ));
             }
         }
-        if !self.states.is_empty() && self.states.len() != frames {
-            return corrupt(format!("{} states for {frames} actions", self.states.len()));
+        if !states.is_empty() && states.len() != frames {
+            return corrupt(format!("{} states for {frames} actions", states.len()));
         }
         if let Some(joints) = &self.joints {
             if joints.positions.len() != frames {
@@ -116,13 +143,16 @@ impl Episode {
                 ));
             }
         }
-        for (what, rows) in [("action", &self.actions), ("state", &self.states)] {
+        for (what, rows) in [("action", actions), ("state", states)] {
             if let Some(row) = rows
                 .iter()
                 .position(|row| row.iter().any(|value| !value.is_finite()))
             {
                 return corrupt(format!("{what} {row} is not finite: {:?}", rows.get(row)));
             }
+        }
+        if let Some(reason) = contradiction(&self.recorded.alone()) {
+            return corrupt(reason);
         }
         Ok(self)
     }
@@ -133,8 +163,12 @@ impl Episode {
         origin(src, Some(&self.source), number)
     }
 
-    /// Writes the episode as a bag, its first frame at `start_ns`.
+    /// Writes the episode as a bag, its first frame at `start_ns`; a bag that cannot be written whole is removed.
     pub fn write(&self, bag: &Path, start_ns: u64, origin: &str) -> Result<(), ImportError> {
+        write_whole(bag, |bag| self.write_to(bag, start_ns, origin))
+    }
+
+    fn write_to(&self, bag: &Path, start_ns: u64, origin: &str) -> Result<(), ImportError> {
         let mut writer = BagWriter::create(bag, WriterOptions::default())?;
         writer.note(ORIGIN, origin);
         writer.note(ActionSpace::NOTE, ActionSpace::bridge().to_note()?);
@@ -158,8 +192,8 @@ impl Episode {
             )?;
         }
         let mut stamp_ns = start_ns;
-        for (step, action) in self.actions.iter().enumerate() {
-            stamp_ns = start_ns + step as u64 * self.period_ns;
+        for (step, action) in self.recorded.actions.iter().enumerate() {
+            stamp_ns = start_ns + step as u64 * self.recorded.period_ns;
             // BagWriter refuses times past i64, and names the topic.
             let stamp = Time::from_nanos(i64::try_from(stamp_ns).unwrap_or(i64::MAX));
             for ((topic, frame_id), camera) in cameras.iter().zip(&self.cameras) {
@@ -181,7 +215,7 @@ impl Episode {
                 stamp,
                 frame_id: BASE_FRAME.to_owned(),
             };
-            if let Some([x, y, z, roll, pitch, yaw, gripper]) = self.states.get(step) {
+            if let Some([x, y, z, roll, pitch, yaw, gripper]) = self.recorded.states.get(step) {
                 let pose = Pose {
                     position: Point {
                         x: f64::from(*x),
@@ -273,10 +307,14 @@ mod tests {
         Episode {
             source: "made.up".into(),
             cameras: bridge_cameras(vec![vec![vec![1, 2, 3]; frames], vec![vec![4]; frames]]),
-            actions: (0..frames)
-                .map(|step| [step as f32 * 0.01; VALUES])
-                .collect(),
-            states: vec![[0.1, 0.2, 0.3, 0.0, 0.0, FRAC_PI_2, 1.0]; frames],
+            recorded: Recorded {
+                period_ns: BRIDGE_PERIOD_NS,
+                actions: (0..frames)
+                    .map(|step| [step as f32 * 0.01; VALUES])
+                    .collect(),
+                states: vec![[0.1, 0.2, 0.3, 0.0, 0.0, FRAC_PI_2, 1.0]; frames],
+                is_of_states: false,
+            },
             joints: Some(Joints {
                 names: vec!["shoulder".into(), "elbow".into()],
                 positions: (0..frames).map(|step| vec![step as f64, -0.5]).collect(),
@@ -388,14 +426,23 @@ mod tests {
             reason(|episode| episode.cameras[1].frames.truncate(2))
                 .contains("camera \"camera_1\" has 2 frames for 3 actions")
         );
-        assert!(reason(|episode| episode.states.truncate(2)).contains("2 states for 3 actions"));
         assert!(
-            reason(|episode| episode.actions[1][2] = f32::NAN).contains("action 1 is not finite")
+            reason(|episode| episode.recorded.states.truncate(2))
+                .contains("2 states for 3 actions")
+        );
+        assert!(
+            reason(|episode| episode.recorded.actions[1][2] = f32::NAN)
+                .contains("action 1 is not finite")
         );
         assert!(
             reason(|episode| episode.joints.as_mut().unwrap().positions[2].clear())
                 .contains("joints 2: expected 2 finite values")
         );
-        assert!(reason(|episode| episode.actions.clear()).contains("0 actions"));
+        assert!(reason(|episode| episode.recorded.actions.clear()).contains("0 actions"));
+        let jump = reason(|episode| episode.recorded.actions[1][0] = 0.6);
+        assert!(
+            jump.contains("dx: measured 0 to 0.6 m; a translation delta at 5 Hz is at most 0.5 m"),
+            "{jump}"
+        );
     }
 }

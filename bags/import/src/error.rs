@@ -18,6 +18,28 @@ pub enum ImportError {
     /// The layout is there, but no episode.
     #[error("{0} has no episodes")]
     NoEpisodes(PathBuf),
+    /// The actions contradict what their values are.
+    #[error(
+        "{path}: the actions contradict their kinds in {contradicting} of {episodes} episodes: {reason}"
+    )]
+    Contradiction {
+        /// The data set.
+        path: PathBuf,
+        /// Episodes that were measured.
+        episodes: usize,
+        /// Those of them that contradict by themselves.
+        contradicting: usize,
+        /// What was measured and expected, and the option that maps it.
+        reason: String,
+    },
+    /// No episode can be imported.
+    #[error("none of {count} episodes can be imported; the first: {first}")]
+    NoneImported {
+        /// Episodes.
+        count: usize,
+        /// Why the first cannot.
+        first: Box<Self>,
+    },
     /// A file that belongs to another is not there.
     #[error("{present} is incomplete: {missing} is missing")]
     Incomplete {

@@ -2,12 +2,13 @@
 //!
 //! | layout | found by | cameras | actions | more |
 //! |---|---|---|---|---|
-//! | Bridge video | `NAME.mp4` (h264) beside `NAME.npz` | one | scaled for a model, undone here | |
-//! | Bridge RLDS | a TFRecord (`*.tfrecord*`) of `tf.train.Example` | several | m, rad, gripper 0..1 | state, instruction |
+//! | Bridge video | `NAME.mp4` (h264) beside `NAME.npz` | one | scaled for a model, undone here | instruction, success |
+//! | Bridge RLDS | a TFRecord (`*.tfrecord*`) of `tf.train.Example` | several | m, rad, gripper 0..1 | state, instruction, success |
 //! | DROID | `annotation/SPLIT/NAME.json` beside `videos/` | three | from state to state | state, joints, instruction, success |
+//! | DROID RLDS | a TFRecord with `cartesian_position` | three | from state to state | state, joints, instruction, success |
 //!
-//! Each episode becomes one bag, `episode_000000` and on; Bridge V2 at the 5 Hz at which it was recorded, DROID at the
-//! rate of its videos:
+//! Each episode becomes one bag, `episode_000000` and on; Bridge V2 at the 5 Hz at which it was recorded, DROID's RLDS at
+//! 15 Hz, its videos at their rate:
 //!
 //! | topic | type |
 //! |---|---|
@@ -21,34 +22,40 @@
 //! ```no_run
 //! use wm_import::{ImportOptions, import_bridge};
 //!
-//! let bags = import_bridge("bridge_v2".as_ref(), "bags".as_ref(), &ImportOptions::default())?;
-//! println!("{} episodes", bags.len());
+//! let imported = import_bridge("bridge_v2".as_ref(), "bags".as_ref(), &ImportOptions::default())?;
+//! println!("{} episodes, {} left out", imported.bags.len(), imported.skipped.len());
 //! # Ok::<(), wm_import::ImportError>(())
 //! ```
 //!
 //! The bag's metadata note where it came from ([`wm_bag::ORIGIN`], made by [`origin()`]).
 //!
-//! An episode is read whole before its bag is begun: bad input leaves no half a bag, and its error names the file.
+//! An episode is read whole before its bag is begun, and a bag appears when it is whole. An episode that cannot be read, or
+//! whose actions no arm makes, is left out by name ([`Imported::skipped`]); the others are imported.
 //!
 //! Not here: LeRobot datasets (`wm_lerobot`, which parquet makes heavy).
 
 mod droid;
 mod episode;
 mod error;
+mod imported;
 mod jpeg;
+mod mapping;
 mod mp4_npz;
 mod origin;
 mod rlds;
+mod run;
 mod source;
 #[cfg(test)]
 mod testing;
 pub mod video;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use episode::Unread;
+use episode::Found;
 pub use error::ImportError;
+pub use imported::{Imported, Notes, write_whole};
 pub use jpeg::jpeg;
+pub use mapping::{ActionForm, ActionMapping, GripperRange, advice, contradiction, remedy};
 pub use origin::origin;
 use source::Source;
 pub use wm_bag::Shard;
@@ -64,6 +71,8 @@ pub struct ImportOptions {
     pub jpeg_quality: u8,
     /// Stamp of the first frame of each episode, in ns since the epoch; the data carry no time of their own.
     pub start_ns: u64,
+    /// How the action values become Bridge V2's.
+    pub actions: ActionMapping,
 }
 
 impl Default for ImportOptions {
@@ -74,75 +83,51 @@ impl Default for ImportOptions {
             jpeg_quality: 95,
             // Any fixed time serves, so that an import is reproducible; not 0, which ROS reads as "no time".
             start_ns: 1_700_000_000_000_000_000,
+            actions: ActionMapping::default(),
         }
     }
 }
 
 /// Imports Bridge V2 episodes: each becomes a bag `OUT/episode_NNNNNN`. The layout is found by what `src` holds.
 ///
-/// `src` may be a directory, one `.mp4` or `.npz`, or one TFRecord. Gives the bags, in order; a shard may have none.
+/// `src` may be a directory, one `.mp4` or `.npz`, or one TFRecord. Gives the bags, in order, and the episodes that cannot
+/// be imported; a shard may have none.
 ///
 /// # Errors
-/// `src` holds neither layout; a file is missing, corrupt or incomplete (the error names it); or a bag already exists
-/// there.
+/// `src` holds neither layout; its actions are not what `options.actions` says; no episode can be imported (the error is
+/// that of the first); or a bag already exists there.
 pub fn import_bridge(
     src: &Path,
     out: &Path,
     options: &ImportOptions,
-) -> Result<Vec<PathBuf>, ImportError> {
-    let source = Source::find(src)?;
-    let episodes: Box<dyn Iterator<Item = Result<Unread, ImportError>>> = match source {
-        Source::Mp4Npz(pairs) => Box::new(mp4_npz::episodes(pairs, options.jpeg_quality)),
-        Source::Rlds(shards) => Box::new(rlds::episodes(shards, options.jpeg_quality)),
+) -> Result<Imported, ImportError> {
+    let quality = options.jpeg_quality;
+    let episodes = || -> Result<Box<dyn Iterator<Item = Found>>, ImportError> {
+        Ok(match Source::find(src)? {
+            Source::Mp4Npz(pairs) => Box::new(mp4_npz::episodes(pairs, quality)),
+            Source::Rlds(shards) => Box::new(rlds::episodes(shards, quality)),
+        })
     };
-    write(episodes, src, out, options)
+    run::import(episodes, src, out, options)
 }
 
 /// Imports DROID episodes: each becomes a bag `OUT/episode_NNNNNN`, in the order of folders, splits and numbers.
 ///
-/// `src` has `annotation/` and `videos/` in it, or folders that have.
+/// `src` has `annotation/` and `videos/` in it, or folders that have, or it is a TFRecord, or has TFRecords in it.
 ///
 /// # Errors
-/// `src` holds no such layout; a file is missing, corrupt or incomplete (the error names it); or a bag already exists
-/// there.
+/// `src` holds no such layout; no episode can be imported (the error is that of the first); or a bag already exists there.
 pub fn import_droid(
     src: &Path,
     out: &Path,
     options: &ImportOptions,
-) -> Result<Vec<PathBuf>, ImportError> {
-    let episodes = droid::episodes(src, options.jpeg_quality)?;
-    write(episodes, src, out, options)
-}
-
-/// Writes each episode of the shard as a bag; the others are not read.
-fn write(
-    episodes: impl Iterator<Item = Result<Unread, ImportError>>,
-    src: &Path,
-    out: &Path,
-    options: &ImportOptions,
-) -> Result<Vec<PathBuf>, ImportError> {
-    let mut bags = Vec::new();
-    let mut is_empty = true;
-    for (number, unread) in episodes
-        .take(options.episodes.unwrap_or(usize::MAX))
-        .enumerate()
-    {
-        let unread = unread?;
-        is_empty = false;
-        if !options.shard.has(number) {
-            continue;
-        }
-        let episode = unread()?;
-        let bag = out.join(format!("episode_{number:06}"));
-        episode.write(&bag, options.start_ns, &episode.origin(src))?;
-        tracing::info!(
-            source = %episode.source.display(), bag = %bag.display(),
-            frames = episode.actions.len(), cameras = episode.cameras.len(), "imported"
-        );
-        bags.push(bag);
-    }
-    if is_empty {
-        return Err(ImportError::NoEpisodes(src.to_owned()));
-    }
-    Ok(bags)
+) -> Result<Imported, ImportError> {
+    let quality = options.jpeg_quality;
+    let episodes = || -> Result<Box<dyn Iterator<Item = Found>>, ImportError> {
+        Ok(match Source::find(src) {
+            Ok(Source::Rlds(shards)) => Box::new(rlds::episodes(shards, quality)),
+            _ => Box::new(droid::episodes(src, quality)?),
+        })
+    };
+    run::import(episodes, src, out, options)
 }

@@ -1,41 +1,85 @@
-//! `NAME.mp4` (frames) with `NAME.npz` (actions, scaled for a model).
+//! `NAME.mp4` (frames) with `NAME.npz` (actions, scaled for a model, and labels).
 
 mod actions;
+mod arrays;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::{
-    ImportError,
-    episode::{Episode, Unread, bridge_cameras},
+    ActionMapping, ImportError,
+    episode::{BRIDGE_PERIOD_NS, Episode, Found, Recorded, Unread, VALUES, bridge_cameras},
     video::Video,
 };
+use actions::Labelled;
 
 /// The episodes of these pairs of video and actions.
 pub(crate) fn episodes(
     pairs: Vec<(PathBuf, PathBuf)>,
     jpeg_quality: u8,
-) -> impl Iterator<Item = Result<Unread, ImportError>> {
-    pairs.into_iter().map(move |(video, actions)| {
-        let unread: Unread = Box::new(move || episode(video, &actions, jpeg_quality));
+) -> impl Iterator<Item = Found> {
+    pairs.into_iter().map(move |(video, arrays)| {
+        let unread: Box<dyn Unread> = Box::new(Pair {
+            video,
+            arrays,
+            jpeg_quality,
+        });
         Ok(unread)
     })
 }
 
-fn episode(
-    video_file: PathBuf,
-    actions_file: &Path,
+/// A video and its arrays, not read yet.
+struct Pair {
+    video: PathBuf,
+    arrays: PathBuf,
     jpeg_quality: u8,
-) -> Result<Episode, ImportError> {
-    let actions = actions::read(actions_file)?;
-    let video = Video::open(&video_file)?;
-    let frames = video.jpegs(0..video.frame_count(), jpeg_quality)?;
-    Episode {
-        source: video_file,
-        cameras: bridge_cameras(vec![frames]),
-        actions,
-        ..Episode::default()
+}
+
+impl Pair {
+    fn labelled(&self) -> Result<Labelled, ImportError> {
+        for (present, missing) in [(&self.video, &self.arrays), (&self.arrays, &self.video)] {
+            if !missing.exists() {
+                return Err(ImportError::Incomplete {
+                    present: present.clone(),
+                    missing: missing.clone(),
+                });
+            }
+        }
+        actions::read(&self.arrays)
     }
-    .check()
+}
+
+impl Unread for Pair {
+    fn recorded(&self, mapping: &ActionMapping) -> Result<Recorded, ImportError> {
+        let labelled = self.labelled()?;
+        Ok(recorded(labelled.actions, mapping))
+    }
+
+    fn read(&self, mapping: &ActionMapping) -> Result<Episode, ImportError> {
+        let labelled = self.labelled()?;
+        let video = Video::open(&self.video)?;
+        let frames = video.jpegs(0..video.frame_count(), self.jpeg_quality)?;
+        Episode {
+            source: self.video.clone(),
+            cameras: bridge_cameras(vec![frames]),
+            recorded: recorded(labelled.actions, mapping),
+            instruction: labelled.instruction,
+            success: labelled.success,
+            notes: labelled.notes,
+            ..Episode::default()
+        }
+        .check()
+    }
+}
+
+fn recorded(mut actions: Vec<[f32; VALUES]>, mapping: &ActionMapping) -> Recorded {
+    // BRIDGE_PERIOD_NS is a fifth of a second.
+    mapping.apply(&mut actions, &[], BRIDGE_PERIOD_NS as f64 / 1e9);
+    Recorded {
+        period_ns: BRIDGE_PERIOD_NS,
+        actions,
+        states: Vec::new(),
+        is_of_states: false,
+    }
 }
 
 #[cfg(test)]

@@ -1,44 +1,51 @@
 //! RLDS: TFRecord files of `tf.train.Example`, one example an episode, its steps flattened into lists.
 //!
 //! Features, as TensorFlow Datasets names them: `steps/action` (T x 7 float), `steps/observation/image_N` (T encoded
-//! images), `steps/observation/state` (T x 7 float), `steps/language_instruction` (T texts). In Bridge V2 the state is
-//! the pose of the end effector (x y z in m, roll pitch yaw in rad) and the gripper (0 closed to 1 open), whatever the
-//! template text in `features.json` says; its differences are the actions.
+//! images), `steps/observation/state` (T x 7 float), `steps/language_instruction` (T texts), `steps/reward` (T float). In
+//! Bridge V2 the state is the pose of the end effector (x y z in m, roll pitch yaw in rad) and the gripper (0 closed to 1
+//! open), whatever the template text in `features.json` says; its differences are the actions.
+//!
+//! An example with `steps/observation/cartesian_position` is DROID's ([`droid`]).
 
+mod droid;
 mod example;
+mod pictures;
 mod split;
 mod tfrecord;
 
-use std::path::{Path, PathBuf};
-
-use image::{ImageFormat, RgbImage};
+use std::{
+    path::{Path, PathBuf},
+    rc::Rc,
+};
 
 use crate::{
-    ImportError,
-    episode::{Episode, Unread, VALUES, bridge_cameras},
-    jpeg,
+    ActionMapping, ImportError,
+    episode::{BRIDGE_PERIOD_NS, Camera, Episode, Found, Recorded, Unread, VALUES, bridge_cameras},
 };
 use example::Example;
-use tfrecord::TfRecords;
+use pictures::Pictures;
+use tfrecord::{Record, TfRecords};
 
 const ACTION: &str = "steps/action";
 const STATE: &str = "steps/observation/state";
 const INSTRUCTION: &str = "steps/language_instruction";
 const IMAGE_PREFIX: &str = "steps/observation/image_";
+const REWARD: &str = "steps/reward";
+const IS_LAST: &str = "steps/is_last";
+/// Of SOAR and others, whose episodes are not all demonstrations.
+const SUCCESS: &str = "episode_metadata/success";
 
 /// The episodes of these files.
-pub(crate) fn episodes(
-    files: Vec<PathBuf>,
-    jpeg_quality: u8,
-) -> impl Iterator<Item = Result<Unread, ImportError>> {
+pub(crate) fn episodes(files: Vec<PathBuf>, jpeg_quality: u8) -> impl Iterator<Item = Found> {
     files.into_iter().flat_map(move |file| {
         let (episodes, error) = match TfRecords::open(&file) {
             Ok(records) => (
                 Some(Episodes {
-                    file,
+                    file: file.into(),
                     records,
                     found: 0,
                     jpeg_quality,
+                    is_checked: false,
                 }),
                 None,
             ),
@@ -50,35 +57,47 @@ pub(crate) fn episodes(
 
 /// The episodes of one file.
 struct Episodes {
-    file: PathBuf,
+    file: Rc<Path>,
     records: TfRecords,
     found: u64,
     jpeg_quality: u8,
+    /// Whether the count was compared.
+    is_checked: bool,
 }
 
 impl Iterator for Episodes {
-    type Item = Result<Unread, ImportError>;
+    type Item = Found;
 
     fn next(&mut self) -> Option<Self::Item> {
         let Some(record) = self.records.next() else {
+            if std::mem::replace(&mut self.is_checked, true) {
+                return None;
+            }
             return self.check_count().err().map(Err);
         };
         let number = self.found;
         self.found += 1;
-        let (file, quality) = (self.file.clone(), self.jpeg_quality);
+        let (file, jpeg_quality) = (Rc::clone(&self.file), self.jpeg_quality);
+        // The records after a damaged length cannot be found, and their number is part of that error.
+        self.is_checked |= record.is_err();
         Some(record.map(|record| {
-            let unread: Unread = Box::new(move || episode(&file, number, &record.read()?, quality));
+            let unread: Box<dyn Unread> = Box::new(InFile {
+                file,
+                number,
+                record,
+                jpeg_quality,
+            });
             unread
         }))
     }
 }
 
 impl Episodes {
-    /// Holds the count against the data set's own description: a file cut between two records looks whole otherwise.
+    /// Compares the count with the data set's own description: a file cut between two records looks whole otherwise.
     fn check_count(&self) -> Result<(), ImportError> {
         match split::expected_records(&self.file)? {
             Some(expected) if expected != self.found => Err(ImportError::corrupt(
-                &self.file,
+                &*self.file,
                 format!(
                     "expected {expected} episodes, as dataset_info.json says, got {}",
                     self.found
@@ -89,50 +108,121 @@ impl Episodes {
     }
 }
 
-/// One episode from its record.
-fn episode(
-    file: &Path,
+/// An episode of a file, not read yet.
+struct InFile {
+    file: Rc<Path>,
     number: u64,
-    record: &[u8],
+    record: Record,
     jpeg_quality: u8,
-) -> Result<Episode, ImportError> {
-    let corrupt =
-        |reason: String| ImportError::corrupt(file, format!("episode {number}: {reason}"));
-    let example = Example::parse(record).map_err(corrupt)?;
-    let actions = rows(&example, ACTION).map_err(corrupt)?;
+}
+
+/// What an example has beside its pictures.
+struct Content {
+    recorded: Recorded,
+    joints: Option<Vec<Vec<f64>>>,
+}
+
+impl Unread for InFile {
+    fn recorded(&self, mapping: &ActionMapping) -> Result<Recorded, ImportError> {
+        let record = self.record.read()?;
+        let content = Example::parse(&record).and_then(|example| content(&example, mapping));
+        Ok(content.map_err(|reason| self.corrupt(&reason))?.recorded)
+    }
+
+    fn read(&self, mapping: &ActionMapping) -> Result<Episode, ImportError> {
+        let record = self.record.read()?;
+        let example = Example::parse(&record).map_err(|reason| self.corrupt(&reason))?;
+        let episode = self.episode(&example, mapping);
+        let episode = episode.map_err(|reason| self.corrupt(&reason))?;
+        episode.check().map_err(|error| match error {
+            ImportError::Corrupt { reason, .. } => self.corrupt(&reason),
+            other => other,
+        })
+    }
+}
+
+impl InFile {
+    fn corrupt(&self, reason: &str) -> ImportError {
+        ImportError::corrupt(&*self.file, format!("episode {}: {reason}", self.number))
+    }
+
+    fn episode(&self, example: &Example, mapping: &ActionMapping) -> Result<Episode, String> {
+        let content = content(example, mapping)?;
+        let mut notes = Vec::new();
+        let cameras = match droid::is_droid(example) {
+            true => droid::cameras(example, self.jpeg_quality, &mut notes)?,
+            false => cameras(example, self.jpeg_quality, &mut notes)?,
+        };
+        Ok(Episode {
+            source: self.file.to_path_buf(),
+            record: Some(self.number),
+            cameras,
+            recorded: content.recorded,
+            joints: content.joints.map(crate::droid::states::joints),
+            instruction: instruction(example)?,
+            success: success(example)?,
+            notes,
+        })
+    }
+}
+
+/// Actions, states and joints.
+fn content(example: &Example, mapping: &ActionMapping) -> Result<Content, String> {
+    if droid::is_droid(example) {
+        return droid::content(example, mapping);
+    }
+    let mut actions = rows(example, ACTION)?;
     let states = if example.has(STATE) {
-        rows(&example, STATE).map_err(corrupt)?
+        rows(example, STATE)?
     } else {
         Vec::new()
     };
-    let mut cameras = Vec::new();
-    for name in example
-        .names()
-        .filter(|name| name.starts_with(IMAGE_PREFIX))
-    {
-        let images = example.bytes(name).map_err(corrupt)?;
-        cameras.extend(
-            camera(images, jpeg_quality).map_err(|reason| corrupt(format!("{name}, {reason}")))?,
-        );
-    }
-    let instruction = match example.has(INSTRUCTION) {
-        true => first_text(example.bytes(INSTRUCTION).map_err(corrupt)?).map_err(corrupt)?,
-        false => None,
-    };
-    Episode {
-        source: file.to_owned(),
-        record: Some(number),
-        cameras: bridge_cameras(cameras),
-        actions,
-        states,
-        instruction,
-        ..Episode::default()
-    }
-    .check()
-    .map_err(|error| match error {
-        ImportError::Corrupt { reason, .. } => corrupt(reason),
-        other => other,
+    mapping.apply(&mut actions, &states, BRIDGE_PERIOD_NS as f64 / 1e9);
+    Ok(Content {
+        recorded: Recorded {
+            period_ns: BRIDGE_PERIOD_NS,
+            actions,
+            states,
+            is_of_states: false,
+        },
+        joints: None,
     })
+}
+
+/// Bridge V2's cameras, by their numbers. One that was not there has one flat colour: it is left out, and named.
+fn cameras(
+    example: &Example,
+    jpeg_quality: u8,
+    notes: &mut Vec<String>,
+) -> Result<Vec<Camera>, String> {
+    let mut cameras = Vec::new();
+    let names = example
+        .names()
+        .filter(|name| name.starts_with(IMAGE_PREFIX));
+    for name in names {
+        let pictures = Pictures::read(example.bytes(name)?, jpeg_quality);
+        let pictures = pictures.map_err(|reason| format!("{name}, {reason}"))?;
+        cameras.extend(pictures.unless_flat(name, notes));
+    }
+    Ok(bridge_cameras(cameras))
+}
+
+/// Whether the task was done: what the metadata say, else the reward of the last step, 1 for a demonstration. None if the
+/// example ends before the episode does.
+fn success(example: &Example) -> Result<Option<bool>, String> {
+    if example.has(SUCCESS) {
+        return Ok(example.truths(SUCCESS)?.last().copied());
+    }
+    let is_cut = example.has(IS_LAST) && example.truths(IS_LAST)?.last() != Some(&true);
+    if is_cut || !example.has(REWARD) {
+        return Ok(None);
+    }
+    match example.floats(REWARD)?.last() {
+        Some(reward) if !reward.is_finite() => {
+            Err(format!("{REWARD}: expected a finite number, got {reward}"))
+        }
+        last => Ok(last.map(|reward| *reward > 0.0)),
+    }
 }
 
 /// A flattened list of floats as rows of seven.
@@ -149,42 +239,17 @@ fn rows(example: &Example, name: &str) -> Result<Vec<[f32; VALUES]>, String> {
     }
 }
 
-/// The frames of a camera as JPEG; those that are JPEG already keep their bytes. None for a camera that was not
-/// there: RLDS fills its images with one flat colour. (The flags `has_image_N` cannot tell: published files have them
-/// all false.)
-fn camera(images: &[Vec<u8>], quality: u8) -> Result<Option<Vec<Vec<u8>>>, String> {
-    let mut frames = Vec::with_capacity(images.len());
-    let mut shows_something = false;
-    for (step, bytes) in images.iter().enumerate() {
-        let wrong = |error: image::ImageError| format!("step {step}: {error}");
-        let format = image::guess_format(bytes).map_err(wrong)?;
-        let decoded = image::load_from_memory_with_format(bytes, format)
-            .map_err(wrong)?
-            .into_rgb8();
-        shows_something |= !is_flat(&decoded);
-        frames.push(match format {
-            ImageFormat::Jpeg => bytes.clone(),
-            _ => jpeg(&decoded, quality).map_err(wrong)?,
-        });
+/// The instruction, which RLDS repeats at each step: the first that is not empty, of DROID's three too.
+fn instruction(example: &Example) -> Result<Option<String>, String> {
+    let others = ["", "_2", "_3"].map(|suffix| format!("{INSTRUCTION}{suffix}"));
+    for name in others.iter().filter(|name| example.has(name)) {
+        let texts = example.bytes(name)?;
+        if let Some(text) = texts.iter().find(|text| !text.is_empty()) {
+            let text = String::from_utf8(text.clone());
+            return text.map(Some).map_err(|error| format!("{name}: {error}"));
+        }
     }
-    Ok(shows_something.then_some(frames))
-}
-
-fn is_flat(image: &RgbImage) -> bool {
-    let mut pixels = image.pixels();
-    pixels
-        .next()
-        .is_none_or(|first| pixels.all(|pixel| pixel == first))
-}
-
-/// The instruction, which RLDS repeats at each step; none if it is empty.
-fn first_text(texts: &[Vec<u8>]) -> Result<Option<String>, String> {
-    let Some(text) = texts.first().filter(|text| !text.is_empty()) else {
-        return Ok(None);
-    };
-    String::from_utf8(text.clone())
-        .map(Some)
-        .map_err(|error| format!("{INSTRUCTION}: {error}"))
+    Ok(None)
 }
 
 #[cfg(test)]

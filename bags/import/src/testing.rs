@@ -8,12 +8,12 @@ use std::{
 
 use wm_bag::Shard;
 
-use crate::{ImportError, ImportOptions};
+use crate::{ImportError, ImportOptions, Imported};
 
 /// Asserts that two shards, three, and more than there are episodes write into one folder what one import writes.
 pub(crate) fn assert_shards_join(
     episodes: usize,
-    import: impl Fn(&Path, &ImportOptions) -> Result<Vec<PathBuf>, ImportError>,
+    import: impl Fn(&Path, &ImportOptions) -> Result<Imported, ImportError>,
 ) {
     let dir = tempfile::tempdir().unwrap();
     let run = |out: &Path, shard| {
@@ -21,7 +21,7 @@ pub(crate) fn assert_shards_join(
             shard,
             ..ImportOptions::default()
         };
-        import(out, &options).unwrap()
+        import(out, &options).unwrap().bags
     };
     let one = dir.path().join("one");
     assert_eq!(run(&one, Shard::WHOLE).len(), episodes);

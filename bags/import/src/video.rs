@@ -1,10 +1,12 @@
 //! The frames of an mp4 video, with the times at which they are shown.
 //!
-//! h264 is decoded, and AV1 where the crate is built with the feature `av1`. Colours are taken as BT.601 in the limited
-//! range, as decoders do for a video that does not say. Not here: sound, fragmented files, more than 8 bits a channel.
+//! h264 is decoded, and AV1 if the crate is built with the feature `av1`. Colours are by the tags of the stream, then by
+//! those of the file; without tags they are BT.601 in the limited range. So does ffmpeg. Not here: sound, fragmented files,
+//! more than 8 bits a channel, chroma other than 4:2:0.
 
 #[cfg(feature = "av1")]
 mod av1;
+mod colr;
 mod h264;
 mod mp4;
 
@@ -15,12 +17,11 @@ use std::{
 };
 
 use image::RgbImage;
+use wm_camera::video::ColourTags;
 
 use crate::{ImportError, jpeg};
 use mp4::{Codec, Sample};
 
-/// No side of a frame may be longer.
-const MAX_SIDE: usize = 8192;
 /// A file is read whole; LeRobot begins a new one at 200 MB (500 MB in its first versions of v3.0).
 const MAX_BYTES: u64 = 2 << 30;
 
@@ -30,6 +31,7 @@ pub struct Video {
     file: PathBuf,
     bytes: Vec<u8>,
     codec: Codec,
+    colours: ColourTags,
     /// Ticks a second.
     timescale: u64,
     /// Coded frames, in decoding order.
@@ -73,6 +75,7 @@ impl Video {
             file: file.to_owned(),
             bytes,
             codec: track.codec,
+            colours: track.colours,
             timescale: track.timescale,
             samples: track.samples,
             shown,
@@ -204,9 +207,12 @@ impl Video {
             Codec::H264 {
                 length_bytes,
                 parameters,
-            } => Ok(Box::new(h264::H264Decoder::new(*length_bytes, parameters)?)),
+            } => {
+                let decoder = h264::H264Decoder::new(*length_bytes, parameters, self.colours);
+                Ok(Box::new(decoder?))
+            }
             #[cfg(feature = "av1")]
-            Codec::Av1 => Ok(Box::new(av1::Av1Decoder::new()?)),
+            Codec::Av1 => Ok(Box::new(av1::Av1Decoder::new(self.colours)?)),
         }
     }
 }
@@ -216,19 +222,5 @@ fn time(samples: &[Sample], number: usize) -> i64 {
     samples.get(number).map_or(i64::MAX, |sample| sample.time)
 }
 
-/// Refuses frames of no size, or of one that no camera has.
-fn check_size(width: usize, height: usize) -> Result<(), String> {
-    if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
-        return Err(format!(
-            "expected frames of 1 to {MAX_SIDE} pixels per side, got {width} x {height}"
-        ));
-    }
-    Ok(())
-}
-
-/// A frame from its bytes.
-fn rgb_image(width: usize, height: usize, rgb: Vec<u8>) -> Result<RgbImage, String> {
-    // At most MAX_SIDE.
-    RgbImage::from_raw(width as u32, height as u32, rgb)
-        .ok_or_else(|| format!("a frame of {width} x {height} does not fit its bytes"))
-}
+#[cfg(test)]
+mod tests;

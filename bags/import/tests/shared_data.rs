@@ -47,7 +47,9 @@ fn bridge_videos_become_bags() {
         return;
     };
     let out = TempDir::new().unwrap();
-    let bags = import_bridge(&src, out.path(), &ImportOptions::default()).unwrap();
+    let bags = import_bridge(&src, out.path(), &ImportOptions::default())
+        .unwrap()
+        .bags;
     let mut lengths = Vec::new();
     for bag in &bags {
         let reader = BagReader::open(bag).unwrap();
@@ -91,7 +93,9 @@ fn bridge_rlds_becomes_bags() {
         return;
     };
     let out = TempDir::new().unwrap();
-    let bags = import_bridge(&src, out.path(), &ImportOptions::default()).unwrap();
+    let bags = import_bridge(&src, out.path(), &ImportOptions::default())
+        .unwrap()
+        .bags;
     assert_eq!(bags.len(), 25);
     let mut covariance = 0.0;
     for bag in &bags {
@@ -145,7 +149,9 @@ fn droid_becomes_bags() {
         return;
     };
     let out = TempDir::new().unwrap();
-    let bags = import_droid(src.as_ref(), out.path(), &ImportOptions::default()).unwrap();
+    let bags = import_droid(src.as_ref(), out.path(), &ImportOptions::default())
+        .unwrap()
+        .bags;
     let mut lengths = Vec::new();
     let (mut successes, mut instructions) = (0, 0);
     for bag in &bags {

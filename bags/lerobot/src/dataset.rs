@@ -1,5 +1,6 @@
 //! Where a dataset keeps each episode, the same for both versions.
 
+mod rows;
 mod v21;
 mod v30;
 
@@ -7,6 +8,8 @@ use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
 };
+
+pub(crate) use rows::Rows;
 
 use crate::{
     LeRobotError,
@@ -17,6 +20,7 @@ use crate::{
 /// A dataset that has been opened: its metadata are read, its episodes not.
 #[derive(Debug)]
 pub(crate) struct Dataset {
+    pub root: PathBuf,
     pub info: Info,
     /// By their numbers.
     pub tasks: BTreeMap<i64, String>,
@@ -31,8 +35,6 @@ pub(crate) struct Entry {
     /// Frames.
     pub length: u64,
     pub data: PathBuf,
-    /// The row of `data` at which it begins.
-    pub first_row: u64,
     /// By feature.
     pub videos: BTreeMap<String, Clip>,
     /// Stamp of the first frame in ns, where our own export kept it.
@@ -64,6 +66,7 @@ impl Dataset {
         };
         episodes.sort_by_key(|episode| episode.index);
         Ok(Self {
+            root: root.to_owned(),
             info,
             tasks,
             episodes,

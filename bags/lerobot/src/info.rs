@@ -85,13 +85,19 @@ impl Feature {
         usize::try_from(product.unwrap_or(u64::MAX)).unwrap_or(usize::MAX)
     }
 
-    /// The values' names: a list, or a list under one key (`{"motors": [...]}`). Numbered where there is not one a value.
+    /// The values' names: a list, a list in a list, or a list under one key (`{"motors": [...]}`). Numbered if there is not
+    /// one for each value.
     pub fn value_names(&self) -> Vec<String> {
         let list = match &self.names {
             Value::Object(keys) => keys.values().next(),
             other => Some(other),
         };
-        let names: Option<Vec<String>> = list.and_then(Value::as_array).and_then(|names| {
+        let list = list.and_then(Value::as_array);
+        let list = list.map(|names| match names.as_slice() {
+            [Value::Array(inner)] => inner,
+            _ => names,
+        });
+        let names: Option<Vec<String>> = list.and_then(|names| {
             let texts = names.iter().map(|name| name.as_str().map(str::to_owned));
             texts.collect()
         });
@@ -135,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_come_in_three_forms() {
+    fn names_come_in_four_forms() {
         let feature = |names: Value| Feature {
             dtype: "float32".into(),
             shape: vec![2],
@@ -146,6 +152,10 @@ mod tests {
         assert_eq!(feature(serde_json::json!(["a", "b"])).value_names(), named);
         assert_eq!(
             feature(serde_json::json!({"motors": ["a", "b"]})).value_names(),
+            named
+        );
+        assert_eq!(
+            feature(serde_json::json!([["a", "b"]])).value_names(),
             named
         );
         for unfit in [Value::Null, serde_json::json!(["a"]), serde_json::json!({})] {

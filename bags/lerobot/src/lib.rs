@@ -17,13 +17,15 @@
 //! ```no_run
 //! use wm_lerobot::{ExportOptions, ImportOptions, export, import};
 //!
-//! let bags = import("aloha".as_ref(), "bags".as_ref(), &ImportOptions::default())?;
-//! let exported = export(&bags, "again".as_ref(), &ExportOptions::default())?;
+//! let imported = import("aloha".as_ref(), "bags".as_ref(), &ImportOptions::default())?;
+//! let exported = export(&imported.bags, "again".as_ref(), &ExportOptions::default())?;
 //! println!("{} episodes", exported.episodes);
 //! # Ok::<(), wm_lerobot::LeRobotError>(())
 //! ```
 //!
-//! Not here: other features (a warning names them), depth maps, download and upload.
+//! An episode that cannot be read is left out by name; the others are imported.
+//!
+//! Not here: other features (a note names them), depth maps, download and upload.
 
 mod dataset;
 mod error;

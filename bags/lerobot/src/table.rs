@@ -219,19 +219,42 @@ pub(crate) fn text(name: &str, cell: Option<&Field>) -> Result<String, String> {
     }
 }
 
-/// The file in a cell of the type that the Python package `datasets` has for images: a group with `bytes`.
-pub(crate) fn image_bytes(name: &str, cell: Option<&Field>) -> Result<Vec<u8>, String> {
-    if let Some(Field::Group(row)) = cell {
-        for (part, value) in row.get_column_iter() {
-            if let ("bytes", Field::Bytes(bytes)) = (part.as_str(), value) {
-                return Ok(bytes.data().to_vec());
+/// A picture in a cell.
+#[derive(Debug, PartialEq)]
+pub(crate) enum Picture {
+    /// The file's bytes.
+    Bytes(Vec<u8>),
+    /// The file's path.
+    Path(String),
+}
+
+/// The picture in a cell of the type that the Python package `datasets` has for images, a group with `bytes` and `path`, or
+/// of one of these alone.
+pub(crate) fn picture(name: &str, cell: Option<&Field>) -> Result<Picture, String> {
+    let mut path = None;
+    match cell {
+        Some(Field::Bytes(bytes)) => return Ok(Picture::Bytes(bytes.data().to_vec())),
+        Some(Field::Str(text)) => path = Some(text),
+        Some(Field::Group(row)) => {
+            for (part, value) in row.get_column_iter() {
+                match (part.as_str(), value) {
+                    ("bytes", Field::Bytes(bytes)) => {
+                        return Ok(Picture::Bytes(bytes.data().to_vec()));
+                    }
+                    ("path", Field::Str(text)) => path = Some(text),
+                    _ => {}
+                }
             }
         }
+        _ => {}
     }
-    Err(format!(
-        "{name}: expected an image's bytes in the table, got {}",
-        kind(cell)
-    ))
+    let path = path.filter(|path| !path.is_empty());
+    path.map(|path| Picture::Path(path.clone())).ok_or_else(|| {
+        format!(
+            "{name}: expected an image's bytes or path, got {}",
+            kind(cell)
+        )
+    })
 }
 
 /// What a cell holds, in words.

@@ -1,9 +1,20 @@
 //! Package `builtin_interfaces`: points in time and spans of it.
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 /// Nanoseconds of a second.
 const NANOS: i64 = 1_000_000_000;
+
+/// A time or span of a message whose nanoseconds are a second or more.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error("{sec} s and {nanosec} ns: expected less than 1e9 ns")]
+pub struct InvalidNanoseconds {
+    /// Its seconds.
+    pub sec: i32,
+    /// Its nanoseconds.
+    pub nanosec: u32,
+}
 
 /// A point in time: seconds since the clock's epoch and nanoseconds onwards from there.
 #[derive(
@@ -37,6 +48,13 @@ fn split(nanos: i64) -> (i32, u32) {
     }
 }
 
+fn checked(sec: i32, nanosec: u32) -> Result<i64, InvalidNanoseconds> {
+    match i64::from(nanosec) < NANOS {
+        true => Ok(join(sec, nanosec)),
+        false => Err(InvalidNanoseconds { sec, nanosec }),
+    }
+}
+
 /// Cannot overflow: 2^31 s x 10^9 + 2^32 ns < 2^63 ns.
 fn join(sec: i32, nanosec: u32) -> i64 {
     i64::from(sec) * NANOS + i64::from(nanosec)
@@ -49,7 +67,15 @@ impl Time {
         Self { sec, nanosec }
     }
 
-    /// Nanoseconds since the epoch.
+    /// Nanoseconds since the epoch, of a message that somebody else has sent.
+    ///
+    /// # Errors
+    /// [`InvalidNanoseconds`].
+    pub fn checked_nanos(self) -> Result<i64, InvalidNanoseconds> {
+        checked(self.sec, self.nanosec)
+    }
+
+    /// Nanoseconds since the epoch, of a time that is known to be valid.
     pub fn to_nanos(self) -> i64 {
         join(self.sec, self.nanosec)
     }
@@ -62,7 +88,15 @@ impl Duration {
         Self { sec, nanosec }
     }
 
-    /// The span in nanoseconds.
+    /// The span in nanoseconds, of a message that somebody else has sent.
+    ///
+    /// # Errors
+    /// [`InvalidNanoseconds`].
+    pub fn checked_nanos(self) -> Result<i64, InvalidNanoseconds> {
+        checked(self.sec, self.nanosec)
+    }
+
+    /// The span in nanoseconds, if it is known to be valid.
     pub fn to_nanos(self) -> i64 {
         join(self.sec, self.nanosec)
     }
@@ -113,6 +147,20 @@ mod tests {
                 nanosec: 0
             }
         );
+    }
+
+    #[test]
+    fn a_second_of_nanoseconds_is_malformed() {
+        for nanosec in [1_000_000_000, 1_999_999_999, u32::MAX] {
+            let expected = Err(InvalidNanoseconds { sec: 5, nanosec });
+            assert_eq!(Time { sec: 5, nanosec }.checked_nanos(), expected);
+            assert_eq!(Duration { sec: 5, nanosec }.checked_nanos(), expected);
+        }
+        let last = Time {
+            sec: 5,
+            nanosec: 999_999_999,
+        };
+        assert_eq!(last.checked_nanos(), Ok(5_999_999_999));
     }
 
     proptest! {

@@ -21,6 +21,14 @@ pub enum DescriptionError {
         /// What stands where the field's type should.
         found: String,
     },
+    /// Text that is not the IDL of a message.
+    #[error("IDL: expected {expected}, got `{found}`")]
+    Idl {
+        /// What belongs there.
+        expected: String,
+        /// What stands there.
+        found: String,
+    },
     /// A type that is named but not defined.
     #[error("expected the definition of {name}, which {by} names, got none")]
     Missing {

@@ -1,6 +1,9 @@
+use std::fmt;
+
 /// The number of a nested type (`type_description_interfaces/msg/FieldType`).
 const NESTED: u8 = 1;
 const UINT8: u8 = 3;
+const WSTRING: u8 = 18;
 /// What bounded strings add to their number: 17 to 21, 18 to 22.
 const BOUNDED_STRING: u8 = 4;
 /// What arrays, bounded and unbounded sequences add to the number of their element.
@@ -24,7 +27,7 @@ const PRIMITIVES: [(&str, u8); 15] = [
     ("bool", 15),
     ("byte", 16),
     ("string", 17),
-    ("wstring", 18),
+    ("wstring", WSTRING),
 ];
 
 /// One field of a type.
@@ -116,6 +119,33 @@ impl FieldType {
             string_capacity,
             nested,
         })
+    }
+}
+
+impl fmt::Display for FieldType {
+    /// As `.msg` text has it: `geometry_msgs/Point[]`, `string<=9`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (container, element) = (self.type_id / ARRAY, self.type_id % ARRAY);
+        let base = if element > WSTRING {
+            element - BOUNDED_STRING
+        } else {
+            element
+        };
+        let primitive = PRIMITIVES.iter().find(|(_, type_id)| *type_id == base);
+        match (&self.nested, primitive) {
+            (Some(nested), _) => f.write_str(&nested.replace("/msg/", "/"))?,
+            (None, Some((name, _))) => f.write_str(name)?,
+            (None, None) => write!(f, "type {element}")?,
+        }
+        if self.string_capacity > 0 {
+            write!(f, "<={}", self.string_capacity)?;
+        }
+        match container {
+            0 => Ok(()),
+            1 => write!(f, "[{}]", self.capacity),
+            2 => write!(f, "[<={}]", self.capacity),
+            _ => f.write_str("[]"),
+        }
     }
 }
 

@@ -8,7 +8,8 @@
 //! - The actions of consecutive periods add up to the whole motion, whatever the rate and the phase of the messages.
 //! - Only stamps count: messages that come later give the same actions.
 //! - For a period of which nothing is known, nothing is published; how many there were is counted.
-//! - What is no number, no rotation, or in another frame is refused by name, and what came before still counts.
+//! - Values that are not finite, rotations that are none, other frames, and poses that the arm cannot reach in the time are
+//!   dropped by name, and what came before still counts.
 
 mod gripper;
 mod node;
@@ -16,10 +17,12 @@ mod outlets;
 mod parameters;
 mod poses;
 mod problem;
+mod speeds;
 mod step;
 mod twists;
 
 pub use gripper::GripperSource;
 pub use node::{NODE, body};
 pub use problem::Problem;
+pub use speeds::Speeds;
 pub use step::{AdapterStep, Done, MotionSource, Settings};

@@ -9,43 +9,58 @@
 //! Promises, each with a test:
 //! - Nothing is sent on the command topics before the node is armed, or after an emergency stop but zeros.
 //! - Commanded velocity and acceleration never exceed their limits; the emergency stop alone is a step to zero.
-//! - Whatever is missing (the next chunk, the pose, the deadman) ends in zero velocity within `stop_within`.
+//! - Whatever is missing (the next chunk, the pose, the deadman, the clock, the camera) ends in zero velocity within
+//!   `stop_within`.
+//! - What is executed is no older than `max_age`, by the node's clock and by the monotonic one.
 //!
 //! It is no safety function: it runs on an ordinary computer and network. The arm's controller has to stop by itself
 //! where commands stay out.
 
 mod beat;
 mod bounds;
+mod camera;
 mod cause;
+mod clock_watch;
 mod deadman;
+mod emergency;
 mod joints;
+mod lateness;
 mod layout;
 mod limits;
 mod message;
+mod moment;
 mod node;
 mod offer;
+mod outlets;
 mod parameters;
 mod rates;
 mod refusal;
 mod schedule;
+mod settings;
+mod status;
 mod step;
 mod velocity;
 mod veto;
 mod workspace;
 
 pub use bounds::Bounds;
+pub use camera::Camera;
 pub use cause::{Cause, Hold};
+pub use clock_watch::ClockWatch;
 pub use deadman::Deadman;
+pub use emergency::{EmergencyStop, StopSources};
 pub use joints::{JointError, Joints};
+pub use lateness::LateNotice;
 pub use layout::{Layout, LayoutError};
 pub use limits::{Group, Limits};
+pub use moment::Moment;
 pub use node::{NODE, body};
 pub use offer::{Begin, Offer, Source};
 pub use rates::Rates;
 pub use refusal::Refusal;
-pub use step::{
-    ArmError, Command, Counts, ExecutorStep, Now, Output, Settings, State, Status, Taken, Tick,
-};
+pub use settings::Settings;
+pub use status::{Counts, State, Status};
+pub use step::{ArmError, Command, ExecutorStep, Output, Taken, Tick};
 pub use velocity::Velocity;
 pub use veto::{Veto, VetoSettings};
 pub use workspace::{PoseError, Workspace};

@@ -391,6 +391,10 @@ fn parameters_that_contradict_each_other_are_named() {
             "workspace_min has 2 numbers",
         ),
         ("-p action_space:=/nowhere.json", "/nowhere.json"),
+        (
+            "-p arm_on_start:=true -p require_emergency_stop:=true",
+            "expected one of them",
+        ),
     ] {
         let running = Running::start(domain(4), parameters);
         let result = running.thread.join().unwrap();

@@ -11,7 +11,8 @@
 //!
 //! Not here: the bag's format (`wm_bag`).
 
-pub mod losses;
+pub mod definitions;
+mod losses;
 mod node;
 mod options;
 mod place;

@@ -1,5 +1,6 @@
 //! `wm bag`.
 
+mod convert;
 mod cut;
 mod info;
 mod play;
@@ -26,6 +27,8 @@ pub enum BagCommand {
     Recover(recover::RecoverCommand),
     /// Write part of a bag, selected by time and topics
     Cut(cut::CutCommand),
+    /// Convert a bag to MCAP: sqlite3, compressed files, compressed messages
+    Convert(convert::ConvertCommand),
     /// Convert a data set to bags: Bridge V2, DROID, LeRobot (runs wm-datasets)
     #[command(disable_help_flag = true, disable_version_flag = true)]
     Import(external::Arguments),
@@ -48,6 +51,7 @@ impl BagCommand {
             Self::Info(command) => command.run(),
             Self::Recover(command) => command.run(),
             Self::Cut(command) => command.run(),
+            Self::Convert(command) => command.run(),
             Self::Import(own) => own.exec("wm-datasets", ["import"], Vec::new()),
             Self::Export(own) => own.exec("wm-datasets", ["export"], Vec::new()),
         }

@@ -1,6 +1,6 @@
 //! The audit of the live camera and actions.
 
-use crate::{Actions, Camera, Finding, Heard, Level, ModelFacts};
+use crate::{Actions, Camera, Finding, Heard, Level, ModelFacts, camera};
 use std::sync::Arc;
 use wm_audit::{ActionTrack, Audit, Episode, Episodes};
 use wm_motion::{
@@ -11,6 +11,25 @@ use wm_motion::{
 /// What is wrong with the pictures of the camera, and with pictures and actions together. What the checks of camera and
 /// action find by the stamps is not repeated.
 pub(crate) fn check(
+    heard: &Heard,
+    (camera, action): (Option<&str>, Option<&str>),
+    model: Option<&ModelFacts>,
+) -> Vec<Finding> {
+    let mut findings = look(heard, (camera, action), model);
+    // Repeated and stopped pictures are found by their bytes too, without actions: one finding for one fault, the worse.
+    let is_repeat = |finding: &Finding| matches!(&*finding.check, "repeats" | "frozen");
+    let worst = findings.iter().filter(|finding| is_repeat(finding));
+    let worst = worst.map(|finding| finding.level).max();
+    if let Some(repeats) = camera::repeats(heard, camera)
+        && worst < Some(repeats.level)
+    {
+        findings.retain(|finding| !is_repeat(finding));
+        findings.push(repeats);
+    }
+    findings
+}
+
+fn look(
     heard: &Heard,
     (camera, action): (Option<&str>, Option<&str>),
     model: Option<&ModelFacts>,
@@ -115,7 +134,8 @@ fn episode(camera: &Camera, actions: &Actions, space: &ActionSpace) -> Episode {
 mod tests {
     use super::*;
     use crate::{
-        Picture, fit::facts, heard::DEFAULT_ACTION, heard::DEFAULT_CAMERA, looker::Looked,
+        Picture, Stream, fit::facts, heard::DEFAULT_ACTION, heard::DEFAULT_CAMERA, looker::Looked,
+        timeline::regular,
     };
     use image::{Rgb, RgbImage};
     use wm_audit::Pictures;
@@ -184,10 +204,9 @@ mod tests {
     fn a_camera_at_twice_its_rate_is_reported_with_its_true_rate() {
         let found = found(&heard(|tick| tick / 2 * 2, true));
         assert_eq!((found.len(), &*found[0].check), (1, "repeats"), "{found:?}");
-        assert!(
-            found[0].what.contains("30.0 Hz come, 15.0 Hz differ"),
-            "{found:?}"
-        );
+        let figure = |name: &str| found[0].figures[name];
+        assert!((figure("rate_hz") - 30.0).abs() < 0.01, "{found:?}");
+        assert!((figure("true_rate_hz") - 15.0).abs() < 0.5, "{found:?}");
     }
 
     #[test]
@@ -220,5 +239,37 @@ mod tests {
             *values = vec![0.4, -0.2, 1.1];
         }
         assert_eq!(found(&heard), []);
+    }
+
+    /// With messages on the topic, of which each picture comes `times` times.
+    fn with_messages(mut heard: Heard, times: u64) -> Heard {
+        let mut stream = Stream::default();
+        stream.timeline = regular(240, 33, 10);
+        for arrival in &mut stream.timeline.0 {
+            arrival.fingerprint = arrival.fingerprint.map(|picture| picture / times);
+        }
+        let camera = heard.cameras.get_mut(DEFAULT_CAMERA).unwrap();
+        camera.raw = Some(stream);
+        heard
+    }
+
+    #[test]
+    fn a_fault_of_the_pictures_is_one_finding() {
+        let twice = found(&with_messages(heard(|tick| tick / 2 * 2, true), 2));
+        assert_eq!((twice.len(), &*twice[0].check), (1, "repeats"), "{twice:?}");
+        let stopped = found(&with_messages(heard(|_| 5, true), 1000));
+        let frozen = stopped
+            .iter()
+            .filter(|finding| finding.level == Level::Error);
+        assert_eq!(frozen.count(), 1, "{stopped:?}");
+        // Without motion, the bytes alone tell.
+        let resting = found(&with_messages(heard(|_| 5, false), 2));
+        assert_eq!(
+            (resting.len(), &*resting[0].check),
+            (1, "camera"),
+            "{resting:?}"
+        );
+        let good = found(&with_messages(heard(|tick| tick, true), 1));
+        assert_eq!(good, []);
     }
 }

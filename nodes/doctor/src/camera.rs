@@ -7,8 +7,10 @@ use wm_ros::logging::of_others;
 
 /// This check.
 const CHECK: &str = "camera";
-/// What the nodes refuse as a stamp of the future, and what no pipeline takes \[s\].
+/// No pipeline takes so long \[s\].
 const CLOCKS_DIFFER_S: f64 = 10.0;
+/// The nodes refuse a stamp that is further ahead \[s\].
+const REFUSED_S: f64 = 0.1;
 /// Stamps ahead by more than a machine's clocks differ when they are in step \[s\].
 const AHEAD_S: f64 = 0.02;
 /// A frame that is older says little of now: a plan takes as long to compute \[s\].
@@ -18,6 +20,8 @@ const LOST: f64 = 0.02;
 /// Longest tenth of the gaps over the median beyond which frames come unevenly: frames are looked for within a quarter of
 /// a period.
 const UNEVEN: f64 = 1.25;
+/// A live picture does not repeat exactly for longer: the encoder's default of `frozen_after` \[s\].
+const FROZEN_AFTER_S: f64 = 1.0;
 /// Mean and spread of a picture that shows nothing, of values from 0 to 1.
 const DARK: f64 = 0.04;
 /// As [`DARK`].
@@ -26,7 +30,9 @@ const FLAT: f64 = 0.01;
 /// What is to be said of the camera that the nodes would use, and of others.
 pub(crate) fn check(heard: &Heard, wanted: Option<&str>) -> Vec<Finding> {
     let Some((name, camera)) = heard.camera(wanted) else {
-        return vec![absent(heard, wanted)];
+        let unread = heard.unread.iter();
+        let unread = unread.map(|advice| Finding::note(CHECK, advice.clone()));
+        return [absent(heard, wanted)].into_iter().chain(unread).collect();
     };
     let shown = of_others(name);
     let Some(stream) = camera.best().filter(|stream| !stream.timeline.is_empty()) else {
@@ -159,6 +165,31 @@ fn pictures(name: &str, camera: &Camera) -> Vec<Finding> {
     is_blank.then(finding).into_iter().collect()
 }
 
+/// Whether the camera that the nodes would use has stopped, or is published faster than it takes pictures.
+pub(crate) fn repeats(heard: &Heard, wanted: Option<&str>) -> Option<Finding> {
+    let (name, camera) = heard.camera(wanted)?;
+    repeats_of(&of_others(name), camera.best()?)
+}
+
+fn repeats_of(name: &str, stream: &Stream) -> Option<Finding> {
+    let timeline = &stream.timeline;
+    let repeat_s = timeline.longest_repeat_s();
+    if repeat_s > FROZEN_AFTER_S {
+        return Some(
+            Finding::error(CHECK, format!("{name}: the picture was the same, byte for byte, for {repeat_s:.1} s: the camera has stopped"))
+                .because("a live picture has noise; the planner publishes no plan from a camera that has stopped")
+                .fix("start the camera's driver again; for a simulator that renders without noise, frozen_after:=0.0 on the encoder"),
+        );
+    }
+    let (period_s, picture_s) = (timeline.period_s()?, timeline.picture_period_s()?);
+    let rate = |period_s| hertz(Duration::from_secs_f64(period_s));
+    (picture_s > 1.2 * period_s).then(|| {
+        Finding::warning(CHECK, format!("{name}: publishes {}, but only {} of it are new pictures: the others repeat the one before", rate(period_s), rate(picture_s)))
+            .because("the model steps by the pictures that the camera takes, not by their copies")
+            .fix("set the driver's rate to that of the camera, or shorten its exposure")
+    })
+}
+
 /// What is wrong with the stamps.
 pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Finding> {
     let timeline = &stream.timeline;
@@ -182,16 +213,16 @@ pub(crate) fn stamps(name: &str, stream: &Stream, has_clock: bool) -> Vec<Findin
     };
     let clocks = "synchronise the clocks of the machines (chrony), or stamp by the system's clock";
     let simulated = "-p use_sim_time:=true on every node: the stamps are in the time of /clock";
-    if delay_s < -CLOCKS_DIFFER_S {
+    if delay_s < -REFUSED_S {
         findings.push(
             Finding::error(
                 CHECK,
                 format!(
-                    "{name}: stamps are {:.1} s ahead of this machine's clock",
+                    "{name}: stamps are {:.2} s ahead of this machine's clock",
                     -delay_s
                 ),
             )
-            .because("the nodes refuse what is more than 10 s ahead (bad_stamp)")
+            .because("the nodes refuse what is more than 0.1 s ahead (bad_stamp)")
             .fix(if has_clock { simulated } else { clocks }),
         );
     } else if delay_s < -AHEAD_S {
@@ -324,6 +355,17 @@ mod tests {
     }
 
     #[test]
+    fn topics_of_other_transports_are_named() {
+        let heard = Heard {
+            unread: vec!["/camera/ffmpeg is compressed video".to_owned()],
+            ..Heard::default()
+        };
+        let findings = check(&heard, None);
+        assert_eq!(findings.len(), 2, "{findings:?}");
+        assert!(format!("{findings:?}").contains("/camera/ffmpeg is compressed video"));
+    }
+
+    #[test]
     fn a_good_camera_is_one_line() {
         let found = check(&heard(camera(stream(30, 200, 12))), None);
         assert_eq!(found.len(), 1, "{found:?}");
@@ -347,9 +389,10 @@ mod tests {
     #[test]
     fn stamps_are_held_against_the_clock() {
         assert!(worst(stream(9, 200, -20_000)).starts_with("Error"));
+        assert!(worst(stream(9, 200, -1_200)).contains("stamps are 1.20 s ahead"));
         assert!(
-            worst(stream(9, 200, -100))
-                .starts_with("Warning: /camera/image_raw: stamps are 100 ms ahead")
+            worst(stream(9, 200, -60))
+                .starts_with("Warning: /camera/image_raw: stamps are 60 ms ahead")
         );
         assert!(worst(stream(9, 200, 60_000)).contains("60 s old"));
         assert!(worst(stream(9, 200, 900)).contains("0.9 s after capture"));
@@ -373,6 +416,28 @@ mod tests {
         let mut two = stream(9, 200, 0);
         two.frame_ids.insert("other".into());
         assert!(worst(two).contains("2 frame_ids"));
+    }
+
+    #[test]
+    fn stopped_and_repeating_cameras_are_named() {
+        let repeated = |times: u64| {
+            let mut stream = stream(180, 33, 10);
+            for arrival in &mut stream.timeline.0 {
+                arrival.fingerprint = arrival.fingerprint.map(|picture| picture / times);
+            }
+            let finding = repeats(&heard(camera(stream)), None).unwrap();
+            format!("{:?}: {}", finding.level, finding.what)
+        };
+        let twice = repeated(2);
+        assert!(
+            twice.starts_with("Warning: /camera/image_raw: publishes 30 Hz, but only 15 Hz"),
+            "{twice}"
+        );
+        let stopped = repeated(1000);
+        assert!(
+            stopped.starts_with("Error") && stopped.contains("the camera has stopped"),
+            "{stopped}"
+        );
     }
 
     #[test]

@@ -2,8 +2,9 @@
 
 use crate::{Camera, DoctorError, Finding, Parts, Picture, Trial};
 use std::time::Duration;
-use wm_model::image::preprocess;
+use wm_model::{Framing, PictureSize};
 use wm_model_nodes::cadence::hertz;
+use wm_model_nodes::encoder::Mismatch;
 use wm_model_nodes::predictor::{UNLIKE, part_far_out};
 use wm_motion::actions::ActionSpace;
 use wm_ros::logging::of_others;
@@ -21,8 +22,10 @@ const USUAL_RATE: f64 = ActionSpace::BRIDGE_RATE;
 pub struct ModelFacts {
     /// By which it was opened.
     pub name: String,
-    /// Rows and columns of the pictures that its encoder takes \[px\].
-    pub input: (usize, usize),
+    /// How its encoder takes pictures.
+    pub framing: Framing,
+    /// Size of the camera's pictures that it was trained on, if it is known.
+    pub trained_on: Option<PictureSize>,
     /// What its actions are, and at which rate; none without a transition model.
     pub action_space: Option<ActionSpace>,
     /// How long its parts take here.
@@ -39,9 +42,11 @@ pub fn gather(name: &str, pictures: &[&Picture]) -> Result<ModelFacts, DoctorErr
     let model = ModelFolder::open(name).map_err(DoctorError::of("the model"))?;
     let parts = Parts::load(&model)?;
     let trial = parts.try_out()?;
-    let input = parts.encoder.input_size();
+    let framing = parts.encoder.framing();
     let encode = |picture: &Picture| -> wm_zoo::Result<f32> {
-        let latent = parts.encoder.encode(&preprocess(&picture.pixels, input)?)?;
+        let latent = parts
+            .encoder
+            .encode(&parts.encoder.prepare(&picture.pixels)?)?;
         Ok(part_far_out(&latent.flatten_all()?.to_vec1::<f32>()?))
     };
     let mut sum = 0.0;
@@ -50,7 +55,8 @@ pub fn gather(name: &str, pictures: &[&Picture]) -> Result<ModelFacts, DoctorErr
     }
     Ok(ModelFacts {
         name: model.name(),
-        input,
+        framing,
+        trained_on: model.trained_on().map_err(DoctorError::of("the model"))?,
         action_space: parts.transition.map(|model| model.encoding.space().clone()),
         trial,
         far_out: (!pictures.is_empty()).then(|| sum / pictures.len() as f32),
@@ -87,7 +93,7 @@ pub(crate) fn check(model: &ModelFacts, camera: Option<(&str, &Camera)>) -> Vec<
         );
     }
     let stream = camera.and_then(|(_, camera)| camera.best());
-    let camera_s = stream.and_then(|stream| stream.timeline.period_s());
+    let camera_s = stream.and_then(|stream| stream.timeline.picture_period_s());
     findings.push(speed(model, camera_s));
     if let Some(camera_s) = camera_s {
         findings.extend(rate(model, camera_s));
@@ -157,8 +163,9 @@ fn pictures(model: &ModelFacts, name: &str, camera: &Camera) -> Vec<Finding> {
     let Some(first) = pictures.first() else {
         return findings;
     };
-    let (rows, columns) = model.input;
+    let (rows, columns) = model.framing.size;
     let (width, height) = first.size;
+    findings.extend(size(model, name, PictureSize { width, height }));
     if (width as usize) < columns || (height as usize) < rows {
         findings.push(
             Finding::warning(CHECK, format!("{name}: pictures of {width}x{height} are enlarged to the model's {columns}x{rows}"))
@@ -186,12 +193,25 @@ fn pictures(model: &ModelFacts, name: &str, camera: &Camera) -> Vec<Finding> {
     findings
 }
 
+/// Whether the pictures have the aspect and size that the model was trained on.
+fn size(model: &ModelFacts, name: &str, found: PictureSize) -> Option<Finding> {
+    let mismatch = Mismatch::of(found, model.framing, model.trained_on)?;
+    let what = format!("{name}: {mismatch}");
+    Some(match mismatch.is_serious() {
+        true => Finding::warning(CHECK, what)
+            .because("the model has not seen things in these shapes or places")
+            .fix(mismatch.fix()),
+        false => Finding::note(CHECK, what).fix(mismatch.fix()),
+    })
+}
+
 /// A model of a test: 5 Hz, two frames a step, fast.
 #[cfg(test)]
 pub(crate) fn facts() -> ModelFacts {
     ModelFacts {
         name: "tiny".into(),
-        input: (64, 64),
+        framing: Framing::from((64, 64)),
+        trained_on: None,
         action_space: Some(ActionSpace::bridge()),
         trial: Trial {
             encode: Duration::from_millis(5),
@@ -276,6 +296,28 @@ mod tests {
         assert_eq!(found(&own, 200)[1].0, Level::Ok);
         let small = check(&facts(), Some(("/c", &camera(200, 32))));
         assert!(small[1].what.contains("32x32 are enlarged"), "{small:?}");
+    }
+
+    #[test]
+    fn another_aspect_than_the_trainings_is_a_warning() {
+        let mut own = facts();
+        let size = |width, height| Some(PictureSize { width, height });
+        // The camera of the test has 128x128 pixels.
+        own.trained_on = size(640, 480);
+        let found = check(&own, Some(("/c", &camera(200, 128))));
+        assert_eq!(found[1].level, Level::Warning);
+        let text = &found[1].what;
+        assert!(
+            text.contains("128x128") && text.contains("640x480"),
+            "{text}"
+        );
+        own.trained_on = size(256, 256);
+        assert_eq!(
+            check(&own, Some(("/c", &camera(200, 128))))[1].level,
+            Level::Note
+        );
+        own.trained_on = size(128, 128);
+        assert_eq!(check(&own, Some(("/c", &camera(200, 128)))).len(), 1);
     }
 
     #[test]

@@ -90,6 +90,8 @@ pub struct Heard {
     pub cameras: BTreeMap<String, Camera>,
     /// Actions and chunks by their topic.
     pub actions: BTreeMap<String, Actions>,
+    /// What to do about topics with pictures that the nodes do not read.
+    pub unread: Vec<String>,
     /// Velocities and poses of an arm.
     pub motions: Vec<Motion>,
     /// The newest time on `/clock` and when it came \[ns\].

@@ -6,7 +6,7 @@ use crate::{
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
-use wm_camera::camera_frame::CameraFrame;
+use wm_camera::{camera_frame::CameraFrame, transport::Transport};
 use wm_msgs::{
     Message, cdr,
     diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},
@@ -17,6 +17,7 @@ use wm_msgs::{
     tf2_msgs::TFMessage,
     wm_msgs::{Action, ActionChunk},
 };
+use wm_ros::logging::of_others;
 use wm_ros::{
     Error, NAMESPACE, Node, NodeArgs, Qos, RawSubscription, Received, Reliability, RemoteEndpoint,
     Role,
@@ -95,6 +96,24 @@ fn adapter_source(type_name: &str) -> Option<&'static str> {
         .find_map(|(name, source)| (name == type_name).then_some(source))
 }
 
+/// What the timeline needs of a message.
+#[derive(Default)]
+struct Content {
+    /// If its type has one.
+    header: Option<Header>,
+    /// Of a picture.
+    fingerprint: Option<u64>,
+}
+
+impl Content {
+    fn of(header: Header) -> Self {
+        Self {
+            header: Some(header),
+            fingerprint: None,
+        }
+    }
+}
+
 /// What came on one topic.
 struct Taken {
     kind: Kind,
@@ -140,6 +159,10 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
             let Some(kind) = Kind::of(&topic.1).filter(|_| topics.len() < MOST_TOPICS) else {
                 continue;
             };
+            let transport = Transport::of(&topic.0, &topic.1);
+            if transport.is_some_and(|transport| !transport.is_read()) {
+                continue;
+            }
             if is_own(&topic.0) || !topics.insert(topic.clone()) {
                 continue;
             }
@@ -183,6 +206,15 @@ async fn hear(node: &Node, span: Duration) -> Result<Heard, Error> {
             source,
         })
     };
+    let advice = |(topic, type_name): &(String, String)| {
+        let transport = Transport::of(topic, type_name)?;
+        transport.advice(&of_others(topic))
+    };
+    heard.unread = published
+        .keys()
+        .filter_map(advice)
+        .take(MOST_TOPICS)
+        .collect();
     heard.motions = published
         .keys()
         .filter_map(motion)
@@ -252,7 +284,11 @@ impl Taken {
         self.stream.largest = self.stream.largest.max(bytes.len());
         let at = received.at.saturating_duration_since(began);
         let received_ns = received.received.to_nanos();
-        let Ok(header) = self.content(bytes, received_ns, (at, span)) else {
+        let Ok(Content {
+            header,
+            fingerprint,
+        }) = self.content(bytes, received_ns, (at, span))
+        else {
             self.stream.undecodable += 1;
             return;
         };
@@ -266,34 +302,31 @@ impl Taken {
                 at,
                 received_ns,
                 stamp: header.map(|header| header.stamp),
+                fingerprint,
             });
         }
     }
 
-    /// Keeps what matters of a message; gives its header, if its type has one.
+    /// Keeps what matters of a message; gives what the timeline needs of it.
     fn content(
         &mut self,
         bytes: &[u8],
         received_ns: i64,
         (at, span): (Duration, Duration),
-    ) -> Result<Option<Header>, cdr::CdrError> {
+    ) -> Result<Content, cdr::CdrError> {
         // Evenly spaced over the time of listening.
         let is_due = at >= span * self.frames.len() as u32 / PICTURES
             && self.frames.len() < PICTURES as usize;
         Ok(match self.kind {
             Kind::Raw => {
                 let image: Image = cdr::from_bytes(bytes)?;
-                let header = image.header.clone();
                 self.encoding.get_or_insert_with(|| image.encoding.clone());
-                self.picture(CameraFrame::Raw(image), received_ns, is_due);
-                Some(header)
+                self.frame(CameraFrame::Raw(image), received_ns, is_due)
             }
             Kind::Compressed => {
                 let image: CompressedImage = cdr::from_bytes(bytes)?;
-                let header = image.header.clone();
                 self.encoding.get_or_insert_with(|| image.format.clone());
-                self.picture(CameraFrame::Compressed(image), received_ns, is_due);
-                Some(header)
+                self.frame(CameraFrame::Compressed(image), received_ns, is_due)
             }
             Kind::Action => {
                 let action: Action = cdr::from_bytes(bytes)?;
@@ -302,13 +335,13 @@ impl Taken {
                     self.rows.push(row);
                 }
                 self.keep(action.values);
-                Some(action.header)
+                Content::of(action.header)
             }
-            Kind::Chunk => Some(cdr::from_bytes::<ActionChunk>(bytes)?.header),
+            Kind::Chunk => Content::of(cdr::from_bytes::<ActionChunk>(bytes)?.header),
             Kind::Clock => {
                 let clock: Clock = cdr::from_bytes(bytes)?;
                 self.clock_ns = Some((clock.clock.to_nanos(), received_ns));
-                None
+                Content::default()
             }
             Kind::Diagnostics => {
                 let array: DiagnosticArray = cdr::from_bytes(bytes)?;
@@ -316,19 +349,24 @@ impl Taken {
                     .status
                     .into_iter()
                     .for_each(|status| self.report(status));
-                None
+                Content::default()
             }
         })
     }
 
     /// Takes a picture: to compare it with the others and, if `is_due`, to try the model on.
-    fn picture(&mut self, frame: CameraFrame, received_ns: i64, is_due: bool) {
+    fn frame(&mut self, frame: CameraFrame, received_ns: i64, is_due: bool) -> Content {
+        let content = Content {
+            header: Some(frame.header().clone()),
+            fingerprint: Some(frame.fingerprint()),
+        };
         if is_due {
             self.frames.push(frame.clone());
         }
         let topic = &self.stream.topic;
         let looker = self.looker.get_or_insert_with(|| Looker::new(topic));
         looker.look(frame, received_ns);
+        content
     }
 
     fn keep(&mut self, values: Vec<f32>) {

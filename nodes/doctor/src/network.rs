@@ -2,7 +2,7 @@
 
 use crate::{DoctorError, Finding, machine::read};
 use std::collections::{BTreeMap, BTreeSet};
-use wm_ros::{Environment, Interface, Reach};
+use wm_ros::{Environment, EnvironmentWarning, Interface, Reach};
 
 /// This check.
 const CHECK: &str = "network";
@@ -25,8 +25,8 @@ pub(crate) struct Network {
     pub interfaces: Vec<Interface>,
     /// Participants of this host that listen, by domain.
     pub listeners: BTreeMap<u16, usize>,
-    /// What the environment asks for and cannot have.
-    pub warnings: Vec<String>,
+    /// Environment variables that the nodes cannot obey.
+    pub warnings: Vec<EnvironmentWarning>,
 }
 
 impl Network {
@@ -107,7 +107,9 @@ pub(crate) fn check(network: &Network, is_silent: bool) -> Vec<Finding> {
             .fix("unset ROS_AUTOMATIC_DISCOVERY_RANGE"),
     }];
     let warnings = network.warnings.iter();
-    findings.extend(warnings.map(|warning| Finding::warning(CHECK, warning.clone())));
+    findings.extend(warnings.map(|EnvironmentWarning { problem, fix }| {
+        Finding::warning(CHECK, problem.clone()).fix(fix.clone())
+    }));
     let others: Vec<_> = network
         .listeners
         .iter()
@@ -192,6 +194,19 @@ mod tests {
             check(&network(Reach::Process, &[]), false)[0].level,
             Level::Warning
         );
+    }
+
+    #[test]
+    fn a_variable_that_nodes_cannot_obey_is_a_finding_with_a_fix() {
+        let mut network = network(Reach::Localhost, &[]);
+        let fix = "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp".to_owned();
+        let problem = "RMW_IMPLEMENTATION is `rmw_zenoh_cpp`".to_owned();
+        network.warnings.push(EnvironmentWarning { problem, fix });
+        let finding = &check(&network, false)[1];
+        assert_eq!(finding.level, Level::Warning);
+        assert!(finding.what.contains("rmw_zenoh_cpp"), "{finding:?}");
+        let fix = finding.fix.as_deref().unwrap();
+        assert!(fix.contains("rmw_fastrtps_cpp"), "{finding:?}");
     }
 
     #[test]

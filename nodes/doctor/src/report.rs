@@ -59,6 +59,7 @@ impl Report {
                 "publishers": stream.publishers.iter().map(ToString::to_string).collect::<Vec<_>>(),
                 "messages": stream.timeline.len(),
                 "rate_hz": stream.timeline.period_s().map(|period_s| 1.0 / period_s),
+                "picture_rate_hz": stream.timeline.picture_period_s().map(|period_s| 1.0 / period_s),
                 "delay_s": stream.timeline.delay_s(),
                 "lost": stream.lost,
                 "undecodable": stream.undecodable,

@@ -164,7 +164,7 @@ impl Setup {
             .cameras
             .get(&camera_name)
             .and_then(crate::Camera::best);
-        let camera_s = stream.and_then(|stream| stream.timeline.period_s());
+        let camera_s = stream.and_then(|stream| stream.timeline.picture_period_s());
         Ok(Self {
             camera: camera_name,
             action,

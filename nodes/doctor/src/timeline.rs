@@ -1,7 +1,12 @@
 //! When the messages of a topic came, and what they are stamped with.
 
-use std::time::Duration;
+use std::{collections::VecDeque, time::Duration};
 use wm_msgs::builtin_interfaces::Time;
+
+/// Pictures that are remembered, as in the encoder.
+const REMEMBERED: usize = 4;
+/// Part of the pictures that are new for a camera that repeats none.
+const MOSTLY_NEW: f64 = 0.8;
 
 /// A message that came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,6 +17,8 @@ pub struct Arrival {
     pub received_ns: i64,
     /// Its header's stamp; none where the type has no header.
     pub stamp: Option<Time>,
+    /// Of a picture: a number that pictures share if they are the same, byte for byte.
+    pub fingerprint: Option<u64>,
 }
 
 impl Arrival {
@@ -82,6 +89,54 @@ impl Timeline {
         (gaps_s.len() >= 2).then(|| quantile(gaps_s, 0.5)).flatten()
     }
 
+    /// The messages with a new picture; none of them if messages have no pictures. A driver that has stopped may publish its
+    /// last few pictures in turn.
+    pub(crate) fn of_new_pictures(&self) -> Self {
+        let mut last = VecDeque::new();
+        let is_new = |arrival: &&Arrival| {
+            let Some(fingerprint) = arrival.fingerprint else {
+                return false;
+            };
+            let is_new = !last.contains(&fingerprint);
+            if is_new {
+                last.push_back(fingerprint);
+                if last.len() > REMEMBERED {
+                    last.pop_front();
+                }
+            }
+            is_new
+        };
+        Self(self.0.iter().filter(is_new).copied().collect())
+    }
+
+    /// The time from one new picture to the next \[s\]: of a camera that is published faster than it takes pictures, longer
+    /// than [`Self::period_s`]. `None` for fewer than three messages.
+    pub(crate) fn picture_period_s(&self) -> Option<f64> {
+        let period_s = self.period_s()?;
+        let new = self.of_new_pictures();
+        // Some repeat by chance, as where a bag begins again.
+        if new.is_empty() || new.len() as f64 > MOSTLY_NEW * self.len() as f64 {
+            return Some(period_s);
+        }
+        let gaps_s = new.gaps_s();
+        let mean_s = gaps_s.iter().sum::<f64>() / gaps_s.len() as f64;
+        Some(if gaps_s.len() >= 2 { mean_s } else { period_s })
+    }
+
+    /// The longest time without a new picture, the end of the listening included \[s\]; 0 if messages have no pictures.
+    pub(crate) fn longest_repeat_s(&self) -> f64 {
+        let mut new = self.of_new_pictures().0.into_iter().peekable();
+        let (mut since, mut longest) = (None, Duration::ZERO);
+        for arrival in &self.0 {
+            if new.next_if_eq(arrival).is_some() {
+                since = Some(arrival.at);
+            }
+            let repeated = since.map_or(Duration::ZERO, |since| arrival.at.saturating_sub(since));
+            longest = longest.max(repeated);
+        }
+        longest.as_secs_f64()
+    }
+
     /// How many times the median the longest tenth of the gaps are; none for fewer than ten gaps.
     pub(crate) fn jitter(&self) -> Option<f64> {
         let gaps_s = self.gaps_s();
@@ -132,6 +187,7 @@ pub(crate) fn regular(count: u64, period_ms: u64, delay_ms: i64) -> Timeline {
             at: Duration::from_millis(index * period_ms),
             received_ns,
             stamp: Some(Time::from_nanos(received_ns - delay_ms * 1_000_000)),
+            fingerprint: Some(index),
         }
     };
     Timeline((0..count).map(arrival).collect())
@@ -174,6 +230,36 @@ mod tests {
         close(timeline.period_s(), 0.1);
         assert_eq!(regular(2, 100, 0).period_s(), None);
         assert_eq!(Timeline::default().delay_s(), None);
+    }
+
+    /// Pictures of which each is published so many times.
+    fn repeated(times: u64, count: u64) -> Timeline {
+        let mut timeline = regular(count, 100, 0);
+        for arrival in &mut timeline.0 {
+            arrival.fingerprint = arrival.fingerprint.map(|picture| picture / times);
+        }
+        timeline
+    }
+
+    #[test]
+    fn repeated_pictures_do_not_count_for_the_rate() {
+        for times in [1, 2, 3] {
+            let timeline = repeated(times, 60);
+            close(timeline.period_s(), 0.1);
+            close(timeline.picture_period_s(), 0.1 * times as f64);
+            close(Some(timeline.longest_repeat_s()), 0.1 * (times - 1) as f64);
+        }
+        // It has stopped: no rate.
+        let stopped = repeated(1000, 60);
+        close(stopped.picture_period_s(), 0.1);
+        close(Some(stopped.longest_repeat_s()), 5.9);
+        let mut actions = regular(20, 100, 0);
+        actions
+            .0
+            .iter_mut()
+            .for_each(|arrival| arrival.fingerprint = None);
+        close(actions.picture_period_s(), 0.1);
+        close(Some(actions.longest_repeat_s()), 0.0);
     }
 
     #[test]

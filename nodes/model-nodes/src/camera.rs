@@ -60,6 +60,11 @@ impl Camera {
         }
     }
 
+    /// Its optical frame; empty until a frame has named it.
+    pub fn frame_id(&self) -> &Arc<str> {
+        &self.frame_id
+    }
+
     /// Whether a frame is this camera's. Another one may take over once this one has been silent for longer than
     /// `silence`.
     ///
@@ -75,7 +80,13 @@ impl Camera {
         let mut publishers = self.publishers.iter();
         let known = publishers.find(|(known, _)| *known == source);
         let is_other_publisher = known.is_some_and(|(_, id)| *id != reception.publisher);
-        if *self.frame_id == *frame_id && !is_other_publisher {
+        // A driver may leave it empty in some frames: those of the same publisher are the same camera's.
+        let is_same_frame =
+            *self.frame_id == *frame_id || frame_id.is_empty() || self.frame_id.is_empty();
+        if is_same_frame && !is_other_publisher {
+            if self.frame_id.is_empty() {
+                self.frame_id = frame_id.into();
+            }
             if known.is_none() {
                 self.publishers.push((source, reception.publisher));
             }
@@ -113,6 +124,7 @@ mod tests {
     fn reception(publisher: u8, at: Instant) -> Reception {
         Reception {
             stamp: Time::default(),
+            clock_step_ns: 0,
             at,
             publisher: PublisherId([publisher; 16]),
         }
@@ -136,6 +148,23 @@ mod tests {
         ] {
             let error = admit(frame_id, source, publisher).unwrap_err();
             assert_eq!(error.is_other_publisher, frame_id == "front");
+        }
+    }
+
+    #[test]
+    fn an_empty_frame_id_is_any_frame_of_the_same_publisher() {
+        let now = Instant::now();
+        for first in ["", "front"] {
+            let mut camera = Camera::new(first, Source::Raw, &reception(1, now));
+            let mut admit = |frame_id, publisher| {
+                camera.admit(frame_id, Source::Raw, &reception(publisher, now), SILENCE)
+            };
+            for frame_id in ["front", "", "front", ""] {
+                assert_eq!(admit(frame_id, 1), Ok(Admission::Same));
+            }
+            assert!(admit("", 2).is_err(), "another publisher");
+            assert!(admit("wrist", 1).is_err(), "another camera");
+            assert_eq!(&**camera.frame_id(), "front");
         }
     }
 

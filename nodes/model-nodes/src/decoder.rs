@@ -3,6 +3,7 @@
 //! [`DecoderStep`] is the node without its ROS interface. A picture has the stamp of its prediction: the predicted
 //! time.
 
+mod camera_view;
 mod held;
 mod node;
 mod rollouts;

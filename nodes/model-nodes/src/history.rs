@@ -12,6 +12,7 @@
 
 mod ahead;
 mod arrival;
+mod camera_clock;
 mod error;
 mod frames;
 mod held_back;
@@ -31,7 +32,6 @@ use wm_motion::{
 };
 use wm_msgs::{
     builtin_interfaces::Time,
-    std_msgs::Header,
     wm_msgs::{Action, ActionChunk, Latent},
 };
 use wm_wire::latent_message::decode_latent;
@@ -39,25 +39,30 @@ use wm_wire::latent_message::decode_latent;
 pub use crate::{camera::WrongCamera, reception::Reception};
 pub use ahead::Ahead;
 pub use arrival::{Arrival, LateChunk};
+pub use camera_clock::CameraStep;
 pub use error::HistoryError;
-pub use frames::Frame;
+pub use frames::{Frame, Observation};
 pub use moment::Moment;
 pub(crate) use moment::stack;
 pub(crate) use note::note;
 pub use stamp::seconds;
+pub(crate) use stamp::{period_of, stamp_of_frame, stamp_of_other};
 pub use timing::Timing;
 pub use wait::Wait;
 pub use wm_motion::motion::{ChunkMerging, MAX_CHUNK};
 
 use crate::camera::{Admission, Camera, Source};
+use camera_clock::CameraClock;
 use frames::Frames;
 use held_back::HeldBack;
 use rhythm::Rhythm;
-use stamp::{seconds_of, stamp_of};
+use stamp::{AHEAD_NS, ANNOUNCED_NS, seconds_of, stamp_of};
 
 /// A policy answers a frame before it has passed the encoder, and may be slow, but not by this much \[ns\]: its clock is
 /// not the frames'.
 const FAR_AHEAD_NS: i64 = 60_000_000_000;
+/// The name under which `/diagnostics` counts what is not done since the camera has stopped.
+pub(crate) const FROZEN_CAMERA: &str = "frozen_camera";
 /// A camera that is silent for this many frame periods, and at least a second, may be replaced by another.
 const SILENT_FRAMES: u32 = 5;
 /// Until a frame has said how late it comes, actions are kept for so long \[ns\].
@@ -85,6 +90,7 @@ pub struct History {
     frames: Frames,
     motion: Motion,
     camera: Option<Camera>,
+    camera_clock: CameraClock,
     /// Of the latents' publisher.
     source_epoch: u64,
     held_back: HeldBack,
@@ -119,6 +125,7 @@ impl History {
             frames: Frames::new(span_ns, settings.context_frames),
             motion: Motion::new(motion).with_merging(settings.merging),
             camera: None,
+            camera_clock: CameraClock::default(),
             source_epoch: 0,
             held_back: HeldBack::default(),
             base_frame: "".into(),
@@ -160,22 +167,31 @@ impl History {
         latent: &Latent,
         reception: Reception,
     ) -> Result<Arrival, HistoryError> {
-        let values = decode_latent(latent, &self.space)?.into();
-        self.observe(&latent.header, values, latent.epoch, reception)
+        let observation = Observation {
+            header: &latent.header,
+            values: decode_latent(latent, &self.space)?.into(),
+            epoch: latent.epoch,
+            is_frozen: latent.frozen,
+        };
+        self.observe(observation, reception)
     }
 
-    /// Takes the values of a latent of the history's space, of its publisher's `source_epoch`.
+    /// Takes a latent of the history's space.
     ///
     /// # Errors
     /// As [`Self::latent`].
     pub fn observe(
         &mut self,
-        header: &Header,
-        values: Arc<[f32]>,
-        source_epoch: u64,
+        observation: Observation<'_>,
         reception: Reception,
     ) -> Result<Arrival, HistoryError> {
-        let stamp_ns = stamp_of("frame", header.stamp, reception.stamp)?;
+        let Observation {
+            header,
+            values,
+            epoch: source_epoch,
+            is_frozen,
+        } = observation;
+        let stamp_ns = stamp_of_frame(header.stamp, &reception)?;
         let mut arrival = Arrival::default();
         let frame_id = header.frame_id.as_str();
         match &mut self.camera {
@@ -200,15 +216,22 @@ impl History {
                 }
                 if admission == Admission::TakenOver || source_epoch > self.source_epoch {
                     self.source_epoch = source_epoch;
+                    if admission == Admission::TakenOver {
+                        self.camera_clock.restart();
+                    }
                     self.begin_around(stamp_ns, reception.stamp);
                     arrival.flushed = true;
                 }
             }
         }
+        let camera = self.camera.as_ref();
         let frame = Frame {
             stamp_ns,
-            frame_id: frame_id.into(),
+            // An empty one stands for any of the same publisher.
+            frame_id: camera
+                .map_or_else(|| frame_id.into(), |camera| Arc::clone(camera.frame_id())),
             values,
+            is_frozen,
             reception,
         };
         self.frame(frame, arrival)
@@ -230,10 +253,12 @@ impl History {
                     }
                     Some((before, now)) => {
                         let clock = now.reception.stamp;
+                        self.camera_jumped(&now);
                         self.begin_around(before.stamp_ns, clock);
                         let first = self.frame(before, Arrival::default())?;
                         let mut arrival = self.frame(now, first)?;
                         arrival.flushed = true;
+                        arrival.camera_step = self.camera_clock.step();
                         return Ok(arrival);
                     }
                 }
@@ -275,9 +300,12 @@ impl History {
     /// # Errors
     /// [`HistoryError`]: it is dropped.
     pub fn action(&mut self, action: &Action, now: Time) -> Result<Arrival, HistoryError> {
-        let stamp_ns = stamp_of("action", action.header.stamp, now)?;
+        let sent_ns = stamp_of("action", action.header.stamp, now, AHEAD_NS)?;
         let values = self.parse(action, || "action".into())?;
-        self.expect_near("action", stamp_ns)?;
+        let newest = self.frames.newest().map(|newest| newest.stamp_ns);
+        let tolerance_ns = self.clock_tolerance_ns();
+        let stamp_ns = self.camera_clock.action(sent_ns, newest, tolerance_ns);
+        self.expect_near("action", stamp_ns, sent_ns, now)?;
         let base_frame = action.header.frame_id.as_str();
         if *self.base_frame != *base_frame {
             self.base_frame = base_frame.into();
@@ -298,8 +326,9 @@ impl History {
     /// # Errors
     /// [`HistoryError`]: it is dropped, and the previous one stays.
     pub fn chunk(&mut self, chunk: &ActionChunk, now: Time) -> Result<Arrival, HistoryError> {
-        let stamp_ns = stamp_of("action chunk", chunk.header.stamp, now)?;
-        self.expect_near("action chunk", stamp_ns)?;
+        let sent_ns = stamp_of("action chunk", chunk.header.stamp, now, ANNOUNCED_NS)?;
+        let stamp_ns = self.camera_clock.in_camera_time(sent_ns);
+        self.expect_near("action chunk", stamp_ns, sent_ns, now)?;
         let actions = chunk
             .actions
             .iter()
@@ -307,7 +336,7 @@ impl History {
             .map(|(index, action)| self.parse(action, || format!("action {index} of a chunk")));
         let actions = actions.collect::<Result<Vec<_>, _>>()?;
         let space = self.encoding.space();
-        let parsed = Chunk::new(space, stamp_ns, chunk.period.to_nanos(), actions);
+        let parsed = Chunk::new(space, stamp_ns, period_of(chunk)?, actions);
         let parsed = parsed.map_err(HistoryError::Chunk)?;
         // A policy may be slow: what counts is whether any of its actions is of this time.
         if self.is_before_jump(parsed.end_ns()) {
@@ -358,6 +387,7 @@ impl History {
         if newest.is_none_or(|newest_ns| now_ns >= newest_ns.saturating_sub(jump_ns)) {
             return false;
         }
+        self.camera_clock.restart();
         self.begin_around(now_ns, now);
         true
     }
@@ -372,6 +402,11 @@ impl History {
     /// The newest frame.
     pub fn newest(&self) -> Option<&Frame> {
         self.frames.newest()
+    }
+
+    /// Whether the camera had stopped by the newest frame.
+    pub fn is_frozen(&self) -> bool {
+        self.newest().is_some_and(|newest| newest.is_frozen)
     }
 
     /// The frame nearest to a stamp, where one lies within the tolerance.
@@ -423,6 +458,8 @@ impl History {
             past,
             base_frame: Arc::clone(&self.base_frame),
             timing: self.timing(),
+            is_frozen: self.is_frozen(),
+            camera_step: self.camera_step(),
         })
     }
 
@@ -528,6 +565,33 @@ impl History {
             > self.timing().jump_ns
     }
 
+    /// How far the newest action may lie from the newest frame if both are of one clock.
+    fn clock_tolerance_ns(&self) -> i64 {
+        self.timing().jump_ns.saturating_add(self.latest_ns)
+    }
+
+    /// Finds out whether a jump of the frames to `now` is one of the camera's clock alone.
+    fn camera_jumped(&mut self, now: &Frame) {
+        let Some(from) = self.frames.newest() else {
+            return;
+        };
+        let passed = now
+            .reception
+            .at
+            .saturating_duration_since(from.reception.at);
+        let passed_ns = i64::try_from(passed.as_nanos()).unwrap_or(i64::MAX);
+        let gap_ns = now.stamp_ns.saturating_sub(from.stamp_ns);
+        let by_ns = gap_ns.saturating_sub(passed_ns);
+        let (from_ns, tolerance_ns) = (from.stamp_ns, self.clock_tolerance_ns());
+        self.camera_clock
+            .jumped(from_ns, now.stamp_ns, by_ns, tolerance_ns);
+    }
+
+    /// The step of the camera's clock, if it and the clock of the actions do not agree.
+    pub fn camera_step(&self) -> Option<CameraStep> {
+        self.camera_clock.step()
+    }
+
     /// Keeps actions for as long as frames need them that arrive as late as this one.
     fn keep_actions(&mut self, stamp_ns: i64) {
         let late_ns = (self.motion.newest_taken_ns())
@@ -549,9 +613,26 @@ impl History {
             .is_some_and(|newest| stamp_ns < newest.stamp_ns.saturating_sub(self.timing().jump_ns))
     }
 
-    fn expect_near(&self, what: &'static str, stamp_ns: i64) -> Result<(), HistoryError> {
+    /// Refuses what is stamped `stamp_ns` in the camera's time, `sent_ns` in its sender's, if that is far ahead.
+    fn expect_near(
+        &self,
+        what: &'static str,
+        stamp_ns: i64,
+        sent_ns: i64,
+        now: Time,
+    ) -> Result<(), HistoryError> {
         match self.frames.newest() {
             Some(newest) if stamp_ns > newest.stamp_ns.saturating_add(FAR_AHEAD_NS) => {
+                let age_ns = now.to_nanos().saturating_sub(sent_ns);
+                let behind_ns = newest
+                    .reception
+                    .stamp
+                    .to_nanos()
+                    .saturating_sub(newest.stamp_ns);
+                if age_ns.saturating_abs() < ANNOUNCED_NS && behind_ns > ANNOUNCED_NS {
+                    let behind_s = behind_ns as f64 / 1e9;
+                    return Err(HistoryError::CameraBehind { what, behind_s });
+                }
                 Err(HistoryError::Ahead {
                     what,
                     stamp_ns,

@@ -13,6 +13,7 @@ mod plots;
 mod rollout;
 mod scoring;
 mod step;
+mod summary;
 mod trial;
 mod trust;
 

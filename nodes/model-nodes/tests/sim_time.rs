@@ -131,6 +131,7 @@ async fn a_clock_that_jumps_back_flushes_the_history() {
         world.tell(0).await;
         world.moment(0);
         world.said("1 of 2 context frames have arrived").await;
+        world.tell(1).await;
         world.moment(1);
         world.moment(2);
         loop {

@@ -18,7 +18,7 @@ use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
     diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},
     sensor_msgs::{CompressedImage, Image},
-    std_msgs::Header,
+    std_msgs::{Header, String as Text},
     wm_msgs::{
         Action, ActionChunk, Latent, LatentSpace, Plan, Prediction, PredictionError, Reset,
         ResetRequest,
@@ -52,9 +52,11 @@ fn header(index: i64, frame_id: &str) -> Header {
 
 fn picture(index: i64) -> RgbImage {
     RgbImage::from_fn(SIDE, SIDE, |x, y| {
-        let ball = (i64::from(x) - 4 * index).abs() < 6 && y.abs_diff(20) < 6;
+        // It goes round, and its colour changes: a picture that repeats is of a camera that has stopped.
+        let ball = (i64::from(x) - (4 * index).rem_euclid(i64::from(SIDE))).abs() < 6
+            && y.abs_diff(20) < 6;
         if ball {
-            Rgb([220, 40, 40])
+            Rgb([220, 40, index.rem_euclid(200) as u8])
         } else {
             Rgb([90, (2 * x) as u8, (3 * y) as u8])
         }
@@ -70,7 +72,7 @@ fn action(index: i64) -> Action {
 
 /// The robot, the camera and the user: everything that the nodes hear, and everything that they say.
 struct World {
-    _node: Node,
+    node: Node,
     camera: Publisher<Image>,
     /// A second camera on the same topic, with the same frame_id.
     other_camera: Publisher<Image>,
@@ -118,12 +120,13 @@ impl World {
             // Made early: a server answers into the void until it has found the client's end, too.
             resets: ["predictor", "planner"]
                 .map(|name| node.client(&format!("/wm/{name}/reset")).unwrap()),
-            _node: node,
+            node,
         };
         let met = async {
             world.camera.wait_for_subscribers(1).await;
             world.other_camera.wait_for_subscribers(1).await;
-            world.actions.wait_for_subscribers(2).await;
+            // Of encoder, predictor and planner.
+            world.actions.wait_for_subscribers(3).await;
             world.chunks.wait_for_subscribers(2).await;
             world.goals.wait_for_subscribers(1).await;
             // This node itself, the predictor and the planner.
@@ -275,6 +278,8 @@ fn four_nodes_predict_plan_and_survive_bad_input() {
         let next = public_topics_carry_what_they_should(&mut world, &space, next).await;
         let next = bad_input_is_counted_and_survived(&mut world, &space, next).await;
         resets_and_jumps_flush(&mut world, next).await;
+        another_aspect_begins_an_epoch(&mut world).await;
+        late_joiner_gets_the_fit(&world).await;
     });
     drop(runtime);
     here.close();
@@ -420,7 +425,7 @@ async fn bad_input_is_counted_and_survived(
     world
         .camera
         .publish(&Image {
-            encoding: "bayer_rggb8".into(),
+            encoding: "bayer_rggb16".into(),
             ..good.clone()
         })
         .unwrap();
@@ -537,4 +542,31 @@ async fn resets_and_jumps_flush(world: &mut World, next: i64) {
     let first = soon("a prediction after the jump", &mut world.predictions).await;
     assert_eq!(first.observed_stamp, stamp(-38));
     assert!(first.epoch > after_reset);
+}
+
+/// After the jump, which ends with the frame of -38.
+async fn another_aspect_begins_an_epoch(world: &mut World) {
+    let before = world.moment(-37).await.epoch;
+    let wide = image::imageops::crop_imm(&picture(-36), 0, 0, SIDE, 32).to_image();
+    let image = encode_image(&wide, header(-36, "camera"));
+    world.camera.publish(&image).unwrap();
+    let latent = loop {
+        let latent = soon("the latent of a wide frame", &mut world.latents).await;
+        if latent.header.stamp == stamp(-36) {
+            break latent;
+        }
+    };
+    assert!(latent.epoch > before, "{} {before}", latent.epoch);
+    let is_named = |value: &str| value.starts_with("48x32, fit stretch");
+    world
+        .diagnosed("wm/encoder", "camera picture", is_named)
+        .await;
+}
+
+async fn late_joiner_gets_the_fit(world: &World) {
+    let mut fits = world
+        .node
+        .subscription_catching_up::<Text>("predicted/fit", Qos::reliable(1))
+        .unwrap();
+    assert_eq!(soon("the fit", &mut fits).await.data, "stretch");
 }

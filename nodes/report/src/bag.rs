@@ -6,8 +6,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use wm_bag::{BagMessage, BagReader};
 use wm_camera::camera_frame::CameraFrame;
+use wm_model::Fit;
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
+    std_msgs::String as Text,
     wm_msgs::{Plan, Prediction, PredictionError},
 };
 
@@ -20,6 +22,8 @@ pub struct BagTopics {
     pub predicted: String,
     /// Their pictures, raw or compressed.
     pub pictures: String,
+    /// How the model takes frames of another aspect.
+    pub fit: String,
     /// Their latent errors.
     pub errors: String,
     /// Plans.
@@ -48,6 +52,7 @@ impl BagTopics {
             camera: pick("/camera/image_raw"),
             predicted: "/wm/predicted".to_owned(),
             pictures: pick("/wm/predicted/image"),
+            fit: "/wm/predicted/fit".to_owned(),
             errors: "/wm/prediction_error".to_owned(),
             plans: "/wm/plan".to_owned(),
             diagnostics: "/diagnostics".to_owned(),
@@ -113,6 +118,8 @@ fn score(scorer: &mut Scorer, topics: &BagTopics, message: &BagMessage) -> Resul
         scorer.picture(stamp_ns, picture, arrived_ns);
     } else if topic == topics.predicted {
         scorer.prediction(&message.decode::<Prediction>()?, arrived_ns);
+    } else if topic == topics.fit {
+        scorer.fit(fit_of(&message.decode()?)?);
     } else if topic == topics.errors {
         scorer.error(&message.decode::<PredictionError>()?);
     } else if topic == topics.plans {
@@ -121,6 +128,11 @@ fn score(scorer: &mut Scorer, topics: &BagTopics, message: &BagMessage) -> Resul
         scorer.diagnostics(&message.decode::<DiagnosticArray>()?);
     }
     Ok(())
+}
+
+/// The fit that a message names.
+pub(crate) fn fit_of(message: &Text) -> Result<Fit> {
+    message.data.parse().map_err(anyhow::Error::msg)
 }
 
 fn picture_of(message: &BagMessage) -> Result<(i64, image::RgbImage)> {

@@ -3,7 +3,7 @@
 use image::RgbImage;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use wm_model::image::resize;
+use wm_model::{Fit, Framing};
 
 /// Frames that are kept: more than a horizon of 3.2 s at 30 Hz.
 const COUNT_LIMIT: usize = 128;
@@ -15,8 +15,9 @@ const BYTE_LIMIT: usize = 96 << 20;
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     frames: BTreeMap<i64, Arc<RgbImage>>,
-    /// (height, width) of the predicted pictures.
-    size: Option<(usize, usize)>,
+    /// How frames become pictures of the predicted size, once that is known.
+    framing: Option<Framing>,
+    fit: Fit,
     bytes: usize,
 }
 
@@ -26,8 +27,8 @@ impl Frames {
         if self.frames.contains_key(&stamp_ns) {
             return false;
         }
-        let frame = match self.size {
-            Some(size) => fit(frame, size),
+        let frame = match self.framing {
+            Some(framing) => framed(frame, framing),
             None => frame,
         };
         self.bytes += frame.as_raw().len();
@@ -44,14 +45,27 @@ impl Frames {
     /// Says what resolution the predicted pictures have; frames are brought to it.
     pub fn set_size(&mut self, picture: &RgbImage) {
         let size = (picture.height() as usize, picture.width() as usize);
-        if self.size != Some(size) {
-            self.size = Some(size);
+        let framing = Framing::new(size, self.fit);
+        if self.framing != Some(framing) {
+            self.framing = Some(framing);
             let old = std::mem::take(&mut self.frames);
             self.frames = old
                 .into_iter()
-                .map(|(stamp, frame)| (stamp, Arc::new(fit(frame.as_ref().clone(), size))))
+                .map(|(stamp, frame)| (stamp, Arc::new(framed(frame.as_ref().clone(), framing))))
                 .collect();
             self.bytes = self.frames.values().map(|frame| frame.as_raw().len()).sum();
+        }
+    }
+
+    /// Says how the model takes frames of another aspect. Frames that were brought to the size of the predicted pictures
+    /// in another way are forgotten.
+    pub fn set_fit(&mut self, fit: Fit) {
+        if self.fit == fit {
+            return;
+        }
+        self.fit = fit;
+        if self.framing.take().is_some() {
+            self.clear();
         }
     }
 
@@ -77,13 +91,13 @@ impl Frames {
     }
 }
 
-/// The frame at this size; as it is where it cannot be brought there, so that the comparison says why.
-fn fit(frame: RgbImage, size: (usize, usize)) -> RgbImage {
-    if (frame.height() as usize, frame.width() as usize) == size {
+/// The frame as the model takes it; as it is if it cannot be brought there, so that the comparison says why.
+fn framed(frame: RgbImage, framing: Framing) -> RgbImage {
+    if (frame.height() as usize, frame.width() as usize) == framing.size {
         return frame;
     }
-    match resize(&frame, size) {
-        Ok(resized) => resized,
+    match framing.apply(&frame) {
+        Ok(framed) => framed,
         Err(_) => frame,
     }
 }
@@ -123,5 +137,35 @@ mod tests {
             frames.insert(stamp, RgbImage::new(2048, 2048));
         }
         assert_eq!(frames.frames.len(), BYTE_LIMIT / (2048 * 2048 * 3));
+    }
+
+    #[test]
+    fn frames_are_compared_as_the_model_takes_them() {
+        let source = RgbImage::from_fn(16, 9, |x, y| image::Rgb([x as u8 * 10, y as u8 * 10, 0]));
+        for fit in Fit::ALL {
+            let expected = Framing::new((6, 6), fit).apply(&source).unwrap();
+            let mut frames = Frames::default();
+            frames.set_fit(fit);
+            // Before and after the size of the predicted pictures is known.
+            frames.insert(1, source.clone());
+            frames.set_size(&RgbImage::new(6, 6));
+            frames.insert(2, source.clone());
+            for stamp in [1, 2] {
+                assert_eq!(**frames.nearest(stamp, 0).unwrap(), expected, "{fit}");
+            }
+        }
+    }
+
+    #[test]
+    fn frames_of_another_fit_are_forgotten() {
+        let mut frames = Frames::default();
+        frames.insert(1, RgbImage::new(16, 9));
+        frames.set_fit(Fit::Crop);
+        assert_eq!(frames.newest_ns(), Some(1), "it was not resized yet");
+        frames.set_size(&RgbImage::new(6, 6));
+        frames.set_fit(Fit::Crop);
+        assert_eq!(frames.newest_ns(), Some(1));
+        frames.set_fit(Fit::Pad);
+        assert_eq!((frames.newest_ns(), frames.bytes), (None, 0));
     }
 }

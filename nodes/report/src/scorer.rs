@@ -15,6 +15,7 @@ pub use rollout::ShownRollout;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use step::StepScore;
+use wm_model::Fit;
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     wm_msgs::{Plan, Prediction, PredictionError},
@@ -127,6 +128,11 @@ impl Scorer {
         for waiting in due {
             self.compare_or_wait(waiting);
         }
+    }
+
+    /// How the model takes frames of another aspect than its own; they are stretched until this is known.
+    pub fn fit(&mut self, fit: Fit) {
+        self.frames.set_fit(fit);
     }
 
     /// A prediction that arrived at `arrived_ns` (the clock of the stamps).

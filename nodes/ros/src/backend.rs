@@ -32,6 +32,8 @@ pub(crate) struct Endpoint {
     pub(crate) qos: Qos,
     /// For a reader: whether it hears this participant's own writers.
     pub(crate) hears_own: bool,
+    /// For a reader: whether others of the same subscription take what its reliability and durability exclude.
+    pub(crate) has_siblings: bool,
 }
 
 /// Which request a sample is, or answers.

@@ -1,11 +1,17 @@
 //! The node's clock: the system's, or with `use_sim_time` the one on `/clock`.
 
 use std::{
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicI64, Ordering},
+    },
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 use tokio::sync::watch;
 use wm_msgs::builtin_interfaces::Time;
+
+/// A simulated clock that moves further at a time has jumped \[ns\].
+const LONGEST_STEP_NS: i64 = 1_000_000_000;
 
 /// A clock that every stamp and timer of a node goes by.
 #[derive(Clone, Debug)]
@@ -18,6 +24,8 @@ struct Inner {
     /// The time on `/clock` \[ns\] where the clock is simulated; 0 until the first message, as in rclcpp.
     simulated: watch::Sender<Option<i64>>,
     jumps: watch::Sender<u64>,
+    /// From one time on `/clock` to the next, the last time that it moved forward \[ns\].
+    step_ns: AtomicI64,
 }
 
 impl Clock {
@@ -26,6 +34,7 @@ impl Clock {
             inner: Arc::new(Inner {
                 simulated: watch::Sender::new(None),
                 jumps: watch::Sender::new(0),
+                step_ns: AtomicI64::new(0),
             }),
         }
     }
@@ -38,6 +47,14 @@ impl Clock {
     /// Whether the clock follows `/clock`.
     pub fn is_simulated(&self) -> bool {
         self.inner.simulated.borrow().is_some()
+    }
+
+    /// How far the clock moves at a time \[ns\]: it may be late by as much. Zero for the system's clock.
+    pub fn step_ns(&self) -> i64 {
+        match self.is_simulated() {
+            true => self.inner.step_ns.load(Ordering::Relaxed),
+            false => 0,
+        }
     }
 
     /// How often `/clock` has jumped back so far. A change means that a bag began again: what was remembered of the
@@ -87,11 +104,18 @@ impl Clock {
 
     /// A message of `/clock`.
     pub(crate) fn advance(&self, time: Time) {
-        let nanos = time.to_nanos();
+        let Ok(nanos) = time.checked_nanos() else {
+            tracing::warn!("/clock: {} s and {} ns are no time", time.sec, time.nanosec);
+            return;
+        };
         let mut jumped = false;
         self.inner.simulated.send_if_modified(|now| match now {
             Some(now) => {
                 jumped = nanos < *now;
+                let step_ns = nanos.saturating_sub(*now);
+                if *now > 0 && (1..=LONGEST_STEP_NS).contains(&step_ns) {
+                    self.inner.step_ns.store(step_ns, Ordering::Relaxed);
+                }
                 *now = nanos;
                 true
             }
@@ -138,6 +162,26 @@ mod tests {
         }
         assert_eq!(sleeper.await.unwrap(), at(25));
         assert_eq!(*jumps.borrow(), 1);
+    }
+
+    #[test]
+    fn a_simulated_clock_knows_its_step_and_refuses_what_is_no_time() {
+        let clock = Clock::new();
+        assert_eq!(clock.step_ns(), 0);
+        clock.set_simulated(true);
+        for nanos in [5_000_000_000, 5_200_000_000, 5_200_000_000] {
+            clock.advance(at(nanos));
+        }
+        assert_eq!(clock.step_ns(), 200_000_000);
+        clock.advance(at(60_000_000_000));
+        assert_eq!(clock.step_ns(), 200_000_000, "a jump");
+        clock.advance(Time {
+            sec: 90,
+            nanosec: 1_000_000_000,
+        });
+        assert_eq!(clock.now(), at(60_000_000_000));
+        clock.set_simulated(false);
+        assert_eq!(clock.step_ns(), 0);
     }
 
     #[tokio::test(flavor = "current_thread")]

@@ -99,6 +99,11 @@ fn remedy(reason: &str) -> Option<(&'static str, Level, &'static str)> {
             Level::Error,
             "set the same parameter model on encoder, predictor, decoder and planner",
         )),
+        "bad_stamp" => Some((
+            "stamps",
+            Level::Error,
+            "it is dropped: nothing is predicted or planned from it",
+        )),
         "overload" => Some((
             "overload",
             Level::Warn,

@@ -2,8 +2,8 @@
 //! which node an endpoint belongs to).
 //!
 //! What is minded here, each at its place:
-//! - a reliable writer's window moves on ([`window`], [`wire`]), since rustdds' own only closes: a stopped reader would
-//!   silence the topic for all;
+//! - a publisher starts a new DDS writer when a reader falls behind ([`line`]), since a stopped reader would silence the
+//!   topic for all;
 //! - sockets hear only the interfaces that were requested ([`confine`]), since rustdds binds them to all;
 //! - ros2-client's own node and spinner are not used: its `/clock` has the wrong type, its parameters no
 //!   descriptors, and its spinner keeps the participant alive;
@@ -12,25 +12,36 @@
 //! - a participant's writers and readers are connected here ([`local`]), since rustdds does not do it on loopback;
 //! - what is believed of the graph is compared with what rustdds knows ([`reconcile`]), since its events may be lost;
 //! - endpoints wait while a Fast DDS participant catches up ([`catch_up`]), since it would never hear of some;
-//! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would be deaf;
+//! - participants that return after their lease has run out are met and connected anew ([`lease`], [`rematch`]), and so
+//!   are those that have lost this one alone ([`one_way`]), since rustdds does not;
+//! - participants on loopback are announced to all others of the host ([`introduction`]), since rustdds announces them
+//!   to twelve;
+//! - a clock that is set back or a task that panics ends the participant ([`failure`]), since it would be deaf, and so does
+//!   an interface whose address changes ([`addresses`]);
 //! - a writer stays for a moment after its last sample ([`writer`]), since rustdds' readers forget it too early;
 //! - the participant goes last, after its readers and writers, or the others never hear that it left.
 
+mod addresses;
 mod answers;
 mod catch_up;
 mod codec;
 mod confine;
 mod datagram;
 mod failure;
+mod introduction;
+mod lease;
+mod line;
 mod local;
 mod lock;
 mod mismatches;
 mod names;
 mod nodes;
+mod one_way;
 mod parts;
 mod qos;
 mod reader;
 mod reconcile;
+mod rematch;
 mod rtps;
 mod second;
 mod shared;
@@ -46,31 +57,37 @@ use crate::{
 };
 pub(crate) use parts::decode_part;
 
+use addresses::Addresses;
 use catch_up::CatchUp;
 use futures::FutureExt as _;
+use line::{Lines, Maker};
 use local::Local;
 use lock::lock;
 use mismatches::Mismatches;
 use names::{dds_name, dds_type, ros_names};
 use nodes::Nodes;
+use one_way::OneWay;
 use parts::{Parts, peer_of};
 use reader::DdsReader;
-use reconcile::{OwnEndpoints, Suspects};
+use reconcile::{Own, OwnEndpoints, Suspects, parts_endpoint};
 use rustdds::{DomainParticipant, RTPSEntity as _};
-use shared::{Shared, follow, is_foreign};
+use shared::{Shared, is_foreign};
 use std::{
     sync::{Arc, Mutex, OnceLock},
     time::Instant,
 };
-use tokio::{runtime::Handle, sync::watch};
+use tokio::{
+    runtime::Handle,
+    sync::{Notify, watch},
+};
 use writer::DdsWriter;
 
 /// A participant of a DDS domain.
 pub(crate) struct Dds {
     id: EndpointId,
-    subscriber: rustdds::Subscriber,
     shared: Arc<Shared>,
     environment: Environment,
+    addresses: Addresses,
     runtime: Handle,
 }
 
@@ -80,25 +97,32 @@ impl Dds {
         let failed =
             |error| Error::middleware(format!("join DDS domain {}", environment.domain_id), error);
         let wire = wire::Wire::open().map_err(|source| Error::io("open a UDP socket", source))?;
-        let participant = second::participant(environment, &wire)?;
+        let addresses = Addresses::of(environment)?;
+        let participant = second::participant(environment)?;
         let defaults = rustdds::QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&defaults).map_err(failed)?;
         let subscriber = participant.create_subscriber(&defaults).map_err(failed)?;
-        let (id, events) = (participant.guid().to_bytes(), participant.status_listener());
+        let id = participant.guid().to_bytes();
         let shared = Arc::new(Shared {
             nodes: Nodes::announce(&participant, &publisher)?,
             participant: Mutex::new(Some(participant)),
             publisher,
+            subscriber,
+            runtime: runtime.clone(),
             first: peer_of(&id),
             second: Mutex::default(),
             second_peer: OnceLock::new(),
             local: Local::default(),
+            lines: Lines::default(),
             parts: Parts::default(),
             matches: Mutex::default(),
             writers: Mutex::default(),
             mismatches: Mismatches::default(),
+            one_way: OneWay::default(),
+            own_port: OnceLock::new(),
             own: OwnEndpoints::default(),
             suspects: Suspects::default(),
+            has_returned: Notify::default(),
             catch_up: CatchUp::default(),
             wire,
             failure: Arc::default(),
@@ -109,22 +133,30 @@ impl Dds {
             staying: Mutex::default(),
         });
         // the first endpoint of all: who knows a topic's readers knows how they take large messages
-        let parts = shared.parts_reader(&subscriber, &id)?;
+        let parts = shared.parts_reader(&id)?;
+        let reader = parts_endpoint(parts::topic_of(&shared.first), false);
+        shared.own.add(parts.guid().to_bytes(), reader);
+        if let Some((id, own)) = shared.nodes.endpoint() {
+            shared.own.add(id, own);
+        }
         let spawn = |task, future| drop(shared.failure.watch(&runtime, task, future));
-        spawn("discovery", follow(events, Arc::clone(&shared)).boxed());
         let exchange = parts::exchange(parts, Arc::clone(&shared));
         spawn("large messages", exchange.boxed());
         if !environment.is_alone() {
             let reconciled = reconcile::keep_reconciled(Arc::clone(&shared));
             spawn("discovery's book", reconciled.boxed());
         }
-        Ok(Arc::new(Self {
+        let this = Self {
             id,
-            subscriber,
             shared,
             environment: environment.clone(),
+            addresses,
             runtime,
-        }))
+        };
+        if let Some(participant) = lock(&this.shared.participant).as_ref() {
+            this.attend(participant)?;
+        }
+        Ok(Arc::new(this))
     }
 
     fn topic(
@@ -190,19 +222,20 @@ impl Backend for Dds {
     fn writer(&self, node: &str, endpoint: &Endpoint) -> Result<Box<dyn Writer>, Error> {
         self.shared.catch_up.wait();
         let qos = qos::for_writer(endpoint.qos);
-        let announced = qos.clone();
         let failed = |error| Error::middleware(format!("publish {}", endpoint.name), error);
-        let writer = if self.goes_apart(endpoint) {
-            self.writer_apart(endpoint, qos)?
+        let maker = if self.goes_apart(endpoint) {
+            self.maker_apart(endpoint, qos)?
         } else {
-            let topic = self.topic(endpoint, &qos)?;
-            let publisher = &self.shared.publisher;
-            publisher.create_datawriter_no_key(&topic, Some(qos))
+            let topic = self.topic(endpoint, &qos::for_reader(endpoint.qos))?;
+            let publisher = self.shared.publisher.clone();
+            Maker {
+                publisher,
+                topic,
+                qos,
+            }
         };
-        let (writer, shared) = (writer.map_err(failed)?, &self.shared);
-        let writer = DdsWriter::new(writer, endpoint, node, shared, &self.runtime);
-        let name = dds_name(endpoint);
-        shared.own.add(writer.id(), name, announced, true);
+        let writer = DdsWriter::new(maker, endpoint, node, &self.shared, &self.runtime);
+        let writer = writer.map_err(failed)?;
         self.compare_types(writer.id(), endpoint, true);
         Ok(Box::new(writer))
     }
@@ -218,13 +251,22 @@ impl Backend for Dds {
         let topic = self.topic(endpoint, &qos)?;
         let began = rustdds::Timestamp::now();
         let reader = self
+            .shared
             .subscriber
             .create_simple_datareader_no_key(&topic, Some(qos.clone()))
             .map_err(|error| Error::middleware(format!("subscribe to {}", endpoint.name), error))?;
         let (shared, runtime) = (&self.shared, &self.runtime);
+        if endpoint.has_siblings {
+            shared.mismatches.tolerate(reader.guid().to_bytes());
+        }
         let reader = DdsReader::new(reader, began, endpoint, node, shared, sink, runtime);
-        let name = dds_name(endpoint);
-        shared.own.add(reader.id(), name, qos, false);
+        let own = Own {
+            topic: dds_name(endpoint),
+            type_name: dds_type(endpoint),
+            qos,
+            is_writer: false,
+        };
+        shared.own.add(reader.id(), own);
         self.compare_types(reader.id(), endpoint, false);
         Ok(Box::new(reader))
     }
@@ -273,11 +315,12 @@ impl Backend for Dds {
     }
 
     fn matched(&self, endpoint: &EndpointId) -> usize {
-        self.shared.matched(endpoint).len() + self.shared.local.matched(endpoint)
+        let line = self.shared.lines.current(endpoint);
+        self.shared.matched(&line).len() + self.shared.local.matched(endpoint)
     }
 
     fn foreign(&self, endpoint: &EndpointId) -> usize {
-        let others = self.shared.matched(endpoint);
+        let others = self.shared.matched(&self.shared.lines.current(endpoint));
         let others = others.iter();
         others.filter(|other| is_foreign(endpoint, other)).count()
     }
@@ -294,6 +337,9 @@ impl Backend for Dds {
         // within a process no reader goes by the wall clock
         if let Some(failure) = self.shared.failure.check(!self.shared.is_alone) {
             return Some(failure);
+        }
+        if let Some(change) = self.addresses.check() {
+            return Some(change);
         }
         // The thread that does discovery takes the command, or is gone: rustdds 0.15.1 ends its threads where the
         // system interrupts their waiting, as it does when a process is stopped and continued.
@@ -321,8 +367,7 @@ impl Backend for Dds {
     }
 }
 
-/// How long a writer whose window is full waits for room \[ms\]: long enough for what [`wire`] sends to itself to take
-/// effect, too short to hold up a node.
+/// How long a writer whose window is full waits for room \[ms\]: too short to hold up a node.
 const WAIT_FOR_ROOM_MS: i64 = 5;
 
 impl From<Qos> for rustdds::policy::Reliability {

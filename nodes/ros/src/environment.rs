@@ -8,9 +8,6 @@
 //! `dds::confine`). On a network with strangers, add a firewall and cap the process's memory: `launch-configs/network/`
 //! has both.
 //!
-//! Loopback mostly has no multicast: participants then announce themselves to the first twelve of the domain on this
-//! host, so that any two find each other as long as one of them is among those.
-//!
 //! **What the middleware cannot do** is refused or warned of by the variable's name, never ignored in silence: peers
 //! outside of multicast (`ROS_STATIC_PEERS`) are not announced to, and DDS security is not built in: where it is asked
 //! for and enforced, the node does not start.
@@ -79,11 +76,11 @@ impl Environment {
         Ok(Self { domain_id, reach })
     }
 
-    /// What the environment variables ask for that this runtime cannot do, where nodes go on without.
+    /// Environment variables that this runtime cannot obey, while nodes run all the same.
     ///
     /// # Errors
     /// A variable with a value that does not make sense, or security that is asked for and enforced.
-    pub fn warnings() -> Result<Vec<String>, Error> {
+    pub fn warnings() -> Result<Vec<EnvironmentWarning>, Error> {
         warnings(&variable)
     }
 
@@ -135,14 +132,53 @@ fn reach_of(variable: &impl Fn(&str) -> Option<String>) -> Result<Reach, Error> 
     }
 }
 
-/// What is asked for by variables that this runtime cannot do, where it can go on without.
-fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<String>, Error> {
+/// An environment variable that this runtime cannot obey.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EnvironmentWarning {
+    /// The variable, its value, and the consequence.
+    pub problem: String,
+    /// The remedy.
+    pub fix: String,
+}
+
+impl std::fmt::Display for EnvironmentWarning {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}; {}", self.problem, self.fix)
+    }
+}
+
+/// The middlewares of ROS 2 that speak DDS, as the nodes do.
+const DDS_MIDDLEWARES: [&str; 5] = [
+    "rmw_fastrtps_cpp",
+    "rmw_fastrtps_dynamic_cpp",
+    "rmw_cyclonedds_cpp",
+    "rmw_connextdds",
+    "rmw_gurumdds_cpp",
+];
+
+fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<EnvironmentWarning>, Error> {
     let mut warnings = Vec::new();
+    if let Some(middleware) = variable("RMW_IMPLEMENTATION")
+        && !DDS_MIDDLEWARES.contains(&middleware.as_str())
+    {
+        warnings.push(EnvironmentWarning {
+            problem: format!(
+                "RMW_IMPLEMENTATION is `{middleware}`, which is not a DDS middleware: this node speaks DDS, and does \
+                 not meet nodes that use `{middleware}`"
+            ),
+            fix: "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp (or rmw_cyclonedds_cpp) for all nodes of the graph, and \
+                  unset it if this is so already"
+                .to_owned(),
+        });
+    }
     if let Some(peers) = variable("ROS_STATIC_PEERS") {
-        warnings.push(format!(
-            "ROS_STATIC_PEERS is `{peers}`, but this middleware announces itself by multicast only: these peers are \
-             found only if multicast reaches them"
-        ));
+        warnings.push(EnvironmentWarning {
+            problem: format!(
+                "ROS_STATIC_PEERS is `{peers}`, but this middleware announces itself by multicast only: it meets these \
+                 peers only if multicast reaches them"
+            ),
+            fix: "use a network with multicast, or the Zenoh bridge (`wm-bridge`)".to_owned(),
+        });
     }
     let is_wanted = match variable("ROS_SECURITY_ENABLE").as_deref() {
         None | Some("false") => false,
@@ -159,11 +195,13 @@ fn warnings(variable: &impl Fn(&str) -> Option<String>) -> Result<Vec<String>, E
     if is_wanted {
         match variable("ROS_SECURITY_STRATEGY").as_deref() {
             Some("Enforce") => return Err(Error::NoSecurity),
-            None | Some("Permissive") => warnings.push(
-                "ROS_SECURITY_ENABLE is `true`, but DDS security is not built in: this node's communication is neither \
-                 encrypted nor authenticated (with ROS_SECURITY_STRATEGY=Enforce it would not start)"
+            None | Some("Permissive") => warnings.push(EnvironmentWarning {
+                problem: "ROS_SECURITY_ENABLE is `true`, but DDS security is not built in: this node's communication \
+                          is neither encrypted nor authenticated"
                     .to_owned(),
-            ),
+                fix: "set ROS_SECURITY_STRATEGY=Enforce if it must not start then, or unset ROS_SECURITY_ENABLE"
+                    .to_owned(),
+            }),
             Some(text) => {
                 return Err(invalid(
                     "ROS_SECURITY_STRATEGY",
@@ -302,7 +340,10 @@ mod tests {
                 found.map(|(_, value)| (*value).to_owned())
             };
             match warnings(&variable) {
-                Ok(warnings) => warnings.join("\n"),
+                Ok(warnings) => {
+                    let warnings = warnings.iter().map(ToString::to_string);
+                    warnings.collect::<Vec<_>>().join("\n")
+                }
                 Err(error) => format!("refused: {error}"),
             }
         };
@@ -311,6 +352,15 @@ mod tests {
         assert!(
             asked(&[("ROS_STATIC_PEERS", "10.0.0.7")]).contains("ROS_STATIC_PEERS is `10.0.0.7`")
         );
+        for middleware in DDS_MIDDLEWARES {
+            assert_eq!(asked(&[("RMW_IMPLEMENTATION", middleware)]), "");
+        }
+        for middleware in ["rmw_zenoh_cpp", "rmw_email_cpp", "fastrtps"] {
+            let warning = asked(&[("RMW_IMPLEMENTATION", middleware)]);
+            let begin = format!("RMW_IMPLEMENTATION is `{middleware}`, which is not");
+            assert!(warning.starts_with(&begin), "{warning}");
+            assert!(warning.contains("set RMW_IMPLEMENTATION="), "{warning}");
+        }
         let secure = |strategy| {
             asked(&[
                 ("ROS_SECURITY_ENABLE", "true"),

@@ -45,6 +45,30 @@ pub enum Error {
          the node does not start"
     )]
     NoSecurity,
+    /// No participant number is free.
+    #[error(
+        "DDS domain {domain} is full on this host: all {participants} participants that it can have exist; end some \
+         nodes, run several in one process (`wm run NODE NODE ...`), or set another ROS_DOMAIN_ID for some"
+    )]
+    DomainFull {
+        /// `ROS_DOMAIN_ID`.
+        domain: u16,
+        /// Participants that the domain can have on one host.
+        participants: u16,
+    },
+    /// An interface has another address than when the node started, or its address was gone in between.
+    #[error(
+        "the address of {interface} has changed from {before} to {now}: the DDS library is bound to the old one; \
+         restart the node"
+    )]
+    AddressChanged {
+        /// Its name.
+        interface: String,
+        /// The address at the start.
+        before: std::net::IpAddr,
+        /// The address now.
+        now: std::net::IpAddr,
+    },
     /// The middleware refused or failed.
     #[error("cannot {action}: {reason}")]
     Middleware {

@@ -88,7 +88,7 @@ pub use diagnostics::{Deadline, Diagnostics, Input, Latency, Level};
 #[doc(hidden)]
 pub use endpoints::made_by;
 pub use endpoints::{Direction, Endpoint, EndpointSet, EndpointSpec};
-pub use environment::{Environment, Interface, Reach};
+pub use environment::{Environment, EnvironmentWarning, Interface, Reach};
 pub use error::Error;
 pub use lifecycle::{Lifecycle, Machine, Managed, Outcome, Refused, State, Transition};
 pub use node::{Node, RemoteEndpoint, Role, TopicInfo};

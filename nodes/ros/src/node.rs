@@ -13,13 +13,13 @@ use interfaces::Interfaces;
 
 use crate::{
     Clock, Context, Descriptor, Diagnostics, Durability, Error, NodeArgs, Parameter, Publisher,
-    Qos, RawPublisher, RawSubscription, Shutdown, Subscription,
+    Qos, RawPublisher, RawSubscription, Reliability, Shutdown, Subscription,
     backend::{Backend, Channel, Endpoint, Reader, Writer},
     lifecycle::Gate,
     logging,
     names::{NodeName, TypeName},
     parameters::Parameters,
-    subscription::{CatchUp, Intake},
+    subscription::{CatchUp, Intake, Served},
     value::{ParameterType, Value},
 };
 use std::sync::{Arc, Mutex, PoisonError};
@@ -322,6 +322,26 @@ impl Node {
         Ok(Subscription::new(raw))
     }
 
+    /// As [`subscription_catching_up`](Self::subscription_catching_up), and best-effort publishers are connected as well:
+    /// for what must not be missed because of its publisher's quality of service, as an emergency stop.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or the middleware failed.
+    pub fn subscription_to_any<M: Message>(
+        &self,
+        topic: &str,
+        qos: Qos,
+    ) -> Result<Subscription<M>, Error> {
+        self.inner.interfaces.message::<M>();
+        let hears = Hears {
+            latched: true,
+            best_effort: true,
+            ..Hears::default()
+        };
+        let raw = self.subscribe(topic, type_of::<M>(), qos, hears)?;
+        Ok(Subscription::new(raw))
+    }
+
     /// Subscribes to a topic of any type, `package/msg/Type`, as CDR bytes.
     ///
     /// # Errors
@@ -393,31 +413,42 @@ impl Node {
             self.clock(),
             self.gate.clone(),
         );
+        let type_text = type_name.to_string();
+        let (latched, best_effort) = (
+            hears.latched && qos.durability == Durability::Volatile,
+            hears.best_effort && qos.reliability == Reliability::Reliable,
+        );
         let endpoint = Endpoint {
             channel: Channel::Topic,
             name,
             type_name,
             qos,
             hears_own: hears.own,
+            has_siblings: best_effort,
         };
         let (backend, node) = (self.inner.backend(), self.fully_qualified_name());
-        let is_of_two = hears.latched && qos.durability == Durability::Volatile;
-        let sink = match is_of_two {
+        let sink = match latched || best_effort {
             true => intake.sink_of_two(),
             false => intake.sink(),
         };
         let reader = backend.reader(node, &endpoint, sink)?;
-        let catch_up = is_of_two.then(|| {
+        let further = [
+            latched.then(|| (Served::Latching, intake.sink_of_latched())),
+            best_effort.then(|| (Served::BestEffort, intake.sink_of_best_effort(backend))),
+        ];
+        let further = further.into_iter().flatten().map(|(served, sink)| {
             let runtime = self.inner.context.runtime();
-            let sink = intake.sink_of_latched();
-            CatchUp::begin(runtime, backend, node.to_owned(), endpoint, sink)
+            let (node, endpoint) = (node.to_owned(), endpoint.clone());
+            CatchUp::begin(runtime, backend, node, endpoint, served, sink)
         });
+        let further = further.collect();
         Ok(RawSubscription::new(
             intake,
             reader,
             Arc::clone(backend),
             self.shutdown(),
-            catch_up,
+            type_text,
+            further,
         ))
     }
 }
@@ -429,12 +460,17 @@ struct Hears {
     own: bool,
     /// What was latched before.
     latched: bool,
+    /// Best-effort publishers, although it requests reliable.
+    best_effort: bool,
 }
 
 impl Default for Hears {
     fn default() -> Self {
-        let (own, latched) = (true, false);
-        Self { own, latched }
+        Self {
+            own: true,
+            latched: false,
+            best_effort: false,
+        }
     }
 }
 
@@ -456,6 +492,7 @@ impl Inner {
             type_name,
             qos,
             hears_own: true,
+            has_siblings: false,
         };
         self.backend().writer(&self.name.fully_qualified, &endpoint)
     }

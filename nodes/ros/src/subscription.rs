@@ -3,19 +3,19 @@
 mod catch_up;
 mod gaps;
 
-pub(crate) use catch_up::CatchUp;
+pub(crate) use catch_up::{CatchUp, Served};
 pub use gaps::Gaps;
 
 use crate::{
-    Clock, Diagnostics, Shutdown,
-    backend::{Backend, EndpointId, Reader, Sample, Sink},
+    Clock, Diagnostics, Reliability, Shutdown,
+    backend::{Backend, Channel, EndpointId, Reader, Sample, Sink},
     lifecycle::{Gate, Gated},
     mailbox::Mailbox,
     payload::Payload,
 };
 use bytes::Bytes;
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     marker::PhantomData,
     sync::{
         Arc, Mutex, PoisonError,
@@ -39,7 +39,7 @@ pub struct Received<M> {
 }
 
 /// A publisher in the whole graph: its DDS GUID.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PublisherId(pub [u8; 16]);
 
 impl<M> Received<M> {
@@ -68,8 +68,9 @@ pub struct RawSubscription {
     reader: Box<dyn Reader>,
     backend: Arc<dyn Backend>,
     shutdown: Shutdown,
-    /// Of a subscription that takes latched messages too.
-    _catch_up: Option<CatchUp>,
+    type_name: String,
+    /// For publishers that the reader does not serve.
+    _catch_up: Vec<CatchUp>,
 }
 
 /// Reads a message from what a sample carries.
@@ -92,6 +93,8 @@ pub(crate) struct Intake {
 
 /// Latching publishers that are remembered: far more than a topic has.
 const MAX_LATCHING: usize = 16;
+/// Publishers whose reliability is remembered.
+const MAX_PUBLISHERS: usize = 64;
 
 impl Intake {
     pub(crate) fn new(
@@ -143,6 +146,33 @@ impl Intake {
                 }
             }
             Err(reason) => intake.refuse(&reason),
+        })
+    }
+
+    /// As [`sink_of_two`](Self::sink_of_two), for the reader that serves best-effort publishers. It is connected to reliable
+    /// ones too, but may miss samples of theirs, which the other reader then gets late: those are left to it.
+    pub(crate) fn sink_of_best_effort(self: &Arc<Self>, backend: &Arc<dyn Backend>) -> Sink {
+        let backend = Arc::downgrade(backend);
+        let mut sink = self.sink_of_two();
+        let mut known: BTreeMap<EndpointId, bool> = BTreeMap::new();
+        Box::new(move |sample| {
+            if let Ok(sample) = &sample {
+                let Some(backend) = backend.upgrade() else {
+                    return;
+                };
+                if known.len() >= MAX_PUBLISHERS && !known.contains_key(&sample.writer) {
+                    known.clear();
+                }
+                let is_reliable = *known.entry(sample.writer).or_insert_with(|| {
+                    let seen = backend.seen();
+                    let writer = seen.iter().find(|seen| seen.id == sample.writer);
+                    writer.is_some_and(|seen| seen.qos.reliability == Reliability::Reliable)
+                });
+                if is_reliable {
+                    return;
+                }
+            }
+            sink(sample);
         })
     }
 
@@ -271,7 +301,8 @@ impl RawSubscription {
         reader: Box<dyn Reader>,
         backend: Arc<dyn Backend>,
         shutdown: Shutdown,
-        catch_up: Option<CatchUp>,
+        type_name: String,
+        catch_up: Vec<CatchUp>,
     ) -> Self {
         intake
             .diagnostics
@@ -281,6 +312,7 @@ impl RawSubscription {
             reader,
             backend,
             shutdown,
+            type_name,
             _catch_up: catch_up,
         }
     }
@@ -340,6 +372,23 @@ impl RawSubscription {
     /// How many publishers are connected.
     pub fn publishers(&self) -> usize {
         self.backend.matched(&self.reader.id())
+    }
+
+    /// The publishers in the graph that have this topic and type.
+    pub fn matching_publishers(&self) -> BTreeSet<PublisherId> {
+        let seen = self.backend.seen().into_iter();
+        let matching = seen.filter(|seen| {
+            seen.is_writer
+                && seen.channel == Channel::Topic
+                && seen.name == self.intake.topic
+                && seen.type_name == self.type_name
+        });
+        matching.map(|seen| PublisherId(seen.id)).collect()
+    }
+
+    /// Why other publishers of the topic are not connected, in words: their type or quality of service.
+    pub fn mismatches(&self) -> Vec<String> {
+        self.backend.mismatches(&self.reader.id())
     }
 
     /// Waits until at least `number` publishers are connected.
@@ -417,6 +466,16 @@ impl<M: Message> Subscription<M> {
         self.raw.publishers()
     }
 
+    /// The publishers in the graph that have this topic and type.
+    pub fn matching_publishers(&self) -> BTreeSet<PublisherId> {
+        self.raw.matching_publishers()
+    }
+
+    /// Why other publishers of the topic are not connected, in words: their type or quality of service.
+    pub fn mismatches(&self) -> Vec<String> {
+        self.raw.mismatches()
+    }
+
     /// Waits until at least `number` publishers are connected.
     pub async fn wait_for_publishers(&self, number: usize) {
         self.raw.wait_for_publishers(number).await;
@@ -426,7 +485,6 @@ impl<M: Message> Subscription<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::BTreeSet;
     use wm_msgs::{cdr, std_msgs};
 
     fn sample(sequence: i64, bytes: Vec<u8>) -> Result<Sample, String> {

@@ -149,9 +149,20 @@ function alongAxes(values, axes, width, height) {
   ])];
 }
 
-/** Arrows of a plan in the picture: along `way`, in fractions of its width and height, or else along its `axes`. */
-export function arrows(canvas, { values, way, axes } = {}) {
+/**
+ * Arrows of a plan in the picture: along `way`, in fractions of its width and height, or else along its `axes`. What lies
+ * beside `seen` (left, top, width and height in fractions) is shaded: the model does not see it.
+ */
+export function arrows(canvas, seen, { values, way, axes } = {}) {
   const { context, width, height } = prepare(canvas);
+  if (seen) {
+    const [left, top, wide, high] = [seen[0] * width, seen[1] * height, seen[2] * width, seen[3] * height];
+    context.fillStyle = "#0007";
+    context.beginPath();
+    context.rect(0, 0, width, height);
+    context.rect(left, top, wide, high);
+    context.fill("evenodd");
+  }
   if (!values) return;
   const points = way ? way.map(([u, v]) => [u * width, v * height]) : alongAxes(values, axes, width, height);
   for (let index = 0; index + 1 < points.length; index++) {

@@ -3,7 +3,7 @@
 import { arrows, timeline } from "./charts.js";
 import { Controls } from "./controls.js";
 import * as panels from "./panels.js";
-import { Pictures, Screen, compare } from "./pictures.js";
+import { Pictures, Screen, compare, framed, placement } from "./pictures.js";
 import { Record, key } from "./record.js";
 import { Connection } from "./socket.js";
 
@@ -39,6 +39,9 @@ const page = {
   latencies: [],
   /** Where the plan that is shown leads in the picture, if that is known. */
   way: null,
+  // Sizes of the camera's pictures and the model's, once one was drawn.
+  cameraSize: null,
+  modelSize: null,
   /** When the first picture was drawn, since the page was opened [ms]. */
   firstPicture: null,
   labels: {},
@@ -189,6 +192,24 @@ function sayState() {
   time.textContent = age === undefined ? "" : ` for ${wholeSeconds(age)}`;
 }
 
+/** How the model takes the camera's pictures. */
+const fit = () => page.status?.fit ?? "stretch";
+
+/** Predicted pictures that are stretched show what the camera shows, in its aspect; others have the model's. */
+function shapePredicted() {
+  const size = fit() === "stretch" ? page.cameraSize : page.modelSize;
+  if (!size) return;
+  for (const id of ["predicted", "difference"]) screens[id].aspect = `${size.width} / ${size.height}`;
+}
+
+/** What the model sees of the camera's picture, in fractions of its width and height; null if that is all of it. */
+function seen() {
+  const { cameraSize: from, modelSize: to } = page;
+  if (fit() !== "crop" || !from || !to) return null;
+  const { x, y, width, height } = placement("crop", from, to).source;
+  return [x / from.width, y / from.height, width / from.width, height / from.height];
+}
+
 function drawPictures() {
   const isLive = !page.at && !page.isBag;
   // The picture itself comes before the event that tells of it.
@@ -201,7 +222,8 @@ function drawPictures() {
   }
   show("camera", frame, key(frame), (picture) => {
     screens.camera.aspect = `${picture.width} / ${picture.height}`;
-    for (const id of ["predicted", "difference"]) screens[id].aspect = `${picture.width} / ${picture.height}`;
+    page.cameraSize = { width: picture.width, height: picture.height };
+    shapePredicted();
     page.firstPicture ??= performance.now();
     const latency = performance.timeOrigin + performance.now() - frame.t;
     if (isLive && Math.abs(latency) < AN_HOUR) {
@@ -237,7 +259,10 @@ function drawPair(frame, isLive) {
     }
     return;
   }
-  show("predicted", pair.picture);
+  show("predicted", pair.picture, key(pair.picture), (picture) => {
+    page.modelSize = { width: picture.width, height: picture.height };
+    shapePredicted();
+  });
   const ahead = ((k * record.period) / 1000).toFixed(1);
   const age = isLive ? frame.t - pair.frame.t : 0;
   const ofWhat = age < 50 ? "this frame" : `the frame of ${(age / 1000).toFixed(1)} s ago`;
@@ -245,14 +270,14 @@ function drawPair(frame, isLive) {
   screens.predicted.caption.classList.toggle("old", age > OLD);
   const gain = GAINS[page.gainIndex];
   const difference = screens.difference;
-  const name = `${key(pair.frame)} ${key(pair.picture)} ${gain}`;
+  const name = `${key(pair.frame)} ${key(pair.picture)} ${gain} ${fit()}`;
   if (difference.wanted === name) return;
   difference.wanted = name;
   const held = record.frame(pair.picture.from, true);
   const all = [pictures.get(pair.frame), pictures.get(pair.picture), held ? pictures.get(held) : null];
   Promise.all(all).then(([real, predicted, heldPicture]) => {
     if (difference.wanted !== name || !real || !predicted) return;
-    const { psnr, held: heldPsnr } = compare(difference.canvas, real, predicted, heldPicture, gain);
+    const { psnr, held: heldPsnr } = compare(difference.canvas, real, predicted, heldPicture, { gain, fit: fit() });
     difference.shown = name;
     difference.say("");
     page.psnr = psnr;
@@ -286,7 +311,7 @@ function drawStrip(frame) {
     const picture = steps.get(k);
     if (picture) cell.predicted.show(key(picture), () => pictures.get(picture));
     const real = picture ? record.frame(picture.t, true) : null;
-    if (real) cell.real.show(key(real), () => pictures.get(real));
+    if (real) cell.real.show(`${key(real)} ${fit()}`, async () => framed(await pictures.get(real), fit(), page.modelSize));
     else if (cell.real.wanted) cell.real.blank("");
     cell.label.textContent = `+${((k * record.period) / 1000).toFixed(1)} s`;
     cell.button.setAttribute("aria-pressed", String(k === page.k));
@@ -305,7 +330,7 @@ function drawArrows() {
   // A plan that is over is no longer of this picture.
   const isCurrent = plan && now < Number(plan.actions.begin) / 1e6 + (plan.actions.values.length + 2) * plan.actions.period_ms;
   page.way = isCurrent ? record.wayOf(plan) : null;
-  arrows(canvas, isCurrent ? { values: plan.actions.values, way: page.way?.points, axes: page.hello?.axes ?? [] } : {});
+  arrows(canvas, seen(), isCurrent ? { values: plan.actions.values, way: page.way?.points, axes: page.hello?.axes ?? [] } : {});
 }
 
 /** The span of the time line: of a live page the last minute, of a bag all of it. */

@@ -109,15 +109,45 @@ export class Screen {
   }
 }
 
+/** Which part of a picture of the size `from` becomes which part of one of the size `to`: `Fit::placement` of wm_model. */
+export function placement(fit, from, to) {
+  const whole = ({ width, height }) => ({ x: 0, y: 0, width, height });
+  const inside = (of, shape) => {
+    const isWider = of.width * shape.height > shape.width * of.height;
+    const rounded = (side, by, over, most) => Math.min(most, Math.max(1, Math.floor((side * by + Math.floor(over / 2)) / over)));
+    const width = isWider ? rounded(of.height, shape.width, shape.height, of.width) : of.width;
+    const height = isWider ? of.height : rounded(of.width, shape.height, shape.width, of.height);
+    return { x: Math.floor((of.width - width) / 2), y: Math.floor((of.height - height) / 2), width, height };
+  };
+  return { source: fit === "crop" ? inside(from, to) : whole(from), target: fit === "pad" ? inside(to, from) : whole(to) };
+}
+
+/** Draws a camera's picture as the model takes it; beside a padded one nothing is drawn. */
+function drawFramed(context, picture, fit, { width, height }) {
+  const { source, target } = placement(fit, picture, { width, height });
+  const { x, y } = target;
+  context.drawImage(picture, source.x, source.y, source.width, source.height, x, y, target.width, target.height);
+}
+
+/** A camera's picture as the model takes it, at the size of its pictures. */
+export function framed(picture, fit, size) {
+  if (!picture || !size) return picture;
+  const canvas = new OffscreenCanvas(size.width, size.height);
+  const context = canvas.getContext("2d");
+  context.imageSmoothingQuality = "high";
+  drawFramed(context, picture, fit, size);
+  return canvas;
+}
+
 const scratch = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
 
-/** Draws |a - b| at b's size; gives the mean squared difference of the 8-bit values. */
-function subtract(context, a, b) {
+/** Draws |a - b| at b's size, `a` as the model takes it; gives the mean squared difference of the 8-bit values. */
+function subtract(context, a, b, fit) {
   const { width, height } = b;
   if (context.canvas.width !== width || context.canvas.height !== height) Object.assign(context.canvas, { width, height });
   context.globalCompositeOperation = "copy";
   context.imageSmoothingQuality = "high";
-  context.drawImage(a, 0, 0, width, height);
+  drawFramed(context, a, fit, b);
   context.globalCompositeOperation = "difference";
   context.drawImage(b, 0, 0, width, height);
   const pixels = context.getImageData(0, 0, width, height).data;
@@ -131,8 +161,8 @@ function subtract(context, a, b) {
 const decibel = (mse) => (mse > 0 ? Math.min(60, 10 * Math.log10(65025 / mse)) : 60);
 
 /** Draws how a prediction differs from the real frame; gives PSNR [dB], and that of the held frame where there is one. */
-export function compare(canvas, real, predicted, held, gain) {
-  const mse = subtract(scratch, real, predicted);
+export function compare(canvas, real, predicted, held, { gain, fit }) {
+  const mse = subtract(scratch, real, predicted, fit);
   const { width, height } = predicted;
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
   const context = canvas.getContext("2d");
@@ -140,17 +170,17 @@ export function compare(canvas, real, predicted, held, gain) {
   context.drawImage(scratch.canvas, 0, 0);
   context.globalCompositeOperation = "lighter";
   for (let times = 1; times < gain; times++) context.drawImage(scratch.canvas, 0, 0);
-  const heldMse = held ? subtract(scratch, real, sized(held, width, height)) : null;
+  const heldMse = held ? subtract(scratch, real, sized(held, fit, width, height), fit) : null;
   return { psnr: decibel(mse), held: heldMse === null ? null : decibel(heldMse) };
 }
 
 const holder = document.createElement("canvas");
 
-/** A picture at the size that another is compared at. */
-function sized(picture, width, height) {
+/** A picture as the model takes it, at the size that another is compared at. */
+function sized(picture, fit, width, height) {
   Object.assign(holder, { width, height });
   const context = holder.getContext("2d");
   context.imageSmoothingQuality = "high";
-  context.drawImage(picture, 0, 0, width, height);
+  drawFramed(context, picture, fit, holder);
   return holder;
 }

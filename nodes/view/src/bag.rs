@@ -18,6 +18,7 @@ use wm_camera::{camera_frame::CameraFrame, camera_info::topic_beside};
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     sensor_msgs::CameraInfo,
+    std_msgs::String as Text,
     tf2_msgs::TFMessage,
     visualization_msgs::MarkerArray,
     wm_msgs::{
@@ -34,6 +35,8 @@ const STRIDE: usize = 500;
 /// The topics of tf.
 const TRANSFORMS: &str = "/tf";
 const STATIC_TRANSFORMS: &str = "/tf_static";
+/// Of a node in the suite's namespace.
+const FIT: &str = "/wm/predicted/fit";
 
 /// A bag that is shown.
 pub struct Bag {
@@ -126,7 +129,7 @@ impl Bag {
     /// Reads all of it, and tells the clients of what it finds on the way. It takes as long as reading the file.
     pub fn read(&self, shared: &Shared) {
         let mut unusable: BTreeMap<String, (u64, String)> = BTreeMap::new();
-        let scene = [&*self.camera_info, TRANSFORMS, STATIC_TRANSFORMS];
+        let scene = [&*self.camera_info, TRANSFORMS, STATIC_TRANSFORMS, FIT];
         let topics = self.topics.keys().map(String::as_str).chain(scene);
         let messages = self.reader.messages().only_topics(topics);
         for (number, message) in messages.enumerate() {
@@ -189,6 +192,7 @@ impl Bag {
     fn place(&self, state: &mut State, message: &BagMessage) -> Result<(), Unusable> {
         let scene = &mut state.scene;
         match &*message.topic {
+            FIT => state.fit(&message.decode::<Text>()?)?,
             TRANSFORMS => scene.transforms(&message.decode::<TFMessage>()?, false)?,
             STATIC_TRANSFORMS => scene.transforms(&message.decode::<TFMessage>()?, true)?,
             _ => scene.camera(&message.decode::<CameraInfo>()?),

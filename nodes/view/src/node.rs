@@ -31,6 +31,7 @@ use wm_camera::{camera_frame::CameraFrame, camera_info::topic_beside};
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
     sensor_msgs::CameraInfo,
+    std_msgs::String as Text,
     tf2_msgs::TFMessage,
     visualization_msgs::MarkerArray,
     wm_msgs::{
@@ -138,6 +139,8 @@ wm_ros::endpoints! {
         predicted: Subscription<Prediction> = "predicted", qos(BURST);
         /// Predicted pictures.
         pictures: PictureSubscription = "predicted/image", qos(BURST);
+        /// How a camera picture becomes one of their size and aspect.
+        fit: Subscription<Text> = "predicted/fit", qos(Qos::reliable(1)), made(Node::subscription_catching_up);
         /// Errors of the predictions.
         errors: Subscription<PredictionError> = "prediction_error", qos(BURST);
         /// Actions that the robot takes.
@@ -338,6 +341,7 @@ impl Hearing {
                     self.seen(label, now_ns, picture);
                 }
                 Some(received) = inputs.predicted.recv_shared() => self.tell(&received, State::prediction),
+                Some(received) = inputs.fit.recv_shared() => self.tell(&received, |state, fit, _| state.fit(fit)),
                 Some(received) = inputs.errors.recv_shared() => self.tell(&received, of(State::error)),
                 Some(received) = inputs.actions.recv_shared() => self.tell(&received, of(State::action)),
                 Some(received) = inputs.chunks.recv_shared() => self.tell(&received, of(State::chunk)),
@@ -412,18 +416,13 @@ impl Hearing {
             Ok(None) => return,
             Err(left) => return self.complain(Err(left)),
         };
-        match frame {
-            CameraFrame::Compressed(_) => {
-                self.seen(label, now_ns, Picture::of(&frame, label, now_ns));
-            }
-            CameraFrame::Raw(_) => {
-                if !self.conversions.begin(frame, label, now_ns) {
-                    // The next one is as good.
-                    self.node
-                        .diagnostics()
-                        .count_skipped("raw image while others are encoded", 1);
-                }
-            }
+        if !Picture::is_slow(&frame) {
+            self.seen(label, now_ns, Picture::of(&frame, label, now_ns));
+        } else if !self.conversions.begin(frame, label, now_ns) {
+            // The next one is as good.
+            self.node
+                .diagnostics()
+                .count_skipped("image while others are encoded", 1);
         }
     }
 

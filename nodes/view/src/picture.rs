@@ -5,7 +5,7 @@ use bytes::Bytes;
 use thiserror::Error;
 use wm_camera::{
     camera_frame::CameraFrame,
-    image_message::{ImageError, encode_jpeg},
+    image_message::{ImageError, check_compressed, encode_jpeg},
 };
 
 /// What a picture shows.
@@ -62,17 +62,6 @@ pub enum Format {
 }
 
 impl Format {
-    /// By the first bytes: what a message says of its format differs from driver to driver.
-    fn of(data: &[u8]) -> Option<Self> {
-        if data.starts_with(b"\xff\xd8\xff") {
-            Some(Self::Jpeg)
-        } else if data.starts_with(b"\x89PNG\r\n\x1a\n") {
-            Some(Self::Png)
-        } else {
-            None
-        }
-    }
-
     /// The media type.
     pub const fn media_type(self) -> &'static str {
         match self {
@@ -110,22 +99,22 @@ impl Label {
 /// Why an image message is no picture for the page.
 #[derive(Debug, Error)]
 pub enum PictureError {
-    /// Neither JPEG nor PNG.
-    #[error("compressed as \"{0}\", expected JPEG or PNG")]
-    Format(String),
     /// Larger than is kept.
     #[error("has {actual} bytes, expected at most {MAX_BYTES}")]
     Size {
         /// Its size \[byte\].
         actual: usize,
     },
-    /// A raw image that cannot be encoded.
+    /// An incomplete picture, one that is neither JPEG nor PNG, or a raw image that cannot be encoded.
     #[error(transparent)]
     Image(#[from] ImageError),
 }
 
 /// Largest picture that is kept \[byte\]: an 8K JPEG of good quality.
 pub const MAX_BYTES: usize = 16 << 20;
+
+/// Largest JPEG that is checked in less than about 2 ms \[byte\].
+const QUICK_BYTES: usize = 256 << 10;
 
 /// JPEG quality of raw images: artefacts stay below what the eye sees at this size.
 const QUALITY: u8 = 85;
@@ -143,6 +132,8 @@ pub struct Picture {
     pub label: Label,
     /// How it is compressed.
     pub format: Format,
+    /// Columns and rows.
+    pub size: (u32, u32),
     /// Its optical frame.
     pub frame_id: String,
     /// Header and data.
@@ -150,7 +141,18 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// The picture of an image message that arrived at `received_ns`. A raw image is encoded, which takes milliseconds.
+    /// Whether it takes milliseconds to make the picture of a frame: a raw image is encoded, a PNG decoded to see that it
+    /// is complete.
+    pub fn is_slow(frame: &CameraFrame) -> bool {
+        match frame {
+            CameraFrame::Raw(_) => true,
+            CameraFrame::Compressed(image) => {
+                image.data.len() > QUICK_BYTES || !image.data.starts_with(b"\xff\xd8")
+            }
+        }
+    }
+
+    /// The picture of an image message that arrived at `received_ns`.
     ///
     /// # Errors
     /// Names what is wrong with the image.
@@ -164,11 +166,14 @@ impl Picture {
             }
         };
         let data = &image.data;
-        let format =
-            Format::of(data).ok_or_else(|| PictureError::Format(clip::text(&image.format, 64)))?;
         if data.len() > MAX_BYTES {
             return Err(PictureError::Size { actual: data.len() });
         }
+        let (format, size) = check_compressed(image)?;
+        let format = match format {
+            wm_camera::format::Format::Jpeg => Format::Jpeg,
+            wm_camera::format::Format::Png => Format::Png,
+        };
         let mut message = Vec::with_capacity(HEADER_LEN + data.len());
         message.extend([VERSION, label.source as u8, format as u8, label.step]);
         for stamp in [label.stamp_ns, label.observed_ns, received_ns] {
@@ -178,6 +183,7 @@ impl Picture {
         Ok(Self {
             label,
             format,
+            size,
             frame_id: clip::text(&image.header.frame_id, 256),
             message: message.into(),
         })
@@ -276,6 +282,15 @@ pub(crate) mod tests {
         });
         let error = Picture::of(&other, label, 6).unwrap_err().to_string();
         assert!(error.contains("compressedDepth"), "{error}");
+        let CameraFrame::Compressed(whole) = jpeg(5, 9) else {
+            unreachable!()
+        };
+        let cut = CompressedImage {
+            data: whole.data[..whole.data.len() - 9].to_vec(),
+            ..whole
+        };
+        let cut = Picture::of(&CameraFrame::Compressed(cut), label, 6);
+        assert!(cut.unwrap_err().to_string().contains("incomplete"));
         let mut data = b"\xff\xd8\xff".to_vec();
         data.resize(MAX_BYTES + 1, 0);
         let large = CameraFrame::Compressed(CompressedImage {

@@ -2,7 +2,7 @@
 
 use crate::state::Left;
 use nalgebra::Point3;
-use wm_camera::camera_info::resized;
+use wm_camera::camera_info::{check, resized};
 use wm_frames::{Frames, pose};
 use wm_msgs::{
     geometry_msgs::Point,
@@ -22,7 +22,9 @@ const NEAREST_M: f64 = 0.01;
 #[derive(Debug, Default)]
 pub struct Scene {
     frames: Frames,
-    camera: Option<Pinhole>,
+    camera: Option<(CameraInfo, Pinhole)>,
+    /// Columns and rows of the camera's newest picture.
+    size: Option<(u32, u32)>,
 }
 
 /// A camera in fractions of its picture's width and height; distortion is not looked at.
@@ -36,7 +38,7 @@ struct Pinhole {
 
 impl Pinhole {
     fn of(info: &CameraInfo) -> Option<Self> {
-        let unit = resized(info, (1, 1))?;
+        let unit = resized(info, (1, 1)).ok()?;
         let [fx, skew, cx, _, fy, cy, ..] = unit.k;
         Some(Self {
             frame: unit.header.frame_id,
@@ -73,7 +75,18 @@ pub struct Way {
 impl Scene {
     /// Takes how the camera sees; one that is not calibrated sees nothing.
     pub fn camera(&mut self, info: &CameraInfo) {
-        self.camera = Pinhole::of(info);
+        self.camera = Pinhole::of(info).map(|pinhole| (info.clone(), pinhole));
+    }
+
+    /// Takes the size of the camera's pictures, which camera_info has to fit.
+    pub fn picture(&mut self, size: (u32, u32)) {
+        self.size = Some(size);
+    }
+
+    fn pinhole(&self) -> Option<&Pinhole> {
+        let (info, pinhole) = self.camera.as_ref()?;
+        let fits = self.size.is_none_or(|size| check(info, size).is_ok());
+        fits.then_some(pinhole)
     }
 
     /// Takes where frames are in each other.
@@ -84,11 +97,14 @@ impl Scene {
         let mut taken = Ok(());
         for one in &message.transforms {
             let names = (&*one.header.frame_id, &*one.child_frame_id);
-            let stamp_ns = one.header.stamp.to_nanos();
-            let is_taken = pose::of_transform(&one.transform).is_ok_and(|transform| {
-                let taken = self.frames.take(names, is_static, stamp_ns, transform);
-                taken.is_ok()
-            });
+            let transform = pose::of_transform(&one.transform).ok();
+            let stamp_ns = one.header.stamp.checked_nanos().ok();
+            let is_taken = stamp_ns
+                .zip(transform)
+                .is_some_and(|(stamp_ns, transform)| {
+                    let taken = self.frames.take(names, is_static, stamp_ns, transform);
+                    taken.is_ok()
+                });
             if !is_taken {
                 taken = Err(Left::BadTransform);
             }
@@ -103,7 +119,7 @@ impl Scene {
             marker.ns == PLAN && marker.r#type == Marker::LINE_STRIP && marker.action == Marker::ADD
         };
         let marker = markers.markers.iter().find(is_way)?;
-        let camera = self.camera.as_ref()?;
+        let camera = self.pinhole()?;
         let (_, to_camera) = self
             .frames
             .find(&camera.frame, &marker.header.frame_id)
@@ -206,6 +222,12 @@ mod tests {
         let mut elsewhere = good.clone();
         elsewhere.markers[1].header.frame_id = "another_robot".to_owned();
         assert_eq!(scene.way(&elsewhere), None);
+        let size = IMAGE_SIZE as u32;
+        scene.picture((size, size));
+        assert!(scene.way(&good).is_some());
+        scene.picture((640, 480));
+        assert_eq!(scene.way(&good), None, "camera_info is of other pictures");
+        scene.picture((size, size));
         scene.camera(&CameraInfo::default());
         assert_eq!(scene.way(&good), None);
     }

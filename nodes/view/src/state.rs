@@ -13,8 +13,10 @@ use std::{
     collections::{BTreeMap, VecDeque},
     sync::Arc,
 };
+use wm_model::Fit;
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
+    std_msgs::String as Text,
     visualization_msgs::MarkerArray,
     wm_msgs::{
         Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Goal, Plan, Prediction,
@@ -82,6 +84,8 @@ pub enum Left {
     LargeOffer,
     /// A transform that is none, that is older than the last one, or of one frame too many.
     BadTransform,
+    /// A fit that does not exist.
+    BadFit,
 }
 
 impl Left {
@@ -92,6 +96,7 @@ impl Left {
             Self::BadPrediction => "bad_prediction",
             Self::LargeOffer => "large_offer",
             Self::BadTransform => "bad_transform",
+            Self::BadFit => "bad_fit",
         }
     }
 
@@ -108,6 +113,7 @@ impl Left {
             Self::BadTransform => {
                 "a transform that is none, or older than the last one of its frame"
             }
+            Self::BadFit => "the decoder's fit is not stretch, crop or pad",
         }
     }
 }
@@ -125,6 +131,8 @@ pub struct State {
     pub executor: Option<Executor>,
     /// How the camera sees, and where it is.
     pub scene: Scene,
+    /// How the model takes the camera's pictures; stretched until the decoder says otherwise.
+    pub fit: Fit,
     rates: BTreeMap<Topic, Rate>,
     pairings: Pairings,
     offers: VecDeque<Arc<ActionCandidates>>,
@@ -162,6 +170,7 @@ impl State {
             nodes: Nodes::default(),
             executor: None,
             scene: Scene::default(),
+            fit: Fit::default(),
             rates: BTreeMap::new(),
             pairings: Pairings::default(),
             offers: VecDeque::new(),
@@ -219,6 +228,9 @@ impl State {
     /// Takes a picture whose label it gave.
     pub fn picture(&mut self, picture: Arc<Picture>, now_ns: i64) {
         self.seen(&picture.label, now_ns);
+        if picture.label.source == Source::Camera {
+            self.scene.picture(picture.size);
+        }
         self.album.add(picture, now_ns);
     }
 
@@ -286,6 +298,15 @@ impl State {
         if let Some(way) = self.scene.way(markers) {
             self.journal.add(&Event::way(way), now_ns);
         }
+    }
+
+    /// How the model takes the camera's pictures.
+    ///
+    /// # Errors
+    /// There is no such fit.
+    pub fn fit(&mut self, fit: &Text) -> Result<(), Left> {
+        self.fit = fit.data.parse().map_err(|_| Left::BadFit)?;
+        Ok(())
     }
 
     /// A goal.

@@ -6,6 +6,7 @@ use crate::{
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
+use wm_model::Fit;
 use wm_msgs::{
     diagnostic_msgs::{DiagnosticArray, DiagnosticStatus},
     wm_msgs::ExecutorStatus,
@@ -175,6 +176,7 @@ struct Message<'a> {
     executor: Option<&'a Executor>,
     executor_age_ms: Option<i64>,
     missing: Vec<Missing>,
+    fit: Fit,
     kept_bytes: usize,
     kept_s: f64,
     view: &'a View,
@@ -204,6 +206,7 @@ pub fn message(state: &mut State, heard: &[Heard], view: &View, now_ns: i64) -> 
         executor_age_ms: executor
             .map(|executor| now_ns.saturating_sub(executor.heard_ns) / 1_000_000),
         missing,
+        fit: state.fit,
         kept_bytes: state.album.bytes(),
         kept_s: state.album.span_ns() as f64 / 1e9,
         view,
@@ -389,5 +392,25 @@ mod tests {
         assert_eq!(json["nodes"].as_array().unwrap().len(), MAX_NODES);
         state.diagnostics(&array(vec![status("wm/new".to_owned())]), 2 + FORGOTTEN_NS);
         assert_eq!(state.nodes.0.len(), 1);
+    }
+
+    #[test]
+    fn the_page_learns_how_the_model_takes_pictures() {
+        let mut state = State::live(0);
+        let fit = |state: &mut State| {
+            let message = message(state, &heard(Some(1)), &View::default(), 0);
+            let json: serde_json::Value = serde_json::from_str(&message).unwrap();
+            json["fit"].as_str().unwrap().to_owned()
+        };
+        assert_eq!(
+            fit(&mut state),
+            "stretch",
+            "until the decoder says otherwise"
+        );
+        let text = |data: &str| wm_msgs::std_msgs::String { data: data.into() };
+        state.fit(&text("crop")).unwrap();
+        assert_eq!(fit(&mut state), "crop");
+        assert!(state.fit(&text("squeeze")).is_err());
+        assert_eq!(fit(&mut state), "crop");
     }
 }

@@ -113,22 +113,65 @@ impl ActionLog {
             let before = self.stamps.len().checked_sub(1);
             if let Some(before) = before.and_then(|index| self.row(index)) {
                 let dimensions = values.iter_mut().zip(before).zip(space.dimensions());
-                for ((value, before), _) in dimensions.filter(|(_, d)| d.kind.is_delta()) {
+                for ((value, before), _) in dimensions.filter(|(_, d)| d.kind.is_motion()) {
                     *value = *before;
                 }
             }
             self.insert(at_ns, &values, space)?;
         }
-        self.implausible.sort_unstable();
-        if self.stamps.is_sorted() {
-            return Ok(());
+        if !self.stamps.is_sorted() {
+            let mut order: Vec<usize> = (0..self.stamps.len()).collect();
+            order.sort_by_key(|index| self.stamps.get(*index).copied());
+            let rows = order.iter().filter_map(|index| self.row(*index));
+            self.values = rows.flatten().copied().collect();
+            self.stamps.sort_unstable();
         }
-        let mut order: Vec<usize> = (0..self.stamps.len()).collect();
-        order.sort_by_key(|index| self.stamps.get(*index).copied());
-        let rows = order.iter().filter_map(|index| self.row(*index));
-        self.values = rows.flatten().copied().collect();
-        self.stamps.sort_unstable();
+        self.drop_too_fast(space);
+        self.implausible.sort_unstable();
         Ok(())
+    }
+
+    /// Drops actions that no arm makes in the time until the next one, or in the usual time if that is longer: stamps
+    /// jitter.
+    fn drop_too_fast(&mut self, space: &ActionSpace) {
+        let pairs = self.stamps.iter().zip(self.stamps.iter().skip(1));
+        let mut gaps: Vec<i64> = pairs.map(|(at, next)| next.saturating_sub(*at)).collect();
+        gaps.sort_unstable();
+        let Some(usual_ns) = gaps.get(gaps.len() / 2).copied().filter(|gap| *gap > 0) else {
+            return;
+        };
+        let nexts = self.stamps.iter().skip(1).map(Some).chain([None]);
+        let found = self.stamps.iter().zip(nexts).enumerate();
+        let found = found.filter_map(|(index, (at_ns, next_ns))| {
+            let gap_ns = next_ns.map_or(usual_ns, |next_ns| next_ns.saturating_sub(*at_ns));
+            // A gap is far from 2^53 ns.
+            let span_s = gap_ns.max(usual_ns) as f64 / 1e9;
+            let error = space.check_over(self.row(index)?, span_s).err()?;
+            Some((index, *at_ns, error.to_string()))
+        });
+        let found: Vec<(usize, i64, String)> = found.collect();
+        let Some((_, at_ns, error)) = found.first() else {
+            return;
+        };
+        self.first_implausible
+            .get_or_insert_with(|| format!("at {at_ns} ns: {error}"));
+        self.implausible
+            .extend(found.iter().map(|(_, at_ns, _)| *at_ns));
+        let mut is_dropped = vec![false; self.stamps.len()];
+        for (index, _, _) in &found {
+            if let Some(is_dropped) = is_dropped.get_mut(*index) {
+                *is_dropped = true;
+            }
+        }
+        let kept = |index: &usize| is_dropped.get(*index) == Some(&false);
+        let rows = (0..self.stamps.len()).filter(kept);
+        let rows = rows.filter_map(|index| self.row(index));
+        self.values = rows.flatten().copied().collect();
+        let stamps = self.stamps.iter().zip(&is_dropped);
+        self.stamps = stamps
+            .filter(|(_, dropped)| !**dropped)
+            .map(|(at_ns, _)| *at_ns)
+            .collect();
     }
 
     fn row(&self, index: usize) -> Option<&[f32]> {
@@ -185,7 +228,8 @@ impl Joints {
     }
 
     /// The action from this message to the next, `span_ns` later: the change of the joints that are deltas, from their
-    /// positions where these are told and else from the velocity, and the position of the others.
+    /// positions or else from the velocity; the velocity of those that are velocities, or else from the change of the
+    /// position; and the position of the others.
     fn until(&self, next: &Self, span_ns: i64, space: &ActionSpace) -> Vec<f32> {
         let seconds = span_ns as f32 / 1e9;
         let here = self.positions.iter().zip(&self.velocities);
@@ -194,7 +238,12 @@ impl Joints {
             ((&f32, &f32), &f32),
             &wm_motion::actions::Dimension,
         )| {
-            if !dimension.kind.is_delta() {
+            if dimension.kind.is_velocity() {
+                match velocity.is_nan() {
+                    true => (next - position) / seconds,
+                    false => *velocity,
+                }
+            } else if !dimension.kind.is_delta() {
                 *position
             } else if position.is_nan() {
                 velocity * seconds

@@ -2,12 +2,12 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use wm_bag::Shard;
-use wm_model::Encoder;
+use wm_model::{Encoder, Fit};
 use wm_zoo::ModelFolder;
 
 use super::{
     Data, DataOptions, Dataset, DatasetError, Size,
-    data::name_left_out,
+    data::{name_left_out, name_mixed_sizes},
     preparation::Preparation,
     search::{find, find_others},
     store::{add_latent_statistics, is_prepared, read_audit, read_manifest},
@@ -30,6 +30,10 @@ pub struct DatasetArgs {
     /// Height and width of a camera's pictures [default: 128x128]
     #[arg(long, value_name = "HxW")]
     size: Option<Size>,
+    /// How pictures of another aspect become pictures of this size: crop (the middle), stretch or pad (black bars). A model
+    /// has one of them, and refuses pictures that were prepared with another [default: crop]
+    #[arg(long, value_name = "FIT")]
+    fit: Option<Fit>,
     #[command(flatten)]
     options: DataOptions,
 }
@@ -105,7 +109,7 @@ impl DatasetArgs {
                 let cache = cache.as_ref().unwrap_or(dir);
                 let options = DataOptions::default();
                 let paths = [dir.clone()];
-                let data = Data::open(&paths, encoder.input_size(), cache, &options)?;
+                let data = Data::open(&paths, encoder.framing(), cache, &options)?;
                 match shard {
                     Some(shard) => encode_shard(&data.training, &*encoder, cache, *shard),
                     None => add_statistics(dir, &Latents::open(&data.training, &*encoder, cache)?),
@@ -132,12 +136,16 @@ impl DatasetArgs {
             find_others(&self.bags, &options.held_out)?,
             find(&options.held_out)?,
             options.settings()?,
-            self.size.or(options.size).unwrap_or_default(),
+            (
+                self.size.or(options.size).unwrap_or_default(),
+                self.fit.or(options.fit).unwrap_or(Fit::Crop),
+            ),
             options.split_rule()?,
         )?;
         preparation.write(out)?;
         let manifest = read_manifest(out)?;
         name_left_out(&manifest, out);
+        name_mixed_sizes(&manifest);
         println!("{manifest}");
         if let Some(audit) = read_audit(out)? {
             println!("{audit}");

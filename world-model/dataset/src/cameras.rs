@@ -1,23 +1,25 @@
-use wm_bag::BagReader;
-use wm_msgs::{
-    Message as _,
-    sensor_msgs::{CompressedImage, Image},
-};
+use wm_bag::{BagReader, TopicInfo};
+use wm_camera::transport::Transport;
 
 /// The camera of a robot that has one.
 pub(super) const CAMERA: &str = "/camera/image_raw";
 /// The masks of its pictures, which the simulator writes.
 pub(super) const MASK: &str = "/camera/mask/compressed";
 const COMPRESSED: &str = "/compressed";
+/// The last parts of the names of video topics: ffmpeg_image_transport, foxglove_compressed_video_transport, recorders.
+const VIDEO: [&str; 4] = ["/ffmpeg", "/foxglove", "/video", "/h264"];
 
 /// A camera's topic without its transport, so that bags are alike whose cameras differ in nothing else.
 pub(super) fn base(topic: &str) -> &str {
-    topic.strip_suffix(COMPRESSED).unwrap_or(topic)
+    let mut transports = VIDEO.iter().chain([&COMPRESSED]);
+    let base = transports.find_map(|transport| topic.strip_suffix(transport));
+    base.unwrap_or(topic)
 }
 
 /// The topics of the cameras that are asked for; of the usual one, or the only one, where none is.
 ///
-/// Of a camera with both transports, which sends each frame twice, the compressed one is taken.
+/// Of a camera with several transports, which sends each frame several times, the compressed one is taken, then the raw
+/// one, then video.
 ///
 /// # Errors
 /// Which one is missing, in words.
@@ -30,7 +32,8 @@ pub(super) fn cameras(reader: &BagReader, asked: &[String]) -> Result<Vec<String
             } else {
                 others.join(", ")
             };
-            format!("no camera {topic}: expected frames on it; the bag has {others}")
+            let advice = advice(reader);
+            format!("no camera {topic}: expected frames on it; the bag has {others}{advice}")
         };
         let topics = asked
             .iter()
@@ -43,7 +46,8 @@ pub(super) fn cameras(reader: &BagReader, asked: &[String]) -> Result<Vec<String
     let found = names(reader);
     match found.as_slice() {
         [] => Err(format!(
-            "no camera: expected frames on {CAMERA}{COMPRESSED} or {CAMERA}"
+            "no camera: expected frames on {CAMERA}{COMPRESSED} or {CAMERA}{}",
+            advice(reader)
         )),
         [only] => Ok(transport(reader, only).into_iter().collect()),
         several => Err(format!(
@@ -56,19 +60,37 @@ pub(super) fn cameras(reader: &BagReader, asked: &[String]) -> Result<Vec<String
 /// The topic of a camera with frames, by either transport.
 fn transport(reader: &BagReader, camera: &str) -> Option<String> {
     // One that is given with its transport is meant so.
-    let names = match camera.strip_suffix(COMPRESSED) {
-        Some(base) => [camera.to_owned(), base.to_owned()],
-        None => [format!("{camera}{COMPRESSED}"), camera.to_owned()],
+    let base = base(camera);
+    let compressed = format!("{base}{COMPRESSED}");
+    let videos = VIDEO.map(|transport| format!("{base}{transport}"));
+    let names = match camera == base {
+        true => [compressed, camera.to_owned()],
+        false => [camera.to_owned(), base.to_owned()],
     };
-    names.into_iter().find(|name| has_frames(reader, name))
+    let mut names = names.into_iter().chain(videos);
+    names.find(|name| has_frames(reader, name))
 }
 
 fn has_frames(reader: &BagReader, topic: &str) -> bool {
-    reader.topic(topic).is_some_and(|topic| {
-        let type_name = &*topic.type_name;
-        topic.message_count > 0
-            && (type_name == Image::ros_name() || type_name == CompressedImage::ros_name())
-    })
+    reader.topic(topic).is_some_and(is_camera)
+}
+
+fn is_camera(topic: &TopicInfo) -> bool {
+    let transport = Transport::of(&topic.name, &topic.type_name);
+    let is_read = |transport: Transport| transport.is_read() || transport == Transport::Video;
+    topic.message_count > 0 && transport.is_some_and(is_read)
+}
+
+/// What to do about topics with pictures that are not read.
+fn advice(reader: &BagReader) -> String {
+    let unread = reader.topics().iter().filter_map(|topic| {
+        let transport = Transport::of(&topic.name, &topic.type_name)?;
+        match is_camera(topic) {
+            true => None,
+            false => transport.advice(&topic.name),
+        }
+    });
+    unread.map(|advice| format!("; {advice}")).collect()
 }
 
 /// The cameras that a bag has, but for pictures that were predicted.

@@ -5,6 +5,7 @@ use std::{
 };
 
 use wm_audit::Audit;
+use wm_model::Framing;
 
 use super::{
     DataOptions, Dataset, DatasetError, Manifest, Size, SplitRule,
@@ -53,7 +54,7 @@ impl Data {
 
     /// The data at `paths`: bags (folders with `metadata.yaml`, or `.mcap` files), folders that are searched for bags, and
     /// folders that `wm dataset` prepared. Bags are prepared into `cache`, or taken from there where an earlier call has
-    /// left them. Frames have `size` (height, width); with several cameras that is all of them side by side.
+    /// left them. Frames are as `framing` says; its size is that of all cameras side by side.
     ///
     /// Which episodes are for validation: those of `options.held_out`; else those that a prepared folder names; else, and
     /// wherever `options.validation` or its seed is given, a share by the options.
@@ -65,19 +66,20 @@ impl Data {
     /// names the offender.
     pub fn open(
         paths: &[PathBuf],
-        size: (usize, usize),
+        framing: impl Into<Framing>,
         cache: &Path,
         options: &DataOptions,
     ) -> Result<Self, DatasetError> {
         expect_effect(paths, options)?;
-        let options = options.with_config()?;
+        let (framing, options) = (framing.into(), options.with_config()?);
         let rule = options.split_rule()?;
-        let folders = open_all((paths, &options.held_out), size, cache, &options)?;
+        let folders = open_all((paths, &options.held_out), framing, cache, &options)?;
+        let on = (&options, framing.fit);
         if !options.held_out.is_empty() {
-            let held_out = open_all((&options.held_out, &[]), size, cache, &options)?;
+            let held_out = open_all((&options.held_out, &[]), framing, cache, &options)?;
             expect_apart(&folders, &held_out)?;
-            let training = Dataset::of_folders(folders, &options, |_, _| true)?;
-            let validation = Dataset::of_folders(held_out, &options, |_, _| true)?;
+            let training = Dataset::of_folders(folders, on, |_, _| true)?;
+            let validation = Dataset::of_folders(held_out, on, |_, _| true)?;
             training.expect_same(&validation)?;
             return Ok(Self {
                 training,
@@ -91,8 +93,8 @@ impl Data {
                 splits.get(folder).and_then(|splits| splits.get(episode)) == Some(&wanted)
             }
         };
-        let training = Dataset::of_folders(folders.clone(), &options, is(Split::Training))?;
-        let validation = Dataset::of_folders(folders, &options, is(Split::Validation))?;
+        let training = Dataset::of_folders(folders.clone(), on, is(Split::Training))?;
+        let validation = Dataset::of_folders(folders, on, is(Split::Validation))?;
         if training.episodes().is_empty() {
             let what = "    all episodes are for validation".to_owned();
             return Err(DatasetError::Nothing(what));
@@ -114,19 +116,19 @@ impl Dataset {
     /// Those of [`Data::open`].
     pub fn held_out(
         paths: &[PathBuf],
-        size: (usize, usize),
+        framing: impl Into<Framing>,
         cache: &Path,
         options: &DataOptions,
     ) -> Result<Self, DatasetError> {
         expect_effect(paths, options)?;
-        let options = options.with_config()?;
-        let folders = open_all((paths, &[]), size, cache, &options)?;
+        let (framing, options) = (framing.into(), options.with_config()?);
+        let folders = open_all((paths, &[]), framing, cache, &options)?;
         let splits = splits(&folders, &options, options.split_rule()?);
         let is_split = |(opened, splits): (&Opened, &Vec<Split>)| {
             (is_chosen(&options) || opened.is_given) && splits.contains(&Split::Validation)
         };
         let is_split: Vec<bool> = folders.iter().zip(&splits).map(is_split).collect();
-        Self::of_folders(folders, &options, |folder, episode| {
+        Self::of_folders(folders, (&options, framing.fit), |folder, episode| {
             let split = splits.get(folder).and_then(|splits| splits.get(episode));
             is_split.get(folder) != Some(&true) || split == Some(&Split::Validation)
         })
@@ -140,11 +142,11 @@ impl Dataset {
     pub fn open(
         bags_root: &Path,
         cache_dir: &Path,
-        size: (usize, usize),
+        framing: impl Into<Framing>,
     ) -> Result<Self, DatasetError> {
-        let options = DataOptions::default();
-        let folders = open_all((&[bags_root.to_owned()], &[]), size, cache_dir, &options)?;
-        Self::of_folders(folders, &options, |_, _| true)
+        let (framing, options) = (framing.into(), DataOptions::default());
+        let folders = open_all((&[bags_root.to_owned()], &[]), framing, cache_dir, &options)?;
+        Self::of_folders(folders, (&options, framing.fit), |_, _| true)
     }
 }
 
@@ -210,7 +212,7 @@ fn expect_effect(paths: &[PathBuf], options: &DataOptions) -> Result<(), Dataset
 /// Opens data sets and bags, but for the bags that are `others`.
 fn open_all(
     (paths, others): (&[PathBuf], &[PathBuf]),
-    size: (usize, usize),
+    Framing { size, fit, .. }: Framing,
     cache: &Path,
     options: &DataOptions,
 ) -> Result<Vec<Opened>, DatasetError> {
@@ -219,7 +221,9 @@ fn open_all(
     for dir in prepared {
         let folder = Folder::open(&dir)?;
         name_left_out(folder.manifest(), &dir);
+        name_mixed_sizes(folder.manifest());
         let view = view(size, folder.views())?;
+        folder.manifest().expect_fit(&dir, view, fit)?;
         opened.push(Opened {
             folder: Arc::new(folder.at_size(view, cache)?),
             is_given: true,
@@ -232,7 +236,7 @@ fn open_all(
         let found = find_others(&bags, &others)?;
         let none = Found::default();
         let rule = options.split_rule()?;
-        let preparation = Preparation::new(found, none, settings, view, rule)?;
+        let preparation = Preparation::new(found, none, settings, (view, fit), rule)?;
         let dir = cache.join(cache_name(preparation.digest()));
         if !is_prepared(&dir) {
             preparation
@@ -242,6 +246,7 @@ fn open_all(
         let folder = Folder::open(&dir)?;
         name_left_out(folder.manifest(), &dir);
         name_faults(&dir)?;
+        name_mixed_sizes(folder.manifest());
         opened.push(Opened {
             folder: Arc::new(folder),
             is_given: false,
@@ -285,6 +290,12 @@ fn name_faults(dir: &Path) -> Result<(), DatasetError> {
         tracing::warn!("audit: {}: {}; {fix}", finding.check, finding.what);
     }
     Ok(())
+}
+
+pub(super) fn name_mixed_sizes(manifest: &Manifest) {
+    for mixed in manifest.mixed_sizes() {
+        tracing::warn!("{mixed}");
+    }
 }
 
 /// Refuses an episode that is for both.

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use wm_model::Framing;
 
 use crate::{DataOptions, Dataset, DatasetError};
 
@@ -27,11 +28,11 @@ impl HeldOutArgs {
         self.cache.clone().unwrap_or_else(std::env::temp_dir)
     }
 
-    /// The data, with frames of `size` (height, width), all cameras side by side.
+    /// The data, with frames as `framing` says, all cameras side by side.
     ///
     /// # Errors
     /// Names what cannot be used.
-    pub fn open(&self, size: (usize, usize)) -> Result<Dataset, DatasetError> {
-        Dataset::held_out(&self.data, size, &self.cache(), &self.options)
+    pub fn open(&self, framing: impl Into<Framing>) -> Result<Dataset, DatasetError> {
+        Dataset::held_out(&self.data, framing, &self.cache(), &self.options)
     }
 }

@@ -14,7 +14,7 @@ use half::f16;
 use memmap2::Mmap;
 use rayon::prelude::*;
 use wm_bag::Shard;
-use wm_model::{Encoder, LatentSpace};
+use wm_model::{Encoder, LatentSpace, PictureSize};
 use wm_motion::actions::ActionSpace;
 
 use crate::{Dataset, Episode, LatentStatistics, Layout};
@@ -30,6 +30,7 @@ pub struct Latents {
     digest: String,
     actions: ActionSpace,
     views: usize,
+    picture_size: Option<PictureSize>,
     files: Vec<Mmap>,
 }
 
@@ -50,6 +51,7 @@ impl Latents {
             digest: dataset.digest().to_owned(),
             actions: dataset.action_space().clone(),
             views: dataset.views(),
+            picture_size: dataset.picture_size(),
         })
     }
 
@@ -92,6 +94,7 @@ impl Latents {
             digest,
             actions,
             views: 1,
+            picture_size: None,
         })
     }
 
@@ -117,6 +120,12 @@ impl Latents {
     #[must_use]
     pub fn views(&self) -> usize {
         self.views
+    }
+
+    /// The size of all pictures in the bags, as [`Dataset::picture_size`].
+    #[must_use]
+    pub fn picture_size(&self) -> Option<PictureSize> {
+        self.picture_size
     }
 
     /// The same, said to be of so many cameras.
@@ -210,6 +219,11 @@ fn latent_files<'a>(
         "frames of {:?} for an encoder of {:?} (height, width)",
         dataset.size(),
         encoder.input_size()
+    );
+    let (own, taken) = (dataset.framing().fit, encoder.framing().fit);
+    ensure!(
+        own == taken,
+        "frames of fit {own} for an encoder of fit {taken}"
     );
     let folders = dataset.folders().iter();
     let files = folders.map(|folder| LatentFile::new(folder, encoder, cache_dir));

@@ -6,11 +6,12 @@
 //! decodes the frames that are in one, and writes each to its place in the file. So memory holds one picture a thread and
 //! about 15 MB for an hour of actions at 100 Hz, however long a recording is.
 //!
-//! What is prepared is keyed by the contents of the bags, the options and the picture size: other contents make a new
-//! folder in the cache.
+//! What is prepared is keyed by the contents of the bags, the options, the picture size and the fit: other contents make a
+//! new folder in the cache.
 
 mod action_log;
 mod arguments;
+mod camera_message;
 mod cameras;
 mod clips;
 mod cutting;
@@ -27,6 +28,7 @@ mod preparation;
 mod recording;
 mod search;
 mod size;
+mod source_sizes;
 mod split;
 mod statistics;
 mod store;
@@ -37,6 +39,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
+use wm_model::{Fit, Framing, PictureSize};
 use wm_motion::actions::ActionSpace;
 
 pub use arguments::DatasetArgs;
@@ -51,6 +54,7 @@ pub(crate) use layout::Layout;
 pub use manifest::{LeftOut, Manifest, ManifestEpisode, Source, Split, Thing};
 pub use options::{Cut, DataOptions, Settings, SplitRule, StampSource};
 pub use size::Size;
+pub use source_sizes::SourceSize;
 pub use statistics::{DataStatistics, LatentStatistics, Statistics, SuccessCounts};
 pub(crate) use store::Folder;
 
@@ -77,8 +81,7 @@ pub struct Episode {
 #[derive(Debug)]
 pub struct Dataset {
     digest: String,
-    size: (usize, usize),
-    views: usize,
+    framing: Framing,
     space: ActionSpace,
     layout: Layout,
     folders: Vec<Arc<Folder>>,
@@ -88,7 +91,7 @@ impl Dataset {
     /// The episodes that `is_in` chooses by the numbers of folder and episode, of at least one folder.
     fn of_folders(
         folders: Vec<data::Opened>,
-        options: &DataOptions,
+        (options, fit): (&DataOptions, Fit),
         is_in: impl Fn(usize, usize) -> bool,
     ) -> Result<Self, DatasetError> {
         let Some(first) = folders.first() else {
@@ -130,8 +133,11 @@ impl Dataset {
         }
         Ok(Self {
             digest: fingerprint::hex(hash),
-            size: (size.height, size.width * views),
-            views,
+            framing: Framing {
+                size: (size.height, size.width * views),
+                views,
+                fit,
+            },
             space: asked.unwrap_or(own),
             layout,
             folders: folders.into_iter().map(|opened| opened.folder).collect(),
@@ -163,13 +169,27 @@ impl Dataset {
     /// Height and width of the frames, all cameras together.
     #[must_use]
     pub fn size(&self) -> (usize, usize) {
-        self.size
+        self.framing.size
+    }
+
+    /// How the pictures in the bags became its frames.
+    #[must_use]
+    pub fn framing(&self) -> Framing {
+        self.framing
+    }
+
+    /// The size of all pictures in the bags; `None` if there are several sizes or cameras, or it was not recorded.
+    #[must_use]
+    pub fn picture_size(&self) -> Option<PictureSize> {
+        let mut sizes = self.folders.iter().map(|f| f.manifest().picture_size());
+        let first = sizes.next()??;
+        (self.views() == 1 && sizes.all(|size| size == Some(first))).then_some(first)
     }
 
     /// Number of cameras, whose pictures lie side by side in a frame.
     #[must_use]
     pub fn views(&self) -> usize {
-        self.views
+        self.framing.views
     }
 
     /// Frames of all episodes together.

@@ -5,9 +5,10 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
+use wm_model::Fit;
 use wm_motion::actions::ActionSpace;
 
-use super::{Settings, Size, SplitRule};
+use super::{Settings, Size, SourceSize, SplitRule};
 
 /// Counts up where prepared folders become unreadable for older code, or the same bags give other frames or actions.
 pub(super) const VERSION: u32 = 4;
@@ -18,10 +19,16 @@ pub(super) const VERSION: u32 = 4;
 pub struct Manifest {
     /// Version of the format.
     pub version: u32,
-    /// Hex SHA-256 of what the folder was made from: contents of the bags, settings and picture size.
+    /// Hex SHA-256 of what the folder was made from: contents of the bags, settings, picture size and fit.
     pub digest: String,
     /// Size of one camera's picture. A frame is as high, and as many times as wide as there are cameras.
     pub size: Size,
+    /// How pictures of another aspect became pictures of this size.
+    #[serde(default, skip_serializing_if = "Fit::is_stretch")]
+    pub fit: Fit,
+    /// Sizes of the pictures in the bags; empty if an earlier version prepared the folder.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub source_sizes: Vec<SourceSize>,
     /// Topics of the cameras, without the transport, from the left to the right of a frame.
     pub cameras: Vec<String>,
     /// Whether there is a mask for each frame.
@@ -159,11 +166,21 @@ impl fmt::Display for Manifest {
         writeln!(f, "{}", self.action_space)?;
         writeln!(
             f,
-            "cameras: {} ({} each{}), {rate} Hz",
+            "cameras: {} ({} each, fit {}{}), {rate} Hz",
             self.cameras.join(", "),
             self.size,
+            self.fit,
             if self.has_masks { ", with masks" } else { "" }
         )?;
+        for source in &self.source_sizes {
+            let SourceSize {
+                camera,
+                size,
+                pictures,
+            } = source;
+            let count = usize::try_from(*pictures).unwrap_or(usize::MAX);
+            writeln!(f, "{camera}: {} of {size}", counted(count, "picture"))?;
+        }
         for (split, name) in [
             (Split::Training, "training"),
             (Split::Validation, "validation"),

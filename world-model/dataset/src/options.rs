@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Deserializer, Serialize};
 use wm_audit::Stamps;
+use wm_model::Fit;
 use wm_motion::actions::ActionSpace;
 
 use super::{DatasetError, Size};
@@ -117,6 +118,9 @@ pub struct DataOptions {
     /// Height and width of a camera's prepared pictures. A training ignores it, since its model says what it takes.
     #[arg(skip)]
     pub size: Option<Size>,
+    /// How prepared pictures of another aspect become pictures of this size. A training ignores it, as the size.
+    #[arg(skip)]
+    pub fit: Option<Fit>,
 }
 
 /// A list, or one value that stands for a list of it.
@@ -224,6 +228,7 @@ impl DataOptions {
             validation: self.validation.or(file.validation),
             validation_seed: self.validation_seed.or(file.validation_seed),
             size: self.size.or(file.size),
+            fit: self.fit.or(file.fit),
         })
     }
 

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 use wm_audit::{Audit, Episode, Episodes};
+use wm_model::Fit;
 
 use super::{
     DatasetError, Manifest, Settings, Size, SplitRule,
@@ -17,6 +18,7 @@ use super::{
     manifest::{LeftOut, ManifestEpisode, Source, Split, VERSION},
     recording::Broken,
     search::Found,
+    source_sizes::source_sizes,
     split::split,
     statistics::DataStatistics,
     store::{Folder, NewFolder},
@@ -30,6 +32,7 @@ pub(super) struct Preparation {
     left_out: Vec<LeftOut>,
     settings: Settings,
     size: Size,
+    fit: Fit,
     split: SplitRule,
     digest: String,
 }
@@ -45,7 +48,7 @@ pub(super) struct Planned {
 
 impl Preparation {
     /// Of the bags for training, of which some become validation, and of those that are for validation in any case; the
-    /// pictures of a camera have `size`.
+    /// pictures of a camera have `size`, and become so by `fit`.
     ///
     /// # Errors
     /// When a file cannot be read, or a bag is given for both.
@@ -53,7 +56,7 @@ impl Preparation {
         training: Found,
         held_out: Found,
         settings: Settings,
-        size: Size,
+        (size, fit): (Size, Fit),
         split: SplitRule,
     ) -> Result<Self, DatasetError> {
         let bags = training.bags.iter().map(|bag| (bag, false));
@@ -80,6 +83,10 @@ impl Preparation {
         }
         let mut hash = Sha256::new();
         hash.update(format!("{VERSION} {size}\n"));
+        // Folders of earlier versions keep their digest.
+        if !fit.is_stretch() {
+            hash.update(format!("{fit}\n"));
+        }
         // Settings are numbers, lists and texts, which JSON can always hold.
         hash.update(serde_json::to_vec(&settings).unwrap_or_default());
         for source in &sources {
@@ -94,6 +101,7 @@ impl Preparation {
             left_out,
             settings,
             size,
+            fit,
             split,
             digest: hex(hash),
         })
@@ -117,8 +125,9 @@ impl Preparation {
         loop {
             let plan = survey.plan(&self.sources, &self.settings, &broken)?;
             let folder = NewFolder::create(dir)?;
-            let (manifest, actions) = self.manifest(&plan);
+            let (mut manifest, actions) = self.manifest(&plan);
             let found = frames::write(&plan.bags, &survey.readers, &manifest, &folder)?;
+            manifest.source_sizes = source_sizes(&found.sizes, &manifest.cameras);
             if found.broken.iter().all(Broken::is_empty) {
                 folder.write_audit(&audit(&plan, &manifest, &found.changes))?;
                 folder.write_actions(&actions)?;
@@ -191,6 +200,8 @@ impl Preparation {
             version: VERSION,
             digest: self.digest.clone(),
             size: self.size,
+            fit: self.fit,
+            source_sizes: Vec::new(),
             cameras: plan.cameras.clone(),
             has_masks: plan.has_masks,
             settings: self.settings.clone(),

@@ -2,7 +2,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use wm_audit::{ActionTrack, Finding, JOINTS_TOPIC, POSE_TOPICS, Recorded, Stamps, StateLog};
 use wm_bag::{BagError, BagMessage, BagReader, TopicInfo};
-use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     Message as _,
@@ -15,6 +14,7 @@ use wm_msgs::{
 use super::{
     Settings,
     action_log::ActionLog,
+    camera_message::CameraMessage,
     cameras::{CAMERA, MASK, base, cameras},
     manifest::Thing,
     options::StampSource,
@@ -38,6 +38,8 @@ pub(super) struct Stream {
     size: Option<(u32, u32)>,
     /// How often the size changed.
     resizes: usize,
+    /// Pictures of a video before its first keyframe.
+    before_keyframe: u64,
 }
 
 /// When a picture was taken and recorded.
@@ -225,7 +227,7 @@ impl Recording {
         }
         let stream = self.streams.iter_mut().enumerate();
         if let Some((view, stream)) = stream.into_iter().find(|(_, s)| s.topic == topic) {
-            let frame = CameraFrame::of_bag(message).map_err(lacks)?;
+            let frame = CameraMessage::of_bag(message).map_err(|what| Unusable::Lacks(at(what)))?;
             let stamps = Stamps::of_bag(message, frame.header().stamp.to_nanos());
             let stamp_ns = settings.stamps.of(stamps);
             if broken.contains(&(topic.to_owned(), stamp_ns)) {
@@ -233,9 +235,12 @@ impl Recording {
             }
             if stream.pictures.is_empty() {
                 // What no picture of the topic will do is better known before hours of decoding.
-                let decoded = frame.decode();
-                if let Err(error @ (ImageError::Encoding(_) | ImageError::Format(_))) = decoded {
-                    return Err(Unusable::Lacks(at(error.to_string())));
+                frame
+                    .check_format()
+                    .map_err(|what| Unusable::Lacks(at(what)))?;
+                if !frame.begins() {
+                    stream.before_keyframe += 1;
+                    return Ok(true);
                 }
             }
             if topic != MASK {
@@ -270,6 +275,11 @@ impl Recording {
                 let why = why.map_or(String::new(), |(_, _, what)| format!(" ({what})"));
                 let what = format!("no camera: no frame on {} can be used{why}", stream.topic);
                 return Err(Unusable::Lacks(what));
+            }
+            if stream.before_keyframe > 0 {
+                let what = format!("come before the first keyframe on {}", stream.topic);
+                self.complaints
+                    .push((stream.before_keyframe, Thing::Picture, what));
             }
             if stream.unordered > 0 {
                 let what = format!(
@@ -378,6 +388,7 @@ impl Stream {
             unordered: 0,
             size: None,
             resizes: 0,
+            before_keyframe: 0,
         }
     }
 

@@ -8,7 +8,8 @@ use super::{DatasetError, manifest::LeftOut, store};
 
 /// How deep bags are looked for: folders of folders, and no whole disk.
 const DEPTH: usize = 5;
-const NO_BAG: &str = "no bag in it: expected metadata.yaml or .mcap files";
+const NO_BAG: &str =
+    "no bag in it: expected metadata.yaml, or .mcap or .db3 files, compressed or not";
 
 /// The bags under some paths, and the folders without any.
 #[derive(Debug, Default)]
@@ -17,7 +18,7 @@ pub(super) struct Found {
     pub left_out: Vec<LeftOut>,
 }
 
-/// All bags at or under `paths`, in order of their names: folders with `metadata.yaml`, and `.mcap` files in other
+/// All bags at or under `paths`, in order of their names: folders with `metadata.yaml`, and MCAP or sqlite3 files in other
 /// folders.
 pub(super) fn find(paths: &[PathBuf]) -> Result<Found, DatasetError> {
     let mut found = Found::default();
@@ -69,7 +70,7 @@ fn is_bag(path: &Path) -> bool {
     if path.is_dir() {
         path.join("metadata.yaml").is_file()
     } else {
-        path.extension().is_some_and(|end| end == "mcap") && path.is_file()
+        wm_bag::is_bag_file(path) && path.is_file()
     }
 }
 

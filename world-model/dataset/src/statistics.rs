@@ -81,7 +81,7 @@ impl Statistics {
     }
 
     /// `space` with scales, offsets and clips fitted to these statistics of its actions: the quantiles 0.01 and 0.99 lie
-    /// at the ends of -1..1, or the one that is farther from 0, for a delta. A binary gripper stays as it is, and so does a
+    /// at the ends of -1..1, or the one that is farther from 0, for a delta or a velocity. A binary gripper stays as it is, and so does a
     /// dimension that does not move.
     ///
     /// # Errors
@@ -109,7 +109,7 @@ fn fit(dimension: &Dimension, low: f64, high: f64) -> Dimension {
         Kind::GripperBinary => return dimension.clone(),
         // From 1 at the offset to -1.
         Kind::GripperContinuous => (high - low, low),
-        kind if kind.is_delta() => (low.abs().max(high.abs()), 0.0),
+        kind if kind.is_motion() => (low.abs().max(high.abs()), 0.0),
         _ => ((high - low) / 2.0, (high + low) / 2.0),
     };
     if range > 1e-9 {

@@ -1,9 +1,11 @@
 mod audit;
 mod cutting;
+mod fit;
 mod folder;
 mod options;
 mod outcome;
 mod robots;
+mod video;
 
 use std::path::Path;
 
@@ -194,7 +196,7 @@ fn raw_pictures_of_every_encoding_and_step_are_read() {
         ("rgba8", &[10, 20, 30, 255], [10, 20, 30]),
         ("bgra8", &[30, 20, 10, 255], [10, 20, 30]),
         ("mono8", &[40], [40; 3]),
-        ("mono16", &[7, 40], [40; 3]),
+        ("8UC3", &[30, 20, 10], [10, 20, 30]),
     ];
     for (encoding, pixel, rgb) in encodings {
         let bag = dir.path().join(encoding);

@@ -19,7 +19,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use wm_model::{
     Encoder, WorldModel,
-    image::preprocess,
     transition::{TemporalPattern, Transition},
 };
 use wm_planner::{
@@ -90,7 +89,7 @@ impl Models {
     }
 
     fn encode(&self, environment: &mut Environment) -> Result<Tensor> {
-        let pixels = preprocess(&environment.picture(), self.encoder.input_size())?;
+        let pixels = self.encoder.prepare(&environment.picture())?;
         Ok(self.encoder.encode(&pixels)?.squeeze(0)?)
     }
 
@@ -102,7 +101,7 @@ impl Models {
         let subgoals = environment.subgoals(every);
         let goal = subgoals.get(1).or(subgoals.last()).context("no solution")?;
         let goal_position = goal.world.tool().position;
-        let pixels = preprocess(&goal.picture, self.encoder.input_size())?;
+        let pixels = self.encoder.prepare(&goal.picture)?;
         let goal = self.encoder.encode(&pixels)?.squeeze(0)?;
         let first = self.encode(&mut environment)?;
         let still = EndEffectorAction::still(environment.world().opening().round());

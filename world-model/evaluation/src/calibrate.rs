@@ -146,13 +146,13 @@ impl CalibrateArgs {
     /// Twice as many frames as asked for, if there are as many, in samples that are spread evenly.
     fn samples(&self, model: &Parts) -> Result<Vec<Sample>> {
         let cache = tempfile::tempdir()?;
-        let size = model.encoder.input_size();
-        let dataset = Dataset::held_out(&self.bags, size, cache.path(), &self.options)?;
+        let framing = model.encoder.framing();
+        let dataset = Dataset::held_out(&self.bags, framing, cache.path(), &self.options)?;
         let asked = self.frames as usize * 2;
         let Some(world) = &model.world else {
             let episodes = dataset.episodes().iter();
             let count: usize = episodes.map(|episode| episode.frame_count).sum();
-            let (height, width) = size;
+            let (height, width) = framing.size;
             let indices = (0..count).step_by(count.div_ceil(asked).max(1));
             let samples = indices.map(|index| {
                 let mut values = Vec::new();

@@ -42,7 +42,7 @@ impl Subject {
     /// Names what cannot be used: a model without a transition model, data of other actions, a broken file.
     pub fn open(name: &str, on: &HeldOutArgs, more: &ReaderArgs) -> Result<Self> {
         let folder = open_model(name)?;
-        let dataset = on.open(folder.encoder()?.input_size())?;
+        let dataset = on.open(folder.encoder()?.framing())?;
         let mut subject = Self::new(&folder, dataset, &on.cache())?;
         subject.readers.add(more, &folder)?;
         Ok(subject)

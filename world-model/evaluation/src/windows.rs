@@ -49,7 +49,7 @@ impl ActionChange {
     #[must_use]
     pub fn applies_to(self, space: &ActionSpace) -> bool {
         let mut dimensions = space.dimensions().iter();
-        self != Self::Negated || dimensions.any(|dimension| dimension.kind.is_delta())
+        self != Self::Negated || dimensions.any(|dimension| dimension.kind.is_motion())
     }
 }
 
@@ -297,10 +297,16 @@ impl Windows {
     }
 }
 
-/// -1 for changes; states, and values behind those of the action space, keep their sign.
+/// -1 for changes and velocities; states, and values behind those of the action space, keep their sign.
 fn signs(encoding: &ActionEncoding) -> Vec<f32> {
     let dimensions = encoding.space().dimensions().iter();
-    let signs = dimensions.map(|dimension| if dimension.kind.is_delta() { -1.0 } else { 1.0 });
+    let signs = dimensions.map(|dimension| {
+        if dimension.kind.is_motion() {
+            -1.0
+        } else {
+            1.0
+        }
+    });
     let rest = std::iter::repeat(1.0);
     signs.chain(rest).take(encoding.action_dim()).collect()
 }

@@ -21,7 +21,7 @@ use sha2::{Digest, Sha256};
 
 use crate::ops::GridSize;
 use crate::weights::{Precision, WeightsBuilder, hex};
-use crate::{Decoder, Encoder, Error, LatentSpace, Result, Weights};
+use crate::{Decoder, Encoder, Error, Framing, LatentSpace, Result, Weights};
 
 /// Name of the weights in a folder.
 const FILE: &str = "autoencoder.safetensors";
@@ -234,6 +234,10 @@ impl Encoder for Autoencoder {
         (self.config.height, self.config.width)
     }
 
+    fn framing(&self) -> Framing {
+        self.config.framing()
+    }
+
     fn encode(&self, images: &Tensor) -> Result<Tensor> {
         let mut latents = self.encode_raw(images)?;
         self.normalisation.apply(&mut latents);
@@ -321,6 +325,9 @@ fn space(
     hash.update(format!("{height}x{width}x{}\n", config.latent_channels));
     encoder.hash(&mut hash);
     normalisation.add_to(&mut hash);
+    if !config.fit.is_stretch() {
+        hash.update(format!("{}\n", config.fit));
+    }
     LatentSpace {
         name: config.name.clone(),
         hash: hex(hash),

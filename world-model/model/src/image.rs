@@ -1,63 +1,68 @@
 //! Camera pictures to tensors and back.
 
-use candle_core::{DType, Device, Tensor};
-use fast_image_resize::images::{TypedImage, TypedImageRef};
+use candle_core::{DType, Tensor};
+use fast_image_resize::images::{TypedCroppedImage, TypedImage, TypedImageRef};
 use fast_image_resize::pixels::U8x3;
 use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
-use image::RgbImage;
+use image::{RgbImage, imageops};
 
+use crate::framing::{Fit, Framing, Part};
 use crate::{Error, Result};
 
-/// Resizes `rgb` to `size` (height, width) and scales it to 0..1: a tensor (1, H, W, 3), f32.
+/// `rgb` as an encoder of this framing takes it, scaled to 0..1: a tensor (1, H, W, 3), f32.
 ///
 /// The filter is bilinear with antialiasing, as `torchvision` resizes; a picture that already has
-/// the size is taken as it is. The aspect ratio is not kept.
+/// the size is taken as it is.
 ///
 /// # Errors
 /// If the picture or the size is empty.
-pub fn preprocess(rgb: &RgbImage, size: (usize, usize)) -> Result<Tensor> {
-    let resized = resize(rgb, size)?;
-    let (h, w) = size;
-    let values = resized
-        .into_raw()
-        .into_iter()
-        .map(|v| f32::from(v) / 255.0)
-        .collect::<Vec<_>>();
-    Ok(Tensor::from_vec(values, (1, h, w, 3), &Device::Cpu)?)
+pub fn preprocess(rgb: &RgbImage, framing: impl Into<Framing>) -> Result<Tensor> {
+    framing.into().tensor(rgb)
 }
 
-/// Resizes `rgb` to `size` (height, width), bilinear with antialiasing.
+/// Resizes `rgb` to `size` (height, width), bilinear with antialiasing. The aspect ratio is not kept;
+/// [`Framing::apply`] keeps it.
 ///
 /// # Errors
 /// If the picture or the size is empty.
 pub fn resize(rgb: &RgbImage, size: (usize, usize)) -> Result<RgbImage> {
-    let (h, w) = size;
-    if (rgb.height() as usize, rgb.width() as usize) == size {
-        return Ok(rgb.clone());
+    Framing::new(size, Fit::Stretch).apply(rgb)
+}
+
+/// A part of `rgb`, resized to `width` x `height`. No pixel beside the part has a share in it.
+pub(crate) fn resize_part(
+    rgb: &RgbImage,
+    part: Part,
+    (width, height): (u32, u32),
+) -> Result<RgbImage> {
+    if (part.width, part.height) == (width, height) {
+        if (width, height) == rgb.dimensions() {
+            return Ok(rgb.clone());
+        }
+        return Ok(imageops::crop_imm(rgb, part.x, part.y, width, height).to_image());
     }
     let fail = |reason: String| Error::config("image size", reason);
-    let (Ok(target_h), Ok(target_w)) = (u32::try_from(h), u32::try_from(w)) else {
-        return Err(fail(format!("{h}x{w} is too large")));
-    };
-    if rgb.width() == 0 || rgb.height() == 0 || h == 0 || w == 0 {
-        return Err(fail(format!(
-            "cannot resize {}x{} to {h}x{w}: both must hold at least one pixel",
-            rgb.height(),
-            rgb.width()
-        )));
-    }
-    let source = TypedImageRef::<U8x3>::from_buffer(rgb.width(), rgb.height(), rgb.as_raw())
+    let whole = TypedImageRef::<U8x3>::from_buffer(rgb.width(), rgb.height(), rgb.as_raw())
         .map_err(|e| fail(e.to_string()))?;
-    let mut bytes = vec![0; h * w * 3];
-    let mut target = TypedImage::<U8x3>::from_buffer(target_w, target_h, &mut bytes)
+    let Part {
+        x,
+        y,
+        width: columns,
+        height: rows,
+    } = part;
+    // A view and not the resizer's own crop, whose filter reads pixels beside the part.
+    let source = TypedCroppedImage::from_ref(&whole, x, y, columns, rows)
+        .map_err(|e| fail(e.to_string()))?;
+    let mut bytes = vec![0; height as usize * width as usize * 3];
+    let mut target = TypedImage::<U8x3>::from_buffer(width, height, &mut bytes)
         .map_err(|e| fail(e.to_string()))?;
     let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
     // Typed: the untyped call compiles every filter for every pixel type, a minute of build time.
     Resizer::new()
         .resize_typed(&source, &mut target, &options)
         .map_err(|e| fail(e.to_string()))?;
-    RgbImage::from_raw(target_w, target_h, bytes)
-        .ok_or_else(|| fail(format!("{h}x{w} does not match the resized data")))
+    RgbImage::from_raw(width, height, bytes)
+        .ok_or_else(|| fail(format!("{height}x{width} does not match the resized data")))
 }
 
 /// A picture from a tensor (H, W, 3) with values in 0..1; values outside are clamped.
@@ -91,6 +96,7 @@ pub fn to_rgb(tensor: &Tensor) -> Result<RgbImage> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use candle_core::Device;
     use image::Rgb;
 
     #[test]

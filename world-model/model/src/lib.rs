@@ -9,6 +9,7 @@
 mod decoder;
 mod encoder;
 mod error;
+mod framing;
 mod latent_space;
 mod place;
 mod world_model;
@@ -25,6 +26,7 @@ pub use autoencoder::{Autoencoder, AutoencoderConfig};
 pub use decoder::Decoder;
 pub use encoder::Encoder;
 pub use error::{Error, Result};
+pub use framing::{BARS, Fit, Framing, Part, PictureSize, Placement};
 pub use latent_space::LatentSpace;
 pub use place::Place;
 pub use weights::Weights;

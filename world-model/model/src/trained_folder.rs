@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 
 use crate::{
-    Autoencoder, Error, LatentSpace, Place, Result, Weights, WorldModel,
+    Autoencoder, Error, LatentSpace, PictureSize, Place, Result, Weights, WorldModel,
     ops::PackedFormat,
     transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition},
 };
@@ -22,6 +22,15 @@ pub const TRANSITION_FILE: &str = "transition.safetensors";
 pub const IDM_FILE: &str = "idm.safetensors";
 /// The file of the success probe in a folder.
 pub const PROBE_FILE: &str = "probe.safetensors";
+
+/// Metadata key of the [`PictureSize`] (JSON) of the camera's pictures that a network was trained on.
+pub const TRAINED_ON_KEY: &str = "trained_on";
+
+/// The simulator's pictures, which [`EMBEDDED`] was trained on.
+const EMBEDDED_TRAINED_ON: PictureSize = PictureSize {
+    width: 256,
+    height: 256,
+};
 
 static EMBEDDED_AUTOENCODER: &[u8] = include_bytes!("../weights/tiny/autoencoder.safetensors");
 static EMBEDDED_TRANSITION: &[u8] = include_bytes!("../weights/tiny/transition.safetensors");
@@ -68,6 +77,34 @@ impl TrainedFolder {
                 EMBEDDED_AUTOENCODER,
             )?),
             Self::Folder(folder) => Autoencoder::open(folder),
+        }
+    }
+
+    /// Size of the camera's pictures that the model was trained on: those of the transition model, or else of the
+    /// autoencoder; `None` if it is not known.
+    ///
+    /// # Errors
+    /// When a file is corrupt.
+    pub fn trained_on(&self) -> Result<Option<PictureSize>> {
+        if *self == Self::Embedded {
+            return Ok(Some(EMBEDDED_TRAINED_ON));
+        }
+        match self.transition_trained_on()? {
+            Some(size) => Ok(Some(size)),
+            None => Ok(self.autoencoder()?.config().trained_on),
+        }
+    }
+
+    /// The same of the transition model alone.
+    ///
+    /// # Errors
+    /// When the file is corrupt.
+    pub fn transition_trained_on(&self) -> Result<Option<PictureSize>> {
+        match self.weights(TRANSITION_FILE)? {
+            Some(weights) if weights.metadata(TRAINED_ON_KEY).is_some() => {
+                weights.json(TRAINED_ON_KEY).map(Some)
+            }
+            _ => Ok(None),
         }
     }
 

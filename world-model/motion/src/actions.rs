@@ -9,9 +9,14 @@
 
 mod encoding;
 mod error;
+mod kind;
+mod limits;
 mod note;
 mod space;
+mod survey;
 
 pub use encoding::{Accumulation, ActionEncoding, ModelAction};
 pub use error::ActionError;
-pub use space::{ActionSpace, Dimension, Kind, MAX_DIMENSIONS};
+pub use kind::Kind;
+pub use space::{ActionSpace, Dimension, MAX_DIMENSIONS};
+pub use survey::{ActionSurvey, Cause, Contradiction, Hint, Range};

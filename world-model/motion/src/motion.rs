@@ -1,9 +1,9 @@
 //! Actions as motion over time.
 //!
-//! An action is not a sample but a motion: a delta takes from its stamp until the next action, or for its period, and a
-//! state (a gripper's opening, a joint's position) holds until the next one. What a robot does in an interval is thus
-//! the same whether it is told at 5, 10, 30 or 50 Hz: translations are summed, rotations composed, the last state taken,
-//! and an action that lies in the interval in part counts in part.
+//! An action is not a sample but a motion: a delta takes from its stamp until the next action, or for its period; a
+//! velocity and a state (a gripper's opening, a joint's position) hold until the next one. What a robot does in an
+//! interval is thus the same at 5, 10, 30 or 50 Hz: translations are summed, rotations composed, velocities integrated,
+//! the last state taken, and an action that lies in the interval in part counts in part.
 //!
 //! [`Motion`] keeps what was taken ([`Motion::take`]) and what is announced ([`Motion::announce`]), and answers what
 //! happens between two moments ([`Motion::between`]). It knows no clock: stamps are nanoseconds of whatever clock stamped
@@ -35,6 +35,7 @@ use announced::Announced;
 pub use announced::{Chunk, ChunkMerging, MAX_CHUNK};
 pub use pace::Pace;
 use piece::{Piece, integrate};
+pub use rotation::turn_between;
 use taken::Taken;
 
 /// How actions without a period of their own become motions.
@@ -64,7 +65,8 @@ impl MotionSettings {
 /// What happens in an interval.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interval {
-    /// The change over the whole interval of each delta, and each state at its end, in the units of the action space.
+    /// The change over the whole interval of each delta, the mean over its time of each velocity, and each state at its
+    /// end, in the units of the action space.
     pub values: Vec<f32>,
     /// Whether actions speak of all of the interval. Otherwise the last one is assumed to go on in part of it.
     pub is_given: bool,

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use candle_core::{DType, Device};
 use wm_dataset::{Data, DataOptions, DatasetError, Latents};
-use wm_model::{Encoder, Weights};
+use wm_model::{Encoder, Framing, Weights};
 use wm_zoo::{Compute, DeviceName, Engine, ModelFolder, Precision};
 
 use crate::{
@@ -79,12 +79,12 @@ pub struct Encoded {
 }
 
 impl RunArgs {
-    /// The data, with frames of `size` (height, width), all cameras side by side.
+    /// The data, with frames as `framing` says, all cameras side by side.
     ///
     /// # Errors
     /// Names what cannot be used.
-    pub fn data(&self, size: (usize, usize)) -> Result<Data, DatasetError> {
-        Data::open(&self.data, size, &self.cache(), &self.options)
+    pub fn data(&self, framing: impl Into<Framing>) -> Result<Data, DatasetError> {
+        Data::open(&self.data, framing, &self.cache(), &self.options)
     }
 
     /// The data and their latents.
@@ -92,7 +92,7 @@ impl RunArgs {
     /// # Errors
     /// If the data cannot be used, or a frame cannot be encoded.
     pub fn encoded(&self, encoder: &dyn Encoder) -> Result<Encoded> {
-        let data = self.data(encoder.input_size())?;
+        let data = self.data(encoder.framing())?;
         let cache = self.cache();
         let validation = data.validation.as_ref();
         Ok(Encoded {

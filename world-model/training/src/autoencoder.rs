@@ -12,7 +12,7 @@ pub use evaluation::{Reconstruction, evaluate, picture};
 pub use trainer::TrainingError;
 
 use serde::{Deserialize, Serialize};
-use wm_model::AutoencoderConfig;
+use wm_model::{AutoencoderConfig, Fit};
 
 use crate::recipe::{Bundled, Optimisation, Span, is_recipe};
 
@@ -48,6 +48,8 @@ pub struct AutoencoderRecipe {
     pub latent_penalty: f32,
     /// Standard deviation of the noise added to the latents.
     pub latent_noise: f32,
+    /// How pictures of another aspect become pictures of the model's size.
+    pub fit: Fit,
     /// Shape of the networks.
     pub model: AutoencoderConfig,
     /// The optimiser.

@@ -21,7 +21,7 @@ use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
 use wm_dataset::{ClipSource, Dataset};
 use wm_evaluation::{Figure, on_clips};
-use wm_model::Encoder;
+use wm_model::{Encoder, PictureSize};
 use wm_motion::actions::ActionEncoding;
 use wm_zoo::{
     Engine, Loader,
@@ -51,6 +51,8 @@ struct EncoderTask<'a> {
     head: IdmNetworkConfig,
     clips: ClipSource<'a>,
     held_out: Option<ClipSource<'a>>,
+    /// Of the pictures in the bags, if they have one size.
+    picture_size: Option<PictureSize>,
     variables: Variables,
     /// Names of what was taken from another model.
     old: BTreeSet<String>,
@@ -89,6 +91,7 @@ impl<'a> EncoderTask<'a> {
                 .map(|dataset| clips(dataset, window))
                 .transpose()
                 .context("the held-out bags")?,
+            picture_size: train.picture_size(),
             recipe,
             encoder,
             head,
@@ -187,7 +190,8 @@ impl Task for EncoderTask<'_> {
         let (head, encoder): (Vec<_>, Vec<_>) =
             averaged.partition(|trained| trained.name.starts_with(HEAD));
         files::write_weights(folder, &self.encoder, encoder)?;
-        files::write_description(folder, &self.encoder, self.recipe.name()?)?;
+        let pictures = (self.recipe.fit, self.picture_size);
+        files::write_description(folder, &self.encoder, self.recipe.name()?, pictures)?;
         let mut variables = Variables::default();
         for Trained {
             name,

@@ -7,6 +7,7 @@ use anyhow::Result;
 use candle_core::DType;
 use clap::Args;
 use wm_dataset::{Data, DataOptions};
+use wm_model::Fit;
 use wm_zoo::{DeviceName, IDM_FILE, ModelFolder, PROBE_FILE};
 
 use crate::{
@@ -36,6 +37,10 @@ pub struct TrainModelArgs {
     /// Use this model's frozen encoder and decoder instead of training an autoencoder: tiny, or a model's folder.
     #[arg(long)]
     pub encoder: Option<String>,
+    /// How pictures of another aspect become the model's: crop (the middle), stretch or pad (black bars) [default: crop]. An
+    /// encoder that is given has its own.
+    #[arg(long, value_name = "FIT", conflicts_with = "encoder")]
+    pub fit: Option<Fit>,
     /// Fine-tune this model (tiny, or a model's folder) instead of beginning anew: its autoencoder, unless --encoder is
     /// given, its transition model, and those of the others that it has.
     #[arg(long, value_name = "MODEL")]
@@ -88,7 +93,7 @@ impl TrainModelArgs {
             let encoder = encoder.clone();
             println!("== {part}");
             ended = match part {
-                "autoencoder" => TrainAutoencoderArgs { run }.run(stop)?,
+                "autoencoder" => TrainAutoencoderArgs { run, fit: self.fit }.run(stop)?,
                 "transition" => TrainTransitionArgs { run, encoder }.run(stop)?,
                 "idm" => TrainIdmArgs { run, encoder }.run(stop)?,
                 _ => TrainProbeArgs {
@@ -126,6 +131,7 @@ impl TrainModelArgs {
         let encoder = || encoder.to_owned();
         let autoencoder = TrainAutoencoderArgs {
             run: self.of("autoencoder")?,
+            fit: self.fit,
         };
         autoencoder.recipe()?;
         let transition = TrainTransitionArgs {

@@ -36,8 +36,7 @@ fn try_to_write(run: &RunArgs) -> Result<()> {
     if !folder.has_transition() {
         return Ok(());
     }
-    let size = folder.encoder()?.input_size();
-    let data = run.data(size)?;
+    let data = run.data(folder.encoder()?.framing())?;
     let about = about(run, &data.training, data.validation.as_ref());
     let findings = match data.validation {
         None => unmeasured(run, &folder)?,

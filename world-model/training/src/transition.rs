@@ -20,6 +20,7 @@ use wm_dataset::{ClipSource, Dataset, Latents};
 use wm_evaluation::{ActionChange, Figure, PictureErrors, Windows, recover_actions, strip};
 use wm_model::{
     Decoder, Weights,
+    trained_folder::TRAINED_ON_KEY,
     transition::{
         ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig, WeightGradients,
     },
@@ -219,7 +220,11 @@ impl Task for TransitionTask<'_> {
     ) -> Result<()> {
         let (config, space) = ((CONFIG_KEY, &self.config), self.train.space());
         let path = folder.join(FILE);
-        trained_weights_of_actions(averaged, config, space, self.encoding)?.write(&path)?;
+        let mut weights = trained_weights_of_actions(averaged, config, space, self.encoding)?;
+        if let Some(size) = self.train.picture_size() {
+            weights.metadata(TRAINED_ON_KEY, json!(size).to_string());
+        }
+        weights.write(&path)?;
         // Of exactly what was written.
         self.written = Some(Transition::from_weights(Weights::open(&path)?)?);
         Ok(())
@@ -262,7 +267,7 @@ impl EvaluateTransitionArgs {
     pub fn run(&self) -> Result<()> {
         let folder = ModelFolder::open(&self.encoder)?;
         let encoder = folder.encoder()?;
-        let dataset = self.on.open(encoder.input_size())?;
+        let dataset = self.on.open(encoder.framing())?;
         let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
         let weights = Weights::open(&self.weights)?;
         let actions: ActionEncoding = weights.json(ACTIONS_KEY)?;

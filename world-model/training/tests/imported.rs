@@ -25,7 +25,9 @@ fn bridge_is_prepared_as_it_is() {
     };
     let scratch = tempfile::tempdir().unwrap();
     let bags = scratch.path().join("bags");
-    let made = import_bridge(&source, &bags, &ImportOptions::default()).unwrap();
+    let made = import_bridge(&source, &bags, &ImportOptions::default())
+        .unwrap()
+        .bags;
     let options = DataOptions::default();
     let cache = scratch.path().join("cache");
     let data = Data::open(&[bags], (128, 128), &cache, &options).unwrap();
@@ -49,7 +51,7 @@ fn droid_is_prepared_with_three_cameras() {
         episodes: Some(3),
         ..ImportOptions::default()
     };
-    let made = import_droid(&source, &bags, &options).unwrap();
+    let made = import_droid(&source, &bags, &options).unwrap().bags;
     let reader = wm_bag::BagReader::open(made.first().unwrap()).unwrap();
     let topics = reader.topics().iter().map(|topic| topic.name.to_string());
     let cameras: Vec<String> = topics.filter(|name| name.contains("image_raw")).collect();

@@ -28,7 +28,8 @@
 //!
 //! Opening a folder reads names and shapes of all tensors, and refuses what does not fit together before a value is
 //! read. The hash of the latent space is over encoder and adapter (kind, configuration, every tensor that they ask for,
-//! as f32), normalisation, picture size, views and number format: not over file formats, nor what else a file holds.
+//! as f32), normalisation, picture size, fit (unless it is `stretch`), views and number format: not over file formats, nor
+//! what else a file holds.
 //!
 //! Encoder, decoder and transition model compute where a [`Place`] says, everything else on the CPU.
 
@@ -361,6 +362,7 @@ impl DescribedFolder {
             normalisation: self.normalisation.clone(),
             image: self.description.image,
             views: self.views,
+            fit: self.description.fit,
             space: self.space()?,
         }))
     }
@@ -400,10 +402,10 @@ impl DescribedFolder {
         self.transition.is_some()
     }
 
-    /// Camera frames of a model step; `None` where there is no transition model.
-    pub fn frame_skip(&self) -> Option<usize> {
+    /// How the transition model takes actions; `None` if there is no transition model.
+    pub fn action_encoding(&self) -> Option<&ActionEncoding> {
         let transition = self.transition.as_ref()?;
-        Some(transition.config.encoding.frame_skip())
+        Some(&transition.config.encoding)
     }
 
     fn described_transition(&self) -> Result<&Opened<Dynamics>> {

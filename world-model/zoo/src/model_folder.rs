@@ -9,7 +9,7 @@ use wm_model::trained_folder::{EMBEDDED, IDM_FILE, PROBE_FILE, TrainedFolder};
 use wm_model::transition::{
     ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition, TransitionConfig,
 };
-use wm_model::{Decoder, Encoder, LatentSpace, Place, Weights, WorldModel};
+use wm_model::{Decoder, Encoder, Fit, LatentSpace, PictureSize, Place, Weights, WorldModel};
 use wm_motion::actions::ActionEncoding;
 
 use crate::folder::{DescribedFolder, NativeDecoder};
@@ -87,6 +87,33 @@ impl ModelFolder {
         match self {
             Self::Trained(folder) => Ok(folder.autoencoder()?.space().clone()),
             Self::Described(folder) => folder.space(),
+        }
+    }
+
+    /// How its encoder takes pictures of another aspect, without loading the encoder of a described folder.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in the weights.
+    pub fn fit(&self) -> Result<Fit> {
+        match self {
+            Self::Trained(folder) => Ok(folder.autoencoder()?.config().fit),
+            Self::Described(folder) => Ok(folder.description().fit),
+        }
+    }
+
+    /// Size of the camera's pictures that it was trained on: those of the transition model, or else of the encoder; `None`
+    /// if it is not known.
+    ///
+    /// # Errors
+    /// Names what is missing or wrong in the weights.
+    pub fn trained_on(&self) -> Result<Option<PictureSize>> {
+        match self {
+            Self::Trained(folder) => Ok(folder.trained_on()?),
+            Self::Described(folder) => {
+                let trained = TrainedFolder::Folder(folder.name().into());
+                let own = trained.transition_trained_on()?;
+                Ok(own.or(folder.description().trained_on))
+            }
         }
     }
 
@@ -174,18 +201,17 @@ impl ModelFolder {
         }
     }
 
-    /// Camera frames of a model step, told without loading the transition model; `None` where there is none.
+    /// How the transition model takes actions, read without loading the model; `None` if there is no transition model.
     ///
     /// # Errors
     /// When its file is missing or corrupt.
-    pub fn frame_skip(&self) -> Result<Option<usize>> {
+    pub fn action_encoding(&self) -> Result<Option<ActionEncoding>> {
         match self {
             Self::Trained(folder) if folder.has_transition() => {
-                let encoding: ActionEncoding = folder.transition()?.json(ACTIONS_KEY)?;
-                Ok(Some(encoding.frame_skip()))
+                Ok(Some(folder.transition()?.json(ACTIONS_KEY)?))
             }
             Self::Trained(_) => Ok(None),
-            Self::Described(folder) => Ok(folder.frame_skip()),
+            Self::Described(folder) => Ok(folder.action_encoding().cloned()),
         }
     }
 

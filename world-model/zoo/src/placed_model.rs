@@ -1,6 +1,7 @@
 //! A world model, and where its parts compute.
 
-use wm_model::{Decoder, Encoder, WorldModel};
+use wm_model::{Decoder, Encoder, Fit, PictureSize, WorldModel};
+use wm_motion::actions::ActionEncoding;
 
 use crate::idm::TrainedIdm;
 use crate::success_probe::SuccessClassifier;
@@ -26,12 +27,28 @@ impl PlacedModel {
         self.folder.name()
     }
 
-    /// As [`ModelFolder::frame_skip`].
+    /// As [`ModelFolder::action_encoding`].
     ///
     /// # Errors
     /// As there.
-    pub fn frame_skip(&self) -> Result<Option<usize>> {
-        self.folder.frame_skip()
+    pub fn action_encoding(&self) -> Result<Option<ActionEncoding>> {
+        self.folder.action_encoding()
+    }
+
+    /// As [`ModelFolder::fit`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn fit(&self) -> Result<Fit> {
+        self.folder.fit()
+    }
+
+    /// As [`ModelFolder::trained_on`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn trained_on(&self) -> Result<Option<PictureSize>> {
+        self.folder.trained_on()
     }
 
     /// As [`ModelFolder::encoder`].

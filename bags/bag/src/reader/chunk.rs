@@ -3,10 +3,9 @@
 use std::io::Read as _;
 
 use bytes::Bytes;
-use mcap::{
-    parse_record,
-    records::{ChunkHeader, Record, op},
-};
+use mcap::records::{ChunkHeader, Record, op};
+
+use super::record::parse;
 
 /// No record, and no chunk before or after decompression, may be larger than this. rosbag2's largest preset makes
 /// chunks of 4 MiB, and a chunk holds at least one message, so that this is room for a very large message.
@@ -64,9 +63,7 @@ pub(crate) fn record_header(bytes: &[u8]) -> Option<(u8, u64)> {
 
 /// The records of a chunk, from the chunk record's body: decompressed, and held against length and CRC.
 pub(crate) fn decompressed(chunk_body: &[u8]) -> Result<Bytes, String> {
-    let Record::Chunk { header, data } =
-        parse_record(op::CHUNK, chunk_body).map_err(|error| error.to_string())?
-    else {
+    let Record::Chunk { header, data } = parse(op::CHUNK, chunk_body)? else {
         return Err("it is not a chunk".to_owned());
     };
     let size = header.uncompressed_size;

@@ -1,109 +1,155 @@
 use std::{
+    borrow::Cow,
     collections::{BTreeMap, BTreeSet, HashMap},
-    path::{Path, PathBuf},
+    path::Path,
     sync::Arc,
 };
 
-use mcap::Summary;
-
+use super::{stored_file::StoredFile, times::Times};
 use crate::{
-    BagError, CDR, QOS_KEY, Schema, TYPE_HASH_KEY, TopicInfo, schema::canonical_type_name,
+    BagWarning, CDR, QOS_KEY, Schema, TYPE_HASH_KEY, TopicInfo,
+    decoding::Decoding,
+    schema::{absolute, canonical_type_name},
 };
 
 /// A part of a file that is read in one go.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Segment {
-    pub offset: u64,
-    pub length: u64,
-    /// Log times of the first and the last message, in ns.
+    pub place: SegmentPlace,
+    /// Log times of the first and the last message \[ns\].
     pub start_ns: u64,
     pub end_ns: u64,
+    /// The channels of its messages; none if that is not known.
+    pub channels: Option<Box<[u16]>>,
 }
 
-/// Where the messages of one MCAP file are, and what its channels are.
+/// Where a segment is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum SegmentPlace {
+    /// Bytes of an MCAP file: a chunk, or messages outside chunks.
+    Bytes { offset: u64, length: u64 },
+    /// Rows of an sqlite3 file, by their ids.
+    Rows { first: i64, last: i64 },
+}
+
+impl SegmentPlace {
+    /// A number that says in errors where it is.
+    pub fn offset(self) -> u64 {
+        match self {
+            Self::Bytes { offset, .. } => offset,
+            Self::Rows { first, .. } => u64::try_from(first).unwrap_or(0),
+        }
+    }
+}
+
+/// A channel whose messages are read.
+#[derive(Clone, Debug)]
+pub(super) struct Channel {
+    pub topic: TopicInfo,
+    pub decoding: Arc<Decoding>,
+    pub is_latched: bool,
+}
+
+/// A channel that is left out.
+#[derive(Clone, Debug)]
+pub(super) struct Skipped {
+    pub topic: String,
+    pub reason: String,
+    pub messages: u64,
+}
+
+/// Where the messages of one file are, and what its channels are.
 #[derive(Debug)]
 pub(super) struct FileIndex {
-    pub path: PathBuf,
+    pub file: StoredFile,
     pub size_bytes: u64,
     /// By channel id; several channels may share a topic.
-    pub channels: BTreeMap<u16, TopicInfo>,
-    /// The same channels as the file defines them, for who copies them.
+    pub channels: BTreeMap<u16, Channel>,
+    /// Those that cannot be read, by channel id.
+    pub skipped: BTreeMap<u16, Skipped>,
+    /// The readable channels as the file defines them, for who copies them.
     pub definitions: BTreeMap<u16, Arc<mcap::Channel<'static>>>,
     /// The text of each schema, by its id.
     schemas: HashMap<u16, Arc<Schema>>,
     pub segments: Vec<Segment>,
-    /// The first and the last log time, in ns.
+    /// The first and the last log time \[ns\].
     pub span: Option<(u64, u64)>,
+    pub times: Times,
     /// Compressions of the chunks, as MCAP names them.
     pub compressions: BTreeSet<String>,
+    /// `mcap` or `sqlite3`.
+    pub storage: &'static str,
 }
 
 impl FileIndex {
     /// The index of a file that nothing is known of yet.
-    pub fn empty(path: &Path, size_bytes: u64) -> Self {
+    pub fn empty(file: &StoredFile, size_bytes: u64, storage: &'static str) -> Self {
         Self {
-            path: path.to_owned(),
+            file: file.clone(),
             size_bytes,
             channels: BTreeMap::new(),
+            skipped: BTreeMap::new(),
             definitions: BTreeMap::new(),
             schemas: HashMap::new(),
             segments: Vec::new(),
             span: None,
+            times: Times::default(),
             compressions: BTreeSet::new(),
+            storage,
         }
     }
 
-    /// Takes channels, chunks and counts over from a file's summary.
-    pub fn take_summary(&mut self, summary: &Summary) -> Result<(), BagError> {
-        for channel in summary.channels.values() {
-            self.add_channel(channel)?;
+    /// The file's name.
+    pub fn path(&self) -> &Path {
+        &self.file.path
+    }
+
+    /// Adds a channel; one that cannot be read is left out by name.
+    pub fn add_channel(&mut self, channel: &Arc<mcap::Channel<'static>>) {
+        let id = channel.id;
+        if self.channels.contains_key(&id) || self.skipped.contains_key(&id) {
+            return;
         }
-        for chunk in &summary.chunk_indexes {
-            self.compressions.insert(chunk.compression.clone());
-            self.segments.push(Segment {
-                offset: chunk.chunk_start_offset,
-                length: chunk.chunk_length,
-                start_ns: chunk.message_start_time,
-                end_ns: chunk.message_end_time,
-            });
-        }
-        if let Some(stats) = summary
-            .stats
-            .as_ref()
-            .filter(|stats| stats.message_count > 0)
-        {
-            self.span = Some((stats.message_start_time, stats.message_end_time));
-            for (id, count) in &stats.channel_message_counts {
-                if let Some(channel) = self.channels.get_mut(id) {
-                    channel.message_count = *count;
-                }
+        match self.readable(channel) {
+            Ok(topic) => {
+                let decoding = Arc::new(Decoding::new(&topic.type_name, &topic.schema));
+                let is_latched = topic.is_latched();
+                let readable = Channel {
+                    topic,
+                    decoding,
+                    is_latched,
+                };
+                self.channels.insert(id, readable);
+                self.definitions.insert(id, with_absolute_name(channel));
             }
+            Err(reason) => self.skip(id, &channel.topic, reason),
         }
-        Ok(())
     }
 
-    /// Adds a channel, held against what this crate reads.
-    pub fn add_channel(&mut self, channel: &Arc<mcap::Channel<'static>>) -> Result<(), BagError> {
-        if self.channels.contains_key(&channel.id) {
-            return Ok(());
-        }
-        if channel.message_encoding != CDR {
-            return Err(BagError::MessageEncoding {
-                path: self.path.clone(),
-                topic: channel.topic.clone(),
-                encoding: channel.message_encoding.clone(),
-            });
+    /// Leaves a channel out.
+    pub fn skip(&mut self, id: u16, topic: &str, reason: String) {
+        self.definitions.remove(&id);
+        let known = self.channels.remove(&id);
+        let skipped = Skipped {
+            topic: topic.to_owned(),
+            reason,
+            messages: known.map_or(0, |channel| channel.topic.message_count),
+        };
+        self.skipped.insert(id, skipped);
+    }
+
+    /// The channel's topic, or why its messages cannot be read.
+    fn readable(&mut self, channel: &mcap::Channel<'static>) -> Result<TopicInfo, String> {
+        let encoding = &channel.message_encoding;
+        if encoding != CDR {
+            return Err(format!("its messages are {encoding:?}, expected \"cdr\""));
         }
         let Some(schema) = &channel.schema else {
-            return Err(BagError::NoType {
-                path: self.path.clone(),
-                topic: channel.topic.clone(),
-            });
+            return Err("it has no schema, so that its type is unknown".to_owned());
         };
-        let type_name = canonical_type_name(&schema.name).map_err(|_| BagError::SchemaName {
-            path: self.path.clone(),
-            topic: channel.topic.clone(),
-            name: schema.name.clone(),
+        let type_name = canonical_type_name(&schema.name).map_err(|_| {
+            let found = &schema.name;
+            format!("its type is {found:?}, expected package/msg/Type")
         })?;
         // One copy of a definition, however many channels have it.
         let shared = self.schemas.entry(schema.id).or_insert_with(|| {
@@ -113,27 +159,55 @@ impl FileIndex {
             })
         });
         let text = |key| channel.metadata.get(key).map_or("", String::as_str).into();
-        self.channels.insert(
-            channel.id,
-            TopicInfo {
-                name: channel.topic.as_str().into(),
-                type_name: type_name.into(),
-                schema: Arc::clone(shared),
-                qos_yaml: text(QOS_KEY),
-                type_hash: text(TYPE_HASH_KEY),
-                message_count: 0,
-            },
-        );
-        self.definitions.insert(channel.id, Arc::clone(channel));
-        Ok(())
+        Ok(TopicInfo {
+            name: absolute(&channel.topic).into(),
+            type_name: type_name.into(),
+            schema: Arc::clone(shared),
+            qos_yaml: text(QOS_KEY),
+            type_hash: text(TYPE_HASH_KEY),
+            message_count: 0,
+        })
     }
 
-    /// Counts a message that a scan has met.
+    /// Counts a message, in the order of the file.
     pub fn count(&mut self, channel_id: u16, log_time_ns: u64) {
         if let Some(channel) = self.channels.get_mut(&channel_id) {
-            channel.message_count += 1;
+            channel.topic.message_count += 1;
             let (start, end) = self.span.unwrap_or((log_time_ns, log_time_ns));
             self.span = Some((start.min(log_time_ns), end.max(log_time_ns)));
+            self.times.push(log_time_ns);
+        } else if let Some(skipped) = self.skipped.get_mut(&channel_id) {
+            skipped.messages += 1;
+        }
+    }
+
+    /// What the user should know about its channels.
+    pub fn channel_warnings(&self) -> impl Iterator<Item = BagWarning> + '_ {
+        let skipped = self
+            .skipped
+            .values()
+            .map(|skipped| BagWarning::ChannelSkipped {
+                file: self.path().to_owned(),
+                topic: skipped.topic.clone(),
+                messages: skipped.messages,
+                reason: skipped.reason.clone(),
+            });
+        let fields = self.channels.values().filter_map(|channel| {
+            let topic = &channel.topic;
+            BagWarning::of_fields(&topic.name, &topic.type_name, channel.decoding.fields()?)
+        });
+        skipped.chain(fields)
+    }
+}
+
+/// The channel with the slash that belongs before its topic's name.
+fn with_absolute_name(channel: &Arc<mcap::Channel<'static>>) -> Arc<mcap::Channel<'static>> {
+    match absolute(&channel.topic) {
+        Cow::Borrowed(_) => Arc::clone(channel),
+        Cow::Owned(topic) => {
+            let mut channel = mcap::Channel::clone(channel);
+            channel.topic = topic;
+            Arc::new(channel)
         }
     }
 }

@@ -6,32 +6,64 @@ use std::{
 
 use mcap::{
     MAGIC, Summary,
-    records::op,
+    records::{Statistics, op},
     sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions},
 };
 
 use super::{
     chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, record_header},
+    chunk_index,
     file_index::FileIndex,
+    record::rest,
     scan::Scan,
+    sqlite,
+    stored_file::StoredFile,
 };
 use crate::{BagError, BagWarning};
 
-/// Indexes a file, by its summary if it has one, else by reading all of it once.
-pub(super) fn index(path: &Path) -> Result<(FileIndex, Vec<BagWarning>), BagError> {
+/// Indexes a file, by its summary if it has one that holds, else by reading all of it once.
+pub(super) fn index(stored: &StoredFile) -> Result<(FileIndex, Vec<BagWarning>), BagError> {
+    let path = stored.path.as_path();
     let io = |source| BagError::io(path, source);
-    let mut file = File::open(path).map_err(io)?;
+    let mut file = stored.file().map_err(io)?;
+    file.seek(SeekFrom::Start(0)).map_err(io)?;
     let size_bytes = file.metadata().map_err(io)?.len();
-    check_magic(&mut file, path, size_bytes)?;
-    let mut index = FileIndex::empty(path, size_bytes);
+    if check_magic(&mut file, path, size_bytes)? == Storage::Sqlite {
+        return sqlite::index(stored, size_bytes);
+    }
+    let mut index = FileIndex::empty(stored, size_bytes, "mcap");
     let mut warnings = Vec::new();
     let mut scan = Scan::new(file, path, size_bytes);
-    match read_summary(&mut scan.file, size_bytes).map_err(io)? {
-        Ok(Some(summary)) => {
-            index.take_summary(&summary)?;
-            scan.outside_chunks(&mut index, &summary)?;
+    let summary = read_summary(&mut scan.file, size_bytes).map_err(io)?;
+    let chunks = match &summary {
+        Ok(Some(summary)) => chunk_index::read(&mut scan.file, &summary.chunk_indexes)
+            .map_err(io)?
+            .map(Some),
+        Ok(None) => Ok(None),
+        Err(reason) => Err(reason.clone()),
+    };
+    match (summary, chunks) {
+        (Ok(Some(summary)), Ok(Some(chunks))) => {
+            for channel in summary.channels.values() {
+                index.add_channel(channel);
+            }
+            let places: Vec<(u64, u64)> = chunks.iter().map(|chunk| chunk.place).collect();
+            let mut doubtful = 0;
+            for chunk in chunks {
+                index.compressions.insert(chunk.compression.clone());
+                if !chunk.take(&mut index) {
+                    let before = index.segments.len();
+                    scan.chunk_at(chunk.chunk, &mut index)?;
+                    let read = index.segments.get(before);
+                    if read.is_some_and(|read| !chunk.has_times_of(read)) {
+                        doubtful += 1;
+                    }
+                }
+            }
+            scan.outside(&mut index, places)?;
+            warnings.extend(differences(&index, summary.stats.as_ref(), doubtful));
         }
-        no_summary => {
+        (_, no_summary) => {
             let has_end = has_end_magic(&mut scan.file, size_bytes).map_err(io)?;
             let outcome = scan.everything(&mut index)?;
             if !has_end || !outcome.reached_end {
@@ -48,13 +80,62 @@ pub(super) fn index(path: &Path) -> Result<(FileIndex, Vec<BagWarning>), BagErro
             }
         }
     }
+    index.segments.sort_by_key(|segment| segment.place);
     let mut all = scan.into_warnings();
     all.append(&mut warnings);
     Ok((index, all))
 }
 
+/// What the summary says that the messages do not. `doubtful`: chunks whose indexes contradict each other.
+fn differences(
+    index: &FileIndex,
+    stats: Option<&Statistics>,
+    doubtful: usize,
+) -> Option<BagWarning> {
+    let mut differences = Vec::new();
+    if doubtful > 0 {
+        differences.push(format!(
+            "the times of {doubtful} chunk(s) differ from their messages'"
+        ));
+    }
+    let readable = index
+        .channels
+        .values()
+        .map(|channel| channel.topic.message_count);
+    let skipped = index.skipped.values().map(|skipped| skipped.messages);
+    let counted: u64 = readable.chain(skipped).sum();
+    if let Some(stats) = stats {
+        if stats.message_count != counted {
+            let told = stats.message_count;
+            differences.push(format!(
+                "it counts {told} messages, the file holds {counted}"
+            ));
+        }
+        // Messages that are left out have times too.
+        let told = (stats.message_start_time, stats.message_end_time);
+        if index.skipped.is_empty() && index.span.is_some_and(|span| span != told) {
+            differences.push("its first and last log times are not those of the messages".into());
+        }
+    }
+    (!differences.is_empty()).then(|| BagWarning::WrongSummary {
+        file: index.path().to_owned(),
+        reason: differences.join("; "),
+    })
+}
+
+/// What a file is stored as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Storage {
+    Mcap,
+    Sqlite,
+}
+
 /// Tells a bag from other files.
-pub(crate) fn check_magic(file: &mut File, path: &Path, size_bytes: u64) -> Result<(), BagError> {
+pub(crate) fn check_magic(
+    file: &mut File,
+    path: &Path,
+    size_bytes: u64,
+) -> Result<Storage, BagError> {
     if size_bytes == 0 {
         return Err(BagError::Empty {
             path: path.to_owned(),
@@ -72,24 +153,15 @@ pub(crate) fn check_magic(file: &mut File, path: &Path, size_bytes: u64) -> Resu
         })
     };
     if front.starts_with(MAGIC) {
-        Ok(())
+        Ok(Storage::Mcap)
     } else if front.starts_with(b"SQLite format 3") {
-        Err(BagError::Storage {
-            path: path.to_owned(),
-            storage: "sqlite3".to_owned(),
-        })
-    } else if front.starts_with(&[0x28, 0xb5, 0x2f, 0xfd]) {
-        Err(BagError::RosbagCompression {
-            path: path.to_owned(),
-            mode: "file".to_owned(),
-            format: "zstd".to_owned(),
-        })
+        Ok(Storage::Sqlite)
     } else if front.starts_with(b"#ROSBAG") {
         not_a_bag("it is a ROS 1 bag; convert it with `rosbags-convert`")
     } else if MAGIC.starts_with(&front) {
         not_a_bag("it ends within the first bytes of an MCAP file")
     } else {
-        not_a_bag("expected an MCAP file or a directory with one")
+        not_a_bag("expected an MCAP or sqlite3 file of rosbag2, or a directory with one")
     }
 }
 
@@ -155,7 +227,13 @@ fn check_summary_records(
             )));
         }
         // Bounded by the file's size, so that it fits.
-        file.seek_relative(length as i64)?;
+        let mut body = vec![0; length as usize];
+        file.read_exact(&mut body)?;
+        if rest(opcode, &body).is_none() {
+            return Ok(Err(format!(
+                "a length in the record at byte {at} (opcode {opcode}) leads out of it"
+            )));
+        }
         at += RECORD_HEADER_BYTES + length;
     }
     Ok(Ok(()))
@@ -229,16 +307,6 @@ fn read_summary(
         return Ok(Err(format!(
             "it counts {} channels and describes {described}",
             stats.channel_count
-        )));
-    }
-    let by_channel = stats
-        .channel_message_counts
-        .values()
-        .fold(0, |sum: u64, count| sum.saturating_add(*count));
-    if by_channel != stats.message_count {
-        return Ok(Err(format!(
-            "it counts {} messages, and {by_channel} by channel",
-            stats.message_count
         )));
     }
     Ok(Ok(Some(summary)))

@@ -1,6 +1,7 @@
 //! Finding the messages of a file by walking its records.
 
 use std::{
+    collections::BTreeSet,
     fs::File,
     io::{BufReader, Read as _, Seek as _, SeekFrom},
     path::Path,
@@ -8,14 +9,15 @@ use std::{
 
 use bytes::Bytes;
 use mcap::{
-    MAGIC, Summary, parse_record,
+    MAGIC,
     records::{Record, op},
 };
 
 use super::{
     chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompressed, record_header},
     definitions::Definitions,
-    file_index::{FileIndex, Segment},
+    file_index::{FileIndex, Segment, SegmentPlace},
+    record::parse,
 };
 use crate::{BagError, BagWarning};
 
@@ -33,14 +35,36 @@ pub(super) struct ScanEnd {
     pub reached_end: bool,
 }
 
+/// Messages outside chunks that are being gathered.
+struct Stretch {
+    offset: u64,
+    length: u64,
+    start_ns: u64,
+    end_ns: u64,
+    channels: BTreeSet<u16>,
+}
+
+impl From<Stretch> for Segment {
+    fn from(stretch: Stretch) -> Self {
+        Self {
+            place: SegmentPlace::Bytes {
+                offset: stretch.offset,
+                length: stretch.length,
+            },
+            start_ns: stretch.start_ns,
+            end_ns: stretch.end_ns,
+            channels: Some(stretch.channels.into_iter().collect()),
+        }
+    }
+}
+
 /// Walks the records of a file.
 pub(super) struct Scan<'a> {
     pub file: BufReader<File>,
     path: &'a Path,
     size_bytes: u64,
     definitions: Definitions,
-    /// The stretch of messages outside chunks that is being gathered.
-    stretch: Option<Segment>,
+    stretch: Option<Stretch>,
     warnings: Vec<BagWarning>,
     damaged_places: u64,
 }
@@ -60,46 +84,27 @@ impl<'a> Scan<'a> {
 
     /// Reads the whole file: channels, counts, segments.
     pub fn everything(&mut self, index: &mut FileIndex) -> Result<ScanEnd, BagError> {
-        self.range(MAGIC.len() as u64, self.size_bytes, index, true)
+        self.range(MAGIC.len() as u64, self.size_bytes, index)
     }
 
-    /// Finds the messages that are in no chunk, in the gaps between the chunks that the summary lists. A file whose
-    /// chunks touch each other, as most do, costs nothing here.
-    pub fn outside_chunks(
+    /// Finds the messages in no chunk that the summary lists, in the gaps between those: from byte to byte, in order. A file
+    /// whose chunks touch each other, as most do, costs nothing here.
+    pub fn outside(
         &mut self,
         index: &mut FileIndex,
-        summary: &Summary,
+        chunks: impl IntoIterator<Item = (u64, u64)>,
     ) -> Result<(), BagError> {
-        let mut chunks: Vec<(u64, u64)> = summary
-            .chunk_indexes
-            .iter()
-            .map(|chunk| {
-                let end = chunk.chunk_start_offset.saturating_add(chunk.chunk_length);
-                (
-                    chunk.chunk_start_offset,
-                    end.saturating_add(chunk.message_index_length),
-                )
-            })
-            .collect();
-        chunks.sort_unstable();
         let mut from = MAGIC.len() as u64;
         for (start, end) in chunks {
-            self.range(from, start, index, false)?;
+            self.range(from, start, index)?;
             from = end;
         }
-        self.range(from, self.size_bytes, index, false)?;
+        self.range(from, self.size_bytes, index)?;
         Ok(())
     }
 
-    /// Walks the records from one byte to another. `fully`: the file has no summary, so that chunks, channels and
-    /// counts are taken from here.
-    fn range(
-        &mut self,
-        from: u64,
-        to: u64,
-        index: &mut FileIndex,
-        fully: bool,
-    ) -> Result<ScanEnd, BagError> {
+    /// Walks the records from one byte to another.
+    fn range(&mut self, from: u64, to: u64, index: &mut FileIndex) -> Result<ScanEnd, BagError> {
         let io = |source| BagError::io(self.path, source);
         let mut at = from;
         let mut reached_end = false;
@@ -128,11 +133,7 @@ impl<'a> Scan<'a> {
                 at = end;
                 break;
             }
-            let wanted = match opcode {
-                op::MESSAGE => true,
-                op::CHUNK | op::SCHEMA | op::CHANNEL => fully,
-                _ => false,
-            };
+            let wanted = matches!(opcode, op::MESSAGE | op::CHUNK | op::SCHEMA | op::CHANNEL);
             if !wanted {
                 // Attachments, metadata and indexes may be large; they are stepped over.
                 self.skip(length)?;
@@ -145,19 +146,26 @@ impl<'a> Scan<'a> {
                     ),
                 );
             } else {
-                let mut body = vec![0; length as usize];
-                self.file
-                    .read_exact(&mut body)
-                    .map_err(|source| BagError::io(self.path, source))?;
-                self.top_record(opcode, body.into(), at, end, index, fully)?;
+                let body = self.body(length)?;
+                self.top_record(opcode, body, (at, end), index);
             }
             at = end;
         }
-        index.segments.extend(self.stretch.take());
+        index
+            .segments
+            .extend(self.stretch.take().map(Segment::from));
         Ok(ScanEnd {
             end: at,
             reached_end,
         })
+    }
+
+    /// The next bytes, of a record whose length was held to the file and to [`MAX_RECORD_BYTES`].
+    fn body(&mut self, length: u64) -> Result<Bytes, BagError> {
+        let mut body = vec![0; length as usize];
+        let read = self.file.read_exact(&mut body);
+        read.map_err(|source| BagError::io(self.path, source))?;
+        Ok(body.into())
     }
 
     fn skip(&mut self, length: u64) -> Result<(), BagError> {
@@ -165,6 +173,20 @@ impl<'a> Scan<'a> {
         self.file
             .seek_relative(length as i64)
             .map_err(|source| BagError::io(self.path, source))
+    }
+
+    /// Reads the chunk from one byte to another, of which the file's indexes say different things.
+    pub fn chunk_at(
+        &mut self,
+        (at, end): (u64, u64),
+        index: &mut FileIndex,
+    ) -> Result<(), BagError> {
+        let from = SeekFrom::Start(at + RECORD_HEADER_BYTES);
+        let found = self.file.seek(from);
+        found.map_err(|source| BagError::io(self.path, source))?;
+        let body = self.body(end - at - RECORD_HEADER_BYTES)?;
+        self.top_record(op::CHUNK, body, (at, end), index);
+        Ok(())
     }
 
     /// What is wrong with the file, as far as it was met.
@@ -193,103 +215,127 @@ impl<'a> Scan<'a> {
         });
     }
 
-    /// A record at the top level of the file, from byte `at` to `end`.
+    /// A record at the top level of the file, from one byte to another.
     fn top_record(
         &mut self,
         opcode: u8,
         body: Bytes,
-        at: u64,
-        end: u64,
+        (at, end): (u64, u64),
         index: &mut FileIndex,
-        fully: bool,
-    ) -> Result<(), BagError> {
+    ) {
         if opcode != op::CHUNK {
-            let log_time_ns = self.record(opcode, &body, at, index, fully)?;
-            if let Some(log_time_ns) = log_time_ns {
-                self.extend_stretch(at, end, log_time_ns, index);
+            if let Some((channel, log_time_ns)) = self.record(opcode, &body, at, index) {
+                self.extend_stretch(at, end, (channel, log_time_ns), index);
             }
-            return Ok(());
+            return;
         }
-        index.segments.extend(self.stretch.take());
-        let header = match parse_record(op::CHUNK, &body) {
+        index
+            .segments
+            .extend(self.stretch.take().map(Segment::from));
+        let header = match parse(op::CHUNK, &body) {
             Ok(Record::Chunk { header, .. }) => header,
-            Ok(_) => return Ok(()),
-            Err(error) => {
-                self.warn(at, error.to_string());
-                return Ok(());
-            }
+            Ok(_) => return,
+            Err(error) => return self.warn(at, error),
         };
         index.compressions.insert(header.compression);
-        index.segments.push(Segment {
+        let mut chunk = Stretch {
             offset: at,
             length: end - at,
-            start_ns: header.message_start_time,
-            end_ns: header.message_end_time,
-        });
+            start_ns: u64::MAX,
+            end_ns: 0,
+            channels: BTreeSet::new(),
+        };
         match decompressed(&body) {
             Ok(records) => {
                 for record in Records::new(records) {
                     match record {
                         Ok(record) => {
-                            self.record(record.opcode, &record.body, at, index, true)?;
+                            let found = self.record(record.opcode, &record.body, at, index);
+                            if let Some((channel, log_time_ns)) = found {
+                                chunk.channels.insert(channel);
+                                chunk.start_ns = chunk.start_ns.min(log_time_ns);
+                                chunk.end_ns = chunk.end_ns.max(log_time_ns);
+                            }
                         }
                         Err(reason) => self.warn(at, reason),
                     }
                 }
             }
-            Err(reason) => self.warn(at, reason),
+            Err(reason) => {
+                self.warn(at, reason);
+                // It is named again where it would be read.
+                let (one, other) = (header.message_start_time, header.message_end_time);
+                index.segments.push(Segment {
+                    place: SegmentPlace::Bytes {
+                        offset: at,
+                        length: end - at,
+                    },
+                    start_ns: one.min(other),
+                    end_ns: one.max(other),
+                    channels: None,
+                });
+                return;
+            }
         }
-        Ok(())
+        // One without a readable message has nothing to be read.
+        if !chunk.channels.is_empty() {
+            index.segments.push(chunk.into());
+        }
     }
 
-    /// A schema, channel or message; gives the log time of a message. `fully`: channels and counts are taken.
+    /// A schema, channel or message; gives channel and log time of a message.
     fn record(
         &mut self,
         opcode: u8,
         body: &[u8],
         at: u64,
         index: &mut FileIndex,
-        fully: bool,
-    ) -> Result<Option<u64>, BagError> {
+    ) -> Option<(u16, u64)> {
         if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
-            return Ok(None);
+            return None;
         }
-        match parse_record(opcode, body) {
+        match parse(opcode, body) {
             Ok(Record::Channel(channel)) => {
                 let id = channel.id;
                 self.definitions.add(Record::Channel(channel));
                 if let Some(channel) = self.definitions.channel(id) {
-                    index.add_channel(&channel)?;
+                    index.add_channel(&channel);
                 }
             }
             Ok(Record::Message { header, .. }) => {
-                if fully {
-                    index.count(header.channel_id, header.log_time);
-                }
-                return Ok(Some(header.log_time));
+                index.count(header.channel_id, header.log_time);
+                return Some((header.channel_id, header.log_time));
             }
             Ok(schema) => self.definitions.add(schema),
-            Err(error) => self.warn(at, error.to_string()),
+            Err(error) => self.warn(at, error),
         }
-        Ok(None)
+        None
     }
 
     /// Adds a message outside chunks to the stretch that is being gathered.
-    fn extend_stretch(&mut self, at: u64, end: u64, log_time_ns: u64, index: &mut FileIndex) {
+    fn extend_stretch(
+        &mut self,
+        at: u64,
+        end: u64,
+        (channel, log_time_ns): (u16, u64),
+        index: &mut FileIndex,
+    ) {
         match &mut self.stretch {
             Some(stretch) if end - stretch.offset <= STRETCH_BYTES => {
                 stretch.length = end - stretch.offset;
                 stretch.start_ns = stretch.start_ns.min(log_time_ns);
                 stretch.end_ns = stretch.end_ns.max(log_time_ns);
+                stretch.channels.insert(channel);
             }
             full => {
-                let next = Segment {
+                let next = Stretch {
                     offset: at,
                     length: end - at,
                     start_ns: log_time_ns,
                     end_ns: log_time_ns,
+                    channels: BTreeSet::from([channel]),
                 };
-                index.segments.extend(full.replace(next));
+                index.segments.extend(full.replace(next).map(Segment::from));
             }
         }
     }

@@ -2,6 +2,8 @@
 
 use mcap::records::op;
 
+use crate::reader::record::rest;
+
 /// Bytes of a record's body that tell whether it is framed as a chunk.
 pub(super) const CHUNK_PREFIX: usize = 48;
 /// The fixed part of a message's body: channel, sequence number, two times.
@@ -30,51 +32,10 @@ pub(super) fn is_chunk(prefix: &[u8], length: u64) -> bool {
         && u64::from_le_bytes(*records).checked_add(before_records) == Some(length)
 }
 
-/// A field of a record's body.
-enum Field {
-    /// So many bytes.
-    Fixed(usize),
-    /// As many bytes as the four before them say.
-    Prefixed,
-}
-
 /// Whether a body has the fields of its opcode and nothing else. Messages, attachments and unknown records, which do
 /// not say it, are taken at their length.
 pub(super) fn is_exact(opcode: u8, body: &[u8]) -> bool {
-    use Field::{Fixed, Prefixed};
-    let fields: &[Field] = match opcode {
-        op::HEADER | op::METADATA => &[Prefixed, Prefixed],
-        op::FOOTER => &[Fixed(20)],
-        op::SCHEMA => &[Fixed(2), Prefixed, Prefixed, Prefixed],
-        op::CHANNEL => &[Fixed(4), Prefixed, Prefixed, Prefixed],
-        op::MESSAGE_INDEX => &[Fixed(2), Prefixed],
-        op::CHUNK_INDEX => &[Fixed(32), Prefixed, Fixed(8), Prefixed, Fixed(16)],
-        op::ATTACHMENT_INDEX => &[Fixed(40), Prefixed, Prefixed],
-        op::STATISTICS => &[Fixed(42), Prefixed],
-        op::METADATA_INDEX => &[Fixed(16), Prefixed],
-        op::SUMMARY_OFFSET => &[Fixed(17)],
-        op::DATA_END => &[Fixed(4)],
-        op::MESSAGE => return body.len() as u64 >= MESSAGE_PREFIX,
-        _ => return true,
-    };
-    let mut rest = body;
-    for field in fields {
-        let length = match field {
-            Fixed(length) => *length,
-            Prefixed => {
-                let Some((length, behind)) = rest.split_first_chunk::<4>() else {
-                    return false;
-                };
-                rest = behind;
-                u32::from_le_bytes(*length) as usize
-            }
-        };
-        match rest.get(length..) {
-            Some(behind) => rest = behind,
-            None => return false,
-        }
-    }
-    rest.is_empty()
+    opcode == op::ATTACHMENT || rest(opcode, body).is_some_and(<[u8]>::is_empty)
 }
 
 #[cfg(test)]

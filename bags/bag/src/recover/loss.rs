@@ -1,4 +1,5 @@
 use std::{
+    collections::BTreeMap,
     fmt,
     path::{Path, PathBuf},
 };
@@ -51,6 +52,8 @@ pub struct Losses {
     /// Messages in sound places that cannot be kept: their channel is unknown, without a type or not CDR, or their time
     /// is past 2^63 - 1 ns.
     pub messages: u64,
+    /// Those of them whose channel is known, by topic.
+    pub by_topic: BTreeMap<String, u64>,
 }
 
 impl Losses {
@@ -100,6 +103,9 @@ impl fmt::Display for Losses {
                  rosbag2's range",
                 self.messages
             )?;
+            for (topic, messages) in &self.by_topic {
+                write!(f, "\n  {topic}: {messages}")?;
+            }
         }
         Ok(())
     }

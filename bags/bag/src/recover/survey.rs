@@ -7,7 +7,7 @@ use std::{
 };
 
 use mcap::{
-    MAGIC, parse_record,
+    MAGIC,
     records::{Record, op},
 };
 
@@ -20,7 +20,9 @@ use crate::{
     reader::{
         chunk::{MAX_RECORD_BYTES, RECORD_HEADER_BYTES, Records, decompressed, record_header},
         definitions::Definitions,
-        indexing::check_magic,
+        indexing::{Storage, check_magic},
+        record::parse,
+        stored_file::StoredFile,
     },
 };
 
@@ -46,12 +48,17 @@ pub(super) struct Survey {
 }
 
 /// Walks a file. What is lost is added to `losses`.
-pub(super) fn survey(path: &Path, losses: &mut Losses) -> Result<Survey, BagError> {
+pub(super) fn survey(stored: &StoredFile, losses: &mut Losses) -> Result<Survey, BagError> {
+    let path = stored.path.as_path();
     let io = |source| BagError::io(path, source);
-    let mut file = File::open(path).map_err(io)?;
+    let mut file = stored.file().map_err(io)?;
+    file.seek(SeekFrom::Start(0)).map_err(io)?;
     let size_bytes = file.metadata().map_err(io)?.len();
     match check_magic(&mut file, path, size_bytes) {
-        Ok(()) => Walk::new(file, path, size_bytes, losses).run(MAGIC.len() as u64),
+        Ok(Storage::Sqlite) => Err(BagError::NotRecoverable {
+            path: path.to_owned(),
+        }),
+        Ok(Storage::Mcap) => Walk::new(file, path, size_bytes, losses).run(MAGIC.len() as u64),
         // The first bytes may be all that is wrong with it.
         Err(error @ BagError::NotABag { .. }) => {
             let before = losses.clone();
@@ -179,11 +186,11 @@ impl<'a> Walk<'a> {
                     return Ok(self.size_bytes);
                 }
             }
-            op::SCHEMA | op::CHANNEL => match parse_record(opcode, &body) {
+            op::SCHEMA | op::CHANNEL => match parse(opcode, &body) {
                 Ok(record) => self.found.definitions.add(record),
-                Err(error) => self.lost(at, end, 0, error.to_string()),
+                Err(error) => self.lost(at, end, 0, error),
             },
-            op::METADATA => match parse_record(opcode, &body) {
+            op::METADATA => match parse(opcode, &body) {
                 // The recorder's own copy of metadata.yaml, which is written anew.
                 Ok(Record::Metadata(metadata)) if metadata.name == "rosbag2" => {}
                 _ => self.lost(at, end, 0, "metadata records are not copied".to_owned()),
@@ -226,9 +233,7 @@ impl<'a> Walk<'a> {
 
     /// Takes the definitions in a chunk all of which can be read.
     fn sound_chunk(&mut self, body: &[u8]) -> Result<(), String> {
-        let Record::Chunk { header, .. } =
-            parse_record(op::CHUNK, body).map_err(|error| error.to_string())?
-        else {
+        let Record::Chunk { header, .. } = parse(op::CHUNK, body)? else {
             return Err("it is not a chunk".to_owned());
         };
         let mut definitions = Vec::new();
@@ -248,9 +253,8 @@ impl<'a> Walk<'a> {
         }
         let definitions = definitions
             .iter()
-            .map(|record| parse_record(record.opcode, &record.body))
-            .collect::<Result<Vec<_>, _>>()
-            .map_err(|error| error.to_string())?;
+            .map(|record| parse(record.opcode, &record.body))
+            .collect::<Result<Vec<_>, _>>()?;
         for definition in definitions {
             self.found.definitions.add(definition);
         }

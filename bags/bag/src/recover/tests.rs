@@ -17,7 +17,17 @@ type Row = (String, u32, u64, u64, Vec<u8>);
 
 fn rows(bag: &Path) -> Vec<Row> {
     let reader = BagReader::open(bag).unwrap();
-    assert!(reader.warnings().is_empty(), "{:?}", reader.warnings());
+    // Outside of chunks nothing says whether a definition is what was written.
+    let is_of_definition = |warning: &BagWarning| {
+        matches!(
+            warning,
+            BagWarning::UnreadableDefinition { .. }
+                | BagWarning::OtherFields { .. }
+                | BagWarning::Undecodable { .. }
+        )
+    };
+    let warnings = reader.warnings();
+    assert!(warnings.iter().all(is_of_definition), "{warnings:?}");
     let topics: HashMap<(usize, u16), String> = reader
         .definitions()
         .map(|(file, channel)| ((file, channel.id), channel.topic.clone()))

@@ -80,6 +80,9 @@ pub struct WriterOptions {
     /// The next file of the bag is begun with the first message that is later than the file's first by more than
     /// this. None: one file.
     pub max_file_duration: Option<Duration>,
+    /// Whether each file after the first begins with the latched messages that hold then, so that it can be played by
+    /// itself. A reader of the whole bag passes over them.
+    pub repeats_latched: bool,
     /// The ROS distribution that `metadata.yaml` names; may be empty.
     pub ros_distro: String,
 }
@@ -94,6 +97,7 @@ impl Default for WriterOptions {
             preset: StoragePreset::default(),
             max_file_bytes: None,
             max_file_duration: None,
+            repeats_latched: true,
             ros_distro: String::new(),
         }
     }

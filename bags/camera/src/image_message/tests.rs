@@ -1,5 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+use image::{ImageBuffer, ImageFormat, Luma};
 use proptest::prelude::*;
 
 use super::*;
@@ -54,16 +55,288 @@ fn every_encoding_comes_out_as_rgb_whatever_the_step() {
             image.encoding
         );
     }
+    // OpenCV's order.
+    let bgr = padded("8UC3", [&[3, 2, 1], &[6, 5, 4], &[9, 8, 7], &[12, 11, 10]]);
+    assert_eq!(decode_image(&bgr).unwrap().as_raw(), &expected);
     let grey = [1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4];
-    let mono = padded("mono8", [&[1], &[2], &[3], &[4]]);
-    assert_eq!(decode_image(&mono).unwrap().as_raw(), &grey);
-    let little = padded("mono16", [&[0, 1], &[0, 2], &[0, 3], &[0, 4]]);
-    assert_eq!(decode_image(&little).unwrap().as_raw(), &grey);
-    let big = Image {
-        is_bigendian: 1,
-        ..padded("mono16", [&[1, 0], &[2, 0], &[3, 0], &[4, 0]])
+    for encoding in ["mono8", "8UC1"] {
+        let mono = padded(encoding, [&[1], &[2], &[3], &[4]]);
+        assert_eq!(decode_image(&mono).unwrap().as_raw(), &grey);
+    }
+}
+
+#[test]
+fn padding_may_be_missing_or_unnamed() {
+    let expected = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
+    let padded = padded("rgb8", [&[1, 2, 3], &[4, 5, 6], &[7, 8, 9], &[10, 11, 12]]);
+    let short = Image {
+        data: padded.data[..15].to_vec(),
+        ..padded.clone()
     };
-    assert_eq!(decode_image(&big).unwrap().as_raw(), &grey);
+    let longer = Image {
+        data: [padded.data.as_slice(), &[7; 99]].concat(),
+        ..padded.clone()
+    };
+    let unnamed = Image {
+        step: 0,
+        data: expected.to_vec(),
+        ..padded
+    };
+    for image in [short, longer, unnamed] {
+        assert_eq!(decode_image(&image).unwrap().as_raw(), &expected);
+    }
+}
+
+/// BT.601, limited range, of black, white, red and blue; as OpenCV's cvtColor gives them.
+const YUV: [([u8; 3], [u8; 3]); 4] = [
+    ([16, 128, 128], [0, 0, 0]),
+    ([235, 128, 128], [255, 255, 255]),
+    ([82, 90, 240], [255, 1, 0]),
+    ([41, 240, 110], [0, 0, 255]),
+];
+
+#[test]
+fn yuv_becomes_the_colours_of_bt601() {
+    for ([luma, blue, red], rgb) in YUV {
+        let expected: Vec<u8> = [rgb; 8].concat();
+        let image = |encoding: &str, step: u32, data: Vec<u8>| Image {
+            encoding: encoding.into(),
+            width: 4,
+            height: 2,
+            step,
+            data,
+            ..Image::default()
+        };
+        let lumas = vec![luma; 8];
+        let images = [
+            image("yuv422", 8, [[blue, luma, red, luma]; 4].concat()),
+            image("uyvy", 8, [[blue, luma, red, luma]; 4].concat()),
+            image("yuv422_yuy2", 8, [[luma, blue, luma, red]; 4].concat()),
+            image("yuyv", 8, [[luma, blue, luma, red]; 4].concat()),
+            image(
+                "nv12",
+                4,
+                [lumas.clone(), [[blue, red]; 2].concat()].concat(),
+            ),
+            image(
+                "nv21",
+                4,
+                [lumas.clone(), [[red, blue]; 2].concat()].concat(),
+            ),
+            image("nv24", 4, [lumas, [[blue, red]; 8].concat()].concat()),
+        ];
+        for image in images {
+            let got = decode_image(&image).unwrap();
+            let worst = got
+                .as_raw()
+                .iter()
+                .zip(&expected)
+                .map(|(a, b)| a.abs_diff(*b))
+                .max();
+            assert!(worst <= Some(1), "{}: {got:?}", image.encoding);
+        }
+    }
+}
+
+#[test]
+fn planes_of_a_padded_picture_are_found() {
+    // 3 x 3 pixels in rows of 6 bytes: 3 rows of luma, 2 of pairs. The last row lacks its padding.
+    let mut data = vec![0xab; 6 * 4 + 4];
+    for row in 0..3 {
+        data[row * 6..row * 6 + 3].fill(82);
+    }
+    for row in 3..5 {
+        data[row * 6..row * 6 + 4].copy_from_slice(&[90, 240, 90, 240]);
+    }
+    let image = Image {
+        encoding: "nv12".into(),
+        width: 3,
+        height: 3,
+        step: 6,
+        data,
+        ..Image::default()
+    };
+    let got = decode_image(&image).unwrap();
+    assert!(
+        got.pixels().all(|pixel| pixel.0[0] > 253 && pixel.0[1] < 3),
+        "{got:?}"
+    );
+    let data = image.data[..27].to_vec();
+    assert!(decode_image(&Image { data, ..image }).is_err());
+}
+
+#[test]
+fn mosaic_of_each_pattern_becomes_its_colours() {
+    let colour = [200, 100, 50];
+    for (encoding, pattern) in [
+        ("bayer_rggb8", [0, 1, 1, 2]),
+        ("bayer_bggr8", [2, 1, 1, 0]),
+        ("bayer_gbrg8", [1, 2, 0, 1]),
+        ("bayer_grbg8", [1, 0, 2, 1]),
+    ] {
+        for (width, height) in [(2_u32, 2_u32), (7, 5), (8, 4)] {
+            let pixel = |x: u32, y: u32| colour[pattern[(y % 2 * 2 + x % 2) as usize]];
+            let rows = (0..height).flat_map(|y| (0..width).map(move |x| pixel(x, y)));
+            let image = Image {
+                encoding: encoding.into(),
+                width,
+                height,
+                step: width,
+                data: rows.collect(),
+                ..Image::default()
+            };
+            let got = decode_image(&image).unwrap();
+            assert!(
+                got.pixels().all(|pixel| pixel.0 == colour),
+                "{encoding} {width}x{height}"
+            );
+        }
+    }
+}
+
+#[test]
+fn mosaic_is_interpolated_linearly() {
+    // A ramp of all colours: its interpolation is the ramp itself, inside.
+    let ramp = |x: u32, y: u32| (10 * x + 20 * y) as u8;
+    let image = Image {
+        encoding: "bayer_grbg8".into(),
+        width: 6,
+        height: 6,
+        step: 6,
+        data: (0..36).map(|at| ramp(at % 6, at / 6)).collect(),
+        ..Image::default()
+    };
+    let got = decode_image(&image).unwrap();
+    for (x, y, pixel) in got.enumerate_pixels() {
+        if (1..5).contains(&x) && (1..5).contains(&y) {
+            assert_eq!(pixel.0, [ramp(x, y); 3], "{x}, {y}");
+        }
+    }
+}
+
+#[test]
+fn depth_is_refused_by_name() {
+    for encoding in ["16UC1", "32FC1", "mono16"] {
+        let image = Image {
+            encoding: encoding.into(),
+            width: 2,
+            height: 2,
+            step: 8,
+            data: vec![1; 16],
+            ..Image::default()
+        };
+        let error = decode_image(&image).unwrap_err();
+        assert!(matches!(error, ImageError::Depth(_)), "{error}");
+        assert!(error.to_string().contains(encoding), "{error}");
+    }
+    let depth = ImageBuffer::<Luma<u16>, _>::from_pixel(4, 4, Luma([1200]));
+    let mut png = Cursor::new(Vec::new());
+    depth.write_to(&mut png, ImageFormat::Png).unwrap();
+    let compressed = |format: &str, data: Vec<u8>| CompressedImage {
+        format: format.into(),
+        data,
+        ..CompressedImage::default()
+    };
+    let png = png.into_inner();
+    let with_header = [&[0; 12], png.as_slice()].concat();
+    for image in [
+        compressed("16UC1; png compressed", png),
+        compressed("16UC1; compressedDepth png", with_header.clone()),
+        // The bytes decide.
+        compressed("jpeg", with_header),
+        compressed("16UC1; compressedDepth rvl", vec![0; 40]),
+    ] {
+        for error in [
+            decode_compressed(&image).unwrap_err(),
+            check_compressed(&image).unwrap_err(),
+        ] {
+            assert!(
+                matches!(error, ImageError::Depth(_)),
+                "{}: {error}",
+                image.format
+            );
+        }
+    }
+}
+
+#[test]
+fn bytes_decide_the_format() {
+    let rgb = RgbImage::from_pixel(16, 16, image::Rgb([200, 20, 20]));
+    let jpeg = encode_jpeg(&rgb, Header::default(), 95).unwrap().data;
+    let mut png = Cursor::new(Vec::new());
+    rgb.write_to(&mut png, ImageFormat::Png).unwrap();
+    let png = png.into_inner();
+    for format in [
+        "",
+        "rgb8",
+        "bgr8",
+        "jpeg",
+        "png",
+        "mjpeg",
+        "rgb8; png compressed",
+        "webp",
+    ] {
+        for (data, expected) in [(&jpeg, Format::Jpeg), (&png, Format::Png)] {
+            let image = CompressedImage {
+                format: format.into(),
+                data: data.clone(),
+                ..CompressedImage::default()
+            };
+            assert_eq!(
+                check_compressed(&image).unwrap(),
+                (expected, (16, 16)),
+                "{format}"
+            );
+            let red = decode_compressed(&image).unwrap().get_pixel(8, 8).0;
+            assert!(red[0] > 190 && red[1] < 30, "{format}: {red:?}");
+        }
+    }
+    for (data, name) in [
+        (&b"RIFF\x10\0\0\0WEBPVP8 "[..], "WebP"),
+        (b"\0\0\0\x01\x67", "h264"),
+        (b"\x28\xb5\x2f\xfd\0", "zstd"),
+        (b"", "empty"),
+        (b"hello, world", "unknown"),
+    ] {
+        let image = CompressedImage {
+            format: "jpeg".into(),
+            data: data.to_vec(),
+            ..CompressedImage::default()
+        };
+        let error = decode_compressed(&image).unwrap_err().to_string();
+        assert!(
+            error.contains(name) && error.contains("\"jpeg\""),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn incomplete_png_is_refused() {
+    let rgb = RgbImage::from_fn(40, 30, |x, y| image::Rgb([(x * y) as u8, x as u8, y as u8]));
+    let mut png = Cursor::new(Vec::new());
+    rgb.write_to(&mut png, ImageFormat::Png).unwrap();
+    let png = png.into_inner();
+    // The end marker has 12 bytes and no pixels.
+    for length in 0..png.len() - 12 {
+        let image = CompressedImage {
+            data: png[..length].to_vec(),
+            ..CompressedImage::default()
+        };
+        assert!(
+            decode_compressed(&image).is_err(),
+            "{length} of {} bytes",
+            png.len()
+        );
+    }
+    for missing in 8..png.len() - 16 {
+        let data = [&png[..missing], &png[missing + 3..]].concat();
+        let image = CompressedImage {
+            data,
+            ..CompressedImage::default()
+        };
+        assert!(decode_compressed(&image).is_err(), "without byte {missing}");
+    }
 }
 
 #[test]
@@ -72,10 +345,10 @@ fn each_error_names_what_is_wrong() {
     let message = |image: Image| decode_image(&image).unwrap_err().to_string();
     assert!(
         message(Image {
-            encoding: "bayer_rggb8".into(),
+            encoding: "bayer_rggb16".into(),
             ..good.clone()
         })
-        .contains("\"bayer_rggb8\"")
+        .contains("\"bayer_rggb16\"")
     );
     assert!(
         message(Image {
@@ -99,10 +372,10 @@ fn each_error_names_what_is_wrong() {
         .contains("2x1073741824")
     );
     let short = Image {
-        data: good.data[..17].to_vec(),
+        data: good.data[..14].to_vec(),
         ..good
     };
-    assert!(message(short).contains("17 bytes; step 9 x height 2 need 18"));
+    assert!(message(short).contains("14 bytes; step 9 x height 2 need 15"));
 
     let compressed = |format: &str, data: &[u8]| {
         let image = CompressedImage {
@@ -114,7 +387,7 @@ fn each_error_names_what_is_wrong() {
     };
     assert!(compressed("webp", &[]).contains("\"webp\""));
     assert!(compressed("jpeg", &[0xff, 0xd8, 0xff]).contains("(jpeg)"));
-    assert!(compressed("rgb8; png compressed", b"not a png").contains("(png)"));
+    assert!(compressed("", b"\x89PNG\r\n\x1a\nnot a png").contains("(png)"));
 }
 
 #[test]
@@ -189,7 +462,7 @@ proptest! {
     #[test]
     fn no_message_panics(
         width in any::<u32>(), height in any::<u32>(), step in any::<u32>(), small in any::<bool>(),
-        encoding in prop::sample::select(vec!["rgb8", "mono8", "mono16", "bgra8", "x"]),
+        encoding in prop::sample::select(vec!["rgb8", "mono8", "mono16", "bgra8", "yuyv", "nv12", "nv21", "nv24", "bayer_rggb8", "x"]),
         data in prop::collection::vec(any::<u8>(), 0..200),
     ) {
         let bound = |value: u32| if small { value % 8 } else { value };

@@ -1,12 +1,6 @@
-use std::{
-    fs::File,
-    io::{BufReader, Read as _},
-    path::Path,
-};
+use std::path::Path;
 
-use npyz::{NpyFile, Order};
-use zip::ZipArchive;
-
+use super::arrays::{Arrays, Label};
 use crate::{ImportError, episode::VALUES};
 
 /// Position deltas are stored times this (per m), rotation deltas times the other (per rad).
@@ -14,59 +8,86 @@ const POSITION_SCALE: f32 = 35.0;
 const ROTATION_SCALE: f32 = 5.6;
 /// Columns of the array: the seven values, and zeros that pad them to the model's action size.
 const COLUMNS: u64 = 10;
-/// No episode's actions come near this; a larger array is not one.
-const MAX_BYTES: u64 = 64 << 20;
+/// Names of the array of actions: the authors' own, and NumPy's for an array without a name.
+const ACTIONS: [&str; 2] = ["actions", "arr_0"];
+const SUCCESS: &str = "success";
+const INSTRUCTION: &str = "language_instruction";
 
-/// The actions of an `.npz` in physical units: dx dy dz in m, droll dpitch dyaw in rad, gripper 0 closed to 1 open.
+/// The actions of an episode, and its labels.
+#[derive(Debug)]
+pub(super) struct Labelled {
+    /// dx dy dz in m, droll dpitch dyaw in rad, gripper 0 closed to 1 open.
+    pub actions: Vec<[f32; VALUES]>,
+    pub instruction: Option<String>,
+    pub success: Option<bool>,
+    /// What is in the file and not read.
+    pub notes: Vec<String>,
+}
+
+/// The actions of an `.npz` in physical units, and its labels, if it has some.
 ///
-/// The array is `actions`, or `arr_0`, the name NumPy gives an array without one: (T, 10) float32 of xyz x 35, rpy x
-/// 5.6, gripper open -1 / closed +1, three zeros.
-pub(super) fn read(file: &Path) -> Result<Vec<[f32; VALUES]>, ImportError> {
-    let corrupt = |reason: String| ImportError::corrupt(file, reason);
-    let stream = File::open(file).map_err(|source| ImportError::io(file, source))?;
-    let mut archive = ZipArchive::new(BufReader::new(stream))
-        .map_err(|error| corrupt(format!("not an npz: {error}")))?;
-    let name = ["actions.npy", "arr_0.npy"]
-        .into_iter()
-        .find(|name| archive.index_for_name(name).is_some())
-        .ok_or_else(|| corrupt("expected an array named actions or arr_0 in it".to_owned()))?;
-    let mut bytes = Vec::new();
-    archive
-        .by_name(name)
-        .map_err(|error| corrupt(error.to_string()))?
-        .take(MAX_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|error| corrupt(format!("{name}: {error}")))?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(corrupt(format!("{name} has more than {MAX_BYTES} bytes")));
-    }
-    let array = NpyFile::new(&bytes[..]).map_err(|error| corrupt(format!("{name}: {error}")))?;
-    let &[rows, COLUMNS] = array.shape() else {
-        return Err(corrupt(format!(
-            "expected {name} of shape (T, {COLUMNS}), got {:?}",
-            array.shape()
-        )));
+/// The array `actions`, or `arr_0`, is (T, 10) float32 of xyz x 35, rpy x 5.6, gripper open -1 / closed +1, three zeros.
+/// `success` is 0 or 1, `language_instruction` a text, as the authors' downloader writes them for Bridge V2 and SOAR.
+pub(super) fn read(file: &Path) -> Result<Labelled, ImportError> {
+    read_labelled(file).map_err(|reason| ImportError::corrupt(file, reason))
+}
+
+fn read_labelled(file: &Path) -> Result<Labelled, String> {
+    let mut arrays = Arrays::open(file)?;
+    let name = ACTIONS.into_iter().find(|name| arrays.has(name));
+    let name = name.ok_or_else(|| "expected an array named actions or arr_0 in it".to_owned())?;
+    let array = arrays.numbers(name)?;
+    let &[_, COLUMNS] = array.shape.as_slice() else {
+        return Err(format!(
+            "expected {name}.npy of shape (T, {COLUMNS}), got {:?}",
+            array.shape
+        ));
     };
-    if array.order() != Order::C {
-        return Err(corrupt(format!(
-            "expected {name} in row-major (C) order, got Fortran order"
-        )));
+    let rows = array.values.chunks_exact(COLUMNS as usize).enumerate();
+    let actions = rows.map(|(row, scaled)| {
+        physical(scaled).map_err(|reason| format!("{name}.npy, row {row}: {reason}"))
+    });
+    let actions = actions.collect::<Result<_, _>>()?;
+    let mut notes = Vec::new();
+    let mut label = |name: &str| {
+        let label = match arrays.has(name) {
+            true => arrays.label(name)?,
+            false => return Ok(None),
+        };
+        if label == Label::Pickled {
+            notes.push(format!(
+                "{name} is a pickled Python object and is not read; save it as a number or a text"
+            ));
+            return Ok(None);
+        }
+        Ok::<_, String>(Some(label))
+    };
+    let success = match label(SUCCESS)? {
+        None => None,
+        Some(Label::Number(number)) if number == 0.0 || number == 1.0 => Some(number == 1.0),
+        Some(other) => return Err(format!("{SUCCESS}: expected 0 or 1, got {other}")),
+    };
+    let instruction = match label(INSTRUCTION)? {
+        None => None,
+        Some(Label::Text(text)) => (!text.is_empty()).then_some(text),
+        Some(other) => return Err(format!("{INSTRUCTION}: expected a text, got {other}")),
+    };
+    let known = [name, SUCCESS, INSTRUCTION];
+    let mut others = arrays.names();
+    others.retain(|name| !known.contains(&name.as_str()));
+    others.sort_unstable();
+    if !others.is_empty() {
+        notes.push(format!(
+            "arrays without a topic are ignored: {}",
+            others.join(", ")
+        ));
     }
-    let held = bytes.len() as u64 / 4 / COLUMNS;
-    if rows > held {
-        return Err(corrupt(format!("{name} claims {rows} rows but has {held}")));
-    }
-    let array = NpyFile::new(&bytes[..]).map_err(|error| corrupt(format!("{name}: {error}")))?;
-    let values: Vec<f32> = array
-        .into_vec()
-        .map_err(|error| corrupt(format!("{name}: {error}")))?;
-    values
-        .chunks_exact(COLUMNS as usize)
-        .enumerate()
-        .map(|(row, scaled)| {
-            physical(scaled).map_err(|reason| corrupt(format!("{name}, row {row}: {reason}")))
-        })
-        .collect()
+    Ok(Labelled {
+        actions,
+        instruction,
+        success,
+        notes,
+    })
 }
 
 /// Undoes the scaling of one row.

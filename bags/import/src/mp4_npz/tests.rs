@@ -126,6 +126,125 @@ fn npz(name: &str, columns: u64, rows: &[Vec<f32>]) -> Vec<u8> {
     archive.finish().unwrap().into_inner()
 }
 
+/// An `.npz` with labels: arrays of one element, as NumPy writes them.
+fn labelled(labels: &[(&str, &str, Vec<u8>)]) -> Vec<u8> {
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    let mut member = |name: &str, bytes: &[u8]| {
+        let name = format!("{name}.npy");
+        archive
+            .start_file(name, SimpleFileOptions::default())
+            .unwrap();
+        archive.write_all(bytes).unwrap();
+    };
+    let values: Vec<u8> = rows(3)
+        .concat()
+        .iter()
+        .flat_map(|v| v.to_le_bytes())
+        .collect();
+    member("actions", &npy("<f4", "(3, 10)", &values));
+    for (name, dtype, bytes) in labels {
+        member(name, &npy(dtype, "()", bytes));
+    }
+    archive.finish().unwrap().into_inner()
+}
+
+/// An array in NumPy's format 1.0 (numpy.lib.format).
+fn npy(dtype: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+    let header = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(data);
+    bytes
+}
+
+#[test]
+fn labels_of_the_authors_downloader_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let utf32 = |text: &str| {
+        text.chars()
+            .flat_map(|c| u32::from(c).to_le_bytes())
+            .collect()
+    };
+    let video = video(3);
+    let labels = |labels: &[(&str, &str, Vec<u8>)]| {
+        let episode = read(dir.path(), &video, &labelled(labels));
+        episode.map_err(|error| error.to_string())
+    };
+    for (success, dtype, bytes) in [
+        (Some(true), "|b1", vec![1]),
+        (Some(false), "|b1", vec![0]),
+        (Some(true), "<i8", 1i64.to_le_bytes().to_vec()),
+        (Some(true), ">f4", 1f32.to_be_bytes().to_vec()),
+    ] {
+        let text = ("language_instruction", "<U9", utf32("öffne sie"));
+        let episode = labels(&[("success", dtype, bytes), text]).unwrap();
+        assert_eq!(episode.success, success, "{dtype}");
+        assert_eq!(episode.instruction.as_deref(), Some("öffne sie"));
+        assert_eq!(episode.notes, [""; 0]);
+    }
+    let padded = ("language_instruction", "|S6", b"lift\0\0".to_vec());
+    let more = ("goal", "<f4", vec![0; 4]);
+    let episode = labels(&[padded, more]).unwrap();
+    assert_eq!(episode.instruction.as_deref(), Some("lift"));
+    assert_eq!(episode.success, None);
+    assert_eq!(episode.notes, ["arrays without a topic are ignored: goal"]);
+    let pickled = labels(&[("language_instruction", "|O", vec![128, 4])]).unwrap();
+    assert!(pickled.notes[0].contains("pickled"), "{:?}", pickled.notes);
+    for (error, part) in [
+        (
+            labels(&[("success", "<f4", 0.5f32.to_le_bytes().to_vec())]),
+            "success: expected 0 or 1, got 0.5",
+        ),
+        (
+            labels(&[("success", "<U1", utf32("y"))]),
+            "success: expected 0 or 1, got \"y\"",
+        ),
+        (
+            labels(&[("language_instruction", "<U9", vec![0; 8])]),
+            "it is cut short",
+        ),
+        (
+            labels(&[("language_instruction", "|b1", vec![1])]),
+            "expected a text, got 1",
+        ),
+    ] {
+        let error = error.unwrap_err();
+        assert!(
+            error.contains("made.npz") && error.contains(part),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn an_incomplete_pair_is_left_out_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let (src, out) = (dir.path().join("src"), dir.path().join("out"));
+    fs::create_dir(&src).unwrap();
+    for name in ["a", "b", "c"] {
+        fs::write(src.join(name).with_extension("mp4"), video(3)).unwrap();
+        let npz = npz("actions", 10, &rows(3));
+        fs::write(src.join(name).with_extension("npz"), npz).unwrap();
+    }
+    fs::remove_file(src.join("b.npz")).unwrap();
+    let imported = import_bridge(&src, &out, &ImportOptions::default()).unwrap();
+    assert_eq!(
+        imported.bags,
+        ["episode_000000", "episode_000002"].map(|bag| out.join(bag))
+    );
+    assert!(
+        imported.skipped[0].contains("b.npz is missing"),
+        "{:?}",
+        imported.skipped
+    );
+    let ranges = imported.ranges.unwrap();
+    assert!(
+        ranges.starts_with("actions of 2 episodes at 5 Hz: dx 0.01 to 0.01 m"),
+        "{ranges}"
+    );
+}
+
 fn scaled(gripper: f32) -> Vec<f32> {
     vec![0.35, -0.7, 1.05, 0.56, -1.12, 0.0, gripper, 0.0, 0.0, 0.0]
 }
@@ -135,7 +254,7 @@ fn read(dir: &Path, video: &[u8], npz: &[u8]) -> Result<Episode, ImportError> {
     fs::write(&video_file, video).unwrap();
     fs::write(&actions_file, npz).unwrap();
     let unread = episodes(vec![(video_file, actions_file)], 95).next();
-    unread.unwrap()?()
+    unread.unwrap()?.read(&ActionMapping::default())
 }
 
 fn rows(count: usize) -> Vec<Vec<f32>> {
@@ -149,12 +268,16 @@ fn a_video_with_actions_becomes_an_episode() {
     let dir = tempfile::tempdir().unwrap();
     for name in ["arr_0", "actions"] {
         let episode = read(dir.path(), &video(6), &npz(name, 10, &rows(6))).unwrap();
-        assert_eq!(episode.actions.len(), 6);
+        assert_eq!(episode.recorded.actions.len(), 6);
         let expected = [0.01, -0.02, 0.03, 0.1, -0.2, 0.0, 1.0];
-        for (value, expected) in episode.actions[0].iter().zip(expected) {
-            assert!((value - expected).abs() < 1e-6, "{:?}", episode.actions[0]);
+        for (value, expected) in episode.recorded.actions[0].iter().zip(expected) {
+            assert!(
+                (value - expected).abs() < 1e-6,
+                "{:?}",
+                episode.recorded.actions[0]
+            );
         }
-        assert_eq!(episode.actions[1][VALUES - 1], 0.0, "+1 is closed");
+        assert_eq!(episode.recorded.actions[1][VALUES - 1], 0.0, "+1 is closed");
         for (number, jpeg) in episode.cameras[0].frames.iter().enumerate() {
             let decoded = image::load_from_memory_with_format(jpeg, ImageFormat::Jpeg)
                 .unwrap()
@@ -234,9 +357,10 @@ fn shards_import_what_one_run_does() {
         import_bridge(&src, &out, &options)
     };
     let bags = ["episode_000000", "episode_000002"].map(|bag| out.join(bag));
-    assert_eq!(import(0).unwrap(), bags);
-    let error = import(1).unwrap_err().to_string();
-    assert!(error.contains("b.mp4"), "{error}");
+    assert_eq!(import(0).unwrap().bags, bags);
+    let imported = import(1).unwrap();
+    assert_eq!(imported.bags, [out.join("episode_000003")]);
+    assert!(imported.skipped[0].contains("b.mp4"), "{imported:?}");
 }
 
 #[test]
@@ -270,7 +394,7 @@ proptest! {
         // cases; what is held here is that none of them ends the process.
         let result = read(dir.path(), &video, &npz);
         if let Ok(episode) = result {
-            prop_assert_eq!(episode.cameras[0].frames.len(), episode.actions.len());
+            prop_assert_eq!(episode.cameras[0].frames.len(), episode.recorded.actions.len());
         }
     }
 }

@@ -94,6 +94,18 @@ impl Example {
         }
     }
 
+    /// A feature of truth values, which are whole numbers, or floats in some data sets.
+    pub fn truths(&self, name: &str) -> Result<Vec<bool>, String> {
+        match self.kind(name) {
+            Some(Kind::Integers(list)) => Ok(list.value.iter().map(|value| *value != 0).collect()),
+            Some(Kind::Floats(list)) => Ok(list.value.iter().map(|value| *value != 0.0).collect()),
+            other => Err(format!(
+                "expected feature {name} as truth values, got {}",
+                described(other)
+            )),
+        }
+    }
+
     fn kind(&self, name: &str) -> Option<&Kind> {
         self.features.as_ref()?.feature.get(name)?.kind.as_ref()
     }

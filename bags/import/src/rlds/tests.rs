@@ -1,6 +1,6 @@
 use std::fs;
 
-use image::Rgb;
+use image::{ImageFormat, Rgb, RgbImage};
 use proptest::prelude::*;
 use prost::Message as _;
 
@@ -39,7 +39,7 @@ fn example(steps: usize) -> Example {
     };
     let floats = |offset: f32| {
         let value = (0..steps * VALUES)
-            .map(|number| offset + number as f32)
+            .map(|number| (offset + number as f32) * 0.001)
             .collect();
         feature(Kind::Floats(FloatList { value }))
     };
@@ -86,7 +86,10 @@ fn read(bytes: &[u8]) -> Result<Vec<Episode>, ImportError> {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("made.tfrecord");
     fs::write(&file, bytes).unwrap();
-    episodes(vec![file], 95).map(|unread| unread?()).collect()
+    let mapping = ActionMapping::default();
+    episodes(vec![file], 95)
+        .map(|unread| unread?.read(&mapping))
+        .collect()
 }
 
 #[test]
@@ -94,15 +97,23 @@ fn an_example_becomes_an_episode() {
     let read = read(&tfrecord(&[example(3), example(2)])).unwrap();
     assert_eq!(
         read.iter()
-            .map(|episode| episode.actions.len())
+            .map(|episode| episode.recorded.actions.len())
             .collect::<Vec<_>>(),
         [3, 2]
     );
     let episode = &read[0];
-    assert_eq!(episode.actions[1], [7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0]);
-    assert_eq!(episode.states[2][6], 20.5);
+    assert_eq!(
+        episode.recorded.actions[1],
+        [7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0].map(|value: f32| value * 0.001)
+    );
+    assert_eq!(episode.recorded.states[2][6], 20.5 * 0.001);
     assert_eq!(episode.instruction.as_deref(), Some("open the drawer"));
     assert_eq!(episode.cameras.len(), 2, "the flat camera is left out");
+    assert!(
+        episode.notes[0].starts_with("image_2 shows one flat colour"),
+        "{:?}",
+        episode.notes
+    );
     assert_eq!(
         episode.cameras[0].frames[0],
         image_of(ImageFormat::Jpeg, true),
@@ -190,11 +201,13 @@ fn a_file_with_too_few_episodes_is_incomplete() {
         fs::write(dir.path().join("dataset_info.json"), info).unwrap();
         import_bridge(dir.path(), &dir.path().join(out), &ImportOptions::default())
     };
-    assert_eq!(import(2, "a").unwrap().len(), 2);
-    let error = import(3, "b").unwrap_err().to_string();
+    assert_eq!(import(2, "a").unwrap().bags.len(), 2);
+    let imported = import(3, "b").unwrap();
+    assert_eq!(imported.bags.len(), 2);
+    let reason = &imported.skipped[0];
     assert!(
-        error.contains("made-train.tfrecord") && error.contains("expected 3 episodes"),
-        "{error}"
+        reason.contains("made-train.tfrecord") && reason.contains("expected 3 episodes"),
+        "{reason}"
     );
     // The bags that are there already are not written over.
     assert!(matches!(
@@ -224,9 +237,9 @@ fn shards_import_what_one_run_does() {
         };
         import_bridge(&src, &out, &options)
     };
-    assert_eq!(import(0).unwrap().len(), 3);
-    let error = import(1).unwrap_err().to_string();
-    assert!(error.contains("a.tfrecord"), "{error}");
+    assert_eq!(import(0).unwrap().bags.len(), 3);
+    let skipped = import(1).unwrap().skipped;
+    assert!(skipped[0].contains("a.tfrecord"), "{skipped:?}");
 
     // A source without an episode is an error to every shard.
     for name in ["a.tfrecord", "b.tfrecord"] {
@@ -235,6 +248,175 @@ fn shards_import_what_one_run_does() {
     for index in 0..2 {
         assert!(matches!(import(index), Err(ImportError::NoEpisodes(_))));
     }
+}
+
+fn floats(value: Vec<f32>) -> Feature {
+    feature(Kind::Floats(FloatList { value }))
+}
+
+fn texts(text: &str, steps: usize) -> Feature {
+    let value = vec![text.as_bytes().to_vec(); steps];
+    feature(Kind::Bytes(BytesList { value }))
+}
+
+/// DROID's public form: a turn of 0.05 rad about the base's x at pitch 80 degrees, with absolute actions.
+fn droid_example(steps: usize) -> Example {
+    let images = || {
+        feature(Kind::Bytes(BytesList {
+            value: vec![image_of(ImageFormat::Jpeg, true); steps],
+        }))
+    };
+    let pose = |step: usize| {
+        [
+            0.3 + 0.01 * step as f32,
+            0.1,
+            0.3,
+            0.1,
+            0.2,
+            0.05 * step as f32,
+        ]
+    };
+    let poses: Vec<f32> = (0..steps).flat_map(pose).collect();
+    let action = |step: usize| {
+        let [x, y, z, roll, pitch, yaw] = pose(step);
+        [x, y, z, roll, pitch, yaw, 0.0]
+    };
+    let reward: Vec<f32> = (0..steps)
+        .map(|step| f32::from(step + 1 == steps))
+        .collect();
+    let features = [
+        (ACTION, floats((0..steps).flat_map(action).collect())),
+        ("steps/observation/cartesian_position", floats(poses)),
+        (
+            "steps/observation/gripper_position",
+            floats((0..steps).map(|s| (s % 2) as f32).collect()),
+        ),
+        (
+            "steps/observation/joint_position",
+            floats(vec![0.5; steps * 7]),
+        ),
+        ("steps/observation/exterior_image_1_left", images()),
+        ("steps/observation/exterior_image_2_left", images()),
+        ("steps/observation/wrist_image_left", images()),
+        ("steps/language_instruction", texts("", steps)),
+        ("steps/language_instruction_2", texts("pick the cup", steps)),
+        ("steps/reward", floats(reward)),
+    ];
+    let feature = features
+        .map(|(name, feature)| (name.to_owned(), feature))
+        .into();
+    Example {
+        features: Some(Features { feature }),
+    }
+}
+
+#[test]
+fn droid_is_recognised_and_its_states_make_the_actions() {
+    let read = read(&tfrecord(&[droid_example(5)])).unwrap();
+    let episode = &read[0];
+    assert_eq!(episode.recorded.period_ns, 66_666_667);
+    let names: Vec<&str> = episode
+        .cameras
+        .iter()
+        .map(|camera| camera.name.as_str())
+        .collect();
+    assert_eq!(names, ["exterior_1", "exterior_2", "wrist"]);
+    assert_eq!(episode.instruction.as_deref(), Some("pick the cup"));
+    assert_eq!(episode.success, Some(true));
+    let joints = episode.joints.as_ref().unwrap();
+    assert_eq!(
+        (joints.names[0].as_str(), joints.positions.len()),
+        ("panda_joint1", 5)
+    );
+    // Not the pose that the release has as its action, and the gripper's sense is Bridge V2's.
+    let expected = [0.01, 0.0, 0.0, 0.0, 0.0, 0.05, 0.0];
+    for (found, expected) in episode.recorded.actions[0].iter().zip(expected) {
+        assert!(
+            (found - expected).abs() < 1e-5,
+            "{:?}",
+            episode.recorded.actions[0]
+        );
+    }
+    assert_eq!(episode.recorded.states[0][6], 1.0, "0 is open");
+}
+
+#[test]
+fn success_is_the_last_reward_of_a_whole_episode() {
+    let success = |features: &[(&str, Feature)]| {
+        let mut example = example(3);
+        for (name, feature) in features {
+            let all = &mut example.features.as_mut().unwrap().feature;
+            all.insert((*name).to_owned(), feature.clone());
+        }
+        read(&tfrecord(&[example])).unwrap()[0].success
+    };
+    let whole = |value: Vec<i64>| feature(Kind::Integers(Int64List { value }));
+    let reward = |last: f32| (REWARD, floats(vec![0.0, 0.0, last]));
+    assert_eq!(success(&[]), None);
+    assert_eq!(success(&[reward(1.0)]), Some(true));
+    assert_eq!(success(&[reward(0.0)]), Some(false));
+    assert_eq!(
+        success(&[reward(0.0), (IS_LAST, whole(vec![0, 0, 1]))]),
+        Some(false)
+    );
+    // A part of an episode says nothing of its end.
+    assert_eq!(
+        success(&[reward(0.0), (IS_LAST, whole(vec![0, 0, 0]))]),
+        None
+    );
+    assert_eq!(
+        success(&[reward(0.0), (SUCCESS, whole(vec![1]))]),
+        Some(true)
+    );
+}
+
+#[test]
+fn contradicting_actions_are_refused_with_the_option() {
+    let dir = tempfile::tempdir().unwrap();
+    let import = |name: &str, rows: &[[f32; VALUES]], mapping: ActionMapping| {
+        let src = dir.path().join(name);
+        fs::create_dir_all(&src).unwrap();
+        let mut example = example(rows.len());
+        let all = &mut example.features.as_mut().unwrap().feature;
+        all.insert(ACTION.to_owned(), floats(rows.concat()));
+        all.remove(STATE);
+        fs::write(src.join("a.tfrecord"), tfrecord(&[example])).unwrap();
+        let options = ImportOptions {
+            actions: mapping,
+            ..ImportOptions::default()
+        };
+        let out = tempfile::tempdir().unwrap();
+        let imported = import_bridge(&src, &out.path().join("out"), &options);
+        imported
+            .map(|imported| imported.bags.len())
+            .map_err(|error| error.to_string())
+    };
+    let plain = ActionMapping::default();
+    let grippers = [-1.0, 0.0, 1.0].map(|gripper| [0.003, 0.0, 0.0, 0.0, 0.0, 0.0, gripper]);
+    let error = import("gripper", &grippers, plain).unwrap_err();
+    assert!(
+        error.contains("gripper: measured -1 to 1; expected 0 (closed) to 1 (open)")
+            && error.contains("--gripper-range -1:1"),
+        "{error}"
+    );
+    let mapped = ActionMapping {
+        gripper: Some("-1:1".parse().unwrap()),
+        ..plain
+    };
+    assert_eq!(import("gripper", &grippers, mapped), Ok(1));
+    let poses: Vec<[f32; VALUES]> = (0..12)
+        .map(|step| [0.3 + 0.01 * step as f32, 0.1, 0.3, 3.1, 0.0, 0.2, 1.0])
+        .collect();
+    let error = import("poses", &poses, plain).unwrap_err();
+    assert!(
+        error.contains("dx: measured 0.3 to 0.41 m") && error.contains("--actions absolute"),
+        "{error}"
+    );
+    let absolute = ActionMapping {
+        form: crate::ActionForm::Absolute,
+        ..plain
+    };
+    assert_eq!(import("poses", &poses, absolute), Ok(1));
 }
 
 proptest! {

@@ -1,32 +1,43 @@
 use image::RgbImage;
 use re_rav1d::dav1d::{
-    Decoder as Rav1dDecoder, Picture, PixelLayout, PlanarImageComponent, Plane, Settings,
+    Decoder as Rav1dDecoder, Picture, PixelLayout, PlanarImageComponent, Settings,
+    pixel::{MatrixCoefficients, YUVRange},
+};
+use wm_camera::{
+    image_message::MAX_SIDE,
+    video::{ColourTags, checked_size},
+    yuv::{Plane, YuvTable},
 };
 
-use super::{Decoder, MAX_SIDE, check_size, rgb_image};
+use super::Decoder;
 
 /// Decodes AV1 as mp4 stores it (one temporal unit a sample, the sequence header in each that needs no other).
-pub(super) struct Av1Decoder(Rav1dDecoder);
+pub(super) struct Av1Decoder {
+    decoder: Rav1dDecoder,
+    /// What the container says of the colours, for a stream that does not.
+    colours: ColourTags,
+}
 
 impl Av1Decoder {
-    pub fn new() -> Result<Self, String> {
+    pub fn new(colours: ColourTags) -> Result<Self, String> {
         let mut settings = Settings::new();
         // One frame in, one frame out: what comes late could not be told from what is missing.
         settings.set_max_frame_delay(1);
         settings.set_n_threads(1);
         // At most MAX_SIDE^2 pixels, which fit 32 bits.
-        settings.set_frame_size_limit((MAX_SIDE * MAX_SIDE) as u32);
+        settings.set_frame_size_limit(MAX_SIDE * MAX_SIDE);
         let decoder = Rav1dDecoder::with_settings(&settings);
-        Ok(Self(
-            decoder.map_err(|error| format!("no AV1 decoder: {error}"))?,
-        ))
+        Ok(Self {
+            decoder: decoder.map_err(|error| format!("no AV1 decoder: {error}"))?,
+            colours,
+        })
     }
 
     /// The frames that are ready.
     fn ready(&mut self, frames: &mut Vec<RgbImage>) -> Result<(), String> {
         loop {
-            match self.0.get_picture() {
-                Ok(picture) => frames.push(rgb(&picture)?),
+            match self.decoder.get_picture() {
+                Ok(picture) => frames.push(rgb(&picture, self.colours)?),
                 Err(error) if error.is_again() => return Ok(()),
                 Err(error) => return Err(error.to_string()),
             }
@@ -37,7 +48,7 @@ impl Av1Decoder {
 impl Decoder for Av1Decoder {
     fn feed(&mut self, sample: &[u8]) -> Result<Vec<RgbImage>, String> {
         let mut frames = Vec::new();
-        let mut sent = self.0.send_data(sample.to_vec(), None, None, None);
+        let mut sent = self.decoder.send_data(sample.to_vec(), None, None, None);
         loop {
             match sent {
                 Ok(()) => break,
@@ -45,7 +56,7 @@ impl Decoder for Av1Decoder {
                 Err(error) if error.is_again() => {
                     let before = frames.len();
                     self.ready(&mut frames)?;
-                    sent = self.0.send_pending_data();
+                    sent = self.decoder.send_pending_data();
                     if frames.len() == before && sent.is_err() {
                         return Err(
                             "the AV1 decoder neither accepts data nor returns a frame".into()
@@ -66,9 +77,9 @@ impl Decoder for Av1Decoder {
     }
 }
 
-fn rgb(picture: &Picture) -> Result<RgbImage, String> {
-    let (width, height) = (picture.width() as usize, picture.height() as usize);
-    check_size(width, height)?;
+fn rgb(picture: &Picture, container: ColourTags) -> Result<RgbImage, String> {
+    let size = checked_size(picture.width() as usize, picture.height() as usize);
+    let size = size.map_err(|error| error.to_string())?;
     if picture.pixel_layout() != PixelLayout::I420 || picture.bit_depth() != 8 {
         return Err(format!(
             "expected 8-bit AV1 with 4:2:0 chroma (yuv420p), got {} bits and {:?}",
@@ -76,39 +87,36 @@ fn rgb(picture: &Picture) -> Result<RgbImage, String> {
             picture.pixel_layout()
         ));
     }
-    let [y, u, v] = [
+    let planes = [
         PlanarImageComponent::Y,
         PlanarImageComponent::U,
         PlanarImageComponent::V,
     ]
     .map(|component| (picture.plane(component), picture.stride(component) as usize));
-    let mut rgb = Vec::with_capacity(width * height * 3);
-    for row in 0..height {
-        let (luma, blue, red) = (line(&y, row), line(&u, row / 2), line(&v, row / 2));
-        let chroma = blue.iter().zip(red).flat_map(|pair| [pair, pair]);
-        for (luma, (blue, red)) in luma.iter().zip(chroma).take(width) {
-            rgb.extend(bt601(*luma, *blue, *red));
-        }
+    let [y, u, v] = planes.each_ref().map(|(plane, stride)| Plane {
+        data: plane,
+        stride: *stride,
+    });
+    let tags = ColourTags {
+        // 2: unspecified.
+        matrix: matrix(picture.matrix_coefficients()),
+        is_full_range: Some(picture.color_range() == YUVRange::Full),
+    };
+    let table = YuvTable::new(tags.or(container).colours());
+    table
+        .rgb_of_420(size, [y, u, v])
+        .map_err(|error| error.to_string())
+}
+
+/// The number of a matrix in ITU-T H.273, table 4.
+fn matrix(matrix: MatrixCoefficients) -> Option<u8> {
+    match matrix {
+        MatrixCoefficients::BT709 => Some(1),
+        MatrixCoefficients::BT470M => Some(4),
+        MatrixCoefficients::BT470BG => Some(5),
+        MatrixCoefficients::ST240M => Some(7),
+        MatrixCoefficients::BT2020NonConstantLuminance
+        | MatrixCoefficients::BT2020ConstantLuminance => Some(9),
+        _ => None,
     }
-    rgb_image(width, height, rgb)
-}
-
-/// A row of a plane that has so many bytes a row.
-fn line((plane, stride): &(Plane, usize), row: usize) -> &[u8] {
-    let from = row * stride;
-    plane.get(from..from + stride).unwrap_or_default()
-}
-
-/// ITU-R BT.601, limited range: 16 to 235 are black to white.
-fn bt601(luma: u8, blue: u8, red: u8) -> [u8; 3] {
-    let luma = 255.0 / 219.0 * (f32::from(luma) - 16.0);
-    let (blue, red) = (f32::from(blue) - 128.0, f32::from(red) - 128.0);
-    // 255 / 224 of the differences, of which green takes what the weights 0.299, 0.587 and 0.114 leave.
-    let colour = [
-        luma + 1.596_03 * red,
-        luma - 0.391_76 * blue - 0.812_97 * red,
-        luma + 2.017_23 * blue,
-    ];
-    // A float becomes the nearest that fits.
-    colour.map(|value| value.round() as u8)
 }

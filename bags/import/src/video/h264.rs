@@ -1,18 +1,14 @@
 use image::RgbImage;
-use openh264::{
-    OpenH264API,
-    decoder::{DecodeOptions, DecodedYUV, Decoder as OpenH264Decoder, DecoderConfig, Flush},
-    formats::YUVSource as _,
-};
+use wm_camera::video::{ColourTags, H264Decoder as StreamDecoder};
 
-use super::{Decoder, check_size, rgb_image};
+use super::Decoder;
 
 /// NAL units of an elementary stream begin with this (H.264 annex B).
 const START_CODE: [u8; 4] = [0, 0, 0, 1];
 
 /// Decodes h264 as mp4 stores it.
 pub(super) struct H264Decoder {
-    decoder: OpenH264Decoder,
+    decoder: StreamDecoder,
     /// Bytes of the length before each NAL unit of a sample.
     length_bytes: usize,
     /// What goes to the decoder next; begins with the parameters.
@@ -20,12 +16,12 @@ pub(super) struct H264Decoder {
 }
 
 impl H264Decoder {
-    pub fn new(length_bytes: usize, parameters: &[Vec<u8>]) -> Result<Self, String> {
-        // Frames must come out in the order in which they are shown, so that the decoder is never made to give one
-        // early.
-        let config = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
-        let decoder = OpenH264Decoder::with_api_config(OpenH264API::from_source(), config)
-            .map_err(|error| format!("no h264 decoder: {error}"))?;
+    pub fn new(
+        length_bytes: usize,
+        parameters: &[Vec<u8>],
+        colours: ColourTags,
+    ) -> Result<Self, String> {
+        let decoder = StreamDecoder::new(colours).map_err(|error| error.to_string())?;
         let mut packet = Vec::new();
         for unit in parameters {
             packet.extend(START_CODE);
@@ -42,23 +38,13 @@ impl H264Decoder {
 impl Decoder for H264Decoder {
     fn feed(&mut self, sample: &[u8]) -> Result<Vec<RgbImage>, String> {
         append_annex_b(&mut self.packet, sample, self.length_bytes)?;
-        let options = DecodeOptions::new().flush_after_decode(Flush::NoFlush);
-        let picture = self
-            .decoder
-            .decode_with_options(&self.packet, options)
-            .map_err(|error| error.to_string())?;
-        let frames = picture.iter().map(rgb).collect();
+        let pictures = self.decoder.feed(&self.packet);
         self.packet.clear();
-        frames
+        pictures.map_err(|error| error.to_string())
     }
 
     fn finish(&mut self) -> Result<Vec<RgbImage>, String> {
-        let pictures = self.decoder.flush_remaining();
-        pictures
-            .map_err(|error| error.to_string())?
-            .iter()
-            .map(rgb)
-            .collect()
+        self.decoder.finish().map_err(|error| error.to_string())
     }
 }
 
@@ -87,12 +73,4 @@ fn append_annex_b(
         sample = after;
     }
     Ok(())
-}
-
-fn rgb(picture: &DecodedYUV) -> Result<RgbImage, String> {
-    let (width, height) = picture.dimensions();
-    check_size(width, height)?;
-    let mut rgb = vec![0; width * height * 3];
-    picture.write_rgb8(&mut rgb);
-    rgb_image(width, height, rgb)
 }

@@ -6,11 +6,16 @@ use mp4parse::{
     MediaContext, SampleEntry, Track as Mp4Track, TrackType, VideoCodecSpecific,
     unstable::{CheckedInteger, create_sample_table},
 };
+use wm_camera::video::ColourTags;
+
+use super::colr::colour_tags;
 
 /// The video track of a file.
 #[derive(Debug)]
 pub(super) struct Track {
     pub codec: Codec,
+    /// What the file says of the colours.
+    pub colours: ColourTags,
     /// Ticks a second, not 0.
     pub timescale: u64,
     /// In decoding order.
@@ -52,6 +57,7 @@ pub(super) fn read(bytes: &[u8], file: &Path) -> Result<Track, String> {
     let timescale = track.timescale.map(|scale| scale.0);
     Ok(Track {
         codec: codec(track, file)?,
+        colours: colour_tags(bytes),
         timescale: timescale
             .filter(|scale| *scale > 0)
             .ok_or("its video track has no timescale")?,
@@ -76,7 +82,15 @@ fn codec(track: &Mp4Track, file: &Path) -> Result<Codec, String> {
             })
         }
         #[cfg(feature = "av1")]
-        Some(VideoCodecSpecific::AV1Config(_)) => Ok(Codec::Av1),
+        Some(VideoCodecSpecific::AV1Config(config)) => {
+            let chroma = (config.chroma_subsampling_x, config.chroma_subsampling_y);
+            match (config.bit_depth, config.monochrome, chroma) {
+                (8, false, (1, 1)) => Ok(Codec::Av1),
+                (bits, ..) => Err(format!(
+                    "expected 8-bit AV1 with 4:2:0 chroma (yuv420p), got {bits} bits and chroma subsampling of {chroma:?}"
+                )),
+            }
+        }
         _ => {
             let expected = if cfg!(feature = "av1") {
                 "h264 or AV1"

@@ -51,7 +51,6 @@ pub(super) fn read(
             index,
             length: episode.length,
             data: path(root, &info.data_path, &[], &numbers)?,
-            first_row: 0,
             videos,
             start_ns: None,
         });

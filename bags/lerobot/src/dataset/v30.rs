@@ -31,7 +31,6 @@ pub(super) fn read(
             "length",
             "data/chunk_index",
             "data/file_index",
-            "dataset_from_index",
         ]
         .map(str::to_owned)
         .to_vec();
@@ -64,7 +63,6 @@ pub(super) fn read(
                 index: whole(EPISODE_INDEX)?,
                 length: natural("length", whole("length")?)?,
                 data: (whole("data/chunk_index")?, whole("data/file_index")?),
-                from: natural("dataset_from_index", whole("dataset_from_index")?)?,
                 start_ns: whole(START_STAMP).ok().and_then(|ns| ns.try_into().ok()),
                 clips,
             });
@@ -72,14 +70,7 @@ pub(super) fn read(
         })?;
         episodes.extend(rows);
     }
-    // Rows are counted over all files: the first episode of each says where it begins.
-    let mut begins: BTreeMap<(i64, i64), u64> = BTreeMap::new();
-    for row in &episodes {
-        let begin = begins.entry(row.data).or_insert(row.from);
-        *begin = row.from.min(*begin);
-    }
     let entries = episodes.into_iter().map(|row| {
-        let begin = begins.get(&row.data).copied().unwrap_or(0);
         let numbers = |(chunk, file)| [("chunk_index", chunk), ("file_index", file)];
         let mut videos = BTreeMap::new();
         for (key, chunk, file, from_s) in row.clips {
@@ -96,7 +87,6 @@ pub(super) fn read(
             index: row.index,
             length: row.length,
             data: path(root, &info.data_path, &[], &numbers(row.data))?,
-            first_row: row.from - begin,
             videos,
             start_ns: row.start_ns,
         })
@@ -110,8 +100,6 @@ struct Row {
     length: u64,
     /// Chunk and file.
     data: (i64, i64),
-    /// The first row, counted over all data.
-    from: u64,
     start_ns: Option<u64>,
     /// Feature, chunk, file, and where it begins in s.
     clips: Vec<(String, i64, i64, f64)>,
@@ -137,7 +125,7 @@ fn tasks(path: &Path) -> Result<BTreeMap<i64, String>, LeRobotError> {
 }
 
 /// The tables `chunk-NNN/file-NNN.parquet` of a folder, in order.
-fn tables(dir: &Path) -> Result<Vec<PathBuf>, LeRobotError> {
+pub(super) fn tables(dir: &Path) -> Result<Vec<PathBuf>, LeRobotError> {
     let entries = |dir: &Path| -> Result<Vec<PathBuf>, LeRobotError> {
         let mut found = Vec::new();
         for entry in fs::read_dir(dir).map_err(|source| LeRobotError::io(dir, source))? {

@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use wm_bag::{BagWriter, ORIGIN, QosProfile, WriterOptions};
+use wm_import::write_whole;
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -15,20 +16,31 @@ use crate::{
     LeRobotError,
     topics::{
         ACTION_TOPIC, GRIPPER_NAME, GRIPPER_TOPIC, INSTRUCTION_TOPIC, JOINTS_TOPIC, POSE_NAMES,
-        POSE_TOPIC, SUCCESS_TOPIC, frame_ns,
+        POSE_TOPIC, SUCCESS_TOPIC,
     },
 };
 
 /// REP-105's name for the frame that the robot is mounted in.
 const BASE_FRAME: &str = "base_link";
 
-/// Writes an episode as a bag that notes its `origin`, its first frame at `start_ns`.
+/// Writes an episode as a bag that notes its `origin`, its first frame at `start_ns`; a bag that cannot be written whole is
+/// removed.
 pub(super) fn write(
     episode: &Episode,
     actions: Option<&ActionSpace>,
     bag: &Path,
     start_ns: u64,
-    origin: String,
+    origin: &str,
+) -> Result<(), LeRobotError> {
+    write_whole(bag, |bag| write_to(episode, actions, bag, start_ns, origin))
+}
+
+fn write_to(
+    episode: &Episode,
+    actions: Option<&ActionSpace>,
+    bag: &Path,
+    start_ns: u64,
+    origin: &str,
 ) -> Result<(), LeRobotError> {
     let mut writer = BagWriter::create(bag, WriterOptions::default())?;
     writer.note(ORIGIN, origin);
@@ -47,8 +59,8 @@ pub(super) fn write(
     writer.add_topic::<Text>(INSTRUCTION_TOPIC, QosProfile::latched())?;
     let mut stamp_ns = start_ns;
     let mut tasks = episode.tasks.iter().peekable();
-    for (step, frame) in (0..episode.frames).enumerate() {
-        stamp_ns = start_ns.saturating_add(frame_ns(frame, episode.fps));
+    for ((step, since_ns), frame) in episode.timing.stamps_ns.iter().enumerate().zip(0u64..) {
+        stamp_ns = start_ns.saturating_add(*since_ns);
         let header = |frame_id: &str| Header {
             // BagWriter refuses times past i64, and names the topic.
             stamp: Time::from_nanos(i64::try_from(stamp_ns).unwrap_or(i64::MAX)),

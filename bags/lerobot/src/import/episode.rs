@@ -1,23 +1,23 @@
-use image::ImageFormat;
-use wm_import::video::Video;
+//! An episode's rows and pictures.
 
+use std::path::{Component, Path};
+
+use image::ImageFormat;
+
+use super::{timing::Timing, videos::Videos};
 use crate::{
     LeRobotError,
-    dataset::{Clip, Dataset, Entry},
+    dataset::{Dataset, Entry, Rows},
     info::{
         ACTION, EPISODE_INDEX, FRAME_INDEX, IMAGES, INDEX, STATE, SUCCESS, TASK_INDEX, TIMESTAMP,
     },
-    table::{Table, image_bytes, integer, number, numbers, truth},
+    table::{Picture, Table, integer, number, numbers, picture, truth},
 };
-
-/// How far a row's `timestamp` may be from `frame_index / fps`, in s: LeRobot's own `tolerance_s`.
-const TOLERANCE_S: f64 = 1e-4;
 
 /// An episode, decoded.
 #[derive(Debug)]
 pub(super) struct Episode {
-    pub fps: f64,
-    pub frames: u64,
+    pub timing: Timing,
     pub cameras: Vec<Camera>,
     /// One row a frame, or none at all.
     pub actions: Vec<Vec<f32>>,
@@ -27,6 +27,8 @@ pub(super) struct Episode {
     /// The frame from which each task holds.
     pub tasks: Vec<(u64, String)>,
     pub success: Option<bool>,
+    /// What is unusual about it.
+    pub notes: Vec<String>,
 }
 
 /// The frames of a camera.
@@ -54,24 +56,53 @@ pub(super) fn is_read(feature: &str) -> bool {
     .contains(&feature)
 }
 
+/// How an episode is read.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reading {
+    /// JPEG quality of the frames of videos, 1 to 100.
+    pub jpeg_quality: u8,
+    /// Whether frames are stamped by the rate alone.
+    pub is_nominal: bool,
+}
+
+/// The actions of an episode alone: (T, values).
+pub(super) fn read_actions(
+    dataset: &Dataset,
+    entry: &Entry,
+    rows: &mut Rows,
+) -> Result<Vec<Vec<f32>>, LeRobotError> {
+    let mut actions = Vec::new();
+    if let Some(feature) = dataset.info.features.get(ACTION) {
+        let found = rows.find(dataset, entry)?;
+        let table = Table::open(&found.file)?;
+        table.rows(&[ACTION], found.rows, |_, cells| {
+            actions.push(single(numbers(ACTION, cells.first(), feature.width())?));
+            Ok(())
+        })?;
+    }
+    Ok(actions)
+}
+
 pub(super) fn read(
     dataset: &Dataset,
     entry: &Entry,
-    jpeg_quality: u8,
+    rows: &mut Rows,
+    videos: &mut Videos,
+    reading: Reading,
 ) -> Result<Episode, LeRobotError> {
     let features = &dataset.info.features;
-    let table = Table::open(&entry.data)?;
+    let found = rows.find(dataset, entry)?;
+    let table = Table::open(&found.file)?;
     let images: Vec<&str> = features
         .iter()
         .filter_map(|(key, feature)| feature.is_image().then_some(key.as_str()))
         .collect();
-    let mut columns = vec![TIMESTAMP, FRAME_INDEX, EPISODE_INDEX, TASK_INDEX];
+    let mut columns = vec![TIMESTAMP, FRAME_INDEX, TASK_INDEX];
     let optional = [ACTION, STATE, SUCCESS];
     columns.extend(optional.iter().filter(|name| features.contains_key(**name)));
     columns.extend(&images);
     let mut episode = Episode {
-        fps: dataset.info.fps,
-        frames: entry.length,
+        timing: Timing::default(),
         cameras: Vec::new(),
         actions: Vec::new(),
         state_names: features
@@ -80,39 +111,28 @@ pub(super) fn read(
         states: Vec::new(),
         tasks: Vec::new(),
         success: None,
+        notes: Vec::new(),
     };
+    if found.is_elsewhere {
+        let text = "the rows are in another data file than meta says";
+        episode.notes.push(text.to_owned());
+    }
     let mut pictures: Vec<Vec<Vec<u8>>> = vec![Vec::new(); images.len()];
-    let range = entry.first_row..entry.first_row.saturating_add(entry.length);
-    table.rows(&columns, range, |row, cells| {
+    let mut times_s = Vec::new();
+    let first_row = found.rows.start;
+    table.rows(&columns, found.rows, |row, cells| {
         let cell = |name: &str| {
             let at = columns.iter().position(|column| *column == name);
             at.and_then(|at| cells.get(at))
         };
-        let frame = row - entry.first_row;
-        let episode_index = integer(EPISODE_INDEX, cell(EPISODE_INDEX))?;
-        if episode_index != entry.index {
-            return Err(format!(
-                "{EPISODE_INDEX}: expected {}, got {episode_index}",
-                entry.index
-            ));
-        }
+        let frame = row - first_row;
         let frame_index = integer(FRAME_INDEX, cell(FRAME_INDEX))?;
         if u64::try_from(frame_index) != Ok(frame) {
             return Err(format!(
                 "{FRAME_INDEX}: expected {frame}, got {frame_index}"
             ));
         }
-        let (expected, got) = (
-            frame as f64 / episode.fps,
-            number(TIMESTAMP, cell(TIMESTAMP))?,
-        );
-        // It is single: beside the tolerance, what that rounds.
-        if (got - expected).abs() > TOLERANCE_S + expected * f64::from(f32::EPSILON) {
-            return Err(format!(
-                "{TIMESTAMP}: expected {expected} s, for frame {frame} at {} per second, got {got} s",
-                episode.fps
-            ));
-        }
+        times_s.push(number(TIMESTAMP, cell(TIMESTAMP))?);
         let task = integer(TASK_INDEX, cell(TASK_INDEX))?;
         let task = dataset.tasks.get(&task).ok_or_else(|| {
             format!(
@@ -125,9 +145,7 @@ pub(super) fn read(
         }
         if let Some(feature) = features.get(ACTION) {
             let values = numbers(ACTION, cell(ACTION), feature.width())?;
-            // What the message carries; LeRobot's own are single too.
-            let values = values.into_iter().map(|value| value as f32).collect();
-            episode.actions.push(values);
+            episode.actions.push(single(values));
         }
         if let Some(feature) = features.get(STATE) {
             episode
@@ -138,13 +156,27 @@ pub(super) fn read(
             episode.success = Some(truth(SUCCESS, cell(SUCCESS))?);
         }
         for (name, frames) in images.iter().zip(&mut pictures) {
-            frames.push(image_bytes(name, cell(name))?);
+            frames.push(match picture(name, cell(name))? {
+                Picture::Bytes(bytes) => bytes,
+                Picture::Path(path) => file_within(&dataset.root, Path::new(&path))
+                    .map_err(|reason| format!("{name}: {reason}"))?,
+            });
         }
         Ok(())
     })?;
+    let corrupt = |reason: String| {
+        let reason = format!("episode {}: {reason}", entry.index);
+        LeRobotError::corrupt(table.path(), reason)
+    };
+    let fps = dataset.info.fps;
+    let timing = match reading.is_nominal {
+        true => Ok(Timing::nominal(times_s.len(), fps)),
+        false => Timing::of(&times_s, fps),
+    };
+    episode.timing = timing.map_err(|reason| corrupt(format!("{TIMESTAMP}: {reason}")))?;
     for (name, frames) in images.iter().zip(pictures) {
-        let format = picture_format(&frames)
-            .map_err(|reason| LeRobotError::corrupt(table.path(), format!("{name}: {reason}")))?;
+        let format =
+            picture_format(&frames).map_err(|reason| corrupt(format!("{name}: {reason}")))?;
         episode.cameras.push(Camera {
             name: namespace(name),
             format,
@@ -152,44 +184,35 @@ pub(super) fn read(
         });
     }
     for (key, clip) in &entry.videos {
+        let (frames, note) =
+            videos.frames(dataset, key, clip, entry.index, reading.jpeg_quality)?;
         episode.cameras.push(Camera {
             name: namespace(key),
             format: "jpeg",
-            frames: frames(key, clip, entry.length, episode.fps, jpeg_quality)?,
+            frames,
         });
+        episode
+            .notes
+            .extend(note.map(|note| format!("{key}: {note}")));
     }
     Ok(episode)
 }
 
-/// The frames of an episode's part of a video, as JPEG. Each must be within a quarter of a frame of its time: which one
-/// is meant is certain then, and videos that were put together from many carry the rounding of each one's length.
-fn frames(
-    key: &str,
-    clip: &Clip,
-    length: u64,
-    fps: f64,
-    quality: u8,
-) -> Result<Vec<Vec<u8>>, LeRobotError> {
-    let video = Video::open(&clip.file)?;
-    let corrupt = |reason: String| LeRobotError::corrupt(&clip.file, format!("{key}: {reason}"));
-    let mut first = None;
-    for frame in 0..length {
-        let expected_s = clip.from_s + frame as f64 / fps;
-        let (nearest, got_s) = video
-            .nearest(expected_s)
-            .ok_or_else(|| corrupt("it has no frames".to_owned()))?;
-        let begin = *first.get_or_insert(nearest);
-        let is_next = usize::try_from(frame).ok().map(|frame| begin + frame) == Some(nearest);
-        if !is_next || (got_s - expected_s).abs() > 0.25 / fps {
-            return Err(corrupt(format!(
-                "expected frame {frame} of {length} at {expected_s} s, the nearest is at {got_s} s"
-            )));
-        }
+/// What the message carries; LeRobot's own are single too.
+fn single(values: Vec<f64>) -> Vec<f32> {
+    values.into_iter().map(|value| value as f32).collect()
+}
+
+/// A file of the dataset.
+fn file_within(root: &Path, path: &Path) -> Result<Vec<u8>, String> {
+    let mut parts = path.components();
+    if !parts.all(|part| matches!(part, Component::Normal(_))) {
+        return Err(format!(
+            "expected a path inside the data set, got {}",
+            path.display()
+        ));
     }
-    let begin = first.unwrap_or(0);
-    // As many frames as were just found.
-    let end = begin + usize::try_from(length).unwrap_or(usize::MAX);
-    Ok(video.jpegs(begin..end, quality)?)
+    std::fs::read(root.join(path)).map_err(|error| format!("{}: {error}", path.display()))
 }
 
 /// The format that all pictures of a camera are in.

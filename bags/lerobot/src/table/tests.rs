@@ -98,9 +98,9 @@ fn cells_that_do_not_fit_are_named() {
         ),
         (
             error(&["flag"], 1, &|cells| {
-                image_bytes("flag", cells.first()).map(drop)
+                picture("flag", cells.first()).map(drop)
             }),
-            "flag: expected an image's bytes",
+            "flag: expected an image's bytes or path",
         ),
         (
             error(&["other"], 1, &|_| Ok(())),

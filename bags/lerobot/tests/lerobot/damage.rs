@@ -67,7 +67,7 @@ fn metadata_that_do_not_fit_are_named() {
         ),
         (
             changed(&|i| i["fps"] = json!(7)),
-            [DATA, "row 1: timestamp: expected 0.142"],
+            [DATA, "timestamp: expected 0.1429 s from row to row"],
         ),
         (
             changed(&|i| i["fps"] = json!(0)),
@@ -136,7 +136,74 @@ fn files_that_are_cut_are_named() {
     .unwrap();
     let error = import_error(scratch.path());
     assert!(
-        error.contains(VIDEO) && error.contains("expected frame 3 of 4 at 0.6"),
+        error.contains(VIDEO)
+            && error.contains("expected 4 frames, one for each row of episode 0, got 3"),
         "{error}"
     );
+}
+
+#[test]
+fn bad_episode_is_left_out_by_name_and_others_imported() {
+    let scratch = TempDir::new().unwrap();
+    let bags: Vec<_> = (0..3)
+        .map(|n| scratch.path().join(format!("bag_{n}")))
+        .collect();
+    for (number, bag) in bags.iter().enumerate() {
+        Episode::made(4, number as f32).write(bag);
+    }
+    let dataset = scratch.path().join("dataset");
+    // A video of each episode's own.
+    let options = ExportOptions {
+        video_file_bytes: 1,
+        ..ExportOptions::default()
+    };
+    export(&bags, &dataset, &options).unwrap();
+    let video = dataset.join("videos/observation.images.front/chunk-000/file-001.mp4");
+    let whole = fs::read(&video).unwrap();
+    fs::write(&video, &whole[..whole.len() / 2]).unwrap();
+    let out = scratch.path().join("out");
+    let imported = import(&dataset, &out, &ImportOptions::default()).unwrap();
+    assert_eq!(
+        imported.bags,
+        ["episode_000000", "episode_000002"].map(|bag| out.join(bag))
+    );
+    let [reason] = &imported.skipped[..] else {
+        panic!("{:?}", imported.skipped)
+    };
+    assert!(
+        reason.starts_with("episode 1: ") && reason.contains("file-001.mp4"),
+        "{reason}"
+    );
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 2, "no half a bag");
+    assert_eq!(Episode::read(&imported.bags[1]), Episode::made(4, 2.0));
+    let ranges = imported.ranges.unwrap();
+    assert!(
+        ranges.starts_with("actions of 3 episodes at 5 Hz: dx "),
+        "{ranges}"
+    );
+}
+
+#[test]
+fn contradicting_actions_name_column_range_and_option() {
+    let scratch = TempDir::new().unwrap();
+    let bag = scratch.path().join("bag");
+    let grippers = [-1.0, 0.0, 1.0, 1.0];
+    let action = |gripper| vec![0.003, 0.0, 0.0, 0.0, 0.0, 0.0, gripper];
+    Episode::of(grippers.map(action).to_vec(), "grip", true).write(&bag);
+    let dataset = scratch.path().join("dataset");
+    export(&[bag], &dataset, &ExportOptions::default()).unwrap();
+    let mut options = ImportOptions::default();
+    let error = import(&dataset, &scratch.path().join("a"), &options).unwrap_err();
+    let error = error.to_string();
+    assert!(
+        error.contains("gripper: measured -1 to 1") && error.contains("--gripper-range -1:1"),
+        "{error}"
+    );
+    options.actions.gripper = Some("-1:1".parse().unwrap());
+    let imported = import(&dataset, &scratch.path().join("b"), &options).unwrap();
+    let openings = Episode::read(&imported.bags[0])
+        .actions
+        .into_iter()
+        .map(|action| action[6]);
+    assert_eq!(openings.collect::<Vec<_>>(), [0.0, 0.5, 1.0, 1.0]);
 }

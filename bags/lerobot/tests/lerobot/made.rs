@@ -48,11 +48,11 @@ impl Episode {
         }
     }
 
-    /// Of `frames` frames.
+    /// Of `frames` frames, with actions that an arm can make.
     pub fn made(frames: usize, seed: f32) -> Self {
         let action = |frame: usize| {
             (0..7)
-                .map(|axis| seed + (frame * 7 + axis) as f32 * 0.01)
+                .map(|axis| seed * 0.02 + (frame * 7 + axis) as f32 * 0.001)
                 .collect()
         };
         Self::of((0..frames).map(action).collect(), "lift the lid", true)

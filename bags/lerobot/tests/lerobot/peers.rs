@@ -130,7 +130,8 @@ fn what_others_wrote_is_imported() {
             &out,
             &ImportOptions::default(),
         )
-        .unwrap();
+        .unwrap()
+        .bags;
         assert_eq!(bags.len(), written.len());
         for (bag, episode) in bags.iter().zip(written) {
             let actions: Vec<Action> = messages(bag, "/wm/action");

@@ -27,7 +27,9 @@ fn there_and_back(scratch: &Path, episodes: &[Episode], options: &ExportOptions)
     let exported = export(&bags, &dataset, options).unwrap();
     assert_eq!(exported.episodes, episodes.len() as u64);
     assert_eq!(exported.resampled, [""; 0]);
-    import(&dataset, &scratch.join("back"), &ImportOptions::default()).unwrap()
+    import(&dataset, &scratch.join("back"), &ImportOptions::default())
+        .unwrap()
+        .bags
 }
 
 /// The pictures of a bag against those that were made.
@@ -53,7 +55,7 @@ proptest! {
     #[test]
     fn episodes_survive_the_way_there_and_back(
         actions in prop::collection::vec(prop::collection::vec(
-            prop::collection::vec(prop::num::f32::NORMAL | prop::num::f32::SUBNORMAL | prop::num::f32::ZERO, 7), 2..9), 1..4),
+            prop::collection::vec(prop::num::f32::NORMAL | prop::num::f32::SUBNORMAL | prop::num::f32::ZERO, 6), 2..9), 1..4),
         one_file_each in any::<bool>(),
     ) {
         let scratch = TempDir::new().unwrap();
@@ -88,7 +90,9 @@ fn episodes_are_chosen_by_number() {
         ..ImportOptions::default()
     };
     let out = scratch.path().join("some");
-    let bags = import(&scratch.path().join("dataset"), &out, &options).unwrap();
+    let bags = import(&scratch.path().join("dataset"), &out, &options)
+        .unwrap()
+        .bags;
     assert_eq!(
         bags,
         [out.join("episode_000001"), out.join("episode_000002")]
@@ -100,7 +104,9 @@ fn episodes_are_chosen_by_number() {
             ..ImportOptions::default()
         };
         let out = scratch.path().join(shard.replace('/', "_of_"));
-        let bags = import(&scratch.path().join("dataset"), &out, &options).unwrap();
+        let bags = import(&scratch.path().join("dataset"), &out, &options)
+            .unwrap()
+            .bags;
         let expected = expected
             .iter()
             .map(|n| out.join(format!("episode_00000{n}")));
@@ -119,7 +125,7 @@ fn episodes_are_chosen_by_number() {
         .unwrap_err()
         .to_string();
     assert!(
-        error.contains("has 4 episodes, but none of those that you asked for"),
+        error.contains("has 4 episodes, but none of the requested numbers"),
         "{error}"
     );
 }
@@ -211,9 +217,9 @@ fn what_the_actions_are_goes_with_them() {
         };
         import(&dataset, &scratch.path().join(name), &options)
     };
-    assert_eq!(space(&imported("unsaid", None).unwrap()[0]), None);
+    assert_eq!(space(&imported("unsaid", None).unwrap().bags[0]), None);
     let said = imported("said", Some(joints.clone())).unwrap();
-    assert_eq!(space(&said[0]), Some(joints));
+    assert_eq!(space(&said.bags[0]), Some(joints));
     let error = imported("wrong", Some(ActionSpace::bridge())).unwrap_err();
     let error = error.to_string();
     assert!(
@@ -292,7 +298,8 @@ fn a_live_recording_is_sampled_at_one_rate() {
         &scratch.path().join("back"),
         &ImportOptions::default(),
     )
-    .unwrap();
+    .unwrap()
+    .bags;
     let successes: Vec<bool> = bags
         .iter()
         .map(|bag| messages::<Bool>(bag, "/task/success")[0].data)

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use wm_msgs::sensor_msgs::JointState;
 
-use super::{Problem, step::stamp_of};
+use super::{Problem, poses::JUMP_NS, step::stamp_of};
 
 /// Openings that are kept: those of a second or more.
 const KEPT: usize = 512;
@@ -51,8 +51,22 @@ impl Gripper {
             });
         }
         let opening = opening.clamp(0.0, 1.0);
-        // Of a clock that was set, only what comes from now on counts.
-        self.known.retain(|(known_ns, _)| *known_ns < stamp_ns);
+        if let Some((newest_ns, newest)) = self.known.back() {
+            let before_ns = newest_ns.saturating_sub(stamp_ns);
+            if before_ns == 0 {
+                // Several messages have one stamp: the first counts, as of poses.
+                return Ok(*newest);
+            }
+            if before_ns >= JUMP_NS {
+                // Nothing of before the clock was set counts.
+                self.known.clear();
+            } else if before_ns > 0 {
+                return Err(Problem::Older {
+                    what,
+                    before_s: before_ns as f64 / 1e9,
+                });
+            }
+        }
         if self.known.len() >= KEPT {
             self.known.pop_front();
         }

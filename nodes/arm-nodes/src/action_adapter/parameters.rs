@@ -4,7 +4,7 @@ use std::{path::PathBuf, time::Duration};
 
 use anyhow::{Result, ensure};
 
-use super::{GripperSource, MotionSource, Settings};
+use super::{GripperSource, MotionSource, Settings, Speeds};
 use crate::{executor::Layout, space::action_space};
 
 /// Closed and open have to be further apart \[rad or m\].
@@ -27,6 +27,11 @@ wm_ros::parameters! {
         /// Longest time from one pose or transform to the next [s]: across a longer one there is no action. A twist holds
         /// for so long.
         timeout: Duration = 0.5, in 0.01..=60.0;
+        /// Greatest speed of the end effector [m/s]. A pose further from the last one than the arm can go is dropped, until
+        /// several in a row stay there: the actions then begin anew. A faster twist is dropped.
+        max_linear_speed: f64 = 2.0, in 1e-3..=100.0;
+        /// Greatest speed of its turns [rad/s], likewise.
+        max_angular_speed: f64 = 4.0, in 1e-3..=100.0;
         /// Where the gripper's opening comes from: the topic gripper, a joint of joint_states, or nowhere, and it counts
         /// as open.
         gripper: &'static str = "none", one_of { "none" => "none", "topic" => "topic", "joint" => "joint" };
@@ -70,6 +75,10 @@ impl Parameters {
             base_frame: self.base_frame.clone(),
             period: self.frame_period,
             timeout: self.timeout,
+            speeds: Speeds {
+                linear: self.max_linear_speed,
+                angular: self.max_angular_speed,
+            },
             source,
             gripper,
         })

@@ -3,11 +3,14 @@
 use nalgebra::Isometry3;
 use wm_frames::pose::between;
 
-use super::{Problem, step::Period};
+use super::{Problem, speeds::Speeds, step::Period};
 use crate::displacement::Displacement;
 
 /// Stamps that go back by less belong to messages that overtook each other; by more, the clock was set \[ns\].
 pub(super) const JUMP_NS: i64 = 100_000_000;
+
+/// Poses in a row that agree with each other after a leap: the end effector is there.
+const STAYS: u32 = 3;
 
 /// Where the end effector was last, and where it was when the period began.
 #[derive(Clone, Debug)]
@@ -15,7 +18,10 @@ pub(super) struct Poses {
     what: &'static str,
     period_ns: i64,
     timeout_ns: i64,
+    speeds: Speeds,
     state: Option<State>,
+    /// The last pose that leapt, and how many before it, in a row, agree with it.
+    leapt: Option<(i64, Isometry3<f64>, u32)>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -27,12 +33,14 @@ struct State {
 }
 
 impl Poses {
-    pub(super) fn new(what: &'static str, period_ns: i64, timeout_ns: i64) -> Self {
+    pub(super) fn new(what: &'static str, period_ns: i64, timeout_ns: i64, speeds: Speeds) -> Self {
         Self {
             what,
             period_ns,
             timeout_ns,
+            speeds,
             state: None,
+            leapt: None,
         }
     }
 
@@ -42,7 +50,7 @@ impl Poses {
     }
 
     pub(super) fn clear(&mut self) {
-        self.state = None;
+        (self.state, self.leapt) = (None, None);
     }
 
     /// Takes a pose, and gives the periods that are over with it, and how many are lost.
@@ -71,18 +79,42 @@ impl Poses {
                     before_s: by_s,
                 });
             }
-            self.state = Some(begin);
+            (self.state, self.leapt) = (Some(begin), None);
             return Err(Problem::Jump { what, by_s });
         }
-        if since_ns > self.timeout_ns {
-            let lost = stamp_ns.saturating_sub(state.start_ns) / self.period_ns;
-            *state = begin;
+        let lost = stamp_ns.saturating_sub(state.start_ns) / self.period_ns;
+        let periods = lost.unsigned_abs().max(1);
+        let newest_ns = self.leapt.map_or(state.last_ns, |(leapt_ns, ..)| leapt_ns);
+        let silent_ns = stamp_ns.saturating_sub(newest_ns.max(state.last_ns));
+        if silent_ns > self.timeout_ns {
+            (*state, self.leapt) = (begin, None);
             return Err(Problem::Gap {
                 what: self.what,
-                periods: lost.unsigned_abs().max(1),
-                silent_s: seconds(since_ns),
+                periods,
+                silent_s: seconds(silent_ns),
             });
         }
+        let way = Displacement::between(&state.last, &pose);
+        let share = self.speeds.share(&way, seconds(since_ns));
+        // The longer ago the last good pose, the further the arm may be from it: a pose that stays is a leap all the same.
+        let agreeing = self.leapt.filter(|(leapt_ns, at, _)| {
+            let since_s = seconds(stamp_ns.saturating_sub(*leapt_ns));
+            let of_leapt = self
+                .speeds
+                .share(&Displacement::between(at, &pose), since_s);
+            since_s > 0.0 && of_leapt <= 1.0 && of_leapt < share
+        });
+        if share > 1.0 || agreeing.is_some() {
+            let what = self.what;
+            let count = agreeing.map_or(1, |(.., count)| count.saturating_add(1));
+            if count >= STAYS {
+                (*state, self.leapt) = (begin, None);
+                return Err(Problem::Moved { what, periods });
+            }
+            self.leapt = Some((stamp_ns, pose, count));
+            return Err(self.speeds.leap(what, &way, seconds(since_ns)));
+        }
+        self.leapt = None;
         let mut over = Vec::new();
         loop {
             let end_ns = state.start_ns.saturating_add(self.period_ns);

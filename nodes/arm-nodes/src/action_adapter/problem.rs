@@ -17,7 +17,7 @@ pub enum Problem {
         value: f64,
     },
     /// Four numbers that are no orientation.
-    #[error("the quaternion of {what} has the norm {norm}; expected 1")]
+    #[error("the quaternion of {what} has the norm {norm}; expected 1, within 1 %")]
     NotUnit {
         /// The message.
         what: &'static str,
@@ -67,6 +67,50 @@ pub enum Problem {
         what: &'static str,
         /// By how much \[s\].
         by_s: f64,
+    },
+    /// A pose further from the last one than the arm can go in that time.
+    #[error(
+        "{what} is {way:.3} m and {turn:.3} rad from the last one, {seconds:.3} s before; at most {most_way:.3} m and \
+         {most_turn:.3} rad are possible (max_linear_speed, max_angular_speed)"
+    )]
+    Leap {
+        /// The message.
+        what: &'static str,
+        /// How far \[m\].
+        way: f64,
+        /// By how much it is turned \[rad\].
+        turn: f64,
+        /// Since the last one \[s\].
+        seconds: f64,
+        /// How far the arm goes in that time \[m\].
+        most_way: f64,
+        /// How far it turns in that time \[rad\].
+        most_turn: f64,
+    },
+    /// Poses that stay where they leapt to, as after a change of the tool or of the base's place.
+    #[error(
+        "{what} stays where it leapt to: begun anew from there; nothing is known of {periods} periods"
+    )]
+    Moved {
+        /// The message.
+        what: &'static str,
+        /// How many.
+        periods: u64,
+    },
+    /// A velocity that the arm does not have.
+    #[error(
+        "twist is {linear:.3} m/s and {angular:.3} rad/s; at most {most_linear} m/s and {most_angular} rad/s are possible \
+         (max_linear_speed, max_angular_speed)"
+    )]
+    TooFast {
+        /// \[m/s\]
+        linear: f64,
+        /// \[rad/s\]
+        angular: f64,
+        /// The parameter \[m/s\].
+        most_linear: f64,
+        /// The parameter \[rad/s\].
+        most_angular: f64,
     },
     /// Nothing came for a while.
     #[error("nothing is known of {periods} periods: {what} was silent for {silent_s:.3} s")]
@@ -120,6 +164,9 @@ impl Problem {
             Self::Older { .. } => "older",
             Self::Late { .. } => "late",
             Self::Jump { .. } => "clock_jumped",
+            Self::Leap { .. } => "pose_leapt",
+            Self::Moved { .. } => "pose_moved",
+            Self::TooFast { .. } => "too_fast",
             Self::Gap { .. } => "gap",
             Self::NoGripper => "no_gripper",
             Self::Action(_) => "out_of_bounds",
@@ -127,10 +174,10 @@ impl Problem {
         }
     }
 
-    /// How many things were left out.
+    /// How many things were dropped.
     pub fn count(&self) -> u64 {
         match self {
-            Self::Gap { periods, .. } => *periods,
+            Self::Gap { periods, .. } | Self::Moved { periods, .. } => *periods,
             _ => 1,
         }
     }

@@ -11,7 +11,7 @@ use wm_msgs::{
     tf2_msgs::TFMessage,
 };
 
-use super::{GripperSource, Problem, gripper::Gripper, poses::Poses, twists::Twists};
+use super::{GripperSource, Problem, Speeds, gripper::Gripper, poses::Poses, twists::Twists};
 use crate::{
     displacement::Displacement,
     executor::{Layout, Velocity},
@@ -44,6 +44,8 @@ pub struct Settings {
     pub period: Duration,
     /// Longest time from one pose to the next; a velocity holds for so long.
     pub timeout: Duration,
+    /// How fast the arm can be: what is faster is no motion of it.
+    pub speeds: Speeds,
     /// Where motions come from.
     pub source: MotionSource,
     /// Where the gripper's opening comes from.
@@ -107,6 +109,7 @@ pub struct AdapterStep {
     base_frame: String,
     period: Duration,
     timeout_ns: i64,
+    speeds: Speeds,
     course: Course,
     gripper: Gripper,
     done: Vec<Result<Done, Problem>>,
@@ -117,7 +120,7 @@ impl AdapterStep {
     pub fn new(settings: Settings) -> Self {
         let nanos = |duration: Duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX);
         let (period_ns, timeout_ns) = (nanos(settings.period).max(1), nanos(settings.timeout));
-        let poses = |what| Poses::new(what, period_ns, timeout_ns);
+        let poses = |what| Poses::new(what, period_ns, timeout_ns, settings.speeds);
         Self {
             course: match settings.source {
                 MotionSource::Twist => Course::Twists(Twists::new(period_ns, timeout_ns)),
@@ -133,6 +136,7 @@ impl AdapterStep {
             base_frame: settings.base_frame,
             period: settings.period,
             timeout_ns,
+            speeds: settings.speeds,
             gripper: Gripper::new(settings.gripper),
             done: Vec::new(),
         }
@@ -158,6 +162,7 @@ impl AdapterStep {
         };
         finite(what, &velocity.linear)?;
         finite(what, &velocity.angular)?;
+        self.speeds.check_velocity(velocity)?;
         let Course::Twists(twists) = &mut self.course else {
             return Ok(());
         };

@@ -1,4 +1,4 @@
-//! What the command periods, the limits and the timeouts go by: real time, or the node's clock.
+//! The clock of command periods, limits and timeouts: real time, or the node's clock.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use tokio::{
 use wm_msgs::builtin_interfaces::Time;
 use wm_ros::{Clock, Received};
 
-use super::Now;
+use super::Moment;
 
 /// The beat of the commands.
 pub(super) struct Beat {
@@ -26,19 +26,26 @@ enum Source {
         period_ns: i64,
         next_ns: i64,
         passed: Passed,
+        /// Real time between two beats while the clock stands still.
+        period: Duration,
+        /// A clock that is silent for longer stands still.
+        timeout: Duration,
     },
 }
 
 impl Beat {
-    /// One beat every `period`, of the node's clock or of real time.
-    pub(super) fn new(is_clock: bool, period: Duration, clock: Clock) -> Self {
+    /// One beat every `period`, of the node's clock or of real time. If the clock is silent for `timeout`, real time goes
+    /// on in its place.
+    pub(super) fn new(is_clock: bool, period: Duration, timeout: Duration, clock: Clock) -> Self {
         let source = match is_clock {
             true => Source::Clock {
                 jumps: clock.jumps(),
                 period_ns: i64::try_from(period.as_nanos()).unwrap_or(i64::MAX),
-                // A simulated clock stands at zero before it is heard of.
+                // A simulated clock stands at zero until its first message.
                 next_ns: 1,
                 passed: Passed::new(),
+                period,
+                timeout,
             },
             false => {
                 let mut interval = tokio::time::interval(period);
@@ -54,25 +61,32 @@ impl Beat {
         matches!(self.source, Source::Clock { .. })
     }
 
-    /// The moment.
-    pub(super) fn now(&mut self) -> Now {
+    /// The present.
+    pub(super) fn now(&mut self) -> Moment {
         let stamp_ns = self.clock.now().to_nanos();
+        let real = Instant::now();
         let at = match &mut self.source {
-            Source::Real(_) => Instant::now(),
-            Source::Clock { passed, .. } => passed.go_to(stamp_ns),
+            Source::Real(_) => real,
+            Source::Clock { passed, .. } => passed.go_to(stamp_ns, real),
         };
-        Now { at, stamp_ns }
+        Moment { at, stamp_ns, real }
     }
 
     /// When a message came.
-    pub(super) fn of<M>(&self, received: &Received<M>) -> Instant {
-        match &self.source {
-            Source::Real(_) => received.at,
-            Source::Clock { passed, .. } => passed.before(received.received.to_nanos()),
+    pub(super) fn of<M>(&self, received: &Received<M>) -> Moment {
+        let stamp_ns = received.received.to_nanos();
+        Moment {
+            at: match &self.source {
+                Source::Real(_) => received.at,
+                Source::Clock { passed, .. } => passed.before(stamp_ns),
+            },
+            stamp_ns,
+            real: received.at,
         }
     }
 
-    /// Waits for the next beat, or for the clock to jump back. What was missed is not made up for.
+    /// Waits for the next beat, for the clock to jump back, or, while it stands still, for a period of real time. What was
+    /// missed is not made up for.
     pub(super) async fn tick(&mut self) {
         match &mut self.source {
             Source::Real(interval) => {
@@ -82,11 +96,22 @@ impl Beat {
                 jumps,
                 period_ns,
                 next_ns,
-                ..
+                passed,
+                period,
+                timeout,
             } => {
-                tokio::select! {
-                    () = self.clock.sleep_until(Time::from_nanos(*next_ns)) => {}
-                    _ = jumps.changed() => {}
+                loop {
+                    let due = passed.silent_at(*timeout, *period);
+                    tokio::select! {
+                        () = self.clock.sleep_until(Time::from_nanos(*next_ns)) => break,
+                        _ = jumps.changed() => break,
+                        () = tokio::time::sleep_until(due.into()) => {
+                            let now_ns = self.clock.now().to_nanos();
+                            if passed.go_on(now_ns, *timeout, Instant::now()) {
+                                return;
+                            }
+                        }
+                    }
                 }
                 let now_ns = self.clock.now().to_nanos();
                 let is_on_time = (0..*period_ns).contains(&now_ns.saturating_sub(*next_ns));
@@ -97,32 +122,65 @@ impl Beat {
     }
 }
 
-/// Time by a clock that may jump, as instants that do not.
+/// Time by a clock that may jump or stand still, as instants that do neither.
 struct Passed {
     at: Instant,
-    /// What the clock said then \[ns\].
+    /// The time of the clock then \[ns\].
     stamp_ns: i64,
+    /// When the clock advanced, or time went on in its place.
+    since: Instant,
+    /// Whether the clock stands still.
+    is_silent: bool,
 }
 
 impl Passed {
     fn new() -> Self {
+        let now = Instant::now();
         Self {
-            at: Instant::now(),
+            at: now,
             stamp_ns: 0,
+            since: now,
+            is_silent: false,
         }
     }
 
-    /// The clock says `stamp_ns`. No time passes when it goes back, nor when it is first heard of.
-    fn go_to(&mut self, stamp_ns: i64) -> Instant {
+    /// The clock reads `stamp_ns`. No time passes when it goes back, nor with its first message.
+    fn go_to(&mut self, stamp_ns: i64, real: Instant) -> Instant {
         let passed_ns = stamp_ns.saturating_sub(self.stamp_ns).max(0);
         if self.stamp_ns > 0 {
             self.at += Duration::from_nanos(passed_ns.unsigned_abs());
+        }
+        if passed_ns > 0 {
+            (self.since, self.is_silent) = (real, false);
         }
         self.stamp_ns = stamp_ns;
         self.at
     }
 
-    /// When the clock said `stamp_ns`, not after the last moment.
+    /// When time goes on by itself, if the clock does not advance.
+    fn silent_at(&self, timeout: Duration, period: Duration) -> Instant {
+        self.since + if self.is_silent { period } else { timeout }
+    }
+
+    /// Time goes on by itself, unless the clock has advanced meanwhile; whether it did.
+    fn go_on(&mut self, stamp_ns: i64, timeout: Duration, real: Instant) -> bool {
+        let is_first = !self.is_silent;
+        let since = self.since;
+        self.go_to(stamp_ns, real);
+        if self.since != since {
+            return false;
+        }
+        let passed = real.saturating_duration_since(since);
+        self.at += match is_first {
+            // Nothing was commanded meanwhile.
+            true => passed.saturating_sub(timeout),
+            false => passed,
+        };
+        (self.since, self.is_silent) = (real, true);
+        true
+    }
+
+    /// When the clock read `stamp_ns`, not after the last moment.
     fn before(&self, stamp_ns: i64) -> Instant {
         let ago_ns = self.stamp_ns.saturating_sub(stamp_ns).max(0);
         let ago = Duration::from_nanos(ago_ns.unsigned_abs());
@@ -139,17 +197,40 @@ mod tests {
     #[test]
     fn a_clock_that_jumps_gives_instants_that_do_not() {
         let mut passed = Passed::new();
-        let begin = passed.at;
-        assert_eq!(passed.go_to(1_700 * SECOND_NS), begin);
-        let later = passed.go_to(1_702 * SECOND_NS);
+        let (begin, real) = (passed.at, Instant::now());
+        assert_eq!(passed.go_to(1_700 * SECOND_NS, real), begin);
+        let later = passed.go_to(1_702 * SECOND_NS, real);
         assert_eq!(later, begin + Duration::from_secs(2));
         assert_eq!(
             passed.before(1_701 * SECOND_NS),
             begin + Duration::from_secs(1)
         );
-        // A message that was received by a time that the step has not been told of.
+        // A message that was received at a time that the step does not know yet.
         assert_eq!(passed.before(1_703 * SECOND_NS), later);
-        assert_eq!(passed.go_to(5 * SECOND_NS), later);
-        assert_eq!(passed.go_to(6 * SECOND_NS), later + Duration::from_secs(1));
+        assert_eq!(passed.go_to(5 * SECOND_NS, real), later);
+        let last = passed.go_to(6 * SECOND_NS, real);
+        assert_eq!(last, later + Duration::from_secs(1));
+    }
+
+    #[test]
+    fn real_time_goes_on_while_the_clock_stands_still() {
+        let (timeout, period) = (Duration::from_secs(1), Duration::from_millis(50));
+        let mut passed = Passed::new();
+        let real = Instant::now();
+        passed.go_to(1_700 * SECOND_NS, real);
+        let at = passed.at;
+        let mut due = passed.silent_at(timeout, period);
+        assert_eq!(due, real + timeout);
+        for count in 0..4 {
+            assert!(passed.go_on(1_700 * SECOND_NS, timeout, due));
+            assert_eq!(passed.at, at + count * period);
+            due = passed.silent_at(timeout, period);
+        }
+        // It advances again.
+        let at = passed.go_to(1_701 * SECOND_NS, due);
+        assert_eq!(passed.silent_at(timeout, period), due + timeout);
+        assert!(!passed.go_on(1_702 * SECOND_NS, timeout, due + timeout));
+        assert_eq!(passed.at, at + Duration::from_secs(1));
+        assert!(!passed.is_silent);
     }
 }

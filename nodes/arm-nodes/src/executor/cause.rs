@@ -5,9 +5,29 @@ use std::fmt;
 use thiserror::Error;
 
 /// What must be there for a motion, and is not.
-#[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum Hold {
+    /// The node's clock stands still.
+    #[error(
+        "/clock has not advanced for more than {timeout_s} s (clock_timeout); expected it to, since use_sim_time is set"
+    )]
+    ClockStopped {
+        /// The parameter, or less with a short max_age \[s\].
+        timeout_s: f64,
+    },
+    /// The camera's frames do not show the present.
+    #[error("the camera is frozen: {reason}")]
+    CameraFrozen {
+        /// From the encoder.
+        reason: String,
+    },
+    /// The encoder no longer reports about the camera.
+    #[error("no message on camera_state for more than {timeout_s} s (camera_timeout)")]
+    CameraSilent {
+        /// The parameter \[s\].
+        timeout_s: f64,
+    },
     /// Nothing has come from the deadman switch.
     #[error("no message on deadman yet; expected true, since require_deadman is set")]
     NoDeadman,
@@ -25,12 +45,17 @@ pub enum Hold {
     NoPose,
     /// Nothing is known of the joints.
     #[error(
-        "no message on joint_states yet with all joints; expected one, since command_type is joint_trajectory"
+        "no message on joint_states yet with {name}; expected one, since command_type is joint_trajectory"
     )]
-    NoJoints,
-    /// Where the joints are was told too long ago.
-    #[error("no message on joint_states for more than {timeout_s} s (pose_timeout)")]
+    NoJoints {
+        /// The first joint of which nothing is known.
+        name: String,
+    },
+    /// A joint has not been measured for too long.
+    #[error("no message on joint_states with {name} for more than {timeout_s} s (pose_timeout)")]
     JointsSilent {
+        /// The joint.
+        name: String,
         /// The parameter \[s\].
         timeout_s: f64,
     },
@@ -58,9 +83,12 @@ impl Hold {
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
         match self {
+            Self::ClockStopped { .. } => "clock_stopped",
+            Self::CameraFrozen { .. } => "camera_frozen",
+            Self::CameraSilent { .. } => "camera_silent",
             Self::NoDeadman | Self::DeadmanReleased | Self::DeadmanSilent { .. } => "deadman",
             Self::NoPose | Self::PoseSilent { .. } => "no_pose",
-            Self::NoJoints | Self::JointsSilent { .. } => "no_joints",
+            Self::NoJoints { .. } | Self::JointsSilent { .. } => "no_joints",
             Self::Apart { .. } => "not_following",
         }
     }
@@ -75,6 +103,12 @@ pub enum Cause {
     Silence,
     /// What was executed was received too long ago.
     Stale,
+    /// What was executed is over by real time, but not by the node's clock, which is slower.
+    ClockSlow,
+    /// The node's clock jumped ahead, past what was executed \[s\].
+    ClockAhead(f64),
+    /// The planner was reset: its older plans are void.
+    OldEpoch,
     /// What was executed was vetoed.
     Vetoed,
     /// Something is missing.
@@ -83,6 +117,10 @@ pub enum Cause {
     Disarmed,
     /// The node's clock went back.
     ClockJump,
+    /// A publisher of the emergency stop is gone.
+    StopLost,
+    /// A publisher of the emergency stop is not connected, and why.
+    StopMismatch(String),
     /// The node ends.
     Shutdown,
     /// An emergency stop, and who asked for it how.
@@ -95,16 +133,45 @@ pub enum Cause {
     Slowed,
 }
 
+impl Cause {
+    /// Whether it is why an offer ended, which holds until the next one begins.
+    pub(super) fn is_end(&self) -> bool {
+        matches!(
+            self,
+            Self::Silence
+                | Self::Stale
+                | Self::ClockSlow
+                | Self::ClockAhead(_)
+                | Self::OldEpoch
+                | Self::Vetoed
+        )
+    }
+}
+
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Nothing => f.write_str("no chunk or plan"),
             Self::Silence => f.write_str("the last chunk or plan is over, and none followed"),
             Self::Stale => f.write_str("the chunk or plan was received more than max_age ago"),
+            Self::ClockSlow => f.write_str(
+                "the chunk or plan is over by real time, but not by /clock, which is slower; for a simulated arm, set \
+                 command_clock to ros",
+            ),
+            Self::ClockAhead(by_s) => {
+                write!(f, "the clock jumped ahead by {by_s:.2} s, past the chunk or plan")
+            }
+            Self::OldEpoch => f.write_str("the planner was reset: its older plans are void"),
             Self::Vetoed => f.write_str("the chunk was vetoed while it was executed"),
             Self::Held(hold) => hold.fmt(f),
             Self::Disarmed => f.write_str("disarmed"),
             Self::ClockJump => f.write_str("the clock jumped back: disarmed"),
+            Self::StopLost => f.write_str(
+                "a publisher of emergency_stop is gone: disarmed",
+            ),
+            Self::StopMismatch(text) => {
+                write!(f, "emergency_stop is not connected: disarmed: {text}")
+            }
             Self::Shutdown => f.write_str("the node ends"),
             Self::Emergency(by) => write!(f, "{by}; to go on, call ~/reset, then ~/arm"),
             Self::Cut(axes) => {

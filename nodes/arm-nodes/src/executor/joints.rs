@@ -5,27 +5,56 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 use wm_msgs::sensor_msgs::JointState;
 
-use super::{Hold, Rates};
+use super::{Hold, Rates, Refusal, refusal::stamp_of};
 
-/// Why measured joints are left out.
+/// Stamps that go back by less belong to messages that overtook each other; by more, the clock was set \[ns\].
+const JUMP_NS: i64 = 100_000_000;
+
+/// Why measured joints are dropped.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum JointError {
     /// Not a number.
-    #[error("joint_states has {name} at {value}, not a finite number")]
+    #[error("joint_states has {name} at {value}; expected a finite number")]
     NotFinite {
         /// The joint.
         name: String,
         /// What came.
         value: f64,
     },
+    /// Older than what is known of a joint.
+    #[error("joint_states has {name} {before_s:.3} s older than before")]
+    Older {
+        /// The joint.
+        name: String,
+        /// By how much \[s\].
+        before_s: f64,
+    },
+    /// A malformed stamp.
+    #[error(transparent)]
+    Stamp(#[from] Refusal),
 }
 
 impl JointError {
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
-        "joints"
+        match self {
+            Self::NotFinite { .. } => "joints",
+            Self::Older { .. } => "joints_older",
+            Self::Stamp(_) => "bad_stamp",
+        }
     }
+}
+
+/// Where a joint is.
+#[derive(Clone, Copy, Debug)]
+struct Measured {
+    /// \[rad or m\]
+    place: f64,
+    /// When that came.
+    at: Instant,
+    /// Of the message; 0 if it has none \[ns\].
+    stamp_ns: i64,
 }
 
 /// Where the joints are, where they are told to be, and where they may be.
@@ -38,7 +67,8 @@ pub struct Joints {
     timeout: Duration,
     /// How far they may be from where they are told to be \[rad or m\].
     most_apart: f64,
-    measured: Option<(Rates, Instant)>,
+    /// In the order of the names; parts of the robot may report apart.
+    measured: Vec<Option<Measured>>,
     /// Where they are told to be at the end of the last command period.
     told: Option<Rates>,
 }
@@ -53,13 +83,14 @@ impl Joints {
         timeout: Duration,
         most_apart: f64,
     ) -> Self {
+        let measured = vec![None; names.len()];
         Self {
             names,
             limits,
             lookahead,
             timeout,
             most_apart,
-            measured: None,
+            measured,
             told: None,
         }
     }
@@ -74,44 +105,72 @@ impl Joints {
         &self.limits
     }
 
-    /// Takes where they are; that came at `at`. A message without all of them is of another part of the robot.
+    /// Takes where some or all of them are; that came at `at`.
     ///
     /// # Errors
     /// [`JointError`]; what came before still counts, for as long as it may.
     pub fn measure(&mut self, joints: &JointState, at: Instant) -> Result<(), JointError> {
-        let mut places = Rates::zero(self.names.len());
-        for (place, name) in places.as_mut_slice().iter_mut().zip(&self.names) {
+        let stamp_ns = stamp_of("joint_states", joints.header.stamp)?;
+        let mut found = Vec::new();
+        for (index, (name, known)) in self.names.iter().zip(&self.measured).enumerate() {
             let mut all = joints.name.iter().zip(&joints.position);
-            let Some((_, value)) = all.find(|(other, _)| *other == name) else {
-                return Ok(());
+            let Some((_, place)) = all.find(|(other, _)| *other == name) else {
+                continue;
             };
-            if !value.is_finite() {
+            if !place.is_finite() {
                 return Err(JointError::NotFinite {
                     name: name.clone(),
-                    value: *value,
+                    value: *place,
                 });
             }
-            *place = *value;
+            let before_ns = known.map_or(0, |known| known.stamp_ns.saturating_sub(stamp_ns));
+            if stamp_ns != 0 && (1..JUMP_NS).contains(&before_ns) {
+                return Err(JointError::Older {
+                    name: name.clone(),
+                    before_s: before_ns as f64 / 1e9,
+                });
+            }
+            found.push((index, *place));
         }
-        self.measured = Some((places, at));
+        for (index, place) in found {
+            if let Some(known) = self.measured.get_mut(index) {
+                *known = Some(Measured {
+                    place,
+                    at,
+                    stamp_ns,
+                });
+            }
+        }
         Ok(())
+    }
+
+    /// Where they are, once that is known of all.
+    fn measured(&self) -> Option<Rates> {
+        let places = self.measured.iter().copied();
+        let places: Option<Vec<f64>> = places.map(|known| Some(known?.place)).collect();
+        places.map(Rates::of)
     }
 
     /// Where they are told to be; before anything was told, where they are.
     pub fn places(&self) -> Option<Rates> {
-        self.told.or(self.measured.map(|(places, _)| places))
+        self.told.or_else(|| self.measured())
     }
 
-    /// Whether it is known where they are.
+    /// Whether it is known where they are: the oldest counts.
     ///
     /// # Errors
     /// [`Hold`] says why the arm may not move.
     pub fn check(&self, now: Instant) -> Result<(), Hold> {
-        let (_, at) = self.measured.ok_or(Hold::NoJoints)?;
-        if now.saturating_duration_since(at) > self.timeout {
-            return Err(Hold::JointsSilent {
-                timeout_s: self.timeout.as_secs_f64(),
-            });
+        for (name, known) in self.names.iter().zip(&self.measured) {
+            let Some(known) = known else {
+                return Err(Hold::NoJoints { name: name.clone() });
+            };
+            if now.saturating_duration_since(known.at) > self.timeout {
+                return Err(Hold::JointsSilent {
+                    name: name.clone(),
+                    timeout_s: self.timeout.as_secs_f64(),
+                });
+            }
         }
         Ok(())
     }
@@ -121,7 +180,7 @@ impl Joints {
     /// # Errors
     /// [`Hold::Apart`]: the arm does not follow.
     pub fn check_following(&self) -> Result<(), Hold> {
-        let (Some(told), Some((measured, _))) = (self.told, self.measured) else {
+        let (Some(told), Some(measured)) = (self.told, self.measured()) else {
             return Ok(());
         };
         let apart = told.as_slice().iter().zip(measured.as_slice());
@@ -171,6 +230,8 @@ impl Joints {
 
 #[cfg(test)]
 mod tests {
+    use wm_msgs::builtin_interfaces::Time;
+
     use super::*;
 
     const SECOND: Duration = Duration::from_secs(1);
@@ -189,23 +250,48 @@ mod tests {
     }
 
     #[test]
-    fn they_are_found_by_name_and_only_together() {
+    fn parts_are_merged_by_name_and_the_oldest_counts() {
         let now = Instant::now();
+        let half = SECOND / 2;
         let mut joints = joints();
-        assert_eq!(joints.check(now), Err(Hold::NoJoints));
+        let missing = |name: &str| Err(Hold::NoJoints { name: name.into() });
+        assert_eq!(joints.check(now), missing("a"));
         joints.measure(&state(&["b"], &[5.0]), now).unwrap();
-        assert_eq!(joints.places(), None);
+        assert_eq!((joints.places(), joints.check(now)), (None, missing("a")));
         joints
-            .measure(&state(&["b", "c", "a"], &[5.0, 0.0, 0.5]), now)
+            .measure(&state(&["c", "a"], &[0.0, 0.5]), now + half)
             .unwrap();
         assert_eq!(joints.places().unwrap().as_slice(), [0.5, 5.0]);
+        assert_eq!(joints.check(now + SECOND), Ok(()));
+        // The other part goes on, this one does not.
+        joints
+            .measure(&state(&["a"], &[0.6]), now + SECOND)
+            .unwrap();
+        let silent = joints.check(now + SECOND + half).unwrap_err();
+        assert!(
+            matches!(&silent, Hold::JointsSilent { name, .. } if name == "b"),
+            "{silent}"
+        );
         let bad = joints.measure(&state(&["a", "b"], &[0.1, f64::NAN]), now);
         assert!(bad.unwrap_err().to_string().contains("b at NaN"));
-        assert_eq!(joints.check(now + SECOND), Ok(()));
-        assert!(matches!(
-            joints.check(now + 2 * SECOND),
-            Err(Hold::JointsSilent { .. })
-        ));
+        assert_eq!(joints.places().unwrap().as_slice(), [0.6, 5.0]);
+    }
+
+    #[test]
+    fn joints_that_were_overtaken_are_dropped() {
+        let now = Instant::now();
+        let mut joints = joints();
+        let mut measure = |ms: i64, place| {
+            let mut state = state(&["a", "b"], &[place, 0.0]);
+            state.header.stamp = Time::from_nanos(5_000_000_000 + ms * 1_000_000);
+            let taken = joints.measure(&state, now).map_err(|error| error.reason());
+            (taken, joints.places().unwrap().as_slice()[0])
+        };
+        assert_eq!(measure(0, 0.1), (Ok(()), 0.1));
+        assert_eq!(measure(-10, 0.2), (Err("joints_older"), 0.1));
+        assert_eq!(measure(0, 0.3), (Ok(()), 0.3));
+        // The clock was set.
+        assert_eq!(measure(-1_000, 0.4), (Ok(()), 0.4));
     }
 
     #[test]

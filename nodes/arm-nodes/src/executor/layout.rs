@@ -147,6 +147,17 @@ impl Layout {
         Some(indices.iter().filter_map(name).collect())
     }
 
+    /// Whether actions say where joints are to be, which ends a motion by itself.
+    pub fn has_positions(&self) -> bool {
+        matches!(
+            self.motion,
+            Motion::Joints {
+                are_positions: true,
+                ..
+            }
+        )
+    }
+
     /// Where the joints are to be after an action; none where actions do not say that.
     pub fn positions(&self, values: &[f32]) -> Option<Rates> {
         match &self.motion {

@@ -8,21 +8,17 @@ use std::{
 use anyhow::Result;
 use tracing::{error, info, warn};
 use wm_msgs::{
-    Message,
     builtin_interfaces::Time,
-    geometry_msgs::{PoseStamped, TwistStamped},
+    geometry_msgs::PoseStamped,
     sensor_msgs::JointState,
-    std_msgs::{Bool, Float64, Float64MultiArray, Header},
+    std_msgs::{Bool, Float64, Header},
     std_srvs::{Outcome, SetBool, Trigger},
     trajectory_msgs::JointTrajectory,
-    visualization_msgs::MarkerArray,
-    wm_msgs::{
-        Action, ActionCandidates, ActionChunk, Assessment, ExecutorStatus, Plan, PredictionError,
-    },
+    wm_msgs::{Action, Assessment, Plan},
 };
 use wm_ros::{
-    Call, Component, Diagnostics, EndpointSet as _, Error, Level, NAMESPACE, Node, NodeArgs,
-    NodeDefinition, ParameterSet as _, Publisher, Qos, Service, Subscription,
+    Call, Component, Diagnostics, EndpointSet as _, Level, NAMESPACE, Node, NodeArgs,
+    NodeDefinition, ParameterSet as _, Subscription,
     calls::{Calls, answer},
     complaints::Complaints,
 };
@@ -30,8 +26,12 @@ use wm_ros::{
 use crate::hear::next;
 
 use super::{
-    Cause, Command, ExecutorStep, Now, Output, Refusal, Source, State, Status, Taken, beat::Beat,
-    message, parameters::Parameters,
+    Cause, Command, ExecutorStep, Moment, Output, Refusal, Source, State, Status, StopSources,
+    Taken,
+    beat::Beat,
+    message,
+    outlets::{Endpoints, Outlets},
+    parameters::Parameters,
 };
 
 const NAME: &str = "executor";
@@ -46,120 +46,6 @@ pub const NODE: NodeDefinition<anyhow::Error> = NodeDefinition {
     run,
     component: Some(|| Component::new(NAME, body)),
 };
-
-/// Only the newest command counts.
-const COMMANDS: Qos = Qos::reliable(1);
-
-wm_ros::endpoints! {
-    /// Topics and services.
-    struct Endpoints {
-        /// A policy's next actions, unless source is plan.
-        chunks: Option<Subscription<ActionChunk>> = "action_chunk", made(|node, name, qos| {
-            heard(node, name, qos, "chunk")
-        });
-        /// A planner's plans, unless source is chunk.
-        plans: Option<Subscription<Plan>> = "plan", made(|node, name, qos| heard(node, name, qos, "plan"));
-        /// Where the end effector is, for the workspace box.
-        poses: Subscription<PoseStamped> = "ee_pose", qos(Qos::best_effort(1));
-        /// Where the joints are, with command_type joint_trajectory.
-        joints: Option<Subscription<JointState>> = "joint_states", qos(Qos::best_effort(10)), made(|node, name, qos| {
-            is_chosen(node, "joint_trajectory")?
-                .then(|| node.subscription(name, qos))
-                .transpose()
-        });
-        /// True while a person allows motion, with require_deadman.
-        deadman: Subscription<Bool> = "deadman", qos(Qos::best_effort(1));
-        /// True: emergency stop. Volatile or latched.
-        emergency: Subscription<Bool> = "emergency_stop", made(|node, name, qos| {
-            node.subscription_catching_up(name, qos)
-        });
-        /// The chunks that a policy chooses from, to which assessments refer.
-        candidates: Subscription<ActionCandidates> = "action_candidates";
-        /// What the model predicts of them, for the veto.
-        assessments: Subscription<Assessment> = "assessment";
-        /// What predictions were worth, for the veto.
-        errors: Subscription<PredictionError> = "prediction_error", qos(Qos::best_effort(16));
-        /// Velocities in the robot's base frame, with command_type twist.
-        twists: Option<Publisher<TwistStamped>> = "command/twist", qos(COMMANDS), made(|node, name, qos| {
-            chosen(node, name, qos, "twist")
-        });
-        /// The same as vx, vy, vz [m/s], wx, wy, wz [rad/s], with command_type velocity.
-        velocities: Option<Publisher<Float64MultiArray>> = "command/velocity", qos(COMMANDS), made(|node, name, qos| {
-            chosen(node, name, qos, "velocity")
-        });
-        /// The motion of each command period, with command_type action.
-        motions: Option<Publisher<Action>> = "command/action", qos(COMMANDS), made(|node, name, qos| {
-            chosen(node, name, qos, "action")
-        });
-        /// Where the joints are to be at the end of each command period, one point, with command_type joint_trajectory.
-        trajectories: Option<Publisher<JointTrajectory>> = "command/joint_trajectory", qos(COMMANDS), made(|node, name, qos| {
-            chosen(node, name, qos, "joint_trajectory")
-        });
-        /// The gripper's opening, 0 closed to 1 open.
-        gripper: Publisher<Float64> = "command/gripper", qos(COMMANDS);
-        /// While not armed: the velocities that would be sent.
-        previews: Option<Publisher<TwistStamped>> = "~/command_preview", qos(COMMANDS), made(|node, name, qos| {
-            let is_wanted = !is_chosen(node, "joint_trajectory")?;
-            is_wanted.then(|| node.publisher(name, qos)).transpose()
-        });
-        /// The same of joints.
-        joint_previews: Option<Publisher<JointTrajectory>> = "~/joint_trajectory_preview", qos(COMMANDS),
-            made(|node, name, qos| chosen(node, name, qos, "joint_trajectory"));
-        /// What was done in each command period, with publish_action.
-        actions: Option<Publisher<Action>> = "action", made(|node, name, qos| {
-            let is_wanted: bool = node.parameter("publish_action")?;
-            is_wanted.then(|| node.publisher(name, qos)).transpose()
-        });
-        /// What is going to be done, with announce_plans.
-        announcements: Option<Publisher<ActionChunk>> = "action_chunk", made(|node, name, qos| {
-            let is_wanted: bool = node.parameter("announce_plans")?;
-            is_wanted.then(|| node.publisher(name, qos)).transpose()
-        });
-        /// The workspace box (ns workspace), where there is one. Sent with the status, while somebody subscribes.
-        shapes: Option<Publisher<MarkerArray>> = "markers", qos(Qos::reliable(4)), made(|node, name, qos| {
-            let corner: Vec<f64> = node.parameter("workspace_min")?;
-            (!corner.is_empty()).then(|| node.publisher(name, qos)).transpose()
-        });
-        /// What the node does, and why.
-        status: Publisher<ExecutorStatus> = "~/status", qos(Qos::latched(1));
-        /// Arms the node (true), or decelerates and disarms it (false).
-        arm: Service<SetBool> = "~/arm";
-        /// Emergency stop: zero velocity at once, until ~/reset and ~/arm.
-        stop: Service<Trigger> = "~/stop";
-        /// Ends an emergency stop and forgets everything; the node is not armed.
-        reset: Service<Trigger> = "~/reset";
-    }
-}
-
-/// The publisher of a kind of command, where it is the one that is chosen.
-fn chosen<M: Message>(
-    node: &Node,
-    name: &str,
-    qos: Qos,
-    command_type: &str,
-) -> Result<Option<Publisher<M>>, Error> {
-    is_chosen(node, command_type)?
-        .then(|| node.publisher(name, qos))
-        .transpose()
-}
-
-fn is_chosen(node: &Node, command_type: &str) -> Result<bool, Error> {
-    let wanted: String = node.parameter("command_type")?;
-    Ok(wanted == command_type)
-}
-
-/// The subscription to offers of a kind, where they are executed.
-fn heard<M: Message>(
-    node: &Node,
-    name: &str,
-    qos: Qos,
-    source: &str,
-) -> Result<Option<Subscription<M>>, Error> {
-    let wanted: String = node.parameter("source")?;
-    (wanted == source || wanted == "both")
-        .then(|| node.subscription(name, qos))
-        .transpose()
-}
 
 /// A call.
 enum Request {
@@ -188,6 +74,7 @@ pub async fn body(node: Node) -> Result<()> {
         mut joints,
         mut deadman,
         mut emergency,
+        mut cameras,
         mut candidates,
         mut assessments,
         mut errors,
@@ -211,7 +98,13 @@ pub async fn body(node: Node) -> Result<()> {
     calls.add(arm, Request::Arm);
     calls.add(stop, Request::Stop);
     calls.add(reset, Request::Reset);
-    let mut beat = Beat::new(parameters.is_clocked, settings.period, node.clock());
+    let mut beat = Beat::new(
+        parameters.is_clocked,
+        settings.period,
+        parameters.clock_timeout(),
+        node.clock(),
+    );
+    let is_deadman_required = settings.deadman.is_some();
     let mut executor = Executor {
         step: ExecutorStep::new(settings),
         complaints: Complaints::new(node.diagnostics()),
@@ -230,6 +123,8 @@ pub async fn body(node: Node) -> Result<()> {
             status,
         },
         told: None,
+        unread: 0,
+        is_deadman_required,
         node: node.clone(),
     };
     let name = node.fully_qualified_name();
@@ -244,11 +139,14 @@ pub async fn body(node: Node) -> Result<()> {
     }
     let shutdown = node.shutdown();
     let mut is_ending = false;
+    let mut graph = node.graph_changes();
+    graph.mark_changed();
     loop {
         // What stops the arm goes first; commands go before what leads to further ones.
         tokio::select! {
             biased;
             Some(received) = emergency.recv() => executor.emergency(received.message.data, beat.now())?,
+            Ok(()) = graph.changed() => executor.connect(&emergency, &deadman, beat.now())?,
             call = calls.next() => executor.obey(call, beat.now())?,
             () = shutdown.wait(), if !is_ending => {
                 is_ending = true;
@@ -260,17 +158,25 @@ pub async fn body(node: Node) -> Result<()> {
                 }
                 executor.step.disarm(Cause::Shutdown);
             }
-            Some(received) = deadman.recv() => executor.step.deadman(received.message.data, beat.of(&received)),
-            Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received)),
-            Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received)),
+            Some(received) = deadman.recv() => executor.step.deadman(received.message.data, beat.of(&received).at),
+            Some(received) = cameras.recv() => {
+                let taken = executor.step.camera(&received.message, beat.of(&received));
+                executor.drop_malformed(taken);
+            }
+            Some(received) = poses.recv() => executor.pose(&received.message, beat.of(&received).at),
+            Some(received) = next(&mut joints) => executor.joints(&received.message, beat.of(&received).at),
             () = beat.tick() => {
+                executor.expect_readable(emergency.undecodable());
                 let is_moving = executor.tick(beat.now())?;
                 if is_ending && !is_moving {
                     return executor.outlets.settle().await;
                 }
             }
             Some(received) = errors.recv() => executor.step.prediction_error(&received.message),
-            Some(received) = candidates.recv() => executor.step.candidates(&received.message),
+            Some(received) = candidates.recv() => {
+                let taken = executor.step.candidates(&received.message);
+                executor.drop_malformed(taken);
+            }
             Some(received) = assessments.recv() => executor.assessment(&received.message, beat.now()),
             Some(received) = next(&mut chunks) => {
                 let taken = executor.step.chunk(&received.message, beat.of(&received), beat.now());
@@ -288,40 +194,6 @@ pub async fn body(node: Node) -> Result<()> {
     }
 }
 
-/// Where commands go.
-struct Outlets {
-    twists: Option<Publisher<TwistStamped>>,
-    velocities: Option<Publisher<Float64MultiArray>>,
-    motions: Option<Publisher<Action>>,
-    trajectories: Option<Publisher<JointTrajectory>>,
-    gripper: Publisher<Float64>,
-    previews: Option<Publisher<TwistStamped>>,
-    joint_previews: Option<Publisher<JointTrajectory>>,
-    actions: Option<Publisher<Action>>,
-    announcements: Option<Publisher<ActionChunk>>,
-    shapes: Option<Publisher<MarkerArray>>,
-    status: Publisher<ExecutorStatus>,
-}
-
-impl Outlets {
-    /// Waits, but not for long, until the last command has arrived: a node that is gone sends nothing again.
-    async fn settle(&self) -> Result<()> {
-        if let Some(twists) = &self.twists {
-            twists.wait_for_acknowledgments(FAREWELL).await?;
-        }
-        if let Some(velocities) = &self.velocities {
-            velocities.wait_for_acknowledgments(FAREWELL).await?;
-        }
-        if let Some(motions) = &self.motions {
-            motions.wait_for_acknowledgments(FAREWELL).await?;
-        }
-        if let Some(trajectories) = &self.trajectories {
-            trajectories.wait_for_acknowledgments(FAREWELL).await?;
-        }
-        Ok(())
-    }
-}
-
 struct Executor {
     node: Node,
     step: ExecutorStep,
@@ -330,14 +202,15 @@ struct Executor {
     diagnostics: Diagnostics,
     /// The status that was sent last, and when.
     told: Option<(Status, Instant)>,
+    /// Messages of the emergency stop that could not be read.
+    unread: u64,
+    is_deadman_required: bool,
 }
 
 /// The status goes out at least this often.
 pub(super) const STATUS_PERIOD: Duration = Duration::from_secs(1);
 /// Who calls where the graph does not tell.
 const SOMEBODY: &str = "somebody";
-/// How long the last command may take to arrive: less than a process has to end after a signal.
-const FAREWELL: Duration = Duration::from_millis(300);
 
 impl Executor {
     fn header(&self, stamp_ns: i64) -> Header {
@@ -348,18 +221,17 @@ impl Executor {
     }
 
     /// Sends the command of this period, and tells of it; whether the arm moves.
-    fn tick(&mut self, now: Now) -> Result<bool> {
+    fn tick(&mut self, now: Moment) -> Result<bool> {
         let is_moving = self.act(now)?;
         self.tell(now)?;
         Ok(is_moving)
     }
 
     /// Sends the command of this period; whether the arm moves.
-    fn act(&mut self, now: Now) -> Result<bool> {
+    fn act(&mut self, now: Moment) -> Result<bool> {
         let tick = self.step.tick(now);
         for refusal in &tick.refused {
-            let text = self.spelled(&refusal.to_string());
-            self.complaints.left_out(refusal.reason(), &text);
+            self.refuse(refusal, "");
         }
         let header = self.header(now.stamp_ns);
         let mut is_moving = false;
@@ -428,21 +300,15 @@ impl Executor {
     }
 
     /// Publishes the status where it has changed, or some time has passed.
-    fn tell(&mut self, now: Now) -> Result<()> {
+    fn tell(&mut self, now: Moment) -> Result<()> {
         let status = self.step.status();
-        if let Some((told, at)) = &self.told {
-            let is_new = *told != status;
-            if !is_new && now.at.saturating_duration_since(*at) < STATUS_PERIOD {
-                return Ok(());
-            }
-            if told.state != status.state {
-                let text = format!("{}: {}", name(status.state), self.spelled(&status.reason));
-                match status.state {
-                    State::Stopped => error!("{text}"),
-                    _ => info!("{}", text.trim_end_matches(": ")),
-                }
-            }
+        if let Some((told, at)) = &self.told
+            && *told == status
+            && now.at.saturating_duration_since(*at) < STATUS_PERIOD
+        {
+            return Ok(());
         }
+        self.log(&status);
         let level = match status.state {
             State::Stopped => Level::Error,
             State::Stopping => Level::Warn,
@@ -460,6 +326,26 @@ impl Executor {
         self.draw(message.header)?;
         self.told = Some((status, now.at));
         Ok(())
+    }
+
+    /// Logs a change of the state, and what is missing once, when it is.
+    fn log(&self, status: &Status) {
+        let before = self.told.as_ref().map(|(told, _)| told);
+        let is_new_hold = status.hold.is_some() && before.and_then(|told| told.hold) != status.hold;
+        if !is_new_hold && before.is_none_or(|told| told.state == status.state) {
+            return;
+        }
+        let reason = match status.hold {
+            Some(_) if !is_new_hold => String::new(),
+            _ => self.spelled(&status.reason),
+        };
+        let text = format!("{}: {reason}", name(status.state));
+        let text = text.trim_end_matches(": ");
+        match status.state {
+            State::Stopped => error!("{text}"),
+            _ if is_new_hold => warn!("{text}"),
+            _ => info!("{text}"),
+        }
     }
 
     /// Draws the workspace box, where somebody looks.
@@ -489,8 +375,63 @@ impl Executor {
 
     fn take(&mut self, source: Source, taken: Result<Taken, Refusal>) {
         if let Err(refusal) = taken {
-            let text = self.spelled(&format!("{}: {refusal}", source.name()));
-            self.complaints.left_out(refusal.reason(), &text);
+            self.refuse(&refusal, &format!("{}: ", source.name()));
+        }
+        self.report_lateness();
+    }
+
+    /// Counts a refusal, and logs it unless its reason is logged as a whole: what is missing, or a source that is late.
+    fn refuse(&mut self, refusal: &Refusal, prefix: &str) {
+        let reason = refusal.reason();
+        let text = self.spelled(&format!("{prefix}{refusal}"));
+        match refusal {
+            Refusal::Held(_) => self.diagnostics.count_drop(reason),
+            refusal if refusal.is_late() => {
+                self.diagnostics.count_drop(reason);
+                self.diagnostics.raise("lateness", Level::Warn, text);
+            }
+            _ => self.complaints.left_out(reason, &text),
+        }
+    }
+
+    fn report_lateness(&mut self) {
+        if let Some(notice) = self.step.take_late_notice() {
+            let text = notice.to_string();
+            warn!("{text}");
+            self.diagnostics.raise("lateness", Level::Warn, text);
+        }
+    }
+
+    fn drop_malformed(&mut self, taken: Result<(), Refusal>) {
+        if let Err(malformed) = taken {
+            self.complaints.left_out(malformed.reason(), &malformed);
+        }
+    }
+
+    /// The graph has changed: who can stop the arm.
+    fn connect(
+        &mut self,
+        emergency: &Subscription<Bool>,
+        deadman: &Subscription<Bool>,
+        now: Moment,
+    ) -> Result<()> {
+        let mut mismatches = emergency.mismatches();
+        if self.is_deadman_required {
+            mismatches.extend(deadman.mismatches());
+        }
+        self.step.stop_sources(StopSources {
+            connected: emergency.matching_publishers(),
+            mismatches,
+        });
+        self.tell(now)
+    }
+
+    /// What a message of the emergency stop said that could not be read, nobody knows: the arm stops.
+    fn expect_readable(&mut self, unread: u64) {
+        if unread > self.unread {
+            self.unread = unread;
+            self.step
+                .stop("a message on emergency_stop could not be read");
         }
     }
 
@@ -503,10 +444,11 @@ impl Executor {
         Ok(())
     }
 
-    fn assessment(&mut self, assessment: &Assessment, now: Now) {
+    fn assessment(&mut self, assessment: &Assessment, now: Moment) {
         for refusal in self.step.assessment(assessment, now) {
-            self.complaints.left_out(refusal.reason(), &refusal);
+            self.refuse(&refusal, "");
         }
+        self.report_lateness();
     }
 
     fn pose(&mut self, pose: &PoseStamped, at: Instant) {
@@ -521,7 +463,7 @@ impl Executor {
         }
     }
 
-    fn emergency(&mut self, is_pressed: bool, now: Now) -> Result<()> {
+    fn emergency(&mut self, is_pressed: bool, now: Moment) -> Result<()> {
         self.step.emergency(is_pressed);
         if is_pressed {
             // The arm does not wait for the next period.
@@ -546,7 +488,7 @@ impl Executor {
         }
     }
 
-    fn obey(&mut self, request: Request, now: Now) -> Result<()> {
+    fn obey(&mut self, request: Request, now: Moment) -> Result<()> {
         // Each is obeyed before the graph is searched for who called: an arm does not wait for that.
         match request {
             Request::Arm(call) if call.request.data => {

@@ -2,6 +2,8 @@
 
 use wm_msgs::wm_msgs::{Action, ActionChunk, Plan};
 
+use super::{Refusal, refusal::stamp_of};
+
 /// Who offers actions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
@@ -24,7 +26,7 @@ impl Source {
 /// When the first action of a chunk or plan begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
-    /// At its stamp: of one that comes late, the first actions are left out.
+    /// At its stamp: of one that comes late, the first actions are skipped.
     Stamp,
     /// When it is taken: for policies that say nothing of time, or think for longer than they tell.
     Reception,
@@ -39,6 +41,8 @@ pub struct Offer {
     pub stamp_ns: i64,
     /// Which offer is newer: of a chunk its stamp; of a plan the stamp of the frame that it was made from \[ns\].
     pub made_ns: i64,
+    /// When the camera saw what it responds to; of a chunk that does not say so, its stamp \[ns\].
+    pub seen_ns: i64,
     /// When its first action begins, by the node's clock \[ns\].
     pub begin_ns: i64,
     /// How long each action takes \[ns\].
@@ -53,37 +57,51 @@ pub struct Offer {
 
 impl Offer {
     /// A policy's chunk.
-    pub fn of_chunk(chunk: &ActionChunk) -> Self {
-        let stamp_ns = chunk.header.stamp.to_nanos();
-        Self {
+    ///
+    /// # Errors
+    /// [`Refusal::Stamp`]: a time is malformed.
+    pub fn of_chunk(chunk: &ActionChunk) -> Result<Self, Refusal> {
+        let stamp_ns = stamp_of("the chunk", chunk.header.stamp)?;
+        let seen_ns = match stamp_of("timing.capture", chunk.timing.capture)? {
+            // The policy does not say what it saw.
+            0 => stamp_ns,
+            capture_ns => capture_ns,
+        };
+        Ok(Self {
             source: Source::Chunk,
             stamp_ns,
             made_ns: stamp_ns,
+            seen_ns,
             begin_ns: stamp_ns,
-            period_ns: chunk.period.to_nanos(),
+            period_ns: Refusal::expect_span("period", chunk.period)?,
             frame_id: chunk.header.frame_id.clone(),
             epoch: None,
-            actions: values(&chunk.actions),
-        }
+            actions: checked_values(&chunk.actions)?,
+        })
     }
 
     /// A planner's plan. The stamp of its header is that of the observed frame; its actions say when they begin.
-    pub fn of_plan(plan: &Plan) -> Self {
+    ///
+    /// # Errors
+    /// [`Refusal::Stamp`]: a time is malformed.
+    pub fn of_plan(plan: &Plan) -> Result<Self, Refusal> {
         let first = plan
             .actions
             .first()
             .map_or(&plan.header, |action| &action.header);
-        let stamp_ns = first.stamp.to_nanos();
-        Self {
+        let stamp_ns = stamp_of("the first action", first.stamp)?;
+        let made_ns = stamp_of("the plan", plan.header.stamp)?;
+        Ok(Self {
             source: Source::Plan,
             stamp_ns,
-            made_ns: plan.header.stamp.to_nanos(),
+            made_ns,
+            seen_ns: made_ns,
             begin_ns: stamp_ns,
-            period_ns: plan.period.to_nanos(),
+            period_ns: Refusal::expect_span("period", plan.period)?,
             frame_id: first.frame_id.clone(),
             epoch: Some(plan.epoch),
-            actions: values(&plan.actions),
-        }
+            actions: checked_values(&plan.actions)?,
+        })
     }
 
     /// When its last action is over \[ns\].
@@ -101,6 +119,14 @@ impl Offer {
     }
 }
 
-fn values(actions: &[Action]) -> Vec<Vec<f32>> {
+/// Values of actions, in physical units.
+pub(super) fn values(actions: &[Action]) -> Vec<Vec<f32>> {
     actions.iter().map(|action| action.values.clone()).collect()
+}
+
+fn checked_values(actions: &[Action]) -> Result<Vec<Vec<f32>>, Refusal> {
+    for action in actions {
+        stamp_of("an action", action.header.stamp)?;
+    }
+    Ok(values(actions))
 }

@@ -7,7 +7,8 @@ use anyhow::{Result, bail, ensure};
 use crate::space::action_space;
 
 use super::{
-    Begin, Bounds, Deadman, Group, Joints, Layout, Limits, Settings, VetoSettings, Workspace,
+    Begin, Bounds, Camera, ClockWatch, Deadman, EmergencyStop, Group, Joints, Layout, Limits,
+    Settings, VetoSettings, Workspace,
 };
 
 /// Rounding of sums of seconds \[s\].
@@ -35,16 +36,22 @@ wm_ros::parameters! {
         /// to action_chunk. The predictor then predicts it, and the planner plans from where it leads.
         pub(super) announce_plans: bool = false;
         /// When the first action of a chunk or plan begins: at its stamp, or when it is taken. The first actions of one
-        /// that comes late are left out, or delayed.
+        /// that comes late are skipped, or delayed. One so late that the arm would start and stop with each is refused.
         begin: Begin = "stamp", one_of { "stamp" => Begin::Stamp, "reception" => Begin::Reception };
         /// Commands per second [Hz].
         rate: f64 = 20.0, in 1.0..=500.0;
         /// What the commands, limits and timeouts go by: real time, or the node's clock (use_sim_time), for a simulated arm
-        /// that makes its own time. Where that clock stops, nothing is sent.
+        /// that makes its own time.
         pub(super) is_clocked as "command_clock": bool = "real", one_of { "real" => false, "ros" => true };
-        /// For how long after its reception a chunk or plan is executed [s]. With begin reception, its stamp may not be
-        /// older either.
+        /// For how long after its reception a chunk or plan is executed, by the node's clock and by real time [s]. With
+        /// begin reception, its stamp may not be older either.
         max_age: Duration = 2.0, in 0.01..=60.0;
+        /// With use_sim_time: the arm stops when /clock has not advanced for this long of real time [s]; earlier with a
+        /// short max_age, so that the arm stands still within it.
+        clock_timeout: Duration = 1.5, in 0.05..=60.0;
+        /// The arm stops when camera_state has been silent for this long, once the encoder has published it [s]. Without
+        /// an encoder nothing is waited for.
+        camera_timeout: Duration = 1.0, in 0.01..=60.0;
         /// How far in the future a chunk or plan may begin [s].
         max_lead: Duration = 5.0, in 0.0..=60.0;
         /// Shortest duration of one action [s].
@@ -102,6 +109,9 @@ wm_ros::parameters! {
         require_deadman: bool = false;
         /// With require_deadman: the arm stops when deadman has been silent for this long [s].
         deadman_timeout: Duration = 0.3, in 0.001..=60.0;
+        /// Be armed only while a publisher of emergency_stop is connected. Without this too, one that cannot be connected
+        /// keeps the arm disarmed, and one that is gone disarms it.
+        require_emergency_stop: bool = false;
         /// Veto a chunk whose predicted cost to the goal becomes more than this many times what it is after the first
         /// predicted step; 0: never.
         veto_cost_rise: f64 = 0.0, in 0.0..=1e6;
@@ -149,6 +159,11 @@ impl Parameters {
             self.stop_within.as_secs_f64()
         );
         ensure!(
+            !(self.arm_on_start && self.require_emergency_stop),
+            "arm_on_start and require_emergency_stop are both set; expected one of them: arm_on_start is for simulated arms, \
+             and arms before a publisher can be connected"
+        );
+        ensure!(
             self.min_period <= self.max_period,
             "min_period is {} s, more than max_period, {} s",
             self.min_period.as_secs_f64(),
@@ -175,11 +190,15 @@ impl Parameters {
             max_age: self.max_age,
             begin: self.begin,
             max_lead: self.max_lead,
+            stop_within: self.stop_within,
             zero_for: self.zero_for,
             dry_run: self.dry_run,
             deadman: self
                 .require_deadman
                 .then(|| Deadman::new(self.deadman_timeout)),
+            clock: ClockWatch::new(self.clock_timeout()),
+            camera: Camera::new(self.camera_timeout),
+            emergency: EmergencyStop::new(self.require_emergency_stop),
             veto: VetoSettings {
                 cost_rise: self.veto_cost_rise,
                 min_success: self.veto_min_success,
@@ -189,6 +208,12 @@ impl Parameters {
                 error_window: self.veto_error_window,
             },
         })
+    }
+
+    /// How long /clock may stand still: the arm then takes `stop_within` to stop.
+    pub(super) fn clock_timeout(&self) -> Duration {
+        let left = self.max_age.saturating_sub(self.stop_within);
+        self.clock_timeout.min(left.max(self.max_age / 2))
     }
 
     fn joint_limits(&self, joints: usize) -> Result<Limits> {

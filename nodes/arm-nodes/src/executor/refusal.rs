@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 use wm_motion::{actions::ActionError, motion::MAX_CHUNK};
+use wm_msgs::builtin_interfaces::{Duration, Time};
 
 use super::{Hold, Veto};
 
@@ -115,6 +116,22 @@ pub enum Refusal {
         /// What came.
         actual: u64,
     },
+    /// A time with a `nanosec` of a second or more.
+    #[error("the time of {what} has nanosec {nanosec}; expected less than 1000000000")]
+    Stamp {
+        /// The message or its part.
+        what: &'static str,
+        /// What came \[ns\].
+        nanosec: u32,
+    },
+    /// It was made from a frame that the camera took before it ran again.
+    #[error(
+        "it was made from a frame {before_s:.2} s older than the first one after the camera's freeze"
+    )]
+    FrozenFrame {
+        /// By how much \[s\].
+        before_s: f64,
+    },
     /// It waited too long before it was looked at.
     #[error("it is {age_s:.2} s old; at most {most_s} s is allowed (max_age)")]
     Stale {
@@ -128,6 +145,17 @@ pub enum Refusal {
     Late {
         /// Since then \[s\].
         ago_s: f64,
+    },
+    /// It came so late that the arm would start and stop with each one.
+    #[error(
+        "it came {late_s:.2} s late, when {left_s:.2} s of it were left: send it earlier, send longer ones, or set begin to \
+         reception"
+    )]
+    Behind {
+        /// After its beginning \[s\].
+        late_s: f64,
+        /// Until its end \[s\].
+        left_s: f64,
     },
     /// It begins far in the future: two clocks differ.
     #[error("it begins in {ahead_s:.2} s; at most {most_s} s is allowed: do the clocks agree?")]
@@ -169,7 +197,30 @@ pub enum Refusal {
     Forgotten,
 }
 
+/// A stamp in nanoseconds.
+///
+/// # Errors
+/// [`Refusal::Stamp`]: it is malformed.
+pub(super) fn stamp_of(what: &'static str, stamp: Time) -> Result<i64, Refusal> {
+    let nanosec = stamp.nanosec;
+    stamp
+        .checked_nanos()
+        .map_err(|_| Refusal::Stamp { what, nanosec })
+}
+
 impl Refusal {
+    /// A span in nanoseconds.
+    pub(super) fn expect_span(what: &'static str, span: Duration) -> Result<i64, Self> {
+        let nanosec = span.nanosec;
+        span.checked_nanos()
+            .map_err(|_| Self::Stamp { what, nanosec })
+    }
+
+    /// Whether it is about lateness, which is reported once for all.
+    pub fn is_late(&self) -> bool {
+        matches!(self, Self::Late { .. } | Self::Behind { .. })
+    }
+
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
         match self {
@@ -188,8 +239,10 @@ impl Refusal {
             Self::Period { .. } => "period",
             Self::Frame { .. } => "wrong_frame",
             Self::Epoch { .. } => "old_epoch",
+            Self::Stamp { .. } => "bad_stamp",
+            Self::FrozenFrame { .. } => "frozen_frame",
             Self::Stale { .. } => "stale",
-            Self::Late { .. } => "late",
+            Self::Late { .. } | Self::Behind { .. } => "late",
             Self::Early { .. } => "early",
             Self::Older { .. } => "older",
             Self::Full(_) => "full",

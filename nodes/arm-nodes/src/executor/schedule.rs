@@ -1,20 +1,55 @@
 //! What is to be executed, and when.
 
-use std::{
-    collections::VecDeque,
-    time::{Duration, Instant},
-};
+use std::{collections::VecDeque, time::Duration};
 
-use super::{Layout, Offer, Rates, Refusal, Veto};
+use super::{Layout, Moment, Offer, Rates, Refusal, Veto};
 
 /// Offers that may have yet to begin: more than come within the time that they may lie ahead.
 const MOST_NEXT: usize = 128;
+
+/// Share of an offer's span, and time \[ns\], by which the node's clock may be slower than real time until it ends.
+const SLOWER: i64 = 4;
+const SLOWER_NS: i64 = 100_000_000;
 
 /// An offer that passed every check.
 #[derive(Clone, Debug)]
 struct Accepted {
     offer: Offer,
-    received: Instant,
+    received: Moment,
+}
+
+impl Accepted {
+    /// Why it must not be executed at a moment, or no longer.
+    fn expect_fresh(&self, now: Moment, max_age: Duration) -> Result<(), Refusal> {
+        let age = self.received.age(now);
+        match age > max_age {
+            true => Err(Refusal::Stale {
+                age_s: age.as_secs_f64(),
+                most_s: max_age.as_secs_f64(),
+            }),
+            false => Ok(()),
+        }
+    }
+
+    fn expect_left(&self, now: Moment) -> Result<(), Refusal> {
+        let ago_ns = now.stamp_ns.saturating_sub(self.offer.end_ns());
+        match ago_ns >= 0 {
+            true => Err(Refusal::Late {
+                ago_s: ago_ns as f64 / 1e9,
+            }),
+            false => Ok(()),
+        }
+    }
+
+    /// Whether it is over by real time: its motions would take longer than they say.
+    fn is_outrun(&self, now: Moment) -> bool {
+        let span_ns = self.offer.end_ns().saturating_sub(self.received.stamp_ns);
+        let most_ns = span_ns
+            .saturating_add(span_ns / SLOWER)
+            .saturating_add(SLOWER_NS);
+        let most = Duration::from_nanos(u64::try_from(most_ns).unwrap_or(0));
+        now.at.saturating_duration_since(self.received.at) > most
+    }
 }
 
 /// What an offer tells for one command period.
@@ -24,6 +59,8 @@ pub(super) struct Told {
     pub velocity: Rates,
     /// The gripper's opening at its beginning.
     pub gripper: Option<f64>,
+    /// The share of the period that offers cover, if they end within it.
+    pub running_out: Option<f64>,
 }
 
 /// What has happened in a schedule since the last command.
@@ -33,8 +70,13 @@ pub(super) enum Change {
     Begun,
     /// The offer was received too long ago.
     Stale,
+    /// The offer is over by real time, but not by the node's clock.
+    Outrun,
     /// The offer is over.
-    Over,
+    Over {
+        /// When it was \[ns\].
+        end_ns: i64,
+    },
 }
 
 /// The offer that is executed, and those after it by when they begin. Where one begins, the one before it ends.
@@ -49,7 +91,7 @@ impl Schedule {
     ///
     /// # Errors
     /// [`Refusal::Full`] where too many have yet to begin.
-    pub fn push(&mut self, offer: Offer, received: Instant) -> Result<(), Refusal> {
+    pub fn push(&mut self, offer: Offer, received: Moment) -> Result<(), Refusal> {
         self.next
             .retain(|other| other.offer.begin_ns < offer.begin_ns);
         if self.next.len() >= MOST_NEXT {
@@ -68,6 +110,11 @@ impl Schedule {
     /// What is executed.
     pub fn current(&self) -> Option<&Offer> {
         self.current.as_ref().map(|accepted| &accepted.offer)
+    }
+
+    /// Whether nothing has begun, or has yet to.
+    pub fn is_empty(&self) -> bool {
+        self.current.is_none() && self.next.is_empty()
     }
 
     /// Forgets everything; whether anything had begun.
@@ -92,27 +139,69 @@ impl Schedule {
         (of_current, of_next)
     }
 
-    /// Goes on to a moment.
-    pub fn advance(&mut self, now_ns: i64, now: Instant, max_age: Duration) -> Option<Change> {
+    /// Drops plans of an older epoch; whether one had begun, and how many had not.
+    pub fn drop_older(&mut self, epoch: u64) -> (bool, usize) {
+        let is_older = |accepted: &Accepted| accepted.offer.epoch.is_some_and(|of| of < epoch);
+        let before = self.next.len();
+        self.next.retain(|accepted| !is_older(accepted));
+        let dropped = before.saturating_sub(self.next.len());
+        (
+            self.current.take_if(|current| is_older(current)).is_some(),
+            dropped,
+        )
+    }
+
+    /// Goes on to a command period of `span_ns` that begins now: what has changed, and why offers that were to begin by
+    /// the end of the period do not.
+    pub fn advance(
+        &mut self,
+        now: Moment,
+        span_ns: i64,
+        max_age: Duration,
+    ) -> (Option<Change>, Vec<Refusal>) {
+        let mut dropped = Vec::new();
+        let until_ns = now.stamp_ns.saturating_add(span_ns);
+        self.next.retain(|next| {
+            if next.offer.begin_ns > now.stamp_ns && next.offer.begin_ns >= until_ns {
+                return true;
+            }
+            let fresh = next
+                .expect_fresh(now, max_age)
+                .and_then(|()| next.expect_left(now));
+            let is_fresh = fresh.is_ok();
+            dropped.extend(fresh.err());
+            is_fresh
+        });
         let mut begun = None;
-        let begins = |next: &mut Accepted| next.offer.begin_ns <= now_ns;
+        let begins = |next: &mut Accepted| next.offer.begin_ns <= now.stamp_ns;
         while let Some(next) = self.next.pop_front_if(begins) {
             begun = Some(next);
         }
+        if begun.is_none() && self.current.is_none() {
+            // It begins within the period.
+            begun = self
+                .next
+                .pop_front_if(|next| next.offer.begin_ns < until_ns);
+        }
         if begun.is_some() {
             self.current = begun;
-            return Some(Change::Begun);
+            return (Some(Change::Begun), dropped);
         }
-        let current = self.current.as_ref()?;
-        let change = if current.offer.end_ns() <= now_ns {
-            Change::Over
-        } else if now.saturating_duration_since(current.received) > max_age {
-            Change::Stale
-        } else {
-            return None;
-        };
-        self.current = None;
-        Some(change)
+        let change = self.current.as_ref().and_then(|current| {
+            if current.expect_left(now).is_err() {
+                Some(Change::Over {
+                    end_ns: current.offer.end_ns(),
+                })
+            } else if current.expect_fresh(now, max_age).is_err() {
+                Some(Change::Stale)
+            } else {
+                current.is_outrun(now).then_some(Change::Outrun)
+            }
+        });
+        if change.is_some() {
+            self.current = None;
+        }
+        (change, dropped)
     }
 
     /// What is told for the time from `from_ns` on, for `span_ns`, at whose beginning joints are at `places`. An action is a
@@ -122,6 +211,7 @@ impl Schedule {
         let to_ns = from_ns.saturating_add(span_ns);
         let mut told: Option<Told> = None;
         let mut offers = self.current.iter().chain(&self.next).peekable();
+        let mut covered = 0.0;
         while let Some(Accepted { offer, .. }) = offers.next() {
             if offer.begin_ns >= to_ns {
                 break;
@@ -149,8 +239,11 @@ impl Schedule {
                 let told = told.get_or_insert_with(|| Told {
                     velocity: Rates::zero(layout.axes()),
                     gripper: layout.gripper(values),
+                    running_out: None,
                 });
                 told.velocity = told.velocity.plus(velocity, share);
+                covered += share;
+                told.running_out = (end_ns < to_ns).then_some(covered);
             }
         }
         told
@@ -160,6 +253,8 @@ impl Schedule {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Instant;
+
     use crate::executor::Source;
     use wm_motion::actions::ActionSpace;
 
@@ -171,12 +266,24 @@ mod tests {
             source: Source::Chunk,
             stamp_ns: stamp_ms * MS,
             made_ns: stamp_ms * MS,
+            seen_ns: stamp_ms * MS,
             begin_ns: stamp_ms * MS,
             period_ns: period_ms * MS,
             frame_id: String::new(),
             epoch: None,
             actions: forward.iter().map(action).collect(),
         }
+    }
+
+    /// A moment at which both clocks say the same.
+    fn at(begin: Instant, ms: i64) -> Moment {
+        Moment::real(begin + Duration::from_millis(ms.unsigned_abs()), ms * MS)
+    }
+
+    fn advance(schedule: &mut Schedule, now: Moment, age_ms: u64) -> Option<Change> {
+        let (change, dropped) = schedule.advance(now, 0, Duration::from_millis(age_ms));
+        assert_eq!(dropped, []);
+        change
     }
 
     fn forward(schedule: &Schedule, from_ms: i64, span_ms: i64) -> Option<f64> {
@@ -191,9 +298,12 @@ mod tests {
         let mut schedule = Schedule::default();
         // 30 Hz: three actions in 100 ms, of which none may be left out.
         schedule
-            .push(offer(0, 20, &[0.001, 0.003, 0.005, 0.007, 0.009]), now)
+            .push(
+                offer(0, 20, &[0.001, 0.003, 0.005, 0.007, 0.009]),
+                at(now, 0),
+            )
             .unwrap();
-        schedule.advance(0, now, Duration::from_secs(1));
+        advance(&mut schedule, at(now, 0), 1_000);
         let near = |found: Option<f64>, expected: f64| {
             assert!((found.unwrap() - expected).abs() < 1e-6, "{found:?}");
         };
@@ -206,47 +316,112 @@ mod tests {
     #[test]
     fn a_newer_offer_takes_over_where_it_begins() {
         let now = Instant::now();
-        let age = Duration::from_secs(1);
         let mut schedule = Schedule::default();
-        schedule.push(offer(0, 200, &[0.02; 4]), now).unwrap();
-        assert_eq!(schedule.advance(0, now, age), Some(Change::Begun));
-        schedule.push(offer(300, 200, &[-0.02; 2]), now).unwrap();
-        assert_eq!(schedule.advance(250 * MS, now, age), None);
+        let over = Change::Over { end_ns: 700 * MS };
+        schedule
+            .push(offer(0, 200, &[0.02; 4]), at(now, 0))
+            .unwrap();
+        let go = |schedule: &mut Schedule, ms| advance(schedule, at(now, ms), 1_000);
+        assert_eq!(go(&mut schedule, 0), Some(Change::Begun));
+        schedule
+            .push(offer(300, 200, &[-0.02; 2]), at(now, 250))
+            .unwrap();
+        assert_eq!(go(&mut schedule, 250), None);
         let half = forward(&schedule, 250, 100).unwrap();
         assert!(half.abs() < 1e-6, "{half}");
-        assert_eq!(schedule.advance(300 * MS, now, age), Some(Change::Begun));
-        assert_eq!(schedule.advance(700 * MS, now, age), Some(Change::Over));
-        assert_eq!(schedule.advance(700 * MS, now, age), None);
+        assert_eq!(go(&mut schedule, 300), Some(Change::Begun));
+        assert_eq!(go(&mut schedule, 700), Some(over));
+        assert_eq!(go(&mut schedule, 700), None);
     }
 
     #[test]
     fn offers_that_each_begin_later_begin_all_the_same() {
         let now = Instant::now();
-        let age = Duration::from_secs(10);
         let mut schedule = Schedule::default();
         let mut begun = 0;
         for tick in 0..40 {
             // Ten times a second, each for a second later.
             let offer = offer(tick * 100 + 1000, 200, &[0.02; 2]);
-            schedule.push(offer, now).unwrap();
-            let change = schedule.advance(tick * 100 * MS, now, age);
+            schedule.push(offer, at(now, tick * 100)).unwrap();
+            let change = advance(&mut schedule, at(now, tick * 100), 10_000);
             begun += i32::from(change == Some(Change::Begun));
         }
         assert_eq!(begun, 30);
         let at_most = (0..200).map(|index| offer(10_000 + index, 200, &[0.02]));
-        let pushed = at_most.map(|offer| schedule.push(offer, now));
+        let pushed = at_most.map(|offer| schedule.push(offer, at(now, 0)));
         assert!(pushed.last().unwrap().is_err());
     }
 
     #[test]
     fn an_offer_is_executed_only_for_so_long_after_it_came() {
         let now = Instant::now();
-        let age = Duration::from_secs(1);
+        for (real_ms, stamp_ms) in [(1_001, 0), (0, 1_001)] {
+            let mut schedule = Schedule::default();
+            schedule
+                .push(offer(0, 1000, &[0.02; 4]), at(now, 0))
+                .unwrap();
+            advance(&mut schedule, at(now, 0), 1_000);
+            // Either clock may stand still.
+            let later = Moment {
+                stamp_ns: stamp_ms * MS,
+                ..at(now, real_ms)
+            };
+            assert_eq!(advance(&mut schedule, later, 1_000), Some(Change::Stale));
+        }
+    }
+
+    #[test]
+    fn an_offer_that_begins_too_long_after_it_came_is_dropped() {
+        let now = Instant::now();
         let mut schedule = Schedule::default();
-        schedule.push(offer(0, 1000, &[0.02; 4]), now).unwrap();
-        schedule.advance(0, now, age);
-        let later = now + Duration::from_millis(1001);
-        // A simulated clock may stand still.
-        assert_eq!(schedule.advance(0, later, age), Some(Change::Stale));
+        schedule
+            .push(offer(1_500, 200, &[0.02; 4]), at(now, 0))
+            .unwrap();
+        let (change, dropped) = schedule.advance(at(now, 1_500), 0, Duration::from_secs(1));
+        assert_eq!(change, None);
+        assert!(
+            matches!(dropped[..], [Refusal::Stale { .. }]),
+            "{dropped:?}"
+        );
+        // The clock jumps past this one.
+        schedule
+            .push(offer(2_000, 200, &[0.02; 2]), at(now, 1_500))
+            .unwrap();
+        let (change, dropped) = schedule.advance(at(now, 2_400), 0, Duration::from_secs(1));
+        assert_eq!(change, None);
+        assert!(matches!(dropped[..], [Refusal::Late { .. }]), "{dropped:?}");
+    }
+
+    #[test]
+    fn an_offer_ends_by_real_time_too() {
+        let now = Instant::now();
+        let mut schedule = Schedule::default();
+        schedule
+            .push(offer(0, 200, &[0.02; 4]), at(now, 0))
+            .unwrap();
+        advance(&mut schedule, at(now, 0), 10_000);
+        let half_as_fast = |real_ms| Moment {
+            stamp_ns: real_ms / 2 * MS,
+            ..at(now, real_ms)
+        };
+        assert_eq!(advance(&mut schedule, half_as_fast(1_000), 10_000), None);
+        let change = advance(&mut schedule, half_as_fast(1_200), 10_000);
+        assert_eq!(change, Some(Change::Outrun));
+    }
+
+    #[test]
+    fn plans_of_an_older_epoch_are_dropped() {
+        let now = Instant::now();
+        let mut schedule = Schedule::default();
+        for (begin_ms, epoch) in [(0, 3), (400, 3), (800, 4)] {
+            let plan = Offer {
+                epoch: Some(epoch),
+                ..offer(begin_ms, 200, &[0.02; 2])
+            };
+            schedule.push(plan, at(now, 0)).unwrap();
+        }
+        advance(&mut schedule, at(now, 0), 1_000);
+        assert_eq!(schedule.drop_older(4), (true, 1));
+        assert_eq!(schedule.drop_older(4), (false, 0));
     }
 }

@@ -1,6 +1,7 @@
 //! The executor's state.
 
 mod aim;
+mod intake;
 
 use std::{
     collections::VecDeque,
@@ -8,65 +9,18 @@ use std::{
 };
 
 use thiserror::Error;
+use wm_frames::pose;
 use wm_msgs::{
-    geometry_msgs::PoseStamped,
-    sensor_msgs::JointState,
-    wm_msgs::{ActionCandidates, ActionChunk, Assessment, Plan, PredictionError},
+    geometry_msgs::PoseStamped, sensor_msgs::JointState, std_msgs::Header, wm_msgs::CameraState,
 };
 
 use super::{
-    Begin, Bounds, Cause, Deadman, Hold, JointError, Joints, Layout, Limits, Offer, PoseError,
-    Rates, Refusal, VetoSettings, Workspace,
-    schedule::Schedule,
-    veto::{Verdict, Vetoes},
+    Cause, Counts, JointError, LateNotice, Moment, Offer, PoseError, Rates, Refusal, Settings,
+    StopSources, lateness::Lateness, refusal::stamp_of, schedule::Schedule, veto::Vetoes,
 };
 
-/// Chunks that may wait for their assessments.
-const MOST_WAITING: usize = 8;
 /// A clock that goes back by less is being adjusted; by more, it was set.
 const JUMP_NS: i64 = 100_000_000;
-
-/// What can be chosen of the executor.
-#[derive(Clone, Debug)]
-pub struct Settings {
-    /// Where motions stand in actions.
-    pub layout: Layout,
-    /// The frame that actions and poses must have; empty: any.
-    pub base_frame: String,
-    /// Time from one command to the next.
-    pub period: Duration,
-    /// What a single action may be.
-    pub bounds: Bounds,
-    /// How fast the arm may move.
-    pub limits: Limits,
-    /// For how long after its reception an offer is executed.
-    pub max_age: Duration,
-    /// When an offer begins.
-    pub begin: Begin,
-    /// How far in the future an offer may begin.
-    pub max_lead: Duration,
-    /// For how long zeros are sent after a motion.
-    pub zero_for: Duration,
-    /// Whether offers are tried out while it is not armed.
-    pub dry_run: bool,
-    /// The box that the end effector has to stay in.
-    pub workspace: Option<Workspace>,
-    /// The joints, where it is joints that move.
-    pub joints: Option<Joints>,
-    /// The switch that has to be held.
-    pub deadman: Option<Deadman>,
-    /// Rules about predictions.
-    pub veto: VetoSettings,
-}
-
-/// A moment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Now {
-    /// By a clock that never jumps.
-    pub at: Instant,
-    /// By the node's clock, which stamps go by \[ns\].
-    pub stamp_ns: i64,
-}
 
 /// What is to be done in a command period.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,49 +62,8 @@ pub enum Taken {
     Waiting,
 }
 
-/// What the executor does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
-    /// Not armed: nothing is sent.
-    DryRun,
-    /// Armed, and nothing to do.
-    Idle,
-    /// Armed, and an offer is executed.
-    Executing,
-    /// Commands decelerate to zero.
-    Stopping,
-    /// Emergency stop.
-    Stopped,
-}
-
-/// What the executor does, and why.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Status {
-    /// What it does.
-    pub state: State,
-    /// Why it does not move, or not as it was told; empty if it does.
-    pub reason: String,
-    /// Stamp of the offer that is executed \[ns\].
-    pub offer_ns: Option<i64>,
-    /// Totals.
-    pub counts: Counts,
-}
-
-/// Totals since the node's start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
-    /// Offers that were begun.
-    pub begun: u64,
-    /// Offers that were refused, those that waited in vain included.
-    pub refused: u64,
-    /// Offers that were vetoed.
-    pub vetoed: u64,
-    /// Offers that were cut short.
-    pub interrupted: u64,
-}
-
 /// Why the node cannot be armed or reset.
-#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ArmError {
     /// An emergency stop is latched.
@@ -162,6 +75,14 @@ pub enum ArmError {
     /// Somebody still asks for the emergency stop.
     #[error("the topic emergency_stop still says true")]
     Pressed,
+    /// The emergency stop has no publisher, but needs one.
+    #[error(
+        "no publisher of emergency_stop is connected; expected one, since require_emergency_stop is set"
+    )]
+    NoStop,
+    /// A publisher of the emergency stop is not connected, and why.
+    #[error("emergency_stop would not stop the arm: {0}")]
+    StopMismatch(String),
 }
 
 /// Whether commands go out.
@@ -176,7 +97,7 @@ enum Phase {
 
 struct Waiting {
     offer: Offer,
-    received: Instant,
+    received: Moment,
     since: Instant,
 }
 
@@ -194,15 +115,19 @@ pub struct ExecutorStep {
     gripper: Option<f64>,
     /// Of the last offer that was begun.
     frame_id: String,
-    last: Option<Now>,
+    last: Option<Moment>,
     /// Whether commands are made, zeros after a motion included, and since when they are zeros.
     is_busy: bool,
     rest: Option<Instant>,
+    lateness: Lateness,
+    /// When the last offer was over, if nothing has begun since \[ns\].
+    over_ns: Option<i64>,
+    /// How fast the arm was when an offer of a source that is late at times was over, and when that was.
+    ease: Option<(Rates, Instant)>,
     /// Why the last command is what it is.
     cause: Option<Cause>,
     /// Why the last offer was refused, until one is begun.
     refusal: Option<String>,
-    is_pressed: bool,
     counts: Counts,
 }
 
@@ -210,7 +135,13 @@ impl ExecutorStep {
     /// An executor that is not armed.
     pub fn new(settings: Settings) -> Self {
         let settings_frame = settings.base_frame.clone();
+        // From rest to the greatest velocity and back.
+        let least_s = 2.0 * settings.limits.stopping_time() + settings.period.as_secs_f64();
+        let least = Duration::try_from_secs_f64(least_s).unwrap_or(Duration::MAX);
         Self {
+            lateness: Lateness::new(settings.stop_within / 2, least),
+            over_ns: None,
+            ease: None,
             vetoes: Vetoes::new(settings.veto),
             velocity: Rates::zero(settings.layout.axes()),
             settings,
@@ -225,7 +156,6 @@ impl ExecutorStep {
             rest: None,
             cause: Some(Cause::Nothing),
             refusal: None,
-            is_pressed: false,
             counts: Counts::default(),
         }
     }
@@ -240,222 +170,31 @@ impl ExecutorStep {
         &self.frame_id
     }
 
-    /// Takes a policy's chunk that came at `received`.
-    ///
-    /// # Errors
-    /// [`Refusal`]: it is not executed.
-    pub fn chunk(
-        &mut self,
-        chunk: &ActionChunk,
-        received: Instant,
-        now: Now,
-    ) -> Result<Taken, Refusal> {
-        self.offer(Offer::of_chunk(chunk), received, now)
-    }
-
-    /// Takes a planner's plan that came at `received`.
-    ///
-    /// # Errors
-    /// [`Refusal`]: it is not executed.
-    pub fn plan(&mut self, plan: &Plan, received: Instant, now: Now) -> Result<Taken, Refusal> {
-        self.offer(Offer::of_plan(plan), received, now)
-    }
-
-    /// Takes an offer that came at `received`.
-    ///
-    /// # Errors
-    /// [`Refusal`]: it is not executed.
-    pub fn offer(&mut self, offer: Offer, received: Instant, now: Now) -> Result<Taken, Refusal> {
-        let taken = self.consider(offer, received, now);
-        if let Err(refusal) = &taken {
-            self.note(refusal);
-        }
-        taken
-    }
-
-    fn consider(
-        &mut self,
-        mut offer: Offer,
-        received: Instant,
-        now: Now,
-    ) -> Result<Taken, Refusal> {
-        match &self.phase {
-            Phase::Armed => {}
-            Phase::DryRun if self.settings.dry_run => {}
-            Phase::DryRun | Phase::Disarming(_) => return Err(Refusal::NotArmed),
-            Phase::Stopped(_) => return Err(Refusal::Stopped),
-        }
-        let settings = &self.settings;
-        // What begins before all time would be over with the first message on /clock.
-        if now.stamp_ns == 0 {
-            return Err(Refusal::NoClock);
-        }
-        // Without joints no motion is free, and where they set out from is not known.
-        if let Some(joints) = &settings.joints {
-            joints.check(now.at)?;
-        }
-        let joints = settings.joints.as_ref();
-        settings.bounds.check(&offer, &settings.layout, joints)?;
-        if !settings.base_frame.is_empty() && settings.base_frame != offer.frame_id {
-            return Err(Refusal::Frame {
-                expected: settings.base_frame.clone(),
-                actual: offer.frame_id,
-            });
-        }
-        if let Some(actual) = offer.epoch {
-            let newest = self.epoch.map_or(actual, |newest| newest.max(actual));
-            self.epoch = Some(newest);
-            if actual < newest {
-                return Err(Refusal::Epoch { newest, actual });
-            }
-        }
-        if settings.begin == Begin::Reception {
-            offer.begin_ns = now.stamp_ns;
-        }
-        self.expect_timely(&offer, received, now)?;
-        self.expect_free(now.at)?;
-        match self.vetoes.judge(&offer) {
-            Verdict::Veto(veto) => Err(veto.into()),
-            Verdict::Pass => {
-                self.schedule.push(offer, received)?;
-                Ok(Taken::Accepted)
-            }
-            Verdict::Unassessed => {
-                let since = now.at;
-                self.waiting.push_back(Waiting {
-                    offer,
-                    received,
-                    since,
-                });
-                if self.waiting.len() > MOST_WAITING {
-                    self.waiting.pop_front();
-                    self.note(&Refusal::Crowded {
-                        waiting: MOST_WAITING,
-                    });
-                }
-                Ok(Taken::Waiting)
-            }
-        }
-    }
-
-    fn expect_timely(&self, offer: &Offer, received: Instant, now: Now) -> Result<(), Refusal> {
-        let seconds = |ns: i64| ns as f64 / 1e9;
-        let mut age = now.at.saturating_duration_since(received);
-        if self.settings.begin == Begin::Reception {
-            // It would never be late: only its stamp tells that it waited somewhere else.
-            let since_ns = now.stamp_ns.saturating_sub(offer.stamp_ns);
-            age = age.max(Duration::from_nanos(u64::try_from(since_ns).unwrap_or(0)));
-        }
-        if age > self.settings.max_age {
-            return Err(Refusal::Stale {
-                age_s: age.as_secs_f64(),
-                most_s: self.settings.max_age.as_secs_f64(),
-            });
-        }
-        if offer.end_ns() <= now.stamp_ns {
-            return Err(Refusal::Late {
-                ago_s: seconds(now.stamp_ns.saturating_sub(offer.end_ns())),
-            });
-        }
-        let ahead_s = seconds(offer.stamp_ns.saturating_sub(now.stamp_ns));
-        let most_s = self.settings.max_lead.as_secs_f64();
-        if ahead_s > most_s {
-            return Err(Refusal::Early { ahead_s, most_s });
-        }
-        match self.schedule.newest_ns() {
-            Some(newest_ns) if offer.made_ns < newest_ns => Err(Refusal::Older {
-                before_s: seconds(newest_ns.saturating_sub(offer.made_ns)),
-            }),
-            _ => Ok(()),
-        }
-    }
-
-    /// Whether all is there that a motion needs.
-    fn expect_free(&self, now: Instant) -> Result<(), Hold> {
-        if let Some(deadman) = &self.settings.deadman {
-            deadman.check(now)?;
-        }
-        if let Some(workspace) = &self.settings.workspace {
-            workspace.check(now)?;
-        }
-        if let Some(joints) = &self.settings.joints {
-            joints.check(now)?;
-            // What is only tried out moves nothing.
-            if self.phase != Phase::DryRun {
-                joints.check_following()?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Takes the chunks that a policy chooses from: an assessment refers to them.
-    pub fn candidates(&mut self, candidates: &ActionCandidates) {
-        self.vetoes.candidates(candidates);
-    }
-
-    /// Takes what the model predicts of a policy's candidates: those that waited for it go on, and one that is executed
-    /// may be vetoed. Gives the offers that it speaks against.
-    pub fn assessment(&mut self, assessment: &Assessment, now: Now) -> Vec<Refusal> {
-        self.vetoes.assessment(assessment);
-        let stamp_ns = assessment.candidates_stamp.to_nanos();
-        let mut refused = Vec::new();
-        let waiting = std::mem::take(&mut self.waiting);
-        for waiting in waiting {
-            if waiting.offer.stamp_ns != stamp_ns {
-                self.waiting.push_back(waiting);
-            } else if let Err(refusal) = self.consider(waiting.offer, waiting.received, now) {
-                self.note(&refusal);
-                refused.push(refusal);
-            }
-        }
-        let vetoes = &self.vetoes;
-        let (of_current, of_next) = self.schedule.veto(|offer| match vetoes.judge(offer) {
-            Verdict::Veto(veto) if offer.stamp_ns == stamp_ns => Some(veto),
-            _ => None,
-        });
-        if of_current.is_some() {
-            self.counts.interrupted += 1;
-            self.cause = Some(Cause::Vetoed);
-        }
-        // A length fits.
-        self.counts.refused += of_next.len() as u64;
-        for veto in of_current.into_iter().chain(of_next) {
-            self.counts.vetoed += 1;
-            let refusal = Refusal::Vetoed(veto);
-            self.refusal = Some(refusal.to_string());
-            refused.push(refusal);
-        }
-        refused
-    }
-
-    /// Takes what the last prediction was worth.
-    pub fn prediction_error(&mut self, error: &PredictionError) {
-        self.vetoes.prediction_error(error);
-    }
-
     /// Takes where the end effector is; it came at `at`.
     ///
     /// # Errors
-    /// [`PoseError`]: it is left out.
+    /// [`PoseError`]: it is dropped.
     pub fn pose(&mut self, pose: &PoseStamped, at: Instant) -> Result<(), PoseError> {
+        let Header { stamp, frame_id } = &pose.header;
+        stamp_of("ee_pose", *stamp)?;
         let expected = &self.settings.base_frame;
-        if !expected.is_empty() && *expected != pose.header.frame_id {
+        if !expected.is_empty() && expected != frame_id {
             return Err(PoseError::Frame {
                 expected: expected.clone(),
-                actual: pose.header.frame_id.clone(),
+                actual: frame_id.clone(),
             });
         }
-        let position = pose.pose.position;
-        match &mut self.settings.workspace {
-            Some(workspace) => workspace.measure([position.x, position.y, position.z], at),
-            None => Ok(()),
+        let pose = pose::of_pose(&pose.pose)?;
+        if let Some(workspace) = &mut self.settings.workspace {
+            workspace.measure(pose.translation.vector.into(), at);
         }
+        Ok(())
     }
 
     /// Takes where the joints are; it came at `at`.
     ///
     /// # Errors
-    /// [`JointError`]: it is left out.
+    /// [`JointError`]: it is dropped.
     pub fn joints(&mut self, joints: &JointState, at: Instant) -> Result<(), JointError> {
         match &mut self.settings.joints {
             Some(known) => known.measure(joints, at),
@@ -475,9 +214,30 @@ impl ExecutorStep {
         }
     }
 
-    /// Takes what the emergency stop's topic says.
+    /// Takes what the encoder reports about the camera; it came at `received`.
+    ///
+    /// # Errors
+    /// [`Refusal::Stamp`]: it is dropped.
+    pub fn camera(&mut self, state: &CameraState, received: Moment) -> Result<(), Refusal> {
+        self.settings.camera.report(state, received)
+    }
+
+    /// Takes who is connected to the topic of the emergency stop. An armed arm stops if one of them is gone, or if one
+    /// could not stop it.
+    pub fn stop_sources(&mut self, sources: StopSources) {
+        if let Some(cause) = self.settings.emergency.connect(sources) {
+            self.disarm(cause);
+        }
+    }
+
+    /// A source that is late, once.
+    pub fn take_late_notice(&mut self) -> Option<LateNotice> {
+        self.lateness.take_notice()
+    }
+
+    /// Takes the newest message of the emergency stop's topic.
     pub fn emergency(&mut self, is_pressed: bool) {
-        self.is_pressed = is_pressed;
+        self.settings.emergency.press(is_pressed);
         if is_pressed {
             self.stop("the topic emergency_stop says true");
         }
@@ -509,14 +269,14 @@ impl ExecutorStep {
         }
     }
 
-    /// Ends an emergency stop, and forgets all that is known of offers and predictions. The node is not armed.
+    /// Ends an emergency stop, and forgets all that is known of offers and predictions, and an encoder that has ended. The
+    /// node is not armed.
     ///
     /// # Errors
     /// [`ArmError::Pressed`]: the emergency stop's topic still says true.
     pub fn reset(&mut self) -> Result<(), ArmError> {
-        if self.is_pressed {
-            return Err(ArmError::Pressed);
-        }
+        self.settings.emergency.expect_released()?;
+        self.settings.camera.reset();
         self.epoch = None;
         self.vetoes.clear();
         match self.phase {
@@ -543,6 +303,7 @@ impl ExecutorStep {
             Phase::Disarming(_) => return Err(ArmError::Stopping),
             Phase::DryRun => {}
         }
+        self.settings.emergency.expect_connected()?;
         self.forget();
         self.velocity = self.still();
         if let Some(joints) = &mut self.settings.joints {
@@ -570,6 +331,8 @@ impl ExecutorStep {
         self.counts.refused += self.waiting.len() as u64;
         self.waiting.clear();
         self.refusal = None;
+        (self.over_ns, self.ease) = (None, None);
+        self.lateness.reset();
     }
 
     fn note(&mut self, refusal: &Refusal) {

@@ -5,7 +5,7 @@ use std::{collections::VecDeque, time::Duration};
 use thiserror::Error;
 use wm_msgs::wm_msgs::{ActionCandidates, Assessment, CandidateAssessment, PredictionError};
 
-use super::{Offer, Source};
+use super::{Offer, Source, offer::values};
 
 /// Candidates and assessments that are kept: those of the last images.
 const KEPT: usize = 8;
@@ -127,23 +127,15 @@ impl Vetoes {
         &self.settings
     }
 
-    pub fn candidates(&mut self, candidates: &ActionCandidates) {
+    pub fn candidates(&mut self, stamp_ns: i64, candidates: &ActionCandidates) {
         let chunks = candidates.chunks.iter();
-        let actions = chunks.map(|chunk| Offer::of_chunk(chunk).actions).collect();
-        keep(
-            &mut self.candidates,
-            KEPT,
-            (candidates.header.stamp.to_nanos(), actions),
-        );
+        let actions = chunks.map(|chunk| values(&chunk.actions)).collect();
+        keep(&mut self.candidates, KEPT, (stamp_ns, actions));
     }
 
-    pub fn assessment(&mut self, assessment: &Assessment) {
+    pub fn assessment(&mut self, stamp_ns: i64, assessment: &Assessment) {
         let figures = assessment.candidates.iter().map(Figures::of).collect();
-        keep(
-            &mut self.assessments,
-            KEPT,
-            (assessment.candidates_stamp.to_nanos(), figures),
-        );
+        keep(&mut self.assessments, KEPT, (stamp_ns, figures));
     }
 
     /// An error that is no number says nothing, and is left out.
@@ -298,16 +290,18 @@ mod tests {
 
     fn vetoes(settings: VetoSettings, candidates: Vec<CandidateAssessment>) -> Vetoes {
         let mut vetoes = Vetoes::new(settings);
-        vetoes.assessment(&Assessment {
-            candidates_stamp: Time::from_nanos(5),
-            candidates,
-            ..Assessment::default()
-        });
+        vetoes.assessment(
+            5,
+            &Assessment {
+                candidates,
+                ..Assessment::default()
+            },
+        );
         vetoes
     }
 
     fn offer() -> Offer {
-        Offer::of_chunk(&chunk(0.01))
+        Offer::of_chunk(&chunk(0.01)).unwrap()
     }
 
     #[test]
@@ -347,14 +341,13 @@ mod tests {
         let figures = vec![assessed(&[0.5], 0.1), assessed(&[0.5], 0.9)];
         let mut vetoes = vetoes(SETTINGS, figures);
         assert!(matches!(vetoes.judge(&offer()), Verdict::Veto(_)));
-        let mut candidates = ActionCandidates {
+        let candidates = ActionCandidates {
             chunks: vec![chunk(-0.01), chunk(0.01)],
             ..ActionCandidates::default()
         };
-        candidates.header.stamp = Time::from_nanos(5);
-        vetoes.candidates(&candidates);
+        vetoes.candidates(5, &candidates);
         assert_eq!(vetoes.judge(&offer()), Verdict::Pass);
-        let other = Offer::of_chunk(&chunk(-0.01));
+        let other = Offer::of_chunk(&chunk(-0.01)).unwrap();
         assert!(matches!(vetoes.judge(&other), Verdict::Veto(_)));
     }
 

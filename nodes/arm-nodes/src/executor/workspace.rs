@@ -4,18 +4,21 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use super::Hold;
+use super::{Hold, Refusal};
 
 /// Three numbers along the axes of the robot's base.
 type Axes = [f64; 3];
 
-/// Why a measured pose is left out.
+/// Why a measured pose is dropped.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum PoseError {
-    /// Not numbers.
-    #[error("ee_pose is {0:?}, not finite numbers")]
-    NotFinite([f64; 3]),
+    /// Numbers that are no pose.
+    #[error("ee_pose: {0}")]
+    Numbers(#[from] wm_frames::pose::PoseError),
+    /// A malformed stamp.
+    #[error(transparent)]
+    Stamp(#[from] Refusal),
     /// A position in another frame.
     #[error("the frame of ee_pose is {actual:?}; expected base_frame, {expected:?}")]
     Frame {
@@ -29,7 +32,10 @@ pub enum PoseError {
 impl PoseError {
     /// One word for the drop counters.
     pub fn reason(&self) -> &'static str {
-        "pose"
+        match self {
+            Self::Stamp(_) => "bad_stamp",
+            Self::Numbers(_) | Self::Frame { .. } => "pose",
+        }
     }
 }
 
@@ -61,16 +67,9 @@ impl Workspace {
         (self.least, self.most)
     }
 
-    /// Where the end effector is \[m\], and when that came.
-    ///
-    /// # Errors
-    /// [`PoseError::NotFinite`]; what came before still counts, for as long as it may.
-    pub fn measure(&mut self, position: [f64; 3], at: Instant) -> Result<(), PoseError> {
-        if !position.iter().all(|value| value.is_finite()) {
-            return Err(PoseError::NotFinite(position));
-        }
+    /// Where the end effector is, finite numbers \[m\], and when that came.
+    pub fn measure(&mut self, position: [f64; 3], at: Instant) {
         self.measured = Some((position, at));
-        Ok(())
     }
 
     /// Where the end effector is, and for how long that has been known.
@@ -129,7 +128,7 @@ mod tests {
         let mut workspace = Workspace::new([0.0; 3], [1.0; 3], second, second);
         assert_eq!(workspace.cut([1.0; 3], now), Err(Hold::NoPose));
         // Inside near the upper side, at a side, and outside.
-        workspace.measure([0.9, 0.0, 1.5], now).unwrap();
+        workspace.measure([0.9, 0.0, 1.5], now);
         let (left, is_cut) = workspace.cut([0.5, -0.5, 0.5], now).unwrap();
         assert!((left[0] - 0.1).abs() < 1e-12, "{left:?}");
         assert_eq!((left[1], left[2]), (0.0, 0.0));
@@ -141,14 +140,5 @@ mod tests {
         assert!((left[0] - 0.05).abs() < 1e-12, "{left:?}");
         let held = workspace.cut([0.5; 3], now + 2 * second);
         assert_eq!(held, Err(Hold::PoseSilent { timeout_s: 1.0 }));
-    }
-
-    #[test]
-    fn a_position_that_is_no_number_is_refused() {
-        let second = Duration::from_secs(1);
-        let mut workspace = Workspace::new([0.0; 3], [1.0; 3], second, second);
-        let refused = workspace.measure([0.0, f64::NAN, 0.0], Instant::now());
-        assert!(matches!(refused, Err(PoseError::NotFinite(_))));
-        assert_eq!(workspace.check(Instant::now()), Err(Hold::NoPose));
     }
 }

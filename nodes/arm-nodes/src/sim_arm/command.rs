@@ -4,7 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 use wm_msgs::{
     geometry_msgs::TwistStamped,
-    std_msgs::{Float64, Float64MultiArray},
+    std_msgs::{Float64, Float64MultiArray, Header},
     wm_msgs::Action,
 };
 
@@ -20,6 +20,9 @@ pub enum CommandError {
         /// What came.
         values: String,
     },
+    /// A malformed stamp.
+    #[error("the nanosec of its stamp is {0}; expected less than 1000000000")]
+    Stamp(u32),
     /// Too many values, or too few.
     #[error("it has {actual} values; expected {expected}")]
     Length {
@@ -43,6 +46,7 @@ impl CommandError {
     pub fn reason(&self) -> &'static str {
         match self {
             Self::NotFinite { .. } => "not_finite",
+            Self::Stamp(_) => "bad_stamp",
             Self::Length { .. } => "wrong_length",
             Self::Frame { .. } => "wrong_frame",
         }
@@ -111,7 +115,7 @@ pub(super) enum Motion {
 }
 
 pub(super) fn of_twist(twist: &TwistStamped, base_frame: &str) -> Result<Velocity, CommandError> {
-    check_frame(&twist.header.frame_id, base_frame)?;
+    check_header(&twist.header, base_frame)?;
     let (linear, angular) = (twist.twist.linear, twist.twist.angular);
     velocity([
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
@@ -131,7 +135,7 @@ pub(super) fn of_action(
     action: &Action,
     base_frame: &str,
 ) -> Result<(Displacement, f64), CommandError> {
-    check_frame(&action.header.frame_id, base_frame)?;
+    check_header(&action.header, base_frame)?;
     let values = <[f32; 7]>::try_from(action.values.as_slice());
     let values = values.map_err(|_| CommandError::Length {
         actual: action.values.len(),
@@ -171,7 +175,11 @@ fn check_finite(values: &[f64]) -> Result<(), CommandError> {
 }
 
 /// A client may leave the frame open, as teleoperation does.
-fn check_frame(frame_id: &str, base_frame: &str) -> Result<(), CommandError> {
+fn check_header(header: &Header, base_frame: &str) -> Result<(), CommandError> {
+    let Header { stamp, frame_id } = header;
+    if stamp.checked_nanos().is_err() {
+        return Err(CommandError::Stamp(stamp.nanosec));
+    }
     if frame_id.is_empty() || base_frame.is_empty() || frame_id == base_frame {
         return Ok(());
     }

@@ -55,8 +55,10 @@ wm_ros::parameters! {
         front_camera: bool = false;
         /// Image transport of the cameras and of the goal.
         pub(super) image_transport: Transports = "both";
-        /// Standard deviation of the cameras' noise [grey level].
-        noise: f64 = 0.0, in 0.0..=255.0;
+        /// Standard deviation of the cameras' noise [grey level], the same for each seed. A real sensor has about 1. At 0, the
+        /// picture of an arm that stands still repeats exactly, which the encoder takes for a camera that has stopped
+        /// (frozen_after).
+        noise: f64 = 1.0, in 0.0..=255.0;
         /// Time from a picture's stamp to its publication [s].
         latency: Duration = 0.0, in 0.0..=5.0;
         /// Share of the pictures that are lost.

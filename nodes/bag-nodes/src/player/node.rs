@@ -14,13 +14,13 @@ use crate::{ending::Ending, keyboard::Keyboard};
 use anyhow::Result;
 use command::Command;
 use control::Asked;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
 use tracing::{error, info, warn};
-use wm_bag::{BagMessage, BagReader};
+use wm_bag::{BagMessage, BagReader, BagWarning};
 use wm_msgs::{
     builtin_interfaces::Time, rosgraph_msgs::Clock, sensor_msgs::CompressedImage,
     wm_msgs::ActionChunk,
@@ -130,7 +130,7 @@ fn open(node: &Node, settings: &Settings) -> Result<(BagReader, Playlist)> {
 struct Player {
     node: Node,
     settings: Settings,
-    reader: BagReader,
+    reader: Arc<BagReader>,
     playlist: Playlist,
     clock: Option<Publisher<Clock>>,
     chunks: Option<Publisher<ActionChunk>>,
@@ -144,6 +144,8 @@ struct Player {
     /// The next message; none where the source has yet to be asked for it, or has none.
     next: Option<Ahead>,
     is_read_to_the_end: bool,
+    /// Whether nothing has been read since the last jump.
+    is_at_a_jump: bool,
     /// The first is being published.
     asked: VecDeque<Asked>,
     published: u64,
@@ -167,6 +169,7 @@ impl Player {
             Some(_) => Some(node.publisher(GOAL.0, GOAL.1)?),
             None => None,
         };
+        let reader = Arc::new(reader);
         let plan = settings.plan(&reader);
         let source = open_source(&reader, &playlist, &settings, plan.start_ns);
         Ok(Self {
@@ -182,6 +185,7 @@ impl Player {
             source,
             next: None,
             is_read_to_the_end: false,
+            is_at_a_jump: true,
             asked: VecDeque::new(),
             settings,
             reader,
@@ -254,6 +258,15 @@ impl Player {
                 }
                 Step::Publish => {
                     self.publish_next()?;
+                    continue;
+                }
+                Step::Jump { from_ns, to_ns } => {
+                    let seconds = (to_ns - from_ns) as f64 / 1e9;
+                    warn!(
+                        "skipped a gap of {seconds:.1} s without messages, from {:.3} to {:.3}",
+                        from_ns as f64 / 1e9,
+                        to_ns as f64 / 1e9
+                    );
                     continue;
                 }
                 Step::Rewind(bag_ns) => {
@@ -341,9 +354,14 @@ impl Player {
         self.source = open_source(&self.reader, &self.playlist, &self.settings, bag_ns);
         self.next = None;
         self.is_read_to_the_end = false;
+        self.is_at_a_jump = true;
     }
 
     fn take(&mut self, next: Option<Ahead>) {
+        // What holds at a time may take a while to be found, which delays no message after the first.
+        if std::mem::take(&mut self.is_at_a_jump) {
+            self.playback.begin_late(self.epoch.elapsed());
+        }
         match next {
             None => self.is_read_to_the_end = true,
             Some(next) => match &next.message {
@@ -501,7 +519,8 @@ impl Player {
 
     /// Says what was lost, topic by topic.
     fn report(&self) -> Ending {
-        let mut is_lost = self.unreadable > 0 || self.reader.truncated();
+        let is_incomplete = self.reader.warnings().iter().any(BagWarning::is_loss);
+        let mut is_lost = self.unreadable > 0 || is_incomplete;
         for (topic, messages) in &self.left_out {
             warn!(
                 "{topic}: {messages} message(s) dropped: they are not in a format that can be sent"
@@ -553,15 +572,25 @@ async fn sleep_until(moment: Option<Instant>) {
     std::thread::sleep(moment.saturating_duration_since(Instant::now()));
 }
 
+/// Reads from this log time on. What holds then comes first: late subscribers want it, and those who follow a jump.
 fn open_source(
-    reader: &BagReader,
+    reader: &Arc<BagReader>,
     playlist: &Playlist,
     settings: &Settings,
     from_ns: u64,
 ) -> Source {
-    let messages = reader.messages().only_topics(playlist.tracks.keys());
-    Source::open(
-        messages.starting_at(from_ns),
-        settings.parameters.read_ahead,
-    )
+    let topics: HashSet<Arc<str>> = playlist.tracks.keys().cloned().collect();
+    let messages = reader.messages().only_topics(&topics).starting_at(from_ns);
+    let reader = Arc::clone(reader);
+    let latched = std::iter::once_with(move || {
+        if from_ns <= reader.start_ns() {
+            return (Vec::new(), Vec::new());
+        }
+        reader.latched_before(from_ns, |topic| topics.contains(&topic.name))
+    });
+    let latched = latched.flat_map(|(messages, unreadable)| {
+        let unreadable = unreadable.into_iter().map(Err);
+        unreadable.chain(messages.into_iter().map(Ok))
+    });
+    Source::open(latched.chain(messages), settings.parameters.read_ahead)
 }

@@ -23,6 +23,8 @@ pub struct Plan {
     pub delay: Duration,
     /// The least time between what was played and what follows a jump in the bag.
     pub gap: Duration,
+    /// Longer gaps between messages of the bag are jumped over; `None`: none is.
+    pub max_gap: Option<Duration>,
 }
 
 /// What to do next.
@@ -34,6 +36,13 @@ pub enum Step {
     Begin(u64),
     /// Publish the next message.
     Publish,
+    /// A gap between two log times was jumped over.
+    Jump {
+        /// The message before, or where it began.
+        from_ns: u64,
+        /// The message after.
+        to_ns: u64,
+    },
     /// Read from this log time on. It begins again there after a while.
     Rewind(u64),
     /// The playback is over, unless it is asked to begin again.
@@ -67,6 +76,8 @@ pub struct Playback {
     burst: u64,
     /// The latest time told on `/clock` since the last jump.
     told_ns: u64,
+    /// Log time of the latest message since the last jump, or where it went.
+    reached_ns: u64,
 }
 
 impl Playback {
@@ -85,6 +96,7 @@ impl Playback {
             anchor,
             burst: 0,
             told_ns: 0,
+            reached_ns: plan.start_ns,
         }
     }
 
@@ -104,11 +116,20 @@ impl Playback {
                 self.burst -= 1;
                 // one that was due before the pause is published late: the time does not go back to it
                 self.hold(now, next_ns.max(self.anchor.bag_ns));
-                Step::Publish
+                self.publish(next_ns)
             }
             Some(_) if self.is_paused => Step::Wait(None),
+            Some(next_ns) if self.is_after_gap(next_ns) => {
+                let from_ns = self.reached_ns;
+                self.hold(now + self.plan.gap, next_ns);
+                self.reached_ns = next_ns;
+                Step::Jump {
+                    from_ns,
+                    to_ns: next_ns,
+                }
+            }
             Some(next_ns) => match self.due(next_ns) {
-                due if due <= now => Step::Publish,
+                due if due <= now => self.publish(next_ns),
                 due => Step::Wait(Some(due)),
             },
             None if self.is_paused => {
@@ -117,7 +138,7 @@ impl Playback {
             }
             None if self.plan.is_looping && self.plan.last_ns > self.plan.start_ns => {
                 // a round takes as long as the bag, so that one of few messages does not spin
-                let end = self.due(self.plan.last_ns);
+                let end = self.due(self.round_end_ns());
                 if now < end {
                     return Step::Wait(Some(end));
                 }
@@ -130,6 +151,26 @@ impl Playback {
                 Step::Ended
             }
         }
+    }
+
+    fn publish(&mut self, next_ns: u64) -> Step {
+        self.reached_ns = self.reached_ns.max(next_ns);
+        Step::Publish
+    }
+
+    /// Whether the next message is further away than the longest gap that is waited for.
+    fn is_after_gap(&self, next_ns: u64) -> bool {
+        let gap = Duration::from_nanos(next_ns.saturating_sub(self.reached_ns));
+        self.plan.max_gap.is_some_and(|most| gap > most)
+    }
+
+    /// The bag's end, or, if the last message is further away, the longest gap after it.
+    fn round_end_ns(&self) -> u64 {
+        let most = self.plan.max_gap.map(|most| {
+            let most_ns = u64::try_from(most.as_nanos()).unwrap_or(u64::MAX);
+            self.reached_ns.saturating_add(most_ns)
+        });
+        self.plan.last_ns.min(most.unwrap_or(u64::MAX))
     }
 
     /// The bag's time now.
@@ -236,6 +277,13 @@ impl Playback {
         true
     }
 
+    /// The first message after a jump is there: if that took a while, the bag's time goes on from this moment.
+    pub fn begin_late(&mut self, now: Duration) {
+        if self.is_playing() && !self.is_paused {
+            self.anchor.at = self.anchor.at.max(now);
+        }
+    }
+
     /// Publishes the next `messages` although it is paused; false where it is not, or is over.
     pub fn burst(&mut self, messages: u64) -> bool {
         let can = self.is_paused && !self.is_ended();
@@ -291,6 +339,7 @@ impl Playback {
         self.phase = Phase::Waiting;
         self.burst = 0;
         self.told_ns = 0;
+        self.reached_ns = bag_ns;
     }
 }
 

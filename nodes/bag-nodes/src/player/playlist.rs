@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, bail};
 use std::collections::HashMap;
 use std::sync::Arc;
 use tracing::warn;
-use wm_bag::{BagReader, QosProfile, TopicInfo};
+use wm_bag::{BagReader, QosProfile, TopicInfo, kept_messages};
 use wm_camera::goal::{camera_topic, last_frame};
 use wm_msgs::{
     Message as _,
@@ -63,20 +63,34 @@ impl Playlist {
                     topic.type_name
                 );
             }
-            let qos = match settings.qos_overrides.get(topic.name.as_ref()) {
+            let mut qos = match settings.qos_overrides.get(topic.name.as_ref()) {
                 Some(qos) => *qos,
                 None => topic
                     .qos()
                     .map_or(Qos::reliable(10), |profile| offered(&profile)),
             };
+            if qos.durability == Durability::TransientLocal {
+                // Several nodes publish static frames, and one player all of them.
+                let held = usize::try_from(topic.message_count).unwrap_or(usize::MAX);
+                qos.depth = qos.depth.max(held.min(kept_messages(&topic.name)));
+            }
             // Services' events and actions' feedback are recorded too, with types that are no message of a package.
             if !topic.type_name.contains("/msg/") {
                 warn!("{}: {} is not played", topic.name, topic.type_name);
                 continue;
             }
-            let publisher = node
-                .raw_publisher(&topic.name, &topic.type_name, qos)
-                .with_context(|| format!("topic {} of the bag", topic.name))?;
+            let publisher = match node.raw_publisher(&topic.name, &topic.type_name, qos) {
+                Ok(publisher) => publisher,
+                // A bag may have names that ROS does not allow.
+                Err(wm_ros::Error::Name { kind, reason, .. }) => {
+                    let name = &topic.name;
+                    warn!("{name} is not played: not a valid {kind} name: {reason}");
+                    continue;
+                }
+                Err(error) => {
+                    return Err(error).with_context(|| format!("topic {} of the bag", topic.name));
+                }
+            };
             let track = Track {
                 publisher,
                 stamped: stamped.filter(|_| settings.parameters.is_restamping),

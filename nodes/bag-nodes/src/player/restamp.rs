@@ -51,10 +51,13 @@ impl Stamped {
     /// Where messages of this type and definition have them; `None`: nowhere.
     #[must_use]
     pub fn of(type_name: &str, schema: &Schema) -> Option<Self> {
+        // Of another definition, nothing is known of where its headers are.
         if type_name == TFMessage::ros_name() {
-            Some(Self::Frames)
+            schema.has_fields_of::<TFMessage>().then_some(Self::Frames)
         } else if type_name == MarkerArray::ros_name() {
-            Some(Self::Markers)
+            schema
+                .has_fields_of::<MarkerArray>()
+                .then_some(Self::Markers)
         } else {
             begins_with_header(schema).then_some(Self::Header)
         }

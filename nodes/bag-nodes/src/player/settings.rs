@@ -45,6 +45,8 @@ wm_ros::parameters! {
         pub delay: Duration = 0.0, in 0.0..=LONGEST_S;
         /// Start this long after the beginning of the bag [s].
         pub start_offset: Duration = 0.0, in 0.0..=LONGEST_S;
+        /// Skip gaps between messages that are longer than this [s in the bag]; 0: wait for every message.
+        pub max_gap: Duration = 10.0, in 0.0..=LONGEST_S;
         /// Duration to play [s]; negative: to the end of the bag.
         playback_duration: f64 = -1.0, in -1e9..=1e9;
         /// Log time of the last message to play [ns since 1970]; negative: the last of the bag. If a duration is also
@@ -150,9 +152,7 @@ impl Settings {
     /// What is played of this bag.
     #[must_use]
     pub fn plan(&self, reader: &BagReader) -> Plan {
-        let start_ns = reader
-            .start_ns()
-            .saturating_add(nanoseconds(self.parameters.start_offset));
+        let start_ns = start_ns(reader, self.parameters.start_offset);
         let duration = Duration::try_from_secs_f64(self.parameters.playback_duration).ok();
         let until_ns = u64::try_from(self.parameters.playback_until_nsec).ok();
         Plan {
@@ -160,6 +160,7 @@ impl Settings {
             last_ns: last_ns(reader, start_ns, duration, until_ns),
             is_looping: self.parameters.is_looping,
             delay: self.parameters.delay,
+            max_gap: Some(self.parameters.max_gap).filter(|most| !most.is_zero()),
             gap: if self.parameters.is_restamping {
                 GAP
             } else {
@@ -196,6 +197,14 @@ impl Settings {
     }
 }
 
+/// Log time at which a playback begins: with the bag, or so long after the beginning of the recording itself.
+pub(super) fn start_ns(reader: &BagReader, offset: Duration) -> u64 {
+    match offset {
+        Duration::ZERO => reader.start_ns(),
+        offset => reader.time_at(offset),
+    }
+}
+
 /// Log time of the last message of a playback from `start_ns` on: as rosbag2 has it, the later of the two ends.
 pub(super) fn last_ns(
     reader: &BagReader,
@@ -203,7 +212,9 @@ pub(super) fn last_ns(
     duration: Option<Duration>,
     until_ns: Option<u64>,
 ) -> u64 {
-    let after = duration.map(|duration| start_ns.saturating_add(nanoseconds(duration)));
+    // A message without a time may be far from the recording, from which durations count.
+    let origin_ns = start_ns.max(reader.time_at(Duration::ZERO));
+    let after = duration.map(|duration| origin_ns.saturating_add(nanoseconds(duration)));
     let end_ns = after.max(until_ns).unwrap_or(u64::MAX);
     end_ns.min(reader.end_ns())
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
-use wm_bag::{BagError, BagMessage, Messages};
+use wm_bag::{BagError, BagMessage};
 
 /// Bytes that are read ahead at most, however many messages may be; a larger message is read ahead alone.
 const AHEAD_BYTES: u32 = 256 << 20;
@@ -26,7 +26,10 @@ pub(super) struct Source {
 
 impl Source {
     /// Begins to read, at most `queue_size` messages ahead. To be called inside a tokio runtime.
-    pub fn open(messages: Messages, queue_size: usize) -> Self {
+    pub fn open(
+        messages: impl Iterator<Item = Result<BagMessage, BagError>> + Send + 'static,
+        queue_size: usize,
+    ) -> Self {
         let (sender, receiver) = mpsc::channel(queue_size);
         let budget = Arc::new(Semaphore::new(AHEAD_BYTES as usize));
         let (shares, runtime) = (Arc::clone(&budget), Handle::current());

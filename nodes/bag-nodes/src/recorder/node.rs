@@ -279,23 +279,25 @@ fn subscribe(
         }
         Err(error) => return Err(error.into()),
     };
-    let schema = definitions::definition(&topic.type_name, prefixes).unwrap_or_else(|| {
-        news.undefined(
+    let candidates = definitions::candidates(&topic.type_name, prefixes);
+    match candidates
+        .first()
+        .map(|schema| schema.type_hash(&topic.type_name))
+    {
+        None => news.undefined(
             &topic.type_name,
             "is not on AMENT_PREFIX_PATH: it is recorded without its definition",
-        );
-        definitions::unknown()
-    });
-    if let Err(error) = schema.type_hash(&topic.type_name) {
-        news.undefined(
+        ),
+        Some(Err(error)) => news.undefined(
             &topic.type_name,
             &format!("is recorded without its hash: {error}"),
-        );
+        ),
+        Some(Ok(_)) => {}
     }
     queue.offer(Entry::Topic {
         name: Arc::clone(name),
         type_name: topic.type_name.clone(),
-        schema,
+        candidates,
         qos: profile(topic.publishers.first()),
     })?;
     Ok(Ok(subscription))

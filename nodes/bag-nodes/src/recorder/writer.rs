@@ -1,8 +1,9 @@
 //! The bag's thread: messages from a bounded queue into a [`BagWriter`].
 
+use super::definitions::Definitions;
 use anyhow::{Context as _, Result, anyhow, bail};
 use bytes::Bytes;
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::path::Path;
 use std::sync::{
     Arc, Mutex, PoisonError,
@@ -12,8 +13,9 @@ use std::sync::{
 use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::oneshot;
-use tracing::warn;
-use wm_bag::{BagError, BagSummary, BagWriter, QosProfile, Schema, WriterOptions};
+use wm_bag::{
+    BagSummary, BagWriter, Durability, Latched, QosProfile, Schema, WriterOptions, known_qos,
+};
 
 /// Bytes of messages that may wait for the disk, unless told otherwise: forty raw 1080p pictures.
 pub(super) const CACHE_BYTES: usize = 256 << 20;
@@ -30,7 +32,8 @@ pub(super) enum Entry {
     Topic {
         name: Arc<str>,
         type_name: String,
-        schema: Schema,
+        /// The definitions that may be its publisher's.
+        candidates: Vec<Schema>,
         qos: QosProfile,
     },
     /// A message of it.
@@ -59,6 +62,43 @@ pub(super) struct Recording {
 struct Held {
     messages: VecDeque<Entry>,
     bytes: usize,
+    latched_topics: HashSet<Arc<str>>,
+    /// Latched messages that hold, and no longer wait.
+    latched: Latched<Bytes>,
+}
+
+impl Held {
+    /// Keeps a message that waits no longer, if it holds until it is replaced.
+    fn keep(&mut self, entry: &Entry) {
+        if let Entry::Message { topic, data, .. } = entry
+            && self.latched_topics.contains(topic)
+        {
+            self.latched.keep(topic, data, data.clone());
+        }
+    }
+
+    /// The messages that wait, after those that hold already when the first of them came.
+    fn take(&mut self) -> Vec<Entry> {
+        let first_ns = self.messages.front().and_then(|entry| match entry {
+            Entry::Message { log_time_ns, .. } => Some(*log_time_ns),
+            _ => None,
+        });
+        let Some(log_time_ns) = first_ns else {
+            return Vec::new();
+        };
+        let latched = self.latched.iter().map(|(topic, data)| Entry::Message {
+            topic: Arc::clone(topic),
+            log_time_ns,
+            data: data.clone(),
+        });
+        let mut taken: Vec<Entry> = latched.collect();
+        for entry in std::mem::take(&mut self.messages) {
+            self.keep(&entry);
+            taken.push(entry);
+        }
+        self.bytes = 0;
+        taken
+    }
 }
 
 /// The way to the bag's thread.
@@ -92,8 +132,15 @@ impl Queue {
                 && let Some(oldest) = held.messages.pop_front()
             {
                 held.bytes -= oldest.bytes();
+                held.keep(&oldest);
             }
             return Ok(true);
+        }
+        if let (Entry::Topic { name, qos, .. }, Some(held)) = (&entry, &self.held)
+            && (qos.durability == Durability::TransientLocal || known_qos(name).is_some())
+        {
+            let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
+            held.latched_topics.insert(Arc::clone(name));
         }
         let waiting = self.waiting.fetch_add(bytes, Ordering::Relaxed);
         if bytes > 0 && waiting > 0 && waiting.saturating_add(bytes) > self.limit {
@@ -116,9 +163,10 @@ impl Queue {
         if self.waiting.load(Ordering::Relaxed) > 0 {
             return Ok(false);
         }
-        let taken = std::mem::take(&mut *held.lock().unwrap_or_else(PoisonError::into_inner));
-        self.waiting.fetch_add(taken.bytes, Ordering::Relaxed);
-        for entry in taken.messages {
+        let taken = held.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let bytes = taken.iter().map(Entry::bytes).sum();
+        self.waiting.fetch_add(bytes, Ordering::Relaxed);
+        for entry in taken {
             self.queue.send(entry).map_err(|_| self.failure())?;
         }
         Ok(true)
@@ -225,7 +273,7 @@ fn write(
     entries: &mpsc::Receiver<Entry>,
     waiting: &AtomicUsize,
 ) -> Result<BagSummary> {
-    let mut types = std::collections::HashMap::new();
+    let mut definitions = Definitions::default();
     loop {
         // a chunk closes by the time of its messages; when none comes, it closes here
         let entry = match entries.recv_timeout(CHUNK_TIME) {
@@ -235,6 +283,7 @@ fn write(
                 continue;
             }
             Err(mpsc::RecvTimeoutError::Disconnected) => {
+                definitions.add_silent(&mut writer)?;
                 return writer.finish().context("closing the bag");
             }
         };
@@ -243,32 +292,14 @@ fn write(
             Entry::Topic {
                 name,
                 type_name,
-                schema,
+                candidates,
                 qos,
-            } => {
-                match writer.add_topic_raw(&name, &type_name, &schema, &qos.to_yaml()) {
-                    Ok(()) => {
-                        types.insert(name, (type_name, schema));
-                    }
-                    // Its messages are counted as lost.
-                    Err(
-                        error @ (BagError::TopicName(_)
-                        | BagError::TypeName(_)
-                        | BagError::TypeConflict { .. }),
-                    ) => warn!("a topic is not recorded: {error}"),
-                    Err(error) => return Err(error.into()),
-                }
-            }
+            } => definitions.announce(name, type_name, candidates, qos),
             Entry::Message {
                 topic,
                 log_time_ns,
                 data,
-            } => match types.get(&topic) {
-                Some((type_name, schema)) => {
-                    writer.write_raw(&topic, type_name, schema, log_time_ns, &data)?;
-                }
-                None => writer.count_lost(&topic, 1),
-            },
+            } => definitions.write(&mut writer, &topic, log_time_ns, &data)?,
             Entry::Lost { topic, messages } => writer.count_lost(&topic, messages),
             Entry::Split => writer.split()?,
         }
@@ -294,7 +325,7 @@ mod tests {
         let entry = Entry::Topic {
             name: topic.clone(),
             type_name,
-            schema,
+            candidates: vec![schema],
             qos: QosProfile::latched(),
         };
         assert!(queue.offer(entry).unwrap());
@@ -374,7 +405,7 @@ mod tests {
         let entry = Entry::Topic {
             name: topic.clone(),
             type_name: "std_msgs/msg/String".to_owned(),
-            schema: type_schema::<std_msgs::String>(),
+            candidates: vec![type_schema::<std_msgs::String>()],
             qos: QosProfile::reliable(),
         };
         queue.offer(entry).unwrap();
@@ -409,5 +440,74 @@ mod tests {
         let times: Vec<u64> = reader.messages().map(|m| m.unwrap().log_time_ns).collect();
         // six of 10 KiB fit into 64 KiB; the one after the last snapshot was not asked for
         assert_eq!(times, [95, 96, 97, 98, 99, 100, 101, 102]);
+    }
+
+    #[test]
+    fn a_snapshot_begins_with_what_holds() {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("bag");
+        let recording =
+            Recording::create(&bag, WriterOptions::default(), 64 << 10, true, 0).unwrap();
+        let queue = recording.queue().unwrap();
+        for (name, qos) in [
+            ("/tf_static", QosProfile::latched()),
+            ("/task/instruction", QosProfile::reliable()),
+            ("/note", QosProfile::reliable()),
+        ] {
+            let entry = Entry::Topic {
+                name: name.into(),
+                type_name: "std_msgs/msg/String".to_owned(),
+                candidates: vec![type_schema::<std_msgs::String>()],
+                qos,
+            };
+            queue.offer(entry).unwrap();
+        }
+        let offer = |topic: &str, text: &str, log_time_ns: u64| {
+            let text = std_msgs::String {
+                data: text.to_owned(),
+            };
+            let data = wm_msgs::cdr::to_bytes(&text).unwrap().into();
+            let topic = topic.into();
+            let message = Entry::Message {
+                topic,
+                log_time_ns,
+                data,
+            };
+            assert!(queue.offer(message).unwrap());
+        };
+        offer("/tf_static", "base", 1);
+        offer("/tf_static", "camera", 2);
+        offer("/task/instruction", "push", 3);
+        let long = "x".repeat(10 << 10);
+        (4..=40).for_each(|time| offer("/note", &long, time));
+        assert!(queue.take_snapshot().unwrap());
+        while queue.waiting.load(Ordering::Relaxed) > 0 {
+            std::thread::yield_now();
+        }
+        offer("/task/instruction", "pull", 50);
+        offer("/note", "last", 60);
+        assert!(queue.take_snapshot().unwrap());
+        drop(queue);
+        recording.finish().unwrap();
+        let reader = BagReader::open(&bag).unwrap();
+        let latched: Vec<(u64, String)> = reader
+            .messages()
+            .map(Result::unwrap)
+            .filter(|message| &*message.topic != "/note")
+            .map(|m| (m.log_time_ns, m.decode::<std_msgs::String>().unwrap().data))
+            .collect();
+        let row = |time: u64, text: &str| (time, text.to_owned());
+        assert_eq!(
+            latched,
+            [
+                row(35, "push"),
+                row(35, "base"),
+                row(35, "camera"),
+                row(50, "push"),
+                row(50, "base"),
+                row(50, "camera"),
+                row(50, "pull"),
+            ]
+        );
     }
 }

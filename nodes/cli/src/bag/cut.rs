@@ -18,8 +18,9 @@ use wm_progress::Progress;
 #[derive(Args, Debug)]
 #[command(
     after_help = "Messages, times, sequence numbers, schemas and QoS are not changed. For each latched (transient_local) topic,\n\
-    the last message before the start is kept too, because it is still valid. Its log time becomes the start, so\n\
-    that it is played first; its publish time is kept.\n\n\
+    the last message before the start is kept too, because it is still valid (all that differ on /tf_static). Its\n\
+    log time becomes the start, so that it is played first; its publish time is kept. Offsets count from the\n\
+    recording itself: messages without a time, more than a day from most others, do not move them.\n\n\
     STAMP is as in `wm bag info`: seconds since the epoch (1700000000.25) or a date (2023-11-14T22:13:20.25Z).\n\n\
     Examples:\n  \
     wm bag cut run part --start-offset 12.5 --duration 30\n  \
@@ -29,7 +30,7 @@ use wm_progress::Progress;
     Exit codes: 0 done, 3 the bag is damaged and only its readable part was kept, 1 failed."
 )]
 pub struct CutCommand {
-    /// Folder of the bag, or a single .mcap file
+    /// Folder of the bag, or one of its files
     #[arg(value_name = "IN")]
     input: PathBuf,
     /// Folder for the new bag

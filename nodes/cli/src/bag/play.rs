@@ -19,6 +19,8 @@ use wm_ros::{NodeArgs, ParameterSpec};
     up and down change the rate by 0.1.\n\n\
     Services (rosbag2_interfaces): ~/pause ~/resume ~/toggle_paused ~/is_paused ~/get_rate ~/set_rate ~/play_next\n\
     ~/burst ~/seek ~/play ~/stop. The node is /wm/player.\n\n\
+    With --start-offset, and after ~/seek, the latched messages that hold at that time are published first. A gap\n\
+    without messages that is longer than --max-gap is skipped, and reported.\n\n\
     Examples:\n  \
     wm bag play run --clock --rate 0.5 --start-offset 10 --playback-duration 5\n  \
     wm bag play run -e '^/camera/' -x '/compressedDepth$' -m /camera/image_raw:=/front\n  \
@@ -26,7 +28,7 @@ use wm_ros::{NodeArgs, ParameterSpec};
     Exit codes: 0 everything was played, 3 something was lost or unreadable, 1 failed."
 )]
 pub struct PlayCommand {
-    /// Folder of the bag, or a single .mcap file
+    /// Folder of the bag, or one of its files
     bag: PathBuf,
     #[command(flatten)]
     flags: ParameterFlags<Player>,

@@ -94,7 +94,8 @@ fn table(summary: &Summary) -> Result<String> {
     )?;
     writeln!(
         text,
-        "pictures {height}x{width}{views}; latents {rows}x{columns}x{channels}, {} KiB in f16",
+        "pictures {height}x{width}{views}, fit {}; latents {rows}x{columns}x{channels}, {} KiB in f16",
+        summary.fit,
         rows * columns * channels * 2 / 1024
     )?;
     if let Some(stepping) = &summary.stepping {

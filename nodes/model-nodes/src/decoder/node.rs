@@ -6,8 +6,9 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use wm_camera::camera_info::{resized, topic_beside};
-use wm_msgs::{sensor_msgs::CameraInfo, wm_msgs::Prediction};
+use wm_camera::camera_info::topic_beside;
+use wm_model::Fit;
+use wm_msgs::{sensor_msgs::CameraInfo, std_msgs::String as Text, wm_msgs::Prediction};
 use wm_ros::{
     Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos, Subscription,
     complaints::Complaints,
@@ -16,6 +17,7 @@ use wm_zoo::PlacedModel;
 
 use super::{
     DecoderError, DecoderStep,
+    camera_view::CameraView,
     held::Held,
     jpeg_message, raw_message,
     rollouts::{Choice, Rollouts},
@@ -83,14 +85,18 @@ wm_ros::endpoints! {
             let images = node.resolve("/camera/image_raw")?;
             node.subscription(&topic_beside(&images), qos)
         });
-        /// The same for pictures of the size of the predicted ones, with each of them; none where none was heard.
+        /// The same for pictures of the size of the predicted ones, with each of them. Not published if camera_info does
+        /// not fit the camera's pictures.
         infos: Publisher<CameraInfo> = "predicted/camera_info", qos(Qos::reliable(WAITING));
+        /// How a camera picture becomes one of the predicted pictures' size and aspect: stretch, crop or pad.
+        fit: Publisher<Text> = "predicted/fit", qos(Qos::latched(1));
     }
 }
 
 /// What the node loads.
 struct Model {
     name: String,
+    fit: Fit,
     /// `None` where the model has no decoder.
     step: Option<Arc<Mutex<DecoderStep>>>,
     /// How long a picture took when one was tried out.
@@ -178,6 +184,7 @@ impl ModelNode for Decoder {
         }
         let model = Model {
             name: folder.name(),
+            fit: folder.fit()?,
             step: step.map(|step| Arc::new(Mutex::new(step))),
             estimate,
             pool,
@@ -218,7 +225,9 @@ impl ModelNode for Decoder {
             pictures,
             camera_infos,
             infos,
+            fit: announced,
         } = &mut at.endpoints;
+        let fit = at.model.fit;
         let Some(decoding) = &mut self.decoding else {
             // after the lifecycle has said that the node runs
             at.node
@@ -227,8 +236,11 @@ impl ModelNode for Decoder {
             while predictions.recv_shared().await.is_some() {}
             return Ok(());
         };
+        announced.publish(&Text {
+            data: fit.name().to_owned(),
+        })?;
         let latency = at.node.diagnostics().latency("decode");
-        let mut camera: Option<CameraInfo> = None;
+        let mut camera = CameraView::default();
         loop {
             let due = decoding.held.due();
             tokio::select! {
@@ -237,8 +249,7 @@ impl ModelNode for Decoder {
                     let (decoded, taken) = finished.context("the decoder's thread")?;
                     match decoded {
                         Ok((decoded, size)) => {
-                            let info = camera.as_ref().and_then(|camera| info_of(camera, &decoded, size));
-                            if let Some(info) = info {
+                            if let Some(info) = camera.of(&decoded, size, fit) {
                                 infos.publish(&info)?;
                             }
                             pictures.publish(&decoded)?;
@@ -260,24 +271,12 @@ impl ModelNode for Decoder {
                         decoding.release();
                     }
                 }
-                Some(received) = camera_infos.recv() => camera = Some(received.message),
+                Some(received) = camera_infos.recv() => camera.take_info(&at.node, received.message)?,
+                Some(frame) = camera.frame() => camera.take_frame(&frame),
                 () = until(due) => decoding.release(),
             }
         }
     }
-}
-
-/// How `camera` sees the predicted pictures, which have this size; none where they are another camera's.
-fn info_of(camera: &CameraInfo, pictures: &Pictures, size: (u32, u32)) -> Option<CameraInfo> {
-    let header = match pictures {
-        Pictures { raw: Some(raw), .. } => &raw.header,
-        Pictures { compressed, .. } => &compressed.as_ref()?.header,
-    };
-    let info = resized(camera, size)?;
-    (header.frame_id == camera.header.frame_id).then(|| CameraInfo {
-        header: header.clone(),
-        ..info
-    })
 }
 
 /// Never, where nothing is due.
@@ -357,42 +356,4 @@ fn pictures_of(horizon: u32, steps: &[i64]) -> u32 {
     let within = |step: &&i64| (1..=i64::from(horizon)).contains(*step);
     // At most the horizon.
     steps.iter().filter(within).count() as u32
-}
-
-#[cfg(test)]
-mod tests {
-    use wm_msgs::{sensor_msgs::Image, std_msgs::Header};
-
-    use super::*;
-
-    #[test]
-    fn how_a_camera_sees_is_told_of_its_own_pictures_alone() {
-        let header = |frame_id: &str, sec| {
-            let mut header = Header {
-                frame_id: frame_id.to_owned(),
-                ..Header::default()
-            };
-            header.stamp.sec = sec;
-            header
-        };
-        let camera = CameraInfo {
-            header: header("camera", 1),
-            width: 256,
-            height: 256,
-            k: [455.0, 0.0, 127.5, 0.0, 455.0, 127.5, 0.0, 0.0, 1.0],
-            ..CameraInfo::default()
-        };
-        let pictures = |frame_id| Pictures {
-            raw: Some(Image {
-                header: header(frame_id, 3),
-                ..Image::default()
-            }),
-            compressed: None,
-        };
-        let info = info_of(&camera, &pictures("camera"), (128, 128)).unwrap();
-        assert_eq!(info.header, header("camera", 3), "that of the picture");
-        assert_eq!((info.width, info.k[0], info.k[2]), (128, 227.5, 63.5));
-        assert_eq!(info_of(&camera, &pictures("other"), (128, 128)), None);
-        assert_eq!(info_of(&camera, &Pictures::default(), (128, 128)), None);
-    }
 }

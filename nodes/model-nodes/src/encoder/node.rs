@@ -6,23 +6,33 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
+use image::RgbImage;
 use tokio::sync::watch;
-use wm_msgs::wm_msgs::Latent;
+use wm_model::PictureSize;
+use wm_motion::actions::ActionSpace;
+use wm_msgs::{
+    builtin_interfaces::{Duration as Span, Time},
+    std_msgs::Header,
+    wm_msgs::{Action, CameraState, Latent},
+};
 use wm_ros::{
-    Clock, Diagnostics, Input, Node, NodeDefinition, Publisher, Qos, complaints::Complaints,
-    frame_trace,
+    Clock, Diagnostics, Input, Level, Node, NodeDefinition, Publisher, Qos, Subscription,
+    complaints::Complaints, frame_trace,
 };
 use wm_zoo::PlacedModel;
 
 use super::{
-    Choice, EncoderError, EncoderStep, Fate, Mode, Needs,
+    Choice, EncoderError, EncoderStep, Fate, Mismatch, Mode, Needs, Repetition, Sight, Stillness,
+    looks::{Arrived, Looked, Looks},
+    other_transports,
+    picture_size::{PictureSizes, SizeChange},
     repeats::{Arrival, Repeats},
 };
 use crate::{
     cadence::{OPEN, PACE, SKIPPED, hertz, measured, rough},
     camera::{Admission, Camera, Source, WrongCamera},
     harness::{self, Configured, ModelNode},
-    history::{Reception, epoch_after, seconds},
+    history::{Reception, epoch_after, seconds, stamp_of_frame},
     pool::Pool,
     work::Work,
 };
@@ -37,6 +47,8 @@ pub const NODE: NodeDefinition<anyhow::Error> = harness::definition::<Encoder>()
 
 /// A camera that is silent for longer may be replaced by another: as long as it takes to start a driver again.
 const SILENCE: Duration = Duration::from_secs(1);
+/// A camera that is silent for longer after the start is looked for by other transports.
+const MISSING: Duration = Duration::from_secs(5);
 /// What raises the rate.
 const FASTER: &str = "for more: a smaller encoder, or a faster processor";
 /// Advice for a missing camera.
@@ -64,6 +76,10 @@ wm_ros::parameters! {
         frame_period: f64 = 0.2, in 1e-3..=60.0;
         /// Number of observed frames that predictions start from, one model step apart, as on the predictor.
         context_frames: usize = 2, in 1..=64;
+        /// A camera counts as frozen if its picture repeats exactly for longer than this, or does not change for longer
+        /// than this after the arm has moved [s]. Then the planner publishes no plan. 0: never, for simulators that render
+        /// without noise.
+        frozen_after: Duration = 1.0, in 0.0..=3600.0;
     }
 }
 
@@ -72,12 +88,27 @@ wm_ros::endpoints! {
     struct Endpoints {
         /// The camera's frames.
         images: ImageSubscription = "/camera/image_raw", qos(Qos::sensor_data());
+        /// Actions that the robot takes: if the arm moves, the picture of a live camera changes.
+        actions: Subscription<Action> = "action";
         /// The latents of the frames, stamped with the frames' capture time.
         latents: Publisher<Latent> = "latent", qos(LATENT_QOS);
+        /// Whether the camera has stopped, and at which rate it takes pictures. One message for each frame.
+        states: Publisher<CameraState> = "camera_state", qos(Qos::reliable(10));
     }
 }
 
-/// An encoded frame or why there is none, whether it came raw, how long it took, and when it came.
+/// A picture to encode.
+struct Job {
+    picture: RgbImage,
+    header: Header,
+    is_raw: bool,
+    received: Instant,
+    epoch: u64,
+    change: f32,
+    is_frozen: bool,
+}
+
+/// An encoded frame or the reason of a failure, whether it came raw, how long it took, and when it came.
 type Encoded = (Result<Latent, EncoderError>, bool, Duration, Instant);
 
 /// What the node loads.
@@ -86,10 +117,13 @@ struct Model {
     /// How long a frame took when it was tried out.
     estimate: Option<Duration>,
     needs: Needs,
+    actions: ActionSpace,
+    sizes: PictureSizes,
 }
 
 struct Encoder {
-    work: Work<(CameraFrame, Instant, u64), Encoded>,
+    looks: Looks,
+    work: Work<Job, Encoded>,
     /// Which frames are encoded.
     choice: Choice,
     needs: Needs,
@@ -97,9 +131,18 @@ struct Encoder {
     jumps: watch::Receiver<u64>,
     /// The epoch of the frames.
     epoch: u64,
+    /// The epoch that began with the last jump of the clock or change of the camera: frames from before it stay in theirs.
+    begun: u64,
+    sizes: PictureSizes,
     /// The camera that it follows, once a frame has arrived.
     camera: Option<Camera>,
     repeats: Repeats,
+    repetition: Repetition,
+    stillness: Stillness,
+    /// Whether the camera has stopped.
+    is_frozen: bool,
+    /// Whether the log has warned of repeated frames.
+    is_repeating: bool,
     complaints: Complaints,
     diagnostics: Diagnostics,
 }
@@ -114,23 +157,29 @@ impl ModelNode for Encoder {
     fn load(folder: PlacedModel, parameters: &Parameters) -> Result<Self::Model> {
         let step = EncoderStep::new(folder.encoder()?, parameters.dtype);
         tracing::info!("encoding to latent space {}", step.space());
+        let encoding = folder.action_encoding()?;
         let needs = Needs {
             // The range keeps it positive and within a minute.
             frame_period: Duration::from_secs_f64(parameters.frame_period),
             // Without a transition model nothing is predicted.
-            frame_skip: folder.frame_skip()?.unwrap_or(1),
+            frame_skip: encoding
+                .as_ref()
+                .map_or(1, |encoding| encoding.frame_skip()),
             context_frames: parameters.context_frames,
         };
         let estimate = measured(|| step.try_out())
-            .inspect_err(|error| tracing::warn!("encoding was tried out, and failed: {error}"))
+            .inspect_err(|error| tracing::warn!("trial encoding failed: {error}"))
             .ok();
         if let Some(taken) = estimate {
             say(&Choice::new(needs, estimate), taken, &needs);
         }
+        let sizes = PictureSizes::new(step.framing(), folder.trained_on()?);
         Ok(Model {
+            sizes,
             step: Arc::new(Mutex::new(step)),
             estimate,
             needs,
+            actions: encoding.map_or_else(ActionSpace::bridge, |encoding| encoding.space().clone()),
         })
     }
 
@@ -139,53 +188,83 @@ impl ModelNode for Encoder {
             step,
             estimate,
             needs,
+            actions,
+            sizes,
         } = &at.model;
         let step = Arc::clone(step);
         let choice = Choice::new(*needs, *estimate);
-        let work = Work::new(
-            choice.room(),
-            move |(frame, received, epoch): (CameraFrame, Instant, u64), _| {
-                let step = step.lock().unwrap_or_else(PoisonError::into_inner);
-                let started = Instant::now();
-                frame_trace::passed("encoding begun", frame.header().stamp);
-                let is_raw = matches!(frame, CameraFrame::Raw(_));
-                let latent = step.encode(&frame).map(|latent| Latent { epoch, ..latent });
-                (latent, is_raw, started.elapsed(), received)
-            },
-        )
+        let work = Work::new(choice.room(), move |job: Job, _| {
+            let step = step.lock().unwrap_or_else(PoisonError::into_inner);
+            let started = Instant::now();
+            frame_trace::passed("encoding begun", job.header.stamp);
+            let latent = step.encode_picture(&job.picture, &job.header);
+            let latent = latent.map(|latent| Latent {
+                epoch: job.epoch,
+                change: job.change,
+                frozen: job.is_frozen,
+                ..latent
+            });
+            (latent, job.is_raw, started.elapsed(), job.received)
+        })
         .on(&Pool::foreground(Self::NAME)?);
         let diagnostics = at.node.diagnostics();
         diagnostics.set_value(PACE, choice.mode().in_words(needs));
         let images = at.endpoints.images.topics();
         diagnostics.expect_input(Input::new("camera images", images, NO_CAMERA));
         let clock = at.node.clock();
+        let epoch = epoch_after(0, clock.now());
         Ok(Self {
+            looks: Looks::new(),
             work,
             choice,
             needs: *needs,
             jumps: clock.jumps(),
-            epoch: epoch_after(0, clock.now()),
+            epoch,
+            begun: epoch,
+            sizes: sizes.clone(),
             clock,
             camera: None,
             repeats: Repeats::default(),
+            repetition: Repetition::default(),
+            stillness: Stillness::new(at.parameters.frozen_after, actions.clone()),
+            is_frozen: false,
+            is_repeating: false,
             complaints: Complaints::new(diagnostics.clone()),
             diagnostics,
         })
     }
 
     async fn run(&mut self, at: &mut Configured<Self>) -> Result<()> {
-        let Endpoints { images, latents } = &mut at.endpoints;
+        let Endpoints {
+            images,
+            actions,
+            latents,
+            states,
+        } = &mut at.endpoints;
+        let mut missing = std::pin::pin!(tokio::time::sleep(MISSING));
+        let mut is_looked_for = false;
         loop {
             tokio::select! {
                 biased;
                 finished = self.work.finished() => self.encoded(finished.context("the encoder's thread")?, latents)?,
-                Ok(()) = self.jumps.changed() => {
-                    self.epoch = epoch_after(self.epoch, self.clock.now());
-                    self.choice.restart();
+                () = &mut missing, if !is_looked_for => {
+                    is_looked_for = true;
+                    if self.camera.is_none() {
+                        other_transports::warn(&at.node);
+                    }
+                }
+                looked = self.looks.work.finished() => self.looked(looked.context("the decoder's thread")?, states)?,
+                Ok(()) = self.jumps.changed() => self.restart(),
+                received = actions.recv() => {
+                    let Some(received) = received else { return Ok(()) };
+                    let Action { header, values } = received.message;
+                    if let Ok(stamp_ns) = header.stamp.checked_nanos() {
+                        self.stillness.action(stamp_ns, values);
+                    }
                 }
                 received = images.recv() => {
                     let Some(received) = received else { return Ok(()) };
-                    let reception = Reception::from(&received);
+                    let reception = Reception::of(&received, &self.clock);
                     self.frame(received.message, &reception);
                 }
             }
@@ -210,13 +289,50 @@ impl Encoder {
                 whole.record(received.elapsed());
                 self.took(taken);
             }
-            Err(error) => {
-                // the next frames may be good by the other transport
-                self.repeats.distrust(is_raw);
-                self.complaints.left_out("bad_image", &error);
-            }
+            Err(error) => self.unusable(is_raw, &error),
         }
         Ok(())
+    }
+
+    /// Counts a frame that cannot be used. The next ones may be good by the other transport.
+    fn unusable(&mut self, is_raw: bool, error: &EncoderError) {
+        self.repeats.distrust(is_raw);
+        self.complaints.left_out("bad_image", error);
+    }
+
+    /// Compares the size of a picture with the one before and with the training's.
+    fn size(&mut self, size: PictureSize) {
+        let change = self.sizes.take(size);
+        let mismatch = self.sizes.mismatch();
+        if let Some(mismatch) = mismatch.filter(Mismatch::is_serious) {
+            let text = format!("{mismatch}; {}", mismatch.fix());
+            self.diagnostics.raise("camera pictures", Level::Warn, text);
+        }
+        let Some(change) = change else {
+            return;
+        };
+        self.diagnostics
+            .set_value("camera picture", self.sizes.in_words());
+        match change {
+            SizeChange::First => {}
+            SizeChange::Size { from } => {
+                tracing::info!("the camera's pictures changed from {from} to {size} pixels");
+            }
+            // Frames of another part of the scene are no past of these.
+            SizeChange::Aspect { from } => {
+                self.epoch = epoch_after(self.epoch, self.clock.now());
+                tracing::warn!(
+                    "the camera's pictures changed from {from} to {size} pixels, another aspect: a new epoch begins"
+                );
+            }
+        }
+        match mismatch {
+            Some(mismatch) if mismatch.is_serious() => {
+                tracing::warn!("{mismatch}; {}", mismatch.fix());
+            }
+            Some(mismatch) => tracing::info!("{mismatch}"),
+            None => {}
+        }
     }
 
     fn frame(&mut self, frame: CameraFrame, reception: &Reception) {
@@ -225,6 +341,10 @@ impl Encoder {
             return;
         }
         let (stamp, is_raw) = (frame.header().stamp, matches!(frame, CameraFrame::Raw(_)));
+        if let Err(error) = stamp_of_frame(stamp, reception) {
+            self.complaints.left_out(error.reason(), &error);
+            return;
+        }
         match self.repeats.arrive(stamp, is_raw) {
             Arrival::New => {
                 frame_trace::passed_at("image received", stamp, reception.at);
@@ -239,25 +359,145 @@ impl Encoder {
         }
     }
 
-    /// Encodes a frame, or leaves it out, by choice or since encoding is behind.
+    /// Chooses whether a frame is encoded, and looks at it in any case.
     fn choose(&mut self, frame: CameraFrame, reception: &Reception) {
         let stamp = frame.header().stamp;
-        let waiting = self.work.waiting();
-        let late = match self.choice.arrived(stamp.to_nanos(), reception.at, waiting) {
-            Fate::Skip => return self.diagnostics.count_skipped(SKIPPED, 1),
-            Fate::Late => Some(stamp),
-            Fate::Encode => {
-                let job = (frame, Instant::now(), self.epoch);
-                let late = self.work.submit(job);
-                late.map(|(late, ..)| late.header().stamp)
+        let stamp_ns = stamp.to_nanos();
+        let repeat = self.repetition.frame(stamp_ns, frame.fingerprint());
+        // The model steps by the pictures that the camera takes, not by their copies.
+        let fate = match repeat.is_surplus() {
+            true => Fate::Skip,
+            false => {
+                let waiting = self.work.waiting();
+                self.choice.arrived(stamp_ns, reception.at, waiting)
             }
         };
-        if let Some(late) = late {
-            self.complaints.left_out("overload", &format_args!(
-                "the frame of {} is dropped, because encoding is slower than before or than the camera",
-                seconds(late),
-            ));
+        match fate {
+            Fate::Encode => {}
+            Fate::Skip => self.diagnostics.count_skipped(SKIPPED, 1),
+            Fate::Late => self.late(stamp),
         }
+        let lost = self
+            .looks
+            .submit(frame, reception.at, self.epoch, (fate, repeat));
+        if let Some(Arrived { frame, fate, .. }) = lost
+            && fate == Fate::Encode
+        {
+            self.late(frame.header().stamp);
+        }
+    }
+
+    fn late(&mut self, stamp: Time) {
+        self.complaints.left_out(
+            "overload",
+            &format_args!(
+                "the frame of {} is dropped, because encoding is slower than before or than the camera",
+                seconds(stamp),
+            ),
+        );
+    }
+
+    /// Publishes what a frame shows about its camera, and has it encoded if it was chosen.
+    fn looked(&mut self, looked: Looked, states: &Publisher<CameraState>) -> Result<()> {
+        let Looked {
+            mut header,
+            is_raw,
+            at,
+            epoch,
+            fate,
+            repeat,
+            picture,
+        } = looked;
+        let (picture, grid) = match picture {
+            None => (None, None),
+            Some(Ok((picture, grid))) => (Some(picture), Some(grid)),
+            Some(Err(error)) => {
+                self.unusable(is_raw, &error.into());
+                return Ok(());
+            }
+        };
+        if let Some(picture) = &picture {
+            self.size(PictureSize::of(picture));
+        }
+        if let Some(camera) = &self.camera
+            && header.frame_id.is_empty()
+        {
+            header.frame_id = camera.frame_id().to_string();
+        }
+        let sight = self
+            .stillness
+            .frame(header.stamp.to_nanos(), &repeat, grid.as_ref());
+        self.report(&sight);
+        let is_frozen = sight.frozen.is_some();
+        if self.is_frozen && !is_frozen {
+            // The frames of the stop are no pictures of their time: no context may begin with one.
+            tracing::info!("the camera's picture changes again");
+            self.epoch = epoch_after(self.epoch, self.clock.now());
+        }
+        self.is_frozen = is_frozen;
+        let change = sight.change.unwrap_or(CameraState::NOT_MEASURED);
+        states.publish(&CameraState {
+            header: header.clone(),
+            change,
+            unchanged: Span::from_nanos(sight.unchanged_ns),
+            // Rates of a camera.
+            rate: sight.rate.unwrap_or_default() as f32,
+            distinct_rate: sight.distinct_rate.unwrap_or_default() as f32,
+            frozen: is_frozen,
+            reason: sight
+                .frozen
+                .map_or_else(String::new, |frozen| frozen.to_string()),
+        })?;
+        let Some(picture) = picture.filter(|_| fate == Fate::Encode) else {
+            return Ok(());
+        };
+        let late = self.work.submit(Job {
+            picture,
+            header,
+            is_raw,
+            received: at,
+            epoch: if epoch < self.begun {
+                epoch
+            } else {
+                self.epoch
+            },
+            change,
+            is_frozen,
+        });
+        if let Some(late) = late {
+            self.late(late.header.stamp);
+        }
+        Ok(())
+    }
+
+    /// Says on `/diagnostics` and in the log what is wrong with the camera.
+    fn report(&mut self, sight: &Sight) {
+        if let Some(frozen) = &sight.frozen {
+            if !self.is_frozen {
+                tracing::error!("{frozen}");
+            }
+            self.diagnostics
+                .raise("camera", Level::Error, frozen.to_string());
+        }
+        let rates = sight.rate.zip(sight.distinct_rate);
+        let Some((rate, distinct)) = rates else {
+            return;
+        };
+        self.diagnostics
+            .set_value("camera rate [Hz]", format!("{rate:.1}"));
+        self.diagnostics
+            .set_value("camera rate of new pictures [Hz]", format!("{distinct:.1}"));
+        if sight.is_repeating {
+            let text = format!(
+                "the camera publishes {rate:.0} frames a second, but only {distinct:.0} of them differ from the one before: \
+                 its rate is {distinct:.1} Hz; set the driver's rate, or a shorter exposure"
+            );
+            if !self.is_repeating {
+                tracing::warn!("{text}");
+            }
+            self.diagnostics.raise("camera rate", Level::Warn, text);
+        }
+        self.is_repeating = sight.is_repeating;
     }
 
     /// Takes note of how long a frame took, and says if that changes which frames are encoded.
@@ -285,11 +525,19 @@ impl Encoder {
         };
         if camera.admit(frame_id, source, reception, SILENCE)? == Admission::TakenOver {
             tracing::info!("following another camera now: \"{frame_id}\"");
-            self.epoch = epoch_after(self.epoch, self.clock.now());
             self.repeats = Repeats::default();
-            self.choice.restart();
+            self.restart();
         }
         Ok(())
+    }
+
+    /// The next frame is of another time or another camera.
+    fn restart(&mut self) {
+        self.epoch = epoch_after(self.epoch, self.clock.now());
+        self.begun = self.epoch;
+        self.choice.restart();
+        self.repetition.restart();
+        self.stillness.restart();
     }
 }
 

@@ -3,8 +3,8 @@
 use candle_core::Tensor;
 use image::RgbImage;
 use thiserror::Error;
-use wm_model::{Encoder, image::preprocess};
-use wm_msgs::wm_msgs::Latent;
+use wm_model::{Encoder, Framing};
+use wm_msgs::{std_msgs::Header, wm_msgs::Latent};
 
 use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
 use wm_ros::frame_trace;
@@ -59,10 +59,19 @@ impl EncoderStep {
     /// # Errors
     /// [`EncoderError`] says whether the image, the model or the latent is at fault.
     pub fn encode(&self, frame: &CameraFrame) -> Result<Latent, EncoderError> {
-        let header = frame.header();
-        let rgb = frame.decode()?;
-        frame_trace::passed("picture decoded", header.stamp);
-        let pixels = self.pixels(&rgb)?;
+        self.encode_picture(&frame.decode()?, frame.header())
+    }
+
+    /// The latent message of a picture.
+    ///
+    /// # Errors
+    /// As [`Self::encode`].
+    pub fn encode_picture(
+        &self,
+        picture: &RgbImage,
+        header: &Header,
+    ) -> Result<Latent, EncoderError> {
+        let pixels = self.pixels(picture)?;
         frame_trace::passed("picture resized", header.stamp);
         let values = self.values(&pixels)?;
         frame_trace::passed("latent computed", header.stamp);
@@ -84,7 +93,7 @@ impl EncoderStep {
         if width.min(height) < LEAST_SIDE {
             return Err(EncoderError::Small { width, height });
         }
-        Ok(preprocess(rgb, self.encoder.input_size())?)
+        Ok(self.encoder.prepare(rgb)?)
     }
 
     fn values(&self, pixels: &Tensor) -> Result<Vec<f32>, EncoderError> {
@@ -101,6 +110,11 @@ impl EncoderStep {
         let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
         let grey = RgbImage::from_pixel(side(width), side(height), image::Rgb([128; 3]));
         self.encode_values(&grey).map(|_| ())
+    }
+
+    /// How it takes pictures.
+    pub fn framing(&self) -> Framing {
+        self.encoder.framing()
     }
 
     /// The space of its latents.

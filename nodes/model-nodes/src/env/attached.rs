@@ -13,7 +13,7 @@ use wm_motion::{
     motion::{Chunk, Motion, MotionSettings},
 };
 
-use crate::history::{ChunkMerging, HistoryError, Timing};
+use crate::history::{ChunkMerging, HistoryError, Timing, period_of, stamp_of_other};
 
 /// Where an episode stands that is played through topics: what the policy has said so far of the moments to come.
 #[derive(Clone, Debug)]
@@ -57,7 +57,7 @@ impl Attached {
     /// # Errors
     /// [`HistoryError`] says what is wrong with it.
     pub fn action(&mut self, action: &Action) -> Result<bool, HistoryError> {
-        let stamp_ns = action.header.stamp.to_nanos();
+        let stamp_ns = stamp_of_other("action", action.header.stamp)?;
         let is_late = stamp_ns < self.stamp_ns - self.timing.tolerance_ns;
         if is_late || self.is_far_ahead(stamp_ns) {
             return Ok(false);
@@ -73,7 +73,7 @@ impl Attached {
     /// # Errors
     /// [`HistoryError`] says what is wrong with the chunk.
     pub fn chunk(&mut self, chunk: &ActionChunk) -> Result<bool, HistoryError> {
-        let stamp_ns = chunk.header.stamp.to_nanos();
+        let stamp_ns = stamp_of_other("action chunk", chunk.header.stamp)?;
         // What is far ahead must not be the newest, which no later one may precede.
         if self.is_far_ahead(stamp_ns) {
             return Ok(false);
@@ -82,7 +82,7 @@ impl Attached {
         let actions = actions.map(|action| self.parse(action, "action of a chunk"));
         let actions = actions.collect::<Result<_, _>>()?;
         let space = self.encoding.space();
-        let parsed = Chunk::new(space, stamp_ns, chunk.period.to_nanos(), actions);
+        let parsed = Chunk::new(space, stamp_ns, period_of(chunk)?, actions);
         let parsed = parsed.map_err(HistoryError::Chunk)?;
         if let Some(newest_ns) = self.motion.announced_ns()
             && stamp_ns < newest_ns
@@ -219,6 +219,22 @@ mod tests {
         assert_eq!(attached.next(false), None);
         assert_eq!(firsts(attached.next(true)), Some(vec![0.3, 0.3]));
         assert!(!attached.chunk(&chunk).unwrap(), "all of it has passed");
+    }
+
+    #[test]
+    fn a_second_of_nanoseconds_is_malformed() {
+        let mut attached = attached();
+        let mut bad = action(0, 0.1);
+        bad.header.stamp.nanosec = 1_999_999_999;
+        assert_eq!(attached.action(&bad).unwrap_err().reason(), "bad_stamp");
+        let chunk = ActionChunk {
+            header: bad.header,
+            period: Duration::from_nanos(PERIOD),
+            actions: vec![action(0, 0.1)],
+            ..ActionChunk::default()
+        };
+        assert_eq!(attached.chunk(&chunk).unwrap_err().reason(), "bad_stamp");
+        assert_eq!(attached.next(true), None);
     }
 
     #[test]

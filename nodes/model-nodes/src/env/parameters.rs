@@ -35,7 +35,7 @@ wm_ros::parameters! {
         /// Seed of the first episode that is played through topics; each later episode adds 1.
         seed: i64 = 0;
         /// Maximum steps per second of an episode that is played through topics. With a model step of 0.4 s, 2.5 is
-        /// real time.
+        /// real time. Faster, the stamps run ahead of the clock, and encoder and evaluator refuse them.
         rate: f64 = 2.5, in 0.001..=1000.0;
         /// Whether the policy's last action is held if the next one is late. If false, the env waits for it.
         pub hold: bool = false;

@@ -21,7 +21,7 @@ use wm_msgs::{
 
 use super::{EnvError, EnvModel};
 use crate::{
-    history::{ChunkMerging, History, HistorySettings, Reception, Timing, Wait},
+    history::{ChunkMerging, History, HistorySettings, Observation, Reception, Timing, Wait},
     predictor::PredictorError,
 };
 use wm_camera::{
@@ -215,6 +215,7 @@ fn open_bag(
     );
     let reception = Reception {
         stamp: clock,
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId::default(),
     };
@@ -258,8 +259,15 @@ fn open_bag(
         let latent = world.see(&frame.decode()?)?;
         let header = frame.header();
         newest = Some(Arc::clone(&latent));
+        let observation = Observation {
+            header,
+            values: latent,
+            epoch: 0,
+            // The episode is imagined from there: no arm acts on it.
+            is_frozen: false,
+        };
         history
-            .observe(header, latent, 0, reception)
+            .observe(observation, reception)
             .map_err(PredictorError::from)?;
     }
     let mut opening = match (history.moment(), newest) {

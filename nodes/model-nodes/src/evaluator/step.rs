@@ -17,7 +17,10 @@ use wm_zoo::success_probe::Instruction;
 use super::Task;
 use crate::{
     harness::follows,
-    history::{Arrival, History, HistoryError, Moment, Reception, Timing, Wait, seconds},
+    history::{
+        Arrival, FROZEN_CAMERA, History, HistoryError, Moment, Reception, Timing, Wait, seconds,
+        stamp_of_other,
+    },
     planner::Goal,
     predictor::PredictorError,
 };
@@ -51,6 +54,9 @@ pub enum EvaluatorError {
         /// Most that are taken.
         max: usize,
     },
+    /// A message whose stamp is no time.
+    #[error(transparent)]
+    Stamp(#[from] HistoryError),
     /// A chunk that cannot be used.
     #[error("candidate {index}: {source}")]
     Candidate {
@@ -93,8 +99,11 @@ impl EvaluatorError {
                 source: HistoryError::Ahead { .. } | HistoryError::OutOfOrder { .. },
                 ..
             } => "late_candidates",
+            Self::Stamp(error) => error.reason(),
             Self::Count { .. } | Self::Candidate { .. } => "malformed_candidates",
             Self::Past { .. } => "late_candidates",
+            Self::Waiting(Wait::Frozen) => FROZEN_CAMERA,
+            Self::Waiting(Wait::CameraClock(_)) => "camera_clock",
             Self::Waiting(_) => "no_history",
             Self::Predictor(_) | Self::Model(_) => "model",
         }
@@ -239,6 +248,7 @@ impl EvaluatorStep {
         if count == 0 || count > max {
             return Err(EvaluatorError::Count { count, max });
         }
+        stamp_of_other("candidates message", message.header.stamp)?;
         let timing = self.history.timing();
         let observed_ns = self.history.latest().ok_or(Wait::NoFrame)?.stamp_ns;
         let mut horizon = self.settings.horizon;

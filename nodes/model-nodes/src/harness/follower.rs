@@ -276,7 +276,8 @@ impl Follower {
         let now = self.clock.now();
         match event {
             Event::Latent(received) => {
-                match state.latent(&received.message, Reception::from(&received)) {
+                let reception = Reception::of(&received, &self.clock);
+                match state.latent(&received.message, reception) {
                     Ok((arrival, seen)) => {
                         note(complaints, Ok(arrival));
                         return Some(Told::Seen(seen));
@@ -285,16 +286,20 @@ impl Follower {
                 }
             }
             Event::Action(received) => {
-                let taken = state.action(&received.message, received.received);
+                let latest = Reception::of(&received, &self.clock).latest();
+                let taken = state.action(&received.message, latest);
                 note(complaints, taken);
             }
-            Event::Chunk(received) => match state.chunk(&received.message, received.received) {
-                Ok((arrival, due)) => {
-                    note(complaints, Ok(arrival));
-                    return due.map(Told::Due);
+            Event::Chunk(received) => {
+                let latest = Reception::of(&received, &self.clock).latest();
+                match state.chunk(&received.message, latest) {
+                    Ok((arrival, due)) => {
+                        note(complaints, Ok(arrival));
+                        return due.map(Told::Due);
+                    }
+                    Err(error) => note(complaints, Err(error)),
                 }
-                Err(error) => note(complaints, Err(error)),
-            },
+            }
             Event::Jumped => {
                 if state.clock_jumped(now) {
                     tracing::info!("/clock jumped back: starting a new history");

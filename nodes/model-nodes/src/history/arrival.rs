@@ -1,12 +1,14 @@
 //! What an input did to a history.
 
-use super::seconds_of;
+use super::{CameraStep, seconds_of};
 
 /// What an input did to the history.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Arrival {
     /// A new epoch has begun, and what was observed before is forgotten.
     pub flushed: bool,
+    /// The clock of the camera has stepped, and that of the actions has not.
+    pub camera_step: Option<CameraStep>,
     /// It may be of a time that time is about to jump to: it waits for the next frame to say so.
     /// [`History::moment`](super::History::moment) is still that of the frame before.
     pub held_back: bool,

@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 use wm_motion::actions::ActionError;
+use wm_msgs::builtin_interfaces::InvalidNanoseconds;
 use wm_wire::latent_message::LatentError;
 
 use super::seconds_of;
@@ -28,14 +29,27 @@ pub enum HistoryError {
     },
     /// A frame of a time that has not come.
     #[error(
-        "{what} is stamped {ahead_s:.1} s ahead of this node's clock: synchronise the clocks of the machines, or set \
-         use_sim_time on all nodes of a replay"
+        "{what} is stamped {ahead_s:.2} s ahead of this node's clock, at most {most_s:.1} s are accepted: synchronise the \
+         clocks of the machines, or set use_sim_time on all nodes of a replay"
     )]
     Future {
         /// `frame`, `action` or `action chunk`.
         what: &'static str,
         /// How far it is ahead \[s\].
         ahead_s: f64,
+        /// How far it may be ahead \[s\].
+        most_s: f64,
+    },
+    /// An action of the present, for frames of another clock.
+    #[error(
+        "{what} dropped: the camera's stamps are {behind_s:.1} s behind this node's clock, and those of the actions are \
+         not; set the camera's clock, or have its driver stamp by the system's"
+    )]
+    CameraBehind {
+        /// `action` or `action chunk`.
+        what: &'static str,
+        /// How far the newest frame was behind when it arrived \[s\].
+        behind_s: f64,
     },
     /// The same stamp again.
     #[error("the frame of {} arrived twice: ignored", seconds_of(*.stamp_ns))]
@@ -78,6 +92,9 @@ pub enum HistoryError {
     /// A chunk that says nothing about when or what.
     #[error("{0}")]
     Chunk(ActionError),
+    /// The period of a chunk that is no time.
+    #[error("period of an action chunk: {0}")]
+    Period(InvalidNanoseconds),
     /// An action or chunk so far ahead that it answers no frame that has come.
     #[error(
         "{what} begins {} s after the newest frame, that of {}: stamp it with the stamp of the image that it answers",
@@ -104,7 +121,8 @@ impl HistoryError {
             Self::WrongCamera(_) => WrongCamera::REASON,
             Self::OldEpoch { .. } => "old_epoch",
             Self::Ahead { .. } => "untimely_action",
-            Self::Action { .. } | Self::Chunk(_) => "malformed_action",
+            Self::CameraBehind { .. } => "camera_clock",
+            Self::Action { .. } | Self::Chunk(_) | Self::Period(_) => "malformed_action",
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use std::{collections::VecDeque, sync::Arc};
 
+use wm_msgs::std_msgs::Header;
+
 use super::Reception;
 
 /// Frames that the camera's period is measured over.
@@ -16,8 +18,23 @@ pub struct Frame {
     pub frame_id: Arc<str>,
     /// Its normalised latent, row-major, channels last.
     pub values: Arc<[f32]>,
+    /// Whether the camera had stopped: nobody may act on it.
+    pub is_frozen: bool,
     /// When it arrived, and from which publisher.
     pub reception: Reception,
+}
+
+/// A latent of the history's space that has not been taken yet.
+#[derive(Clone, Debug)]
+pub struct Observation<'a> {
+    /// Of the camera's frame.
+    pub header: &'a Header,
+    /// Normalised, row-major, channels last.
+    pub values: Arc<[f32]>,
+    /// The epoch of its publisher.
+    pub epoch: u64,
+    /// Whether the camera has stopped.
+    pub is_frozen: bool,
 }
 
 /// Frames in the order of their stamps, as many as fit a span of time.

@@ -15,7 +15,7 @@ use wm_msgs::{
     wm_msgs::Action,
 };
 
-use super::{Frame, Timing, Wait};
+use super::{CameraStep, Frame, Timing, Wait};
 
 /// What was observed and done up to a frame: all that a prediction, a plan or an assessment starts from.
 #[derive(Clone, Debug)]
@@ -34,6 +34,10 @@ pub struct Moment {
     pub base_frame: Arc<str>,
     /// How stamps make model steps.
     pub timing: Timing,
+    /// Whether the camera had stopped by the newest frame, which may be later than the observed one.
+    pub is_frozen: bool,
+    /// The step of the camera's clock, if it and the clock of the actions do not agree.
+    pub camera_step: Option<CameraStep>,
 }
 
 impl Moment {
@@ -105,11 +109,17 @@ impl Moment {
         Duration::from_nanos(self.timing.step_ns())
     }
 
-    /// Whether the observed frame is fresh at `now`.
+    /// Whether the observed frame is fresh at `now`, so that an arm may act on it.
     ///
     /// # Errors
-    /// [`Wait::Stale`] where it was received longer ago than `max_age`.
+    /// [`Wait::Frozen`] if the camera has stopped, [`Wait::CameraClock`] if its clock has stepped, [`Wait::Stale`] if the frame was received longer ago than `max_age`.
     pub fn expect_fresh(&self, now: Instant, max_age: std::time::Duration) -> Result<(), Wait> {
+        if self.is_frozen {
+            return Err(Wait::Frozen);
+        }
+        if let Some(step) = self.camera_step {
+            return Err(Wait::CameraClock(step));
+        }
         let age = now.saturating_duration_since(self.observed.reception.at);
         if age <= max_age {
             return Ok(());

@@ -13,8 +13,12 @@ pub(crate) fn note(complaints: &mut Complaints, arrival: Result<Arrival, History
             return;
         }
     };
-    if arrival.flushed {
-        tracing::info!("starting a new history: time jumped, or the camera or the encoder changed");
+    match arrival.camera_step {
+        Some(step) => tracing::error!("starting a new history: {step}"),
+        None if arrival.flushed => tracing::info!(
+            "starting a new history: time jumped, or the camera or the encoder changed"
+        ),
+        None => {}
     }
     if arrival.untimely > 0 {
         let text =

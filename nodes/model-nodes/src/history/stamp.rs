@@ -1,28 +1,63 @@
 //! Stamps of messages.
 
-use wm_msgs::builtin_interfaces::Time;
+use wm_msgs::{builtin_interfaces::Time, wm_msgs::ActionChunk};
 
-use super::HistoryError;
+use super::{HistoryError, Reception};
 
-/// Clocks of machines that are not synchronised well differ by less \[ns\].
-const CLOCKS_DIFFER_NS: i64 = 10_000_000_000;
+/// A frame or an action that is stamped further ahead is matched with those of another moment \[ns\].
+pub(super) const AHEAD_NS: i64 = 100_000_000;
+/// A policy may announce actions; further ahead it is of another clock \[ns\].
+pub(super) const ANNOUNCED_NS: i64 = 10_000_000_000;
 
-/// A message's stamp in nanoseconds.
-pub(super) fn stamp_of(what: &'static str, stamp: Time, now: Time) -> Result<i64, HistoryError> {
-    if stamp.sec < 0 || stamp.nanosec >= 1_000_000_000 {
-        return Err(HistoryError::Stamp {
+/// The stamp of a message that somebody else has sent \[ns\].
+///
+/// # Errors
+/// [`HistoryError::Stamp`].
+pub(crate) fn stamp_of_other(what: &'static str, stamp: Time) -> Result<i64, HistoryError> {
+    let stamp_ns = stamp.checked_nanos().ok();
+    stamp_ns
+        .filter(|stamp_ns| *stamp_ns >= 0)
+        .ok_or(HistoryError::Stamp {
             what,
             sec: stamp.sec,
             nanosec: stamp.nanosec,
+        })
+}
+
+/// From one action of a chunk to the next \[ns\].
+///
+/// # Errors
+/// [`HistoryError::Period`].
+pub(crate) fn period_of(chunk: &ActionChunk) -> Result<i64, HistoryError> {
+    chunk.period.checked_nanos().map_err(HistoryError::Period)
+}
+
+/// A message's stamp in nanoseconds, at most `most_ns` ahead of `now`.
+pub(super) fn stamp_of(
+    what: &'static str,
+    stamp: Time,
+    now: Time,
+    most_ns: i64,
+) -> Result<i64, HistoryError> {
+    let stamp_ns = stamp_of_other(what, stamp)?;
+    let now_ns = now.to_nanos();
+    // A node that waits for /clock has no time yet.
+    if now_ns > 0 && stamp_ns > now_ns.saturating_add(most_ns) {
+        return Err(HistoryError::Future {
+            what,
+            ahead_s: (stamp_ns - now_ns) as f64 / 1e9,
+            most_s: most_ns as f64 / 1e9,
         });
     }
-    let (stamp_ns, now_ns) = (stamp.to_nanos(), now.to_nanos());
-    // A node that waits for /clock has no time yet.
-    if now_ns > 0 && stamp_ns > now_ns.saturating_add(CLOCKS_DIFFER_NS) {
-        let ahead_s = (stamp_ns - now_ns) as f64 / 1e9;
-        return Err(HistoryError::Future { what, ahead_s });
-    }
     Ok(stamp_ns)
+}
+
+/// The stamp of a frame that arrived so.
+///
+/// # Errors
+/// [`HistoryError::Stamp`] and [`HistoryError::Future`].
+pub(crate) fn stamp_of_frame(stamp: Time, reception: &Reception) -> Result<i64, HistoryError> {
+    stamp_of("frame", stamp, reception.latest(), AHEAD_NS)
 }
 
 /// A stamp as people read it.

@@ -1,11 +1,12 @@
 #![allow(clippy::unwrap_used, clippy::indexing_slicing)]
 
+mod camera_clock;
 mod jumps;
 mod slow_encoder;
 
 use std::time::Instant;
 
-use wm_msgs::builtin_interfaces::Duration as Period;
+use wm_msgs::{builtin_interfaces::Duration as Period, std_msgs::Header};
 use wm_ros::PublisherId;
 use wm_wire::latent_message::{LatentDtype, encode_latent};
 
@@ -46,6 +47,7 @@ fn stamp(index: i64) -> Time {
 fn reception() -> Reception {
     Reception {
         stamp: Time::default(),
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId([1; 16]),
     }
@@ -243,7 +245,17 @@ fn what_is_stamped_ahead_of_the_clock_is_refused() {
     let error = history
         .latent(&latent(stamp(hour), "camera", 0.0), now)
         .unwrap_err();
-    assert!(error.to_string().contains("3600.0 s ahead"), "{error}");
+    assert!(error.to_string().contains("3600.00 s ahead"), "{error}");
+    // 1.2 s.
+    let error = history.latent(&latent(stamp(6), "camera", 0.0), now);
+    let text = error.unwrap_err().to_string();
+    assert!(text.contains("frame is stamped 1.20 s ahead"), "{text}");
+    let text = history.action(&action(6, 0.0), now.stamp).unwrap_err();
+    assert!(text.to_string().contains("action is stamped 1.20 s ahead"));
+    let near = Time::from_nanos(START + 90_000_000);
+    assert!(history.latent(&latent(near, "camera", 0.0), now).is_ok());
+    // A policy announces what comes.
+    assert!(history.chunk(&chunk(6, &[0.0]), now.stamp).is_ok());
     let latest = Time {
         sec: i32::MAX,
         nanosec: 0,
@@ -251,7 +263,24 @@ fn what_is_stamped_ahead_of_the_clock_is_refused() {
     assert!(history.latent(&latent(latest, "camera", 0.0), now).is_err());
     assert!(history.action(&action(hour, 0.0), now.stamp).is_err());
     assert!(history.chunk(&chunk(hour, &[0.0]), now.stamp).is_err());
+    // A clock that moves in steps is late by one.
+    let mut simulated = self::history(1);
+    let coarse = Reception {
+        clock_step_ns: PERIOD,
+        ..now
+    };
+    assert!(
+        simulated
+            .latent(&latent(stamp(1), "camera", 0.0), coarse)
+            .is_ok()
+    );
+    assert!(
+        simulated
+            .latent(&latent(stamp(3), "camera", 0.0), coarse)
+            .is_err()
+    );
     // An hour back is a bag that is replayed.
+    let mut history = self::history(1);
     assert!(
         history
             .latent(&latent(stamp(-hour), "camera", 0.0), now)
@@ -306,6 +335,22 @@ fn a_second_camera_is_refused_and_named() {
     );
     see(&mut history, 1).unwrap();
     assert_eq!(history.moment().unwrap().observed.values[0], 1.0);
+}
+
+#[test]
+fn frames_without_a_frame_id_are_of_the_same_camera() {
+    let mut history = history(1);
+    act(&mut history, 0, 0.0);
+    for (index, frame_id) in ["", "camera", "", "camera"].into_iter().enumerate() {
+        let latent = latent(stamp(index as i64), frame_id, index as f32);
+        history.latent(&latent, reception()).unwrap();
+    }
+    let moment = history.moment().unwrap();
+    assert_eq!(&*moment.observed.frame_id, "camera");
+    history
+        .latent(&latent(stamp(4), "", 4.0), reception())
+        .unwrap();
+    assert_eq!(&*history.moment().unwrap().observed.frame_id, "camera");
 }
 
 #[test]

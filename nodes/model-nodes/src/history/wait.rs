@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::seconds_of;
+use super::{CameraStep, seconds_of};
 
 /// Why there is no context yet. None of these is a fault: each passes when more has arrived.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
@@ -45,6 +45,15 @@ pub enum Wait {
         /// The moment whose action is needed.
         needed_ns: i64,
     },
+    /// The camera has stopped.
+    #[error(
+        "the camera has stopped: nothing is planned or assessed from its frames until its picture changes \
+         (/wm/camera_state and the encoder on /diagnostics say why)"
+    )]
+    Frozen,
+    /// The camera's clock has stepped.
+    #[error("nothing is planned or assessed: {0}")]
+    CameraClock(CameraStep),
     /// The newest frame is too old to act on.
     #[error(
         "the newest frame arrived {age_s:.1} s ago; at most {max_s:.1} s are accepted (max_age)"
@@ -66,6 +75,8 @@ impl Wait {
             Self::Gap { .. } => "gap",
             Self::SlowCamera { .. } => "slow camera",
             Self::NoAction { .. } => "no action",
+            Self::Frozen => "frozen camera",
+            Self::CameraClock(_) => "camera clock",
             Self::Stale { .. } => "stale",
         }
     }

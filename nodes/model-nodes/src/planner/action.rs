@@ -42,7 +42,9 @@ impl Course {
     /// # Errors
     /// Says which of its values is none.
     pub fn new(goal: &PlanGoal, now: Instant) -> Result<Self, String> {
-        let Ok(duration) = u64::try_from(goal.duration.to_nanos()) else {
+        let duration = goal.duration.checked_nanos();
+        let duration = duration.map_err(|error| format!("its duration is {error}"))?;
+        let Ok(duration) = u64::try_from(duration) else {
             return Err("its duration is negative".to_owned());
         };
         if !(goal.tolerance.is_finite() && goal.tolerance >= 0.0) {

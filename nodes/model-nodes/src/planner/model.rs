@@ -358,7 +358,7 @@ impl PlannerModel {
         Ok(Some(to_rgb(&picture.squeeze(0)?)?))
     }
 
-    /// What dimensions do that are not searched: deltas nothing, and states hold.
+    /// Values of dimensions that are not searched: deltas and velocities are zero, states hold.
     fn base(&self, request: &PlanRequest) -> Vec<f32> {
         let encoding = &self.parts.model.encoding;
         let mut base = match request.until.last() {
@@ -366,7 +366,7 @@ impl PlannerModel {
             None => vec![0.0; encoding.action_dim()],
         };
         for (value, dimension) in base.iter_mut().zip(encoding.space().dimensions()) {
-            if dimension.kind.is_delta() {
+            if dimension.kind.is_motion() {
                 *value = 0.0;
             }
         }

@@ -16,7 +16,7 @@ use wm_msgs::{
     wm_msgs::{Goal as GoalMessage, Plan, action::Plan as PlanAction},
 };
 use wm_ros::{
-    ActionServer, Diagnostics, GoalId, GoalRequest, Node, NodeDefinition, Publisher, Qos,
+    ActionServer, Diagnostics, GoalId, GoalRequest, Level, Node, NodeDefinition, Publisher, Qos,
     Subscription, complaints::Complaints,
 };
 use wm_zoo::{PlacedModel, success_probe::SuccessClassifier};
@@ -30,7 +30,7 @@ use crate::{
     cadence::{Cadence, SKIPPED, rough},
     encoder::EncoderStep,
     harness::{self, Configured, Follower, GoalInputs, Goals, Inputs, ModelNode, Told},
-    history::{History, HistorySettings, Timing, Wait, seconds},
+    history::{FROZEN_CAMERA, History, HistorySettings, Timing, Wait, seconds},
     pool::Pool,
     work::{Stop, Work},
 };
@@ -339,6 +339,18 @@ impl Planner {
                     false,
                     &format_args!("a goal is set, but {wait} on latent"),
                 );
+            }
+            Err(wait @ PlanWait::Frozen { is_due }) => {
+                self.diagnostics
+                    .count_drops(FROZEN_CAMERA, u64::from(is_due));
+                self.complaints.waiting(FROZEN_CAMERA, false, &wait);
+                self.diagnostics
+                    .raise("camera", Level::Error, wait.to_string());
+            }
+            Err(wait @ PlanWait::History(Wait::CameraClock(_))) => {
+                self.complaints.waiting("camera clock", false, &wait);
+                self.diagnostics
+                    .raise("camera clock", Level::Error, wait.to_string());
             }
             Err(wait @ PlanWait::History(Wait::Context { .. })) => {
                 self.complaints.waiting("context", true, &wait);

@@ -21,7 +21,7 @@ use wm_planner::{PlannedActions, Waypoint};
 use super::{Goal, Planned};
 use crate::{
     harness::follows,
-    history::{Arrival, History, HistoryError, Moment, Reception, Wait},
+    history::{Arrival, FROZEN_CAMERA, History, HistoryError, Moment, Reception, Wait},
 };
 
 /// Searches that the lead of the next one is estimated from.
@@ -106,6 +106,9 @@ pub enum Unsent {
     /// There is another goal, or another history.
     #[error("it was ready only after a new goal, a reset or a clock jump")]
     Superseded,
+    /// The camera stopped during the search.
+    #[error(transparent)]
+    Frozen(Wait),
     /// No frame has arrived for long: nobody knows what the robot has done since.
     #[error(transparent)]
     Stale(Wait),
@@ -124,6 +127,7 @@ impl Unsent {
     pub fn reason(&self) -> &'static str {
         match self {
             Self::Superseded => "stale_plan",
+            Self::Frozen(_) => FROZEN_CAMERA,
             Self::Stale(_) => "stale_frame",
             Self::Late { .. } => "late_plan",
         }
@@ -140,6 +144,12 @@ pub enum PlanWait {
     /// The history is not complete.
     #[error(transparent)]
     History(#[from] Wait),
+    /// The camera has stopped.
+    #[error("{}", Wait::Frozen)]
+    Frozen {
+        /// Whether a plan was due, which is dropped.
+        is_due: bool,
+    },
     /// A workspace is set, and nobody says where the end effector is.
     #[error(
         "no pose has arrived on ee_pose for {max_s} s, which workspace_min and workspace_max need"
@@ -287,6 +297,13 @@ impl PlannerStep {
         let moment = self.history.latest_moment()?;
         let observed_ns = moment.observed.stamp_ns;
         let fresh = moment.expect_fresh(now, self.settings.max_age);
+        if fresh == Err(Wait::Frozen) {
+            let is_due = self.is_due_at(observed_ns);
+            if is_due {
+                self.requested_ns = Some(observed_ns);
+            }
+            return Err(PlanWait::Frozen { is_due });
+        }
         let is_said = fresh.is_err() && !self.history.is_between_contexts();
         if !self.is_due_at(observed_ns) && !is_said {
             return Err(PlanWait::Recent);
@@ -433,6 +450,9 @@ impl PlannerStep {
             begin_ns: request.begin_ns(),
             actions: actions.clone(),
         });
+        if self.history.is_frozen() {
+            return Err(Unsent::Frozen(Wait::Frozen));
+        }
         if let Some(newest) = self.history.newest() {
             let age = now.saturating_duration_since(newest.reception.at);
             if age > self.settings.max_age {

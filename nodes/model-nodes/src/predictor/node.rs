@@ -1,13 +1,18 @@
 //! The predictor on the wire.
 
 use std::{
+    collections::BTreeMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result};
+use tokio::time::Interval;
 use wm_model::WorldModel;
-use wm_msgs::wm_msgs::{Prediction, PredictionError};
+use wm_msgs::{
+    std_msgs::String as Text,
+    wm_msgs::{Prediction, PredictionError},
+};
 use wm_ros::{
     Clock, Deadline, Diagnostics, Input, Level, Node, NodeDefinition, Parameter, Publisher, Qos,
     complaints::Complaints, frame_trace,
@@ -16,7 +21,10 @@ use wm_zoo::PlacedModel;
 
 use super::{
     Doubt, PredictorSettings, PredictorStep, RolloutRequest, RunningRollout, Seen,
-    ahead::Preparation, plots::Plots, trial::time_of_step,
+    ahead::Preparation,
+    plots::Plots,
+    summary::{Motion, Summary},
+    trial::time_of_step,
 };
 use crate::{
     cadence::{Cadence, OPEN, PACE, SKIPPED, every_nth, hertz, rough},
@@ -38,6 +46,8 @@ const NO_ACTIONS: &str =
     "start the arm's driver, or remap /wm/action to its topic; until then the last action is held";
 const SLOW: &str = "observations are dropped; reduce the parameter horizon or integration_steps, or give the predictor \
                     more processor time";
+/// From one report of a doubt to the next.
+const REMINDER: Duration = Duration::from_secs(2);
 /// What raises the rate.
 const FASTER: &str =
     "for more: a smaller horizon, fewer integration_steps, a smaller model, or a faster processor";
@@ -79,6 +89,9 @@ wm_ros::endpoints! {
         errors: Publisher<PredictionError> = "prediction_error", qos(Qos::reliable(16));
         /// Single numbers, for plots.
         plots: Plots;
+        /// Each rollout in one line of words and numbers, to read: its steps, the error ratios, what the arm is assumed to do,
+        /// the trust and the latency.
+        summaries: Publisher<Text> = "summary", qos(Qos::reliable(16));
     }
 }
 
@@ -91,6 +104,7 @@ struct Shared {
     predictions: Publisher<Prediction>,
     errors: Publisher<PredictionError>,
     plots: Plots,
+    summaries: Publisher<Text>,
     diagnostics: Diagnostics,
     clock: Clock,
 }
@@ -120,6 +134,8 @@ struct Predictor {
     unscored: u64,
     /// Whether the log has warned against trusting the predictions.
     is_doubtful: bool,
+    /// When the doubt is reported again: a slow encoder's latents are further apart than a report is valid.
+    reminder: Interval,
     complaints: Complaints,
 }
 
@@ -183,6 +199,7 @@ impl ModelNode for Predictor {
             predictions: at.endpoints.predictions.clone(),
             errors: at.endpoints.errors.clone(),
             plots: at.endpoints.plots.clone(),
+            summaries: at.endpoints.summaries.clone(),
             diagnostics: node.diagnostics(),
             clock: node.clock(),
         };
@@ -209,6 +226,7 @@ impl ModelNode for Predictor {
             size: horizon * settings.integration_steps,
             unscored: 0,
             is_doubtful: false,
+            reminder: tokio::time::interval(REMINDER),
             complaints: Complaints::new(node.diagnostics()),
         })
     }
@@ -223,6 +241,12 @@ impl ModelNode for Predictor {
                         self.complaints.left_out("rollout", &format_args!("{error:#}"));
                     }
                     self.say_pace(&at.parameters);
+                }
+                _ = self.reminder.tick() => {
+                    let doubt = self.shared.step().doubt();
+                    if matches!(doubt, Some(Doubt::Frozen | Doubt::CameraClock(_))) {
+                        self.say_doubt(doubt);
+                    }
                 }
                 event = self.follower.next(inputs) => {
                     let Some(event) = event else { return Ok(()) };
@@ -331,7 +355,11 @@ impl Predictor {
             if !self.is_doubtful {
                 tracing::warn!("{text}");
             }
-            self.shared.diagnostics.raise("trust", Level::Warn, text);
+            let level = match doubt {
+                Doubt::Frozen | Doubt::CameraClock(_) => Level::Error,
+                _ => Level::Warn,
+            };
+            self.shared.diagnostics.raise("trust", level, text);
         }
         self.is_doubtful = doubt.is_some();
     }
@@ -346,6 +374,16 @@ impl Shared {
     fn scored(&self, error: &PredictionError) -> Result<()> {
         self.errors.publish(error)?;
         self.plots.scored(error)
+    }
+
+    fn summarise(&self, mut summary: Summary) -> Result<()> {
+        {
+            let step = self.step();
+            summary.ratios.clone_from(step.ratios());
+            summary.doubt = step.doubt();
+        }
+        let data = summary.to_string();
+        Ok(self.summaries.publish(&Text { data })?)
     }
 
     /// Computes one rollout and sends each step when it is ready; stops where time has jumped or the node is no longer
@@ -366,6 +404,16 @@ impl Shared {
         frame_trace::passed_at("observation taken", observed, received);
         frame_trace::passed("rollout begun", observed);
         let (prepared, next_ns) = self.preparation.take(request.moment.observed.stamp_ns);
+        let space = self.model.encoding.space();
+        let mut summary = Summary {
+            horizon: 0,
+            step_s: request.moment.timing.step_ns() as f64 / 1e9,
+            ratios: BTreeMap::new(),
+            // The last of them is beyond the horizon.
+            motion: Motion::of(request.future.get(..request.horizon).unwrap_or(&[]), space),
+            doubt: None,
+            latency_s: None,
+        };
         let rollout = RunningRollout::new(&self.model, request)?.taking_over(prepared.as_ref());
         for (index, predicted) in rollout.enumerate() {
             let mut predicted = predicted?;
@@ -380,6 +428,7 @@ impl Shared {
             self.predictions.publish_shared(Arc::clone(&prediction))?;
             frame_trace::step_passed("step published", observed, step);
             self.plots.predicted(&prediction)?;
+            summary.predicted(&prediction);
             if index == 0 {
                 self.diagnostics
                     .latency("latent to first step")
@@ -393,6 +442,7 @@ impl Shared {
                 self.scored(&error)?;
             }
         }
+        self.summarise(summary)?;
         let taken = started.elapsed();
         self.diagnostics.latency("rollout").record(taken);
         let deadline = Deadline {

@@ -1,6 +1,6 @@
 //! The predictor's state.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use wm_msgs::{
     builtin_interfaces::Time,
@@ -51,6 +51,8 @@ pub struct PredictorStep {
     history: History,
     scoring: Scoring,
     trust: Trust,
+    /// The newest ratio of each k.
+    ratios: BTreeMap<u32, f32>,
 }
 
 follows!(
@@ -69,6 +71,7 @@ impl PredictorStep {
             history,
             scoring: Scoring::default(),
             trust: Trust::default(),
+            ratios: BTreeMap::new(),
         };
         step.set(settings.horizon, settings.integration_steps);
         step
@@ -95,7 +98,7 @@ impl PredictorStep {
         if let Some(seen) = self.history.newest().filter(|_| !arrival.held_back) {
             self.trust.seen(seen);
         }
-        errors.iter().for_each(|error| self.trust.scored(error));
+        errors.iter().for_each(|error| self.scored(error));
         let is_due = arrival.is_due && !arrival.held_back;
         let rollout = match is_due.then(|| self.request()) {
             // The next frames make it whole: nothing to speak of.
@@ -150,7 +153,7 @@ impl PredictorStep {
             predicted: Arc::clone(&step.values),
         };
         let error = self.scoring.add(pending, self.history.near(due_ns));
-        error.iter().for_each(|error| self.trust.scored(error));
+        error.iter().for_each(|error| self.scored(error));
         error
     }
 
@@ -181,7 +184,18 @@ impl PredictorStep {
         has_flushed
     }
 
+    fn scored(&mut self, error: &PredictionError) {
+        self.trust.scored(error);
+        self.ratios.insert(error.step, error.ratio);
+    }
+
+    /// The newest error ratio of each k that is known.
+    pub(super) fn ratios(&self) -> &BTreeMap<u32, f32> {
+        &self.ratios
+    }
+
     fn forget(&mut self) {
+        self.ratios.clear();
         self.scoring.clear();
         self.trust.clear();
     }
@@ -193,7 +207,8 @@ impl PredictorStep {
 
     /// What speaks against the predictions of the last seconds.
     pub fn doubt(&self) -> Option<Doubt> {
-        self.trust.doubt()
+        let step = self.history.camera_step();
+        step.map(Doubt::CameraClock).or_else(|| self.trust.doubt())
     }
 
     /// Predictions that were given up before their moment came, since too many waited.

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, fmt};
 
 use wm_msgs::wm_msgs::PredictionError;
 
-use crate::history::Frame;
+use crate::history::{CameraStep, Frame};
 
 /// What is judged \[ns\]: a moment in which nothing moves, or a hand passes the camera, says nothing.
 const SPAN_NS: i64 = 5_000_000_000;
@@ -23,6 +23,10 @@ const STILL: f64 = 1e-3;
 /// What speaks against the predictions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Doubt {
+    /// The camera's clock has stepped: frames and actions may be of different moments.
+    CameraClock(CameraStep),
+    /// The camera has stopped: a still picture is as easy to predict as it is wrong.
+    Frozen,
     /// The camera shows what the model was not trained on.
     UnlikeTraining {
         /// Part of the latents' values that are far from the training's.
@@ -38,6 +42,11 @@ pub enum Doubt {
 impl fmt::Display for Doubt {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::CameraClock(step) => write!(f, "{step}"),
+            Self::Frozen => f.write_str(
+                "the camera has stopped: the predictions go on from a picture that is no longer true \
+                 (/wm/camera_state and the encoder on /diagnostics say why)",
+            ),
             Self::UnlikeTraining { part } => write!(
                 f,
                 "the camera shows pictures unlike those that the model was trained on ({:.1} % of the latent's values \
@@ -51,6 +60,18 @@ impl fmt::Display for Doubt {
                  error {ratio:.2} times as large, over the last seconds): check the model, and that the actions are \
                  those of this robot and stamped like its images"
             ),
+        }
+    }
+}
+
+impl Doubt {
+    /// In a few words.
+    pub fn in_short(&self) -> &'static str {
+        match self {
+            Self::CameraClock(_) => "the camera's clock has stepped",
+            Self::Frozen => "the camera has stopped",
+            Self::UnlikeTraining { .. } => "the pictures are unlike the training's",
+            Self::NoBetterThanPersistence { .. } => "no better than the persistence baseline",
         }
     }
 }
@@ -69,11 +90,14 @@ pub struct Trust {
     frames: VecDeque<(i64, f32)>,
     /// Stamp, error and persistence error of first steps.
     errors: VecDeque<(i64, f64, f64)>,
+    /// Whether the camera had stopped by the newest frame.
+    is_frozen: bool,
 }
 
 impl Trust {
     /// Takes note of an observed latent.
     pub fn seen(&mut self, frame: &Frame) {
+        self.is_frozen = frame.is_frozen;
         self.frames
             .push_back((frame.stamp_ns, part_far_out(&frame.values)));
         forget(&mut self.frames, |(stamp_ns, _)| *stamp_ns);
@@ -92,6 +116,9 @@ impl Trust {
 
     /// What speaks against the predictions of the last seconds, the cause before its effect.
     pub fn doubt(&self) -> Option<Doubt> {
+        if self.is_frozen {
+            return Some(Doubt::Frozen);
+        }
         if let Some(part) = self.far().filter(|part| *part > UNLIKE) {
             return Some(Doubt::UnlikeTraining { part });
         }
@@ -124,6 +151,7 @@ impl Trust {
     pub fn clear(&mut self) {
         self.frames.clear();
         self.errors.clear();
+        self.is_frozen = false;
     }
 }
 
@@ -158,8 +186,10 @@ mod tests {
             stamp_ns: index * PERIOD,
             frame_id: "camera".into(),
             values: values.into(),
+            is_frozen: false,
             reception: Reception {
                 stamp: Time::default(),
+                clock_step_ns: 0,
                 at: Instant::now(),
                 publisher: PublisherId::default(),
             },
@@ -209,6 +239,24 @@ mod tests {
         }
         assert_eq!(trust.doubt(), None, "the span is over");
         assert!(trust.frames.len() <= 26);
+    }
+
+    #[test]
+    fn a_stopped_camera_is_doubted_until_it_shows_something_new() {
+        let mut trust = Trust::default();
+        for index in 0..200 {
+            trust.seen(&Frame {
+                is_frozen: true,
+                ..frame(index, 0)
+            });
+            // Nothing moves, and it is predicted well.
+            trust.scored(&error(index, 0.0, 0.0));
+            assert_eq!(trust.doubt(), Some(Doubt::Frozen));
+        }
+        let text = Doubt::Frozen.to_string();
+        assert!(text.contains("the camera has stopped"), "{text}");
+        trust.seen(&frame(200, 0));
+        assert_eq!(trust.doubt(), None);
     }
 
     #[test]

@@ -55,6 +55,7 @@ impl Running {
 }
 
 /// The next message.
+#[allow(dead_code, reason = "not every test waits for single messages")]
 pub async fn soon<M: Message>(what: &str, subscription: &mut Subscription<M>) -> M {
     let received = tokio::time::timeout(PATIENCE, subscription.recv()).await;
     received

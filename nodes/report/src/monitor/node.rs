@@ -1,7 +1,7 @@
 //! The monitor on the wire.
 
 use super::live_line::LiveLine;
-use crate::{Scorer, files::write_report, table::terminal_table};
+use crate::{Scorer, bag::fit_of, files::write_report, table::terminal_table};
 use anyhow::{Result, ensure};
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
@@ -12,6 +12,7 @@ use tracing::warn;
 use wm_camera::camera_frame::CameraFrame;
 use wm_msgs::{
     diagnostic_msgs::DiagnosticArray,
+    std_msgs::String as Text,
     wm_msgs::{Plan, Prediction, PredictionError},
 };
 use wm_ros::{
@@ -121,6 +122,8 @@ wm_ros::endpoints! {
         pictures: ImageSubscription = "predicted/image", qos(QOS), made(|node, topic, qos| {
             ImageSubscription::new(node, topic, Transports::BOTH, qos)
         });
+        /// How a camera picture becomes one of their size and aspect.
+        fit: Subscription<Text> = "predicted/fit", qos(Qos::reliable(1)), made(Node::subscription_catching_up);
         /// Errors of the predictions.
         errors: Subscription<PredictionError> = "prediction_error", qos(QOS);
         /// Plans.
@@ -176,6 +179,10 @@ async fn watch(monitor: &mut Monitor, mut inputs: Inputs) {
                 None => break,
             },
             Some(received) = inputs.pictures.recv() => monitor.picture(&received),
+            Some(received) = inputs.fit.recv() => match fit_of(&received.message) {
+                Ok(fit) => monitor.scorer.fit(fit),
+                Err(problem) => monitor.left_out("fit", &problem),
+            },
             Some(received) = inputs.errors.recv() => monitor.scorer.error(&received.message),
             Some(Received { message, .. }) = inputs.plans.recv() => {
                 monitor.line.plan(message.cost, message.time_taken.to_nanos());

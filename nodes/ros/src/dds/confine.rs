@@ -49,13 +49,19 @@ impl Ports {
         7400 + 250 * self.domain
     }
 
+    /// Whether there are such ports.
+    pub(super) fn fit(&self) -> bool {
+        let last = 7400 + 250 * u32::from(self.domain) + 11 + 2 * u32::from(self.participant);
+        u16::try_from(last).is_ok()
+    }
+
     /// Where others' discovery traffic comes in.
     pub(super) const fn discovery(&self) -> u16 {
         self.base() + 10 + 2 * self.participant
     }
 
     /// Where others' samples come in, unless another program has the port.
-    const fn user(&self) -> u16 {
+    pub(super) const fn user(&self) -> u16 {
         self.base() + 11 + 2 * self.participant
     }
 

@@ -177,6 +177,7 @@ mod tests {
             type_name,
             qos,
             hears_own: true,
+            has_siblings: false,
         }
     }
 

@@ -5,7 +5,10 @@
 use super::{lock::lock, qos};
 use crate::backend::EndpointId;
 use rustdds::QosPolicies;
-use std::{collections::BTreeMap, sync::Mutex};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Mutex,
+};
 
 /// Mismatches that are remembered; more of them are logged again.
 const LIMIT: usize = 1024;
@@ -14,9 +17,18 @@ const LIMIT: usize = 1024;
 pub(super) struct Mismatches {
     /// In words, by own endpoint and other.
     known: Mutex<BTreeMap<(EndpointId, EndpointId), String>>,
+    /// Own readers beside which others take what their reliability or durability excludes.
+    tolerant: Mutex<BTreeSet<EndpointId>>,
 }
 
 impl Mismatches {
+    /// What this reader's reliability or durability excludes, another one of the same subscription takes.
+    pub(super) fn tolerate(&self, own: EndpointId) {
+        lock(&self.tolerant).insert(own);
+        // No other mismatch of so new a reader can be known yet.
+        lock(&self.known).retain(|(endpoint, _), _| *endpoint != own);
+    }
+
     /// A subscription elsewhere requests more than the own publisher offers.
     pub(super) fn subscription(
         &self,
@@ -54,6 +66,10 @@ impl Mismatches {
         let Some(policy) = offered.compliance_failure_wrt(requested) else {
             return;
         };
+        let is_by_profile = !qos::from_dds(requested).matches(&qos::from_dds(offered));
+        if is_by_profile && lock(&self.tolerant).contains(&own) {
+            return;
+        }
         let topic = topic.unwrap_or_else(|| "a service".to_owned());
         let text = format!(
             "{topic}: not connected to {what} because of incompatible {policy:?}: the subscription requests `{}`, the \
@@ -105,6 +121,7 @@ impl Mismatches {
 
     pub(super) fn forget_own(&self, own: &EndpointId) {
         lock(&self.known).retain(|(endpoint, _), _| endpoint != own);
+        lock(&self.tolerant).remove(own);
     }
 
     pub(super) fn forget_other(&self, other: &EndpointId) {
@@ -165,5 +182,25 @@ mod tests {
         );
         mismatches.subscription([1; 16], [4; 16], topic(), &best_effort, &reliable);
         assert_eq!(mismatches.of(&[1; 16]).len(), 1, "these two do match");
+    }
+
+    #[test]
+    fn a_reader_with_siblings_tolerates_what_they_take() {
+        let mismatches = Mismatches::default();
+        let (wants, offers) = (
+            qos::for_reader(Qos::reliable(1)),
+            qos::for_writer(Qos::best_effort(1)),
+        );
+        let own = [1; 16];
+        mismatches.publisher(own, [2; 16], None, &wants, &offers);
+        assert_eq!(mismatches.of(&own).len(), 1);
+        mismatches.tolerate(own);
+        mismatches.publisher(own, [3; 16], None, &wants, &offers);
+        assert_eq!(mismatches.of(&own), [""; 0]);
+        mismatches.types(own, [4; 16], "/stop", ("a/msg/A", "b/msg/B"), true);
+        assert_eq!(mismatches.of(&own).len(), 1);
+        mismatches.forget_own(&own);
+        mismatches.publisher(own, [2; 16], None, &wants, &offers);
+        assert_eq!(mismatches.of(&own).len(), 1);
     }
 }

@@ -73,6 +73,7 @@ pub(super) mod tests {
             },
             qos: Qos::reliable(10),
             hears_own: true,
+            has_siblings: false,
         }
     }
 

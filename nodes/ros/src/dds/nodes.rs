@@ -5,6 +5,7 @@ use super::{
     codec::Raw,
     lock::lock,
     names::{dds_name, dds_type, ros_names},
+    reconcile,
 };
 use crate::{
     Error,
@@ -16,7 +17,7 @@ use ros2_client::{
     builtin_topics::ros_discovery,
     entities_info::{NodeEntitiesInfo, ParticipantEntitiesInfo},
 };
-use rustdds::{DomainParticipant, RTPSEntity as _, Timestamp, TopicKind};
+use rustdds::{DomainParticipant, QosPolicyBuilder, RTPSEntity as _, Timestamp, TopicKind, policy};
 use std::{collections::BTreeMap, sync::Mutex};
 
 struct Own {
@@ -54,8 +55,15 @@ impl Nodes {
         let topic = participant
             .create_topic(name, type_name, qos, TopicKind::NoKey)
             .map_err(failed)?;
+        // each reader that is new would stop a bounded writer for a moment
+        let unbounded = policy::ResourceLimits {
+            max_samples: i32::MAX,
+            max_instances: i32::MAX,
+            max_samples_per_instance: i32::MAX,
+        };
+        let unbounded = QosPolicyBuilder::new().resource_limits(unbounded).build();
         let writer = publisher
-            .create_datawriter_no_key(&topic, None)
+            .create_datawriter_no_key(&topic, Some(unbounded))
             .map_err(failed)?;
         Ok(Self {
             participant: Gid::from(participant.guid()),
@@ -173,8 +181,20 @@ impl Nodes {
         lock(&self.writer).take();
     }
 
+    /// The writer of these announcements.
+    pub(super) fn endpoint(&self) -> Option<(EndpointId, reconcile::Own)> {
+        let id = lock(&self.writer).as_ref()?.guid().to_bytes();
+        let own = reconcile::Own {
+            topic: ros_discovery::TOPIC_NAME.to_owned(),
+            type_name: ros_discovery::TYPE_NAME.to_owned(),
+            qos: ros_discovery::QOS_PUB.clone(),
+            is_writer: true,
+        };
+        Some((id, own))
+    }
+
     /// Announces the nodes as they are now.
-    fn tell(&self) {
+    pub(super) fn tell(&self) {
         // Held throughout, so that announcements go out in the order of the changes.
         let writer = lock(&self.writer);
         let Some(writer) = writer.as_ref() else {

@@ -60,7 +60,7 @@ struct Mail {
 
 /// In front of the participant's identity; the number is the protocol's version.
 const TOPIC: &str = "wm/parts/1/";
-const TYPE: &str = "wm::Parts_";
+pub(super) const TYPE: &str = "wm::Parts_";
 /// Samples that wait for the task that takes them, or for the thread that sends them.
 const DEPTH: usize = 64;
 
@@ -115,7 +115,7 @@ pub(super) fn peer_of(id: &EndpointId) -> Peer {
     peer
 }
 
-fn topic_of(peer: &Peer) -> String {
+pub(super) fn topic_of(peer: &Peer) -> String {
     peer.iter()
         .fold(TOPIC.to_owned(), |name, byte| format!("{name}{byte:02x}"))
 }
@@ -146,6 +146,11 @@ impl Parts {
     /// Whether a message goes in parts: it is large, or others of its writer went so before.
     pub(super) fn takes(&self, writer: &EndpointId, len: usize) -> bool {
         len > message::PART || lock(&self.state).outbox.has(writer)
+    }
+
+    /// Whether this writer's messages go in parts.
+    pub(super) fn has(&self, writer: &EndpointId) -> bool {
+        lock(&self.state).outbox.has(writer)
     }
 
     /// From now on this writer's messages go in parts. `last` is the last number that it used on its topic.

@@ -3,16 +3,18 @@
 use crate::{Durability, Qos, Reliability};
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 
-/// Samples that a reliable writer keeps for readers that have not acknowledged them: what bounds its memory when a
-/// reader stops. A reader that is further behind loses the oldest ([`super::window`]).
+/// Large messages that a reliable writer keeps for readers that have not taken them.
 pub(crate) const RELIABLE_WINDOW: usize = 512;
+/// What rustdds 0.15.1 lets a reliable writer keep: no bound, since at a bound every new reader would stop the writer
+/// until its first acknowledgement. [`super::line`] bounds it.
+const UNBOUNDED: usize = i32::MAX as usize;
 /// Samples that the middleware keeps of a topic until they are taken, which happens at once on a separate thread.
 const READER_CACHE: usize = 64;
 
 pub(super) fn for_writer(qos: Qos) -> QosPolicies {
     let least = match qos.reliability {
         Reliability::BestEffort => 1,
-        Reliability::Reliable => RELIABLE_WINDOW,
+        Reliability::Reliable => UNBOUNDED,
     };
     profile(qos, qos.depth.max(least))
 }
@@ -66,18 +68,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn profiles_survive_and_writers_are_bounded() {
+    fn profiles_survive() {
         for qos in [Qos::sensor_data(), Qos::reliable(10), Qos::latched(1)] {
             assert_eq!(from_dds(&for_writer(qos)), qos);
-            let limits = for_writer(qos).resource_limits().unwrap();
-            assert!(limits.max_samples > 0 && limits.max_samples <= 512);
         }
-        assert_eq!(
-            for_writer(Qos::reliable(1000))
-                .resource_limits()
-                .unwrap()
-                .max_samples,
-            1000
-        );
+        let limits = |qos| for_writer(qos).resource_limits().unwrap().max_samples;
+        assert_eq!(limits(Qos::best_effort(5)), 5);
+        assert_eq!(limits(Qos::reliable(5)), i32::MAX);
     }
 }

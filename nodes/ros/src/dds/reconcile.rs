@@ -1,7 +1,11 @@
 //! Compares this runtime's view of the graph with that of rustdds. Events of rustdds come through a channel of 2048,
 //! and are lost silently when it is full. A lost event would hide a reader, or keep one that is gone, for ever.
 
-use super::{lock::lock, parts::profile, shared::Shared};
+use super::{
+    lock::lock,
+    parts::{TYPE, profile},
+    shared::Shared,
+};
 use crate::backend::EndpointId;
 use rustdds::QosPolicies;
 use std::{
@@ -12,6 +16,8 @@ use std::{
 
 /// How often the two are compared.
 const PERIOD: Duration = Duration::from_secs(5);
+/// Participants of one host return within this time of each other.
+const GATHERING: Duration = Duration::from_millis(100);
 
 /// The topics of the endpoints of this process, as DDS spells them.
 #[derive(Default)]
@@ -19,17 +25,21 @@ pub(super) struct OwnEndpoints {
     table: Mutex<BTreeMap<EndpointId, Own>>,
 }
 
+/// An endpoint of this process.
 #[derive(Clone)]
-struct Own {
-    topic: String,
-    qos: QosPolicies,
-    is_writer: bool,
+pub(super) struct Own {
+    pub(super) topic: String,
+    pub(super) type_name: String,
+    pub(super) qos: QosPolicies,
+    pub(super) is_writer: bool,
 }
 
-/// What was amiss the last time: an event that is only late is no lost one.
+/// The differences of the last times: an event that is only late is no lost one.
 #[derive(Default)]
 pub(super) struct Suspects {
     last: Mutex<Differences>,
+    /// Connections that were made anew the last time.
+    rematched: Mutex<BTreeSet<(EndpointId, EndpointId)>>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -59,17 +69,22 @@ struct Other {
 }
 
 impl OwnEndpoints {
-    pub(super) fn add(&self, id: EndpointId, topic: String, qos: QosPolicies, is_writer: bool) {
-        let own = Own {
-            topic,
-            qos,
-            is_writer,
-        };
+    pub(super) fn add(&self, id: EndpointId, own: Own) {
         lock(&self.table).insert(id, own);
     }
 
     pub(super) fn remove(&self, id: &EndpointId) {
         lock(&self.table).remove(id);
+    }
+}
+
+/// A writer or reader of large messages in parts.
+pub(super) fn parts_endpoint(topic: String, is_writer: bool) -> Own {
+    Own {
+        topic,
+        type_name: TYPE.to_owned(),
+        qos: profile(),
+        is_writer,
     }
 }
 
@@ -86,7 +101,7 @@ fn connects(own: &Own, other: &Other) -> bool {
 
 impl Shared {
     /// Compares, and mends what is amiss for the second time; whether there was something to mend.
-    pub(super) fn reconcile(&self) -> bool {
+    pub(super) fn reconcile(self: &Arc<Self>) -> bool {
         let Some(others) = self.others() else {
             return false;
         };
@@ -101,19 +116,53 @@ impl Shared {
         if unknown.is_empty() && ghosts.is_empty() {
             return false;
         }
-        // What is gone without leave is nobody's loss: a process was killed, or took leave as a whole.
-        match unknown.len() {
-            0 => tracing::debug!("{} endpoints are gone that did not say so", ghosts.len()),
-            unknown => tracing::warn!(
-                "discovery events were lost: {unknown} connections were unknown, and work from now on"
-            ),
+        // no event is lost by these: a process was killed, or left as a whole
+        if !ghosts.is_empty() {
+            tracing::debug!(
+                "{} endpoints have gone without a dispose message",
+                ghosts.len()
+            );
         }
         ghosts.iter().for_each(|id| self.forget_other(id));
-        for (own, other) in unknown {
-            lock(&self.matches).entry(*own).or_default().insert(*other);
+        // rustdds has not made the connection, or its event was lost: the first is tried first
+        let tried = std::mem::replace(&mut *lock(&self.suspects.rematched), unknown.clone());
+        let (made, missing): (BTreeSet<_>, BTreeSet<_>) = unknown
+            .iter()
+            .copied()
+            .partition(|pair| tried.contains(pair));
+        if !made.is_empty() {
+            tracing::warn!(
+                "discovery events were lost: {} connections were unknown, and work from now on",
+                made.len()
+            );
         }
+        for (own, other) in made {
+            lock(&self.matches).entry(own).or_default().insert(other);
+        }
+        self.rematch(&missing.into_iter().map(|(own, _)| own).collect());
         self.changed();
         true
+    }
+
+    /// The endpoints of this process that are not connected to all that they could be.
+    pub(super) fn unconnected(&self) -> BTreeSet<EndpointId> {
+        let others = self.others().unwrap_or_default();
+        let unknown = self.differences(&others).unknown.into_iter();
+        unknown.map(|(own, _)| own).collect()
+    }
+
+    /// The endpoints of these identities.
+    pub(super) fn own_of(&self, ids: &BTreeSet<EndpointId>) -> Vec<(EndpointId, Own)> {
+        let own = self.all_own();
+        own.into_iter().filter(|(id, _)| ids.contains(id)).collect()
+    }
+
+    fn all_own(&self) -> BTreeMap<EndpointId, Own> {
+        let mut own = lock(&self.own.table).clone();
+        for (id, topic) in self.parts.writers() {
+            own.insert(id, parts_endpoint(topic, true));
+        }
+        own
     }
 
     /// The endpoints of others that rustdds knows; `None` once the participant is closed.
@@ -145,16 +194,7 @@ impl Shared {
     }
 
     fn differences(&self, others: &[Other]) -> Differences {
-        let mut own = lock(&self.own.table).clone();
-        for (id, topic) in self.parts.writers() {
-            let (qos, is_writer) = (profile(), true);
-            let writer = Own {
-                topic,
-                qos,
-                is_writer,
-            };
-            own.insert(id, writer);
-        }
+        let own = self.all_own();
         let there: BTreeSet<EndpointId> = others.iter().map(|other| other.id).collect();
         let mut writers = lock(&self.writers);
         let there_write = others.iter().filter(|other| other.is_writer);
@@ -185,12 +225,20 @@ impl Shared {
     }
 }
 
-/// Compares for as long as the participant is there.
+/// Compares for as long as the participant is there, and at once when a participant has returned.
 pub(super) async fn keep_reconciled(shared: Arc<Shared>) {
     let mut period = tokio::time::interval(PERIOD);
     period.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {
-        period.tick().await;
-        shared.reconcile();
+        tokio::select! {
+            _ = period.tick() => {
+                shared.reconcile();
+            }
+            () = shared.has_returned.notified() => {
+                tokio::time::sleep(GATHERING).await;
+                shared.rematch(&shared.unconnected());
+                shared.nodes.tell();
+            }
+        }
     }
 }

@@ -1,14 +1,14 @@
-//! The two RTPS messages that this runtime writes itself (DDSI-RTPS 2.5, chapter 9.4), where rustdds 0.15.1 falls short;
-//! [`super::wire`] sends them and says why.
+//! The RTPS messages that this runtime writes itself (DDSI-RTPS 2.5, chapter 9.4), where rustdds 0.15.1 falls short.
+//! [`super::wire`], [`super::introduction`] and [`super::lease`] send them and say why.
 
 use super::parts::{Peer, peer_of};
 use crate::backend::{EndpointId, RequestId};
 use bytes::{BufMut as _, Bytes, BytesMut};
+use std::net::Ipv4Addr;
 
 /// `RTPS`, and version 2.4 of the protocol.
 const MAGIC: [u8; 6] = [b'R', b'T', b'P', b'S', 2, 4];
 
-const ACKNACK: u8 = 0x06;
 const INFO_TS: u8 = 0x09;
 const INFO_DST: u8 = 0x0e;
 const DATA: u8 = 0x15;
@@ -16,14 +16,36 @@ const DATA: u8 = 0x15;
 const LITTLE_ENDIAN: u8 = 0x01;
 /// DATA: inline QoS follows.
 const INLINE_QOS: u8 = 0x02;
-/// ACKNACK: no heartbeat is asked for.
-const FINAL: u8 = 0x02;
 /// DATA: a serialized payload follows.
 const PAYLOAD: u8 = 0x04;
+/// DATA: the key of what has gone follows.
+const KEY: u8 = 0x08;
 
 /// Which request a sample answers (DDS-RPC 1.0), and the number that Fast DDS used for it first and still sends.
 const PID_RELATED_SAMPLE_IDENTITY: [u16; 2] = [0x0083, 0x800f];
 const PID_SENTINEL: u16 = 0x0001;
+
+/// Parameters of an announcement (9.6.2.2).
+const PID_LEASE_DURATION: u16 = 0x0002;
+const PID_PROTOCOL_VERSION: u16 = 0x0015;
+const PID_VENDOR_ID: u16 = 0x0016;
+const PID_DEFAULT_UNICAST_LOCATOR: u16 = 0x0031;
+const PID_METATRAFFIC_UNICAST_LOCATOR: u16 = 0x0032;
+const PID_PARTICIPANT_GUID: u16 = 0x0050;
+const PID_BUILTIN_ENDPOINT_SET: u16 = 0x0058;
+/// The endpoints that every participant of rustdds 0.15.1 has for discovery (`BuiltinEndpointSet`).
+const BUILTIN_ENDPOINTS: u32 = 0x1800_0c3f;
+/// What rustdds announces (`Discovery::spdp_publish`) \[s\].
+const LEASE: u32 = 50;
+/// The writer of announcements (9.3.1.3), and its readers: any.
+const SPDP_WRITER: [u8; 4] = [0, 1, 0, 0xc2];
+const ANY_READER: [u8; 4] = [0; 4];
+const SPDP_READER: [u8; 4] = [0, 1, 0, 0xc7];
+/// The end of a participant's identity.
+const PARTICIPANT: [u8; 4] = [0, 0, 1, 0xc1];
+/// A parameter list in little-endian CDR.
+const PL_CDR_LE: [u8; 4] = [0, 3, 0, 0];
+const UDP_V4: u32 = 1;
 
 /// Bytes of a DATA submessage between its field of that name and the inline QoS.
 const OCTETS_TO_INLINE_QOS: u16 = 16;
@@ -34,23 +56,6 @@ const LARGEST_DATAGRAM: usize = 65_500;
 const ANSWER_OVERHEAD: usize = 20 + 16 + 12 + 24 + 2 * 28 + 4;
 /// The largest sample that fits into one [`answer`], its CDR header included \[byte\].
 pub(super) const LARGEST_ANSWER: usize = LARGEST_DATAGRAM - ANSWER_OVERHEAD;
-
-/// Says in `reader`'s name that it has everything before `base`.
-pub(super) fn acknowledgment(
-    reader: &EndpointId,
-    writer: &EndpointId,
-    base: i64,
-    count: i32,
-) -> Bytes {
-    let mut message = begin(reader, &peer_of(writer));
-    submessage(&mut message, ACKNACK, LITTLE_ENDIAN | FINAL, 24);
-    message.put_slice(&reader[12..]);
-    message.put_slice(&writer[12..]);
-    put_number(&mut message, base);
-    message.put_u32_le(0); // it asks for none of what follows
-    message.put_i32_le(count);
-    message.freeze()
-}
 
 /// The answer `sample` (CDR with its header) to a request, for `reader`. `number`: of the sample in the numbering of
 /// `writer`. `nanos`: when it was written \[ns since 1970\].
@@ -86,12 +91,127 @@ pub(super) fn answer(
     message.freeze()
 }
 
-/// A message from the participant of `from` to the participant `to`.
-fn begin(from: &EndpointId, to: &Peer) -> BytesMut {
+/// The first announcement of the participant `own`, which is reached on loopback at these ports (8.5.3).
+pub(super) fn announcement(own: &EndpointId, discovery: u16, user: u16) -> Bytes {
+    let mut message = header(own);
+    let data = participant(own, BUILTIN_ENDPOINTS, LEASE, Some([discovery, user]));
+    announced(&mut message, ANY_READER, PAYLOAD, &data, 1);
+    message.freeze()
+}
+
+/// The data of a participant (9.6.2.2). `lease` in seconds; `ports`: for discovery and for samples, on loopback.
+fn participant(id: &EndpointId, endpoints: u32, lease: u32, ports: Option<[u16; 2]>) -> BytesMut {
+    let mut data = BytesMut::new();
+    data.put_slice(&PL_CDR_LE);
+    let mut put = |parameter: u16, value: &[u8]| {
+        data.put_u16_le(parameter);
+        data.put_u16_le(value.len() as u16); // at most 24
+        data.put_slice(value);
+    };
+    put(PID_PROTOCOL_VERSION, &[MAGIC[4], MAGIC[5], 0, 0]);
+    put(PID_VENDOR_ID, &[id[0], id[1], 0, 0]);
+    put(PID_PARTICIPANT_GUID, id);
+    if let Some([discovery, user]) = ports {
+        put(PID_METATRAFFIC_UNICAST_LOCATOR, &locator(discovery));
+        put(PID_DEFAULT_UNICAST_LOCATOR, &locator(user));
+    }
+    let lease = [lease, 0].map(u32::to_le_bytes).concat();
+    put(PID_LEASE_DURATION, &lease);
+    put(PID_BUILTIN_ENDPOINT_SET, &endpoints.to_le_bytes());
+    put(PID_SENTINEL, &[]);
+    data
+}
+
+fn locator(port: u16) -> BytesMut {
+    let mut locator = BytesMut::new();
+    locator.put_u32_le(UDP_V4);
+    locator.put_u32_le(port.into());
+    locator.put_slice(&[0; 12]);
+    locator.put_slice(&Ipv4Addr::LOCALHOST.octets());
+    locator
+}
+
+/// A sign of life of the participant `own`: an announcement without content.
+pub(super) fn life_sign(own: &EndpointId) -> Bytes {
+    let mut message = header(own);
+    announced(&mut message, SPDP_READER, 0, &[], 1);
+    message.freeze()
+}
+
+/// The identity of nobody: a participant that does not exist, and that only the own participant learns of.
+fn nobody(own: &EndpointId) -> EndpointId {
+    let mut nobody = *own;
+    nobody[2..12].fill(0xff);
+    nobody[12..].copy_from_slice(&PARTICIPANT);
+    nobody
+}
+
+/// A visit of nobody, who comes and goes: announcements of this number and the next.
+pub(super) fn visit(own: &EndpointId, number: i64) -> Bytes {
+    let nobody = nobody(own);
+    let mut message = header(&nobody);
+    let data = participant(&nobody, 0, 1, None);
+    announced(&mut message, SPDP_READER, PAYLOAD, &data, number);
+    announced(&mut message, SPDP_READER, KEY, &key(&nobody), number + 1);
+    message.freeze()
+}
+
+/// That nobody has gone, once for each of `numbers`.
+pub(super) fn departures(own: &EndpointId, numbers: impl Iterator<Item = i64>) -> Bytes {
+    let nobody = nobody(own);
+    let mut message = header(&nobody);
+    for number in numbers {
+        announced(&mut message, SPDP_READER, KEY, &key(&nobody), number);
+    }
+    message.freeze()
+}
+
+/// That the lease of the participant `peer` ends within a second.
+pub(super) fn expiry(own: &EndpointId, peer: &Peer, number: i64) -> Bytes {
+    let mut id = nobody(own);
+    let mut message = header(&id);
+    id[..12].copy_from_slice(peer);
+    let data = participant(&id, 0, 1, None);
+    announced(&mut message, SPDP_READER, PAYLOAD, &data, number);
+    message.freeze()
+}
+
+fn key(participant: &EndpointId) -> BytesMut {
+    let mut key = BytesMut::new();
+    key.put_slice(&PL_CDR_LE);
+    key.put_u16_le(PID_PARTICIPANT_GUID);
+    key.put_u16_le(16);
+    key.put_slice(participant);
+    key.put_u16_le(PID_SENTINEL);
+    key.put_u16_le(0);
+    key
+}
+
+/// An announcement of this number.
+fn announced(message: &mut BytesMut, reader: [u8; 4], flags: u8, payload: &[u8], number: i64) {
+    const HEADER: u16 = 4 + OCTETS_TO_INLINE_QOS;
+    let len = HEADER + payload.len() as u16; // at most 120
+    submessage(message, DATA, LITTLE_ENDIAN | flags, len);
+    message.put_u16_le(0);
+    message.put_u16_le(OCTETS_TO_INLINE_QOS);
+    message.put_slice(&reader);
+    message.put_slice(&SPDP_WRITER);
+    put_number(message, number);
+    message.put_slice(payload);
+}
+
+/// The header of a message of the participant of `from`.
+fn header(from: &EndpointId) -> BytesMut {
     let mut message = BytesMut::new();
     message.put_slice(&MAGIC);
     message.put_slice(&from[..2]); // an identity begins with its vendor
     message.put_slice(&from[..12]);
+    message
+}
+
+/// A message from the participant of `from` to the participant `to`.
+fn begin(from: &EndpointId, to: &Peer) -> BytesMut {
+    let mut message = header(from);
     submessage(&mut message, INFO_DST, LITTLE_ENDIAN, 12);
     message.put_slice(to);
     message
@@ -117,17 +237,17 @@ mod tests {
     const WRITER: EndpointId = [1, 0x18, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 0, 0, 2, 0x03];
 
     #[test]
-    fn an_acknowledgment_is_as_the_standard_says() {
-        let message = acknowledgment(&READER, &WRITER, (7 << 32) + 9, 5);
-        assert_eq!(&message[..8], [b'R', b'T', b'P', b'S', 2, 4, 0x01, 0x0f]);
-        assert_eq!(message[8..20], READER[..12]);
-        assert_eq!(message[20..24], [0x0e, 1, 12, 0]);
-        assert_eq!(message[24..36], WRITER[..12]);
-        assert_eq!(message[36..40], [0x06, 3, 24, 0]);
-        let rest = [
-            0, 0, 1, 4, 0, 0, 2, 3, 7, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0, 5, 0, 0, 0,
-        ];
-        assert_eq!(message[40..], rest);
+    fn departures_are_of_nobody_and_end_where_they_say() {
+        let message = departures(&READER, [64, 128].into_iter());
+        assert_eq!(message[8..20], [&READER[..2], &[0xff; 10]].concat());
+        assert_eq!(message.len(), 20 + 2 * 52);
+        for (at, number) in [(20, 64), (72, 128)] {
+            assert_eq!(message[at..at + 4], [DATA, 0x09, 48, 0]);
+            assert_eq!(message[at + 8..at + 12], SPDP_READER);
+            assert_eq!(message[at + 20..at + 24], [number, 0, 0, 0]);
+            assert_eq!(message[at + 48..at + 52], [1, 0, 0, 0]);
+        }
+        assert_eq!(life_sign(&READER).len(), 20 + 4 + 20);
     }
 
     #[test]

@@ -1,48 +1,57 @@
 //! A second participant for reliable writers of topics that this process reads as well, where it is bound to loopback.
 //!
 //! rustdds 0.15.1 connects a new writer with the readers of its own participant, but sends nothing to its own participant
-//! by loopback: they acknowledge nothing, and after [`RELIABLE_WINDOW`](super::qos::RELIABLE_WINDOW) samples the writer
-//! takes no more, whoever else listens. Between two participants all is well; what the two say to each other is left, as
+//! by loopback: they acknowledge nothing, and the writer would be started anew again and
+//! again ([`super::line`]). Between two participants all is well; what the two say to each other is left, as
 //! within one, for the delivery in memory ([`super::local`]). ROS tools show the writers, but not whose they are.
 
 use super::{
-    Dds,
-    codec::Raw,
-    confine,
+    Dds, confine,
+    introduction::{introduce, participants_of},
+    lease::OwnPort,
+    line::Maker,
     lock::lock,
     parts::peer_of,
+    qos::for_reader,
     shared::{Second, follow},
     topic,
-    wire::Wire,
 };
 use crate::{
     Environment, Error, Reliability,
     backend::{Channel, Endpoint},
 };
-use bytes::Bytes;
+use futures::FutureExt as _;
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity as _,
-    dds::result::{CreateError, CreateResult},
-    no_key::DataWriter,
+    dds::result::CreateError,
 };
 use std::sync::Arc;
 
 /// rustdds calls it a panic where it cannot have the sockets, timers and threads that a participant needs.
 fn cannot_join(environment: &Environment, error: CreateError) -> Error {
+    let domain = environment.domain_id;
     let reason = match error {
+        CreateError::OutOfResources { reason } if reason.contains("ParticipantId") => {
+            return full(domain);
+        }
         CreateError::Poisoned { reason } => format!(
             "{reason}; the process may have reached its limit of open files (`ulimit -n`) or of threads"
         ),
         other => other.to_string(),
     };
-    Error::middleware(format!("join DDS domain {}", environment.domain_id), reason)
+    Error::middleware(format!("join DDS domain {domain}"), reason)
+}
+
+fn full(domain: u16) -> Error {
+    let participants = participants_of(domain);
+    Error::DomainFull {
+        domain,
+        participants,
+    }
 }
 
 /// A participant of the domain, not yet in anybody's book, which hears nothing from outside the environment's reach.
-pub(super) fn participant(
-    environment: &Environment,
-    wire: &Wire,
-) -> Result<DomainParticipant, Error> {
+pub(super) fn participant(environment: &Environment) -> Result<DomainParticipant, Error> {
     let of_sockets = |source| Error::io("confine the sockets of DDS", source);
     let before = confine::sockets().map_err(of_sockets)?;
     let mut builder = DomainParticipantBuilder::new(environment.domain_id);
@@ -56,11 +65,13 @@ pub(super) fn participant(
     let participant = builder
         .build()
         .map_err(|error| cannot_join(environment, error))?;
-    let ports = confine::Ports::new(environment.domain_id, participant.participant_id());
+    if participant.participant_id() >= participants_of(environment.domain_id) {
+        return Err(full(environment.domain_id));
+    }
     if let Some(addresses) = environment.addresses() {
+        let ports = confine::Ports::new(environment.domain_id, participant.participant_id());
         confine::confine(&ports, &before, &addresses).map_err(of_sockets)?;
     }
-    wire.add_own(peer_of(&participant.guid().to_bytes()), ports.discovery());
     Ok(participant)
 }
 
@@ -74,12 +85,12 @@ impl Dds {
             && self.shared.nodes.reads(endpoint)
     }
 
-    /// A writer of the second participant, which joins the domain if it has not done so.
-    pub(super) fn writer_apart(
+    /// Makes writers of the second participant, which joins the domain if it has not done so.
+    pub(super) fn maker_apart(
         &self,
         endpoint: &Endpoint,
         qos: QosPolicies,
-    ) -> Result<CreateResult<DataWriter<Bytes, Raw>>, Error> {
+    ) -> Result<Maker, Error> {
         let mut second = lock(&self.shared.second);
         let Second {
             participant,
@@ -88,23 +99,49 @@ impl Dds {
             Some(second) => second,
             none => none.insert(self.join_again()?),
         };
-        let topic = topic(participant, endpoint, &qos)?;
-        Ok(publisher.create_datawriter_no_key(&topic, Some(qos)))
+        let topic = topic(participant, endpoint, &for_reader(endpoint.qos))?;
+        let publisher = publisher.clone();
+        Ok(Maker {
+            publisher,
+            topic,
+            qos,
+        })
+    }
+
+    /// Follows what a participant discovers, and mends its discovery as far as the environment needs it.
+    pub(super) fn attend(&self, participant: &DomainParticipant) -> Result<(), Error> {
+        let failed = |source| Error::io("open a UDP socket", source);
+        let own = participant.guid().to_bytes();
+        let (domain, number) = (self.environment.domain_id, participant.participant_id());
+        let (failure, runtime) = (&self.shared.failure, &self.runtime);
+        let mut own_port = None;
+        if let Some(address) = self.addresses.first() {
+            let port = confine::Ports::new(domain, number).discovery();
+            let port = Arc::new(OwnPort::new(own, address, port).map_err(failed)?);
+            self.shared.own_port.get_or_init(|| Arc::clone(&port));
+            own_port = Some(Arc::clone(&port));
+            let lease = async move { port.keep_alive().await };
+            failure.watch(runtime, "own lease", lease);
+        } else if self.environment.is_on_loopback() && !self.environment.is_alone() {
+            let socket = self.shared.wire.socket().map_err(failed)?;
+            let introduction = introduce(socket, own, domain, number);
+            failure.watch(runtime, "announcements", introduction);
+        }
+        let events = participant.status_listener();
+        let follow = follow(events, Arc::clone(&self.shared), own_port);
+        failure.watch(runtime, "discovery", follow.boxed());
+        Ok(())
     }
 
     fn join_again(&self) -> Result<Second, Error> {
-        let participant = participant(&self.environment, &self.shared.wire)?;
+        let participant = participant(&self.environment)?;
         let defaults = rustdds::QosPolicyBuilder::new().build();
         let publisher = participant
             .create_publisher(&defaults)
             .map_err(|error| Error::middleware("join a second time", error))?;
         let peer = peer_of(&participant.guid().to_bytes());
         self.shared.second_peer.get_or_init(|| peer);
-        let events = participant.status_listener();
-        let follow = follow(events, Arc::clone(&self.shared));
-        self.shared
-            .failure
-            .watch(&self.runtime, "discovery", follow);
+        self.attend(&participant)?;
         Ok(Second {
             participant,
             publisher,

@@ -4,11 +4,14 @@ use super::{
     catch_up::CatchUp,
     datagram,
     failure::Failure,
+    lease::OwnPort,
+    line::Lines,
     local::Local,
     lock::lock,
     mismatches::Mismatches,
     names::ros_names,
     nodes::Nodes,
+    one_way::OneWay,
     parts::{Parts, Peer, peer_of},
     reconcile::{OwnEndpoints, Suspects},
     wire::Wire,
@@ -17,14 +20,20 @@ use crate::backend::{Channel, EndpointId};
 use futures::StreamExt as _;
 use rustdds::{
     DomainParticipant, DomainParticipantStatusEvent as Event, EndpointDescription,
-    StatusEvented as _,
+    StatusEvented as _, dds::statusevents::LostReason,
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::{Arc, Mutex, OnceLock},
     time::Instant,
 };
-use tokio::sync::watch;
+use tokio::{
+    runtime::Handle,
+    sync::{Notify, watch},
+};
+
+/// Participants that are remembered after their lease has run out.
+const MOST_SILENT: usize = 1024;
 
 /// Endpoints of others by the own endpoint that they are connected to.
 pub(super) type Matches = BTreeMap<EndpointId, BTreeSet<EndpointId>>;
@@ -40,20 +49,29 @@ pub(super) struct Shared {
     /// `None` once closed.
     pub(super) participant: Mutex<Option<DomainParticipant>>,
     pub(super) publisher: rustdds::Publisher,
+    pub(super) subscriber: rustdds::Subscriber,
+    /// Runs what receives.
+    pub(super) runtime: Handle,
     pub(super) first: Peer,
     pub(super) second: Mutex<Option<Second>>,
     pub(super) second_peer: OnceLock<Peer>,
     pub(super) nodes: Nodes,
     pub(super) local: Local,
+    pub(super) lines: Lines,
     pub(super) parts: Parts,
     /// Connections to other participants.
     pub(super) matches: Mutex<Matches>,
     /// Writers of other participants that have not gone.
     pub(super) writers: Mutex<BTreeSet<EndpointId>>,
     pub(super) mismatches: Mismatches,
+    pub(super) one_way: OneWay,
+    /// The way to the first participant itself, unless it is on loopback.
+    pub(super) own_port: OnceLock<Arc<OwnPort>>,
     /// Own readers and writers of topics and services.
     pub(super) own: OwnEndpoints,
     pub(super) suspects: Suspects,
+    /// A participant has returned after its lease had run out.
+    pub(super) has_returned: Notify,
     pub(super) catch_up: CatchUp,
     pub(super) wire: Wire,
     pub(super) failure: Arc<Failure>,
@@ -121,6 +139,7 @@ impl Shared {
         };
         let id = other.guid.to_bytes();
         for (own, own_type) in self.nodes.of_other_type(&topic, &type_name, is_writer) {
+            let own = self.lines.publisher_of(&own);
             let types = (own_type.as_str(), type_name.as_str());
             self.mismatches.types(own, id, &topic, types, is_writer);
         }
@@ -135,6 +154,27 @@ impl Shared {
     /// Whether this writer of another participant is still there.
     pub(super) fn is_there(&self, writer: &EndpointId) -> bool {
         lock(&self.writers).contains(writer)
+    }
+
+    /// Whether the readers of one DDS writer are connected to the next one too.
+    pub(super) fn has_readers_of(&self, next: &EndpointId, line: &EndpointId) -> bool {
+        let matches = lock(&self.matches);
+        match (matches.get(line), matches.get(next)) {
+            (None, _) => true,
+            (Some(_), None) => false,
+            (Some(readers), Some(connected)) => readers.is_subset(connected),
+        }
+    }
+
+    /// One of the DDS writers of a publisher has gone.
+    pub(super) fn forget_line(&self, line: &EndpointId) {
+        self.lines.remove(line);
+        self.one_way.forget_line(line);
+        self.parts.forget_own(line);
+        lock(&self.matches).remove(line);
+        self.nodes.remove_endpoint(line);
+        self.own.remove(line);
+        self.changed();
     }
 
     /// Takes an endpoint off every list.
@@ -158,8 +198,11 @@ pub(super) fn is_foreign(one: &EndpointId, other: &EndpointId) -> bool {
 pub(super) async fn follow(
     listener: rustdds::DomainParticipantStatusListener,
     shared: Arc<Shared>,
+    own_port: Option<Arc<OwnPort>>,
 ) {
     let mut events = listener.as_async_status_stream();
+    // participants whose lease has run out, and that may return
+    let mut silent = BTreeSet::new();
     while let Some(event) = events.next().await {
         match event {
             Event::RemoteReaderMatched {
@@ -182,14 +225,27 @@ pub(super) async fn follow(
             Event::ParticipantDiscovered { dpd } => {
                 let id = dpd.guid.to_bytes();
                 shared.catch_up.discovered(&id, Instant::now());
+                if silent.remove(&peer_of(&id)) {
+                    shared.has_returned.notify_one();
+                }
                 continue;
             }
             // what a participant had is not lost one by one when its lease runs out
-            Event::ParticipantLost { id, .. } => {
+            Event::ParticipantLost { id, reason } => {
                 let mut peer = Peer::default();
                 if let Some(prefix) = id.as_ref().get(..peer.len()) {
                     peer.copy_from_slice(prefix);
                     shared.forget_participant(&peer);
+                    shared.one_way.lost(&peer);
+                    if matches!(reason, LostReason::Timeout { .. }) {
+                        if silent.len() >= MOST_SILENT {
+                            silent.pop_first();
+                        }
+                        silent.insert(peer);
+                        if let Some(own_port) = &own_port {
+                            own_port.forget_announcements();
+                        }
+                    }
                 }
             }
             Event::RemoteReaderQosIncompatible {
@@ -200,6 +256,7 @@ pub(super) async fn follow(
             } => {
                 let (own, other) = (local_writer.to_bytes(), remote_reader.to_bytes());
                 let topic = shared.nodes.topic_of(&own);
+                let own = shared.lines.publisher_of(&own);
                 shared
                     .mismatches
                     .subscription(own, other, topic, &requested_qos, &offered_qos);

@@ -1,64 +1,29 @@
-//! Datagrams that this runtime sends beside rustdds 0.15.1, for what rustdds has no other way to do.
+//! Datagrams that this runtime sends beside rustdds 0.15.1, always in the name of their sender.
 //!
-//! - **A reliable writer whose reader is stuck takes nothing more**: rustdds keeps every sample until all reliable
-//!   readers have acknowledged it, whatever the history's depth, and refuses new ones once its window is full, so that
-//!   one stopped subscriber silences the topic for all. So what is too old is acknowledged in the readers' names, by a
-//!   datagram to ourselves. rustdds ignores acknowledgments of less than it knows already, so only readers that really
-//!   are behind lose anything, and they are told by the next heartbeat.
-//! - **An answer of more than one datagram of rustdds never arrives**: rustdds misplaces the inline QoS of fragments by
-//!   one byte, and the inline QoS says which request is answered. So such an answer is sent from here, whole, in one
-//!   datagram that the kernel fragments; rustdds' own attempt follows, and is ignored as a repetition.
+//! **An answer of more than one datagram of rustdds never arrives**: rustdds misplaces the inline QoS of fragments by
+//! one byte, and the inline QoS names the request. So such an answer is sent from here, whole, in one datagram that the
+//! kernel fragments. rustdds sends its own fragments after it, and clients ignore them as a repetition.
 
-use super::{lock::lock, parts::Peer, rtps};
+use super::rtps;
 use crate::backend::{EndpointId, RequestId};
 use bytes::Bytes;
-use std::{
-    collections::BTreeMap,
-    net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket},
-    sync::{
-        Mutex,
-        atomic::{AtomicI32, Ordering},
-    },
-};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 
-/// Where to reach the participants of this process, and what datagrams leave from.
+/// The socket that these datagrams leave from.
 pub(super) struct Wire {
     socket: UdpSocket,
-    own: Mutex<BTreeMap<Peer, SocketAddr>>,
-    count: AtomicI32,
 }
 
 impl Wire {
     pub(super) fn open() -> std::io::Result<Self> {
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         socket.set_nonblocking(true)?;
-        Ok(Self {
-            socket,
-            own: Mutex::default(),
-            // the readers' own counts begin at the other end: rustdds takes two equal ones for one message
-            count: AtomicI32::new(i32::MAX),
-        })
+        Ok(Self { socket })
     }
 
-    /// `port`: where the participant of this process listens.
-    pub(super) fn add_own(&self, participant: Peer, port: u16) {
-        let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
-        lock(&self.own).insert(participant, address);
-    }
-
-    /// Says in the names of `readers` that they have everything of an own writer before `base`.
-    pub(super) fn acknowledge(
-        &self,
-        writer: &EndpointId,
-        base: i64,
-        readers: impl IntoIterator<Item = EndpointId>,
-    ) {
-        let address = lock(&self.own).get(&super::parts::peer_of(writer)).copied();
-        let Some(address) = address else { return };
-        for reader in readers {
-            let count = self.count.fetch_sub(1, Ordering::Relaxed);
-            self.send(&rtps::acknowledgment(&reader, writer, base, count), address);
-        }
+    /// For announcements.
+    pub(super) fn socket(&self) -> std::io::Result<UdpSocket> {
+        self.socket.try_clone()
     }
 
     /// Sends an answer to one reader.

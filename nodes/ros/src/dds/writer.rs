@@ -2,12 +2,15 @@
 
 use super::{
     answers::WaitingRoom,
-    codec::{HEADER_LEN, Raw},
+    codec::HEADER_LEN,
+    line::{LULL, Line, Maker, Patience, RETIREMENT},
     lock::lock,
+    names::{dds_name, dds_type},
+    one_way::Waiting,
     parts::{Keep, LARGEST, Offered, peer_of},
+    reconcile::Own,
     rtps::LARGEST_ANSWER,
     shared::{Shared, is_foreign},
-    window::{Release, Window},
     wire::Answer,
 };
 use crate::{
@@ -19,11 +22,16 @@ use crate::{
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use rustdds::{
-    GUID, SequenceNumber, Timestamp, WriteOptionsBuilder, dds::result::WriteError,
-    no_key::DataWriter, rpc::SampleIdentity,
+    GUID, SequenceNumber, Timestamp, WriteOptionsBuilder,
+    dds::result::{CreateResult, WriteError},
+    rpc::SampleIdentity,
 };
 use std::{
-    sync::{Arc, Mutex},
+    collections::VecDeque,
+    sync::{
+        Arc, Mutex, Weak,
+        atomic::{AtomicU64, Ordering},
+    },
     time::{Duration, Instant},
 };
 use tokio::runtime::Handle;
@@ -41,10 +49,17 @@ pub(super) struct DdsWriter {
     waiting: WaitingRoom,
 }
 
+/// How long a retired DDS writer waits for readers that take large messages.
+const PARTS_RETIREMENT: Duration = Duration::from_secs(10);
+
 /// What an answer that waits needs of its writer.
 struct WriterCore {
-    writer: Arc<DataWriter<Bytes, Raw>>,
-    topic: String,
+    /// The first of its DDS writers: the publisher is known by it in this process.
+    id: EndpointId,
+    this: Weak<Self>,
+    maker: Maker,
+    endpoint: Endpoint,
+    node: String,
     /// What is kept of messages in parts, where they may go so.
     keep: Option<Keep>,
     is_topic: bool,
@@ -52,6 +67,8 @@ struct WriterCore {
     is_latched: bool,
     /// Held while a sample is sent, so that all readers get them in one order.
     sent: Mutex<Sent>,
+    /// Samples of retired DDS writers that some reader never took, and that were not reported yet.
+    given_up: AtomicU64,
     shared: Arc<Shared>,
     runtime: Handle,
 }
@@ -59,7 +76,13 @@ struct WriterCore {
 /// What went out so far.
 struct Sent {
     /// On the topic.
-    window: Window,
+    line: Line,
+    /// Takes over as soon as the readers of `line` are connected to it.
+    successor: Option<Line>,
+    patience: Patience,
+    waiting: Waiting,
+    /// Of a latched topic: the last samples with their times, for the late readers of the next DDS writer.
+    history: VecDeque<(Bytes, Timestamp)>,
     /// To readers of this participant: those elsewhere may miss what nobody there heard, these do not.
     here: i64,
     /// When the last sample went out to readers elsewhere.
@@ -67,14 +90,10 @@ struct Sent {
 }
 
 impl WriterCore {
-    fn id(&self) -> EndpointId {
-        use rustdds::RTPSEntity as _;
-        self.writer.guid().to_bytes()
-    }
-
     /// Whether there are readers elsewhere, or may be such that want what was sent before.
     fn is_heard_elsewhere(&self) -> bool {
-        let is_matched = || lock(&self.shared.matches).contains_key(&self.id());
+        let current = || self.shared.lines.current(&self.id);
+        let is_matched = || lock(&self.shared.matches).contains_key(&current());
         !self.shared.is_alone && (self.is_latched || is_matched())
     }
 
@@ -89,10 +108,10 @@ impl WriterCore {
         let written = if !self.is_topic || self.is_heard_elsewhere() {
             let sample = payload.cdr()?;
             sent.last = Some(Instant::now());
-            self.send_elsewhere(&sample, answers, when_full, &mut sent.window)?
+            self.send_elsewhere(&sample, answers, when_full, &mut sent)?
         } else {
             Written::Sent {
-                number: sent.window.last(),
+                number: sent.line.window.last(),
                 dropped: 0,
             }
         };
@@ -102,7 +121,7 @@ impl WriterCore {
         sent.here += 1;
         let number = if self.is_topic { sent.here } else { number };
         let local = &self.shared.local;
-        local.deliver(self.id(), number, payload, answers);
+        local.deliver(self.id, number, payload, answers);
         Ok(written)
     }
 
@@ -113,7 +132,7 @@ impl WriterCore {
         }
         let representation = header.and_then(|header| Some(*header.first_chunk::<2>()?));
         Err(Error::Representation {
-            topic: self.topic.clone(),
+            topic: self.endpoint.name.clone(),
             representation: representation.map_or(0xffff, u16::from_be_bytes),
         })
     }
@@ -123,22 +142,23 @@ impl WriterCore {
         sample: &Bytes,
         answers: Option<RequestId>,
         when_full: WhenFull,
-        window: &mut Window,
+        sent: &mut Sent,
     ) -> Result<Written, Error> {
         if self.shared.is_alone {
             // there is nobody elsewhere, and own readers would never acknowledge
-            let number = window.last() + 1;
-            window.wrote(number, 0);
+            let number = sent.line.window.last() + 1;
+            sent.line.window.wrote(number, 0);
+            sent.line.window.acknowledged(number);
             return Ok(Written::Sent { number, dropped: 0 });
         }
         if let Some(keep) = self.keep
-            && self.shared.parts.takes(&self.id(), sample.len())
+            && self.shared.parts.takes(&sent.line.id(), sample.len())
         {
-            return self.send_in_parts(sample, keep, when_full, window);
+            return self.send_in_parts(sample, keep, when_full, sent);
         }
         match answers {
-            Some(request) => self.send_answer(sample, request, when_full, window),
-            None => self.send_whole(sample, None, when_full, window),
+            Some(request) => self.send_answer(sample, request, when_full, sent),
+            None => self.send_whole(sample, None, when_full, sent),
         }
     }
 
@@ -147,25 +167,27 @@ impl WriterCore {
         sample: &Bytes,
         keep: Keep,
         when_full: WhenFull,
-        window: &mut Window,
+        sent: &mut Sent,
     ) -> Result<Written, Error> {
-        let (id, parts) = (self.id(), &self.shared.parts);
+        let (id, parts) = (sent.line.id(), &self.shared.parts);
         self.check_len(sample.len(), LARGEST)?;
-        parts.open(id, keep, window.last());
+        parts.open(id, keep, sent.line.window.last());
         if when_full == WhenFull::Refuse && parts.is_full(&id) {
             return Ok(Written::WindowFull);
         }
         let (peers, has_others) = self.shared.readers_in_parts(&id);
         let (copy, dropped_elsewhere) = match has_others {
             false => (0, 0),
-            true => match self.send_whole(sample, None, when_full, window)? {
+            true => match self.send_whole(sample, None, when_full, sent)? {
                 Written::Sent { number, dropped } => (number, dropped),
                 not_sent => return Ok(not_sent),
             },
         };
+        // the copy may have gone out on the next DDS writer
+        let id = sent.line.id();
         let offered = self.shared.offer(&id, sample, copy, peers);
         let Some(Offered { number, dropped }) = offered else {
-            return Err(Error::ShutDown(self.topic.clone()));
+            return Err(Error::ShutDown(self.endpoint.name.clone()));
         };
         Ok(Written::Sent {
             number,
@@ -177,7 +199,7 @@ impl WriterCore {
         if len <= largest {
             return Ok(());
         }
-        let topic = self.topic.clone();
+        let topic = self.endpoint.name.clone();
         Err(Error::MessageTooLarge {
             topic,
             len,
@@ -191,23 +213,23 @@ impl WriterCore {
         sample: &Bytes,
         request: RequestId,
         when_full: WhenFull,
-        window: &mut Window,
+        sent: &mut Sent,
     ) -> Result<Written, Error> {
-        let (id, shared) = (self.id(), &self.shared);
+        let (id, shared) = (self.id, &self.shared);
         let clients = shared.matched(&id);
         if sample.len() <= shared.largest_answer(&id, &clients) {
-            return self.send_whole(sample, Some(request), when_full, window);
+            return self.send_whole(sample, Some(request), when_full, sent);
         }
         if sample.len() > LARGEST_ANSWER {
             return Err(Error::AnswerTooLarge {
-                service: self.topic.clone(),
+                service: self.endpoint.name.clone(),
                 len: sample.len(),
                 largest: LARGEST_ANSWER,
             });
         }
         let answer = Answer {
             writer: id,
-            number: window.last() + 1,
+            number: sent.line.window.last() + 1,
             request,
             nanos: system_nanos(),
             sample: sample.clone(),
@@ -223,9 +245,9 @@ impl WriterCore {
             }
         };
         send();
-        let written = self.send_whole(sample, Some(request), when_full, window)?;
+        let written = self.send_whole(sample, Some(request), when_full, sent)?;
         // a datagram may be lost
-        let writer = Arc::downgrade(&self.writer);
+        let writer = Arc::downgrade(sent.line.writer());
         shared.failure.watch(&self.runtime, "answers", async move {
             for pause in REPEAT_ANSWER {
                 let Some(writer) = writer.upgrade() else {
@@ -248,97 +270,195 @@ impl WriterCore {
         sample: &Bytes,
         answers: Option<RequestId>,
         when_full: WhenFull,
-        window: &mut Window,
+        sent: &mut Sent,
     ) -> Result<Written, Error> {
-        if self.is_reliable
-            && matches!(
-                self.writer.wait_for_acknowledgments(Duration::ZERO),
-                Ok(true)
-            )
-        {
-            window.all_acknowledged();
+        if self.is_reliable && !self.has_room(when_full, sent) {
+            return Ok(Written::WindowFull);
         }
-        let related = answers.map(|request| SampleIdentity {
-            writer_guid: GUID::from_bytes(request.client),
-            sequence_number: SequenceNumber::from(request.sequence),
-        });
-        let options = WriteOptionsBuilder::new()
-            .source_timestamp(Timestamp::now())
-            .related_sample_identity_opt(related)
-            .build();
-        let write = || {
-            self.writer
-                .write_with_options(sample.clone(), options.clone())
-        };
-        let (mut written, mut left) = (write(), 0);
-        if when_full == WhenFull::DropOldest
-            && matches!(written, Err(WriteError::WouldBlock { .. }))
-        {
-            // a reader that is new counts as one that lacks everything
-            left = self.leave_behind(window.move_on());
-            written = write();
-        }
-        match written {
-            Ok(identity) => {
-                let number = identity.sequence_number.into();
-                let release = window.wrote(number, sample.len());
-                let dropped = match release {
-                    Some(release) if self.is_reliable && when_full == WhenFull::DropOldest => {
-                        self.leave_behind(release)
-                    }
-                    _ => 0,
-                };
-                let dropped = dropped + left;
-                Ok(Written::Sent { number, dropped })
+        let now = Timestamp::now();
+        let number = match write(&mut sent.line, sample, answers, now) {
+            Ok(number) => number,
+            Err(WriteError::WouldBlock { .. }) => return Ok(Written::WindowFull),
+            Err(error) => {
+                let action = format!("publish {}", self.endpoint.name);
+                return Err(Error::middleware(action, error));
             }
-            Err(WriteError::WouldBlock { .. }) => Ok(Written::WindowFull),
-            Err(error) => Err(Error::middleware(format!("publish {}", self.topic), error)),
+        };
+        if !self.is_reliable {
+            sent.line.window.acknowledged(number);
         }
+        if self.is_latched {
+            sent.history.push_back((sample.clone(), now));
+            while sent.history.len() > self.endpoint.qos.depth.max(1) {
+                sent.history.pop_front();
+            }
+        }
+        let dropped = self.given_up.swap(0, Ordering::Relaxed);
+        Ok(Written::Sent { number, dropped })
     }
 
-    /// Gives up the oldest samples for the readers that do not have them; how many.
-    fn leave_behind(&self, Release { number, dropped }: Release) -> u64 {
-        let id = self.id();
-        let readers = self.shared.matched(&id);
-        self.shared.wire.acknowledge(&id, number + 1, readers);
-        dropped
+    /// Looks whether some reader has fallen behind; whether a sample may be sent all the same. The next DDS writer of a
+    /// publisher takes over as soon as it can.
+    fn has_room(&self, when_full: WhenFull, sent: &mut Sent) -> bool {
+        let is_acknowledged = sent.line.look();
+        let is_waiting = sent.line.window.unacknowledged() > 0;
+        let looked = [is_acknowledged, is_waiting];
+        let line = sent.line.id();
+        self.shared.note(&line, &mut sent.waiting, looked);
+        // calls are known by their DDS writer
+        if !self.is_topic {
+            return !sent.line.window.is_full();
+        }
+        if sent.line.window.unacknowledged() == 0 {
+            sent.patience.reset();
+            // the reader has caught up, or has gone
+            if let Some(successor) = sent.successor.take() {
+                self.shared.forget_line(&successor.id());
+            }
+        }
+        if !sent.line.window.is_behind(sent.patience.samples()) {
+            return true;
+        }
+        if when_full == WhenFull::Refuse {
+            return false;
+        }
+        let is_stuck = sent.waiting.is_long(LULL);
+        match sent.successor.take() {
+            None if !is_stuck || self.shared.catch_up.is_pending() => {}
+            None => match self.start() {
+                Ok(line) => sent.successor = Some(line),
+                Err(error) => tracing::debug!("{}: {error}", self.endpoint.name),
+            },
+            Some(successor) if self.shared.has_readers_of(&successor.id(), &sent.line.id()) => {
+                self.hand_on(sent, successor);
+            }
+            some => sent.successor = some,
+        }
+        !sent.line.window.is_full()
     }
+
+    /// Makes the next DDS writer.
+    fn start(&self) -> CreateResult<Line> {
+        let line = Line::new(self.maker.make()?);
+        self.register(line.id());
+        Ok(line)
+    }
+
+    fn register(&self, line: EndpointId) {
+        let (shared, name) = (&self.shared, dds_name(&self.endpoint));
+        shared.lines.add(self.id, line);
+        let own = Own {
+            topic: name,
+            type_name: dds_type(&self.endpoint),
+            qos: self.maker.qos.clone(),
+            is_writer: true,
+        };
+        shared.own.add(line, own);
+        shared
+            .nodes
+            .add_endpoint(line, &self.node, &self.endpoint, true);
+    }
+
+    /// From now on samples go out on `successor`.
+    fn hand_on(&self, sent: &mut Sent, mut successor: Line) {
+        let (old, new) = (sent.line.id(), successor.id());
+        for (sample, written) in &sent.history {
+            // late readers want them; those of this suite know the time, and do not take them twice
+            if let Err(error) = write(&mut successor, sample, None, *written) {
+                tracing::debug!("{}: {error}", self.endpoint.name);
+            }
+        }
+        if let Some(keep) = self.keep
+            && self.shared.parts.has(&old)
+        {
+            self.shared.parts.open(new, keep, 0);
+        }
+        self.shared.lines.set_current(self.id, new);
+        sent.patience.grow();
+        let retired = std::mem::replace(&mut sent.line, successor);
+        let retirement = retire(self.this.clone(), Arc::clone(&self.shared), retired);
+        let failure = &self.shared.failure;
+        failure.watch(&self.runtime, "retired writers", retirement);
+        self.shared.changed();
+    }
+}
+
+/// Sends a sample on a DDS writer; its number.
+fn write(
+    line: &mut Line,
+    sample: &Bytes,
+    answers: Option<RequestId>,
+    written: Timestamp,
+) -> Result<i64, WriteError<Bytes>> {
+    let related = answers.map(|request| SampleIdentity {
+        writer_guid: GUID::from_bytes(request.client),
+        sequence_number: SequenceNumber::from(request.sequence),
+    });
+    let options = WriteOptionsBuilder::new()
+        .source_timestamp(written)
+        .related_sample_identity_opt(related)
+        .build();
+    let identity = line.writer().write_with_options(sample.clone(), options)?;
+    let number = identity.sequence_number.into();
+    line.window.wrote(number, sample.len());
+    Ok(number)
+}
+
+/// Keeps a DDS writer for what its readers have not taken, and then drops it.
+async fn retire(core: Weak<WriterCore>, shared: Arc<Shared>, mut line: Line) {
+    let id = line.id();
+    tokio::time::sleep(RETIREMENT).await;
+    let settled = shared.parts.acknowledged(&id);
+    tokio::time::timeout(PARTS_RETIREMENT, settled).await.ok();
+    line.look();
+    if let Some(core) = core.upgrade() {
+        let given_up = line.window.unacknowledged() as u64;
+        core.given_up.fetch_add(given_up, Ordering::Relaxed);
+    }
+    shared.forget_line(&id);
 }
 
 impl DdsWriter {
     pub(super) fn new(
-        writer: DataWriter<Bytes, Raw>,
+        maker: Maker,
         endpoint: &Endpoint,
         node: &str,
         shared: &Arc<Shared>,
         runtime: &Handle,
-    ) -> Self {
-        use rustdds::RTPSEntity as _;
+    ) -> CreateResult<Self> {
+        let line = Line::new(maker.make()?);
+        let id = line.id();
         // offers come from the first participant, and are for its writers
-        let is_of_first = peer_of(&writer.guid().to_bytes()) == shared.first;
+        let is_of_first = peer_of(&id) == shared.first;
         let qos = endpoint.qos;
-        let this = Self {
-            core: Arc::new(WriterCore {
-                writer: Arc::new(writer),
-                topic: endpoint.name.clone(),
-                keep: Keep::of(endpoint).filter(|_| is_of_first),
-                is_topic: endpoint.channel == Channel::Topic,
-                is_reliable: qos.reliability == Reliability::Reliable,
-                is_latched: qos.durability == Durability::TransientLocal,
-                sent: Mutex::new(Sent {
-                    window: Window::new(qos.depth),
-                    here: 0,
-                    last: None,
-                }),
-                shared: Arc::clone(shared),
-                runtime: runtime.clone(),
+        let core = Arc::new_cyclic(|this| WriterCore {
+            id,
+            this: Weak::clone(this),
+            maker,
+            endpoint: endpoint.clone(),
+            node: node.to_owned(),
+            keep: Keep::of(endpoint).filter(|_| is_of_first),
+            is_topic: endpoint.channel == Channel::Topic,
+            is_reliable: qos.reliability == Reliability::Reliable,
+            is_latched: qos.durability == Durability::TransientLocal,
+            sent: Mutex::new(Sent {
+                line,
+                successor: None,
+                patience: Patience::default(),
+                waiting: Waiting::default(),
+                history: VecDeque::new(),
+                here: 0,
+                last: None,
             }),
-            waiting: WaitingRoom::default(),
-        };
-        shared.local.add_writer(this.id(), endpoint);
-        shared.nodes.add_endpoint(this.id(), node, endpoint, true);
+            given_up: AtomicU64::new(0),
+            shared: Arc::clone(shared),
+            runtime: runtime.clone(),
+        });
+        shared.local.add_writer(id, endpoint);
+        core.register(id);
         shared.changed();
-        this
+        let waiting = WaitingRoom::default();
+        Ok(Self { core, waiting })
     }
 
     /// Has an answer sent when its client is connected; false where too many wait already.
@@ -346,14 +466,14 @@ impl DdsWriter {
         let Some(place) = self.waiting.enter() else {
             return false;
         };
-        let (core, id) = (Arc::downgrade(&self.core), self.id());
+        let (core, id) = (Arc::downgrade(&self.core), self.core.id);
         let (shared, payload) = (Arc::clone(&self.core.shared), payload.clone());
         let failure = Arc::clone(&shared.failure);
         failure.watch(&self.core.runtime, "answers", async move {
             let _place = place;
             let is_reached = shared.reached(&id, &request.client).await;
             let Some(core) = core.upgrade() else { return };
-            let topic = &core.topic;
+            let topic = &core.endpoint.name;
             if !is_reached {
                 tracing::warn!("{topic}: a call is not answered: its client is unreachable");
                 return;
@@ -393,7 +513,7 @@ impl DdsWriter {
 
 impl Writer for DdsWriter {
     fn id(&self) -> EndpointId {
-        self.core.id()
+        self.core.id
     }
 
     fn audience(&self) -> Audience {
@@ -423,14 +543,14 @@ impl Writer for DdsWriter {
 
     fn acknowledged(&self) -> BoxFuture<'_, Result<(), Error>> {
         Box::pin(async move {
-            let wait = self.core.writer.async_wait_for_acknowledgments();
+            let writer = Arc::clone(lock(&self.core.sent).line.writer());
+            let wait = writer.async_wait_for_acknowledgments();
             wait.await.map(drop).map_err(|error| {
-                Error::middleware(
-                    format!("wait for the readers of {}", self.core.topic),
-                    error,
-                )
+                let action = format!("wait for the readers of {}", self.core.endpoint.name);
+                Error::middleware(action, error)
             })?;
-            self.core.shared.parts.acknowledged(&self.id()).await;
+            let line = self.core.shared.lines.current(&self.core.id);
+            self.core.shared.parts.acknowledged(&line).await;
             Ok(())
         })
     }
@@ -438,10 +558,20 @@ impl Writer for DdsWriter {
 
 impl Drop for DdsWriter {
     fn drop(&mut self) {
-        let readers = self.core.shared.matched(&self.id());
-        self.core.shared.forget(&self.id());
+        let (core, shared) = (&self.core, &self.core.shared);
+        let (line, successor) = {
+            let mut sent = lock(&core.sent);
+            (sent.line.id(), sent.successor.take())
+        };
+        let readers = shared.matched(&line);
+        if let Some(successor) = successor {
+            shared.forget_line(&successor.id());
+        }
+        shared.forget_line(&line);
+        shared.lines.remove_publisher(&core.id);
+        shared.forget(&core.id);
         // other implementations keep what they have acknowledged
-        if self.core.is_reliable && !readers.iter().all(|reader| is_foreign(&self.id(), reader)) {
+        if core.is_reliable && !readers.iter().all(|reader| is_foreign(&core.id, reader)) {
             self.stay();
         }
     }

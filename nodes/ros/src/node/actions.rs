@@ -124,6 +124,7 @@ impl Node {
             type_name,
             qos,
             hears_own: true,
+            has_siblings: false,
         };
         self.inner.backend().reader(node, &endpoint, sink(name))
     }

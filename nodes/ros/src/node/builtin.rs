@@ -128,6 +128,7 @@ fn follow_clock(node: &Node) {
                     type_name,
                     qos: CLOCK_QOS,
                     hears_own: true,
+                    has_siblings: false,
                 };
                 match backend.reader(&name, &endpoint, clock_sink(clock.clone())) {
                     Ok(subscribed) => *reader = Some(subscribed),

@@ -133,6 +133,7 @@ impl Inner {
             type_name,
             qos: SERVICE_QOS,
             hears_own: true,
+            has_siblings: false,
         };
         let reader = self
             .backend()
@@ -200,6 +201,7 @@ impl Inner {
             type_name,
             qos: SERVICE_QOS,
             hears_own,
+            has_siblings: false,
         };
         self.backend()
             .reader(&self.name.fully_qualified, &endpoint, sink)

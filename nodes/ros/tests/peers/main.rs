@@ -11,6 +11,8 @@ mod announcement;
 mod answers;
 mod clock;
 mod harness;
+mod hosts;
 mod laggards;
+mod network;
 mod newcomers;
 mod strangers;

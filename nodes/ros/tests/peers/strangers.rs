@@ -5,6 +5,7 @@
 use super::{
     announcement::announcement,
     harness::{Process, domain, given, node, peers, role, root},
+    network::{FIRST as NODE, Network, SECOND as STRANGER, run},
 };
 use std::{
     net::UdpSocket,
@@ -15,66 +16,20 @@ use std::{
 use wm_msgs::std_msgs;
 use wm_ros::{Context, Environment, Qos, Reach};
 
-const NODE: &str = "10.213.7.1";
-const STRANGER: &str = "10.213.7.2";
 /// A vendor of DDS.
 const SOMEBODY: u8 = 0x10;
 /// Longer than discovery takes.
 const SEARCH: &str = "8";
 
-/// Two namespaces with a cable between them, gone when the test lets go of them.
-struct Network {
-    node: String,
-    stranger: String,
-}
-
-fn run(words: &str) -> Result<(), String> {
-    let mut parts = words.split(' ');
-    let output = Command::new(parts.next().unwrap()).args(parts).output();
-    match output {
-        Ok(output) if output.status.success() => Ok(()),
-        Ok(output) => Err(String::from_utf8_lossy(&output.stderr).trim().to_owned()),
-        Err(error) => Err(error.to_string()),
-    }
-}
-
 impl Network {
-    /// `None` (with a plain message) where namespaces are not allowed.
-    fn new(test: u16) -> Option<Self> {
-        let name = |role: &str| format!("wm{role}{test}x{}", std::process::id());
-        let network = Self {
-            node: name("n"),
-            stranger: name("s"),
-        };
-        let Self { node, stranger } = &network;
-        if let Err(reason) = run(&format!("ip netns add {node}")) {
-            eprintln!("skipped: network namespaces are not allowed here: {reason}");
-            return None;
-        }
-        let cable = format!("wmv{}", std::process::id() % 10_000 * 10 + u32::from(test));
-        for words in [
-            format!("ip netns add {stranger}"),
-            format!("ip -n {node} link add {cable} type veth peer name {cable} netns {stranger}"),
-            format!("ip -n {node} addr add {NODE}/24 dev {cable}"),
-            format!("ip -n {stranger} addr add {STRANGER}/24 dev {cable}"),
-            format!("ip -n {node} link set {cable} up"),
-            format!("ip -n {stranger} link set {cable} up"),
-            format!("ip -n {node} link set lo up"),
-            format!("ip -n {stranger} link set lo up"),
-        ] {
-            run(&words).unwrap_or_else(|reason| panic!("{words}: {reason}"));
-        }
-        Some(network)
-    }
-
-    /// A node at `reach`, and what a stranger finds of it and the node hears of the stranger.
+    /// A node on the first host at `reach`, and what a stranger finds of it and the node hears of the stranger.
     fn meet(&self, peers: &Path, domain: u16, reach: &str) -> (String, usize) {
-        let inside = ["ip", "netns", "exec", &self.node];
+        let inside = ["ip", "netns", "exec", &self.first];
         let node = Process::start(role(&inside, "strangers::listener", domain, reach));
         node.says("it runs");
         let mut stranger = Command::new("ip");
         stranger
-            .args(["netns", "exec", &self.stranger])
+            .args(["netns", "exec", &self.second])
             .arg(peers.join("tools/bin/python"))
             .arg(root().join("tests/interop/stranger.py"))
             .args([STRANGER, NODE, SEARCH])
@@ -83,14 +38,6 @@ impl Network {
         let found = Process::start(stranger).says("others");
         let heard = node.last_line().map_or(0, |line| line.parse().unwrap());
         (found, heard)
-    }
-}
-
-impl Drop for Network {
-    fn drop(&mut self) {
-        for name in [&self.node, &self.stranger] {
-            run(&format!("ip netns del {name}")).ok();
-        }
     }
 }
 
@@ -144,15 +91,15 @@ fn forger() {
 
 #[test]
 fn a_forged_announcement_from_the_network_brings_nothing_back() {
-    let Some(network) = Network::new(7) else {
+    let Some(network) = Network::new() else {
         return;
     };
     let domain = domain(7);
     let answers = |reach| -> usize {
-        let inside = ["ip", "netns", "exec", &network.node];
+        let inside = ["ip", "netns", "exec", &network.first];
         let node = Process::start(role(&inside, "strangers::listener", domain, reach));
         node.says("it runs");
-        let inside = ["ip", "netns", "exec", &network.stranger];
+        let inside = ["ip", "netns", "exec", &network.second];
         let forger = Process::start(role(&inside, "strangers::forger", domain, ""));
         let line = forger.says("came: ");
         line.rsplit(' ').next().unwrap().parse().unwrap()
@@ -167,7 +114,7 @@ const NOT_FOUND: &str = r#"{"others": 0, "connected": false}"#;
 #[test]
 fn a_node_on_loopback_is_neither_found_nor_heard_nor_told_from_the_network() {
     let Some(peers) = peers() else { return };
-    let Some(network) = Network::new(5) else {
+    let Some(network) = Network::new() else {
         return;
     };
     let domain = domain(5);
@@ -181,7 +128,7 @@ fn a_node_on_loopback_is_neither_found_nor_heard_nor_told_from_the_network() {
 #[test]
 fn the_firewall_that_is_shipped_lets_in_only_who_is_named() {
     let Some(peers) = peers() else { return };
-    let Some(network) = Network::new(6) else {
+    let Some(network) = Network::new() else {
         return;
     };
     if let Err(reason) = run("nft --version") {
@@ -201,7 +148,7 @@ fn the_firewall_that_is_shipped_lets_in_only_who_is_named() {
             .replace("7400-7649", &ports);
         assert!(text.contains(trusted) && text.contains(&ports));
         std::fs::write(&rules, text).unwrap();
-        let load = format!("ip netns exec {} nft -f {}", network.node, rules.display());
+        let load = format!("ip netns exec {} nft -f {}", network.first, rules.display());
         run(&load).unwrap_or_else(|reason| panic!("{load}: {reason}"));
     };
     load("10.213.7.77");

@@ -1,22 +1,43 @@
-use std::{fs::File, os::unix::fs::FileExt as _, path::PathBuf};
+use std::{
+    fs::File,
+    os::unix::fs::FileExt as _,
+    path::PathBuf,
+    sync::{Mutex, PoisonError},
+};
 
-use image::{GrayImage, RgbImage, imageops::FilterType};
+use image::{
+    GrayImage, RgbImage,
+    imageops::{self, FilterType},
+};
 use rayon::prelude::*;
 use wm_audit::Stamps;
 use wm_bag::BagReader;
-use wm_camera::{camera_frame::CameraFrame, signature::Signature};
+use wm_camera::{
+    camera_frame::CameraFrame,
+    signature::Signature,
+    video::{Shown as VideoPicture, VideoStream},
+};
+use wm_model::{Fit, Framing, Part, PictureSize, Placement};
+use wm_msgs::builtin_interfaces::Time;
 use wm_progress::Progress;
 
 use super::Planned;
 use crate::{
-    DatasetError, Manifest, Size, StampSource, cameras::MASK, cutting::Draft, recording::Broken,
+    DatasetError, Manifest, Size, StampSource,
+    camera_message::{CameraMessage, first_needed},
+    cameras::MASK,
+    cutting::Draft,
+    recording::Broken,
+    source_sizes::SizeCounts,
     store::NewFolder,
 };
 
-/// What decoding gave.
+/// The result of decoding.
 pub(super) struct Decoded {
     /// The pictures of each source that cannot be decoded.
     pub broken: Vec<Broken>,
+    /// The sizes of the others.
+    pub sizes: SizeCounts,
     /// For each episode: how much each picture of the first camera differs from the one before \[levels\], if that is known.
     pub changes: Vec<Vec<Option<f32>>>,
 }
@@ -40,8 +61,10 @@ pub(super) fn write(
             false => None,
         },
         view: manifest.size,
+        fit: manifest.fit,
         views: manifest.cameras.len(),
         stamps: manifest.settings.stamps,
+        sizes: Mutex::default(),
     };
     let mut jobs = Vec::new();
     let mut first_frame = 0;
@@ -61,6 +84,7 @@ pub(super) fn write(
     });
     let mut decoded = Decoded {
         broken: vec![Broken::new(); readers.len()],
+        sizes: SizeCounts::new(),
         changes: Vec::new(),
     };
     for (source, broken, changes) in results.collect::<Result<Vec<_>, DatasetError>>()? {
@@ -70,6 +94,8 @@ pub(super) fn write(
         decoded.changes.push(changes);
     }
     drop(progress);
+    let sizes = files.sizes.into_inner();
+    decoded.sizes = sizes.unwrap_or_else(PoisonError::into_inner);
     Ok(decoded)
 }
 
@@ -78,8 +104,11 @@ struct Files {
     frames: (File, PathBuf),
     masks: Option<(File, PathBuf)>,
     view: Size,
+    fit: Fit,
     views: usize,
     stamps: StampSource,
+    /// The sizes of the pictures so far.
+    sizes: Mutex<SizeCounts>,
 }
 
 /// The pictures of a stream that an episode still waits for.
@@ -88,6 +117,36 @@ struct Awaited<'a> {
     /// Stamps of its frames, in order; a slow camera's picture may be in several.
     stamps: &'a [i64],
     is_there: Vec<bool>,
+    /// The decoder, if the stream is a video.
+    video: VideoStream,
+    changes: Changes,
+}
+
+/// How much the pictures of an episode change.
+struct Changes {
+    /// By frame: the mean change since the picture before \[levels\], if that is known.
+    levels: Vec<Option<f32>>,
+    /// The last picture, and its frame.
+    last: Option<(usize, Signature)>,
+}
+
+impl Changes {
+    fn new(frames: usize) -> Self {
+        Self {
+            levels: vec![None; frames],
+            last: None,
+        }
+    }
+
+    /// Takes the picture of a frame. Pictures come in the order of recording, which is that of the stamps but for a few.
+    fn take(&mut self, frame: usize, signature: &Signature) {
+        let before = self.last.as_ref().filter(|(last, _)| last + 1 == frame);
+        let change = before.and_then(|(_, before)| before.change(signature));
+        if let Some(place) = self.levels.get_mut(frame) {
+            *place = change;
+        }
+        self.last = Some((frame, signature.clone()));
+    }
 }
 
 impl Awaited<'_> {
@@ -110,8 +169,6 @@ impl Files {
         draft: &Draft,
         first_frame: usize,
     ) -> Result<(Broken, Vec<Option<f32>>), DatasetError> {
-        let mut changes = vec![None; draft.actions.len()];
-        let mut last: Option<(usize, Signature)> = None;
         let mut awaited: Vec<Awaited<'_>> = topics
             .iter()
             .zip(&draft.stamps)
@@ -119,11 +176,20 @@ impl Files {
                 topic,
                 stamps,
                 is_there: vec![false; stamps.len()],
+                video: VideoStream::new(),
+                changes: Changes::new(stamps.len()),
             })
             .collect();
         let mut broken = Broken::new();
         let (from_ns, to_ns) = draft.logged_ns;
-        let messages = reader.messages().only_topics(topics).starting_at(from_ns);
+        let begin_ns = topics
+            .iter()
+            .map(|topic| first_needed(reader, topic, from_ns))
+            .min();
+        let messages = reader
+            .messages()
+            .only_topics(topics)
+            .starting_at(begin_ns.unwrap_or(from_ns));
         // Messages that cannot be read were counted at the first reading.
         for message in messages.flatten() {
             if message.log_time_ns > to_ns {
@@ -133,8 +199,18 @@ impl Files {
             let Some((view, awaited)) = (0..).zip(&mut awaited).find(|(_, a)| of_topic(a)) else {
                 continue;
             };
-            let Ok(frame) = CameraFrame::of_bag(&message) else {
-                continue;
+            let frame = match CameraMessage::of_bag(&message) {
+                Ok(CameraMessage::Still(frame)) => frame,
+                Ok(CameraMessage::Packet(mut packet)) => {
+                    let header_ns = packet.header.stamp.to_nanos();
+                    let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
+                    packet.header.stamp = Time::from_nanos(stamp_ns);
+                    // A video of another format was refused at the first reading.
+                    let pictures = awaited.video.feed(&packet).unwrap_or_default();
+                    self.take(awaited, (first_frame, view), pictures)?;
+                    continue;
+                }
+                Err(_) => continue,
             };
             let header_ns = frame.header().stamp.to_nanos();
             let stamp_ns = self.stamps.of(Stamps::of_bag(&message, header_ns));
@@ -142,45 +218,87 @@ impl Files {
             if frames.is_empty() {
                 continue;
             }
-            let Ok(shown) = self.decoded(&frame, awaited.topic == MASK) else {
+            let Ok(shown) = self.decoded(&frame, view, awaited.topic == MASK) else {
                 broken.insert((awaited.topic.to_owned(), stamp_ns));
                 continue;
             };
-            if let (0, Shown::View(_, signature)) = (view, &shown) {
-                // Messages come in the order of recording, which is that of the stamps but for a few.
-                let before = last.as_ref().filter(|(frame, _)| frame + 1 == frames.start);
-                let change = before.and_then(|(_, before)| before.change(signature));
-                if let Some(place) = changes.get_mut(frames.start) {
-                    *place = change;
-                }
-                last = Some((frames.start, signature.clone()));
-            }
-            for frame in frames {
-                self.write(first_frame + frame, view, &shown)?;
-                if let Some(is_there) = awaited.is_there.get_mut(frame) {
-                    *is_there = true;
-                }
-            }
+            self.place(awaited, (first_frame, view), frames, &shown)?;
+        }
+        for (view, awaited) in awaited.iter_mut().enumerate() {
+            let pictures = awaited.video.finish();
+            self.take(awaited, (first_frame, view), pictures)?;
         }
         for stream in &awaited {
             let missing = stream.stamps.iter().zip(&stream.is_there);
             let missing = missing.filter(|(_, is_there)| !**is_there);
             broken.extend(missing.map(|(stamp_ns, _)| (stream.topic.to_owned(), *stamp_ns)));
         }
+        let main = awaited.into_iter().next();
+        let changes = main.map_or_else(Vec::new, |main| main.changes.levels);
         Ok((broken, changes))
     }
 
-    /// A picture at the size of a view.
-    fn decoded(&self, frame: &CameraFrame, is_mask: bool) -> Result<Shown, String> {
+    /// Writes the pictures of a video that the episode waits for.
+    fn take(
+        &self,
+        awaited: &mut Awaited<'_>,
+        place: (usize, usize),
+        pictures: Vec<VideoPicture>,
+    ) -> Result<(), DatasetError> {
+        for VideoPicture { header, picture } in pictures {
+            let frames = awaited.frames(header.stamp.to_nanos());
+            if frames.is_empty() {
+                continue;
+            }
+            if let Ok(view) = self.placed(&picture, place.1) {
+                let shown = Shown::View(view, Signature::of(&picture));
+                self.place(awaited, place, frames, &shown)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a picture to the frames of an episode that show it; the episode's first frame and the view say where.
+    fn place(
+        &self,
+        awaited: &mut Awaited<'_>,
+        (first_frame, view): (usize, usize),
+        frames: std::ops::Range<usize>,
+        shown: &Shown,
+    ) -> Result<(), DatasetError> {
+        if let (0, Shown::View(_, signature)) = (view, shown) {
+            awaited.changes.take(frames.start, signature);
+        }
+        for frame in frames {
+            self.write(first_frame + frame, view, shown)?;
+            if let Some(is_there) = awaited.is_there.get_mut(frame) {
+                *is_there = true;
+            }
+        }
+        Ok(())
+    }
+
+    /// A picture of camera `view` at the size of a view.
+    fn placed(&self, picture: &RgbImage, view: usize) -> Result<RgbImage, String> {
         let Size { height, width } = self.view;
+        let placed = Framing::new((height, width), self.fit).apply(picture);
+        let placed = placed.map_err(|error| error.to_string())?;
+        let mut sizes = self.sizes.lock().unwrap_or_else(PoisonError::into_inner);
+        *sizes.entry((view, PictureSize::of(picture))).or_default() += 1;
+        Ok(placed)
+    }
+
+    /// A picture of camera `view` at the size of a view.
+    fn decoded(&self, frame: &CameraFrame, view: usize, is_mask: bool) -> Result<Shown, String> {
         if let (true, CameraFrame::Compressed(mask)) = (is_mask, frame) {
             let mask = image::load_from_memory(&mask.data).map_err(|error| error.to_string())?;
-            return Ok(Shown::Mask(shrink(&mask.into_luma8(), self.view)));
+            return Ok(Shown::Mask(place(&mask.into_luma8(), self.view, self.fit)));
         }
         let picture = frame.decode().map_err(|error| error.to_string())?;
-        let resized = wm_model::image::resize(&picture, (height, width));
-        let resized = resized.map_err(|error| error.to_string())?;
-        Ok(Shown::View(resized, Signature::of(&picture)))
+        Ok(Shown::View(
+            self.placed(&picture, view)?,
+            Signature::of(&picture),
+        ))
     }
 
     /// Writes a picture to its place: a view to its columns of the frame.
@@ -216,9 +334,40 @@ enum Shown {
     Mask(GrayImage),
 }
 
+/// A mask as the picture beside it is placed: its bars are background.
+fn place(mask: &GrayImage, size: Size, fit: Fit) -> GrayImage {
+    let (width, height) = mask.dimensions();
+    let to = PictureSize::from(size);
+    let Some(Placement { source, target }) = fit.placement(PictureSize { width, height }, to)
+    else {
+        return GrayImage::new(to.width, to.height);
+    };
+    let cut = |Part {
+                   x,
+                   y,
+                   width,
+                   height,
+               }: Part| imageops::crop_imm(mask, x, y, width, height);
+    let scaled = shrink(
+        &cut(source).to_image(),
+        Size {
+            height: target.height as usize,
+            width: target.width as usize,
+        },
+    );
+    let mut placed = GrayImage::new(to.width, to.height);
+    imageops::replace(
+        &mut placed,
+        &scaled,
+        i64::from(target.x),
+        i64::from(target.y),
+    );
+    placed
+}
+
 /// Class numbers may not be blended: nearest neighbour.
 pub(crate) fn shrink(mask: &GrayImage, size: Size) -> GrayImage {
     // A side is at most 4096.
     let (width, height) = (size.width as u32, size.height as u32);
-    image::imageops::resize(mask, width, height, FilterType::Nearest)
+    imageops::resize(mask, width, height, FilterType::Nearest)
 }

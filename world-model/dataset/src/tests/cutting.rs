@@ -181,18 +181,28 @@ fn frames_without_actions_are_in_no_episode_and_counted() {
 /// One message that no robot makes costs the frames around it and no more.
 #[test]
 fn an_implausible_action_is_cut_out_and_named() {
-    let write = |recorder: &mut Recorder| {
-        for frame in 0..20 {
-            recorder.frame(CAMERA, frame * 200, frame as u8);
-            recorder.action(frame * 200, if frame == 10 { f32::NAN } else { 0.01 });
-        }
-    };
-    let outcome = recorded(write, DataOptions::default());
-    let reds = outcome.reds();
-    assert!(reds.len() >= 16 && !reds.contains(&10), "{reds:?}");
-    assert_eq!(outcome.lengths().len(), 2);
-    let left = outcome.left_out();
-    assert!(left.contains("1 action: no robot makes them"), "{left}");
+    // No number; 3 m/s at 5 Hz; and at 10 Hz what is 2 m/s at 5 Hz.
+    for (value, per_frame) in [(f32::NAN, 1), (0.6, 1), (0.4, 2)] {
+        let write = |recorder: &mut Recorder| {
+            for frame in 0..20 {
+                recorder.frame(CAMERA, frame * 200, frame as u8);
+                for part in 0..per_frame {
+                    let is_bad = frame == 10 && part == 0;
+                    let at_ms = frame * 200 + part * 200 / per_frame;
+                    recorder.action(at_ms, if is_bad { value } else { 0.01 });
+                }
+            }
+        };
+        let outcome = recorded(write, DataOptions::default());
+        let reds = outcome.reds();
+        assert!(reds.len() >= 16 && !reds.contains(&10), "{value}: {reds:?}");
+        assert_eq!(outcome.lengths().len(), 2);
+        let left = outcome.left_out();
+        assert!(
+            left.contains("1 action: no robot makes them"),
+            "{value}: {left}"
+        );
+    }
 }
 
 #[test]

@@ -8,12 +8,13 @@ use std::{
 
 use clap::Parser;
 use proptest::prelude::*;
+use wm_model::{Fit, Framing};
 use wm_motion::actions::ActionSpace;
 
 use super::{
     super::{
         Cut, Data, DataOptions, DataStatistics, Dataset, DatasetArgs, LeftOut, Manifest,
-        ManifestEpisode, Settings, Size, Source, Split, SplitRule, StampSource, Thing,
+        ManifestEpisode, Settings, Size, Source, SourceSize, Split, SplitRule, StampSource, Thing,
         store::{NewFolder, is_prepared, read_manifest},
     },
     outcome::Outcome,
@@ -26,7 +27,7 @@ struct Cli {
     arguments: DatasetArgs,
 }
 
-fn wm_dataset(arguments: &[&str]) -> anyhow::Result<()> {
+pub(super) fn wm_dataset(arguments: &[&str]) -> anyhow::Result<()> {
     let arguments = ["wm dataset"].iter().chain(arguments);
     Cli::try_parse_from(arguments)?.arguments.run()
 }
@@ -84,8 +85,9 @@ fn a_prepared_folder_is_what_the_bags_are() {
         validation: Some(0.3),
         ..DataOptions::default()
     };
-    let direct = Data::open(from_ref(&bags), (16, 16), &cache, &options).unwrap();
-    let prepared = Data::open(from_ref(&out), (16, 16), &cache, &DataOptions::default()).unwrap();
+    let framing = Framing::new((16, 16), Fit::Crop);
+    let direct = Data::open(from_ref(&bags), framing, &cache, &options).unwrap();
+    let prepared = Data::open(from_ref(&out), framing, &cache, &DataOptions::default()).unwrap();
     let validation = direct.validation.unwrap();
     for (direct, prepared) in [
         (&direct.training, &prepared.training),
@@ -187,6 +189,8 @@ fn prepared_pictures_are_made_smaller_and_never_larger() {
         out.to_str().unwrap(),
         "--size",
         "32x24",
+        "--fit",
+        "stretch",
     ])
     .unwrap();
     let cache = dir.path().join("cache");
@@ -357,7 +361,7 @@ fn what_was_interrupted_is_not_taken_for_whole() {
     let error = open();
     assert!(error.contains("expected 3072 bytes, found 1000"), "{error}");
     let manifest = fs::read_to_string(out.join("dataset.json")).unwrap();
-    let older = manifest.replace("\"version\": 3", "\"version\": 2");
+    let older = manifest.replace("\"version\": 4", "\"version\": 2");
     fs::write(out.join("dataset.json"), older).unwrap();
     let error = open();
     assert!(error.contains("expected version 4, found 2"), "{error}");
@@ -435,6 +439,11 @@ prop_compose! {
             version: 4,
             digest: "ab".repeat(32),
             size: Size { height, width },
+            fit: Fit::ALL[height % 3],
+            source_sizes: cameras
+                .iter()
+                .map(|camera| SourceSize { camera: camera.clone(), size: Size { height, width }.into(), pictures: seed })
+                .collect(),
             cameras: cameras.clone(),
             has_masks,
             settings: Settings {

@@ -13,7 +13,7 @@ fn a_file_says_what_the_command_line_does_not() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("data.yaml");
     let text = "camera: [/front/image_raw, /wrist/image_raw]\ncut: instruction\ncut-seconds: 30\n\
-                action-space: arm.yaml\nvalidation: 0.2\nsize: 64x96\n";
+                action-space: arm.yaml\nvalidation: 0.2\nsize: 64x96\nfit: pad\n";
     std::fs::write(&file, text).unwrap();
     let line = [
         "test",
@@ -28,6 +28,7 @@ fn a_file_says_what_the_command_line_does_not() {
     assert_eq!(options.cut_seconds, Some(5.0), "the command line wins");
     assert_eq!(options.validation, Some(0.2));
     assert_eq!(options.action_space, Some(dir.path().join("arm.yaml")));
+    assert_eq!(options.fit, Some(wm_model::Fit::Pad));
     assert_eq!(
         options.size,
         Some(Size {

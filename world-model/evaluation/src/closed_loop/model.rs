@@ -5,7 +5,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, Result, ensure};
 use candle_core::{Device, Tensor};
 use image::RgbImage;
-use wm_model::{Encoder, WorldModel, image::preprocess};
+use wm_model::{Encoder, WorldModel};
 use wm_motion::actions::ActionSpace;
 use wm_sim::EndEffectorAction;
 use wm_zoo::{ModelFolder, idm::TrainedIdm};
@@ -34,7 +34,7 @@ impl Model {
 
     /// The latent (h, w, C) of a picture.
     pub fn encode(&self, picture: &RgbImage) -> Result<Tensor> {
-        let pixels = preprocess(picture, self.encoder.input_size())?;
+        let pixels = self.encoder.prepare(picture)?;
         Ok(self.encoder.encode(&pixels)?.squeeze(0)?)
     }
 

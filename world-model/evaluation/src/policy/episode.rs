@@ -204,12 +204,12 @@ impl<'a> Actor<'a> {
     }
 }
 
-/// No motion after an action: changes are zero, states stay.
+/// No motion after an action: changes and velocities are zero, states stay.
 pub(super) fn still(last: &[f32], space: &ActionSpace) -> Vec<f32> {
     let values = space.dimensions().iter().zip(last);
     values
         .map(|(dimension, last)| {
-            if dimension.kind.is_delta() {
+            if dimension.kind.is_motion() {
                 0.0
             } else {
                 *last

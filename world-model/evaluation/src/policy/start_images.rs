@@ -7,8 +7,9 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use image::{RgbImage, imageops};
+use image::RgbImage;
 use sha2::{Digest as _, Sha256};
+use wm_model::Framing;
 
 /// Ends of names of pictures.
 const ENDS: [&str; 3] = ["png", "jpg", "jpeg"];
@@ -77,21 +78,15 @@ impl StartImages {
         self.paths.contains_key(episode)
     }
 
-    /// That of an episode, made (height, width).
+    /// That of an episode, as the episode's frames were prepared.
     ///
     /// # Errors
     /// If it is no picture.
-    pub(super) fn picture(
-        &self,
-        episode: &str,
-        (height, width): (usize, usize),
-    ) -> Result<RgbImage> {
+    pub(super) fn picture(&self, episode: &str, framing: Framing) -> Result<RgbImage> {
         let path = self.paths.get(episode);
         let path = path.with_context(|| format!("no first frame of {episode}"))?;
         let picture = image::open(path).with_context(|| path.display().to_string())?;
-        let (width, height) = (u32::try_from(width)?, u32::try_from(height)?);
-        let filter = imageops::FilterType::Triangle;
-        Ok(imageops::resize(&picture.to_rgb8(), width, height, filter))
+        Ok(framing.apply(&picture.to_rgb8())?)
     }
 }
 
@@ -114,11 +109,13 @@ mod tests {
         fs::write(dir.path().join("README.md"), "no picture").unwrap();
         let found = StartImages::open(dir.path()).unwrap();
         assert!(found.has("bag_1") && !found.has("bag_2"));
-        assert_eq!(
-            found.picture("bag_1", (8, 16)).unwrap().dimensions(),
-            (16, 8)
-        );
-        let error = found.picture("bag_2", (8, 16)).unwrap_err().to_string();
+        let framing = Framing::new((8, 16), wm_model::Fit::Pad);
+        let picture = found.picture("bag_1", framing).unwrap();
+        assert_eq!(picture.dimensions(), (16, 8));
+        // 6x4 becomes 12x8, between bars of two columns.
+        let columns = [0, 2, 14].map(|x| picture.get_pixel(x, 0).0[0]);
+        assert_eq!(columns, [0, 10, 0]);
+        let error = found.picture("bag_2", framing).unwrap_err().to_string();
         assert!(error.contains("bag_2"), "{error}");
         save("bag_1.png", 11);
         assert_ne!(

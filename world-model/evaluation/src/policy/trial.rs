@@ -217,7 +217,7 @@ impl<'a> Trials<'a> {
         let images = self.setup.start_images.as_ref();
         if let (Condition::OtherFrame, Some(images)) = (condition, images) {
             // One frame is all that there is: the robot rests between it and itself.
-            let picture = images.picture(&task.name, subject.dataset.size())?;
+            let picture = images.picture(&task.name, subject.dataset.framing())?;
             let latent = subject.encode(std::slice::from_ref(&picture))?;
             let last = still(last, encoding.space());
             let rest = encoding.encode_step(&vec![last.clone(); skip])?.values;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::network::Stage;
 use crate::ops::ConvShape;
-use crate::{Error, Result};
+use crate::{Error, Fit, Framing, PictureSize, Result};
 
 /// Shape of a convolutional autoencoder of the TAESD family.
 ///
@@ -30,6 +30,12 @@ pub struct AutoencoderConfig {
     /// Whether the blocks of the coarsest level have a branch with group normalisation, which sees
     /// the whole image.
     pub branch: bool,
+    /// How a camera's picture becomes an image of this size.
+    #[serde(default, skip_serializing_if = "Fit::is_stretch")]
+    pub fit: Fit,
+    /// Size of the camera's pictures that it was trained on, if they had one size.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trained_on: Option<PictureSize>,
 }
 
 impl AutoencoderConfig {
@@ -44,6 +50,8 @@ impl AutoencoderConfig {
             decoder_blocks: vec![1, 2, 2, 2],
             latent_channels: 12,
             branch: false,
+            fit: Fit::Stretch,
+            trained_on: None,
         }
     }
 
@@ -58,6 +66,8 @@ impl AutoencoderConfig {
             decoder_blocks: vec![1, 3, 3, 3],
             latent_channels: 32,
             branch: true,
+            fit: Fit::Stretch,
+            trained_on: None,
         }
     }
 
@@ -70,6 +80,11 @@ impl AutoencoderConfig {
     pub fn grid(&self) -> (usize, usize) {
         let factor = self.downsampling();
         (self.height / factor, self.width / factor)
+    }
+
+    /// How the encoder takes pictures.
+    pub fn framing(&self) -> Framing {
+        Framing::new((self.height, self.width), self.fit)
     }
 
     /// Checks that the shape makes sense.

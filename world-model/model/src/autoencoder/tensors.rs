@@ -4,7 +4,7 @@ use candle_core::{Device, Tensor};
 
 use super::network::TensorNetwork;
 use super::{Autoencoder, Normalisation, clamp, values};
-use crate::{Decoder, Encoder, LatentSpace, Result};
+use crate::{Decoder, Encoder, Framing, LatentSpace, Result};
 
 /// An encoder and the decoder that belongs to it, for inference where their tensors are. Pictures and latents are given
 /// and taken on the CPU.
@@ -14,8 +14,7 @@ pub struct TensorAutoencoder {
     encoder: TensorNetwork,
     decoder: TensorNetwork,
     normalisation: Normalisation,
-    /// Height and width of a picture.
-    size: (usize, usize),
+    framing: Framing,
     space: LatentSpace,
 }
 
@@ -30,7 +29,7 @@ impl TensorAutoencoder {
             encoder: TensorNetwork::new(&autoencoder.encoder, device)?,
             decoder: TensorNetwork::new(&autoencoder.decoder, device)?,
             normalisation: autoencoder.normalisation.clone(),
-            size: (autoencoder.config.height, autoencoder.config.width),
+            framing: autoencoder.config.framing(),
             space: autoencoder.space.clone(),
         })
     }
@@ -49,11 +48,15 @@ impl Encoder for TensorAutoencoder {
     }
 
     fn input_size(&self) -> (usize, usize) {
-        self.size
+        self.framing.size
+    }
+
+    fn framing(&self) -> Framing {
+        self.framing
     }
 
     fn encode(&self, images: &Tensor) -> Result<Tensor> {
-        let (height, width) = self.size;
+        let (height, width) = self.framing.size;
         let (input, _) = values("images", images, (height, width, 3))?;
         let mut latents = self.run(&self.encoder, input, images.dims())?;
         self.normalisation.apply(&mut latents);
@@ -68,7 +71,7 @@ impl Decoder for TensorAutoencoder {
     }
 
     fn output_size(&self) -> (usize, usize) {
-        self.size
+        self.framing.size
     }
 
     fn decode(&self, latents: &Tensor) -> Result<Tensor> {
@@ -81,7 +84,7 @@ impl Decoder for TensorAutoencoder {
         for v in &mut images {
             *v = v.clamp(0.0, 1.0);
         }
-        let (height, width) = self.size;
+        let (height, width) = self.framing.size;
         Ok(Tensor::from_vec(
             images,
             ((), height, width, 3),

@@ -1,6 +1,7 @@
 use rand::Rng;
 
 use super::*;
+use crate::{Fit, PictureSize};
 
 fn config() -> AutoencoderConfig {
     AutoencoderConfig {
@@ -12,6 +13,8 @@ fn config() -> AutoencoderConfig {
         decoder_blocks: vec![0, 1, 1],
         latent_channels: 3,
         branch: false,
+        fit: Fit::Stretch,
+        trained_on: None,
     }
 }
 
@@ -277,4 +280,35 @@ fn a_network_with_a_branch_is_not_trained() {
         .forward(autoencoder.encoder(), &[0.0; 8 * 12 * 3], grid)
         .unwrap_err();
     assert!(error.to_string().starts_with("branch: true"), "{error}");
+}
+
+#[test]
+fn the_fit_belongs_to_the_latent_space_unless_it_is_stretch() {
+    let of = |fit| Autoencoder::random(AutoencoderConfig { fit, ..config() }, 1).unwrap();
+    let hash = |fit| of(fit).space().hash.clone();
+    assert_ne!(hash(Fit::Stretch), hash(Fit::Crop));
+    assert_ne!(hash(Fit::Pad), hash(Fit::Crop));
+    // Files of earlier versions have neither key, and keep their hash.
+    let config = serde_json::json!(of(Fit::Stretch).config());
+    assert!(config.get("fit").is_none() && config.get("trained_on").is_none());
+}
+
+#[test]
+fn a_saved_autoencoder_frames_pictures_as_before() {
+    let trained_on = Some(PictureSize {
+        width: 1280,
+        height: 720,
+    });
+    let config = AutoencoderConfig {
+        fit: Fit::Crop,
+        trained_on,
+        ..config()
+    };
+    let saved = Autoencoder::random(config, 1).unwrap();
+    let opened = reopen(&saved.to_builder(Precision::F16)).unwrap();
+    assert_eq!(opened.config().trained_on, trained_on);
+    let expected = Framing::new((8, 12), Fit::Crop);
+    assert_eq!(Encoder::framing(&opened), expected);
+    let tensors = TensorAutoencoder::new(&opened, &Device::Cpu).unwrap();
+    assert_eq!(Encoder::framing(&tensors), expected);
 }

@@ -14,10 +14,11 @@ const MOST_INTERVALS: usize = 1000;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Accumulation {
-    /// The mean of the scaled and clipped deltas; states of the last interval.
+    /// The mean of the scaled and clipped deltas and velocities; states of the last interval.
     #[default]
     Mean,
-    /// The sum of the scaled and clipped deltas; states of the last interval.
+    /// The sum of the scaled and clipped deltas; the mean of velocities, whose product with the time is the motion; states
+    /// of the last interval.
     Sum,
     /// The first interval alone, that of the sampled frame: the rule of the authors' release, which drops the others.
     Index,
@@ -221,15 +222,20 @@ impl ActionEncoding {
             Accumulation::Mean => scaled.len() as f32,
             Accumulation::Sum => 1.0,
         };
+        let count = scaled.len() as f32;
         let mut values = Vec::with_capacity(self.action_dim);
         for (index, (dimension, of_last)) in
             self.space.dimensions().iter().zip(&last.values).enumerate()
         {
-            values.push(if dimension.kind.is_delta() {
+            let sum = || {
                 let parts = scaled.iter().filter_map(|action| action.values.get(index));
-                parts.sum::<f32>() / divisor
-            } else {
-                *of_last
+                parts.sum::<f32>()
+            };
+            values.push(match dimension.kind {
+                kind if kind.is_delta() => sum() / divisor,
+                // Intervals are equally long.
+                kind if kind.is_velocity() => sum() / count,
+                _ => *of_last,
             });
         }
         values.resize(self.action_dim, 0.0);
@@ -240,7 +246,7 @@ impl ActionEncoding {
     }
 
     /// What a model action stands for over its whole model step, in the units of the space: the deltas of all its
-    /// intervals, alike, and the states. Inverse to [`Self::encode_step`] within the clips.
+    /// intervals, alike, the velocities and the states. Inverse to [`Self::encode_step`] within the clips.
     ///
     /// # Errors
     /// [`ActionError::Length`] where `model` has neither `action_dim` nor the space's values, [`ActionError::NotFinite`].

@@ -26,7 +26,7 @@ pub enum ActionError {
         /// What it was.
         value: f32,
     },
-    /// More than a robot moves by in one action.
+    /// More than an arm reaches in the time of one action.
     #[error("{name} of an action is {value:e} {unit}; at most {limit:.3} is accepted")]
     Implausible {
         /// The dimension.

@@ -4,66 +4,14 @@ use std::{collections::BTreeSet, fmt};
 
 use serde::{Deserialize, Serialize};
 
-use super::ActionError;
+use super::{ActionError, Kind};
 
 /// Most values that an action may have.
 pub const MAX_DIMENSIONS: usize = 32;
 /// Longest name of an action space or of one of its dimensions.
 const MAX_NAME: usize = 64;
-/// A value this many times beyond the clip of its dimension is no motion of a robot but a broken message.
-const IMPLAUSIBLE: f32 = 20.0;
-
-/// What one value of an action stands for, and so how it adds up over time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum Kind {
-    /// Change of the end effector's position along one axis of the robot's base. Changes add up.
-    TranslationDelta,
-    /// Change of the end effector's orientation. Three in a row are roll, pitch and yaw about the fixed axes of the
-    /// robot's base (REP 103), and compose as rotations.
-    RotationDelta,
-    /// Change of a joint's angle or position. Changes add up.
-    JointDelta,
-    /// Position of the end effector along one axis. The last one holds.
-    Position,
-    /// One angle of the end effector's orientation. The last one holds.
-    Orientation,
-    /// Angle or position of a joint. The last one holds.
-    JointPosition,
-    /// Opening of a gripper that is either open (1) or closed (0). The last one holds.
-    GripperBinary,
-    /// Opening of a gripper. The last one holds.
-    GripperContinuous,
-}
-
-impl Kind {
-    /// Whether the value is a change over time; otherwise it is a state, which holds until the next one.
-    pub fn is_delta(self) -> bool {
-        matches!(
-            self,
-            Self::TranslationDelta | Self::RotationDelta | Self::JointDelta
-        )
-    }
-
-    /// Whether the value is a gripper's opening.
-    pub fn is_gripper(self) -> bool {
-        matches!(self, Self::GripperBinary | Self::GripperContinuous)
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::TranslationDelta => "translation delta",
-            Self::RotationDelta => "rotation delta",
-            Self::JointDelta => "joint delta",
-            Self::Position => "position",
-            Self::Orientation => "orientation",
-            Self::JointPosition => "joint position",
-            Self::GripperBinary => "binary gripper",
-            Self::GripperContinuous => "gripper",
-        }
-    }
-}
+/// Shortest duration that is assumed of an action whose duration is unknown \[s\]: 5 Hz, the slowest rate of common arms.
+const LEAST_SPAN_S: f64 = 0.2;
 
 /// One value of an action.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -78,7 +26,7 @@ pub struct Dimension {
     /// The value whose model unit is 0; only states have one.
     #[serde(default)]
     pub offset: f32,
-    /// Model units in one `unit`. A delta is scaled per interval of the space's rate.
+    /// Model units in one `unit`. A delta is scaled per interval of the space's rate; a velocity does not depend on it.
     #[serde(default = "one")]
     pub scale: f32,
     /// Greatest magnitude in model units: what lies beyond is clipped.
@@ -88,13 +36,6 @@ pub struct Dimension {
 
 fn one() -> f32 {
     1.0
-}
-
-impl Dimension {
-    /// Greatest magnitude of a value \[unit\] that a message may carry.
-    pub fn limit(&self) -> f32 {
-        self.offset.abs() + IMPLAUSIBLE * self.clip / self.scale.abs()
-    }
 }
 
 /// What the values of an action are, and the rate at which a model's actions are defined.
@@ -217,9 +158,11 @@ impl ActionSpace {
                 return Some(format!("{name}: clip must be finite and above 0"));
             }
             if !dimension.offset.is_finite()
-                || (dimension.kind.is_delta() && dimension.offset != 0.0)
+                || (dimension.kind.is_motion() && dimension.offset != 0.0)
             {
-                return Some(format!("{name}: offset must be finite, and 0 for a delta"));
+                return Some(format!(
+                    "{name}: offset must be finite, and 0 for a delta or a velocity"
+                ));
             }
         }
         let is_rotation = |dimension: &&Dimension| dimension.kind == Kind::RotationDelta;
@@ -267,12 +210,20 @@ impl ActionSpace {
         indices.step_by(3).map(|(index, _)| index)
     }
 
-    /// Checks the values of a message.
+    /// Checks the values of a message whose duration is unknown.
+    ///
+    /// # Errors
+    /// Those of [`Self::check_over`], for the duration of an interval of the rate, or 0.2 s if that is longer.
+    pub fn check(&self, values: &[f32]) -> Result<(), ActionError> {
+        self.check_over(values, self.rate.recip().max(LEAST_SPAN_S))
+    }
+
+    /// Checks the values of an action that lasts `span_s` \[s\].
     ///
     /// # Errors
     /// [`ActionError::Length`] names both sides, [`ActionError::NotFinite`], and [`ActionError::Implausible`] for a value
-    /// that no robot moves by in one action.
-    pub fn check(&self, values: &[f32]) -> Result<(), ActionError> {
+    /// that no arm reaches in that time ([`Dimension::limit_over`]).
+    pub fn check_over(&self, values: &[f32], span_s: f64) -> Result<(), ActionError> {
         if values.len() != self.len() {
             return Err(ActionError::Length {
                 expected: self.len(),
@@ -287,11 +238,12 @@ impl ActionSpace {
                     value: *value,
                 });
             }
-            if value.abs() > dimension.limit() {
+            let limit = dimension.limit_over(span_s);
+            if value.abs() > limit {
                 return Err(ActionError::Implausible {
                     name: dimension.name.clone(),
                     value: *value,
-                    limit: dimension.limit(),
+                    limit,
                     unit: dimension.unit.clone(),
                 });
             }

@@ -58,8 +58,11 @@ pub(super) fn integrate(
         .map(|piece| piece.overlap_ns(from_ns, to_ns))
         .sum();
     let is_given = held_ns <= slack_ns;
+    // The mean of a velocity is over all of the interval, also if the action is shorter.
+    let has_velocities = space.dimensions().iter().any(|d| d.kind.is_velocity());
     if let [only] = inside
         && only.overlap_ns(from_ns, to_ns) == only.span_ns
+        && !(has_velocities && only.span_ns < to_ns - from_ns)
     {
         // Exactly this action: without the rounding of sums.
         let values = only.values.to_vec();
@@ -90,6 +93,12 @@ fn sum(
                 f64::from(value) * share(piece)
             };
             inside.iter().map(part).sum::<f64>() as f32
+        } else if dimension.kind.is_velocity() {
+            let way = |piece: &Piece| {
+                let value = piece.values.get(index).copied().unwrap_or_default();
+                f64::from(value) * piece.overlap_ns(from_ns, to_ns) as f64
+            };
+            (inside.iter().map(way).sum::<f64>() / (to_ns - from_ns).max(1) as f64) as f32
         } else {
             state.values.get(index).copied()?
         });

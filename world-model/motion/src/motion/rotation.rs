@@ -27,10 +27,44 @@ pub(crate) fn multiple(angles: [f32; 3], times: f64) -> [f32; 3] {
     to_angles(&share(angles, times))
 }
 
+/// The rotation that leads from one orientation to another, as roll, pitch and yaw about the fixed axes of the base:
+/// (3) and (3) \[rad\] -> (3) \[rad\], with `to` = result * `from`.
+///
+/// Differences of the angles are another quantity: they agree with it for small rotations about z alone.
+#[must_use]
+pub fn turn_between(from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
+    let rotation =
+        |[roll, pitch, yaw]: [f64; 3]| UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+    let (roll, pitch, yaw) = (rotation(to) * rotation(from).inverse()).euler_angles();
+    [roll, pitch, yaw]
+}
+
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
     use proptest::prelude::*;
+
+    proptest! {
+        /// Whatever the orientation, near pitch 90 degrees too, a turn about an axis of the base is that turn.
+        #[test]
+        fn turns_between_orientations_are_about_base_axes(
+            from in prop::array::uniform3(-PI..PI),
+            turn in prop::array::uniform3(-0.5_f64..0.5),
+        ) {
+            let [roll, pitch, yaw] = turn;
+            let [start_roll, start_pitch, start_yaw] = from;
+            let start = UnitQuaternion::from_euler_angles(start_roll, start_pitch, start_yaw);
+            let end = UnitQuaternion::from_euler_angles(roll, pitch, yaw) * start;
+            let (end_roll, end_pitch, end_yaw) = end.euler_angles();
+            let found = turn_between(from, [end_roll, end_pitch, end_yaw]);
+            for (found, expected) in found.iter().zip(turn) {
+                // Near pitch 90 degrees, roll and yaw have half of the digits.
+                prop_assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+            }
+        }
+    }
 
     proptest! {
         #[test]

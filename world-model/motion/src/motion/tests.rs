@@ -313,3 +313,62 @@ fn stamps_at_the_ends_of_time_do_not_overflow() {
     motion.retain_around(i64::MIN, FRAME);
     motion.retain_around(i64::MAX, FRAME);
 }
+
+proptest! {
+    /// Published at any rate, a velocity is the same mean over an interval: value times duration is the motion.
+    #[test]
+    fn velocity_integral_is_the_same_at_any_rate(
+        frames in prop::collection::vec(-2.0_f32..2.0, 4),
+        per_frame in 1_i64..12,
+        rule in prop_oneof![Just(Accumulation::Mean), Just(Accumulation::Sum)],
+    ) {
+        let dimension = Dimension {
+            name: "elbow".into(),
+            unit: "rad/s".into(),
+            kind: Kind::JointVelocity,
+            offset: 0.0,
+            scale: 0.5,
+            clip: 10.0,
+        };
+        let space = ActionSpace::new("elbow".into(), 5.0, vec![dimension]).unwrap();
+        let mut motion = motion();
+        for (index, frame) in (0..).zip(&frames) {
+            for tick in 0..per_frame {
+                motion.take(START + index * FRAME + tick * FRAME / per_frame, [*frame].into());
+            }
+        }
+        motion.take(START + 4 * FRAME, [0.0].into());
+        let way = frames.iter().map(|velocity| velocity * 0.2).sum::<f32>();
+        let whole = motion.between(&space, START, START + 4 * FRAME).unwrap();
+        prop_assert!((whole.values[0] * 0.8 - way).abs() < 1e-5);
+        // A model step of four intervals: neither rule changes the integral, and it comes back.
+        let encoding = ActionEncoding::new(space, 1, 4, rule).unwrap();
+        let step = motion.step(&encoding, START, START + 4 * FRAME).unwrap();
+        prop_assert!((step.model.values[0] / 0.5 * 0.8 - way).abs() < 1e-5);
+        let back = encoding.decode_step(&step.model.values).unwrap();
+        prop_assert!((back[0] * 0.8 - way).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn velocity_holds_for_the_longest_time_only() {
+    let dimension = Dimension {
+        name: "dx".into(),
+        unit: "m/s".into(),
+        kind: Kind::Velocity,
+        offset: 0.0,
+        scale: 1.0,
+        clip: 1.0,
+    };
+    let space = ActionSpace::new("base".into(), 5.0, vec![dimension]).unwrap();
+    let mut motion = motion();
+    motion.take(START, [0.5].into());
+    motion.take(START + 100 * FRAME, [0.0].into());
+    let mean = |from: i64, to: i64| {
+        let interval = motion.between(&space, START + from * FRAME, START + to * FRAME);
+        interval.unwrap().values[0]
+    };
+    // 1 s of 4 s at 0.5 m/s.
+    assert_eq!(mean(0, 20), 0.125);
+    assert_eq!(mean(50, 51), 0.0);
+}

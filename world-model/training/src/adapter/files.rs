@@ -90,7 +90,9 @@ impl Output<'_> {
 pub(super) fn encoder_of(folder: &Path, name: &str) -> Result<Value> {
     let mut description = description_of(folder)?;
     if let Some(parts) = description.as_object_mut() {
-        parts.retain(|part, _| ["image", "dtype", "encoder"].contains(&part.as_str()));
+        parts.retain(|part, _| {
+            ["image", "fit", "trained_on", "dtype", "encoder"].contains(&part.as_str())
+        });
         parts.insert("name".into(), json!(name));
     }
     Ok(description)

@@ -5,7 +5,7 @@ use candle_core::DType;
 use clap::Args;
 use serde_json::json;
 use wm_dataset::{Dataset, HeldOutArgs};
-use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _};
+use wm_model::{Autoencoder, AutoencoderConfig, Encoder as _, Fit, Framing};
 use wm_zoo::{DeviceName, ModelFolder};
 
 use super::{
@@ -24,6 +24,10 @@ pub struct TrainAutoencoderArgs {
     /// What every training has.
     #[command(flatten)]
     pub run: RunArgs,
+    /// How pictures of another aspect become the model's, instead of the recipe's fit: crop (the middle), stretch or pad
+    /// (black bars).
+    #[arg(long, value_name = "FIT")]
+    pub fit: Option<Fit>,
 }
 
 impl TrainAutoencoderArgs {
@@ -34,11 +38,16 @@ impl TrainAutoencoderArgs {
     pub fn recipe(&self) -> Result<AutoencoderRecipe> {
         let mut overrides = self.run.overrides();
         overrides.push(Override::if_open("model.name", self.run.model_name()));
+        overrides.extend(self.fit.map(|fit| Override::new("fit", fit.name())));
         let recipe: AutoencoderRecipe = crate::recipe::load(RECIPES, &self.run.recipe, &overrides)?;
         ensure!(
             (0.0..=1.0).contains(&recipe.whole_picture_share),
             "whole_picture_share is {}, expected 0 to 1",
             recipe.whole_picture_share
+        );
+        ensure!(
+            recipe.model.fit.is_stretch() && recipe.model.trained_on.is_none(),
+            "model.fit and model.trained_on are written by the training; set `fit` at the top of the recipe"
         );
         Ok(recipe)
     }
@@ -53,7 +62,8 @@ impl TrainAutoencoderArgs {
             "the autoencoder trains on the CPU, in f32: leave --device and --dtype out"
         );
         let recipe = self.recipe()?;
-        let data = self.run.data((recipe.model.height, recipe.model.width))?;
+        let framing = Framing::new((recipe.model.height, recipe.model.width), recipe.fit);
+        let data = self.run.data(framing)?;
         let held_out = data.validation.as_ref();
         train_on(&self.run, &recipe, &data.training, held_out, stop)
     }
@@ -80,6 +90,8 @@ pub(super) fn train_on(
             name: recipe.model.name,
             height: recipe.model.height,
             width: recipe.model.width,
+            fit: recipe.model.fit,
+            trained_on: recipe.model.trained_on,
             ..model.config().clone()
         };
         old = Some(model);
@@ -117,7 +129,7 @@ impl EvaluateAutoencoderArgs {
     /// When the weights or the bags cannot be read, or the picture cannot be written.
     pub fn run(&self) -> Result<(), TrainingError> {
         let autoencoder = Autoencoder::open(&self.autoencoder)?;
-        let dataset = self.on.open(autoencoder.input_size())?;
+        let dataset = self.on.open(autoencoder.framing())?;
         println!("{}", evaluate(&autoencoder, &dataset, self.frames)?);
         if let Some(path) = &self.picture {
             let picture = picture(&autoencoder, &dataset, 8)?;

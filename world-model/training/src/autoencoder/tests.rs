@@ -93,6 +93,7 @@ fn recipe() -> AutoencoderRecipe {
             decoder_blocks: vec![0, 1],
             latent_channels: 4,
             branch: false,
+            ..tiny.model
         },
         seed: 3,
         length: Span::Steps(60),
@@ -235,7 +236,7 @@ fn a_short_training_sees_whole_pictures_in_the_same_share_of_its_steps() {
             set: vec![setting.parse().unwrap()],
             ..run_in(Path::new("/no/such/folder"))
         };
-        TrainAutoencoderArgs { run }.recipe()
+        TrainAutoencoderArgs { run, fit: None }.recipe()
     };
     let tiny = asked("model.name=test").unwrap();
     let found = [5500, 275].map(|steps| tiny.whole_picture_steps(steps));

@@ -13,7 +13,7 @@ use thiserror::Error;
 use wm_dataset::{Dataset, DatasetError};
 use wm_evaluation::Figure;
 use wm_model::{
-    Autoencoder, Encoder as _,
+    Autoencoder, AutoencoderConfig, Encoder as _,
     autoencoder::{Network, NetworkGradient, Normalisation, Tape, clamp, clamp_slope},
     ops::GridSize,
 };
@@ -125,8 +125,13 @@ impl<'a> AutoencoderTask<'a> {
                 return Err(TrainingError::FrameSize { expected, found });
             }
         }
+        let config = AutoencoderConfig {
+            fit: recipe.fit,
+            trained_on: train.picture_size(),
+            ..recipe.model.clone()
+        };
         Ok(Self {
-            model: Autoencoder::random(recipe.model.clone(), recipe.seed)?,
+            model: Autoencoder::random(config, recipe.seed)?,
             recipe,
             steps,
             train,

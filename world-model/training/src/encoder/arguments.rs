@@ -2,6 +2,7 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::json;
 use wm_dataset::Dataset;
+use wm_model::{Fit, Framing};
 use wm_zoo::vit::WebDinoConfig;
 
 use super::{EncoderRecipe, EncoderTask, FILE, RECIPES, files::CONFIG_KEY};
@@ -17,6 +18,10 @@ pub struct TrainEncoderArgs {
     /// What every training has.
     #[command(flatten)]
     pub run: RunArgs,
+    /// How pictures of another aspect become the model's, instead of the recipe's fit: crop (the middle), stretch or pad
+    /// (black bars).
+    #[arg(long, value_name = "FIT")]
+    pub fit: Option<Fit>,
 }
 
 impl TrainEncoderArgs {
@@ -28,9 +33,10 @@ impl TrainEncoderArgs {
         let run = &self.run;
         let mut overrides = run.overrides();
         overrides.push(Override::if_open("model.name", run.model_name()));
+        overrides.extend(self.fit.map(|fit| Override::new("fit", fit.name())));
         let recipe: EncoderRecipe = crate::recipe::load(RECIPES, &run.recipe, &overrides)?;
         let side = config(run, &recipe)?.image_size;
-        let data = run.data((side, side))?;
+        let data = run.data(Framing::new((side, side), recipe.fit))?;
         let data = (&data.training, data.validation.as_ref());
         train_on(run, &recipe, data, stop)
     }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::json;
+use wm_model::{Fit, PictureSize};
 use wm_zoo::{kinds::Kind, vit::WebDinoConfig};
 
 use crate::{optimiser::Trained, trained_weights::trained_weights};
@@ -24,11 +25,19 @@ pub(super) fn write_weights(
     Ok(weights.write(folder.join(FILE))?)
 }
 
-/// The description of a model that is this encoder alone; `name` is that of its latent space.
-pub(super) fn write_description(folder: &Path, config: &WebDinoConfig, name: &str) -> Result<()> {
+/// The description of a model that is this encoder alone; `name` is that of its latent space, `trained_on` the size of the
+/// camera's pictures.
+pub(super) fn write_description(
+    folder: &Path,
+    config: &WebDinoConfig,
+    name: &str,
+    (fit, trained_on): (Fit, Option<PictureSize>),
+) -> Result<()> {
     let description = json!({
         "name": name,
         "image": [config.image_size, config.image_size],
+        "fit": fit,
+        "trained_on": trained_on,
         "encoder": {"kind": Kind::WebDino.name(), "weights": FILE, "config": config},
     });
     crate::model_folder::write_description(folder, &description)

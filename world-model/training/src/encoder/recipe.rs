@@ -1,5 +1,6 @@
 use anyhow::{Context as _, Result, ensure};
 use serde::{Deserialize, Serialize};
+use wm_model::Fit;
 use wm_zoo::vit::WebDinoConfig;
 
 use crate::{
@@ -24,6 +25,7 @@ pub struct EncoderRecipe {
     pub windows: usize,
     pub light: f64,
     pub dropout: f64,
+    pub fit: Fit,
     pub model: EncoderModelRecipe,
     pub head: IdmModelRecipe,
     pub optimisation: Optimisation,

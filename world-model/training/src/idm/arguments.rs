@@ -104,7 +104,7 @@ impl EvaluateIdmArgs {
     /// When data or weights cannot be read, or do not fit one another.
     pub fn run(&self) -> Result<()> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let dataset = self.on.open(encoder.input_size())?;
+        let dataset = self.on.open(encoder.framing())?;
         let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
         let model = TrainedIdm::open(&self.weights)?;
         let (own, others) = ("the model", "the bags");

@@ -69,7 +69,7 @@ impl TrainProbeArgs {
     /// As [`Self::run`].
     pub fn run_if_labelled(&self, stop: &Stop) -> Result<Ended> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let data = self.run.data(encoder.input_size())?;
+        let data = self.run.data(encoder.framing())?;
         let outcomes = |success| {
             let mut episodes = data.training.episodes().iter();
             episodes.any(|e| e.instruction.is_some() && e.success == Some(success))
@@ -134,7 +134,7 @@ impl EvaluateProbeArgs {
     /// When data or weights cannot be read, or do not fit one another.
     pub fn run(&self) -> Result<()> {
         let encoder = ModelFolder::open(&self.encoder)?.encoder()?;
-        let dataset = self.on.open(encoder.input_size())?;
+        let dataset = self.on.open(encoder.framing())?;
         let latents = Latents::open(&dataset, &*encoder, &self.on.cache())?;
         let weights = Weights::open(&self.weights)?;
         weights

@@ -181,7 +181,7 @@ fn the_bundled_probe_judges_the_bundled_bag() {
     let model = ModelFolder::open("tiny").unwrap();
     let encoder = model.encoder().unwrap();
     let cache = dir.path().join("cache");
-    let dataset = Dataset::open(&bag, &cache, encoder.input_size()).unwrap();
+    let dataset = Dataset::open(&bag, &cache, encoder.framing()).unwrap();
     let latents = Latents::open(&dataset, &*encoder, &cache).unwrap();
     let episodes = Episodes::new(&latents, 2, None);
     let episode = episodes.all(1).next().unwrap().unwrap();

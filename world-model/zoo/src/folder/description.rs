@@ -8,7 +8,7 @@ use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{
     ACTIONS_KEY, ActionAlignment, CONFIG_KEY, LATENT_SPACE_KEY, Parametrisation, TransitionConfig,
 };
-use wm_model::{LatentSpace, Weights};
+use wm_model::{Fit, LatentSpace, PictureSize, Weights};
 
 use crate::kinds::{DitConfig, Kind};
 use crate::{Error, Precision, Result};
@@ -26,6 +26,13 @@ pub struct Description {
     /// the paper, if absent. Vision transformers resize further, to the size of their own configuration.
     #[serde(default = "paper_image")]
     pub image: [usize; 2],
+    /// How pictures of another aspect become pictures of this size: `stretch`, `crop` or `pad`; `stretch`, as the published
+    /// checkpoints were trained, if absent.
+    #[serde(default)]
+    pub fit: Fit,
+    /// Size of the camera's pictures that the model was trained on, if it is known.
+    #[serde(default)]
+    pub trained_on: Option<PictureSize>,
     /// Number format of all weights: `bf16` halves their memory, `int8` quarters that of the matrices.
     #[serde(default)]
     pub dtype: Precision,

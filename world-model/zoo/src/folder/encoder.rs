@@ -1,8 +1,8 @@
 //! The encoder of a model folder: pictures to normalised latents.
 
 use candle_core::{DType, Device, Tensor};
-use wm_model::LatentSpace;
 use wm_model::autoencoder::Normalisation;
+use wm_model::{Fit, Framing, LatentSpace};
 
 use super::views;
 use crate::cost::{self, Cost};
@@ -131,6 +131,7 @@ pub(super) struct FolderEncoder {
     /// Height and width of one view's picture.
     pub(super) image: [usize; 2],
     pub(super) views: usize,
+    pub(super) fit: Fit,
     pub(super) space: LatentSpace,
 }
 
@@ -173,6 +174,14 @@ impl wm_model::Encoder for FolderEncoder {
     fn input_size(&self) -> (usize, usize) {
         let [height, width] = self.image;
         (height, width * self.views)
+    }
+
+    fn framing(&self) -> Framing {
+        Framing {
+            size: wm_model::Encoder::input_size(self),
+            views: self.views,
+            fit: self.fit,
+        }
     }
 
     fn encode(&self, images: &Tensor) -> wm_model::Result<Tensor> {

@@ -112,6 +112,9 @@ impl DescribedFolder {
         let description = &self.description;
         let settings = (latent, description.image, self.views, precision);
         hash.update(format!("{}\n", canonical(&settings)?));
+        if !description.fit.is_stretch() {
+            hash.update(format!("{}\n", description.fit));
+        }
         hash.update(format!("{}\n", self.encoder.config.canonical()?));
         self.encoder.source.hash(&self.encoder.tensors, &mut hash)?;
         if let Some(adapter) = adapter {

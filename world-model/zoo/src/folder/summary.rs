@@ -1,5 +1,7 @@
 //! What a model folder is, in figures.
 
+use wm_model::Fit;
+
 use super::DescribedFolder;
 use super::probe::Probe;
 use crate::Result;
@@ -29,6 +31,8 @@ pub struct Summary {
     pub latent: [usize; 3],
     /// Height and width of the camera's picture, all views together.
     pub image: [usize; 2],
+    /// How pictures of another aspect become such pictures.
+    pub fit: Fit,
     /// Camera views side by side.
     pub views: usize,
     /// How it is stepped; `None` without a transition model.
@@ -114,6 +118,7 @@ impl DescribedFolder {
             parts,
             latent: self.latent,
             image: [height, width * views],
+            fit: self.description.fit,
             views,
             stepping,
         })

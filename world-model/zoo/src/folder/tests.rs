@@ -5,6 +5,7 @@ use wm_model::sampler::Rollout;
 use wm_model::trained_folder::TRANSITION_FILE;
 use wm_model::transition::{ACTIONS_KEY, CONFIG_KEY, LATENT_SPACE_KEY, Transition};
 use wm_model::weights::{Precision as Stored, WeightsBuilder};
+use wm_model::{Fit, Framing};
 use wm_motion::actions::Accumulation;
 
 use super::*;
@@ -333,6 +334,43 @@ fn the_space_is_that_of_encoder_adapter_and_normalisation() {
     std::fs::remove_file(&svae).unwrap();
     write_random_weights(folder.path(), 7).unwrap();
     assert_eq!(space_of(&folder, &model), space);
+}
+
+#[test]
+fn the_fit_is_described_and_part_of_the_space_unless_stretch() {
+    let mut model = adapted();
+    let folder = folder(&model);
+    let without = space_of(&folder, &model);
+    model["fit"] = json!("stretch");
+    assert_eq!(space_of(&folder, &model), without);
+    model["fit"] = json!("crop");
+    model["trained_on"] = json!({"width": 640, "height": 480});
+    assert_ne!(space_of(&folder, &model).hash, without.hash);
+    let opened = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
+    let expected = Framing::new((32, 32), Fit::Crop);
+    assert_eq!(opened.encoder().unwrap().framing(), expected);
+    assert_eq!(opened.fit().unwrap(), Fit::Crop);
+    let trained_on = opened.trained_on().unwrap().unwrap();
+    assert_eq!(trained_on.to_string(), "640x480");
+    model["fit"] = json!("squeeze");
+    let error = serde_json::from_value::<Description>(model).unwrap_err();
+    let error = error.to_string();
+    assert!(
+        error.contains("squeeze") && error.contains("crop"),
+        "{error}"
+    );
+}
+
+#[test]
+fn the_embedded_model_and_old_folders_stretch() {
+    let tiny = ModelFolder::open(wm_model::trained_folder::EMBEDDED).unwrap();
+    assert_eq!(tiny.fit().unwrap(), Fit::Stretch);
+    assert_eq!(tiny.trained_on().unwrap().unwrap().to_string(), "256x256");
+    let folder = folder(&adapted());
+    let old = ModelFolder::open(&folder.path().to_string_lossy()).unwrap();
+    let framing = old.encoder().unwrap().framing();
+    assert_eq!(framing, Framing::from((32, 32)));
+    assert_eq!(old.trained_on().unwrap(), None);
 }
 
 #[test]

@@ -21,6 +21,10 @@ fn settings(source: MotionSource) -> Settings {
         base_frame: "base_link".into(),
         period: Duration::from_millis(200),
         timeout: Duration::from_millis(500),
+        speeds: Speeds {
+            linear: 2.0,
+            angular: 4.0,
+        },
         source,
         gripper: GripperSource::Open,
     }
@@ -267,18 +271,129 @@ fn what_is_no_pose_and_no_twist_is_refused_by_name() {
     assert_eq!(actions(&mut adapter)[0].0, 100);
 }
 
+/// The hand, `by` further forward than it is.
+fn apart(ms: i64, by: f64) -> PoseStamped {
+    let mut pose = pose(ms);
+    pose.pose.position.x += by;
+    pose
+}
+
 #[test]
-fn a_motion_that_no_robot_makes_is_left_out() {
+fn a_pose_that_leaps_is_dropped_and_counted() {
+    for period_ms in [20, 50, 100, 200] {
+        let mut adapter = adapter(MotionSource::Pose);
+        let mut dropped = 0;
+        for tick in 0..2_000 / period_ms {
+            let ms = tick * period_ms;
+            let is_off = tick % 5 == 3;
+            let taken = adapter.pose(&apart(ms, f64::from(u8::from(is_off))), 0);
+            let reason = taken.map_err(|problem| problem.reason());
+            assert_eq!(reason, if is_off { Err("pose_leapt") } else { Ok(()) });
+            dropped += i32::from(is_off);
+        }
+        assert!(dropped > 0);
+        let (moved, _) = sum(&actions(&mut adapter));
+        let ms = (2_000 - period_ms) / 200 * 200;
+        let way = hand(ms).translation.vector - hand(0).translation.vector;
+        assert!((moved - way).norm() < 5e-3, "{moved} for {way}");
+    }
+}
+
+#[test]
+fn a_turn_that_leaps_is_dropped() {
     let mut adapter = adapter(MotionSource::Pose);
     adapter.pose(&pose(0), 0).unwrap();
-    let mut far = pose(200);
-    far.pose.position.x += 5.0;
-    adapter.pose(&far, 0).unwrap();
-    let done = adapter.take_done();
-    assert!(
-        matches!(&done[0], Err(problem) if problem.reason() == "out_of_bounds"),
-        "{done:?}"
-    );
+    let mut turned = pose(100);
+    let half = UnitQuaternion::from_euler_angles(0.0, 0.0, 1.5) * hand(100).rotation;
+    turned.pose = pose_message(&Isometry3::from_parts(hand(100).translation, half));
+    let problem = adapter.pose(&turned, 0).unwrap_err();
+    assert_eq!((problem.reason(), problem.count()), ("pose_leapt", 1));
+    assert!(problem.to_string().contains("1.4"), "{problem}");
+    // The same orientation by the opposite quaternion is no turn.
+    let mut same = pose(120);
+    let turn = &mut same.pose.orientation;
+    (turn.x, turn.y, turn.z, turn.w) = (-turn.x, -turn.y, -turn.z, -turn.w);
+    adapter.pose(&same, 0).unwrap();
+}
+
+#[test]
+fn poses_that_stay_where_they_leapt_to_begin_anew() {
+    for by in [1.0, 0.5, -0.3] {
+        let mut adapter = adapter(MotionSource::Pose);
+        for ms in [0, 50, 100, 150] {
+            adapter.pose(&pose(ms), 0).unwrap();
+        }
+        let reasons: Vec<_> = [200, 250, 300, 350, 400, 450, 500]
+            .map(|ms| adapter.pose(&apart(ms, by), 0))
+            .into_iter()
+            .map(|taken| taken.map_err(|problem| problem.reason()))
+            .collect();
+        let (leapt, moved) = (Err("pose_leapt"), Err("pose_moved"));
+        assert_eq!(reasons[..3], [leapt, leapt, moved]);
+        assert_eq!(reasons[3..], [Ok(()); 4]);
+        let done = actions(&mut adapter);
+        assert_eq!(done.len(), 1);
+        assert_eq!(done[0].0, 300);
+        assert!(done[0].1[0].abs() < 0.05, "{done:?}");
+    }
+}
+
+#[test]
+fn a_twist_that_the_arm_cannot_do_is_dropped() {
+    let mut adapter = adapter(MotionSource::Twist);
+    adapter.twist(&twist(0, 0.1), 0).unwrap();
+    let problem = adapter.twist(&twist(50, 2.5), 0).unwrap_err();
+    assert_eq!(problem.reason(), "too_fast");
+    adapter.twist(&twist(200, 0.1), 0).unwrap();
+    assert!((actions(&mut adapter)[0].1[0] - 0.02).abs() < 1e-6);
+}
+
+#[test]
+fn quaternions_within_one_percent_are_normalised() {
+    let mut adapter = adapter(MotionSource::Pose);
+    for (ms, norm) in [(0, 0.9985), (200, 1.009)] {
+        let mut pose = pose(ms);
+        let turn = &mut pose.pose.orientation;
+        for value in [&mut turn.x, &mut turn.y, &mut turn.z, &mut turn.w] {
+            *value *= norm;
+        }
+        adapter.pose(&pose, 0).unwrap();
+    }
+    let (_, turned) = sum(&actions(&mut adapter));
+    let turn = hand(200).rotation * hand(0).rotation.inverse();
+    assert!(turned.angle_to(&turn) < 1e-3);
+}
+
+#[test]
+fn gripper_joints_that_were_overtaken_are_dropped() {
+    let source = GripperSource::Joint {
+        name: "finger".into(),
+        closed: 0.0,
+        open: 1.0,
+    };
+    let mut adapter = AdapterStep::new(Settings {
+        gripper: source,
+        ..settings(MotionSource::Pose)
+    });
+    let mut take = |ms: i64, name: &str, at: f64| {
+        let joints = JointState {
+            header: header(ms),
+            name: vec![name.into()],
+            position: vec![at],
+            ..JointState::default()
+        };
+        let taken = adapter.joints(&joints, 0);
+        taken.map_err(|problem| problem.reason())
+    };
+    assert_eq!(take(0, "finger", 0.2), Ok(Some(0.2)));
+    // The arm is another part, in a message of its own.
+    assert_eq!(take(20, "elbow", 0.9), Ok(None));
+    assert_eq!(take(100, "finger", 0.4), Ok(Some(0.4)));
+    assert_eq!(take(90, "finger", 0.9), Err("older"));
+    assert_eq!(take(100, "finger", 0.9), Ok(Some(0.4)));
+    adapter.pose(&pose(0), 0).unwrap();
+    adapter.pose(&pose(200), 0).unwrap();
+    assert_eq!(actions(&mut adapter)[0].1[6], 0.4);
 }
 
 #[test]

@@ -2,17 +2,15 @@
 
 use std::time::Duration;
 
-use super::{
-    Cause, Command, ExecutorStep, JUMP_NS, Now, Output, Phase, Refusal, State, Status, Tick,
-};
+use super::{Cause, Command, ExecutorStep, JUMP_NS, Moment, Output, Phase, Refusal, Tick};
 use crate::executor::{
-    Rates,
+    Rates, State, Status,
     schedule::{Change, Told},
 };
 
 impl ExecutorStep {
     /// The command of the period that begins now. To be called once a period.
-    pub fn tick(&mut self, now: Now) -> Tick {
+    pub fn tick(&mut self, now: Moment) -> Tick {
         let since = self
             .last
             .map(|last| now.at.saturating_duration_since(last.at));
@@ -26,6 +24,7 @@ impl ExecutorStep {
             self.jump();
         }
         self.last = Some(now);
+        self.settings.clock.see(now);
         let mut refused = self.expire(now);
         if matches!(self.phase, Phase::Stopped(_)) {
             // All at once: an emergency stop is the one step that no limit smooths.
@@ -46,63 +45,40 @@ impl ExecutorStep {
     }
 
     /// What is told for this period, and why it is not all that an offer tells.
-    fn told(&mut self, now: Now, refused: &mut Vec<Refusal>) -> (Told, Option<Cause>) {
+    fn told(&mut self, now: Moment, refused: &mut Vec<Refusal>) -> (Told, Option<Cause>) {
         let nothing = Told {
             velocity: self.still(),
             gripper: None,
+            running_out: None,
         };
+        let leap_s = self.settings.clock.leap_s(now);
         if let Phase::Disarming(cause) = &self.phase {
             return (nothing, Some(cause.clone()));
         }
-        if let Err(hold) = self.expect_free(now.at) {
+        if let Err(hold) = self.expect_free(now) {
             self.counts.interrupted += u64::from(self.schedule.clear());
             for _ in 0..self.waiting.len() {
-                refused.push(Refusal::Held(hold));
+                refused.push(Refusal::Held(hold.clone()));
             }
             self.counts.refused += self.waiting.len() as u64;
             self.waiting.clear();
+            (self.over_ns, self.ease) = (None, None);
             return (nothing, Some(Cause::Held(hold)));
         }
-        let max_age = self.settings.max_age;
-        let before = self.cause.take();
-        let cause = match self.schedule.advance(now.stamp_ns, now.at, max_age) {
-            Some(Change::Begun) => {
-                self.counts.begun += 1;
-                self.refusal = None;
-                if let Some(offer) = self.schedule.current() {
-                    self.frame_id.clone_from(&offer.frame_id);
-                }
-                None
-            }
-            Some(Change::Over) => Some(Cause::Silence),
-            Some(Change::Stale) => {
-                self.counts.interrupted += 1;
-                Some(Cause::Stale)
-            }
-            // Why the last one ended; what held it back is over.
-            None => before
-                .filter(|cause| matches!(cause, Cause::Silence | Cause::Stale | Cause::Vetoed)),
-        };
-        let span_ns = i64::try_from(self.settings.period.as_nanos()).unwrap_or(i64::MAX);
-        let layout = &self.settings.layout;
-        let places = self
-            .settings
-            .joints
-            .as_ref()
-            .and_then(|joints| joints.places());
-        let places = places.unwrap_or(Rates::zero(0));
-        let told = self.schedule.told(now.stamp_ns, span_ns, layout, places);
-        let Some(mut told) = told else {
+        let cause = self.advance(now, leap_s, refused);
+        let Some(mut told) = self.offered(now).or_else(|| self.eased(now)) else {
             return (nothing, Some(cause.unwrap_or(Cause::Nothing)));
         };
-        let mut cause = None;
+        let mut cause = cause.filter(|_| self.schedule.current().is_none());
         if let Some(workspace) = &self.settings.workspace {
             let mut velocity = told.velocity.velocity();
             match workspace.cut(velocity.linear, now.at) {
                 Ok((linear, is_cut)) => {
                     velocity.linear = linear;
                     told.velocity = velocity.into();
-                    cause = is_cut.contains(&true).then_some(Cause::Cut(is_cut));
+                    if is_cut.contains(&true) {
+                        cause = Some(Cause::Cut(is_cut));
+                    }
                 }
                 // What `expect_free` has ruled out.
                 Err(hold) => return (nothing, Some(Cause::Held(hold))),
@@ -111,9 +87,100 @@ impl ExecutorStep {
         if let Some(joints) = &self.settings.joints {
             let is_cut;
             (told.velocity, is_cut) = joints.cut(told.velocity);
-            cause = is_cut.then_some(Cause::CutJoints);
+            if is_cut {
+                cause = Some(Cause::CutJoints);
+            }
         }
         (told, cause)
+    }
+
+    /// Goes on in the schedule; gives why the last offer has ended, if nothing has begun since.
+    fn advance(
+        &mut self,
+        now: Moment,
+        leap_s: Option<f64>,
+        refused: &mut Vec<Refusal>,
+    ) -> Option<Cause> {
+        let before = self.cause.take();
+        let (change, dropped) = self
+            .schedule
+            .advance(now, self.span_ns(), self.settings.max_age);
+        for refusal in dropped {
+            self.note(&refusal);
+            refused.push(refusal);
+        }
+        if change.is_some() {
+            (self.over_ns, self.ease) = (None, None);
+        }
+        match change {
+            Some(Change::Begun) => {
+                self.counts.begun += 1;
+                self.refusal = None;
+                if let Some(offer) = self.schedule.current() {
+                    self.frame_id.clone_from(&offer.frame_id);
+                }
+                None
+            }
+            Some(Change::Over { end_ns }) => {
+                if let Some(by_s) = leap_s {
+                    self.counts.interrupted += 1;
+                    return Some(Cause::ClockAhead(by_s));
+                }
+                self.over_ns = Some(end_ns);
+                self.ease = self.is_eased(now).then_some((self.velocity, now.at));
+                Some(Cause::Silence)
+            }
+            Some(Change::Stale) => {
+                self.counts.interrupted += 1;
+                Some(leap_s.map_or(Cause::Stale, Cause::ClockAhead))
+            }
+            Some(Change::Outrun) => {
+                self.counts.interrupted += 1;
+                Some(Cause::ClockSlow)
+            }
+            // Why the last one ended; what held it back is over.
+            None => before.filter(Cause::is_end),
+        }
+    }
+
+    /// What offers tell for this period. If their source is late at times and the last one ends in it, that goes on to the
+    /// end of the period: the next one may be on its way.
+    fn offered(&self, now: Moment) -> Option<Told> {
+        let joints = self.settings.joints.as_ref();
+        let places = joints.and_then(|joints| joints.places());
+        let places = places.unwrap_or(Rates::zero(0));
+        let layout = &self.settings.layout;
+        let mut told = self
+            .schedule
+            .told(now.stamp_ns, self.span_ns(), layout, places)?;
+        let covered = told.running_out.filter(|covered| *covered > 0.0);
+        if let Some(covered) = covered.filter(|_| self.is_eased(now)) {
+            told.velocity = self.still().plus(told.velocity, covered.recip());
+        }
+        Some(told)
+    }
+
+    /// Whether the next offer may be late, and the arm does not stop by itself.
+    fn is_eased(&self, now: Moment) -> bool {
+        self.lateness.is_late_at_times(now.stamp_ns) && !self.settings.layout.has_positions()
+    }
+
+    /// After offers of a source that is late at times, the arm takes all the time that it has to stop: the next one may be
+    /// on its way.
+    fn eased(&self, now: Moment) -> Option<Told> {
+        let (velocity, since) = self.ease?;
+        let passed = now.at.saturating_duration_since(since) + self.settings.period;
+        let share = 1.0 - passed.as_secs_f64() / self.settings.stop_within.as_secs_f64().max(1e-3);
+        (share > 0.0).then(|| Told {
+            velocity: self.still().plus(velocity, share),
+            gripper: None,
+            running_out: None,
+        })
+    }
+
+    /// A command period \[ns\].
+    fn span_ns(&self) -> i64 {
+        i64::try_from(self.settings.period.as_nanos()).unwrap_or(i64::MAX)
     }
 
     /// The joints go on by the command, or rest where they are.
@@ -132,11 +199,13 @@ impl ExecutorStep {
         self.forget();
         self.epoch = None;
         self.vetoes.clear();
+        self.settings.clock.reset();
+        self.settings.camera.forget_stamps();
         self.disarm(Cause::ClockJump);
     }
 
     /// Refuses what has waited too long for its assessment.
-    fn expire(&mut self, now: Now) -> Vec<Refusal> {
+    fn expire(&mut self, now: Moment) -> Vec<Refusal> {
         let wait = self.vetoes.settings().wait;
         let mut refused = Vec::new();
         while let Some(first) = self.waiting.front() {
@@ -155,7 +224,7 @@ impl ExecutorStep {
     }
 
     /// Goes on with zeros for a while after a motion, and then with nothing.
-    fn rest(&mut self, now: Now) {
+    fn rest(&mut self, now: Moment) {
         let is_stopped = matches!(self.phase, Phase::Stopped(_));
         let is_active = !is_stopped && self.schedule.current().is_some();
         if is_active || !self.velocity.is_zero() {
@@ -221,6 +290,10 @@ impl ExecutorStep {
         Status {
             state,
             reason: parts.join("; "),
+            hold: match cause {
+                Some(Cause::Held(hold)) => Some(hold.reason()),
+                _ => None,
+            },
             offer_ns: offer.map(|offer| offer.stamp_ns),
             counts: self.counts,
         }

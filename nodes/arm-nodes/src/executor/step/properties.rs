@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::{tests::*, *};
 use crate::executor::{
-    Velocity,
+    Deadman, State, Velocity, Workspace,
     rates::{norm, plus},
 };
 

@@ -1,13 +1,21 @@
+mod camera;
+mod clock;
+mod emergency;
 mod joints;
+mod lateness;
+mod malformed;
 mod vetoes;
 
 use super::*;
-use crate::executor::PoseError;
+use crate::executor::{
+    Begin, Bounds, Camera, ClockWatch, Deadman, EmergencyStop, Joints, Layout, Limits, PoseError,
+    State, VetoSettings, Workspace,
+};
 use wm_motion::actions::ActionSpace;
 use wm_msgs::{
     builtin_interfaces::{Duration as RosDuration, Time},
     geometry_msgs::Point,
-    wm_msgs::Action,
+    wm_msgs::{Action, ActionChunk, Assessment, Plan, PredictionError},
 };
 
 const MS: i64 = 1_000_000;
@@ -32,11 +40,15 @@ pub(super) fn settings() -> Settings {
         max_age: Duration::from_secs(2),
         begin: Begin::Stamp,
         max_lead: Duration::from_secs(5),
+        stop_within: Duration::from_millis(200),
         zero_for: Duration::from_millis(500),
         dry_run: true,
         workspace: None,
         joints: None,
         deadman: None,
+        clock: ClockWatch::new(Duration::from_millis(1_500)),
+        camera: Camera::new(Duration::from_secs(1)),
+        emergency: EmergencyStop::new(false),
         veto: VetoSettings {
             cost_rise: 0.0,
             min_success: 0.0,
@@ -100,16 +112,14 @@ impl Bench {
         bench
     }
 
-    pub fn at(&self, ms: i64) -> Now {
-        Now {
-            at: self.start + Duration::from_millis(ms.unsigned_abs()),
-            stamp_ns: START + ms * MS,
-        }
+    pub fn at(&self, ms: i64) -> Moment {
+        let at = self.start + Duration::from_millis(ms.unsigned_abs());
+        Moment::real(at, START + ms * MS)
     }
 
     pub fn offer(&mut self, ms: i64, chunk: &ActionChunk) -> Result<Taken, Refusal> {
         let now = self.at(ms);
-        self.step.chunk(chunk, now.at, now)
+        self.step.chunk(chunk, now, now)
     }
 
     fn refused(&mut self, ms: i64, chunk: &ActionChunk) -> (&'static str, String) {
@@ -237,22 +247,6 @@ fn silence_stops_it() {
 }
 
 #[test]
-fn a_chunk_is_not_executed_for_ever_after_it_came() {
-    let mut bench = Bench::moving(settings());
-    // The node's clock stands still, as a simulated one may.
-    let mut last = None;
-    for tick in 9..60 {
-        let now = Now {
-            stamp_ns: START + 400 * MS,
-            ..bench.at(tick * PERIOD_MS)
-        };
-        last = sent(bench.step.tick(now).output);
-    }
-    assert_eq!(last, None);
-    assert!(bench.reason().contains("max_age"), "{}", bench.reason());
-}
-
-#[test]
 fn what_cannot_be_executed_is_refused_by_name() {
     let mut bench = Bench::armed(Settings {
         base_frame: "base_link".into(),
@@ -337,11 +331,11 @@ fn a_longer_action_may_move_further() {
 fn what_comes_at_the_wrong_time_is_refused() {
     let mut bench = Bench::armed(settings());
     let now = bench.at(10_000);
-    let received = bench.at(7_900).at;
+    let received = bench.at(7_900);
     let stale = bench.step.chunk(&chunk(10_000, 0.02, 4), received, now);
     assert_eq!(stale.unwrap_err().reason(), "stale");
-    let unknown = Now { stamp_ns: 0, ..now };
-    let early = bench.step.chunk(&chunk(0, 0.02, 4), now.at, unknown);
+    let unknown = Moment { stamp_ns: 0, ..now };
+    let early = bench.step.chunk(&chunk(0, 0.02, 4), now, unknown);
     assert_eq!(early, Err(Refusal::NoClock));
     assert_eq!(bench.refused(10_000, &chunk(9_600, 0.02, 2)).0, "late");
     assert_eq!(bench.refused(10_000, &chunk(15_001, 0.02, 2)).0, "early");
@@ -356,7 +350,7 @@ fn a_plan_of_an_older_epoch_is_refused() {
     let mut bench = Bench::armed(settings());
     let mut offer = |ms: i64, plan: &Plan| {
         let now = bench.at(ms);
-        bench.step.plan(plan, now.at, now)
+        bench.step.plan(plan, now, now)
     };
     assert_eq!(offer(0, &plan(0, 7)), Ok(Taken::Accepted));
     let refused = offer(50, &plan(50, 6)).unwrap_err();
@@ -458,21 +452,6 @@ fn an_emergency_stop_while_not_armed_sends_nothing() {
         bench.reason(),
         "/wm/view called ~/stop; to go on, call ~/reset, then ~/arm"
     );
-}
-
-#[test]
-fn a_clock_that_jumps_back_stops_it_and_all_is_forgotten() {
-    let mut bench = Bench::moving(settings());
-    let now = Now {
-        stamp_ns: START - 10_000 * MS,
-        ..bench.at(450)
-    };
-    let forward = sent(bench.step.tick(now).output).unwrap();
-    assert!(forward < 0.1, "{forward}");
-    assert_eq!(bench.state(), State::Stopping);
-    assert!(bench.reason().contains("clock"), "{}", bench.reason());
-    assert_eq!(bench.run(500, 1100), None);
-    assert_eq!(bench.state(), State::DryRun);
 }
 
 #[test]

@@ -1,7 +1,10 @@
 //! How a player answers calls and keys.
 
 use super::{Player, command::Command};
-use crate::{keyboard::Key, player::settings::last_ns};
+use crate::{
+    keyboard::Key,
+    player::settings::{last_ns, start_ns},
+};
 use std::time::Duration;
 use tracing::{info, warn};
 use wm_msgs::rosbag2_interfaces::{
@@ -127,7 +130,7 @@ impl Player {
     fn play_again(&mut self, request: &PlayRequest) -> bool {
         let positive = |ns: i64| u64::try_from(ns).ok().filter(|ns| *ns > 0);
         let offset_ns = positive(request.start_offset.to_nanos()).unwrap_or(0);
-        let start_ns = self.reader.start_ns().saturating_add(offset_ns);
+        let start_ns = start_ns(&self.reader, Duration::from_nanos(offset_ns));
         let duration = positive(request.playback_duration.to_nanos()).map(Duration::from_nanos);
         let until_ns = positive(request.playback_until_timestamp.to_nanos());
         let last_ns = last_ns(&self.reader, start_ns, duration, until_ns);

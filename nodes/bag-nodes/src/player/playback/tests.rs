@@ -23,6 +23,7 @@ fn plan() -> Plan {
         is_looping: false,
         delay: Duration::ZERO,
         gap: Duration::ZERO,
+        max_gap: None,
     }
 }
 
@@ -37,6 +38,8 @@ struct Run {
     begun: Vec<u64>,
     /// The last message since then \[ms\].
     last: Option<u64>,
+    /// Log times before and after the gaps that were jumped over.
+    jumps: Vec<(u64, u64)>,
 }
 
 impl Run {
@@ -48,6 +51,7 @@ impl Run {
             published: Vec::new(),
             begun: Vec::new(),
             last: None,
+            jumps: Vec::new(),
         }
     }
 
@@ -74,6 +78,7 @@ impl Run {
                     self.last = None;
                     self.begun.push(self.now.as_millis() as u64);
                 }
+                Step::Jump { from_ns, to_ns } => self.jumps.push((from_ns, to_ns)),
                 Step::Rewind(ns) => self.read_from(ns),
                 Step::Wait(Some(due)) if due <= at(ms) => self.now = due,
                 Step::Wait(_) => break,
@@ -100,6 +105,52 @@ fn messages_come_at_their_distances_over_the_rate() {
         [(0, 0), (100, 200), (200, 400), (300, 600), (500, 1000)]
     );
     assert_eq!(run.begun, [0]);
+}
+
+#[test]
+fn longer_gaps_are_jumped_over_and_told() {
+    let plan = Plan {
+        start_ns: bag(0) - 3_600_000_000_000,
+        max_gap: Some(at(300)),
+        ..plan()
+    };
+    let mut run = Run::new(plan, 1.0, false);
+    assert!(run.until(10_000));
+    let times = [(0, 0), (200, 200), (400, 400), (600, 600), (600, 1000)];
+    assert_eq!(run.published, times);
+    assert_eq!(run.jumps, [(plan.start_ns, bag(0)), (bag(600), bag(1000))]);
+    // Stamps that are moved keep a distance, so that nodes see the jump.
+    let plan = Plan {
+        gap: at(50),
+        max_gap: Some(at(300)),
+        ..plan
+    };
+    let mut run = Run::new(plan, 1.0, false);
+    assert!(run.until(10_000));
+    assert_eq!(run.published.last(), Some(&(700, 1000)));
+}
+
+#[test]
+fn messages_after_a_slow_jump_keep_their_distances() {
+    let mut run = Run::new(plan(), 1.0, false);
+    assert_eq!(run.playback.step(at(0), None), Step::Begin(START));
+    run.playback.begin_late(at(700));
+    run.now = at(700);
+    assert!(run.until(10_000));
+    assert_eq!(run.published[..2], [(700, 0), (900, 200)]);
+}
+
+#[test]
+fn a_round_does_not_wait_for_an_end_without_messages() {
+    let plan = Plan {
+        last_ns: u64::MAX,
+        is_looping: true,
+        max_gap: Some(at(500)),
+        ..plan()
+    };
+    let mut run = Run::new(plan, 1.0, false);
+    run.until(3500);
+    assert_eq!(run.begun, [0, 1500, 3000]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use candle_core::Tensor;
 use wm_model::LatentSpace;
-use wm_msgs::{builtin_interfaces::Time, sensor_msgs::Image, std_msgs::Header};
+use wm_msgs::{builtin_interfaces::Time, sensor_msgs::Image};
 
 use super::*;
 use wm_camera::image_message::{encode_image, encode_jpeg};
@@ -56,6 +56,32 @@ fn picture() -> RgbImage {
 }
 
 const EXPECTED: [f32; 12] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+
+#[test]
+fn incomplete_or_depth_picture_has_no_latent() {
+    let whole = encode_jpeg(&picture(), header(), 90).unwrap();
+    let step = step(LatentDtype::F32);
+    let compressed = |data: &[u8]| {
+        let mut image = whole.clone();
+        image.data = data.to_vec();
+        CameraFrame::Compressed(image)
+    };
+    step.encode(&compressed(&whole.data)).unwrap();
+    let cut = step.encode(&compressed(&whole.data[..whole.data.len() - 5]));
+    let text = cut.unwrap_err().to_string();
+    assert!(text.contains("incomplete"), "{text}");
+    let depth = Image {
+        encoding: "mono16".into(),
+        step: 16,
+        data: vec![3; 16 * 8],
+        ..encode_image(&picture(), header())
+    };
+    let text = step
+        .encode(&CameraFrame::Raw(depth))
+        .unwrap_err()
+        .to_string();
+    assert!(text.contains("depth"), "{text}");
+}
 
 #[test]
 fn a_frame_becomes_the_latent_of_its_stamp() {

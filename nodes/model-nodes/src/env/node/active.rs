@@ -444,7 +444,8 @@ impl Active {
                         stamp,
                     ),
                     observation,
-                    due: now,
+                    // No picture is shown before its time: other nodes refuse stamps ahead of the clock.
+                    due: now + node.parameters.period(),
                     published: now,
                     shown: now,
                     outcome: None,

@@ -96,9 +96,16 @@ fn history() -> History {
 
 /// Sees frame `index`.
 fn see(step: &mut EvaluatorStep, index: i64) {
+    see_of(step, index, false);
+}
+
+/// The same, of a camera that has stopped or not.
+fn see_of(step: &mut EvaluatorStep, index: i64, frozen: bool) {
     let latent = encode_latent(&values(index), &space(), LatentDtype::F32, header(index)).unwrap();
+    let latent = Latent { frozen, ..latent };
     let reception = Reception {
         stamp: Time::default(),
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId::default(),
     };
@@ -127,6 +134,21 @@ fn ask(
     asked: &ActionCandidates,
 ) -> Result<EvaluationRequest, EvaluatorError> {
     step.candidates(asked, Instant::now(), Time::default())
+}
+
+#[test]
+fn candidates_are_not_evaluated_from_a_stopped_camera() {
+    let mut step = evaluator();
+    let asked = candidates(vec![chunk(2, 8, 0.02)]);
+    see_of(&mut step, 3, true);
+    let error = ask(&step, &asked).unwrap_err();
+    assert_eq!(error.reason(), "frozen_camera");
+    assert!(
+        error.to_string().contains("the camera has stopped"),
+        "{error}"
+    );
+    see(&mut step, 4);
+    assert!(ask(&step, &asked).is_ok());
 }
 
 #[test]

@@ -106,6 +106,7 @@ fn evaluator(model: &WorldModel) -> EvaluatorStep {
     let mut step = EvaluatorStep::new(settings, history);
     let reception = Reception {
         stamp: Time::default(),
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId::default(),
     };

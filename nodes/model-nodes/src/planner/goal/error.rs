@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 use wm_camera::image_message::ImageError;
+use wm_msgs::builtin_interfaces::InvalidNanoseconds;
 use wm_wire::latent_message::LatentError;
 
 use super::MOST_LATENTS;
@@ -11,6 +12,9 @@ use crate::encoder::EncoderError;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum GoalError {
+    /// A stamp or a time whose nanoseconds are a second or more.
+    #[error("stamp or time of {0}")]
+    Time(#[from] InvalidNanoseconds),
     /// A picture that has no latent.
     #[error("picture {index}: {source}")]
     Picture {
@@ -54,8 +58,13 @@ pub enum GoalError {
     /// A mask that is none.
     #[error("mask: {0}")]
     Mask(#[from] ImageError),
+    /// A mask that cannot be placed in the encoder's picture.
+    #[error("mask: {0}")]
+    MaskPlace(#[from] wm_model::Error),
     /// A mask of nothing.
-    #[error("the mask is 0 everywhere: nothing would count")]
+    #[error(
+        "the mask is 0 everywhere in the part of the picture that the model sees: nothing would count"
+    )]
     NothingMarked,
     /// Words without a probe that reads them.
     #[error(

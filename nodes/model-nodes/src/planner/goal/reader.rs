@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use image::RgbImage;
 use wm_camera::{camera_frame::CameraFrame, image_message::decode_image};
+use wm_model::PictureSize;
 use wm_msgs::{sensor_msgs::Image, wm_msgs::Goal as GoalMessage};
 use wm_wire::latent_message::decode_latent;
 use wm_zoo::success_probe::{Instruction, SuccessClassifier};
@@ -38,6 +39,7 @@ impl GoalReader {
     /// # Errors
     /// [`GoalError::Picture`].
     pub fn of_picture(&self, frame: &CameraFrame) -> Result<Goal, GoalError> {
+        frame.header().stamp.checked_nanos()?;
         let picture = frame.decode().map_err(EncoderError::from);
         let values = picture.and_then(|picture| self.encoded(&picture));
         let values = values.map_err(|source| GoalError::Picture { index: 0, source })?;
@@ -49,6 +51,7 @@ impl GoalReader {
     /// # Errors
     /// [`GoalError`] says what does not fit.
     pub fn of_message(&self, message: &GoalMessage) -> Result<Goal, GoalError> {
+        message.header.stamp.checked_nanos()?;
         let (images, latents) = (message.images.len(), message.latents.len());
         if images > 0 && latents > 0 {
             return Err(GoalError::Both { images, latents });
@@ -95,7 +98,8 @@ impl GoalReader {
         Ok(Arc::from(values))
     }
 
-    /// How many pixels a mask marks in each cell of the latent grid, which covers the whole picture.
+    /// How many pixels a mask of a camera's picture marks in each cell of the latent grid. What the encoder's picture does
+    /// not show counts in none.
     fn mask(&self, mask: &Image) -> Result<Option<Arc<[f32]>>, GoalError> {
         if mask.data.is_empty() {
             return Ok(None);
@@ -103,9 +107,13 @@ impl GoalReader {
         let picture = decode_image(mask)?;
         let encoder = self.encoder.lock().unwrap_or_else(PoisonError::into_inner);
         let (rows, columns) = (encoder.space().height, encoder.space().width);
-        let (width, height) = (picture.width() as usize, picture.height() as usize);
+        let framing = encoder.framing();
+        let ((height, width), from) = (framing.size, PictureSize::of(&picture));
         let mut marked = vec![0_u32; rows * columns];
         for (x, y, pixel) in picture.enumerate_pixels() {
+            let Some((x, y)) = framing.pixel(from, (x, y))? else {
+                continue;
+            };
             let (row, column) = (y as usize * rows / height, x as usize * columns / width);
             if let Some(count) = marked.get_mut(row * columns + column) {
                 *count += u32::from(pixel.0 != [0; 3]);
@@ -129,7 +137,8 @@ impl GoalReader {
 }
 
 fn times(message: &GoalMessage, goals: usize) -> Result<Vec<i64>, GoalError> {
-    let times: Vec<i64> = message.times.iter().map(|time| time.to_nanos()).collect();
+    let times = message.times.iter().map(|time| time.checked_nanos());
+    let times = times.collect::<Result<Vec<i64>, _>>()?;
     let fits = times.is_empty() || times.len() == goals;
     let is_ascending = times.is_sorted() && times.first().is_none_or(|first| *first >= 0);
     if fits && is_ascending {
@@ -147,7 +156,7 @@ mod tests {
 
     use candle_core::Tensor;
     use wm_camera::image_message::encode_image;
-    use wm_model::{Encoder, LatentSpace};
+    use wm_model::{Encoder, Fit, Framing, LatentSpace};
     use wm_msgs::{
         builtin_interfaces::{Duration, Time},
         std_msgs::Header,
@@ -158,7 +167,7 @@ mod tests {
     use super::*;
 
     /// The brightness of a picture in each of four quarters.
-    struct Quarters(LatentSpace);
+    struct Quarters(LatentSpace, Fit);
 
     impl Encoder for Quarters {
         fn space(&self) -> &LatentSpace {
@@ -167,6 +176,10 @@ mod tests {
 
         fn input_size(&self) -> (usize, usize) {
             (8, 8)
+        }
+
+        fn framing(&self) -> Framing {
+            Framing::new((8, 8), self.1)
         }
 
         fn encode(&self, images: &Tensor) -> wm_model::Result<Tensor> {
@@ -187,7 +200,11 @@ mod tests {
     }
 
     fn reader() -> GoalReader {
-        let encoder = EncoderStep::new(Box::new(Quarters(space())), LatentDtype::F32);
+        reader_of(Fit::Stretch)
+    }
+
+    fn reader_of(fit: Fit) -> GoalReader {
+        let encoder = EncoderStep::new(Box::new(Quarters(space(), fit)), LatentDtype::F32);
         GoalReader::new(&Arc::new(Mutex::new(encoder)))
     }
 
@@ -259,6 +276,36 @@ mod tests {
         assert_eq!(*goal.mask.unwrap(), [0.0, 1.0, 6.0, 0.0]);
         mask.step = 2;
         assert!(refused(&masked(&mask)).starts_with("mask:"));
+    }
+
+    #[test]
+    fn a_mask_marks_what_the_encoder_sees_of_it() {
+        // 16x8: a pixel is marked at the left border, and two in the upper right of the middle.
+        let mut mask = Image {
+            height: 8,
+            width: 16,
+            step: 16,
+            encoding: "mono8".into(),
+            data: vec![0; 128],
+            ..Image::default()
+        };
+        mask.data[0] = 1;
+        mask.data[8..10].fill(1);
+        let marked = |fit, mask: &Image| {
+            let message = GoalMessage {
+                latents: vec![latent(&[0.0; 4])],
+                mask: mask.clone(),
+                ..GoalMessage::default()
+            };
+            let goal = reader_of(fit).of_message(&message)?;
+            Ok::<_, GoalError>(goal.mask.unwrap().to_vec())
+        };
+        assert_eq!(marked(Fit::Stretch, &mask).unwrap(), [1.0, 2.0, 0.0, 0.0]);
+        assert_eq!(marked(Fit::Crop, &mask).unwrap(), [0.0, 2.0, 0.0, 0.0]);
+        assert_eq!(marked(Fit::Pad, &mask).unwrap(), [1.0, 2.0, 0.0, 0.0]);
+        mask.data[8..10].fill(0);
+        let error = marked(Fit::Crop, &mask).unwrap_err().to_string();
+        assert!(error.contains("nothing would count"), "{error}");
     }
 
     #[test]

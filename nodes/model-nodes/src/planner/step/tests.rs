@@ -142,6 +142,16 @@ fn values(index: i64) -> Vec<f32> {
 
 /// Feeds the frames of a span, before each the robot's action.
 fn feed_moving(step: &mut PlannerStep, span: std::ops::RangeInclusive<u32>, moving: &[f32; 7]) {
+    feed_of(step, span, moving, false);
+}
+
+/// The same, of a camera that has stopped or not.
+fn feed_of(
+    step: &mut PlannerStep,
+    span: std::ops::RangeInclusive<u32>,
+    moving: &[f32; 7],
+    frozen: bool,
+) {
     for index in span {
         let stamp = stamp(i64::from(index));
         let header = |frame_id: &str| Header {
@@ -155,8 +165,10 @@ fn feed_moving(step: &mut PlannerStep, span: std::ops::RangeInclusive<u32>, movi
         step.action(&action, Time::default()).unwrap();
         let values = values(i64::from(index));
         let latent = encode_latent(&values, &space(), LatentDtype::F32, header("camera")).unwrap();
+        let latent = Latent { frozen, ..latent };
         let reception = Reception {
             stamp: Time::default(),
+            clock_step_ns: 0,
             at: at(index),
             publisher: PublisherId::default(),
         };
@@ -182,6 +194,37 @@ fn it_waits_for_a_goal_and_for_frames_by_name() {
     assert_eq!(wait.to_string(), "no frame has arrived yet");
     feed(&mut step, 0..=2);
     assert!(step.request(at(2)).is_ok());
+}
+
+#[test]
+fn stopped_camera_is_not_planned_from_and_each_due_plan_counts() {
+    let mut step = planner();
+    step.set_goal(goal(40), Time::default());
+    feed(&mut step, 0..=2);
+    let request = step.request(at(2)).unwrap();
+    let found = model(settings()).plan(&request, &mut |_, _| false).unwrap();
+    let frozen = |step: &mut PlannerStep, index| feed_of(step, index..=index, &[0.0; 7], true);
+    frozen(&mut step, 3);
+    let unsent = step
+        .planned(&request, &found, Duration::ZERO, at(3))
+        .unwrap_err();
+    assert_eq!(unsent.reason(), "frozen_camera");
+    let mut due = 0;
+    for index in 4..=14 {
+        frozen(&mut step, index);
+        let Err(PlanWait::Frozen { is_due }) = step.request(at(index)) else {
+            panic!("a plan from a stopped camera")
+        };
+        due += u32::from(is_due);
+        assert_eq!(
+            step.request(at(index)).unwrap_err(),
+            PlanWait::Frozen { is_due: false },
+            "once a frame"
+        );
+    }
+    assert!((2..=11).contains(&due), "{due}");
+    feed(&mut step, 15..=24);
+    assert!(step.request(at(24)).is_ok(), "the camera works again");
 }
 
 #[test]

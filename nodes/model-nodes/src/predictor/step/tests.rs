@@ -81,6 +81,7 @@ fn stamp(index: i64) -> Time {
 fn reception(index: i64) -> Reception {
     Reception {
         stamp: stamp(index),
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId::default(),
     }
@@ -164,6 +165,21 @@ fn a_rollout_says_what_it_was_computed_from() {
             assert_eq!(assumed.values, action(2).values, "the last motion goes on");
         }
     }
+}
+
+#[test]
+fn predictions_from_a_stopped_camera_are_doubted() {
+    let mut step = predictor();
+    feed(&mut step, 0..=3);
+    assert_eq!(step.doubt(), None);
+    let frozen = Latent {
+        frozen: true,
+        ..latent(4)
+    };
+    step.latent(&frozen, reception(4)).unwrap();
+    assert_eq!(step.doubt(), Some(Doubt::Frozen));
+    feed(&mut step, 5..=5);
+    assert_eq!(step.doubt(), None);
 }
 
 #[test]

@@ -25,12 +25,11 @@ impl Shared {
     /// The reader of what others say to this participant.
     pub(in crate::dds) fn parts_reader(
         &self,
-        subscriber: &rustdds::Subscriber,
         own: &EndpointId,
     ) -> Result<SimpleDataReader<Bytes, Raw>, Error> {
         let name = topic_of(&peer_of(own));
         let topic = self.parts_topic(name.clone())?;
-        subscriber
+        self.subscriber
             .create_simple_datareader_no_key(&topic, Some(profile()))
             .map_err(|error| Error::middleware(format!("subscribe to {name}"), error))
     }

@@ -90,7 +90,7 @@ fn a_model_that_predicts_badly_vetoes_plans_too() {
         });
     }
     let now = bench.at(0);
-    let refused = bench.step.plan(&plan(0, 1), now.at, now).unwrap_err();
+    let refused = bench.step.plan(&plan(0, 1), now, now).unwrap_err();
     assert!(
         refused
             .to_string()
@@ -99,8 +99,5 @@ fn a_model_that_predicts_badly_vetoes_plans_too() {
     bench.step.reset().unwrap();
     bench.tick(0);
     bench.step.arm().unwrap();
-    assert_eq!(
-        bench.step.plan(&plan(0, 1), now.at, now),
-        Ok(Taken::Accepted)
-    );
+    assert_eq!(bench.step.plan(&plan(0, 1), now, now), Ok(Taken::Accepted));
 }

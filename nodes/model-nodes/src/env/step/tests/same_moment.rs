@@ -133,6 +133,7 @@ fn history(world: &EnvModel) -> History {
 fn reception() -> Reception {
     Reception {
         stamp: Time::default(),
+        clock_step_ns: 0,
         at: Instant::now(),
         publisher: PublisherId::default(),
     }

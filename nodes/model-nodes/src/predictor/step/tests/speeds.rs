@@ -115,6 +115,7 @@ impl Pipeline {
     fn latent(&mut self, frame: i64, now: Span, begin: Instant) {
         let reception = Reception {
             stamp: Time::from_nanos(START + i64::try_from(now.as_nanos()).unwrap()),
+            clock_step_ns: 0,
             at: begin + now,
             publisher: PublisherId::default(),
         };

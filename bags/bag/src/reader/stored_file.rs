@@ -1,0 +1,290 @@
+//! The files of a bag as bytes, whatever rosbag2 made of them.
+
+use std::{
+    fs::{self, File},
+    io::{self, BufReader, Read as _, Write as _},
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use tempfile::TempDir;
+
+use crate::{BagError, BagWarning};
+
+/// First bytes of a zstd frame.
+pub(crate) const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+/// Where decompressed files lie unless `TMPDIR` says otherwise: on a disk, which `/tmp` often is not.
+const TEMPORARY: &str = "/var/tmp";
+/// Bytes that are decompressed at a time.
+const STEP_BYTES: usize = 1 << 20;
+
+/// First bytes of an sqlite3 file.
+const SQLITE_MAGIC: &[u8] = b"SQLite format 3";
+/// What sqlite3 leaves beside a file whose writer was killed.
+const JOURNALS: [&str; 2] = ["-wal", "-journal"];
+
+/// A file of a bag, ready to be read at any place.
+#[derive(Clone, Debug)]
+pub(crate) struct StoredFile {
+    /// Its name, for the user: that of the compressed file, if it is one.
+    pub path: PathBuf,
+    copy: Option<Arc<Copy>>,
+}
+
+/// A file of ours in the place of a file of a bag. It ends with this.
+#[derive(Debug)]
+struct Copy {
+    file: File,
+    /// Where sqlite3 finds it, and its folder.
+    named: Option<(PathBuf, TempDir)>,
+    has_journal: bool,
+}
+
+impl StoredFile {
+    /// Looks at a file, and decompresses it if it is a zstd frame.
+    ///
+    /// # Errors
+    /// It cannot be read, or there is no room for what is in it.
+    pub fn open(path: &Path) -> Result<(Self, Option<BagWarning>), BagError> {
+        let io = |source| BagError::io(path, source);
+        let mut file = File::open(path).map_err(io)?;
+        let mut front = Vec::new();
+        (&mut file).take(16).read_to_end(&mut front).map_err(io)?;
+        let (copy, warning) = if front.starts_with(&ZSTD_MAGIC) {
+            decompress(path).map(|(copy, warning)| (Some(copy), Some(warning)))?
+        } else if front.starts_with(SQLITE_MAGIC) && !journals(path).is_empty() {
+            copy_with_journal(path).map(|(copy, warning)| (Some(copy), Some(warning)))?
+        } else {
+            (None, None)
+        };
+        let opened = Self {
+            path: path.to_owned(),
+            copy: copy.map(Arc::new),
+        };
+        Ok((opened, warning))
+    }
+
+    /// The file, for reads at given places: its position is shared.
+    pub fn file(&self) -> io::Result<File> {
+        match &self.copy {
+            Some(copy) => copy.file.try_clone(),
+            None => File::open(&self.path),
+        }
+    }
+
+    /// Path of the copy that is read in place of an sqlite3 file.
+    pub fn copy(&self) -> Option<&Path> {
+        let copy = self.copy.as_ref()?.named.as_ref();
+        copy.map(|(path, _)| path.as_path())
+    }
+
+    /// Whether the copy has a journal, which sqlite3 takes over.
+    pub fn has_journal(&self) -> bool {
+        self.copy.as_ref().is_some_and(|copy| copy.has_journal)
+    }
+}
+
+/// Where our files lie.
+fn temporary_folder() -> PathBuf {
+    match std::env::var_os("TMPDIR") {
+        Some(folder) => PathBuf::from(folder),
+        None if Path::new(TEMPORARY).is_dir() => TEMPORARY.into(),
+        None => std::env::temp_dir(),
+    }
+}
+
+/// The journals beside an sqlite3 file.
+fn journals(path: &Path) -> Vec<PathBuf> {
+    let beside = |ending: &&str| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(ending);
+        PathBuf::from(name)
+    };
+    let all = JOURNALS.iter().map(beside);
+    let is_filled = |path: &PathBuf| fs::metadata(path).is_ok_and(|found| found.len() > 0);
+    all.filter(is_filled).collect()
+}
+
+/// Copies an sqlite3 file and its journal: sqlite3 takes the journal over when it opens a file, and the bag stays as it is.
+fn copy_with_journal(path: &Path) -> Result<(Copy, BagWarning), BagError> {
+    let folder = temporary_folder();
+    let no_room = |source: io::Error| BagError::NoRoom {
+        path: path.to_owned(),
+        folder: folder.clone(),
+        reason: source.to_string(),
+    };
+    let temporary = TempDir::new_in(&folder).map_err(no_room)?;
+    let name = path.file_name().unwrap_or_default();
+    let named = temporary.path().join(name);
+    let mut bytes = fs::copy(path, &named).map_err(no_room)?;
+    for journal in journals(path) {
+        let name = journal.file_name().unwrap_or_default();
+        bytes += fs::copy(&journal, temporary.path().join(name)).map_err(no_room)?;
+    }
+    let copy = Copy {
+        file: File::open(&named).map_err(no_room)?,
+        named: Some((named, temporary)),
+        has_journal: true,
+    };
+    let file = path.to_owned();
+    let warning = BagWarning::Journal {
+        file,
+        folder: folder.clone(),
+        bytes,
+    };
+    Ok((copy, warning))
+}
+
+/// Decompresses a file, a step at a time. What comes before damage, or before the end of a cut
+/// file, is kept.
+fn decompress(path: &Path) -> Result<(Copy, BagWarning), BagError> {
+    let io = |source| BagError::io(path, source);
+    let folder = temporary_folder();
+    let no_room = |source: io::Error| BagError::NoRoom {
+        path: path.to_owned(),
+        folder: folder.clone(),
+        reason: source.to_string(),
+    };
+    let temporary = TempDir::new_in(&folder).map_err(no_room)?;
+    let named = temporary.path().join("decompressed");
+    let mut output = File::create_new(&named).map_err(no_room)?;
+    let input = BufReader::new(File::open(path).map_err(io)?);
+    let mut decoder = zstd::stream::read::Decoder::with_buffer(input).map_err(io)?;
+    let mut step = vec![0; STEP_BYTES];
+    let (mut bytes, mut is_sqlite) = (0, false);
+    let problem = loop {
+        match decoder.read(&mut step) {
+            Ok(0) => break None,
+            Ok(read) => {
+                let read = step.get(..read).unwrap_or_default();
+                is_sqlite |= bytes == 0 && read.starts_with(SQLITE_MAGIC);
+                output.write_all(read).map_err(no_room)?;
+                bytes += read.len() as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => break Some(error.to_string()),
+        }
+    };
+    let file = path.to_owned();
+    let warning = match problem {
+        None => BagWarning::Decompressed {
+            file,
+            folder: folder.clone(),
+            bytes,
+        },
+        Some(reason) => BagWarning::CompressedEnd {
+            file,
+            bytes,
+            reason,
+        },
+    };
+    let copy = Copy {
+        file: File::open(&named).map_err(no_room)?,
+        // Without a name, the file ends with this process, however that ends; sqlite3 wants a name.
+        named: is_sqlite.then_some((named, temporary)),
+        has_journal: false,
+    };
+    Ok((copy, warning))
+}
+
+/// The files of a folder that a recorder numbers, in that order (`bag_2` before `bag_10`), and those that are left out.
+///
+/// A recorder with file compression that is killed leaves its open file as it is; one that is killed while it
+/// compresses leaves a file twice, of which the compressed one may be cut.
+///
+/// # Errors
+/// There is none, or the folder cannot be read.
+pub(crate) fn numbered_files(dir: &Path) -> Result<(Vec<PathBuf>, Vec<BagWarning>), BagError> {
+    let mut files = Vec::new();
+    let mut warnings = Vec::new();
+    let io = |source| BagError::io(dir, source);
+    for entry in fs::read_dir(dir).map_err(io)? {
+        let path = entry.map_err(io)?.path();
+        if let Some((stem, rank)) = storage_stem(&path) {
+            let digits = stem.rsplit('_').next();
+            let number = digits.and_then(|digits| digits.parse::<u64>().ok());
+            files.push((number, stem, rank, path));
+        }
+    }
+    files.sort();
+    let mut kept: Vec<(String, PathBuf)> = Vec::new();
+    for (_, stem, _, path) in files {
+        // The plain file comes first, and MCAP before sqlite3.
+        if kept.last().is_some_and(|(last, _)| *last == stem) {
+            warnings.push(BagWarning::Twice { file: path });
+        } else {
+            kept.push((stem, path));
+        }
+    }
+    if kept.is_empty() {
+        return Err(BagError::Empty {
+            path: dir.to_owned(),
+            reason: "it has no metadata.yaml, and no .mcap, .mcap.zstd or .db3 file",
+        });
+    }
+    Ok((kept.into_iter().map(|(_, path)| path).collect(), warnings))
+}
+
+/// Whether a file of this name is one of a bag: MCAP or sqlite3, compressed by rosbag2 or not.
+#[must_use]
+pub fn is_bag_file(path: &Path) -> bool {
+    storage_stem(path).is_some()
+}
+
+/// Name of a bag's file without its endings, and its rank among files of that name; none for other files.
+fn storage_stem(path: &Path) -> Option<(String, usize)> {
+    let name = path.file_name()?.to_string_lossy();
+    let endings = [
+        ".mcap",
+        ".mcap.zstd",
+        ".mcap.zst",
+        ".db3",
+        ".db3.zstd",
+        ".db3.zst",
+    ];
+    endings.iter().enumerate().find_map(|(rank, ending)| {
+        let stem = name.strip_suffix(ending)?;
+        Some((stem.to_owned(), rank))
+    })
+}
+
+/// A file that `metadata.yaml` lists: by its name within the folder, as rosbag2 does it for bags that were moved; or, if
+/// somebody has decompressed or compressed it since, the file of that name.
+pub(crate) fn listed_file(dir: &Path, listed: &Path) -> Option<PathBuf> {
+    let name = listed.file_name()?.to_string_lossy().into_owned();
+    let plain = name
+        .strip_suffix(".zstd")
+        .or_else(|| name.strip_suffix(".zst"));
+    let plain = plain.unwrap_or(&name);
+    let names = [
+        name.clone(),
+        plain.to_owned(),
+        format!("{plain}.zstd"),
+        format!("{plain}.zst"),
+    ];
+    names
+        .iter()
+        .map(|name| dir.join(name))
+        .find(|path| path.exists())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_a_bag_are_known_by_their_names() {
+        for name in [
+            "a.mcap",
+            "a/b_0.mcap.zstd",
+            "b.mcap.zst",
+            "c.db3",
+            "c.db3.zstd",
+        ] {
+            assert!(is_bag_file(Path::new(name)), "{name}");
+        }
+        for name in ["a.zstd", "metadata.yaml", "mcap", "a.db3-wal", "a.mcap.tmp"] {
+            assert!(!is_bag_file(Path::new(name)), "{name}");
+        }
+    }
+}

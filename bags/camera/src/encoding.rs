@@ -1,0 +1,80 @@
+//! The pixel formats of sensor_msgs/Image, by their names in sensor_msgs/image_encodings.hpp.
+
+use crate::image_message::ImageError;
+
+/// Encodings that are supported, for errors.
+pub(crate) const SUPPORTED: &str = "rgb8, bgr8, rgba8, bgra8, mono8, 8UC1, 8UC3, 8UC4, yuv422 (uyvy), yuv422_yuy2 (yuyv), nv12, nv21, nv24, or \
+     bayer_rggb8, bayer_bggr8, bayer_gbrg8, bayer_grbg8";
+
+/// How the bytes of an image are laid out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Encoding {
+    /// A pixel has so many bytes; offsets of red, green and blue in them.
+    Pixels { bytes: usize, rgb: [usize; 3] },
+    /// Two pixels have four bytes: offsets of the first luma and of the differences of blue and red. The second luma is two
+    /// bytes after the first.
+    Yuv422 {
+        luma: usize,
+        differences: [usize; 2],
+    },
+    /// A plane of luma, then one of pairs of differences.
+    SemiPlanar {
+        /// Whether the difference of red comes first.
+        is_red_first: bool,
+        /// Whether the differences have the size of the picture; else half its width and height.
+        is_full_size: bool,
+    },
+    /// One colour a pixel: column and row of the first red one.
+    Bayer { red: (usize, usize) },
+}
+
+impl Encoding {
+    /// The layout of a name.
+    ///
+    /// # Errors
+    /// [`ImageError::Depth`], [`ImageError::Encoding`].
+    pub(crate) fn of(name: &str) -> Result<Self, ImageError> {
+        let pixels = |bytes, rgb| Self::Pixels { bytes, rgb };
+        let semi_planar = |is_red_first, is_full_size| Self::SemiPlanar {
+            is_red_first,
+            is_full_size,
+        };
+        Ok(match name {
+            "rgb8" => pixels(3, [0, 1, 2]),
+            // OpenCV's types have its order.
+            "bgr8" | "8UC3" => pixels(3, [2, 1, 0]),
+            "rgba8" => pixels(4, [0, 1, 2]),
+            "bgra8" | "8UC4" => pixels(4, [2, 1, 0]),
+            "mono8" | "8UC1" => pixels(1, [0; 3]),
+            "yuv422" | "uyvy" => Self::Yuv422 {
+                luma: 1,
+                differences: [0, 2],
+            },
+            "yuv422_yuy2" | "yuyv" => Self::Yuv422 {
+                luma: 0,
+                differences: [1, 3],
+            },
+            "nv12" => semi_planar(false, false),
+            "nv21" => semi_planar(true, false),
+            // As V4L2 has it: blue first.
+            "nv24" => semi_planar(false, true),
+            "bayer_rggb8" => Self::Bayer { red: (0, 0) },
+            "bayer_grbg8" => Self::Bayer { red: (1, 0) },
+            "bayer_gbrg8" => Self::Bayer { red: (0, 1) },
+            "bayer_bggr8" => Self::Bayer { red: (1, 1) },
+            "mono16" | "16UC1" | "16SC1" | "32FC1" | "32SC1" | "64FC1" => {
+                return Err(ImageError::Depth(name.to_owned()));
+            }
+            _ => return Err(ImageError::Encoding(name.to_owned())),
+        })
+    }
+
+    /// Bytes of a row of so many pixels.
+    pub(crate) fn row_bytes(self, width: usize) -> usize {
+        match self {
+            Self::Pixels { bytes, .. } => width * bytes,
+            Self::Yuv422 { .. } => width.div_ceil(2) * 4,
+            Self::SemiPlanar { .. } | Self::Bayer { .. } => width,
+        }
+    }
+}

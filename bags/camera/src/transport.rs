@@ -1,0 +1,122 @@
+//! The topics of a camera: its images, and the siblings by which image_transport sends the same.
+
+use wm_msgs::{
+    Message as _,
+    sensor_msgs::{CompressedImage, Image},
+};
+
+/// foxglove_msgs/msg/CompressedVideo, and its protobuf type.
+pub(crate) const FOXGLOVE: [&str; 3] = [
+    "foxglove_msgs/msg/CompressedVideo",
+    "foxglove.CompressedVideo",
+    "foxglove/msg/CompressedVideo",
+];
+/// Of ffmpeg_image_transport.
+pub(crate) const FFMPEG: &str = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket";
+
+/// By what a topic sends pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transport {
+    /// sensor_msgs/Image.
+    Raw,
+    /// sensor_msgs/CompressedImage with JPEG or PNG.
+    Compressed,
+    /// Compressed video, h264 mostly.
+    Video,
+    /// Distances (compressed_depth_image_transport).
+    Depth,
+    /// Another codec of image_transport.
+    Other(&'static str),
+}
+
+impl Transport {
+    /// The transport of a topic with this name and type; none if it sends no pictures.
+    pub fn of(topic: &str, type_name: &str) -> Option<Self> {
+        let is_image = type_name == Image::ros_name();
+        let is_compressed = type_name == CompressedImage::ros_name();
+        let sibling = topic.rsplit('/').next().unwrap_or_default();
+        match sibling {
+            _ if type_name == FFMPEG || FOXGLOVE.contains(&type_name) => Some(Self::Video),
+            _ if type_name == "theora_image_transport/msg/Packet" => Some(Self::Other("Theora")),
+            "compressedDepth" if is_compressed => Some(Self::Depth),
+            "zstd" if is_compressed => Some(Self::Other("zstd")),
+            _ if is_compressed => Some(Self::Compressed),
+            _ if is_image => Some(Self::Raw),
+            _ => None,
+        }
+    }
+
+    /// Whether every program here decodes it.
+    pub fn is_read(self) -> bool {
+        matches!(self, Self::Raw | Self::Compressed)
+    }
+
+    /// What to do about a topic that is not read.
+    pub fn advice(self, topic: &str) -> Option<String> {
+        Some(match self {
+            Self::Raw | Self::Compressed => return None,
+            Self::Video => format!(
+                "{topic} is compressed video, which wm dataset reads from bags; for anything else, publish the camera as \
+                 sensor_msgs/CompressedImage (image_transport: compressed)"
+            ),
+            Self::Depth => {
+                format!("{topic} has distances, not colours; choose the colour camera's topic")
+            }
+            Self::Other(codec) => format!(
+                "{topic} is compressed by {codec}, which is not supported; republish it: ros2 run image_transport republish \
+                 --ros-args -p in_transport:={} -p out_transport:=compressed",
+                topic.rsplit('/').next().unwrap_or_default()
+            ),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn transport_follows_from_name_and_type() {
+        let compressed = "sensor_msgs/msg/CompressedImage";
+        for (topic, type_name, expected) in [
+            (
+                "/camera/image_raw",
+                "sensor_msgs/msg/Image",
+                Some(Transport::Raw),
+            ),
+            (
+                "/camera/image_raw/compressed",
+                compressed,
+                Some(Transport::Compressed),
+            ),
+            ("/camera/jpeg", compressed, Some(Transport::Compressed)),
+            (
+                "/depth/image/compressedDepth",
+                compressed,
+                Some(Transport::Depth),
+            ),
+            (
+                "/camera/image_raw/zstd",
+                compressed,
+                Some(Transport::Other("zstd")),
+            ),
+            (
+                "/camera/image_raw/theora",
+                "theora_image_transport/msg/Packet",
+                Some(Transport::Other("Theora")),
+            ),
+            ("/camera/image_raw/ffmpeg", FFMPEG, Some(Transport::Video)),
+            (
+                "/camera/video",
+                "foxglove.CompressedVideo",
+                Some(Transport::Video),
+            ),
+            ("/note", "std_msgs/msg/String", None),
+        ] {
+            assert_eq!(Transport::of(topic, type_name), expected, "{topic}");
+            let advice = expected.and_then(|transport| transport.advice(topic));
+            let is_read = expected.is_none_or(Transport::is_read);
+            assert_eq!(advice.is_none(), is_read, "{topic}: {advice:?}");
+        }
+    }
+}

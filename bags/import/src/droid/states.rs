@@ -1,0 +1,50 @@
+//! DROID's states as actions, poses and joints: the same for annotations and RLDS.
+
+use crate::{
+    ActionMapping, GripperRange,
+    episode::{Joints, Recorded, VALUES},
+    mapping::motions,
+};
+
+/// The cameras of DROID in the order of the videos, as its own names shortened to ROS namespaces: `exterior_1_left`,
+/// `exterior_2_left`, `wrist_left`.
+pub(crate) const CAMERAS: [&str; 3] = ["exterior_1", "exterior_2", "wrist"];
+/// The joints of the Franka arm, as its description (franka_description) names them for the arm `panda`.
+const JOINT_PREFIX: &str = "panda_joint";
+
+/// Rows of angles with the arm's names.
+pub(crate) fn joints(positions: Vec<Vec<f64>>) -> Joints {
+    let names = (1..).map(|number| format!("{JOINT_PREFIX}{number}"));
+    Joints {
+        names: names.take(positions.first().map_or(0, Vec::len)).collect(),
+        positions,
+    }
+}
+
+/// Actions and states of DROID's own states, (T, 7), whose gripper is 0 open to 1 closed: an action is the motion from a
+/// state to the next.
+pub(crate) fn of_states(
+    states: &[[f64; VALUES]],
+    mapping: &ActionMapping,
+    period_s: f64,
+) -> Recorded {
+    let gripper = mapping.gripper.unwrap_or(GripperRange::DROID);
+    let metres = f64::from(mapping.translation_scale);
+    let radians = f64::from(mapping.rotation_scale);
+    let mapped = states.iter().map(|state| {
+        let [x, y, z, roll, pitch, yaw, closed] = *state;
+        let [x, y, z] = [x, y, z].map(|value| value * metres);
+        let [roll, pitch, yaw] = [roll, pitch, yaw].map(|value| value * radians);
+        [x, y, z, roll, pitch, yaw, gripper.opening(closed)]
+    });
+    let states: Vec<[f64; VALUES]> = mapped.collect();
+    // What the messages carry.
+    let single = |state: &[f64; VALUES]| state.map(|value| value as f32);
+    Recorded {
+        // At most 10 s.
+        period_ns: (period_s * 1e9).round() as u64,
+        actions: motions(&states),
+        states: states.iter().map(single).collect(),
+        is_of_states: true,
+    }
+}

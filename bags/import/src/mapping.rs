@@ -1,0 +1,305 @@
+//! How the action values of a data set become those of Bridge V2, and what to do if they contradict their kinds.
+
+use std::str::FromStr;
+
+use wm_motion::{
+    actions::{ActionSpace, ActionSurvey, Cause, Contradiction, Hint, Kind},
+    motion::turn_between,
+};
+
+use crate::episode::VALUES;
+
+/// The values of a closed and of an open gripper in a data set, `CLOSED:OPEN`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GripperRange {
+    closed: f64,
+    open: f64,
+}
+
+impl GripperRange {
+    /// DROID's: 0 open, 1 closed.
+    pub(crate) const DROID: Self = Self {
+        closed: 1.0,
+        open: 0.0,
+    };
+
+    /// The opening, 0 closed to 1 open, of a value.
+    #[must_use]
+    pub fn opening(self, value: f64) -> f64 {
+        (value - self.closed) / (self.open - self.closed)
+    }
+
+    /// The same for the values of an action, in place.
+    pub fn open_to(self, value: &mut f32) {
+        // What the messages carry.
+        *value = self.opening(f64::from(*value)) as f32;
+    }
+}
+
+impl FromStr for GripperRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+        let ends = text.split_once(':');
+        let ends = ends.and_then(|(closed, open)| Some((number(closed)?, number(open)?)));
+        match ends {
+            Some((closed, open)) if closed != open => Ok(Self { closed, open }),
+            _ => Err(format!(
+                "expected CLOSED:OPEN, two different numbers, for example -1:1, got {text:?}"
+            )),
+        }
+    }
+}
+
+/// What the first six values of an action are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ActionForm {
+    /// Changes from one frame to the next.
+    #[default]
+    Delta,
+    /// Poses of the hand in the base that the action leads to.
+    Absolute,
+    /// Velocities of the hand, per second.
+    Velocity,
+}
+
+/// How the action values of a data set become dx dy dz \[m\], droll dpitch dyaw \[rad\], gripper \[0 closed .. 1 open\].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ActionMapping {
+    /// What the first six values are.
+    pub form: ActionForm,
+    /// Metres in one of the data set's units of length.
+    pub translation_scale: f32,
+    /// Radians in one of the data set's units of angle.
+    pub rotation_scale: f32,
+    /// The gripper's values; 0 closed to 1 open if it is not given.
+    pub gripper: Option<GripperRange>,
+}
+
+impl Default for ActionMapping {
+    fn default() -> Self {
+        Self {
+            form: ActionForm::Delta,
+            translation_scale: 1.0,
+            rotation_scale: 1.0,
+            gripper: None,
+        }
+    }
+}
+
+impl ActionMapping {
+    /// Maps the actions of an episode, (T, 7), in place. `states` are poses in m, rad and 0 to 1, (T, 7), or none;
+    /// `period_s` is the time from frame to frame.
+    ///
+    /// Of absolute poses, an action is what leads from a frame's state to the next one's, the last being zero; without
+    /// states, from the pose of the action before.
+    pub fn apply(&self, actions: &mut [[f32; VALUES]], states: &[[f32; VALUES]], period_s: f64) {
+        for action in actions.iter_mut() {
+            self.scale(action);
+        }
+        match self.form {
+            ActionForm::Delta => {}
+            ActionForm::Velocity => {
+                for action in actions.iter_mut() {
+                    for value in action.iter_mut().take(VALUES - 1) {
+                        // An action has single precision.
+                        *value = (f64::from(*value) * period_s) as f32;
+                    }
+                }
+            }
+            ActionForm::Absolute => {
+                let poses = match states.len() == actions.len() {
+                    true => states.to_vec(),
+                    false => {
+                        let mut poses = actions.to_vec();
+                        // What comes before the first is unknown: it stands still.
+                        if let Some(first) = actions.first() {
+                            poses.insert(0, *first);
+                        }
+                        poses
+                    }
+                };
+                let poses: Vec<_> = poses.iter().map(|pose| pose.map(f64::from)).collect();
+                for (action, motion) in actions.iter_mut().zip(motions(&poses)) {
+                    for (value, change) in action.iter_mut().zip(motion).take(VALUES - 1) {
+                        *value = change;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Units and the gripper's range of one action.
+    pub fn scale(&self, action: &mut [f32; VALUES]) {
+        let [x, y, z, roll, pitch, yaw, gripper] = action;
+        for value in [x, y, z] {
+            *value *= self.translation_scale;
+        }
+        for value in [roll, pitch, yaw] {
+            *value *= self.rotation_scale;
+        }
+        if let Some(range) = self.gripper {
+            range.open_to(gripper);
+        }
+    }
+
+    /// Maps the grippers among the values of an action of `space`.
+    pub fn map_grippers(&self, space: &ActionSpace, action: &mut [f32]) {
+        if let Some(range) = self.gripper {
+            for (value, dimension) in action.iter_mut().zip(space.dimensions()) {
+                if dimension.kind.is_gripper() {
+                    range.open_to(value);
+                }
+            }
+        }
+    }
+}
+
+/// What leads from each pose to the next, and the gripper of the next: (T, 7) -> (T, 7), the last standing still. Rotations
+/// are composed: the turn that leads from one orientation to the next, about the fixed axes of the base.
+pub(crate) fn motions(poses: &[[f64; VALUES]]) -> Vec<[f32; VALUES]> {
+    let next = poses.iter().skip(1).chain(poses.last());
+    let pairs = poses.iter().zip(next);
+    pairs
+        .map(|(pose, next)| {
+            let [x, y, z, roll, pitch, yaw, _] = *pose;
+            let [nx, ny, nz, nroll, npitch, nyaw, gripper] = *next;
+            let turn = turn_between([roll, pitch, yaw], [nroll, npitch, nyaw]);
+            let [droll, dpitch, dyaw] = turn;
+            // What the messages carry.
+            [nx - x, ny - y, nz - z, droll, dpitch, dyaw, gripper].map(|value| value as f32)
+        })
+        .collect()
+}
+
+/// A contradiction with the option that maps the values, in words.
+#[must_use]
+pub fn remedy(found: &Contradiction) -> String {
+    let range = |closed: f32, open: f32| {
+        format!(
+            "map them with --gripper-range {closed}:{open}, or {open}:{closed} if {open} is closed"
+        )
+    };
+    let is_hand = matches!(found.kind, Kind::TranslationDelta | Kind::RotationDelta);
+    let is_angle = found.unit.starts_with("rad");
+    let option = match found.cause {
+        Cause::Gripper { closed, open } => range(closed, open),
+        Cause::Absolute if is_hand => "map them with --actions absolute".to_owned(),
+        Cause::Absolute => "describe them as joint_position in --action-space FILE".to_owned(),
+        Cause::Degrees if is_hand => "map them with --rotation-scale 0.0174533".to_owned(),
+        Cause::Degrees => "give the unit deg (or deg/s) in --action-space FILE".to_owned(),
+        Cause::Millimetres if is_hand => "map them with --translation-scale 0.001".to_owned(),
+        Cause::Millimetres => "give the unit mm (or mm/s) in --action-space FILE".to_owned(),
+        Cause::Normalised if is_hand && is_angle => {
+            "map them with --rotation-scale RAD, the angle of a value of 1, or with --actions velocity".to_owned()
+        }
+        Cause::Normalised if is_hand => {
+            "map them with --translation-scale METRES, the way of a value of 1, or with --actions velocity".to_owned()
+        }
+        Cause::Normalised | Cause::TooFar => {
+            "give the kind and the unit in --action-space FILE, or repair the data".to_owned()
+        }
+    };
+    match (found.cause, is_hand) {
+        (Cause::TooFar, true) => found.to_string(),
+        _ => format!("{found}; {option}"),
+    }
+}
+
+/// A hint with the option that maps the values, in words.
+#[must_use]
+pub fn advice(hint: &Hint) -> String {
+    match hint {
+        Hint::GripperRange { measured, .. } => format!(
+            "{hint}; if these are its ends, map them with --gripper-range {}:{}",
+            measured.low, measured.high
+        ),
+        Hint::GripperInverted { .. } | Hint::GripperOpposed => {
+            format!("{hint}; if so, map it with --gripper-range 1:0")
+        }
+        Hint::Scale { .. } => {
+            format!("{hint}; if so, map it with --actions velocity, or with --translation-scale")
+        }
+        _ => hint.to_string(),
+    }
+}
+
+/// The first contradiction of an episode or a data set with the option that maps the values; none if there is none.
+#[must_use]
+pub fn contradiction(survey: &ActionSurvey) -> Option<String> {
+    let found = survey.contradictions();
+    let first = found.first()?;
+    Some(match found.len() {
+        1 => remedy(first),
+        count => format!("{} (and {} more of its values)", remedy(first), count - 1),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gripper_ranges_are_parsed_and_mapped() {
+        for (text, value, opening) in [
+            ("-1:1", 0.0, 0.5),
+            ("0:0.8", 0.8, 1.0),
+            ("0:100", 25.0, 0.25),
+            ("1:0", 1.0, 0.0),
+        ] {
+            let range: GripperRange = text.parse().unwrap();
+            assert!((range.opening(value) - opening).abs() < 1e-6, "{text}");
+        }
+        for bad in ["", "1", "1:1", "a:b", "0:inf", "1:2:3"] {
+            assert!(bad.parse::<GripperRange>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn absolute_poses_become_motions_with_and_without_states() {
+        let pose = |x: f32, yaw: f32| [x, 0.1, 0.2, 3.1, 0.0, yaw, 1.0];
+        let absolute = ActionMapping {
+            form: ActionForm::Absolute,
+            ..ActionMapping::default()
+        };
+        let near = |found: f32, expected: f32| (found - expected).abs() < 1e-5;
+        // Targets, one frame ahead of the states.
+        let states = [pose(0.3, 0.0), pose(0.31, 0.1), pose(0.33, 0.1)];
+        let targets = [pose(0.31, 0.1), pose(0.33, 0.1), pose(0.34, 0.1)];
+        let mut actions = targets;
+        absolute.apply(&mut actions, &states, 0.2);
+        assert!(
+            near(actions[0][0], 0.01) && near(actions[0][5], 0.1),
+            "{actions:?}"
+        );
+        assert!(
+            near(actions[1][0], 0.02) && near(actions[2][0], 0.0),
+            "{actions:?}"
+        );
+        let mut actions = targets;
+        absolute.apply(&mut actions, &[], 0.2);
+        assert!(
+            near(actions[0][0], 0.0) && near(actions[1][0], 0.02),
+            "{actions:?}"
+        );
+        assert!(near(actions[2][0], 0.01), "{actions:?}");
+        assert_eq!(actions[2][6], 1.0);
+    }
+
+    #[test]
+    fn velocities_and_units_become_deltas() {
+        let mapping = ActionMapping {
+            form: ActionForm::Velocity,
+            translation_scale: 0.001,
+            rotation_scale: std::f32::consts::PI / 180.0,
+            gripper: Some("100:0".parse().unwrap()),
+        };
+        let mut actions = [[100.0, 0.0, -50.0, 0.0, 90.0, 0.0, 25.0]];
+        mapping.apply(&mut actions, &[], 0.1);
+        let expected = [0.01, 0.0, -0.005, 0.0, 0.157_079_63, 0.0, 0.75];
+        for (found, expected) in actions[0].iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-6, "{actions:?}");
+        }
+    }
+}

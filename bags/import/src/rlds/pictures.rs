@@ -1,0 +1,51 @@
+//! The pictures of a camera in an example.
+
+use image::{ImageFormat, RgbImage};
+
+use crate::jpeg;
+
+/// The frames of a camera as JPEG; those that are JPEG already keep their bytes.
+pub(super) struct Pictures {
+    frames: Vec<Vec<u8>>,
+    is_flat: bool,
+}
+
+impl Pictures {
+    pub fn read(images: &[Vec<u8>], quality: u8) -> Result<Self, String> {
+        let mut frames = Vec::with_capacity(images.len());
+        let mut is_flat = true;
+        for (step, bytes) in images.iter().enumerate() {
+            let wrong = |error: image::ImageError| format!("step {step}: {error}");
+            let format = image::guess_format(bytes).map_err(wrong)?;
+            let decoded = image::load_from_memory_with_format(bytes, format)
+                .map_err(wrong)?
+                .into_rgb8();
+            is_flat &= has_one_colour(&decoded);
+            frames.push(match format {
+                ImageFormat::Jpeg => bytes.clone(),
+                _ => jpeg(&decoded, quality).map_err(wrong)?,
+            });
+        }
+        Ok(Self { frames, is_flat })
+    }
+
+    /// The frames; none of a camera that was not there, with a note of its feature's name: RLDS fills its images with one
+    /// flat colour. (The flags `has_image_N` are no help: published files have them all false.)
+    pub fn unless_flat(self, name: &str, notes: &mut Vec<String>) -> Option<Vec<Vec<u8>>> {
+        if !self.is_flat {
+            return Some(self.frames);
+        }
+        let name = name.strip_prefix("steps/observation/").unwrap_or(name);
+        notes.push(format!(
+            "{name} shows one flat colour in all frames: the camera is left out"
+        ));
+        None
+    }
+}
+
+fn has_one_colour(image: &RgbImage) -> bool {
+    let mut pixels = image.pixels();
+    pixels
+        .next()
+        .is_none_or(|first| pixels.all(|pixel| pixel == first))
+}

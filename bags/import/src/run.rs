@@ -1,0 +1,126 @@
+//! An import: a survey of the actions, then a bag for each episode.
+
+use std::path::Path;
+
+use wm_motion::actions::{ActionSpace, ActionSurvey, Cause};
+
+use crate::{
+    ImportError, ImportOptions, Imported,
+    episode::Found,
+    mapping::{advice, contradiction},
+};
+
+/// Episodes that are measured before the first is imported; the same for each shard.
+const SURVEYED: usize = 256;
+
+/// Writes each episode of the shard as a bag; the others are not read.
+pub(crate) fn import<I: Iterator<Item = Found>>(
+    episodes: impl Fn() -> Result<I, ImportError>,
+    src: &Path,
+    out: &Path,
+    options: &ImportOptions,
+) -> Result<Imported, ImportError> {
+    let mut imported = Imported::default();
+    let most = options.episodes.unwrap_or(usize::MAX);
+    if let Some(survey) = survey(episodes()?, most, src, options)? {
+        imported.ranges = Some(survey.to_string());
+        for hint in survey.hints() {
+            imported.notes.of_data(advice(&hint));
+        }
+    }
+    let mut first_error = None;
+    let mut number = 0;
+    for found in episodes()? {
+        if number == most {
+            break;
+        }
+        let unread = match found {
+            Ok(unread) => unread,
+            // No episode: it takes no number.
+            Err(error) => {
+                imported.skip(&error);
+                first_error.get_or_insert(error);
+                continue;
+            }
+        };
+        let own = number;
+        number += 1;
+        if !options.shard.has(own) {
+            continue;
+        }
+        let episode = match unread.read(&options.actions) {
+            Ok(episode) => episode,
+            Err(error) => {
+                imported.skip(&error);
+                first_error.get_or_insert(error);
+                continue;
+            }
+        };
+        let bag = out.join(format!("episode_{own:06}"));
+        episode.write(&bag, options.start_ns, &episode.origin(src))?;
+        tracing::info!(
+            source = %episode.source.display(), bag = %bag.display(),
+            frames = episode.recorded.actions.len(), cameras = episode.cameras.len(), "imported"
+        );
+        for note in episode.notes {
+            imported.notes.of_episode(note);
+        }
+        imported.bags.push(bag);
+    }
+    match first_error {
+        Some(error) if imported.bags.is_empty() => Err(match imported.skipped.len() {
+            1 => error,
+            count => ImportError::NoneImported {
+                count,
+                first: Box::new(error),
+            },
+        }),
+        None if number == 0 => Err(ImportError::NoEpisodes(src.to_owned())),
+        _ => Ok(imported),
+    }
+}
+
+/// Measures the actions of the first episodes, whatever the shard; none without an episode that can be read.
+///
+/// # Errors
+/// Most of them contradict the kinds of Bridge V2's values, or the gripper of one of them does.
+fn survey(
+    episodes: impl Iterator<Item = Found>,
+    most: usize,
+    src: &Path,
+    options: &ImportOptions,
+) -> Result<Option<ActionSurvey>, ImportError> {
+    let mut whole: Option<ActionSurvey> = None;
+    let mut contradicting = 0;
+    let found = episodes.filter_map(Result::ok);
+    for unread in found.take(most.min(SURVEYED)) {
+        // One that cannot be read is named when it is its turn.
+        let Ok(recorded) = unread.recorded(&options.actions) else {
+            continue;
+        };
+        let all = recorded.actions.iter().chain(&recorded.states).flatten();
+        if !all.copied().all(f32::is_finite) {
+            continue;
+        }
+        let alone = recorded.alone();
+        contradicting += usize::from(!alone.contradictions().is_empty());
+        let whole =
+            whole.get_or_insert_with(|| ActionSurvey::new(ActionSpace::bridge(), recorded.rate()));
+        recorded.survey(whole);
+    }
+    let Some(whole) = whole else { return Ok(None) };
+    let found = whole.contradictions();
+    let is_gripper = |cause: &Cause| matches!(cause, Cause::Gripper { .. });
+    let has_gripper = found.iter().any(|found| is_gripper(&found.cause));
+    if (has_gripper || 2 * contradicting > whole.episodes())
+        && let Some(reason) = contradiction(&whole)
+    {
+        return Err(ImportError::Contradiction {
+            path: src.to_owned(),
+            episodes: whole.episodes(),
+            contradicting,
+            reason,
+        });
+    }
+    Ok(Some(whole))
+}

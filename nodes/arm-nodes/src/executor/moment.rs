@@ -1,0 +1,32 @@
+//! Moments by the clocks that commands depend on.
+
+use std::time::{Duration, Instant};
+
+/// A moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moment {
+    /// By the clock of limits and timeouts, which never jumps.
+    pub at: Instant,
+    /// By the node's clock, the clock of stamps \[ns\].
+    pub stamp_ns: i64,
+    /// By the monotonic clock, which never stops.
+    pub real: Instant,
+}
+
+impl Moment {
+    /// A moment at which limits and timeouts use the monotonic clock.
+    pub fn real(at: Instant, stamp_ns: i64) -> Self {
+        Self {
+            at,
+            stamp_ns,
+            real: at,
+        }
+    }
+
+    /// Time from `self` to `now`: the longer one of that by `at` and that by the node's clock.
+    pub(super) fn age(&self, now: Self) -> Duration {
+        let by_stamp_ns = now.stamp_ns.saturating_sub(self.stamp_ns);
+        let by_stamp = Duration::from_nanos(u64::try_from(by_stamp_ns).unwrap_or(0));
+        by_stamp.max(now.at.saturating_duration_since(self.at))
+    }
+}

@@ -1,0 +1,263 @@
+//! Which definition the bag has of a topic: one that the bytes of its messages fit.
+//!
+//! DDS sends bytes and the name of their type. The publisher's definition may be another than this suite's, or than the one
+//! that is installed here; a bag that carries the wrong one is decoded wrongly by whoever reads it.
+
+use anyhow::Result;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use tracing::warn;
+use wm_bag::{BagError, BagWriter, QosProfile, Schema, definitions};
+use wm_msgs::{ConvertError, Layout};
+
+/// A definition with the layout of its messages; none where that is not known.
+struct Candidate {
+    schema: Schema,
+    layout: Option<Layout>,
+}
+
+impl Candidate {
+    /// Whether these bytes are a message of it, as far as that can be checked.
+    fn fits(&self, data: &[u8]) -> bool {
+        match self.layout.as_ref().map(|layout| layout.check(data)) {
+            None | Some(Ok(()) | Err(ConvertError::Representation(_))) => true,
+            Some(Err(_)) => false,
+        }
+    }
+}
+
+/// What the bag has of a topic.
+enum Recorded {
+    /// Nothing: no message came.
+    Announced(Vec<Candidate>),
+    /// A channel with this definition.
+    Defined(Candidate),
+    /// A channel without one.
+    Undefined,
+    /// No channel, because the bag cannot have it.
+    Refused,
+}
+
+struct Topic {
+    type_name: String,
+    qos: QosProfile,
+    recorded: Recorded,
+    /// Messages that the definition does not fit.
+    foreign: u64,
+}
+
+/// The definitions of the topics of a bag.
+#[derive(Default)]
+pub(super) struct Definitions {
+    topics: BTreeMap<Arc<str>, Topic>,
+}
+
+impl Definitions {
+    /// A topic is recorded from now on.
+    pub fn announce(
+        &mut self,
+        name: Arc<str>,
+        type_name: String,
+        candidates: Vec<Schema>,
+        qos: QosProfile,
+    ) {
+        let candidates = candidates.into_iter().map(|schema| {
+            let description = schema.description(&type_name).ok().flatten();
+            let layout = description.and_then(|description| Layout::of(&description).ok());
+            Candidate { schema, layout }
+        });
+        let topic = Topic {
+            recorded: Recorded::Announced(candidates.collect()),
+            type_name,
+            qos,
+            foreign: 0,
+        };
+        self.topics.entry(name).or_insert(topic);
+    }
+
+    /// Writes a message, with the first definition that fits it. One of an announced topic whose definition it does not fit
+    /// is written without any.
+    pub fn write(
+        &mut self,
+        writer: &mut BagWriter,
+        name: &Arc<str>,
+        log_time_ns: u64,
+        data: &[u8],
+    ) -> Result<()> {
+        let Some(topic) = self.topics.get_mut(name) else {
+            writer.count_lost(name, 1);
+            return Ok(());
+        };
+        if let Recorded::Announced(candidates) = &mut topic.recorded {
+            let is_known = !candidates.is_empty();
+            let fitting = candidates.iter().position(|candidate| candidate.fits(data));
+            let fitting = fitting.map(|number| candidates.swap_remove(number));
+            if is_known && fitting.is_none() {
+                warn!(
+                    "{name} is recorded without a definition: its messages are not those of the {} that is known here",
+                    topic.type_name
+                );
+            }
+            topic.record(writer, name, fitting)?;
+        }
+        match &topic.recorded {
+            Recorded::Defined(definition) if !definition.fits(data) => {
+                if topic.foreign == 0 {
+                    let type_name = &topic.type_name;
+                    warn!(
+                        "{name}: messages of another {type_name} are recorded without a definition"
+                    );
+                }
+                topic.foreign += 1;
+                writer.write_undefined(name, log_time_ns, data)?;
+            }
+            Recorded::Defined(definition) => {
+                let schema = &definition.schema;
+                writer.write_raw(name, &topic.type_name, schema, log_time_ns, data)?;
+            }
+            Recorded::Undefined => {
+                let schema = definitions::unknown();
+                writer.write_raw(name, &topic.type_name, &schema, log_time_ns, data)?;
+            }
+            Recorded::Announced(_) | Recorded::Refused => writer.count_lost(name, 1),
+        }
+        Ok(())
+    }
+
+    /// Adds the topics without a message, each with its first definition.
+    pub fn add_silent(&mut self, writer: &mut BagWriter) -> Result<()> {
+        for (name, topic) in &mut self.topics {
+            if let Recorded::Announced(candidates) = &mut topic.recorded {
+                let first = (!candidates.is_empty()).then(|| candidates.swap_remove(0));
+                topic.record(writer, name, first)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Topic {
+    /// Adds the topic to the bag.
+    fn record(
+        &mut self,
+        writer: &mut BagWriter,
+        name: &str,
+        definition: Option<Candidate>,
+    ) -> Result<()> {
+        let unknown = definitions::unknown();
+        let schema = definition.as_ref().map_or(&unknown, |known| &known.schema);
+        let qos_yaml = self.qos.to_yaml();
+        self.recorded = match writer.add_topic_raw(name, &self.type_name, schema, &qos_yaml) {
+            Ok(()) => definition.map_or(Recorded::Undefined, Recorded::Defined),
+            // Its messages are counted as lost.
+            Err(
+                error @ (BagError::TopicName(_)
+                | BagError::TypeName(_)
+                | BagError::TypeConflict { .. }),
+            ) => {
+                warn!("a topic is not recorded: {error}");
+                Recorded::Refused
+            }
+            Err(error) => return Err(error.into()),
+        };
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wm_bag::{BagReader, SchemaEncoding, WriterOptions, type_schema};
+    use wm_msgs::{cdr, wm_msgs::Action};
+
+    const NAME: &str = "wm_msgs/msg/Action";
+
+    fn recorded(candidates: Vec<Schema>, messages: &[Vec<u8>]) -> BagReader {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("bag");
+        let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
+        let mut definitions = Definitions::default();
+        let topic: Arc<str> = "/wm/action".into();
+        let qos = QosProfile::reliable();
+        definitions.announce(topic.clone(), NAME.to_owned(), candidates, qos);
+        for (time, data) in (1..).zip(messages) {
+            definitions.write(&mut writer, &topic, time, data).unwrap();
+        }
+        definitions.add_silent(&mut writer).unwrap();
+        writer.finish().unwrap();
+        let reader = BagReader::open(&bag).unwrap();
+        // Read before the folder is gone.
+        assert_eq!(
+            reader.messages().filter(Result::is_ok).count(),
+            messages.len()
+        );
+        reader
+    }
+
+    fn own() -> Vec<u8> {
+        let action = Action {
+            values: vec![0.5; 7],
+            ..Action::default()
+        };
+        cdr::to_bytes(&action).unwrap()
+    }
+
+    /// An action of a definition with a field before the values.
+    fn foreign() -> Vec<u8> {
+        [
+            &[0, 1, 0, 0][..],
+            &[0; 8],
+            &[1, 0, 0, 0, 0, 0, 0, 0],
+            &[7, 0, 0, 0, 7, 0, 0, 0],
+            &[0; 28],
+        ]
+        .concat()
+    }
+
+    fn older() -> Schema {
+        let text = type_schema::<Action>().text;
+        Schema::ros2msg(text.replace("float32[] values", "uint32 mode\nfloat32[] values"))
+    }
+
+    #[test]
+    fn foreign_bytes_never_get_this_suites_definition() {
+        let schema = |reader: &BagReader| reader.topics()[0].schema.clone();
+        let both = || vec![type_schema::<Action>(), older()];
+        assert_eq!(
+            *schema(&recorded(both(), &[own()])),
+            type_schema::<Action>()
+        );
+        assert_eq!(*schema(&recorded(both(), &[foreign()])), older());
+        assert_eq!(*schema(&recorded(both(), &[])), type_schema::<Action>());
+        let alone = recorded(vec![type_schema::<Action>()], &[foreign()]);
+        assert_eq!(
+            schema(&alone).encoding,
+            SchemaEncoding::Other(String::new())
+        );
+    }
+
+    #[test]
+    fn two_publishers_of_two_definitions_stay_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("bag");
+        let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
+        let mut definitions = Definitions::default();
+        let topic: Arc<str> = "/wm/action".into();
+        let qos = QosProfile::reliable();
+        definitions.announce(
+            topic.clone(),
+            NAME.to_owned(),
+            vec![type_schema::<Action>()],
+            qos,
+        );
+        for (time, data) in (1..).zip([own(), foreign(), own()]) {
+            definitions.write(&mut writer, &topic, time, &data).unwrap();
+        }
+        writer.finish().unwrap();
+        let reader = BagReader::open(&bag).unwrap();
+        let decoded = reader
+            .messages()
+            .map(|m| m.unwrap().decode::<Action>().is_ok());
+        assert_eq!(decoded.collect::<Vec<_>>(), [true, false, true]);
+    }
+}

@@ -1,0 +1,100 @@
+//! Frames on their way from the topic to the encoder: decoded, and looked at.
+
+use std::time::Instant;
+
+use image::RgbImage;
+use wm_camera::{camera_frame::CameraFrame, image_message::ImageError};
+use wm_msgs::std_msgs::Header;
+use wm_ros::frame_trace;
+
+use super::{Fate, Grid, Repeat};
+use crate::work::Work;
+
+/// Frames that may wait to be decoded, more than those that wait to be encoded: decoding is much faster.
+const WAITING: usize = 4;
+/// Frames that are not encoded are decoded this often, by their stamps: enough for a stop of the camera, and cheap \[ns\].
+const LOOK_NS: i64 = 100_000_000;
+
+/// A frame that has arrived.
+pub(super) struct Arrived {
+    pub frame: CameraFrame,
+    pub at: Instant,
+    /// The encoder's when it arrived.
+    pub epoch: u64,
+    pub fate: Fate,
+    pub repeat: Repeat,
+    is_decoded: bool,
+}
+
+/// A frame that was looked at.
+pub(super) struct Looked {
+    pub header: Header,
+    pub is_raw: bool,
+    pub at: Instant,
+    pub epoch: u64,
+    pub fate: Fate,
+    pub repeat: Repeat,
+    /// What it shows; `None` for a frame that is not encoded, if another one was decoded just before.
+    pub picture: Option<Result<(RgbImage, Grid), ImageError>>,
+}
+
+impl Arrived {
+    fn look(self) -> Looked {
+        let picture = self.is_decoded.then(|| {
+            let picture = self.frame.decode()?;
+            let grid = Grid::of(&picture);
+            Ok((picture, grid))
+        });
+        let header = self.frame.header().clone();
+        frame_trace::passed("picture decoded", header.stamp);
+        Looked {
+            is_raw: matches!(self.frame, CameraFrame::Raw(_)),
+            header,
+            at: self.at,
+            epoch: self.epoch,
+            fate: self.fate,
+            repeat: self.repeat,
+            picture,
+        }
+    }
+}
+
+/// Decodes frames, in their order.
+pub(super) struct Looks {
+    pub work: Work<Arrived, Looked>,
+    decoded_ns: Option<i64>,
+}
+
+impl Looks {
+    pub fn new() -> Self {
+        Self {
+            work: Work::new(WAITING, |arrived: Arrived, _| arrived.look()),
+            decoded_ns: None,
+        }
+    }
+
+    /// Takes a frame; gives the oldest that waits, if there is no room for it.
+    #[must_use = "a frame that is given back is lost: count it"]
+    pub fn submit(
+        &mut self,
+        frame: CameraFrame,
+        at: Instant,
+        epoch: u64,
+        (fate, repeat): (Fate, Repeat),
+    ) -> Option<Arrived> {
+        let stamp_ns = frame.header().stamp.to_nanos();
+        let is_near = |decoded_ns: i64| (0..LOOK_NS).contains(&stamp_ns.saturating_sub(decoded_ns));
+        let is_decoded = fate == Fate::Encode || !self.decoded_ns.is_some_and(is_near);
+        if is_decoded {
+            self.decoded_ns = Some(stamp_ns);
+        }
+        self.work.submit(Arrived {
+            frame,
+            at,
+            epoch,
+            fate,
+            repeat,
+            is_decoded,
+        })
+    }
+}

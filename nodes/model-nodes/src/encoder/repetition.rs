@@ -1,0 +1,119 @@
+//! Frames that show the same picture again, byte for byte.
+
+use std::collections::VecDeque;
+
+use super::stillness::Rates;
+
+/// Pictures that are remembered: a driver that has stopped may publish its last few buffers in turn, usually four.
+const REMEMBERED: usize = 4;
+/// A gap this long between two frames is a pause: the frames before it say nothing of those after it \[ns\].
+const PAUSE_NS: i64 = 10_000_000_000;
+
+/// What a frame is among the last ones.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Repeat {
+    /// Whether one of the last frames had the same picture.
+    pub is_repeated: bool,
+    /// Since the last new picture \[ns\].
+    pub since_new_ns: i64,
+    /// Frames per second \[Hz\]; `None`: not known yet.
+    pub rate: Option<f64>,
+    /// New pictures per second \[Hz\]; `None`: not known yet.
+    pub distinct_rate: Option<f64>,
+    /// Whether the camera takes pictures at a steady rate, but is published faster.
+    pub is_steady: bool,
+}
+
+impl Repeat {
+    /// Whether the frame is worth nothing: a new one comes soon.
+    pub fn is_surplus(&self) -> bool {
+        self.is_repeated && self.is_steady
+    }
+}
+
+/// The last pictures of a camera.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Repetition {
+    last: VecDeque<u64>,
+    newest_ns: Option<i64>,
+    new_ns: i64,
+    rates: Rates,
+}
+
+impl Repetition {
+    /// Takes a frame of the stamp `stamp_ns` whose picture has this fingerprint.
+    pub fn frame(&mut self, stamp_ns: i64, fingerprint: u64) -> Repeat {
+        let is_pause =
+            |newest_ns: i64| !(0..=PAUSE_NS).contains(&stamp_ns.saturating_sub(newest_ns));
+        if self.newest_ns.is_some_and(is_pause) {
+            self.restart();
+        }
+        self.newest_ns = Some(stamp_ns);
+        let is_repeated = self.last.contains(&fingerprint);
+        if !is_repeated {
+            if self.last.len() == REMEMBERED {
+                self.last.pop_front();
+            }
+            self.last.push_back(fingerprint);
+            self.new_ns = stamp_ns;
+        }
+        self.rates.push(stamp_ns, !is_repeated);
+        Repeat {
+            is_repeated,
+            since_new_ns: stamp_ns.saturating_sub(self.new_ns),
+            rate: self.rates.rate(),
+            distinct_rate: self.rates.distinct_rate(),
+            is_steady: self.rates.is_repeating(),
+        }
+    }
+
+    /// The next frame is of another time or another camera.
+    pub fn restart(&mut self) {
+        *self = Self::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: i64 = 1_000_000_000 / 30;
+
+    #[test]
+    fn every_frame_twice_is_told_and_each_second_one_is_surplus() {
+        let mut repetition = Repetition::default();
+        let mut surplus = 0;
+        for index in 0..120 {
+            let repeat = repetition.frame(index * PERIOD, index as u64 / 2);
+            assert_eq!(repeat.is_repeated, index % 2 == 1);
+            assert_eq!(repeat.since_new_ns, (index % 2) * PERIOD);
+            surplus += i64::from(repeat.is_surplus());
+        }
+        assert!((50..=60).contains(&surplus), "{surplus}");
+    }
+
+    #[test]
+    fn pictures_in_turn_are_no_new_ones() {
+        let mut repetition = Repetition::default();
+        for index in 0..60 {
+            repetition.frame(index * PERIOD, index as u64);
+        }
+        // The driver has stopped, and publishes its four buffers again and again.
+        let mut last = None;
+        for index in 60..120 {
+            last = Some(repetition.frame(index * PERIOD, 56 + index as u64 % 4));
+        }
+        let repeat = last.unwrap();
+        assert!(repeat.is_repeated && !repeat.is_surplus(), "{repeat:?}");
+        assert_eq!(repeat.since_new_ns, 60 * PERIOD);
+    }
+
+    #[test]
+    fn a_pause_and_a_step_back_begin_anew() {
+        let mut repetition = Repetition::default();
+        repetition.frame(0, 7);
+        assert!(repetition.frame(1_000_000_000, 7).is_repeated);
+        assert!(!repetition.frame(60_000_000_000, 7).is_repeated);
+        assert!(!repetition.frame(5_000_000_000, 7).is_repeated);
+    }
+}

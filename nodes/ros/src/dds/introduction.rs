@@ -1,0 +1,68 @@
+//! Announcements to participants of this host that rustdds does not announce itself to.
+//!
+//! Loopback mostly has no multicast. There rustdds 0.15.1 announces a participant to the first twelve participant
+//! numbers of the domain only, so that two participants with higher numbers would never meet. So each participant
+//! sends its first announcement to the other numbers too, in its own name. Who receives it answers, and from then on
+//! rustdds announces itself to both.
+
+use super::{confine::Ports, rtps};
+use crate::backend::EndpointId;
+use std::{
+    net::{Ipv4Addr, SocketAddr, UdpSocket},
+    time::Duration,
+};
+
+/// Participant numbers that rustdds tries at most (DDSI-RTPS 2.5, 9.6.2.3).
+const NUMBERS: u16 = 120;
+/// The numbers to which rustdds announces itself (`SPDP_LOCALHOST_PEER_COUNT`).
+const ANNOUNCED: u16 = 12;
+/// Times between announcements: datagrams are lost where many participants start at once. The last one repeats.
+const PAUSES: [Duration; 4] = [
+    Duration::from_millis(200),
+    Duration::from_secs(1),
+    Duration::from_secs(3),
+    Duration::from_secs(10),
+];
+
+/// Participants that a domain can have on one host: the ports of the highest domains end before.
+pub(super) fn participants_of(domain: u16) -> u16 {
+    let numbers = 0..NUMBERS;
+    numbers
+        .take_while(|number| Ports::new(domain, *number).fit())
+        .last()
+        .map_or(0, |last| last + 1)
+}
+
+/// Announces the participant `own`, of this number, for as long as it exists.
+pub(super) async fn introduce(socket: UdpSocket, own: EndpointId, domain: u16, participant: u16) {
+    let ports = Ports::new(domain, participant);
+    let message = rtps::announcement(&own, ports.discovery(), ports.user());
+    let mut pauses = PAUSES.iter();
+    let mut pause = Duration::ZERO;
+    loop {
+        for other in (ANNOUNCED..participants_of(domain)).filter(|other| *other != participant) {
+            let port = Ports::new(domain, other).discovery();
+            let to = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+            // nobody may be there, and what is lost is sent again
+            if let Err(error) = socket.send_to(&message, to) {
+                tracing::debug!("cannot announce to {to}: {error}");
+            }
+        }
+        if let Some(next) = pauses.next() {
+            pause = *next;
+        }
+        tokio::time::sleep(pause).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_highest_domains_have_fewer_participants() {
+        assert_eq!([0, 100, 231].map(participants_of), [NUMBERS; 3]);
+        // 7400 + 250 * 232 + 11 + 2 * 62 = 65535
+        assert_eq!(participants_of(232), 63);
+    }
+}

@@ -1,0 +1,91 @@
+//! Leases of participants, where rustdds 0.15.1 makes a temporary loss permanent.
+//!
+//! - **A participant loses itself**: it knows itself by its own announcements, which multicast brings back, and by their
+//!   lease of 50 s. It announces itself where it knows participants, so that once the network has been gone for that
+//!   long, it never announces itself again. So it gets a sign of life from here.
+//! - **It announces itself every 10 s only**, and at once when it meets a participant. So that others meet it again sooner
+//!   after a cut, it meets nobody every few seconds.
+//! - **A participant of Fast DDS that was lost is never met again**: its announcements all have the number 1, and rustdds
+//!   takes each number once, for as long as it is among the last 64 announcements of all participants. So when a lease
+//!   has run out, these are displaced.
+//! - **A participant that has lost this one, and is not lost itself, never gets the announcements of the endpoints
+//!   again**: rustdds takes its readers to have them. Packets that are lost in one direction do that. So the lease of a
+//!   participant that has acknowledged nothing for longer than the lease here is ended, and it is met anew.
+//!
+//! All this goes to the participant of this process only, in its own name or in that of nobody.
+
+use super::{parts::Peer, rtps};
+use crate::backend::EndpointId;
+use std::{
+    io,
+    net::{Ipv4Addr, SocketAddr, UdpSocket},
+    sync::atomic::{AtomicI64, Ordering},
+    time::Duration,
+};
+
+/// How often Fast DDS announces a participant.
+const PERIOD: Duration = Duration::from_secs(3);
+/// Announcements that rustdds remembers (the limit of `TopicCache` without resource limits), and one more.
+const REMEMBERED: i64 = 65;
+/// It clears out the oldest when a number is a multiple of this.
+const CLEARED_AT: i64 = 64;
+
+/// The way to a participant of this process.
+pub(super) struct OwnPort {
+    socket: UdpSocket,
+    own: EndpointId,
+    to: SocketAddr,
+    /// Of the last announcement of nobody.
+    number: AtomicI64,
+}
+
+impl OwnPort {
+    /// `address`: of the interface that it uses, since what comes from loopback would make rustdds send to itself by
+    /// loopback alone. `port`: where it receives announcements.
+    pub(super) fn new(own: EndpointId, address: Ipv4Addr, port: u16) -> io::Result<Self> {
+        let socket = UdpSocket::bind((address, 0))?;
+        socket.set_nonblocking(true)?;
+        let to = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+        let number = AtomicI64::new(0);
+        Ok(Self {
+            socket,
+            own,
+            to,
+            number,
+        })
+    }
+
+    /// Has rustdds forget the announcements that it has taken.
+    pub(super) fn forget_announcements(&self) {
+        let last = self.number.fetch_add(REMEMBERED, Ordering::Relaxed);
+        let numbers = (last + 1)..=(last + REMEMBERED);
+        let numbers = numbers.map(|number| number * CLEARED_AT);
+        self.send(&rtps::departures(&self.own, numbers));
+    }
+
+    /// Ends the lease of another participant.
+    pub(super) fn expire(&self, peer: &Peer) {
+        self.send(&rtps::expiry(&self.own, peer, self.next_number()));
+    }
+
+    /// A number between those of [`Self::forget_announcements`], with room for the next.
+    fn next_number(&self) -> i64 {
+        self.number.fetch_add(1, Ordering::Relaxed) * CLEARED_AT + 1
+    }
+
+    /// Keeps the participant's own lease, and announces it, for as long as it exists.
+    pub(super) async fn keep_alive(&self) {
+        let mut period = tokio::time::interval(PERIOD);
+        loop {
+            period.tick().await;
+            self.send(&rtps::life_sign(&self.own));
+            self.send(&rtps::visit(&self.own, self.next_number()));
+        }
+    }
+
+    fn send(&self, message: &[u8]) {
+        if let Err(error) = self.socket.send_to(message, self.to) {
+            tracing::debug!("cannot send to the own participant: {error}");
+        }
+    }
+}

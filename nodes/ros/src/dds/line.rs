@@ -1,0 +1,203 @@
+//! The DDS writers of a publisher, one after the other.
+//!
+//! A reliable writer of rustdds 0.15.1 keeps every sample until its last reader has acknowledged it, and takes no more
+//! samples once its window is full. One reader that stops would silence the topic for all. rustdds can neither drop
+//! that reader nor the samples, and its window only closes. So a publisher whose slowest reader has fallen behind
+//! starts a new DDS writer, which no reader holds up, and drops the old one when the other readers have had time to
+//! take its last samples. The new writer is used as soon as all readers of the old one are connected to it: rustdds
+//! repairs for these whatever they miss.
+
+use super::{codec::Raw, lock::lock, window::Window};
+use crate::backend::EndpointId;
+use bytes::Bytes;
+use futures::{FutureExt as _, future::BoxFuture, task::noop_waker_ref};
+use rustdds::{
+    Publisher, QosPolicies, RTPSEntity as _, Topic, dds::result::CreateResult, no_key::DataWriter,
+};
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+    task::Context,
+    time::Duration,
+};
+
+/// How far the slowest reader may fall behind before a new writer is started \[samples\].
+const PATIENCE: usize = 256;
+/// It has also acknowledged nothing for this long: acknowledgements of a burst are under way.
+pub(super) const LULL: Duration = Duration::from_millis(100);
+/// And at most, where one reader lets writer after writer go by: each is announced to all participants.
+const MOST_PATIENCE: usize = 2048;
+
+/// How long the writer before is kept, for what the other readers have not taken from it.
+pub(super) const RETIREMENT: Duration = Duration::from_secs(2);
+
+/// Makes the DDS writers of a publisher.
+pub(super) struct Maker {
+    pub(super) publisher: Publisher,
+    pub(super) topic: Topic,
+    pub(super) qos: QosPolicies,
+}
+
+impl Maker {
+    pub(super) fn make(&self) -> CreateResult<DataWriter<Bytes, Raw>> {
+        let qos = Some(self.qos.clone());
+        self.publisher.create_datawriter_no_key(&self.topic, qos)
+    }
+}
+
+/// A DDS writer and what its readers have acknowledged.
+pub(super) struct Line {
+    writer: Arc<DataWriter<Bytes, Raw>>,
+    pub(super) window: Window,
+    /// The number of the last sample when the wait began, and the wait until all readers have it.
+    wait: Option<(i64, BoxFuture<'static, ()>)>,
+}
+
+impl Line {
+    pub(super) fn new(writer: DataWriter<Bytes, Raw>) -> Self {
+        Self {
+            writer: Arc::new(writer),
+            window: Window::default(),
+            wait: None,
+        }
+    }
+
+    pub(super) fn id(&self) -> EndpointId {
+        self.writer.guid().to_bytes()
+    }
+
+    pub(super) const fn writer(&self) -> &Arc<DataWriter<Bytes, Raw>> {
+        &self.writer
+    }
+
+    /// Updates the window by what the readers have acknowledged; whether they have acknowledged something.
+    pub(super) fn look(&mut self) -> bool {
+        let mut context = Context::from_waker(noop_waker_ref());
+        let mut is_acknowledged = false;
+        while self.window.unacknowledged() > 0 {
+            let (number, wait) = self.wait.get_or_insert_with(|| {
+                let writer = Arc::clone(&self.writer);
+                let wait = async move {
+                    // an error means that nobody is waited for
+                    writer.async_wait_for_acknowledgments().await.ok();
+                };
+                (self.window.last(), wait.boxed())
+            });
+            if wait.poll_unpin(&mut context).is_pending() {
+                break;
+            }
+            let number = *number;
+            self.window.acknowledged(number);
+            self.wait = None;
+            is_acknowledged = true;
+        }
+        is_acknowledged
+    }
+}
+
+/// How long a publisher waits for its slowest reader.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Patience(usize);
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self(PATIENCE)
+    }
+}
+
+impl Patience {
+    pub(super) const fn samples(self) -> usize {
+        self.0
+    }
+
+    /// A writer was given up.
+    pub(super) fn grow(&mut self) {
+        self.0 = (self.0 * 2).min(MOST_PATIENCE);
+    }
+
+    /// All readers have everything.
+    pub(super) const fn reset(&mut self) {
+        self.0 = PATIENCE;
+    }
+}
+
+/// Which DDS writer stands for which publisher. A publisher is known in this process by its first DDS writer.
+#[derive(Default)]
+pub(super) struct Lines {
+    table: Mutex<Table>,
+}
+
+#[derive(Default)]
+struct Table {
+    publishers: BTreeMap<EndpointId, EndpointId>,
+    current: BTreeMap<EndpointId, EndpointId>,
+}
+
+impl Lines {
+    /// From now on `line` stands for `publisher`.
+    pub(super) fn set_current(&self, publisher: EndpointId, line: EndpointId) {
+        lock(&self.table).current.insert(publisher, line);
+    }
+
+    /// `line` is a DDS writer of `publisher`.
+    pub(super) fn add(&self, publisher: EndpointId, line: EndpointId) {
+        lock(&self.table).publishers.insert(line, publisher);
+    }
+
+    pub(super) fn remove(&self, line: &EndpointId) {
+        lock(&self.table).publishers.remove(line);
+    }
+
+    pub(super) fn remove_publisher(&self, publisher: &EndpointId) {
+        lock(&self.table).current.remove(publisher);
+    }
+
+    /// The publisher that a DDS writer stands for; any other endpoint stands for itself.
+    pub(super) fn publisher_of(&self, line: &EndpointId) -> EndpointId {
+        *lock(&self.table).publishers.get(line).unwrap_or(line)
+    }
+
+    /// The DDS writer that stands for a publisher now; any other endpoint stands for itself.
+    pub(super) fn current(&self, publisher: &EndpointId) -> EndpointId {
+        *lock(&self.table)
+            .current
+            .get(publisher)
+            .unwrap_or(publisher)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_publisher_is_known_by_its_first_writer() {
+        let lines = Lines::default();
+        let [first, second, other] = [1, 2, 3].map(|byte| [byte; 16]);
+        assert_eq!(
+            (lines.current(&first), lines.publisher_of(&first)),
+            (first, first)
+        );
+        lines.add(first, second);
+        assert_eq!(lines.publisher_of(&second), first);
+        lines.set_current(first, second);
+        assert_eq!(
+            (lines.current(&first), lines.current(&other)),
+            (second, other)
+        );
+        lines.remove(&second);
+        lines.remove_publisher(&first);
+        assert_eq!(lines.publisher_of(&second), second);
+        assert_eq!(lines.current(&first), first);
+    }
+
+    #[test]
+    fn patience_grows_to_a_bound() {
+        let mut patience = Patience::default();
+        assert_eq!(patience.samples(), PATIENCE);
+        (0..9).for_each(|_| patience.grow());
+        assert_eq!(patience.samples(), MOST_PATIENCE);
+        patience.reset();
+        assert_eq!(patience.samples(), PATIENCE);
+    }
+}

@@ -1,0 +1,110 @@
+//! Connections to participants that return after their lease has run out.
+//!
+//! rustdds 0.15.1 remembers the endpoints of such a participant, but connects its own endpoints to them only when they
+//! are announced anew, and nobody does that: the other side has announced them already. rustdds also tries to connect
+//! all endpoints of a topic when this process makes a new one on it. So an endpoint is made on each topic that lacks a
+//! connection, and dropped again. The connections get back their old identities and numbers, so that nothing that was
+//! taken before the cut is taken twice.
+
+use super::{
+    codec::Raw,
+    lock::lock,
+    qos::for_reader,
+    reconcile::Own,
+    shared::{Second, Shared},
+};
+use crate::{Error, Qos, backend::EndpointId};
+use bytes::Bytes;
+use rustdds::{
+    DomainParticipant, Publisher, RTPSEntity as _, TopicKind,
+    no_key::{DataWriter, SimpleDataReader},
+};
+use std::{collections::BTreeSet, sync::Arc, time::Duration};
+
+/// How long such an endpoint stays: rustdds looks at it within milliseconds.
+const STAY: Duration = Duration::from_secs(1);
+
+/// An endpoint that is made to be dropped.
+enum Passing {
+    Writer(DataWriter<Bytes, Raw>),
+    Reader(SimpleDataReader<Bytes, Raw>),
+}
+
+impl Passing {
+    fn id(&self) -> EndpointId {
+        match self {
+            Self::Writer(writer) => writer.guid().to_bytes(),
+            Self::Reader(reader) => reader.guid().to_bytes(),
+        }
+    }
+}
+
+impl Shared {
+    /// Has rustdds connect these endpoints of this process with all that they fit.
+    pub(super) fn rematch(self: &Arc<Self>, ids: &BTreeSet<EndpointId>) {
+        let mut topics = BTreeSet::new();
+        let mut passing = Vec::new();
+        for (id, own) in self.own_of(ids) {
+            let is_of_first = id.starts_with(&self.first);
+            if !topics.insert((own.topic.clone(), own.is_writer, is_of_first)) {
+                continue;
+            }
+            match self.pass_by(&own, is_of_first) {
+                Ok(endpoint) => passing.extend(endpoint),
+                Err(error) => tracing::debug!("{error}"),
+            }
+        }
+        if passing.is_empty() {
+            return;
+        }
+        tracing::debug!("{} topics are connected anew", passing.len());
+        let shared = Arc::clone(self);
+        self.failure.watch(&self.runtime, "discovery", async move {
+            tokio::time::sleep(STAY).await;
+            for endpoint in passing {
+                lock(&shared.matches).remove(&endpoint.id());
+                drop(endpoint);
+            }
+        });
+    }
+
+    /// `None` once the participant is closed.
+    fn pass_by(&self, own: &Own, is_of_first: bool) -> Result<Option<Passing>, Error> {
+        let first = lock(&self.participant);
+        let second = lock(&self.second);
+        let (participant, publisher): (Option<&DomainParticipant>, Option<&Publisher>) =
+            match (is_of_first, second.as_ref()) {
+                (true, _) => (first.as_ref(), Some(&self.publisher)),
+                (
+                    false,
+                    Some(Second {
+                        participant,
+                        publisher,
+                    }),
+                ) => (Some(participant), Some(publisher)),
+                (false, None) => (None, None),
+            };
+        let (Some(participant), Some(publisher)) = (participant, publisher) else {
+            return Ok(None);
+        };
+        let failed = |error| Error::middleware(format!("connect {}", own.topic), error);
+        // A reader that requests nothing fits every writer. A writer has to offer what the own one does.
+        let qos = for_reader(Qos::best_effort(1));
+        let (name, type_name) = (own.topic.clone(), own.type_name.clone());
+        let topic = participant
+            .create_topic(name, type_name, &qos, TopicKind::NoKey)
+            .map_err(failed)?;
+        Ok(Some(match own.is_writer {
+            true => Passing::Writer(
+                publisher
+                    .create_datawriter_no_key(&topic, Some(own.qos.clone()))
+                    .map_err(failed)?,
+            ),
+            false => Passing::Reader(
+                self.subscriber
+                    .create_simple_datareader_no_key(&topic, Some(qos))
+                    .map_err(failed)?,
+            ),
+        }))
+    }
+}

@@ -1,0 +1,124 @@
+//! What goes wrong.
+
+use std::{process::Command, time::Duration};
+
+use rustix::process::Signal;
+
+use crate::{
+    middle::{Middle, Pictures},
+    suite::{Suite, World},
+};
+
+/// What goes wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub enum Kind {
+    /// The same picture with fresh stamps.
+    CameraFrozen,
+    /// The same, with a noise of one grey level.
+    CameraFrozenNoise,
+    /// No picture.
+    CameraSilent,
+    /// `/clock` stands still.
+    ClockStopped,
+    /// `/clock` is gone, and comes back by a second earlier.
+    ClockBack,
+    /// Nothing arrives between processes.
+    Cut,
+    /// The encoder is killed.
+    KillEncoder,
+    /// The planner is killed.
+    KillPlanner,
+    /// The executor is killed.
+    KillExecutor,
+    /// The planner's process is stopped, and goes on.
+    StopPlanner,
+    /// The executor's process is stopped, and goes on.
+    StopExecutor,
+    /// The emergency stop is pressed.
+    EmergencyStop,
+    /// The publisher of the emergency stop is gone.
+    EmergencyLost,
+}
+
+impl Kind {
+    /// For how long the arm may be commanded to move after the beginning of the fault: what the parameters allow by their
+    /// defaults, and half a second for a busy machine.
+    pub fn limit(self) -> Duration {
+        Duration::from_millis(match self {
+            // Until the encoder is sure, and the arm at rest.
+            Self::CameraFrozen | Self::CameraFrozenNoise => 4_000,
+            // camera_timeout and stop_within; or max_age without reports on the camera.
+            Self::CameraSilent | Self::KillEncoder | Self::KillPlanner | Self::StopPlanner => 2_700,
+            // max_age.
+            Self::ClockStopped | Self::ClockBack => 2_500,
+            // Nothing is seen of the commands; the arm itself stops after command_timeout and a step.
+            Self::Cut | Self::KillExecutor | Self::StopExecutor => 1_200,
+            Self::EmergencyStop => 500,
+            Self::EmergencyLost => 700,
+        })
+    }
+
+    /// Its name in the report.
+    pub fn name(self) -> String {
+        let value = clap::ValueEnum::to_possible_value(&self);
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+}
+
+/// What can go wrong here: the network is cut only in a namespace of its own.
+pub fn possible() -> Vec<Kind> {
+    let mut kinds = <Kind as clap::ValueEnum>::value_variants().to_vec();
+    // Only a namespace of its own has no other interface than loopback.
+    let devices = std::fs::read_to_string("/proc/self/net/dev").unwrap_or_default();
+    let mut names = devices.lines().filter_map(|line| line.split_once(':'));
+    let is_own = names.all(|(name, _)| name.trim() == "lo");
+    if !is_own {
+        println!("soak: no network cuts; run it by unshare -n");
+        kinds.retain(|kind| *kind != Kind::Cut);
+    }
+    kinds
+}
+
+fn set_loopback(state: &str) {
+    let status = Command::new("ip")
+        .args(["link", "set", "lo", state])
+        .status()
+        .expect("ip");
+    assert!(status.success(), "cannot set lo {state}");
+}
+
+/// Begins a fault.
+pub fn begin(kind: Kind, middle: &Middle, world: &World, suite: &mut Suite) {
+    match kind {
+        Kind::CameraFrozen => middle.show(Pictures::Frozen),
+        Kind::CameraFrozenNoise => middle.show(Pictures::FrozenNoise),
+        Kind::CameraSilent => middle.show(Pictures::Silent),
+        Kind::ClockStopped | Kind::ClockBack => middle.stop_clock(),
+        Kind::Cut => set_loopback("down"),
+        Kind::KillEncoder => suite.signal("encoder", Signal::KILL),
+        Kind::KillPlanner => suite.signal("planner", Signal::KILL),
+        Kind::KillExecutor => suite.signal("executor", Signal::KILL),
+        Kind::StopPlanner => suite.signal("planner", Signal::STOP),
+        Kind::StopExecutor => suite.signal("executor", Signal::STOP),
+        Kind::EmergencyStop => world.press(true),
+        Kind::EmergencyLost => world.drop_emergency(),
+    }
+}
+
+/// Ends it.
+pub fn end(kind: Kind, middle: &Middle, world: &World, suite: &mut Suite) {
+    match kind {
+        Kind::CameraFrozen | Kind::CameraFrozenNoise | Kind::CameraSilent => {
+            middle.show(Pictures::Live);
+        }
+        Kind::ClockStopped => middle.run_clock(Duration::ZERO),
+        Kind::ClockBack => middle.run_clock(Duration::from_secs(1)),
+        Kind::Cut => set_loopback("up"),
+        Kind::StopPlanner => suite.signal("planner", Signal::CONT),
+        Kind::StopExecutor => suite.signal("executor", Signal::CONT),
+        Kind::EmergencyStop => world.press(false),
+        Kind::EmergencyLost => world.make_emergency(),
+        Kind::KillEncoder | Kind::KillPlanner | Kind::KillExecutor => {}
+    }
+}

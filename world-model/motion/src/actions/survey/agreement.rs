@@ -1,0 +1,168 @@
+//! Actions compared with the change of the state that they lead to.
+
+use super::Hint;
+use crate::actions::{ActionSpace, Kind};
+
+/// Frames by which the state may be early or late, at most.
+const SHIFTS: i64 = 3;
+/// Shifts that are compared.
+const SHIFT_COUNT: usize = 2 * SHIFTS as usize + 1;
+/// Fewer pairs say nothing.
+const LEAST: u64 = 8;
+
+/// Sums over all episodes that have states.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Agreement {
+    pairs: u64,
+    /// Sum of the distances of actions from the next state, and from the change to it \[m\].
+    from_state: f64,
+    from_change: f64,
+    /// By axis: sums of action squared, of change squared, and of their products.
+    axes: [Products; 3],
+    /// Sums of products of actions and changes that are so many frames later, less [`SHIFTS`].
+    shifted: [f64; SHIFT_COUNT],
+    gripper: Moments,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Products {
+    action: f64,
+    change: f64,
+    both: f64,
+}
+
+/// Moments of two quantities.
+#[derive(Clone, Copy, Debug, Default)]
+struct Moments {
+    count: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    yy: f64,
+    xy: f64,
+}
+
+impl Moments {
+    fn add(&mut self, x: f64, y: f64) {
+        self.count += 1.0;
+        self.x += x;
+        self.y += y;
+        self.xx += x * x;
+        self.yy += y * y;
+        self.xy += x * y;
+    }
+
+    /// Pearson's r; 0 without variance.
+    fn correlation(&self) -> f64 {
+        let covariance = self.count * self.xy - self.x * self.y;
+        let variance = |sum: f64, squares: f64| self.count * squares - sum * sum;
+        let variances = variance(self.x, self.xx) * variance(self.y, self.yy);
+        if variances > 1e-12 {
+            covariance / variances.sqrt()
+        } else {
+            0.0
+        }
+    }
+}
+
+impl Agreement {
+    pub fn add<A: AsRef<[f32]>, S: AsRef<[f32]>>(
+        &mut self,
+        space: &ActionSpace,
+        actions: &[A],
+        states: &[S],
+    ) {
+        let of_kind = |wanted: fn(Kind) -> bool| {
+            let dimensions = space.dimensions().iter().enumerate();
+            let found = dimensions.filter(move |(_, dimension)| wanted(dimension.kind));
+            found.map(|(index, _)| index).collect::<Vec<_>>()
+        };
+        let value = |row: Option<&[f32]>, index: usize| {
+            row.and_then(|row| row.get(index)).copied().map(f64::from)
+        };
+        let state = |frame: usize, index| value(states.get(frame).map(AsRef::as_ref), index);
+        let change = |frame: usize, index| Some(state(frame + 1, index)? - state(frame, index)?);
+        let translations = of_kind(|kind| kind == Kind::TranslationDelta);
+        for (frame, action) in actions.iter().enumerate() {
+            let action = Some(action.as_ref());
+            for (axis, index) in translations.iter().take(3).enumerate() {
+                let (Some(taken), Some(changed), Some(next)) = (
+                    value(action, *index),
+                    change(frame, *index),
+                    state(frame + 1, *index),
+                ) else {
+                    continue;
+                };
+                self.pairs += 1;
+                self.from_state += (taken - next).abs();
+                self.from_change += (taken - changed).abs();
+                if let Some(products) = self.axes.get_mut(axis) {
+                    products.action += taken * taken;
+                    products.change += changed * changed;
+                    products.both += taken * changed;
+                }
+                for (slot, shift) in self.shifted.iter_mut().zip(-SHIFTS..) {
+                    let later = i64::try_from(frame)
+                        .ok()
+                        .and_then(|frame| frame.checked_add(shift));
+                    let later = later.and_then(|later| usize::try_from(later).ok());
+                    if let Some(changed) = later.and_then(|later| change(later, *index)) {
+                        *slot += taken * changed;
+                    }
+                }
+            }
+            for index in of_kind(Kind::is_gripper).into_iter().take(1) {
+                if let (Some(taken), Some(next)) = (value(action, index), state(frame + 1, index)) {
+                    self.gripper.add(taken, next);
+                }
+            }
+        }
+    }
+
+    /// Whether actions are nearer to the next state than to the change to it.
+    pub fn is_absolute(&self) -> bool {
+        self.pairs >= LEAST
+            && self.from_state < 0.5 * self.from_change
+            // 5 mm on average: a robot near its base's origin, that hardly moves, says nothing.
+            && self.from_change > 0.005 * self.pairs as f64
+    }
+
+    /// Whether the gripper's state goes against its action.
+    pub fn is_gripper_opposed(&self) -> bool {
+        self.gripper.count >= LEAST as f64 && self.gripper.correlation() < -0.5
+    }
+
+    /// Frames by which changes of the state come after the action, if not at once.
+    pub fn lag(&self) -> Option<i64> {
+        if self.pairs < LEAST {
+            return None;
+        }
+        let total = |part: fn(&Products) -> f64| self.axes.iter().map(part).sum::<f64>();
+        let scale = (total(|axis| axis.action) * total(|axis| axis.change)).sqrt();
+        let now = self.shifted.get(SHIFTS.unsigned_abs() as usize)?;
+        let shifts = self.shifted.iter().zip(-SHIFTS..);
+        let (best, shift) = shifts.max_by(|(a, _), (b, _)| a.total_cmp(b))?;
+        // The sums of a motion that goes on in one direction are alike at all shifts.
+        (shift != 0 && *best > 0.6 * scale && *best > now.abs() * 1.2).then_some(shift)
+    }
+
+    /// Axes along which the state changes by another amount than the action.
+    pub fn scales(&self, space: &ActionSpace) -> Vec<Hint> {
+        let translations = space.dimensions().iter();
+        let translations = translations.filter(|d| d.kind == Kind::TranslationDelta);
+        let axes = translations.zip(&self.axes);
+        let hint = |(dimension, axis): (&crate::actions::Dimension, &Products)| {
+            if self.pairs < LEAST || axis.action <= 0.0 || axis.change <= 0.0 {
+                return None;
+            }
+            let correlation = axis.both / (axis.action * axis.change).sqrt();
+            let factor = axis.both / axis.action;
+            let is_other = !(0.6..=1.6).contains(&factor) && correlation.abs() > 0.7;
+            is_other.then(|| Hint::Scale {
+                column: dimension.name.clone(),
+                factor,
+            })
+        };
+        axes.filter_map(hint).collect()
+    }
+}
