@@ -243,8 +243,10 @@ mod tests {
 
     /// With messages on the topic, of which each picture comes `times` times.
     fn with_messages(mut heard: Heard, times: u64) -> Heard {
-        let mut stream = Stream::default();
-        stream.timeline = regular(240, 33, 10);
+        let mut stream = Stream {
+            timeline: regular(240, 33, 10),
+            ..Stream::default()
+        };
         for arrival in &mut stream.timeline.0 {
             arrival.fingerprint = arrival.fingerprint.map(|picture| picture / times);
         }

@@ -145,9 +145,10 @@ impl DatasetArgs {
         preparation.write(out)?;
         let manifest = read_manifest(out)?;
         name_left_out(&manifest, out);
-        name_mixed_sizes(&manifest);
+        let audit = read_audit(out)?;
+        name_mixed_sizes(&manifest, audit.as_ref());
         println!("{manifest}");
-        if let Some(audit) = read_audit(out)? {
+        if let Some(audit) = audit {
             println!("{audit}");
         }
         Ok(())

@@ -221,7 +221,7 @@ fn open_all(
     for dir in prepared {
         let folder = Folder::open(&dir)?;
         name_left_out(folder.manifest(), &dir);
-        name_mixed_sizes(folder.manifest());
+        name_mixed_sizes(folder.manifest(), None);
         let view = view(size, folder.views())?;
         folder.manifest().expect_fit(&dir, view, fit)?;
         opened.push(Opened {
@@ -245,8 +245,9 @@ fn open_all(
         }
         let folder = Folder::open(&dir)?;
         name_left_out(folder.manifest(), &dir);
-        name_faults(&dir)?;
-        name_mixed_sizes(folder.manifest());
+        let audit = read_audit(&dir)?;
+        name_faults(audit.as_ref());
+        name_mixed_sizes(folder.manifest(), audit.as_ref());
         opened.push(Opened {
             folder: Arc::new(folder),
             is_given: false,
@@ -283,16 +284,19 @@ pub(super) fn name_left_out(manifest: &Manifest, dir: &Path) {
 }
 
 /// Logs what the audit found wrong with a folder of a cache, whose audit nobody has seen.
-fn name_faults(dir: &Path) -> Result<(), DatasetError> {
-    let audit = read_audit(dir)?;
-    for finding in audit.iter().flat_map(Audit::faults) {
+fn name_faults(audit: Option<&Audit>) {
+    for finding in audit.into_iter().flat_map(Audit::faults) {
         let fix = finding.fix.as_deref().unwrap_or_default();
         tracing::warn!("audit: {}: {}; {fix}", finding.check, finding.what);
     }
-    Ok(())
 }
 
-pub(super) fn name_mixed_sizes(manifest: &Manifest) {
+/// Logs which cameras have pictures of several sizes, unless the audit that the user sees has it.
+pub(super) fn name_mixed_sizes(manifest: &Manifest, audit: Option<&Audit>) {
+    let mut faults = audit.into_iter().flat_map(Audit::faults);
+    if faults.any(|finding| finding.check == "sizes") {
+        return;
+    }
     for mixed in manifest.mixed_sizes() {
         tracing::warn!("{mixed}");
     }
